@@ -1,5 +1,6 @@
 #include "data/utf8.hpp"
 
+#include <algorithm>
 #include <cstdint>
 #include <cstring>
 
@@ -35,14 +36,18 @@ std::size_t piece(std::string_view text, bool keeps_backslash) noexcept {
   return text.front() == '\0' ? 0 : utf8_size(text);
 }
 
+void append_byte(std::string& out, char c) {
+  const auto byte = static_cast<unsigned char>(c);
+  const char written[] = {'\\', 'x', digits[byte >> 4], digits[byte & 0xf]};
+  out.append(written, sizeof written);
+}
+
 void append(std::string& out, std::string_view text, bool keeps_backslash) {
   while (!text.empty()) {
     std::size_t size = plain_size(text);
     if (size == 0) size = piece(text, keeps_backslash);
     if (size == 0) {
-      const auto byte = static_cast<unsigned char>(text.front());
-      const char written[] = {'\\', 'x', digits[byte >> 4], digits[byte & 0xf]};
-      out.append(written, sizeof written);
+      append_byte(out, text.front());
       size = 1;
     } else {
       out.append(text.substr(0, size));
@@ -92,6 +97,29 @@ bool is_utf8(std::string_view text) noexcept {
     text.remove_prefix(size);
   }
   return true;
+}
+
+std::size_t control_size(std::string_view text) noexcept {
+  const auto first = static_cast<unsigned char>(text.front());
+  if (first < 0x20 || first == 0x7f) return 1;
+  return first == 0xc2 && text.size() > 1 && (text[1] & 0xe0) == 0x80 ? 2 : 0;
+}
+
+std::string visible(std::string_view text, bool keeps_lines) {
+  std::string out;
+  while (!text.empty()) {
+    const bool is_kept = keeps_lines && (text.front() == '\n' || text.front() == '\t');
+    const std::size_t character = utf8_size(text);
+    const std::size_t control = is_kept ? 0 : control_size(text);
+    const std::size_t size = std::max<std::size_t>(character, 1);
+    if (character == 0 || control > 0) {
+      for (const char c : text.substr(0, size)) append_byte(out, c);
+    } else {
+      out.append(text.substr(0, size));
+    }
+    text.remove_prefix(size);
+  }
+  return out;
 }
 
 std::string readable(std::string_view text) {

@@ -20,6 +20,13 @@ std::string readable(std::string_view text);
 /// Whether `readable` gives the same text.
 bool is_readable(std::string_view text) noexcept;
 
+/// A text for a terminal: control characters, and bytes that are no UTF-8, as \xHH. What comes from a device, a server
+/// or somebody else's file must not command the terminal. `keeps_lines`: line ends and tabs stay.
+std::string visible(std::string_view text, bool keeps_lines = false);
+/// The bytes of the control character at the start of `text`, which is not empty; 0: it begins with none. U+0080 to
+/// U+009F are some, too.
+std::size_t control_size(std::string_view text) noexcept;
+
 /// A text of a payload, in such a way that `unescaped` gives it back: as `readable` does, and a backslash as \x5c where
 /// it would be taken for the beginning of one of these (\x00, \x5c, \x80 to \xff).
 void append_escaped(std::string& out, std::string_view text);

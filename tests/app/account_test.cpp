@@ -202,4 +202,19 @@ TEST_SUITE("app") {
           "\xc3\xa9\xc3\xa9\xc3\xa9 \xc3\xa9\xc3\xa9\xc3\xa9");
     CHECK(wrapped("\n\na\n", 9) == "\n\na\n");
   }
+
+  TEST_CASE("what would command a terminal is shown, in tables too, and what goes elsewhere is not touched") {
+    using app::for_terminal;
+    CHECK(for_terminal("a\x1b[31m\tb\r\nc\x7f", 80) == "a\\x1b[31m\tb\\x0d\nc\\x7f");
+    CHECK(for_terminal("\xc2\x9b"
+                       "31m \xc3\xa9 \xff",
+                       80) == "\\xc2\\x9b31m \xc3\xa9 \\xff");
+    CHECK(for_terminal("a\x1b[31m\n", 0) == "a\x1b[31m\n");
+    CHECK(app::fitted("a\x1b\xc2\x9b"
+                      "b",
+                      10) == "a??b");
+    app::Table table({"name", ">count"});
+    table.add({"a\x1b[2J\nb", "1"}, "it says \x1b[31m");
+    CHECK(table.text() == "name           count\na\\x1b[2J\\x0ab      1\n  ! it says \\x1b[31m\n");
+  }
 }

@@ -137,6 +137,10 @@ TEST_SUITE("app") {
     refuses({"text.csv", "--time", "t"}, "text.csv:3");
     refuses({"far.csv", "--time", "t"}, "far.csv:2");
     refuses({"far.csv", "--time", "t"}, "look at --scale");
+    folder.write("ns.csv", "t,v\n1767225600000000000,1\n");
+    refuses({"ns.csv", "--time", "t"}, "look at --scale; with --scale 1ns it is 2026-01-01");
+    folder.write("us.csv", "t,v\n1767225600000000,1\n");
+    refuses({"us.csv", "--time", "t"}, "look at --scale; with --scale 1us it is 2026-01-01");
     folder.write("both.csv", "t,v,t\n1,2,3\n");
     refuses({"both.csv", "--time", "t"}, "it has 2 columns t: give one of them another heading");
     folder.write("units.csv", "t [ms],v,t [s]\n1,2,3\n");

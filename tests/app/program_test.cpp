@@ -13,6 +13,7 @@
 #include "app/control/control_socket.hpp"
 #include "app/runtime_folder.hpp"
 #include "paths.hpp"
+#include "sinks/sqlite/database.hpp"
 
 using rtdata::app::ControlClient;
 using rtdata::app::running_instances;
@@ -176,9 +177,10 @@ TEST_SUITE("app") {
     folder.write("good.json", bench);
     Process good(folder, program, {"check", "good.json"});
     CHECK(good.end() == 0);
-    CHECK(
-        good.out.starts_with("how long readings may hold each loop, at worst, of its shortest period:\n"
-                             "  main: 1 sensor, worst not known of 10 ms (0 of 1 declared)\nbench.jsonl: about "));
+    CHECK(good.out.starts_with(
+        "how long readings may hold each loop, at worst, of its shortest period:\n"
+        "  main: 1 sensor, whose types do not say how long a reading takes; the shortest period is 10 ms\n"
+        "bench.jsonl: about "));
     CHECK(good.out.ends_with("\nok: 1 sensor, 2 sinks\n"));
     CHECK_FALSE(folder.has("bench.jsonl"));
   }
@@ -396,6 +398,30 @@ TEST_SUITE("app") {
     CHECK(has(timed.err, " events, for at most 2 s"));
   }
 
+  TEST_CASE("what somebody else's recording says does not command the terminal") {
+    const Folder folder;
+    const std::string program = rtdata::test::built("rtdata");
+    folder.write("rig.json", R"({"notes": "a note\u001b[31m\nof two lines", "sensors": [
+      {"name": "l", "type": "host", "quantity": "load", "rate": "20 Hz"}],
+      "sinks": [{"type": "sqlite", "path": "run.db"}]})");
+    Process run(folder, program, {"run", "rig.json", "--for", "200ms"});
+    CHECK(run.end() == 0);
+    {
+      auto other = rtdata::sqlite::Database::open(folder.path() + "/run.db", rtdata::sqlite::Database::Mode::write)
+                       .or_throw();
+      other.execute("UPDATE rtdata_run SET name = name || char(27) || '[2J' || char(155)").or_throw();
+    }
+    for (const char* command : {"info", "verify"}) {
+      CAPTURE(command);
+      Process told(folder, program, {command, "run.db"}, Process::Output::one_terminal);
+      (void)told.end();
+      INFO(told.out);
+      CHECK(told.out.find('\x1b') == std::string::npos);
+      CHECK(told.out.find("\xc2\x9b") == std::string::npos);
+      if (std::string(command) == "info") CHECK(has(told.out, "\\x1b[2J\\xc2\\x9b"));
+    }
+  }
+
   TEST_CASE("NFR-7 errors are in the log file after SIGTERM, and with --quiet on the terminal too") {
     const Folder folder;
     folder.write("bench.json", R"({"log": {"file": "errors.log", "level": "warning"},
@@ -585,7 +611,10 @@ TEST_SUITE("app") {
         {"pt100", "pt100: type max31865\n"},
         {"ds18b20", "ds18b20: type w1\n"},
         {"scpi", "scpi: type query\n"},
-        {"gyro", "gyro: type imu\n"}};
+        {"gyro", "gyro: type imu\n"},
+        {"gy-521", "gy-521: type imu\n"},
+        {"dht22", "dht22: type iio\n"},
+        {"HX711", "HX711: type analog\n"}};
     for (const auto& [word, says] : one_type) {
       Process found(folder, shipped, {"types", word});
       CHECK(found.end() == 0);
@@ -600,6 +629,12 @@ TEST_SUITE("app") {
     CHECK(csv.end() == 0);
     CHECK(has(csv.out, "\n  serial "));
     CHECK(has(csv.out, "\n  file "));
+    Process relay(folder, shipped, {"types", "relay"});
+    CHECK(relay.end() == 0);
+    CHECK_MESSAGE(has(relay.out, "gpio"), relay.out);
+    Process absent(folder, shipped, {"scan", "--root", "/nonexistent"});
+    CHECK(absent.end() == 1);
+    CHECK_MESSAGE(has(absent.err, "/nonexistent: No such file or directory"), absent.err);
     Process none(folder, shipped, {"types", "warp-drive"});
     CHECK(none.end() == 1);
     folder.write("words.json", R"({"buses": {"i": {"type": "i2c", "device": "/dev/i2c-1"}},

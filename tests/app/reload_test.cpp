@@ -59,6 +59,31 @@ TEST_SUITE("app") {
     CHECK(has(folder.read("rig.log"), "sensor new: added"));
   }
 
+  TEST_CASE("US-5 a reload that comes while another is applied waits for it, and the last one holds") {
+    const Folder folder;
+    const auto many = [](int count) {
+      std::string more;
+      for (int i = 0; i < count; ++i)
+        more += R"(, {"name": "s)" + std::to_string(i) + R"(", "type": "tallied", "rate": "1 Hz"})";
+      return rig("100 Hz", more);
+    };
+    folder.write("rig.json", many(0));
+    Process run(folder, built("rtdata_test_program"), {"run", "rig.json"});
+    REQUIRE(run.wait_for("running rig: 2 sensors, 1 sink"));
+    for (int round = 0; round < 5; ++round) {
+      folder.write("rig.json", many(800));
+      run.signal(SIGHUP);
+      std::this_thread::sleep_for(std::chrono::milliseconds{5 + 15 * round});
+      folder.write("rig.json", many(3 + round));
+      run.signal(SIGHUP);
+      REQUIRE(run.wait_for("rig.json is applied: " + std::to_string(5 + round) + " sensors, 1 sink"));
+    }
+    CHECK_FALSE(has(run.err, "nothing was changed: another"));
+    run.signal(SIGTERM);
+    CHECK(run.end() == 0);
+    CHECK(has(run.out, "ledger balances"));
+  }
+
   TEST_CASE("US-5 a recording goes on over SIGHUP, has both texts, and balances") {
     const Folder folder;
     const auto text = [](const std::string& rate, const std::string& file) {
@@ -117,6 +142,44 @@ TEST_SUITE("app") {
     CHECK(run.end() == 0);
     CHECK_FALSE(has(run.out, "dropped by"));  // the machine may have missed a tick
     CHECK(has(run.out, "ledger balances"));
+  }
+
+  TEST_CASE(
+      "US-5 a recording that is stuck is given up by a command: the run goes on elsewhere, and says what is lost") {
+    const rtdata::test::RuntimeFolder runtime;
+    const Folder folder;
+    const std::string program = built("rtdata");
+    const auto text = [](const char* file) {
+      return R"({"sensors": [{"name": "l", "type": "host", "quantity": "load", "rate": "50 Hz"}], "sinks": [
+        {"type": "sqlite", "name": "db", "path": ")" +
+             std::string(file) + R"(", "close_deadline": "500 ms"}]})";
+    };
+    folder.write("rig.json", text("first.db"));
+    Process run(folder, program, {"run", "rig.json"});
+    REQUIRE(run.wait_for("running rig"));
+    const auto reload = [&](std::vector<std::string> words, int status) {
+      words.insert(words.begin(), {"ctl", "reload"});
+      Process ctl(folder, program, words);
+      CHECK_MESSAGE(ctl.end() == status, ctl.err);
+      return ctl.out + ctl.err;
+    };
+    CHECK(has(reload({"give-up", "db"}, 1), "sink db cannot be given up: the change does not close it"));
+    CHECK(has(reload({"give-up"}, 1), "it is written `reload [give-up SINK ...]`"));
+    {
+      auto other = rtdata::sqlite::Database::open(folder.path() + "/first.db", rtdata::sqlite::Database::Mode::write)
+                       .or_throw();
+      other.execute("BEGIN IMMEDIATE").or_throw();
+      folder.write("rig.json", text("second.db"));
+      CHECK(has(reload({}, 1), "`rtdata ctl reload give-up db`"));
+      CHECK(has(reload({"give-up", "db"}, 0), "sink db: restarted (path)"));
+      REQUIRE(run.wait_for("sink db: lost "));
+    }
+    run.signal(SIGTERM);
+    CHECK(run.end() == 1);  // not all is stored
+    CHECK_FALSE(has(run.out, "not_balanced"));
+    Process second(folder, program, {"verify", "second.db"});
+    CHECK(second.end() == 0);
+    CHECK(has(second.out, "balanced"));
   }
 
   TEST_CASE("US-32 what a sender has queued goes out after a reload has restarted it, each event once") {

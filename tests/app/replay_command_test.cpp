@@ -77,6 +77,7 @@ TEST_CASE("FW-5 replay: all runs into another recording, which is a copy, in UTC
   Process again(folder, program, {"replay", "run.db", "again.json", "--speed", "max"});
   CHECK(again.end() == 0);
   CHECK(again.err.find("1 sensor of again.json is not made") != std::string::npos);
+  CHECK(again.err.find("not made: output") == std::string::npos);
   CHECK(again.err.find("has ended: 11 events and 0 gaps") != std::string::npos);
   const std::string copy = folder.path() + "/again.db";
   const auto report = verify(Recording::open(copy).or_throw()).or_throw();
@@ -85,6 +86,19 @@ TEST_CASE("FW-5 replay: all runs into another recording, which is a copy, in UTC
   const auto utc = utc_of(path);
   CHECK(utc.size() == 13);
   CHECK(utc_of(copy) == utc);
+
+  folder.write("set.json", R"({"sinks": [{"type": "sqlite", "path": "set.db"}], "outputs": [
+    {"name": "fan", "type": "serial", "device": "/dev/null"},
+    {"name": "heater", "type": "serial", "device": "/dev/zero"}]})");
+  Process set(folder, program, {"replay", "run.db", "set.json", "--speed", "max"});
+  (void)set.end();
+  const std::string told = "not made: output fan, heater of set.json: a replay sets no device";
+  const std::size_t first = set.err.find(told);
+  CHECK_MESSAGE(first != std::string::npos, set.err);
+  CHECK(set.err.find("not made", first + 1) == std::string::npos);  // once, though there are two runs
+  Process quiet(folder, program, {"replay", "run.db", "set.json", "--speed", "max", "-q"});
+  (void)quiet.end();
+  CHECK(quiet.err.find("not made") == std::string::npos);
 
   Process itself(folder, program, {"replay", "again.db", "again.json", "--speed", "max"});
   CHECK(itself.end() == 1);

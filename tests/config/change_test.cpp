@@ -270,6 +270,117 @@ TEST_SUITE("config") {
     CHECK(verify(Recording::open(folder.path() + "/run.db").or_throw()).or_throw().verdict() == Verdict::balanced);
   }
 
+  TEST_CASE("NFR-1 many sensors are added and removed a part at a time, and the loop turns between") {
+    const Folder folder;
+    const std::string path = folder.path() + "/run.db";
+    const auto text = [&](unsigned count, const std::string& more) {
+      std::string list = counter;
+      for (unsigned i = 0; i < count; ++i)
+        list += R"(, {"name": "s)" + std::to_string(i) + R"(", "type": "tallied", "rate": "100 Hz"})";
+      return R"({"sensors": [)" + list + more + R"(], "sinks": [{"type": "sqlite", "name": "db", "path": ")" + path +
+             R"("}]})";
+    };
+    const std::string second = text(20, R"(, {"name": "b", "type": "tallied", "rate": "10 Hz", "first": 5})");
+    {
+      Running run(text(0, R"(, {"name": "b", "type": "tallied", "rate": "10 Hz"})"));
+      Loop& loop = run.loop;
+      loop.advance(1s);
+      const auto count_of = [&](const std::string& kind) { return run.system.parts().names(kind).size(); };
+      const auto apply = [&](const std::string& to, const auto& see) {
+        const SystemPlan next = run.next(to);
+        REQUIRE(next.good());
+        StepwiseChange change(run.system, next);
+        while (change.step(Duration{0})) {
+          see(change.is_applied());
+          loop.advance(10ms);
+        }
+        CHECK(change.is_applied());
+        CHECK(run.system.change_to(next).is_empty());
+        return change.changes().text();
+      };
+      std::vector<std::size_t> counts;
+      std::string done = apply(second, [&](bool is_applied) {
+        if (!is_applied && (counts.empty() || counts.back() != count_of("sensor")))
+          counts.push_back(count_of("sensor"));
+      });
+      CHECK(has(done, "sensor b: restarted (first)\n"));
+      CHECK(has(done, "sensor s0: added\n"));
+      // One after the other, before b is closed.
+      REQUIRE(counts.size() == 21);
+      for (std::size_t i = 0; i < counts.size(); ++i) CHECK(counts[i] == 2 + i);
+      counts.clear();
+      done = apply(text(1, R"(, {"name": "b", "type": "tallied", "rate": "10 Hz", "first": 6})"), [&](bool is_applied) {
+        if (is_applied && (counts.empty() || counts.back() != count_of("sensor"))) counts.push_back(count_of("sensor"));
+      });
+      CHECK(has(done, "sensor s19: removed\n"));
+      REQUIRE(counts.size() >= 19);
+      for (std::size_t i = 0; i < counts.size(); ++i) CHECK(counts[i] == 22 - i);
+      CHECK(run.system.sensor_names() == std::vector<std::string>{"a", "s0", "b"});
+      for (const SensorStatus& sensor : run.runtime.sensors()) CHECK(sensor.counts.missed == 0);
+      loop.close(1s);
+      CHECK(run.runtime.balances());
+      CHECK_FALSE(run.runtime.has_loss());
+    }
+    const Recording recording = Recording::open(path).or_throw();
+    CHECK(recording.configurations(1).or_throw().size() == 2);
+    CHECK(verify(recording).or_throw().verdict() == Verdict::balanced);
+  }
+
+  TEST_CASE("US-5 one of many that cannot be made: those before it go again, and nothing else is touched") {
+    for (const bool restarts_another : {false, true}) {
+      CAPTURE(restarts_another);
+      const auto text = [&](const std::string& more, const char* first) {
+        return sensors(counter + R"(, {"name": "b", "type": "tallied", "rate": "10 Hz", "first": )" + first + "}" +
+                       more);
+      };
+      std::string many;
+      for (unsigned i = 0; i < 10; ++i)
+        many += R"(, {"name": "s)" + std::to_string(i) + R"(", "type": "brittle", "rate": "10 Hz", "breaks": )" +
+                (i == 7 ? "true" : "false") + "}";
+      Running run(text("", "1"));
+      run.loop.advance(1s);
+      const AnySensor* const before = &run.system.sensor("a");
+      const SystemPlan next = run.next(text(many, restarts_another ? "2" : "1"));
+      REQUIRE(next.good());
+      StepwiseChange change(run.system, next);
+      const std::string why = refusal([&] {
+        while (change.step(Duration{0})) run.loop.advance(10ms);
+      });
+      CHECK(has(why, "it breaks"));
+      CHECK(has(why, "the parts of before are running again"));
+      CHECK_FALSE(change.is_applied());
+      CHECK_FALSE(change.step(Duration::max()));
+      CHECK(&run.system.sensor("a") == before);
+      CHECK(run.system.sensor_names() == std::vector<std::string>{"a", "b"});
+      CHECK(run.system.change_to(run.plan).is_empty());
+      run.loop.advance(1s);
+      run.loop.close(1s);
+      CHECK(run.runtime.balances());
+      CHECK_FALSE(run.runtime.has_loss());
+    }
+  }
+
+  TEST_CASE("US-26 a sink that is added with the sensors it stores has their first events") {
+    const Folder folder;
+    const std::string path = folder.path() + "/late.db";
+    const std::string added = counter + R"(, {"name": "c", "type": "tallied", "rate": "100 Hz"})";
+    const auto sinks = [&](const std::string& more) {
+      return R"({"type": "discard", "name": ")" + std::string(more.empty() ? "old" : "new") + R"("})" + more;
+    };
+    {
+      Running run(R"({"sensors": [)" + counter + R"(], "sinks": [)" + sinks("") + "]}");
+      run.loop.advance(1s);
+      const SystemPlan next = run.next(R"({"sensors": [)" + added + R"(], "sinks": [)" +
+                                       sinks(R"(, {"type": "sqlite", "path": ")" + path + "\"}") + "]}");
+      StepwiseChange change(run.system, next);
+      while (change.step(Duration{0})) run.loop.advance(10ms);
+      run.loop.advance(1s);
+      run.loop.close(1s);
+    }
+    for (const LedgerEntry& entry : Recording::open(path).or_throw().ledger(1).or_throw())
+      if (entry.origin == "c") CHECK(entry.first_sequence == 1);
+  }
+
   TEST_CASE("US-26 a recording that begins again since a reload failed has the text that holds") {
     const Folder folder;
     const std::string path = folder.path() + "/run.db";

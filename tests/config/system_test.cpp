@@ -466,6 +466,27 @@ f.json:16:38: sinks[2].when_full
     CHECK(loop.runtime().sensors().empty());
   }
 
+  TEST_CASE("US-17 a name with control characters is refused, whatever it is the name of") {
+    // An escape sequence, and the single character that begins one, too.
+    for (const std::string bad : {R"(a\u001b[31mb)", R"(a\u009b31mb)", R"(a\nb)", R"(a\u007f)"}) {
+      CAPTURE(bad);
+      const std::string sensor = R"({"name": "a", "type": "tallied", "rate": "1 Hz"})";
+      const auto refuses = [&](const std::string& text, const char* at) {
+        CAPTURE(text);
+        const std::string told = problems_of(text);
+        CHECK(told.find(at) != std::string::npos);
+        CHECK(told.find("control characters") != std::string::npos);
+        CHECK(told.find('\x1b') == std::string::npos);
+      };
+      refuses(R"({"name": ")" + bad + R"(", "sensors": [)" + sensor + "]}", "name");
+      refuses(R"({"sensors": [{"name": ")" + bad + R"(", "type": "tallied", "rate": "1 Hz"}]})", "sensors[0].name");
+      refuses(R"({"sensors": [)" + sensor + R"(], "sinks": [{"type": "discard", "name": ")" + bad + "\"}]}",
+              "sinks[0].name");
+      refuses(R"({"buses": {")" + bad + R"(": {"type": "loopback"}}, "sensors": [)" + sensor + "]}", "buses");
+      refuses(R"({"tiers": {")" + bad + R"(": {}}, "sensors": [)" + sensor + "]}", "tiers");
+    }
+  }
+
   TEST_CASE("US-22 the schema covers the whole document") {
     const auto schema = nlohmann::json::parse(registry().schema());
     CHECK(schema["properties"]["log"]["properties"].contains("level"));

@@ -42,7 +42,8 @@ TEST_CASE("NFR-4 the load of a loop is what comes due within its shortest period
   const LoopLoad some = estimate({load(2ms, 0ms, 1700us), load(2ms, 0ms, {}), load(0ms, {}, 10us)});
   CHECK(some.is_overloaded());
   CHECK(some.text() == "fast: 3 sensors, worst 1.7 ms of 2 ms, 86 % (2 of 3 declared)");
-  CHECK(estimate({load(3ms, 0ms, {})}).text() == "fast: 1 sensor, worst not known of 3 ms (0 of 1 declared)");
+  CHECK(estimate({load(3ms, 0ms, {})}).text() ==
+        "fast: 1 sensor, whose types do not say how long a reading takes; the shortest period is 3 ms");
   CHECK(estimate({load(0ms, {}, 500us)}).text() == "fast: 1 sensor, worst 500 us");
   CHECK(estimate({}).sensors == 0);
   CHECK(estimate({}).share() == 0);

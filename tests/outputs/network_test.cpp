@@ -173,6 +173,23 @@ TEST_SUITE("outputs") {
     CHECK(is_refused(http + R"("url": "http://x/{value}", "words": {"1": "turn on"}})", "a URL has no blanks"));
     CHECK(is_refused(http + R"("url": "http://x/", "timeout": "2 s"})", "timeout"));
     CHECK(is_refused(R"({"name": "r", "type": "http"})", "url"));
+
+    // Two outputs that send the same requests set one device. No path is shown: it may hold a secret.
+    const auto two = [&](const std::string& one, const std::string& other) {
+      std::string told;
+      for (const std::string& line : problems_of(R"({"name": "a", "type": "http", )" + one +
+                                                 R"(}, {"name": "b", "type": "http", )" + other + "}"))
+        told += line + "\n";
+      return told;
+    };
+    const std::string told = two(R"("url": "http://x/secret-path")",
+                                 R"("url": "http://x/secret-path", "timeout": "500 ms")");
+    CHECK(told.find("has the server http://x already; two outputs that send the same requests") != std::string::npos);
+    CHECK(told.find("secret-path") == std::string::npos);
+    CHECK(two(R"("url": "http://x/a")", R"("url": "http://x/b")").empty());
+    CHECK(two(R"("url": "http://x/a", "text": "1={value}")", R"("url": "http://x/a", "text": "2={value}")").empty());
+    const std::string get = R"("method": "get", "url": "http://x/{value}")";
+    CHECK_FALSE(two(get, get + R"(, "text": "other {value}")").empty());
   }
 }
 #endif

@@ -288,6 +288,22 @@ TEST_CASE("US-17 check finds the mistakes of a trigger, with their columns") {
       R"("on": "load", "when": "minutes_1 > 1", "process": {"minutes_1": {"filters": [{"type": "throttle", "time": "1 s"}]}})",
       "give `process` to the sensor"));
   CHECK(is_refused(R"("on": "kept", "when": "1")", "kept"));
+
+  // Its topic carries what that of `on` does: also what looks at it is checked.
+  const std::string good = R"("on": "load", "when": "minutes_1 > 1"}, )";
+  const auto beside = [&](const std::string& part) { return good + part.substr(0, part.size() - 1); };
+  for (const std::string on : {"kept", "again"}) {
+    CAPTURE(on);
+    const std::string again = R"({"name": "again", "type": "trigger", "on": "kept", "when": "minutes_5 > 1"}, )";
+    const std::string limit = R"({"name": "high", "type": "limit", "on": ")" + on + R"(", "high": 1, "field": )";
+    const std::string half = R"({"name": "half", "type": "derived", "on": ")" + on + R"(", "expression": )";
+    CHECK(problems(beside(again + limit + R"("minutes_1"})")).empty());
+    CHECK(is_refused(beside(again + limit + R"("minute_1"})"), "did you mean \"minutes_1\"?"));
+    CHECK(problems(beside(again + half + R"("minutes_15 / 2"})")).empty());
+    CHECK(is_refused(beside(again + half + R"("minute_15 / 2"})"), "minute_15"));
+  }
+  CHECK(
+      is_refused(beside(R"({"name": "again", "type": "trigger", "on": "kept", "when": "minute_5 > 1"})"), "minute_5"));
 }
 
 TEST_CASE("US-17 a reload leaves a trigger untouched, or makes it anew with an empty ring") {

@@ -61,12 +61,12 @@ TEST_SUITE("sinks") {
     room.publish({21.5, 40});
     Feed<Label> label(loop, {.name = "label"});
     Label word;
-    word.word.assign("a\x1b[31m").or_throw();
+    word.word.assign("a\x1b[31m\xc2\x9b").or_throw();
     label.publish(word);
     loop.advance(200ms);
     CHECK(pipe.read_all() ==
           "22:13:20.123 room/climate room #1 temperature=21.5 Cel humidity=40 %RH\n"
-          "22:13:20.123 label label #1 word=a\\x1b[31m\n");
+          "22:13:20.123 label label #1 word=a\\x1b[31m\\xc2\\x9b\n");
     CHECK(sink.counts().stored == 2);
   }
 

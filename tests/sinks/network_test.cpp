@@ -1,10 +1,17 @@
 // The tcp and udp senders, with real peers on this machine and what these do wrong.
+#include <dlfcn.h>
 #include <doctest/doctest.h>
+#include <netdb.h>
 
+#include <atomic>
+#include <cstring>
 #include <nlohmann/json.hpp>
 #include <numeric>
 #include <sstream>
 
+#include "rtdata/app/standard.hpp"
+#include "rtdata/config/format.hpp"
+#include "rtdata/config/system.hpp"
 #include "rtdata/data/codec.hpp"
 #include "rtdata/loop/account.hpp"
 #include "rtdata/loop/timer.hpp"
@@ -20,6 +27,21 @@ using namespace std::chrono_literals;
 
 namespace {
 
+/// What a name of the tests stands for now.
+std::atomic<const char*> moving_address{"127.0.0.1"};
+
+}  // namespace
+
+/// Of the whole test program: one name is another address whenever a test says so. All others are asked for as ever.
+extern "C" int getaddrinfo(const char* node, const char* service, const addrinfo* hints, addrinfo** found) {
+  static const auto real = reinterpret_cast<decltype(&::getaddrinfo)>(::dlsym(RTLD_NEXT, "getaddrinfo"));
+  const bool is_moving = node != nullptr && std::strcmp(node, "moving.invalid") == 0 &&
+                         (hints == nullptr || (hints->ai_flags & AI_NUMERICHOST) == 0);
+  return real(is_moving ? moving_address.load() : node, service, hints, found);
+}
+
+namespace {
+
 /// A server on a port that was free, which does what the test tells it.
 using TcpPeer = FakeGpsd;
 
@@ -29,11 +51,11 @@ class UdpPeer {
   UdpPeer(const UdpPeer&) = delete;
   UdpPeer& operator=(const UdpPeer&) = delete;
   ~UdpPeer() { vanish(); }
-  void open(std::uint16_t port) {
+  void open(std::uint16_t port, std::uint32_t host = INADDR_LOOPBACK) {
     fd_ = ::socket(AF_INET, SOCK_DGRAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
     sockaddr_in address{};
     address.sin_family = AF_INET;
-    address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+    address.sin_addr.s_addr = htonl(host);
     address.sin_port = htons(port);
     socklen_t size = sizeof address;
     REQUIRE(::bind(fd_, reinterpret_cast<sockaddr*>(&address), size) == 0);
@@ -414,6 +436,23 @@ TEST_SUITE("sinks") {
     CHECK_THROWS_AS(UdpSink(loop, {.format = "csv"}), SetupError);
   }
 
+  TEST_CASE("US-17 two senders of one topic to one server are a warning") {
+    const auto warnings = [](const std::string& first, const std::string& second) {
+      return plan_system(standard_registry(), parse_config(R"({"sensors": [
+  {"name": "load", "type": "host", "quantity": "load", "rate": "10 Hz"},
+  {"name": "used", "type": "host", "quantity": "memory", "rate": "10 Hz"}], "sinks": [{"name": "a", )" +
+                                                               first + R"(}, {"name": "b", )" + second + "}]}",
+                                                           "f.json"))
+          .warnings.text();
+    };
+    const std::string tcp = R"("type": "tcp", "host": "10.0.0.1", "port": 7000)";
+    CHECK(warnings(tcp, tcp + R"(, "topics": ["used"])")
+              .find("sends to the same server: it has each event of topic \"used\" twice") != std::string::npos);
+    CHECK(warnings(tcp + R"(, "topics": ["load"])", tcp + R"(, "topics": ["used"])").empty());
+    CHECK(warnings(tcp, R"("type": "tcp", "host": "10.0.0.1", "port": 7001)").empty());
+    CHECK(warnings(tcp, R"("type": "udp", "host": "10.0.0.1", "port": 7000)").empty());
+  }
+
   TEST_CASE("US-32 a datagram an event: an object with the time in seconds and the fields by their topic") {
     Bench bench;
     UdpPeer peer;
@@ -433,6 +472,42 @@ TEST_SUITE("sinks") {
     CHECK(sink.counts().balances());
     CHECK(bench.errors.empty());
     CHECK(bench.loop.close(1s) == 0);
+  }
+
+  TEST_CASE("US-32 datagrams follow a name to its new address within a minute or two, and the loop goes on meanwhile") {
+    Bench bench;
+    UdpPeer first, second;
+    second.vanish();
+    second.open(first.port(), INADDR_LOOPBACK + 1);
+    moving_address = "127.0.0.1";
+    UdpSink sink(bench.loop, {.host = "moving.invalid", .port = first.port()});
+    std::size_t at_first = 0, at_second = 0;
+    const auto is_all_there = [&] {
+      while (!first.received().empty()) ++at_first;
+      while (!second.received().empty()) ++at_second;
+      return at_first + at_second == static_cast<std::size_t>(bench.published);
+    };
+    bench.publish(10);
+    REQUIRE(bench.wait_for(is_all_there));
+    moving_address = "127.0.0.2";
+    for (int i = 0; i < 30; ++i) {
+      bench.loop.advance(10s);
+      bench.publish(1);
+      REQUIRE(bench.wait_for(is_all_there));
+      if (i == 2) CHECK(at_second == 0);  // it is not asked for with each
+    }
+    CHECK(at_second >= 20);
+    CHECK(bench.errors.empty());
+    CHECK(bench.missed == 0);
+    // An address that there is no way to, and none at all, are no news.
+    for (const char* away : {"255.255.255.256", "127.0.0.2"}) {
+      moving_address = away;
+      bench.loop.advance(2min);
+      for (int i = 0; i < 3; ++i) bench.publish(1);
+      REQUIRE(bench.wait_for(is_all_there));
+    }
+    CHECK(bench.errors.empty());
+    CHECK(sink.counts().balances());
   }
 
   TEST_CASE(

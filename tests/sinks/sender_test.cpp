@@ -1,9 +1,14 @@
 // What a sink does with a Sender, from memory: parcels, the window, answers of all kinds, and its end.
 #include <doctest/doctest.h>
 
+#include <algorithm>
+#include <memory>
 #include <numeric>
+#include <optional>
 
+#include "rtdata/loop/account.hpp"
 #include "rtdata/loop/timer.hpp"
+#include "rtdata/sensors/feed.hpp"
 #include "rtdata/sinks/sender.hpp"
 #include "sinks/scripted_peer.hpp"
 #include "sinks/sink_kinds.hpp"
@@ -42,6 +47,43 @@ struct Bench {
 }  // namespace
 
 TEST_SUITE("sinks") {
+  TEST_CASE(
+      "US-32 from memory, too, the final accounts are sent when all events are settled, however wide the window") {
+    for (const std::size_t rows_of_parcel : {10, 7}) {  // with 40 events: accounts in parcels of their own, or not
+      CAPTURE(rows_of_parcel);
+      Bench bench;
+      bench.peer->sending = {.window = 4, .parcel_rows = rows_of_parcel};
+      std::size_t beside_events = 0, accounts = 0;
+      bench.peer->on_send = [&](const Parcel& parcel, Answer answer) {
+        const bool is_account = parcel.rows().back().info->topic == account_topic;
+        accounts += is_account ? 1 : 0;
+        if (is_account && bench.peer->events.size() + parcel.rows().size() < 40) ++beside_events;
+        bench.peer->hold(parcel, std::move(answer));
+      };
+      Sink sink = bench.make({.name = "peer", .topics = {"#", account_topic}, .batch_rows = 1000, .batch_time = 1h});
+      std::vector<std::unique_ptr<Feed<Number>>> feeds;
+      for (int i = 0; i < 20; ++i)
+        feeds.push_back(std::make_unique<Feed<Number>>(
+            bench.loop, FeedConfig{.name = "chamber" + std::to_string(i), .topic = "room"}));
+      for (int i = 0; i < 40; ++i) feeds[static_cast<std::size_t>(i % 20)]->publish({static_cast<double>(i)});
+      std::optional<std::uint64_t> lost;
+      bench.loop.drain(20s, [&](std::uint64_t count) { lost = count; });
+      for (int turn = 0; turn < 1000 && !lost; ++turn) {
+        bench.loop.advance(10ms);
+        while (!bench.peer->held.empty()) bench.peer->take_held(bench.peer->held.size() - 1);  // the later ones first
+      }
+      CHECK(lost == 0);
+      REQUIRE(bench.peer->events.size() == 60);
+      CHECK(beside_events == 0);
+      CHECK(accounts >= 2);
+      CHECK(bench.peer->most_held > 1);
+      const auto first_account = std::find_if(bench.peer->events.begin(), bench.peer->events.end(),
+                                              [](const auto& event) { return event.topic == account_topic; });
+      CHECK(std::all_of(first_account, bench.peer->events.end(),
+                        [](const auto& event) { return event.topic == account_topic; }));
+    }
+  }
+
   TEST_CASE("US-32 events go to a peer in parcels, in order, each with its key") {
     Bench bench;
     Sink sink = bench.make();

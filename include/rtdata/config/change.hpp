@@ -13,10 +13,17 @@
 /// anew, and so is each that uses it. What the runtime or the recordings are made with cannot change: the name, the
 /// settings of the loop and the log, tiers, and the values that a topic carries. `notes` are kept with the text.
 ///
-/// Values; any thread.
+/// A StepwiseChange applies a plan while the loop turns, for one that adds or removes many sensors:
+///
+///     StepwiseChange change(system, next);
+///     while (change.step(2ms)) { /* in a later turn: loop.post(...) */ }
+///
+/// PlanChange: a value; any thread. StepwiseChange: the loop's.
 #pragma once
 
 #include <cstddef>
+#include <memory>
+#include <set>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -58,5 +65,36 @@ struct PlanChange {
 
 /// Both without problems.
 PlanChange plan_change(const SystemPlan& now, const SystemPlan& next);
+
+/// Does what System::apply does, a part of it at a time, so that a turn of the loop can come between two steps. In this
+/// order: sensors are added that need nothing of what the change closes; then all that is closed, made anew and changed
+/// live, in one step; then sensors are removed whose name and place nothing else has taken. A change that closes
+/// nothing adds parts of all kinds in the first of these.
+///
+/// Owner: the user, as a value that stays where it is; gone before the system. `next` must outlive it. Meanwhile no
+/// part may be added to the system or removed from it, and no other plan applied. When it goes before its last step,
+/// what it has done so far stays.
+class StepwiseChange {
+ public:
+  /// Compares the plans, and changes nothing. ConfigError: the plan has mistakes. `given_up`: names of sinks of which
+  /// none goes through another, and which the change closes; it does not wait for what they have queued, which they may
+  /// store while the loop turns, for their `close_deadline`. What is left then is lost, and counted.
+  StepwiseChange(System& system, const SystemPlan& next, std::set<std::string> given_up = {});
+  ~StepwiseChange();
+  StepwiseChange(const StepwiseChange&) = delete;
+  StepwiseChange& operator=(const StepwiseChange&) = delete;
+
+  /// What becomes of each part. When any is refused, do not begin.
+  const PlanChange& changes() const noexcept;
+  /// Goes on until `budget` has passed by the loop's clock, with a single part if that is at once; returns whether
+  /// there is more to do. Throws as System::apply, in the step by which all is as it was before; then there is no more
+  /// to do.
+  bool step(Duration budget);
+  /// All parts of the plan are there, and none of them can fail any more: what is left is to close what is removed.
+  bool is_applied() const noexcept;
+
+ private:
+  std::unique_ptr<config_detail::PlanApplication> application_;
+};
 
 }  // namespace rtdata

@@ -125,6 +125,7 @@ struct PartPlan {
   std::vector<std::string> secrets = {};  ///< texts of the item that are to be shown nowhere
   std::optional<PublishedTopic> publishes = {};
   std::optional<StoredTopics> stores = {};
+  std::string passes_on = {};  ///< the topic whose events it publishes again, on a topic of its own; empty: none
   std::string stored_by = {};  ///< the sink by which it wants its events to be stored; empty: by any
   /// The place that it takes for itself: on a bus, or a device of the machine.
   struct Place {
@@ -133,6 +134,7 @@ struct PartPlan {
     std::string advice = {};           ///< to who wants it, too; empty: to take another
     std::string bus_type = {};         ///< of a bus that has such a place; empty: of any that the part may be on
     std::string advice_on_other = {};  ///< for one of another type
+    std::string more = {};             ///< that tells it from others, and is shown nowhere, such as a path of a URL
   } place = {};
   std::vector<Place> more_places = {};  ///< the same, of a part that takes several
   Duration give_up_after{0};            ///< of a bus: what a sensor does on it for longer is given up; 0: not known

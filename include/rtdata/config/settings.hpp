@@ -100,7 +100,7 @@ struct SystemSettings {
         parameter("$schema", &SystemSettings::schema, "for editors: where the JSON Schema is (rtdata types --schema)",
                   TextIs::recorded),
         parameter("name", &SystemSettings::name, "of the set-up, kept in recordings; default: the file's name",
-                  TextIs::recorded),
+                  TextIs::name),
         parameter("notes", &SystemSettings::notes, "anything worth knowing, kept in recordings", TextIs::recorded),
         parameter("log", &SystemSettings::log, "the log file"),
         parameter("loop", &SystemSettings::loop, "settings of the loop"),

@@ -20,7 +20,7 @@
 /// sensors. Ids of problems, beside those of problem.hpp: bad-name, cannot-record, cannot-resolve, cannot-write,
 /// description-differs, duplicate-name, duplicate-path, not-recorded, unknown-bus, unknown-sensor, unknown-sink,
 /// unknown-tier, unknown-topic, uses-itself, wrong-part; of warnings: in-memory, late-readings, loses-data,
-/// matches-nothing, no-effect, no-sensors, no-sinks, overloaded-lane, overloaded-loop, plain-secret,
+/// matches-nothing, no-effect, no-sensors, no-sinks, overloaded-lane, overloaded-loop, plain-secret, sent-twice,
 /// unknown-placeholder, unknown-unit, unlikely-unit, unused-tier.
 ///
 /// Owner: the user; plan and registry as values, the registry must outlive a system made with it.
@@ -116,9 +116,9 @@ class System {
 
   /// What `apply` would do to each part. Those that were added are parts of this system as all others.
   PlanChange change_to(const SystemPlan& next) const;
-  /// Makes the system what the plan says, in this turn of the loop: closes what is removed or restarted, makes what is
-  /// restarted or added, then changes live what can be (config/change.hpp). What is unchanged goes on; handles of parts
-  /// that were closed are not valid any more. Closing a sink waits for what it has queued, at most its
+  /// Makes the system what the plan says, in this turn of the loop: adds, closes, makes anew and changes live what can
+  /// be so, in the order of StepwiseChange (config/change.hpp), which lets the loop turn. What is unchanged goes on;
+  /// handles of parts that were closed are not valid any more. Closing a sink waits for what it has queued, at most its
   /// `close_deadline`, and for parts on tiers the tier; ticks that are missed meanwhile are counted. One that sends
   /// over a network sends what it has queued afterwards, while the loop turns, beside the one in its place. Recordings
   /// keep the text and the time.

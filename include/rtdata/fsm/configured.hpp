@@ -54,7 +54,7 @@ struct StateSettings {
 
   friend constexpr auto parameters(type_tag<StateSettings>) {
     return parameter_list(
-        parameter("name", &StateSettings::name, "its name, of 48 bytes at most", required, TextIs::recorded),
+        parameter("name", &StateSettings::name, "its name, of 48 bytes at most", required, TextIs::name),
         parameter("set", &StateSettings::set, "what outputs are set to when the machine arrives"),
         parameter("arm", &StateSettings::arm,
                   "outputs that can be armed in this state; an output that states name here, in no other",
@@ -82,8 +82,7 @@ struct TransitionSettings {
                   range(Duration{0}, Duration{24h * 365})),
         parameter("after", &TransitionSettings::after, "the machine must have been in `from` that long",
                   range(Duration{0}, Duration{24h * 365})),
-        parameter("event", &TransitionSettings::event, "the named event that it waits for, and no other",
-                  TextIs::recorded),
+        parameter("event", &TransitionSettings::event, "the named event that it waits for, and no other", TextIs::name),
         parameter("cause", &TransitionSettings::cause, "what is recorded as the cause; default: made of the above",
                   TextIs::recorded));
   }

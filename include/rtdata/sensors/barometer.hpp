@@ -239,7 +239,7 @@ struct Ms5611Prom {
 class Barometer {
  public:
   static constexpr std::string_view type = "barometer";
-  static constexpr std::string_view aliases = "altimeter";
+  static constexpr std::string_view aliases = "altimeter gy-68 gy-91";
   static constexpr std::string_view
       description = "pressure, temperature and altitude of a BMP280, BME280, BMP388, BMP390 or MS5611 on I2C or SPI";
   static constexpr std::string_view notes =

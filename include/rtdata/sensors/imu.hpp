@@ -390,7 +390,7 @@ struct ImuConfig {
 class Imu : public InertialDriver<ImuConfig, ImuReading> {
  public:
   static constexpr std::string_view type = "imu";
-  static constexpr std::string_view aliases = "gyroscope gyro";
+  static constexpr std::string_view aliases = "gyroscope gyro gy-521 gy-91 gy-9250";
   static constexpr std::string_view description =
       "acceleration and angular velocity of an MPU-6050, 6500, 9250, LSM6DS3, DSO, DSOX or LSM9DS1 on "
       "I2C or SPI";

@@ -205,7 +205,7 @@ inline constexpr Model all[] = {lis3mdl("LIS3MDL", lis3mdl_ranges, 14),
 class Magnetometer {
  public:
   static constexpr std::string_view type = "magnetometer";
-  static constexpr std::string_view aliases = "compass magnetic";
+  static constexpr std::string_view aliases = "compass magnetic gy-271 gy-273";
   static constexpr std::string_view description =
       "magnetic flux density of a LIS3MDL, LSM9DS1, AK8963 (MPU-9250), HMC5883L or QMC5883L on I2C, of the first two "
       "on SPI, too";

@@ -113,7 +113,11 @@ const std::vector<Verb>& verbs() {
       {"disarm", 1, 1, {"disarm OUTPUT", "set its safe value, which it keeps until it is armed"}, disarm},
       {"ack", 1, 1, {"ack LIMIT", "acknowledge the alarm of a limit"}, acknowledge},
       {"note", 1, 1000, {"note TEXT", "write a remark into the recordings"}, note},
-      {"reload", 0, 0, {"reload", "read the configuration again, and apply what has changed"}, nullptr},
+      {"reload",
+       0,
+       0,
+       {"reload [give-up SINK ...]", "read the configuration again, and apply what has changed"},
+       nullptr},
   };
   return all;
 }

@@ -137,7 +137,7 @@ std::string LiveView::frame(const RunAccount& account, std::size_t columns, std:
                  "; Ctrl-C ends");
   if (!note.empty()) tail.emplace_back(note);
   std::string tail_text;
-  for (const std::string& one : tail) tail_text += wrapped(one, columns) + "\n";
+  for (const std::string& one : tail) tail_text += for_terminal(one, columns) + "\n";
   tail.clear();
   for (std::size_t begin = 0, end; (end = tail_text.find('\n', begin)) != std::string::npos; begin = end + 1)
     tail.push_back(tail_text.substr(begin, end - begin));

@@ -13,6 +13,7 @@
 #include "app/control/instances.hpp"
 #include "app/control/top_view.hpp"
 #include "app/core/configuration_commands.hpp"
+#include "data/utf8.hpp"
 
 namespace rtdata::app {
 namespace {
@@ -130,7 +131,7 @@ int show(FoundInstance& found, const TopOptions& options) {
       std::size_t shown = 0;
       for (const std::string& one : lines_of_status(**line, std::max<std::size_t>(size.ws_col, 20) - 1, rows)) {
         if (++shown > rows) break;
-        text += one + (is_live ? "\x1b[K\r\n" : "\n");
+        text += detail::visible(one) + (is_live ? "\x1b[K\r\n" : "\n");
       }
       text += is_live ? "\x1b[Jq ends" : options.how_often == HowOften::live ? "\n" : "";
       print(text);

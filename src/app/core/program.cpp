@@ -184,7 +184,7 @@ Action prepare_ctl(CLI::App& command) {
                  "Each is recorded on the topic rtdata/commands, with who gave it and what came of it.\n"
                  "examples:\n  rtdata ctl rate imu \"200 Hz\"\n  rtdata ctl bench note valve replaced");
   return [words](const Registry&) {
-    const app::WrappedOutput errors(std::cerr, STDERR_FILENO);
+    const ForPeople wrapped;
     return app::ctl(*words);
   };
 }
@@ -395,7 +395,7 @@ Action prepare_replay(CLI::App& command) {
       ->type_name("TIME");
   command.add_option("--until", config.until, "First time that is left out")->type_name("TIME");
   command.add_flag_callback(
-      "--quiet,-q", [given] { given->options.is_quiet = true; }, "Print warnings and errors only");
+      "--quiet,-q", [given] { given->options.is_quiet = true; }, "Of messages print warnings and errors only");
   command.footer(
       "examples:\n  rtdata replay bench.db                      as it came, on the terminal\n"
       "  rtdata replay bench.db again.json --speed max\nexit status:\n"

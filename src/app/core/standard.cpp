@@ -4,6 +4,7 @@
 
 #include "app/core/machines.hpp"
 #include "app/core/standard_drivers.hpp"
+#include "io/http_url.hpp"
 #include "rtdata/io/i2c.hpp"
 #include "rtdata/io/serial.hpp"
 #include "rtdata/io/spi.hpp"
@@ -194,7 +195,10 @@ Registry standard_registry() {
       [](const AnalogConfig& config) { return analog_description(config.unit); },
       [](Loop& loop, const SensorConfig& common, const AnalogConfig& config) {
         return AnalogSensor(loop, common, config);
-      });
+      },
+      [](PartPlan&, const AnalogConfig&) {},
+      {.notes = "An HX711 is such a converter, too: by the kernel's driver hx711.",
+       .aliases = "adc potentiometer thermistor ntc photoresistor ldr hx711"});
 #ifdef RTDATA_WITH_GPIO
   registry.add_sensor<CounterConfig>(
       "counter", "pulses on a GPIO line: their number, frequency, and what they stand for",
@@ -240,7 +244,13 @@ Registry standard_registry() {
   registry.add_sensor<IioConfig>(
       "iio", "any IIO device of the kernel, asked channel by channel",
       [](const IioConfig& config) { return iio_description(config.channels); },
-      [](Loop& loop, const SensorConfig& common, const IioConfig& config) { return IioSensor(loop, common, config); });
+      [](Loop& loop, const SensorConfig& common, const IioConfig& config) { return IioSensor(loop, common, config); },
+      [](PartPlan&, const IioConfig&) {},
+      {.notes = "A DHT11, DHT22 or AM2302 has a driver of the kernel, dht11, and an HC-SR04 has srf04: a device tree "
+                "overlay\n"
+                "names the line (on a Raspberry Pi `dtoverlay=dht11,gpiopin=4`), and then they are IIO devices, which\n"
+                "`rtdata scan` finds.",
+       .aliases = "dht11 dht22 am2302 hc-sr04 ultrasonic humidity"});
   registry.add_sensor<IioBufferConfig>(
       "iio_buffer", "any IIO device of the kernel, at the rate of its trigger, from its buffer",
       [](const IioBufferConfig& config) { return iio_description(config.channels); },
@@ -281,6 +291,7 @@ Registry standard_registry() {
           return TriggerSensor(loop, common, config);
         },
         [](PartPlan& plan, const TriggerConfig& config) {
+          plan.passes_on = config.on;
           plan.check_topics = [config](const PartPlan& part, const PartPlan::PayloadOf& payload_of,
                                        Problems& problems) {
             check_trigger_names(config, payload_of, part.item, problems);
@@ -364,7 +375,8 @@ Registry standard_registry() {
 #ifdef RTDATA_WITH_GPIO
   registry.add_output<GpioActuatorConfig>(
       "gpio", "a GPIO line", [](const GpioActuatorConfig& config) { return std::make_unique<GpioActuator>(config); },
-      [](PartPlan& plan, const GpioActuatorConfig& config) { plan.place = place_of(config.line.text, config.chip); });
+      [](PartPlan& plan, const GpioActuatorConfig& config) { plan.place = place_of(config.line.text, config.chip); },
+      {.aliases = "relay led valve lamp pump heater buzzer"});
 #endif
   registry.add_output<PwmConfig>(
       "pwm", "the duty cycle of a channel of a PWM chip of the kernel",
@@ -387,12 +399,20 @@ Registry standard_registry() {
       [](const MqttActuatorConfig& config) { return std::make_unique<MqttActuator>(config); },
       [](PartPlan& plan, const MqttActuatorConfig& config) {
         plan.place = {"MQTT topic", config.to + " of " + config.broker.host + ", message " + config.text, ""};
+        plan.place.more = std::to_string(config.broker.port);
       });
 #endif
 #ifdef RTDATA_WITH_HTTP
   registry.add_output<HttpActuatorConfig>(
       "http", "a device that is set by a request to a URL",
-      [](const HttpActuatorConfig& config) { return std::make_unique<HttpActuator>(config); });
+      [](const HttpActuatorConfig& config) { return std::make_unique<HttpActuator>(config); },
+      [](PartPlan& plan, const HttpActuatorConfig& config) {
+        const auto url = detail::parse_http_url(config.server.url);
+        if (!url) return;
+        plan.place = {"server", url->origin, "two outputs that send the same requests set one device"};
+        plan.place.more = config.server.url.substr(config.server.url.find("//") + 2) + " " + config.text;
+        if (config.method == HttpSetMethod::get) plan.place.more.resize(plan.place.more.size() - config.text.size());
+      });
 #endif
 #ifndef RTDATA_WITH_GPIO
   for (const char* type : {"counter", "edge", "gpio"})

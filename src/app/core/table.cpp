@@ -7,6 +7,7 @@
 #include <cstdio>
 
 #include "app/core/terminal_text.hpp"
+#include "data/utf8.hpp"
 
 namespace rtdata::app {
 
@@ -18,7 +19,10 @@ Table::Table(std::vector<std::string> heading) {
   rows_.push_back({std::move(heading), {}});
 }
 
-void Table::add(std::vector<std::string> row, std::string note) { rows_.push_back({std::move(row), std::move(note)}); }
+void Table::add(std::vector<std::string> row, std::string note) {
+  for (std::string& cell : row) cell = detail::visible(cell);
+  rows_.push_back({std::move(row), detail::visible(note)});
+}
 
 std::string Table::text(std::string_view indent, std::size_t columns) const {
   std::vector<std::size_t> widths(to_the_right_.size(), 0);
@@ -53,14 +57,14 @@ std::size_t width_of(std::string_view text) noexcept {
   return static_cast<std::size_t>(std::count_if(text.begin(), text.end(), [](char c) { return (c & 0xc0) != 0x80; }));
 }
 
-std::string fitted(std::string_view text, std::size_t width) {
+std::string fitted(std::string_view whole, std::size_t width) {
+  const std::string text = printable(whole);
   const bool is_cut = width_of(text) > width;
   std::string result;
   std::size_t count = 0;
   for (const char c : text) {
     if ((c & 0xc0) != 0x80 && ++count > (is_cut ? width - 1 : width)) break;
-    const auto byte = static_cast<unsigned char>(c);
-    result += byte < 0x20 || byte == 0x7f ? '?' : c;
+    result += c;
   }
   if (is_cut) result += '~';
   return result;

@@ -92,6 +92,10 @@ std::string wrapped(std::string_view text, std::size_t columns) {
   return out;
 }
 
+std::string for_terminal(std::string_view text, std::size_t columns) {
+  return columns == 0 ? std::string(text) : wrapped(detail::visible(text, true), columns);
+}
+
 WrappedOutput::WrappedOutput(std::ostream& stream, int fd)
     : stream_(stream), to_(stream.rdbuf()), columns_(columns_of(fd)), flags_(stream.flags()) {
   if (columns_ == 0) return;
@@ -127,7 +131,7 @@ int WrappedOutput::sync() {
 bool WrappedOutput::write_lines() {
   const std::size_t end = line_.rfind('\n');
   if (end == std::string::npos) return true;
-  const std::string text = wrapped(std::string_view(line_).substr(0, end + 1), columns_);
+  const std::string text = for_terminal(std::string_view(line_).substr(0, end + 1), columns_);
   line_.erase(0, end + 1);
   return to_->sputn(text.data(), static_cast<std::streamsize>(text.size())) ==
          static_cast<std::streamsize>(text.size());

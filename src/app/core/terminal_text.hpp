@@ -21,7 +21,11 @@ std::string wrapped(std::string_view text, std::size_t columns);
 /// command the terminal.
 std::string printable(std::string_view text);
 
-/// While it lives, lines printed to a stream are wrapped for the terminal behind `fd`, if there is one. For what is
+/// For a terminal of so many columns: control characters but line ends and tabs as \xHH, and broken as above. `columns`
+/// 0: the text as it is.
+std::string for_terminal(std::string_view text, std::size_t columns);
+
+/// While it lives, lines printed to a stream are made for the terminal behind `fd`, if there is one. For what is
 /// read by people, never for data. Thread: one prints.
 class WrappedOutput final : public std::streambuf {
  public:

@@ -221,6 +221,17 @@ std::size_t array_size(std::span<const Column> columns) {
   return size;
 }
 
+/// By which this would be a time of these decades, since 1970: "; with --scale 1ns it is 2026-03-01". Empty: by none.
+std::string scale_of(double number) {
+  for (const auto& [scale, name] : {std::pair{1, "1ns"}, {1'000, "1us"}, {1'000'000, "1ms"}}) {
+    const double seconds = number * scale / 1e9;
+    if (seconds < 631e6 || seconds > 4.1e9) continue;  // 1990 to 2099
+    return std::string("; with --scale ") + name + " it is " +
+           to_iso8601(Time{std::chrono::seconds{std::llround(seconds)}}).substr(0, 10);
+  }
+  return "";
+}
+
 /// Of a cell of the column of time. Absolute ones are ISO 8601; numbers count `scale` from `start`.
 Result<Time> time_of(const std::string& text, const Notation& notation, Duration scale, Time start) {
   if (const auto exact = exact_time(text, notation.decimal, scale)) return start + *exact;
@@ -345,7 +356,7 @@ Result<Found> look_at(const ImportOptions& options, char separator, const Notati
                        (is_beyond  ? " that can be recorded, which are those from 1678 to 2261"
                         : has_date ? ": " + time.error().why
                                    : ""),
-                   is_beyond                                  ? "look at --scale"
+                   is_beyond                                  ? "look at --scale" + scale_of(number)
                    : has_comma                                ? "its numbers have decimal commas: write --decimal ,"
                    : has_date && !time.error().advice.empty() ? time.error().advice
                                                               : "a number, or a time as 2026-03-01T12:00:00Z"};

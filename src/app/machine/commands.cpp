@@ -20,7 +20,8 @@ std::string text_of(const Json& json) { return json.dump(2, ' ', false, Json::er
 
 bool is_folder_there(const std::string& root) {
   if (root.empty() || ::access((root + "/.").c_str(), R_OK | X_OK) == 0) return true;
-  std::cerr << "rtdata: " << system_error(errno, "cannot read the copy of the machine", root).text() << std::endl;
+  const Error why = system_error(errno, "cannot read the copy of the machine", root);
+  std::cerr << "rtdata: " << why.text() << std::endl;
   return false;
 }
 

@@ -69,7 +69,7 @@ void RunConsole::say(LogLevel level, std::string_view object, std::string_view w
   }
 }
 
-void RunConsole::tell(const std::string& text) { messages_.write(wrapped(text, columns_of(STDERR_FILENO))); }
+void RunConsole::tell(const std::string& text) { messages_.write(for_terminal(text, columns_of(STDERR_FILENO))); }
 
 void RunConsole::tell_log_failure() {
   const int failed = log_.counts().last_errno.load();
@@ -105,7 +105,7 @@ void RunConsole::report(LogLevel level, const RunAccount& account, const std::ma
   log_.write(level, "program", verdict);
   if (options_.talk == Talk::normal) {
     const std::size_t columns = columns_of(uses_stdout_ ? STDERR_FILENO : STDOUT_FILENO);
-    const std::string text = summary(account, paths, columns) + "\n" + wrapped(verdict, columns) + "\n";
+    const std::string text = summary(account, paths, columns) + "\n" + for_terminal(verdict, columns) + "\n";
     (uses_stdout_ ? messages_ : terminal()).write(text);
   } else if (level != LogLevel::info) {
     tell("rtdata: " + std::string(name_of(level)) + ": " + verdict + "\n");
@@ -124,7 +124,7 @@ void RunConsole::end_at_once(const char* signal, std::optional<std::uint64_t> qu
                      : "how many queued events were not stored is not known, because the loop is held by a callback");
   log_.write(LogLevel::error, "program", text);
   log_.wait_until_written(std::chrono::seconds{1});
-  const std::string line = wrapped("\nrtdata: " + text + "\n", columns_of(STDERR_FILENO));
+  const std::string line = for_terminal("\nrtdata: " + text + "\n", columns_of(STDERR_FILENO));
   if (view_is_shown_) {
     const char* const show_cursor = "\x1b[?25h";
     write_fully(STDOUT_FILENO, show_cursor, std::strlen(show_cursor));

@@ -14,6 +14,7 @@ namespace {
 
 constexpr Duration storing_patience = std::chrono::milliseconds{2500};  // less than whoever asked for it waits
 constexpr std::size_t most_told = 100;                                  // mistakes: telling them takes the loop's time
+constexpr Duration step_time = std::chrono::milliseconds{2};            // of a turn
 
 std::uint64_t refused_by_sinks(const Runtime& runtime) {
   std::uint64_t refused = 0;
@@ -42,6 +43,15 @@ std::shared_ptr<const Reload::NextPlan> Reload::read_again() const {
 void Reload::conclude(Change& change, LogLevel level, const std::string& text, std::string_view id) {
   console_.say(level, "program", change.why + ": " + text, id);
   change.told({level == LogLevel::info, console_.without_secrets(text) + change.details});
+  if (under_way_.get() == &change) {
+    under_way_ = nullptr;
+    begin_next();
+  }
+  loop_.post([read = std::move(change.read)] {});  // to destroy many parts takes a turn of its own
+}
+
+void Reload::refuse(Change& change, const std::string& text) {
+  conclude(change, LogLevel::error, "nothing was changed: " + text);
 }
 
 void Reload::add(Change& change, LogLevel level, const std::string& text, std::string_view id) {
@@ -50,83 +60,128 @@ void Reload::add(Change& change, LogLevel level, const std::string& text, std::s
 }
 
 bool Reload::may_be_applied(Change& change) {
-  const auto refuse = [&](const std::string& text) {
-    conclude(change, LogLevel::error, "nothing was changed: " + text);
+  const auto refused = [&](const std::string& text) {
+    refuse(change, text);
     return false;
   };
-  if (run_.is_ending()) return refuse("it ends already");
-  if (waiting_ != nullptr) return refuse("another change is being applied");
-  if (!change.read->failed.empty()) return refuse(change.read->failed);
+  if (run_.is_ending()) return refused("it ends already");
+  if (!change.read->failed.empty()) return refused(change.read->failed);
   const SystemPlan& next = change.read->plan;
   console_.add_secrets(next.secrets);
   for (std::size_t i = 0; i < std::min(next.problems.size(), most_told); ++i)
     add(change, LogLevel::error, next.problems[i].text(), next.problems[i].id);
   if (!next.good()) {
-    return refuse(std::to_string(next.problems.size()) +
-                  (next.problems.size() == 1 ? " mistake in " : " mistakes in ") + options_.file +
-                  (next.problems.size() > most_told ? ", the first of which are told; `rtdata check` tells all" : ""));
+    return refused(std::to_string(next.problems.size()) +
+                   (next.problems.size() == 1 ? " mistake in " : " mistakes in ") + options_.file +
+                   (next.problems.size() > most_told ? ", the first of which are told; `rtdata check` tells all" : ""));
   }
   for (const Problem& warning : next.warnings) add(change, LogLevel::warning, warning.text(), warning.id);
   if (!run_.has_guard && !next.of_kind("output").empty())
-    return refuse("the guard of outputs is started with the program: start it again");
-  const PlanChange parts = system_.change_to(next);
-  if (parts.refused() == 0) return true;
+    return refused("the guard of outputs is started with the program: start it again");
+  change.steps = std::make_unique<StepwiseChange>(system_, next, change.given_up);
+  const PlanChange& parts = change.steps->changes();
+  if (parts.refused() == 0) {
+    const std::string obstacle = obstacle_to_give_up(change);
+    return obstacle.empty() || refused(obstacle);
+  }
   for (const PartChange& part : parts.all)
     if (part.fate == Fate::refused) add(change, LogLevel::error, part.text());
-  return refuse("what is refused can be done by starting the program again");
+  return refused("what is refused can be done by starting the program again");
 }
 
-std::set<std::string> Reload::closing_sinks(const SystemPlan& next, bool recordings_alone) const {
+std::string Reload::obstacle_to_give_up(const Change& change) const {
+  const std::set<std::string> closing = closing_sinks(change, false);
+  for (const std::string& name : change.given_up) {
+    if (!closing.contains(name)) return "sink " + name + " cannot be given up: the change does not close it";
+    std::string path;
+    for (const PartPlan* plan : system_.parts().plans()) {
+      if (!plan->stores) continue;
+      if (plan->stores->through == name)
+        return "sink " + name + " cannot be given up: " + plan->object() + " goes through it";
+      if (plan->name == name) path = plan->stores->path;
+    }
+    for (const PartPlan& plan : change.read->plan.parts)
+      if (plan.stores && !path.empty() && plan.stores->path == path)
+        return "sink " + name + " cannot be given up: " + plan.object() + " would write the same file; give it another";
+  }
+  return "";
+}
+
+std::set<std::string> Reload::closing_sinks(const Change& change, bool recordings_alone) const {
   std::set<std::string> names;
   std::set<std::string> ending;
-  for (const PartChange& part : system_.change_to(next).all)
+  for (const PartChange& part : change.steps->changes().all)
     if (part.fate == Fate::restarted || part.fate == Fate::removed) ending.insert(part.object);
+  if (ending.empty()) return names;
   for (const PartPlan* plan : system_.parts().plans())
     if (plan->stores && ending.contains(plan->object()) && (!recordings_alone || !plan->stores->is_sender))
       names.insert(plan->name);
   return names;
 }
 
-void Reload::apply(std::shared_ptr<const NextPlan> read, const std::string& why, Told told) {
-  const auto change = std::make_shared<Change>(Change{std::move(read), why, std::move(told)});
+void Reload::then(const Weak& change, void (Reload::*step)(const std::shared_ptr<Change>&)) {
+  loop_.post([this, change, step] {
+    if (const auto still = change.lock(); still != nullptr && still == under_way_) (this->*step)(still);
+  });
+}
+
+void Reload::apply(std::shared_ptr<const NextPlan> read, const std::string& why, Told told,
+                   std::set<std::string> given_up) {
+  const auto change = std::make_shared<Change>(Change{std::move(read), why, std::move(told), std::move(given_up)});
+  if (under_way_ == nullptr && next_ == nullptr) return begin(change);
+  if (next_ != nullptr) refuse(*next_, "a later one takes its place");
+  next_ = change;
+  if (under_way_ == nullptr) begin_next();
+}
+
+void Reload::begin_next() {
+  loop_.post([this, weak = Weak(next_)] {
+    const auto next = weak.lock();
+    if (next == nullptr || next != next_ || under_way_ != nullptr) return;
+    next_ = nullptr;
+    begin(next);
+  });
+}
+
+void Reload::begin(const std::shared_ptr<Change>& change) {
   if (!may_be_applied(*change)) return;
-  const std::set<std::string> sinks = closing_sinks(change->read->plan, false);
-  if (sinks.empty()) return apply_now(*change);
-  const auto waiting = waiting_ = std::make_shared<Waiting>();
-  waiting->sinks = sinks;
-  const auto end = [this, change, waiting = std::weak_ptr(waiting)] {
-    const auto ended = waiting.lock();
-    if (ended == nullptr || ended != waiting_) return;
-    waiting_ = nullptr;
-    std::string stuck;
-    for (const std::string& name : closing_sinks(change->read->plan, true))
-      if (ended->sinks.contains(name)) stuck += (stuck.empty() ? "" : ", ") + name;
-    if (stuck.empty()) return apply_now(*change);
-    conclude(*change, LogLevel::error,
-             "nothing was changed: it would close " + stuck +
-                 ", which cannot store what it has now, and would lose it; mend what keeps it from that, or start the "
-                 "program "
-                 "again");
-  };
-  waiting->patience = Timer(loop_, storing_patience, [this, end] { loop_.post(end); });
-  for (const std::string& name : sinks) {
-    system_.sink(name).sync([this, name, end, waiting = std::weak_ptr(waiting)] {
-      const auto still = waiting.lock();
-      if (still == nullptr) return;
-      still->sinks.erase(name);
-      if (still->sinks.empty()) loop_.post(end);  // not from within the sink
+  under_way_ = change;
+  change->waits_for = closing_sinks(*change, false);
+  for (const std::string& name : change->given_up) change->waits_for.erase(name);
+  const Weak weak = change;
+  if (change->waits_for.empty()) return then(weak, &Reload::go_on);
+  change->is_waiting = true;
+  change->patience = Timer(loop_, storing_patience, [this, weak] { then(weak, &Reload::stop_waiting); });
+  for (const std::string& name : std::set<std::string>(change->waits_for)) {
+    system_.sink(name).sync([this, name, weak] {
+      const auto still = weak.lock();
+      if (still == nullptr || still->waits_for.erase(name) == 0) return;
+      if (still->waits_for.empty()) then(weak, &Reload::stop_waiting);  // not from within the sink
     });
   }
 }
 
-void Reload::apply_now(Change& change) {
-  if (run_.is_ending()) return conclude(change, LogLevel::error, "nothing was changed: it ends already");
-  const SystemPlan& next = change.read->plan;
-  const PlanChange parts = system_.change_to(next);
+void Reload::stop_waiting(const std::shared_ptr<Change>& change) {
+  if (!std::exchange(change->is_waiting, false)) return;  // both are there in one turn
+  change->patience = {};
+  std::string stuck;
+  for (const std::string& name : closing_sinks(*change, true))
+    if (change->waits_for.contains(name)) stuck += (stuck.empty() ? "" : " ") + name;
+  if (stuck.empty()) return go_on(change);
+  refuse(*change, "it would close " + stuck +
+                      ", which cannot store what it has now, and would lose it; mend what keeps it from that, or give "
+                      "it up: `rtdata ctl reload give-up " +
+                      stuck + "` counts and reports what is lost");
+}
+
+void Reload::go_on(const std::shared_ptr<Change>& change) {
+  if (run_.is_ending() && !change->steps->is_applied())
+    return conclude(*change, LogLevel::error, "not applied: it ends already");
   const std::uint64_t refused_before = refused_by_sinks(loop_.runtime());
   std::string failed, id;
+  bool is_more = false;
   try {
-    (void)system_.apply(next);
+    is_more = change->steps->step(step_time);
   } catch (const SetupError& error) {
     failed = error.what();
     id = error.error().id();
@@ -135,13 +190,25 @@ void Reload::apply_now(Change& change) {
   }
   // Of a sink that was closed before it could store what it had: they are lost, as at the end of the program.
   not_stored_ += refused_by_sinks(loop_.runtime()) - refused_before;
-  if (!failed.empty()) return conclude(change, LogLevel::error, "not applied: " + failed, id);
-  for (const PartChange& part : parts.all)
-    if (part.fate != Fate::unchanged) add(change, LogLevel::info, part.text());
-  run_.applied(next);
-  conclude(change, LogLevel::info,
+  if (!failed.empty()) return conclude(*change, LogLevel::error, "not applied: " + failed, id);
+  then(change, is_more ? &Reload::go_on : &Reload::be_applied);
+}
+
+void Reload::be_applied(const std::shared_ptr<Change>& change) {
+  run_.applied(change->read->plan);
+  then(change, &Reload::tell_parts);
+}
+
+void Reload::tell_parts(const std::shared_ptr<Change>& change) {
+  const PlanChange& parts = change->steps->changes();
+  for (const MonotonicTime begin = loop_.now(); change->told_parts < parts.all.size();) {
+    const PartChange& part = parts.all[change->told_parts++];
+    if (part.fate != Fate::unchanged) add(*change, LogLevel::info, part.text());
+    if (loop_.now() - begin >= step_time) return then(change, &Reload::tell_parts);
+  }
+  conclude(*change, LogLevel::info,
            options_.file + " is applied" + (parts.is_empty() ? "; nothing has changed in it" : "") + ": " +
-               counts_text(registry_, next));
+               counts_text(registry_, change->read->plan));
 }
 
 }  // namespace rtdata::app

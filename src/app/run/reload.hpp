@@ -6,6 +6,7 @@
 #include <memory>
 #include <set>
 #include <string>
+#include <utility>
 
 #include "app/control/commands.hpp"
 #include "app/core/configuration_commands.hpp"
@@ -37,31 +38,48 @@ class Reload {
   /// Reads and checks the file again. Any thread but the loop's: so nothing waits for it.
   std::shared_ptr<const NextPlan> read_again() const;
   /// `why`: what asked for it, for messages. A recording that the change closes stores first what it has, while the
-  /// loop turns; one that cannot, as on a full disk, would hold the loop and lose it: then nothing is changed.
-  void apply(std::shared_ptr<const NextPlan> read, const std::string& why, Told told);
+  /// loop turns; one that cannot, as on a full disk, would hold the loop and lose it: then nothing is changed. The loop
+  /// turns, too, while many parts are added or removed.
+  /// One that comes while another is applied waits for it; of several that wait, the last one is applied.
+  /// `given_up`: sinks that the change closes, by name: it goes on without what they cannot store.
+  void apply(std::shared_ptr<const NextPlan> read, const std::string& why, Told told,
+             std::set<std::string> given_up = {});
   /// Events of sinks that were closed before they could store them.
   std::uint64_t not_stored() const noexcept { return not_stored_ + system_.lost_in_changes(); }
 
  private:
-  /// A change that waits for sinks.
-  struct Waiting {
-    std::set<std::string> sinks = {};
-    Timer patience = {};
-  };
-  /// One that is under way: what is said of it, a line each.
+  /// One that is under way.
   struct Change {
     std::shared_ptr<const NextPlan> read;
     std::string why;
     Told told;
-    std::string details = {};
+    std::set<std::string> given_up = {};
+    std::unique_ptr<StepwiseChange> steps = {};
+    bool is_waiting = false;
+    std::set<std::string> waits_for = {};  // sinks that store what they have
+    Timer patience = {};
+    std::size_t told_parts = 0;  // of those that are changed, for the log
+    std::string details = {};    // what is said of it, a line each
   };
+  using Weak = std::weak_ptr<Change>;
   void conclude(Change& change, LogLevel level, const std::string& text, std::string_view id = {});
+  void refuse(Change& change, const std::string& text);
   void add(Change& change, LogLevel level, const std::string& text, std::string_view id = {});
   /// False: it is refused, and concluded.
   bool may_be_applied(Change& change);
+  /// Why these sinks cannot be given up; empty: they can.
+  std::string obstacle_to_give_up(const Change& change) const;
   /// The sinks that the change closes, by name. `recordings_alone`: without those that send over a network.
-  std::set<std::string> closing_sinks(const SystemPlan& next, bool recordings_alone) const;
-  void apply_now(Change& change);
+  std::set<std::string> closing_sinks(const Change& change, bool recordings_alone) const;
+  void begin(const std::shared_ptr<Change>& change);
+  /// What waits, in a turn of its own.
+  void begin_next();
+  /// What comes next, in a turn of its own. Not when this change is concluded.
+  void then(const Weak& change, void (Reload::*step)(const std::shared_ptr<Change>&));
+  void stop_waiting(const std::shared_ptr<Change>& change);
+  void go_on(const std::shared_ptr<Change>& change);
+  void be_applied(const std::shared_ptr<Change>& change);
+  void tell_parts(const std::shared_ptr<Change>& change);
 
   Loop& loop_;
   System& system_;
@@ -69,7 +87,8 @@ class Reload {
   const RunOptions& options_;
   RunConsole& console_;
   const Run run_;
-  std::shared_ptr<Waiting> waiting_;  // null: no change waits
+  std::shared_ptr<Change> under_way_;  // null: none
+  std::shared_ptr<Change> next_;       // that waits for it
   std::uint64_t not_stored_ = 0;
 };
 

@@ -52,15 +52,19 @@ SystemPlan takers_of(const Registry& registry, const ReplayOptions& options) {
   SystemPlan plan = plan_system(registry, std::move(document));
   if (!plan.good()) return plan;
   std::size_t sensors = 0;
+  std::string outputs;
   std::erase_if(plan.parts, [&](const PartPlan& part) {
     if (follows_others(part)) return false;
     if (part.kind == "sensor") ++sensors;
+    if (part.kind == "output") outputs += (outputs.empty() ? "output " : ", ") + part.name;
     return part.kind == "sensor" || part.kind == "bus" || part.kind == "tier" || part.kind == "output";
   });
   for (PartPlan& part : plan.parts)
     std::erase_if(part.uses, [](const PartUse& use) { return use.kind == "tier" || use.kind == "output"; });
   plan.settings.tiers.clear();
-  if (sensors > 0) {
+  if (!outputs.empty() && !options.is_quiet)
+    std::cerr << "rtdata: not made: " << outputs << " of " << options.configuration << ": a replay sets no device\n";
+  if (sensors > 0 && !options.is_quiet) {
     std::cerr << "rtdata: " << sensors << (sensors == 1 ? " sensor" : " sensors") << " of " << options.configuration
               << (sensors == 1 ? " is" : " are") << " not made: events come from " << options.config.file << "\n";
   }
@@ -75,7 +79,8 @@ SystemPlan takers_of(const Registry& registry, const ReplayOptions& options) {
 }
 
 /// Leaves out the parts whose events the replay gives.
-void leave_out_recorded(SystemPlan& plan, const Recording& recording, const RunInfo& run, const ReplayConfig& config) {
+void leave_out_recorded(SystemPlan& plan, const Recording& recording, const RunInfo& run, const ReplayConfig& config,
+                        bool is_quiet) {
   std::set<std::string> given;
   for (const LedgerEntry& entry : recording.ledger(run.run).or_throw()) {
     const bool is_wanted = std::any_of(config.topics.begin(), config.topics.end(),
@@ -84,7 +89,8 @@ void leave_out_recorded(SystemPlan& plan, const Recording& recording, const RunI
   }
   std::erase_if(plan.parts, [&](const PartPlan& part) {
     if (!follows_others(part) || !given.contains(part.name)) return false;
-    std::cerr << "rtdata: " << part.object() << " is not made: " << config.file << " has events under that name\n";
+    if (!is_quiet)
+      std::cerr << "rtdata: " << part.object() << " is not made: " << config.file << " has events under that name\n";
     return true;
   });
 }
@@ -171,7 +177,7 @@ class ReplayRun {
     Subscription commands;
     if (plan != nullptr) {
       SystemPlan parts = *plan;
-      leave_out_recorded(parts, recording, run, options_.config);
+      leave_out_recorded(parts, recording, run, options_.config, options_.is_quiet);
       system.emplace(loop, registry_, parts);
       commands = loop.subscribe<CommandRecord>(
           command_topic, [&](const Event<CommandRecord>& event) { repeat_command(*system, *event); });

@@ -179,10 +179,12 @@ class Run {
     auto outcome = std::make_shared<std::promise<CommandOutcome>>();
     auto told = outcome->get_future();
     loop.post([&reload, &desk, next = reload.read_again(), outcome, words, by] {
-      reload.apply(next, "reload", [&desk, outcome, words, by](const CommandOutcome& came) {
-        desk.keep(words, by, came);
-        outcome->set_value(came);
-      });
+      reload.apply(next, "reload",
+                   [&desk, outcome, words, by](const CommandOutcome& came) {
+                     desk.keep(words, by, came);
+                     outcome->set_value(came);
+                   },
+                   {words.begin() + static_cast<std::ptrdiff_t>(std::min<std::size_t>(words.size(), 2)), words.end()});
     });
     if (told.wait_for(reload_patience) == std::future_status::ready) return told.get();
     return {false,
@@ -240,7 +242,7 @@ class Run {
       const std::vector<std::string> words = command_words(line);
       if (words.empty()) return status.answer(client, line);
       const std::string by = control->peer_of(client);
-      if (words == std::vector<std::string>{"reload"})
+      if (words[0] == "reload" && (words.size() == 1 || (words.size() > 2 && words[1] == "give-up")))
         return [&, words, by] { return command_answer(reload_for(loop, reload, desk, words, by)); };
       return [outcome = is_closing_ ? CommandOutcome{false, "it ends already"} : desk.run(words, by)] {
         return command_answer(outcome);

@@ -1,9 +1,11 @@
 #include "config/plan/change.hpp"
 
 #include <algorithm>
+#include <functional>
 #include <map>
-#include <set>
 #include <string>
+#include <unordered_map>
+#include <unordered_set>
 #include <utility>
 
 #include "config/read/mistakes.hpp"
@@ -14,6 +16,12 @@ namespace {
 
 using Key = std::pair<std::string_view, std::string_view>;  // kind and name
 Key key_of(const PartPlan& part) { return {part.kind, part.name}; }
+struct HashOfKey {
+  std::size_t operator()(const Key& key) const noexcept {
+    const std::hash<std::string_view> hash;
+    return hash(key.first) * 31 + hash(key.second);
+  }
+};
 
 std::string listed(const std::vector<std::string>& words) {
   std::string text;
@@ -33,15 +41,23 @@ std::vector<std::string> differing_keys(const ConfigItem& now, const ConfigItem&
   return keys;
 }
 
-/// Settings that are no parts. What is not known here is of a kind of parts.
+/// Settings that are no parts, in the order in which they are written.
 void compare_settings(const ConfigItem& now, const ConfigItem& next, std::vector<PartChange>& changes) {
-  for (const std::string& key : differing_keys(now, next)) {
-    if (key == "notes" || key == "$schema") {
+  const auto compare_one = [&](const std::string& key) {
+    const bool is_kept = key == "notes" || key == "$schema";
+    if (!is_kept && key != "name" && key != "loop" && key != "log") return;  // of parts
+    const ConfigItem* const before = child_of(now, key);
+    const ConfigItem* const after = child_of(next, key);
+    if (before != nullptr && after != nullptr && *before == *after) return;
+    if (is_kept) {
       changes.push_back({key, Fate::live, "kept with the text"});
-    } else if (key == "name" || key == "loop" || key == "log") {
+    } else {
       changes.push_back({key, Fate::refused, "the program is started with it; start it again"});
     }
-  }
+  };
+  for (const ConfigChild& child : next.children()) compare_one(child.key);
+  for (const ConfigChild& child : now.children())
+    if (child_of(next, child.key) == nullptr) compare_one(child.key);
 }
 
 /// By itself, without what it uses.
@@ -87,10 +103,13 @@ std::string obstacle(const PlannedChange& planned, const RunSoFar& run) {
 ComparedPlans compare(const Compared& now, const Compared& next, const RunSoFar& run) {
   ComparedPlans plans;
   compare_settings(now.root, next.root, plans.settings);
-  std::map<Key, const PartPlan*> before;
+  std::unordered_map<Key, const PartPlan*, HashOfKey> before;
+  before.reserve(now.parts.size());
   for (const PartPlan* part : now.parts) before.emplace(key_of(*part), part);
-  std::map<Key, const PartPlan*> anew;  // those that are restarted
-  std::set<Key> known;
+  std::unordered_set<Key, HashOfKey> anew;  // those that are restarted
+  std::unordered_set<Key, HashOfKey> known;
+  known.reserve(next.parts.size());
+  plans.parts.reserve(next.parts.size());
   for (const PartPlan* part : next.parts) {
     known.insert(key_of(*part));
     const auto found = before.find(key_of(*part));
@@ -116,7 +135,7 @@ ComparedPlans compare(const Compared& now, const Compared& next, const RunSoFar&
         change.why = std::move(why);
       }
     }
-    if (change.fate == Fate::restarted) anew.emplace(key_of(*part), part);
+    if (change.fate == Fate::restarted) anew.insert(key_of(*part));
     plans.parts.push_back(std::move(planned));
   }
   for (const PartPlan* part : now.parts) {

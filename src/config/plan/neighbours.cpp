@@ -88,7 +88,8 @@ void Neighbours::check_place(const PartPlan& part, const PartPlan::Place& taken,
   const bool is_on_bus = !taken.bus.empty();
   std::error_code ignored;  // a device that is not there is what its path says
   const std::string place = is_on_bus ? taken.text : std::filesystem::weakly_canonical(taken.text, ignored).string();
-  const auto [known, is_new] = places_.try_emplace({taken.bus, place.empty() ? taken.text : place}, &part);
+  const auto [known, is_new] = places_.try_emplace({taken.bus, (place.empty() ? taken.text : place) + taken.more},
+                                                   &part);
   if (is_new) return;
   if (!is_on_bus) {
     problems.add(child_or_self(part.item, "device")
@@ -310,10 +311,16 @@ void Neighbours::check_uses(const PartPlan& part, Problems& problems) {
   if (part.stores && !part.stores->through.empty()) check_through(part, problems);
   if (part.check_topics) {
     const auto payload_of = [this](std::string_view topic) -> const Description* {
-      const auto known = topics_.find(topic);
-      if (known == topics_.end()) return nullptr;
-      const PublishedTopic& published = *known->second->publishes;
-      return published.in_expressions.value_or(published.description).get();
+      // Along what passes it on, which may go in a circle.
+      for (std::size_t i = 0; i <= topics_.size(); ++i) {
+        const auto known = topics_.find(topic);
+        if (known == topics_.end()) return nullptr;
+        const PublishedTopic& published = *known->second->publishes;
+        if (published.in_expressions || published.description != nullptr || known->second->passes_on.empty())
+          return published.in_expressions.value_or(published.description).get();
+        topic = known->second->passes_on;
+      }
+      return nullptr;
     };
     part.check_topics(part, payload_of, problems);
   }

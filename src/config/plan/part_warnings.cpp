@@ -149,6 +149,36 @@ void warn_of_recordings(const std::vector<PartPlan>& parts, Problems& warnings) 
   }
 }
 
+void warn_of_senders(const std::vector<PartPlan>& parts, const Neighbours& neighbours, Problems& warnings) {
+  const auto is_one_peer = [](const PartPlan& a, const PartPlan& b) {
+    const auto is_same = [&](const char* key) {
+      const ConfigItem* const of_a = child_of(a.item, key);
+      const ConfigItem* const of_b = child_of(b.item, key);
+      return of_a == nullptr || of_b == nullptr ? of_a == of_b : *of_a == *of_b;
+    };
+    const auto keys = {"url", "host", "port", "prefix", "method"};
+    const bool has_peer = child_of(a.item, "url") != nullptr || child_of(a.item, "host") != nullptr ||
+                          child_of(a.item, "port") != nullptr;
+    return a.type == b.type && has_peer && std::all_of(keys.begin(), keys.end(), is_same);
+  };
+  std::vector<const PartPlan*> senders;
+  for (const PartPlan& part : parts) {
+    if (!part.stores || !part.stores->is_sender) continue;
+    for (const PartPlan* const other : senders) {
+      if (!is_one_peer(*other, part)) continue;
+      const auto& topics = neighbours.topics();
+      const auto shared = std::find_if(topics.begin(), topics.end(), [&](const auto& topic) {
+        return other->stores->wants(topic.first) && part.stores->wants(topic.first);
+      });
+      if (shared == topics.end()) continue;
+      warnings.add(part.item.problem("sent-twice", other->object() + ", at " + place_of(other->item) +
+                                                       ", sends to the same server: it has each event of topic \"" +
+                                                       shared->first + "\" twice; give each its own `topics`"));
+    }
+    senders.push_back(&part);
+  }
+}
+
 void warn_of_tiers(const std::vector<PartPlan>& parts, Problems& warnings) {
   std::set<std::string_view> used;
   for (const PartPlan& part : parts) used.insert(part.tier());

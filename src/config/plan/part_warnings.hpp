@@ -14,6 +14,8 @@ void warn_of_patterns(const std::vector<PartPlan>& parts, const Neighbours& neig
 void warn_of_units(const std::vector<PartPlan>& parts, Problems& warnings);
 /// Recordings in memory that others go through.
 void warn_of_recordings(const std::vector<PartPlan>& parts, Problems& warnings);
+/// Two sinks that send events of one topic to one server.
+void warn_of_senders(const std::vector<PartPlan>& parts, const Neighbours& neighbours, Problems& warnings);
 /// Tiers on which nothing runs.
 void warn_of_tiers(const std::vector<PartPlan>& parts, Problems& warnings);
 /// Loops and lanes that have too much to do. `main_loop`: its name.

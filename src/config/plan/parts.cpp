@@ -1,6 +1,7 @@
 #include "rtdata/config/parts.hpp"
 
 #include <algorithm>
+#include <iterator>
 
 #include "rtdata/loop/topic.hpp"
 
@@ -67,9 +68,10 @@ void Parts::add(std::unique_ptr<Part> part) {
 /// The part leaves the list before it goes, since what it does at its end may look at the list.
 std::unique_ptr<Parts::Part> Parts::take(std::string_view kind, std::string_view name) {
   const Part& part = part_named(kind, name);
-  const auto at = std::find_if(made_.begin(), made_.end(), [&](const auto& made) { return made.get() == &part; });
+  // Most are taken in the opposite order to that in which they were made.
+  const auto at = std::find_if(made_.rbegin(), made_.rend(), [&](const auto& made) { return made.get() == &part; });
   std::unique_ptr<Part> last = std::move(*at);
-  made_.erase(at);
+  made_.erase(std::next(at).base());
   by_name_.erase({last->plan.kind, last->plan.name});
   return last;
 }

@@ -100,6 +100,7 @@ class Planner {
       warn_of_patterns(plan_.parts, neighbours, plan_.warnings);
       warn_of_units(plan_.parts, plan_.warnings);
       warn_of_recordings(plan_.parts, plan_.warnings);
+      warn_of_senders(plan_.parts, neighbours, plan_.warnings);
       warn_of_tiers(plan_.parts, plan_.warnings);
     }
     put_in_making_order(plan_.parts, neighbours, plan_.problems);

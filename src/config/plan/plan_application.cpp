@@ -1,11 +1,14 @@
 #include "config/plan/plan_application.hpp"
 
 #include <algorithm>
+#include <set>
+#include <string_view>
 #include <unordered_map>
 #include <utility>
 
 #include "config/plan/neighbours.hpp"
 #include "loop/runtime/runtime_core.hpp"
+#include "loop/support/deadline.hpp"
 #include "rtdata/sinks/sink.hpp"
 
 namespace rtdata::config_detail {
@@ -19,38 +22,220 @@ bool sends_beside_another(const PartPlan& plan) {
 }
 bool is_made(Fate fate) { return fate == Fate::restarted || fate == Fate::added; }
 
+/// The names and places of parts, of which one is to be closed before another has them.
+class Taken {
+ public:
+  void add(const PartPlan& part) {
+    names_.insert(part.name);
+    for_each_place(part, [&](Place place) { places_.insert(place); });
+  }
+  bool has_any_of(const PartPlan& part) const {
+    bool has = names_.contains(part.name);
+    for_each_place(part, [&](Place place) { has = has || places_.contains(place); });
+    return has;
+  }
+
+ private:
+  using Place = std::pair<std::string_view, std::string_view>;
+  /// Devices that are on no bus are one place, since a path may have several names.
+  template <class See>
+  static void for_each_place(const PartPlan& part, const See& see) {
+    const auto see_one = [&](const PartPlan::Place& place) {
+      if (!place.text.empty()) see(place.bus.empty() ? Place{} : Place{place.bus, place.text});
+    };
+    see_one(part.place);
+    for (const PartPlan::Place& place : part.more_places) see_one(place);
+  }
+
+  std::set<std::string_view> names_;
+  std::set<Place> places_;
+};
+
 }  // namespace
 
-void PlanApplication::run() {
-  detail::Configurations& configurations = system_.loop_.runtime().core().configurations;
-  const bool is_new_text = configurations.whole() != next_.document.text || !configurations.changes().empty();
-  const detail::Configurations::State before = configurations.state();
+PlanApplication::PlanApplication(System& system, const SystemPlan& next, std::set<std::string> given_up)
+    : system_(system),
+      next_(next),
+      given_up_(std::move(given_up)),
+      compared_(next.good() ? system.compared_to(next) : throw ConfigError(next.problems)),
+      all_(compared_.all()) {}
+
+bool PlanApplication::step(Duration budget) {
+  const MonotonicTime end = detail::later(system_.loop_.now(), budget);
+  while (stage_ != Stage::done) {
+    switch (stage_) {
+      case Stage::beginning:
+        begin();
+        break;
+      case Stage::adding:
+        add_one();
+        break;
+      case Stage::replacing:
+        replace();
+        break;
+      case Stage::finishing:
+        finish_one();
+        break;
+      case Stage::undoing:
+        undo_one();
+        break;
+      case Stage::done:
+        break;
+    }
+    if (system_.loop_.now() >= end) break;
+  }
+  if (stage_ == Stage::done && failure_ != nullptr) std::rethrow_exception(std::exchange(failure_, nullptr));
+  return stage_ != Stage::done;
+}
+
+void PlanApplication::refuse() const {
+  for (const PartChange& change : all_.all) {
+    if (change.fate != Fate::refused) continue;
+    throw SetupError({Errc::busy, "cannot apply the configuration", change.object, change.why,
+                      "nothing was changed; take the change back, or start the program again"});
+  }
+}
+
+void PlanApplication::sort_out() {
+  closes_nothing_ = std::none_of(compared_.parts.begin(), compared_.parts.end(),
+                                 [](const PlannedChange& planned) { return ends(planned.change.fate); });
+  if (closes_nothing_) {
+    for (PlannedChange& planned : compared_.parts)
+      if (is_made(planned.change.fate)) ahead_.push_back(&planned);
+    return;
+  }
+  Taken ending, coming;
+  std::set<std::pair<std::string_view, std::string_view>> closed, absent;  // kind and name
+  std::vector<const PlannedChange*> sinks;
+  for (const PlannedChange& planned : compared_.parts) {
+    if (ends(planned.change.fate)) ending.add(*planned.now);
+    if (ends(planned.change.fate)) closed.emplace(planned.now->kind, planned.now->name);
+    if (!is_made(planned.change.fate)) continue;
+    coming.add(*planned.next);
+    if (planned.next->stores) sinks.push_back(&planned);
+  }
+  // What a sink that does not take this topic now would miss until it is made.
+  const auto is_awaited = [&](const PartPlan& part) {
+    return std::any_of(sinks.begin(), sinks.end(), [&](const PlannedChange* sink) {
+      if (part.stored_by == sink->next->name) return true;
+      if (!part.publishes || !sink->next->stores->wants(part.publishes->topic)) return false;
+      return sink->now == nullptr || !sink->now->stores || !sink->now->stores->wants(part.publishes->topic);
+    });
+  };
+  std::set<std::string_view> absent_topics;
+  for (PlannedChange& planned : compared_.parts) {
+    if (!is_made(planned.change.fate)) continue;
+    const PartPlan& part = *planned.next;
+    const bool is_ahead =
+        planned.change.fate == Fate::added && part.kind == "sensor" && !ending.has_any_of(part) && !is_awaited(part) &&
+        std::none_of(part.uses.begin(), part.uses.end(), [&](const PartUse& use) {
+          return use.kind == "topic" ? absent_topics.contains(use.name) : absent.contains({use.kind, use.name});
+        });
+    if (is_ahead) {
+      ahead_.push_back(&planned);
+      continue;
+    }
+    absent.emplace(part.kind, part.name);
+    if (part.publishes) absent_topics.insert(part.publishes->topic);
+  }
+  for (PlannedChange& planned : compared_.parts) {
+    if (planned.change.fate != Fate::removed) continue;
+    const PartPlan& part = *planned.now;
+    const bool can_wait = part.kind == "sensor" && !coming.has_any_of(part) &&
+                          std::none_of(part.uses.begin(), part.uses.end(), [&](const PartUse& use) {
+                            return use.kind == "topic" || closed.contains({use.kind, use.name});
+                          });
+    if (!can_wait) continue;
+    planned.change.fate = Fate::unchanged;  // until then
+    later_.push_back(planned.now);
+  }
+}
+
+void PlanApplication::begin() {
+  refuse();
+  const detail::Configurations& configurations = system_.loop_.runtime().core().configurations;
+  is_new_text_ = configurations.whole() != next_.document.text || !configurations.changes().empty();
   system_.neighbours_.reset();  // it knows parts that go
-  close();
-  if (is_new_text) configurations.replace(next_.document.text);
+  sort_out();
+  if (closes_nothing_) take_text();
+  stage_ = Stage::adding;
+}
+
+void PlanApplication::take_text() {
+  if (!is_new_text_) return;
+  detail::Configurations& configurations = system_.loop_.runtime().core().configurations;
+  before_ = std::make_unique<detail::Configurations::State>(configurations.state());
+  configurations.replace(next_.document.text);
+}
+
+void PlanApplication::add_one() {
+  if (place_ == ahead_.size()) {
+    stage_ = Stage::replacing;
+    return;
+  }
+  PlannedChange& planned = *ahead_[place_++];
   try {
+    make_part(*planned.next, {});
+    made_.emplace_back(planned.next->kind, planned.next->name);
+  } catch (...) {
+    // It may need what is to be closed before, in a way that its plan does not say.
+    if (!closes_nothing_) place_ = ahead_.size();
+    if (closes_nothing_) fail(std::current_exception());
+    return;
+  }
+  made_ahead_ = made_.size();
+  planned.change.fate = Fate::unchanged;  // from here on
+}
+
+void PlanApplication::replace() {
+  try {
+    close();
+    if (!closes_nothing_) take_text();  // what was closed has ended with its own
     make();
     change_live();
-  } catch (const SetupError& error) {
-    Error told = error.error();
-    if (is_new_text) configurations.restore(before);  // before a recording begins anew with it
-    undo(told);
-    throw SetupError(std::move(told));
-  } catch (...) {  // no memory
-    Error ignored;
-    if (is_new_text) configurations.restore(before);
-    undo(ignored);
-    throw;
+  } catch (...) {
+    fail(std::current_exception());
+    return;
   }
   settle();
+  before_ = nullptr;
+  place_ = 0;
+  is_applied_ = true;
+  stage_ = Stage::finishing;
+}
+
+void PlanApplication::finish_one() {
+  if (place_ < compared_.parts.size()) {
+    const PlannedChange& planned = compared_.parts[place_++];
+    if (planned.change.fate == Fate::unchanged && planned.now != nullptr && planned.next != nullptr)
+      system_.parts_.part_named(planned.next->kind, planned.next->name).plan = *planned.next;
+  } else if (!later_.empty()) {
+    const PartPlan& last = *later_.back();
+    later_.pop_back();
+    system_.parts_.remove(last.kind, last.name);
+  } else {
+    stage_ = Stage::done;
+  }
+}
+
+void PlanApplication::undo_one() {
+  if (made_.empty()) {
+    stage_ = Stage::done;
+    return;
+  }
+  system_.parts_.remove(made_.back().first, made_.back().second);
+  made_.pop_back();
 }
 
 void PlanApplication::close() {
   std::unordered_map<const PartPlan*, Fate> fates;
-  for (const PlannedChange& planned : changes_.parts)
+  for (const PlannedChange& planned : compared_.parts)
     if (planned.now != nullptr) fates.emplace(planned.now, planned.change.fate);
   std::vector<const PartPlan*> ending = system_.parts_.plans();
-  std::erase_if(ending, [&](const PartPlan* plan) { return !ends(fates.at(plan)); });
+  std::erase_if(ending, [&](const PartPlan* plan) {
+    const auto fate = fates.find(plan);  // none of what was added ahead
+    return fate == fates.end() || !ends(fate->second);
+  });
   closed_.reserve(ending.size());
   for (const PartPlan* plan : ending) closed_.push_back(*plan);
   // What stores waits for what it has queued, and goes first, unless another part uses it: sensors keep their schedules
@@ -68,7 +253,8 @@ void PlanApplication::close() {
   keep_what_is_taken_over();
   for (auto plan = order.rbegin(); plan != order.rend(); ++plan) {
     std::unique_ptr<Parts::Part> part = system_.parts_.take((*plan)->kind, (*plan)->name);
-    if (sends_beside_another(**plan)) finish(std::move(part));
+    const bool is_given_up = (*plan)->stores && given_up_.contains((*plan)->name);
+    if (is_given_up || sends_beside_another(**plan)) finish(std::move(part));
     part = nullptr;
     closed_at_[(*plan)->object()] = system_.loop_.now();
   }
@@ -90,7 +276,7 @@ void PlanApplication::finish(std::unique_ptr<Parts::Part> part) {
 }
 
 void PlanApplication::keep_what_is_taken_over() {
-  for (const PlannedChange& planned : changes_.parts) {
+  for (const PlannedChange& planned : compared_.parts) {
     if (planned.now == nullptr || !ends(planned.change.fate)) continue;
     const PartPlan& now = *planned.now;
     const PartObject& before = system_.parts_.part_named(now.kind, now.name).object;
@@ -108,7 +294,7 @@ void PlanApplication::make_part(const PartPlan& plan, PartPlan::Make make) {
 }
 
 void PlanApplication::make() {
-  for (const PlannedChange& planned : changes_.parts) {
+  for (const PlannedChange& planned : compared_.parts) {
     if (!is_made(planned.change.fate)) continue;
     make_part(*planned.next, std::move(again_[planned.next->object()]));
     made_.emplace_back(planned.next->kind, planned.next->name);
@@ -130,7 +316,7 @@ void PlanApplication::report_absence(const PartPlan& plan) {
 }
 
 void PlanApplication::change_live() {
-  for (const PlannedChange& planned : changes_.parts) {
+  for (const PlannedChange& planned : compared_.parts) {
     if (planned.change.fate != Fate::live) continue;
     Parts::Part& part = system_.parts_.part_named(planned.next->kind, planned.next->name);
     for (const auto& [key, change] : planned.next->live) {
@@ -144,43 +330,67 @@ void PlanApplication::change_live() {
 }
 
 void PlanApplication::settle() {
+  std::vector<std::unique_ptr<Parts::Part>>& made = system_.parts_.made_;
   std::unordered_map<const Parts::Part*, std::size_t> places;
-  std::size_t place = 0;
-  for (const PlannedChange& planned : changes_.parts) {
+  places.reserve(made.size());
+  const auto put_next = [&](const PartPlan& plan) -> Parts::Part& {
+    Parts::Part& part = system_.parts_.part_named(plan.kind, plan.name);
+    places.emplace(&part, places.size());
+    return part;
+  };
+  for (const PlannedChange& planned : compared_.parts) {
     if (planned.next == nullptr) continue;
-    Parts::Part& part = system_.parts_.part_named(planned.next->kind, planned.next->name);
-    if (!is_made(planned.change.fate)) part.plan = *planned.next;
-    places.emplace(&part, place++);
+    Parts::Part& part = put_next(*planned.next);
+    if (planned.change.fate == Fate::live) part.plan = *planned.next;
   }
+  for (const PartPlan* plan : later_) put_next(*plan);
   // They are closed in the opposite order.
-  std::sort(system_.parts_.made_.begin(), system_.parts_.made_.end(),
-            [&](const auto& a, const auto& b) { return places.at(a.get()) < places.at(b.get()); });
+  std::vector<std::unique_ptr<Parts::Part>> in_order(made.size());
+  for (std::unique_ptr<Parts::Part>& part : made) in_order[places.at(part.get())] = std::move(part);
+  made = std::move(in_order);
   system_.configuration_ = next_.document.file;
   system_.root_ = next_.document.root;
   system_.log_ = next_.settings.log;
 }
 
-void PlanApplication::undo(Error& error) {
+void PlanApplication::fail(std::exception_ptr why) {
+  // Before a recording begins anew with it.
+  if (before_ != nullptr) system_.loop_.runtime().core().configurations.restore(std::move(*before_));
+  before_ = nullptr;
+  const std::string gone = bring_back();
+  try {
+    std::rethrow_exception(why);
+  } catch (const SetupError& error) {
+    Error told = error.error();
+    told.advice += (told.advice.empty() ? "" : "; ") +
+                   std::string(gone.empty() ? "the parts of before are running again"
+                                            : "the parts of before are running again, but not " + gone);
+    failure_ = std::make_exception_ptr(SetupError(std::move(told)));
+  } catch (...) {  // no memory
+    failure_ = why;
+  }
+  stage_ = Stage::undoing;
+}
+
+std::string PlanApplication::bring_back() {
   for (const auto& [part, change_back] : changed_) {
     try {
       (*change_back)(part->object);
     } catch (const SetupError&) {  // it had that value: it is as it was
     }
   }
-  for (auto part = made_.rbegin(); part != made_.rend(); ++part) system_.parts_.remove(part->first, part->second);
-  std::string lost;
+  for (; made_.size() > made_ahead_; made_.pop_back()) system_.parts_.remove(made_.back().first, made_.back().second);
+  std::string gone;
   for (PartPlan& plan : closed_) {
     std::string object = plan.object();
     try {
       make_part(plan, std::move(back_[object]));
       report_absence(plan);
     } catch (const SetupError& failed) {
-      lost += (lost.empty() ? "" : "; ") + object + " (" + failed.what() + ")";
+      gone += (gone.empty() ? "" : "; ") + object + " (" + failed.what() + ")";
     }
   }
-  error.advice += (error.advice.empty() ? "" : "; ") +
-                  std::string(lost.empty() ? "the parts of before are running again"
-                                           : "the parts of before are running again, but not " + lost);
+  return gone;
 }
 
 }  // namespace rtdata::config_detail

@@ -1,54 +1,89 @@
 // Another plan takes the place of the one that a system was made of. Private to src/config.
 #pragma once
 
+#include <exception>
 #include <functional>
 #include <map>
 #include <memory>
+#include <set>
 #include <string>
 #include <utility>
 #include <vector>
 
 #include "config/plan/change.hpp"
+#include "loop/runtime/configurations.hpp"
 
 namespace rtdata::config_detail {
 
-/// Does what was compared, in one call on the main loop's thread, or undoes what it has done.
+/// Does what was compared, or undoes what it has done, in steps of which each leaves a system that can run: adds what
+/// can be there beside the parts of before; in one step closes, makes and changes what replaces something; then closes
+/// what can wait for it. On the main loop's thread.
 class PlanApplication {
  public:
-  PlanApplication(System& system, const SystemPlan& next, const ComparedPlans& changes)
-      : system_(system), next_(next), changes_(changes) {}
+  /// Compares. `next` must outlive it.
+  PlanApplication(System& system, const SystemPlan& next, std::set<std::string> given_up);
 
-  /// SetupError: what making or changing a part threw; then the parts are those of before.
-  void run();
+  const PlanChange& changes() const noexcept { return all_; }
+  /// Goes on for so long, or with one part; returns whether there is more to do. SetupError: what is refused, and
+  /// nothing was changed; what making or changing a part threw, when the parts are those of before again.
+  bool step(Duration budget);
+  bool is_applied() const noexcept { return is_applied_; }
 
  private:
-  /// Those that end: what stores, then the others, of each the last one made first.
+  enum class Stage { beginning, adding, replacing, finishing, undoing, done };
+
+  void refuse() const;
+  /// Which parts are added before, and closed after, the step that replaces.
+  void sort_out();
+  void begin();
+  /// Recordings keep the text of the next plan from here on.
+  void take_text();
+  void add_one();
+  void replace();
+  void finish_one();
+  void undo_one();
+
+  /// The parts of before that end now: what stores, then the others, of each the last one made first.
   void close();
   /// While there are those before: they say what those that follow take over.
   void keep_what_is_taken_over();
-  /// Of a sink that sends over a network, which needs a loop that turns.
+  /// Of a sink that needs a loop that turns to get rid of what it has queued, or that is not waited for.
   void finish(std::unique_ptr<Parts::Part> part);
   void make();
   /// By `make` if it is not empty.
   void make_part(const PartPlan& plan, PartPlan::Make make);
   void change_live();
-  /// The plans of all others are those of the next one from here on.
+  /// The parts stand in the order of the next plan from here on, before those that are closed later.
   void settle();
   /// Reports for how long a sensor that is made again was none.
   void report_absence(const PartPlan& plan);
-  /// Adds to the advice of the error what could not be made again.
-  void undo(Error& error);
+  /// Keeps what was thrown, to throw it when all is undone; brings back what was closed.
+  void fail(std::exception_ptr why);
+  /// Returns what could not be made again, for people.
+  std::string bring_back();
 
   System& system_;
   const SystemPlan& next_;
-  const ComparedPlans& changes_;
+  const std::set<std::string> given_up_;  // sinks
+  ComparedPlans compared_;
+  const PlanChange all_;
+  Stage stage_ = Stage::beginning;
+  bool is_applied_ = false;
+  bool closes_nothing_ = false;
+  std::vector<PlannedChange*> ahead_;                      // what is added before anything is closed
+  std::vector<const PartPlan*> later_;                     // what is closed after all is made
+  std::size_t place_ = 0;                                  // in the list of this stage
+  bool is_new_text_ = false;                               // the text of the next plan is not that of before
+  std::unique_ptr<detail::Configurations::State> before_;  // while the text of the next plan is there
   std::map<std::string, MonotonicTime> closed_at_;         // by object
   std::map<std::string, PartPlan::Make> again_;            // those that are made anew, by object
   std::map<std::string, PartPlan::Make> back_;             // those that are closed, should they have to be made again
   std::vector<PartPlan> closed_;                           // in the order in which they were made
   std::vector<std::pair<std::string, std::string>> made_;  // kind and name
+  std::size_t made_ahead_ = 0;                             // of these, from the first one
   using Live = std::function<void(const PartObject& part)>;
   std::vector<std::pair<Parts::Part*, const Live*>> changed_;  // with what changes it back
+  std::exception_ptr failure_;
 };
 
 }  // namespace rtdata::config_detail

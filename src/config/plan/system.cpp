@@ -1,6 +1,7 @@
 #include "rtdata/config/system.hpp"
 
 #include <algorithm>
+#include <utility>
 
 #include "config/plan/change.hpp"
 #include "config/plan/neighbours.hpp"
@@ -140,16 +141,20 @@ config_detail::ComparedPlans System::compared_to(const SystemPlan& next) const {
 PlanChange System::change_to(const SystemPlan& next) const { return compared_to(next).all(); }
 
 PlanChange System::apply(const SystemPlan& next) {
-  if (!next.good()) throw ConfigError(next.problems);
-  const config_detail::ComparedPlans changes = compared_to(next);
-  PlanChange all = changes.all();
-  for (const PartChange& change : all.all) {
-    if (change.fate != Fate::refused) continue;
-    throw SetupError({Errc::busy, "cannot apply the configuration", change.object, change.why,
-                      "nothing was changed; take the change back, or start the program again"});
+  StepwiseChange change(*this, next);
+  while (change.step(Duration::max())) {
   }
-  config_detail::PlanApplication(*this, next, changes).run();
-  return all;
+  return change.changes();
 }
+
+StepwiseChange::StepwiseChange(System& system, const SystemPlan& next, std::set<std::string> given_up)
+    : application_(std::make_unique<config_detail::PlanApplication>(system, next, std::move(given_up))) {}
+StepwiseChange::~StepwiseChange() = default;
+
+const PlanChange& StepwiseChange::changes() const noexcept { return application_->changes(); }
+
+bool StepwiseChange::step(Duration budget) { return application_->step(budget); }
+
+bool StepwiseChange::is_applied() const noexcept { return application_->is_applied(); }
 
 }  // namespace rtdata

@@ -62,8 +62,10 @@ std::string mistake_in(std::string_view text, TextIs is) {
                                     : "\"" + std::string(text) +
                                           "\" is no topic or pattern: levels joined by /, + for one level, # at the "
                                           "end for all below";
-    case TextIs::device:
     case TextIs::output_file:
+      if (detail::has_control(text)) return "a path that is written has no control characters: it is shown as a name";
+      [[fallthrough]];
+    case TextIs::device:
       if (text.find('\0') != std::string_view::npos) return "a path has no NUL byte";
       return text.size() < 4096 ? "" : "a path has less than 4096 bytes";
   }

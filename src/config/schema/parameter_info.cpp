@@ -86,8 +86,9 @@ std::string pattern_of(TextIs is) {
     case TextIs::topic_pattern:
       return "^(#|\\$?(\\+|" + std::string(level) + ")(/(\\+|" + level + "))*(/#)?)$";
     case TextIs::device:
-    case TextIs::output_file:
       return "^[^\\u0000]*$";
+    case TextIs::output_file:
+      return "^[^\\u0000-\\u001f\\u007f-\\u009f]*$";
     case TextIs::permissions:
       return "^0?6[0246][0246]$";
     case TextIs::anything:

@@ -34,6 +34,8 @@ Duration worst_of(Reads reads, Duration period, Duration window) {
   return worst;
 }
 
+constexpr const char* says_nothing = "whose types do not say how long a reading takes";
+
 }  // namespace
 
 bool LaneLoad::is_overloaded() const noexcept { return share > LoopLoad::most; }
@@ -51,10 +53,11 @@ double LoopLoad::share() const noexcept {
 }
 
 std::string LoopLoad::text() const {
-  std::string text = loop + ": " + counted(sensors) + ", worst ";
-  text += declared == 0 ? "not known" : rounded(worst);
-  if (period.count() > 0) text += " of " + rounded(period);
-  if (declared != 0 && period.count() > 0) text += ", " + percent(share());
+  std::string text = loop + ": " + counted(sensors) + ", ";
+  if (declared == 0)
+    return text + says_nothing + (period.count() > 0 ? "; the shortest period is " + rounded(period) : "");
+  text += "worst " + rounded(worst);
+  if (period.count() > 0) text += " of " + rounded(period) + ", " + percent(share());
   if (declared != sensors) text += " (" + std::to_string(declared) + " of " + std::to_string(sensors) + " declared)";
   return text;
 }

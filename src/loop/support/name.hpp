@@ -12,10 +12,15 @@ namespace rtdata::detail {
 inline constexpr const char* name_rule = "a name has 1 to 200 characters of UTF-8 and no control characters";
 
 inline bool is_control(unsigned char c) noexcept { return c < ' ' || c == 0x7f; }
+inline bool has_control(std::string_view text) noexcept {
+  for (; !text.empty(); text.remove_prefix(1))
+    if (control_size(text) > 0) return true;
+  return false;
+}
 
 /// Whether it keeps to the rule.
 inline bool is_name(std::string_view name) noexcept {
-  return !name.empty() && name.size() <= 200 && std::none_of(name.begin(), name.end(), is_control) && is_utf8(name);
+  return !name.empty() && name.size() <= 200 && !has_control(name) && is_utf8(name);
 }
 
 /// A name that may be none, in quotes, for one line of text.

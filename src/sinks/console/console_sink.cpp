@@ -75,7 +75,7 @@ class ConsoleWriter final : public Writer {
     text_ += ' ';
     text_ += record.info->topic;
     text_ += ' ';
-    append_clean(record.info->origin);
+    text_ += detail::visible(record.info->origin);
     text_ += " #";
     text_ += std::to_string(record.header.sequence);
     const EventView event = record.view();
@@ -83,7 +83,7 @@ class ConsoleWriter final : public Writer {
       text_ += ' ';
       text_ += leaf.path;
       text_ += '=';
-      append_clean(to_string(event.value(leaf)));
+      text_ += detail::visible(to_string(event.value(leaf)));
       if (leaf.unit.empty() || leaf.unit == "1") continue;
       text_ += ' ';
       text_ += leaf.unit;
@@ -105,21 +105,6 @@ class ConsoleWriter final : public Writer {
     std::snprintf(text, sizeof text, "%02d:%02d:%02d.%03d", parts.tm_hour, parts.tm_min, parts.tm_sec,
                   static_cast<int>(milliseconds - whole * 1000));
     text_ += text;
-  }
-
-  /// Without what would move the cursor or colour the screen, and without what is no UTF-8.
-  void append_clean(std::string_view text) {
-    for (std::size_t i = 0, size = 0; i < text.size(); i += std::max<std::size_t>(size, 1)) {
-      const char c = text[i];
-      size = detail::utf8_size(text.substr(i));
-      if (size > 0 && static_cast<unsigned char>(c) >= ' ' && c != 0x7f) {
-        text_ += text.substr(i, size);
-        continue;
-      }
-      char escaped[8];
-      std::snprintf(escaped, sizeof escaped, "\\x%02x", static_cast<unsigned>(static_cast<unsigned char>(c)));
-      text_ += escaped;
-    }
   }
 
   const std::string where_;

@@ -5,6 +5,7 @@
 
 #include "loop/core/loop_core.hpp"
 #include "loop/support/deadline.hpp"
+#include "rtdata/loop/account.hpp"
 
 namespace rtdata {
 
@@ -211,10 +212,19 @@ void Transfer::send_some() {
   while (owner_ != nullptr && !blocked_until_ && under_way_ < sending_.window) {
     while (next_ < entries_.size() && entries_[next_].state != Entry::State::waiting) ++next_;
     if (next_ == entries_.size()) return;
+    if (settled_ < due_before(next_)) return;
     if (sending_.bytes_per_second != 0 && paced_until_ > loop_.now()) return;
     if (++sent > most_in_a_turn) return;
     send(next_++);
   }
+}
+
+std::size_t Transfer::due_before(std::size_t parcel) const noexcept {
+  const auto is_account = [](const Parcel::Row& row) { return row.info->topic == account_topic; };
+  if (parcels_[parcel].rows().empty() || !is_account(parcels_[parcel].rows().back())) return 0;
+  while (parcel > 0 && !parcels_[parcel - 1].rows().empty() && is_account(parcels_[parcel - 1].rows().front()))
+    --parcel;
+  return parcel;
 }
 
 void Transfer::send(std::size_t parcel) {

@@ -61,6 +61,9 @@ class Transfer : public std::enable_shared_from_this<Transfer> {
   /// Sends what may be sent, and settles what is answered.
   void go_on();
   void send_some();
+  /// How many parcels are to be settled before this one is sent: of one with final accounts all that have anything
+  /// else, since one of several on their way may overtake another; of any other none.
+  std::size_t due_before(std::size_t parcel) const noexcept;
   void send(std::size_t parcel);
   void settle_some();
   void wait_after(const Error& why, std::optional<Duration> after);

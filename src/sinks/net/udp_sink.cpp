@@ -8,6 +8,7 @@
 #include <array>
 #include <cerrno>
 #include <cstdio>
+#include <cstring>
 #include <memory>
 #include <string>
 #include <string_view>
@@ -27,6 +28,7 @@ using detail::HostLookup;
 constexpr const char* what = "cannot make udp sink";
 constexpr const char* fields_format = "fields";
 constexpr std::size_t most_at_once = 64;
+constexpr Duration name_age = std::chrono::seconds{60};  // then the name is looked up again
 
 /// {"timestamp":seconds,"topic":{fields,"origin":...,"sequence":...}}: the texts are those of the JSON codec.
 class FieldsCodec final : public Codec {
@@ -80,6 +82,8 @@ class Datagrams : public std::enable_shared_from_this<Datagrams> {
         name_("sink " + config.sink.name),
         lookup_(loop.core(), name_, [this](Result<std::vector<HostLookup::Address>> found) {
           const auto self = shared_from_this();
+          looked_up_at_ = loop_.now();
+          if (fd_ >= 0) return found ? move_to(*found) : void();  // what is known serves until there is news
           if (!found) return fail(found.error());
           open(*found);
         }) {}
@@ -90,8 +94,12 @@ class Datagrams : public std::enable_shared_from_this<Datagrams> {
     parcel_ = &parcel;
     answer_ = std::move(answer);
     next_ = 0;
-    if (fd_ >= 0) return send_some();
-    lookup_.start(config_.host, config_.port);
+    if (fd_ < 0) return lookup_.start(config_.host, config_.port);
+    if (loop_.now() - looked_up_at_ > name_age && !lookup_.is_under_way()) {
+      looked_up_at_ = loop_.now();
+      lookup_.start(config_.host, config_.port);
+    }
+    send_some();
   }
   void cancel() {
     lookup_.cancel();
@@ -108,24 +116,50 @@ class Datagrams : public std::enable_shared_from_this<Datagrams> {
   std::string peer() const { return config_.host + " port " + std::to_string(config_.port); }
 
   void open(const std::vector<HostLookup::Address>& addresses) {
+    const int error_number = connect_to(addresses);
+    if (error_number == 0) return send_some();
+    fail(system_error(error_number, "cannot send", peer(), "look at the network and its routes"));
+  }
+
+  /// The name has these addresses now.
+  void move_to(const std::vector<HostLookup::Address>& addresses) {
+    const auto is_peer = [this](const HostLookup::Address& address) {
+      return address.size == peer_.size && std::memcmp(&address.socket, &peer_.socket, peer_.size) == 0;
+    };
+    if (std::any_of(addresses.begin(), addresses.end(), is_peer)) return;
+    const int before = std::exchange(fd_, -1);
+    if (connect_to(addresses) != 0) {  // there is no way to them yet
+      fd_ = before;
+      return;
+    }
+    const bool waits_for_room = watch_.is_open();
+    if (waits_for_room) watch_.close();  // before the descriptor
+    ::close(before);
+    if (waits_for_room) send_some();
+  }
+
+  /// To the first of them that there is a way to; returns 0, or the number of the error.
+  int connect_to(const std::vector<HostLookup::Address>& addresses) {
     int error_number = EADDRNOTAVAIL;
     for (const HostLookup::Address& address : addresses) {
+      // "localhost" is ::1 first; receivers mostly have 127.0.0.1, which cannot be found out by connecting.
+      if (addresses.size() > 1 && config_.host == "localhost" && address.socket.ss_family == AF_INET6) continue;
       fd_ = ::socket(address.socket.ss_family, SOCK_DGRAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
-      if (fd_ >= 0) {
-        const int on = 1;
-        (void)::setsockopt(fd_, SOL_SOCKET, SO_BROADCAST, &on, sizeof on);
-        // "localhost" is ::1 first; receivers mostly have 127.0.0.1, which cannot be found out by connecting.
-        const bool is_second_choice = addresses.size() > 1 && config_.host == "localhost" &&
-                                      address.socket.ss_family == AF_INET6;
-        if (!is_second_choice && ::connect(fd_, address.get(), address.size) == 0) return send_some();
-        if (!is_second_choice) error_number = errno;
-        ::close(fd_);
-        fd_ = -1;
-      } else {
+      if (fd_ < 0) {
         error_number = errno;
+        continue;
       }
+      const int on = 1;
+      (void)::setsockopt(fd_, SOL_SOCKET, SO_BROADCAST, &on, sizeof on);
+      if (::connect(fd_, address.get(), address.size) == 0) {
+        peer_ = address;
+        return 0;
+      }
+      error_number = errno;
+      ::close(fd_);
+      fd_ = -1;
     }
-    fail(system_error(error_number, "cannot send", peer(), "look at the network and its routes"));
+    return error_number;
   }
 
   void send_some() {
@@ -196,7 +230,9 @@ class Datagrams : public std::enable_shared_from_this<Datagrams> {
   Loop& loop_;
   const std::string name_;
   HostLookup lookup_;
+  MonotonicTime looked_up_at_{};
   int fd_ = -1;
+  HostLookup::Address peer_;  // that it is connected to
   FdWatch watch_;
   const Parcel* parcel_ = nullptr;
   Answer answer_;
