@@ -163,7 +163,8 @@ void ConfiguredMachine::Core::take(std::size_t input, const EventView& event, Ti
   if (!machine.is_started()) return;
   Age& age = ages[input];
   const bool was_old = age.has_come && is_old(input);
-  age = {.has_come = true, .came = loop.now()};
+  const MonotonicTime came = loop.now();
+  age = {.has_come = true, .came = came};
   const std::vector<std::size_t>& own = whens_of[state];
   const bool is_new = inputs.put(input, event, [&](std::size_t name, std::optional<double> value) {
     values[name] = value;
@@ -178,7 +179,7 @@ void ConfiguredMachine::Core::take(std::size_t input, const EventView& event, Ti
   for (const std::size_t number : own) evaluate(whens[number], time);
   is_evaluated = true;
   const std::shared_ptr<Core> kept = self.lock();  // a handler of the change may end the machine's life
-  detail::input_event(detail::node_of_open(machine, inputs.all()[input].topic), time,
+  detail::input_event(detail::node_of_open(machine, inputs.all()[input].topic), time, came,
                       was_old ? detail::Before::stale : detail::Before::fresh);
   is_evaluated = false;
 }

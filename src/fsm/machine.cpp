@@ -18,6 +18,7 @@ using rtdata::detail::Node;
 
 /// What makes a machine try its transitions: a named event, by its number, or any other.
 constexpr std::uint16_t any_event = 0xffff;
+constexpr const char* not_standard = "an exception that is no std::exception";
 
 class StateOfFunctions final : public State {
  public:
@@ -36,13 +37,16 @@ class StateOfFunctions final : public State {
 
 struct Entry;
 
+// What each event looks at comes first.
 struct Way {
-  Transition config;
+  std::uint16_t on;         // any_event: it waits for none
+  bool is_removed = false;  // destroyed when no action runs
   Entry& to;
-  std::uint16_t on;  // any_event: it waits for none
-  text<max_cause> cause;
-  bool is_removed = false;      // destroyed when no action runs
-  std::optional<Time> since{};  // its condition has been true
+  Condition when;
+  Duration after;
+  Duration hold;
+  std::optional<Time> since{};  // its condition has been true, of one with `hold`
+  std::string cause;
 };
 
 /// A state, with the ways out of it.
@@ -139,8 +143,13 @@ class MachineNode final : public Node {
         on = static_cast<std::uint16_t>(events_.size() - 1);
       }
     }
-    const text<max_cause> cause = cut(transition.cause = cause_of(transition));
-    from.ways.push_back(std::make_unique<Way>(Way{std::move(transition), to, on, cause}));
+    std::string cause = cause_of(transition);
+    from.ways.push_back(std::make_unique<Way>(Way{.on = on,
+                                                  .to = to,
+                                                  .when = std::move(transition.when),
+                                                  .after = transition.after,
+                                                  .hold = transition.hold,
+                                                  .cause = std::move(cause)}));
     if (&from == current_ && going_to_ == nullptr) arm();
   }
   std::size_t remove_transitions(std::string_view from, std::string_view to) {
@@ -165,6 +174,7 @@ class MachineNode final : public Node {
     Entry& state = entry(name.empty() ? std::string_view(config_.start) : name, "cannot start in");
     if (!config_.failure.empty()) (void)entry(config_.failure, "cannot have as the state after failures");
     const rtdata::detail::Call call(*this);
+    const LoopCore::Calling calling(loop()->runtime);
     is_busy_ = true;
     go(state, cause, loop()->face.time(), in_state);
     ended();
@@ -174,18 +184,19 @@ class MachineNode final : public Node {
     check_use("cannot raise an event");
     const std::uint16_t number = event_number(name);
     if (number == any_event) return unknown(name);
-    take(number, now_on_line());
+    take_now(number);
   }
   void look() {
     check_use("cannot look");
-    take(any_event, now_on_line());
+    take_now(any_event);
   }
-  void input(Time time, detail::Before before) {
+  /// In a delivery of the loop.
+  void input(Time time, MonotonicTime came, detail::Before before) {
     last_time_ = time;
-    last_came_ = loop()->now();
+    last_came_ = came;
     if (before == detail::Before::stale && current_ != nullptr)
       for (const auto& way : current_->ways) way->since.reset();
-    take(any_event, time);
+    take(any_event, time, came);
   }
 
   std::string_view state() const noexcept {
@@ -209,9 +220,8 @@ class MachineNode final : public Node {
     for (const auto& state : states_) {
       for (const auto& way : state->ways) {
         if (way->is_removed) continue;
-        const Transition& config = way->config;
-        graph.edges.push_back(
-            {index(*state), index(way->to), config.cause, config.on, !config.when && !way->to.has_check, config.after});
+        graph.edges.push_back({index(*state), index(way->to), way->cause, way->on == any_event ? "" : events_[way->on],
+                               !way->when && !way->to.has_check, way->after});
       }
     }
     return graph;
@@ -219,7 +229,7 @@ class MachineNode final : public Node {
   std::string callback_name() const override { return object(); }
 
  private:
-  ~MachineNode() override = default;
+  ~MachineNode() override;
   std::string object() const { return "machine " + config_.name; }
   void check_use(const char* what) const { loop()->check_thread(what, config_.name); }
 
@@ -251,16 +261,24 @@ class MachineNode final : public Node {
   }
 
   // Events
+  /// An event of the program's, maybe outside of the loop's callbacks.
+  void take_now(std::uint16_t event) {
+    const rtdata::detail::Call call(*this);
+    const LoopCore::Calling calling(loop()->runtime);
+    const MonotonicTime now = loop()->now();
+    take(event, on_line(now), now);
+  }
   /// Now, or after those that wait for the end of a change.
-  void take(std::uint16_t event, Time time) {
-    if (!is_busy_ && waiting_ == 0) {
-      const rtdata::detail::Call call(*this);
-      is_busy_ = true;
-      try_ways(event, time);
-      ended();
-      if (waiting_ > 0) take_waiting();
-      return;
-    }
+  void take(std::uint16_t event, Time time, MonotonicTime now) {
+    if (is_busy_ || waiting_ > 0) [[unlikely]]
+      return keep(event, time);
+    const rtdata::detail::Call call(*this);
+    is_busy_ = true;
+    try_ways(event, time, now);
+    ended();
+    if (waiting_ > 0) take_waiting();
+  }
+  void keep(std::uint16_t event, Time time) {
     if (waiting_ == queue_.size()) {
       ++counts_.dropped;
       return report(Errc::backlog, "an event was dropped", event == any_event ? "of an input" : events_[event],
@@ -280,24 +298,21 @@ class MachineNode final : public Node {
       first_ = (first_ + 1) % queue_.size();
       --waiting_;
       is_busy_ = true;
-      try_ways(next.event, next.time);
+      try_ways(next.event, next.time, loop()->now());
       ended();
     }
   }
   void time_passed() {
     const rtdata::detail::Call call(*this);
-    take(any_event, now_on_line());
+    take_now(any_event);
     if (is_open()) arm();
   }
   /// The loop's time, on the line of the events: those of a recording that is replayed are of another day.
-  Time now_on_line() {
-    if (!last_time_) return loop()->face.time();
-    return *last_time_ + (loop()->now() - last_came_);
-  }
+  Time on_line(MonotonicTime now) { return last_time_ ? *last_time_ + (now - last_came_) : loop()->face.time(); }
   /// When an action or a condition is done, and what it called.
   void ended() {
     is_busy_ = false;
-    tidy();
+    if (has_removed_) tidy();
   }
   /// Destroys what was removed, when none of it is on the stack.
   void tidy() {
@@ -310,49 +325,62 @@ class MachineNode final : public Node {
     removed_.clear();
   }
 
-  void try_ways(std::uint16_t event, Time time) {
+  void try_ways(std::uint16_t event, Time time, MonotonicTime now) {
     ++counts_.events;
-    if (current_ == nullptr || !feed_.is_running()) {
-      if (event != any_event) ++counts_.ignored;
+    const bool is_named = event != any_event;
+    if (current_ == nullptr || !feed_.is_running() || (is_named && !waits_for(*current_, event))) {
+      if (is_named) ++counts_.ignored;
       return;
     }
     Entry& from = *current_;
-    const Moment moment{time, from.name, loop()->now() - arrived_,
-                        event == any_event ? std::string_view() : std::string_view(events_[event])};
+    const Moment moment{time, from.name, now - arrived_,
+                        is_named ? std::string_view(events_[event]) : std::string_view()};
     if (Way* const way = way_out(from, event, moment)) {
       ++counts_.transitions;
       go(way->to, way->cause, time);
     }
   }
+  static bool waits_for(const Entry& state, std::uint16_t event) {
+    return std::any_of(state.ways.begin(), state.ways.end(),
+                       [&](const auto& way) { return way->on == event && !way->is_removed; });
+  }
   /// The first that may be taken. None: null.
   Way* way_out(Entry& from, std::uint16_t event, const Moment& moment) {
-    const LoopCore::Calling calling(loop()->runtime);  // of all conditions
-    bool is_known = event == any_event;
     // By index: conditions may add ways.
     for (std::size_t i = 0, count = from.ways.size(); i < count && is_open(); ++i) {
       Way& way = *from.ways[i];
-      if (way.on != event || way.is_removed) continue;
-      is_known = true;
-      if (moment.in_state < way.config.after) continue;
-      if (!holds(way, moment) || way.is_removed || !may_go_to(way.to, moment) || way.is_removed) continue;
+      if (way.on != event || way.is_removed || moment.in_state < way.after) continue;
+      if (way.when && !ask(way, from, moment)) {
+        way.since.reset();
+        continue;
+      }
+      if (way.is_removed || !has_held(way, moment.time) || !may_go_to(way.to, moment) || way.is_removed) continue;
       return is_open() ? &way : nullptr;
     }
-    if (!is_known) ++counts_.ignored;
     return nullptr;
   }
-  bool holds(Way& way, const Moment& moment) {
-    if (!way.config.when) return true;
-    if (!ask("the condition of ", way, [&] { return way.config.when(moment); })) {
-      way.since.reset();
-      return false;
+  bool ask(Way& way, const Entry& from, const Moment& moment) {
+    try {
+      return way.when(moment);
+    } catch (const std::exception& e) {
+      condition_threw(way, from, e.what());
+    } catch (...) {
+      condition_threw(way, from, not_standard);
     }
-    if (!way.since) way.since = moment.time;
-    return moment.time - *way.since >= way.config.hold;
+    return false;
+  }
+  void condition_threw(const Way& way, const Entry& from, const char* why) noexcept {
+    threw([&] { return "the condition of " + from.name + " to " + way.to.name; }, why);
+  }
+  static bool has_held(Way& way, Time now) {
+    if (way.hold == Duration{0}) return true;
+    if (!way.since) way.since = now;
+    return now - *way.since >= way.hold;
   }
   bool may_go_to(Entry& state, const Moment& moment) {
-    bool may = false;
-    call("check", state, [&] { may = state.code->check(moment); });
-    return may && is_open();
+    bool may = is_open();
+    if (may && state.has_check) may = call("check", state, [&] { may = state.code->check(moment); }) && may;
+    return may;
   }
 
   /// Goes to a state, and on to the failure state when an action threw.
@@ -403,8 +431,7 @@ class MachineNode final : public Node {
     const Duration passed = in_state();
     Duration next = Duration::max();
     for (const auto& way : current_->ways)
-      if (!way->is_removed && way->on == any_event && way->config.after > passed)
-        next = std::min(next, way->config.after);
+      if (!way->is_removed && way->on == any_event && way->after > passed) next = std::min(next, way->after);
     if (next == Duration::max()) return time_.stop();
     time_.start_at(rtdata::detail::later(arrived_, next));
   }
@@ -414,28 +441,16 @@ class MachineNode final : public Node {
   bool call(const char* what, const Entry& state, Function&& function) {
     return run([&] { return std::string(what) + " of state " + state.name; }, std::forward<Function>(function));
   }
-  template <class Function>
-  bool ask(const char* what, const Way& way, Function&& function) {
-    bool answer = false;
-    run_within([&] { return what + way.config.from + " to " + way.config.to; }, [&] { answer = function(); });
-    return answer && is_open();
-  }
   /// False: it threw.
   template <class Name, class Function>
   bool run(const Name& name, Function&& function) {
-    const LoopCore::Calling calling(loop()->runtime);
-    return run_within(name, function);
-  }
-  /// The same, within a call of the user's code.
-  template <class Name, class Function>
-  bool run_within(const Name& name, Function&& function) {
     try {
       function();
       return true;
     } catch (const std::exception& e) {
       threw(name, e.what());
     } catch (...) {
-      threw(name, "an exception that is no std::exception");
+      threw(name, not_standard);
     }
     return false;
   }
@@ -462,10 +477,7 @@ class MachineNode final : public Node {
     current_ = going_to_ = nullptr;
     waiting_ = 0;
   }
-  void drop_callbacks() noexcept override {
-    states_.clear();
-    removed_.clear();
-  }
+  void drop_callbacks() noexcept override;
 
   const Machine::Config config_;
   Feed<StateChange> feed_;
@@ -490,6 +502,13 @@ class MachineNode final : public Node {
   bool is_busy_ = false;  // an action or a condition may be on the stack
   MachineCounts counts_;
 };
+
+// Apart, so that what ends a call (`Call`) stays short.
+MachineNode::~MachineNode() = default;
+void MachineNode::drop_callbacks() noexcept {
+  states_.clear();
+  removed_.clear();
+}
 
 namespace {
 
@@ -549,8 +568,15 @@ Graph Machine::graph() const {
 
 namespace detail {
 
-void input_event(rtdata::detail::Node& machine, Time time, Before before) {
-  if (machine.is_open()) static_cast<MachineNode&>(machine).input(time, before);
+void input_event(rtdata::detail::Node& machine, Time time, MonotonicTime came, Before before) {
+  if (machine.is_open()) static_cast<MachineNode&>(machine).input(time, came, before);
+}
+void input_event(InputTimes& input, Time time) {
+  const MonotonicTime now = input.machine.loop()->now();
+  const bool was_stale = input.time && input.max_age != Duration::max() && now - input.came > input.max_age;
+  input.time = time;
+  input.came = now;
+  static_cast<MachineNode&>(input.machine).input(time, now, was_stale ? Before::stale : Before::fresh);
 }
 rtdata::detail::Node& node_of_open(const Machine& machine, std::string_view input) {
   rtdata::detail::Node* const node = machine.node();

@@ -232,7 +232,7 @@ struct Expression::Program {
     std::vector<std::size_t> index_of;
     const ExpressionTree tree = tree_of(text, names, index_of);
     is_condition = tree.is_condition;
-    is_fresh.resize(names.size());
+    set_at.resize(names.size());
     is_used.resize(names.size());
     places.resize(tree.nodes.size(), no_place);
     has_names.resize(tree.nodes.size());
@@ -307,7 +307,8 @@ struct Expression::Program {
 
   Duration seconds(const ExpressionTree& tree, const ExpressionNode& node) {
     const std::size_t argument = add(tree, node.children[1]);
-    const Got got = evaluate(operations[argument]);
+    Got got;
+    evaluate(operations[argument], got);
     const std::size_t column = tree.nodes[node.children[1]].column;
     if (got.state != State::value) refuse(column, "the seconds of `" + node.text + "` are no finite number");
     if (!(got.value >= 1e-6 && got.value <= 604800))
@@ -442,96 +443,108 @@ struct Expression::Program {
     out += ")";
   }
 
-  Got evaluate(const Operation& operation) noexcept {
+  static Got truth(bool is_true) noexcept {
+    Got got;
+    got.state = State::value;
+    got.value = is_true ? 1 : 0;
+    return got;
+  }
+
+  void evaluate(const Operation& operation, Got& got) noexcept {
     using Type = Operation::Type;
-    const auto truth = [](bool is_true) {
-      Got got;
-      got.state = State::value;
-      got.value = is_true ? 1 : 0;
-      return got;
-    };
     switch (operation.type) {
-      case Type::number: {
-        Got got;
+      case Type::number:
+        got = {};
         got.state = State::value;
         got.value = operation.number;
-        return got;
-      }
+        return;
       case Type::value:
-        return values[operation.a];
-      case Type::formula: {
-        const Formula& formula = formulas[operation.a];
-        Got got;
-        got.state = State::value;
-        for (const std::size_t input : formula.inputs) {
-          if (values[input].state == State::value) [[likely]]
-            continue;
-          if (got.state != State::failed) got = values[input];
-        }
-        if (got.state != State::value) return got;
-        got.failure = evaluate_formula(*formula.parser, got.value);
-        if (got.failure == Failure::none) [[likely]]
-          return got;
-        got.state = State::failed;
-        got.value = 0;
-        got.at = got.failure == Failure::division_by_zero ? formula.division_column : formula.column;
-        return got;
-      }
-      case Type::logical_not: {
-        const Got got = evaluate(operations[operation.a]);
-        return got.state == State::value ? truth(got.value == 0) : got;
-      }
+        got = values[operation.a];
+        return;
+      case Type::formula:
+        return compute(formulas[operation.a], got);
+      case Type::logical_not:
+        evaluate(operations[operation.a], got);
+        if (got.state == State::value) got = truth(got.value == 0);
+        return;
       case Type::logical_and:
       case Type::logical_or: {
         const bool decides = operation.type == Type::logical_or;  // such a side decides alone
-        const Got left = evaluate(operations[operation.a]);
-        if (left.state == State::value && (left.value != 0) == decides) return truth(decides);
-        const Got right = evaluate(operations[operation.b]);
-        if (right.state == State::value && (right.value != 0) == decides) return truth(decides);
-        if (left.state == State::failed) return left;
-        if (right.state == State::failed) return right;
-        if (left.state == State::waiting) return left;
-        if (right.state == State::waiting) return right;
-        return truth(!decides);
+        evaluate(operations[operation.a], got);
+        if (got.state == State::value && (got.value != 0) == decides) return void(got = truth(decides));
+        Got right;
+        evaluate(operations[operation.b], right);
+        if (right.state == State::value && (right.value != 0) == decides) return void(got = truth(decides));
+        if (got.state == State::failed) return;
+        if (right.state == State::failed) return void(got = right);
+        if (got.state == State::waiting) return;
+        got = right.state == State::waiting ? right : truth(!decides);
+        return;
       }
-      case Type::choice: {
-        const Got condition = evaluate(operations[operation.a]);
-        if (condition.state != State::value) return condition;
-        return evaluate(operations[condition.value != 0 ? operation.b : operation.c]);
-      }
+      case Type::choice:
+        evaluate(operations[operation.a], got);
+        if (got.state == State::value) evaluate(operations[got.value != 0 ? operation.b : operation.c], got);
+        return;
     }
-    return {};
+  }
+
+  void compute(const Formula& formula, Got& got) noexcept {
+    const Got* missing = nullptr;  // the first that has failed, else one that waits
+    for (const std::size_t input : formula.inputs) {
+      const Got& value = values[input];
+      if (value.state != State::value && (missing == nullptr || missing->state != State::failed)) [[unlikely]]
+        missing = &value;
+    }
+    if (missing != nullptr) {
+      got = *missing;
+      return;
+    }
+    got.failure = evaluate_formula(*formula.parser, got.value);
+    got.state = State::value;
+    got.at = 0;
+    if (got.failure == Failure::none) [[likely]]
+      return;
+    got.state = State::failed;
+    got.value = 0;
+    got.at = got.failure == Failure::division_by_zero ? formula.division_column : formula.column;
   }
 
   static double seconds_between(Time from, Time to) noexcept {
     return static_cast<double>(detail::span_between(from, to).count()) * 1e-9;
   }
 
-  /// The result of a memory after one more event.
-  Got remember(Memory& memory, std::size_t place, const Got& argument, Time time) noexcept {
+  /// One more event: the step's place gets the result of its memory.
+  void remember(Memory& memory, std::size_t place, const Got& argument, Time time) noexcept {
+    Got& got = values[place];
     const bool is_age = memory.type == ExpressionNode::Memory::age;
-    if (argument.state != State::value && !is_age) return argument;
-    const auto has_come = [&] {
-      return std::any_of(memory.names.begin(), memory.names.end(), [this](std::size_t n) { return is_fresh[n] != 0; });
-    };
+    if (argument.state != State::value && !is_age) {
+      got = argument;
+      return;
+    }
     if (is_age) {
       const bool is_first = !std::exchange(memory.has_result, true);
-      if (is_first || (argument.state == State::value && has_come())) memory.last_time = time;
+      if (is_first || (argument.state == State::value && has_come(memory))) memory.last_time = time;
       memory.result = seconds_between(memory.last_time, time);
-    } else if (memory.is_always_new || !memory.has_value || has_come()) {
+    } else if (memory.is_always_new || !memory.has_value || has_come(memory)) {
       take(memory, argument.value, time);
     }
-    Got got;
+    got.state = memory.has_result ? State::value : State::waiting;
+    got.failure = Failure::none;
     got.at = static_cast<std::uint32_t>(place);
-    if (!memory.has_result) return got;
-    got.value = memory.result;
-    got.state = State::value;
-    if (std::isfinite(got.value)) return got;
+    got.value = memory.has_result ? memory.result : 0;
+    if (std::isfinite(got.value)) [[likely]]
+      return;
     got.state = State::failed;
     got.failure = Failure::too_large;
     got.at = static_cast<std::uint32_t>(memory.column);
     got.value = 0;
-    return got;
+  }
+
+  /// A name in its argument was set since the last event.
+  bool has_come(const Memory& memory) const noexcept {
+    for (const std::size_t name : memory.names)
+      if (set_at[name] == event) return true;
+    return false;
   }
 
   static void take(Memory& memory, double value, Time time) noexcept {
@@ -597,11 +610,19 @@ struct Expression::Program {
   ExpressionResult evaluate(Time time) noexcept {
     last_time = std::max(time, last_time);
     for (const Step& step : steps) {
-      const Got got = evaluate(operations[step.operation]);
-      values[step.place] = step.memory == no_memory ? got : remember(memories[step.memory], step.place, got, last_time);
+      const Operation& operation = operations[step.operation];
+      if (step.memory == no_memory) {
+        evaluate(operation, values[step.place]);
+      } else if (operation.type == Operation::Type::value) {
+        remember(memories[step.memory], step.place, values[operation.a], last_time);
+      } else {
+        Got argument;
+        evaluate(operation, argument);
+        remember(memories[step.memory], step.place, argument, last_time);
+      }
     }
-    outcome = evaluate(operations[root]);
-    std::fill(is_fresh.begin(), is_fresh.end(), std::uint8_t{0});
+    evaluate(operations[root], outcome);
+    ++event;
     return {outcome.state, outcome.failure, outcome.value};
   }
 
@@ -610,7 +631,7 @@ struct Expression::Program {
       values[i] = {};
       values[i].at = static_cast<std::uint32_t>(i);
     }
-    std::fill(is_fresh.begin(), is_fresh.end(), std::uint8_t{0});
+    ++event;  // no name is set with it
     for (Memory& memory : memories) {
       memory.has_value = memory.has_result = memory.was_true = false;
       if (memory.window != nullptr) memory.window->clear();
@@ -661,8 +682,9 @@ struct Expression::Program {
   std::string text;
   std::vector<std::string> names;
   bool is_condition = false;
-  std::vector<Got> values;  // of names, then of steps; never moved, since muParser knows where they are
-  std::vector<std::uint8_t> is_fresh;
+  std::vector<Got> values;            // of names, then of steps; never moved, since muParser knows where they are
+  std::uint64_t event = 1;            // the number of the next one
+  std::vector<std::uint64_t> set_at;  // of each name: the number of the event that it was set for
   std::vector<std::uint8_t> is_used;
   std::vector<Operation> operations;
   std::vector<Formula> formulas;
@@ -770,18 +792,19 @@ bool Expression::uses(std::size_t index) const noexcept {
 bool Expression::is_condition() const noexcept { return program_ != nullptr && program_->is_condition; }
 
 void Expression::set(std::size_t index, double value) noexcept {
-  if (program_ == nullptr || index >= program_->names.size()) return;
-  Got& at = program_->values[index];
-  at.value = value;
+  Program* const program = program_.get();
+  if (program == nullptr || index >= program->set_at.size()) return;
+  program->set_at[index] = program->event;
+  Got& at = program->values[index];
   if (std::isfinite(value)) [[likely]] {
     at.state = State::value;
     at.failure = Failure::none;
+    at.value = value;
   } else {
     at.state = State::failed;
     at.failure = Failure::not_finite;
     at.value = 0;
   }
-  program_->is_fresh[index] = 1;
 }
 
 void Expression::set_unknown(std::size_t index) noexcept {

@@ -145,12 +145,31 @@ class Machine;
 namespace detail {
 /// An input's event: an earlier one was too old before this one came.
 enum class Before { fresh, stale };
-void input_event(rtdata::detail::Node& machine, Time time, Before before);
+/// In the delivery of the event.
+void input_event(rtdata::detail::Node& machine, Time time, MonotonicTime came, Before before);
 /// SetupError (closed).
 rtdata::detail::Node& node_of_open(const Machine& machine, std::string_view input);
 Loop& loop_of(rtdata::detail::Node& machine);
 MonotonicTime now_of(rtdata::detail::Node& machine);
 const std::string& name_of(rtdata::detail::Node& machine);
+
+/// When the events of an input came.
+struct InputTimes {
+  InputTimes(rtdata::detail::Node& of, Duration age) : machine(of), max_age(age) { machine.retain(); }
+  InputTimes(const InputTimes&) = delete;
+  InputTimes& operator=(const InputTimes&) = delete;
+  ~InputTimes() { machine.release(); }
+  bool is_fresh() const {
+    return time && machine.is_open() && (max_age == Duration::max() || now_of(machine) - came <= max_age);
+  }
+  Duration age() const { return time && machine.is_open() ? now_of(machine) - came : Duration::max(); }
+  rtdata::detail::Node& machine;
+  const Duration max_age;
+  std::optional<Time> time{};  // of the last event; none: nothing came yet
+  MonotonicTime came{};
+};
+/// Of an open machine. It may end the life of the input.
+void input_event(InputTimes& input, Time time);
 }  // namespace detail
 
 class Machine : public Handle {
@@ -213,39 +232,24 @@ class Input {
   }
 
   /// There is one that is not too old.
-  explicit operator bool() const {
-    return latest_ != nullptr && latest_->time && latest_->machine.is_open() && !latest_->is_old();
-  }
+  explicit operator bool() const { return latest_ != nullptr && latest_->is_fresh(); }
   /// The last value, however old; one of zeros before the first.
   const T& operator*() const noexcept { return latest_->value; }
   const T* operator->() const noexcept { return &latest_->value; }
   /// Since the last event came. Duration::max(): none did.
-  Duration age() const { return latest_ != nullptr && latest_->time ? latest_->age() : Duration::max(); }
+  Duration age() const { return latest_ != nullptr ? latest_->age() : Duration::max(); }
   /// Of the last event.
   std::optional<Time> time() const noexcept { return latest_ != nullptr ? latest_->time : std::nullopt; }
 
  private:
-  struct Latest {
-    Latest(rtdata::detail::Node& node, Duration age) : machine(node), max_age(age) { machine.retain(); }
-    Latest(const Latest&) = delete;
-    Latest& operator=(const Latest&) = delete;
-    ~Latest() { machine.release(); }
-    Duration age() const { return machine.is_open() ? detail::now_of(machine) - came : Duration::max(); }
-    bool is_old() const { return max_age != Duration::max() && age() > max_age; }
+  struct Latest : detail::InputTimes {
+    using InputTimes::InputTimes;
     void take(const Event<T>& event) {
       if (!machine.is_open()) return;
-      const bool was_stale = time && is_old();
       value = *event;
-      time = event.time;
-      came = detail::now_of(machine);
-      // Last: the machine's actions may end the life of this input.
-      detail::input_event(machine, event.time, was_stale ? detail::Before::stale : detail::Before::fresh);
+      detail::input_event(*this, event.time);
     }
-    rtdata::detail::Node& machine;
-    const Duration max_age;
     T value{};
-    std::optional<Time> time;  // none: nothing came yet
-    MonotonicTime came{};
     Subscription subscription;
   };
   std::unique_ptr<Latest> latest_;

@@ -7,16 +7,22 @@
 namespace rtdata {
 namespace {
 
+template <class Returned, class Function>
+[[gnu::noinline]] Returned there(detail::SourceNode& source, Returned otherwise, Function function) {
+  source.loop()->call_there([&] {
+    if (source.is_open()) otherwise = function(source);
+  });
+  return otherwise;
+}
+
 /// Calls with the node on its loop's thread: a tier's may be another one than this. `otherwise`: when it is closed.
 template <class Returned, class Function>
 Returned with(detail::Node* node, Returned otherwise, const Function& function) {
   if (node == nullptr || !node->is_open()) return otherwise;
   auto& source = static_cast<detail::SourceNode&>(*node);
-  if (!source.loop()->runs_elsewhere()) return function(source);
-  source.loop()->call_there([&] {
-    if (source.is_open()) otherwise = function(source);
-  });
-  return otherwise;
+  if (!source.loop()->runs_elsewhere()) [[likely]]
+    return function(source);
+  return there(source, otherwise, function);
 }
 
 template <class Function>
