@@ -19,6 +19,8 @@ using rtdata::detail::Node;
 /// What makes a machine try its transitions: a named event, by its number, or any other.
 constexpr std::uint16_t any_event = 0xffff;
 constexpr const char* not_standard = "an exception that is no std::exception";
+/// As any_event, without an event: time has passed, or the program asked. What must hold for a time goes by events.
+constexpr std::uint16_t no_event = 0xfffe;
 
 class StateOfFunctions final : public State {
  public:
@@ -137,7 +139,7 @@ class MachineNode final : public Node {
       check_name(transition.on, "event");
       on = event_number(transition.on);
       if (on == any_event) {
-        if (events_.size() >= any_event)
+        if (events_.size() >= no_event)
           refuse(Errc::bad_argument, "cannot add transition", name, "there are too many events", "use fewer");
         events_.push_back(transition.on);
         on = static_cast<std::uint16_t>(events_.size() - 1);
@@ -188,7 +190,7 @@ class MachineNode final : public Node {
   }
   void look() {
     check_use("cannot look");
-    take_now(any_event);
+    take_now(no_event);
   }
   /// In a delivery of the loop.
   void input(Time time, MonotonicTime came, detail::Before before) {
@@ -281,7 +283,7 @@ class MachineNode final : public Node {
   void keep(std::uint16_t event, Time time) {
     if (waiting_ == queue_.size()) {
       ++counts_.dropped;
-      return report(Errc::backlog, "an event was dropped", event == any_event ? "of an input" : events_[event],
+      return report(Errc::backlog, "an event was dropped", event >= no_event ? "of an input" : events_[event],
                     std::to_string(queue_.size()) + " wait for the end of a change already",
                     "raise fewer in one action");
     }
@@ -304,7 +306,7 @@ class MachineNode final : public Node {
   }
   void time_passed() {
     const rtdata::detail::Call call(*this);
-    take_now(any_event);
+    take_now(no_event);
     if (is_open()) arm();
   }
   /// The loop's time, on the line of the events: those of a recording that is replayed are of another day.
@@ -327,7 +329,7 @@ class MachineNode final : public Node {
 
   void try_ways(std::uint16_t event, Time time, MonotonicTime now) {
     ++counts_.events;
-    const bool is_named = event != any_event;
+    const bool is_named = event < no_event;
     if (current_ == nullptr || !feed_.is_running() || (is_named && !waits_for(*current_, event))) {
       if (is_named) ++counts_.ignored;
       return;
@@ -346,6 +348,8 @@ class MachineNode final : public Node {
   }
   /// The first that may be taken. None: null.
   Way* way_out(Entry& from, std::uint16_t event, const Moment& moment) {
+    const bool is_time = event == no_event;
+    if (is_time) event = any_event;
     // By index: conditions may add ways.
     for (std::size_t i = 0, count = from.ways.size(); i < count && is_open(); ++i) {
       Way& way = *from.ways[i];
@@ -354,6 +358,7 @@ class MachineNode final : public Node {
         way.since.reset();
         continue;
       }
+      if (is_time && way.hold > Duration{0}) continue;
       if (way.is_removed || !has_held(way, moment.time) || !may_go_to(way.to, moment) || way.is_removed) continue;
       return is_open() ? &way : nullptr;
     }

@@ -195,6 +195,38 @@ TEST_SUITE("fsm") {
     CHECK(times[0] == then + 10s);
   }
 
+  TEST_CASE("US-41 silence confirms nothing: time that passes, and a look, neither begin nor end what must hold") {
+    Bench b;
+    Feed<Climate> feed(b.loop, {.name = "t"});
+    fsm::Input<Climate> input(b.machine, "t");
+    const auto is_warm = [&] { return input->temperature > 3; };
+    b.machine.add_transition({.from = "a", .to = "b", .when = is_warm, .hold = 2s});
+    b.machine.add_transition({.from = "a", .to = "c", .when = [&] { return input->temperature > 100; }, .after = 4s});
+    b.machine.add_transition({.from = "b", .to = "c", .when = is_warm, .hold = 1s, .after = 3s});
+    const auto give = [&](double temperature, Duration after) {
+      b.loop.advance(after);
+      feed.publish({.temperature = temperature});
+      b.loop.advance(0ns);
+      return b.machine.state();
+    };
+    b.machine.start();
+    CHECK(give(5, 1s) == "a");
+    b.loop.advance(8s);  // with a look at 4 s
+    b.machine.look();
+    CHECK(b.machine.state() == "a");
+    CHECK(give(0, 1s) == "a");
+    CHECK(give(5, 1s) == "a");
+    b.loop.advance(2s);
+    b.machine.look();
+    CHECK(b.machine.state() == "a");
+    CHECK(give(5, 1ms) == "b");
+    CHECK(b.told() == Lines{">a: start", "a>b: a condition, for 2 s"});
+    b.loop.advance(3500ms);  // its `after` is over at 3 s
+    CHECK(give(5, 1s) == "b");
+    CHECK(give(5, 900ms) == "b");
+    CHECK(give(5, 100ms) == "c");
+  }
+
   TEST_CASE("US-41 an event that an action raises waits its turn; ten thousand are bounded, and counted") {
     Bench b;
     b.machine.add_state("busy", {.arrive = [&] {

@@ -126,7 +126,7 @@ struct Transition {
   std::string on = {};
   Condition when = {};
   /// `when` must have been true this long: with an event, and with each one since then, up to one that came this much
-  /// later. An input that was stale in between begins it anew.
+  /// later. An input that was stale in between begins it anew. Time that passes, and `look`, begin and end nothing.
   Duration hold{0};
   /// The machine must have been in `from` this long; then it is tried.
   Duration after{0};
