@@ -50,7 +50,7 @@ Result<std::string> read_kernel_file(const std::string& path, const char* what) 
 }
 
 Result<void> write_kernel_file(const std::string& path, std::string_view text, const char* what) {
-  const Descriptor file(::open(path.c_str(), O_WRONLY | O_TRUNC | O_CLOEXEC | O_NOCTTY));
+  const Descriptor file(::open(path.c_str(), O_WRONLY | O_TRUNC | O_CLOEXEC | O_NOCTTY | O_NONBLOCK));
   if (file.fd() < 0) return failure(errno, what, path);
   const std::string line = std::string(text) + "\n";
   ssize_t put = 0;

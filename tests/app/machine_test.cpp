@@ -54,6 +54,64 @@ const Finding* find(const std::vector<Finding>& findings, const std::string& sub
   return nullptr;
 }
 
+/// That scan and doctor look at, or might.
+constexpr const char* files_of_a_machine[] = {
+    "/dev/serial/by-id/usb-x",
+    "/dev/ttyUSB0",
+    "/dev/ttyS0",
+    "/dev/i2c-1",
+    "/dev/spidev0.0",
+    "/dev/gpiochip0",
+    "/sys/class/tty/ttyUSB0/device",
+    "/sys/class/tty/ttyUSB0/manufacturer",
+    "/sys/class/tty/ttyS0/type",
+    "/sys/bus/i2c/devices/i2c-1/name",
+    "/sys/bus/i2c/devices/1-0076/name",
+    "/sys/bus/i2c/devices/1-0076/driver",
+    "/sys/bus/i2c/devices/i2c-x/name",
+    "/sys/class/spi_master/spi0",
+    "/sys/bus/gpio/devices/gpiochip0/gpio",
+    "/sys/bus/iio/devices/iio:device0/name",
+    "/sys/bus/iio/devices/iio:device0/in_voltage0_raw",
+    "/sys/class/hwmon/hwmon0/name",
+    "/sys/class/hwmon/hwmon0/temp1_input",
+    "/sys/class/hwmon/hwmon0/in0_lcrit_alarm",
+    "/sys/bus/w1/devices/28-1/temperature",
+    "/sys/bus/w1/devices/2",
+    "/sys/class/pps/pps0/name",
+    "/sys/class/pwm",
+    "/proc/cmdline",
+    "/proc/version",
+    "/proc/mounts",
+    "/proc/swaps",
+    "/proc/self/timerslack_ns",
+    "/proc/sys/kernel/sched_rt_runtime_us",
+    "/proc/sys/kernel/sched_rt_period_us",
+    "/etc/group",
+    "/etc/security/limits.conf",
+    "/etc/security/limits.d/a.conf",
+    "/sys/kernel/realtime",
+    "/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor",
+    "/sys/devices/system/cpu/cpuidle/current_driver",
+    "/sys/devices/system/clocksource/clocksource0/current_clocksource",
+    "/sys/devices/system/clocksource/clocksource0/available_clocksource",
+    "/sys/devices/platform/soc/soc:firmware/get_throttled",
+    "/sys/class/rtc",
+    "/run/systemd/timesync/synchronized",
+    "/sys/class/thermal/thermal_zone0/type",
+    "/sys/class/thermal/thermal_zone0/temp",
+    "/sys/bus/w1/devices/28-1/w1_slave",
+    "/proc/loadavg",
+    "/proc/stat",
+    "/proc/meminfo",
+    "/proc/net/dev",
+    "/proc/diskstats",
+    "/sys/class/net/eth0/statistics/rx_bytes",
+    "/sys/bus/counter/devices/counter0/name",
+    "/boot/firmware/config.txt",
+    "/sys/firmware/devicetree/base/model",
+};
+
 const std::string shipped = rtdata::test::built("rtdata");
 
 }  // namespace
@@ -247,54 +305,12 @@ TEST_SUITE("app") {
   }
 
   TEST_CASE("FW-2 FW-3 scan, doctor and init take any machine: files that are missing, huge, binary, folders, pipes") {
-    const char* const paths[] = {"/dev/serial/by-id/usb-x",
-                                 "/dev/ttyUSB0",
-                                 "/dev/ttyS0",
-                                 "/dev/i2c-1",
-                                 "/dev/spidev0.0",
-                                 "/dev/gpiochip0",
-                                 "/sys/class/tty/ttyUSB0/device",
-                                 "/sys/class/tty/ttyUSB0/manufacturer",
-                                 "/sys/class/tty/ttyS0/type",
-                                 "/sys/bus/i2c/devices/i2c-1/name",
-                                 "/sys/bus/i2c/devices/1-0076/name",
-                                 "/sys/bus/i2c/devices/1-0076/driver",
-                                 "/sys/bus/i2c/devices/i2c-x/name",
-                                 "/sys/class/spi_master/spi0",
-                                 "/sys/bus/gpio/devices/gpiochip0/gpio",
-                                 "/sys/bus/iio/devices/iio:device0/name",
-                                 "/sys/bus/iio/devices/iio:device0/in_voltage0_raw",
-                                 "/sys/class/hwmon/hwmon0/name",
-                                 "/sys/class/hwmon/hwmon0/temp1_input",
-                                 "/sys/class/hwmon/hwmon0/in0_lcrit_alarm",
-                                 "/sys/bus/w1/devices/28-1/temperature",
-                                 "/sys/bus/w1/devices/2",
-                                 "/sys/class/pps/pps0/name",
-                                 "/sys/class/pwm",
-                                 "/proc/cmdline",
-                                 "/proc/version",
-                                 "/proc/mounts",
-                                 "/proc/swaps",
-                                 "/proc/self/timerslack_ns",
-                                 "/proc/sys/kernel/sched_rt_runtime_us",
-                                 "/proc/sys/kernel/sched_rt_period_us",
-                                 "/etc/group",
-                                 "/etc/security/limits.conf",
-                                 "/etc/security/limits.d/a.conf",
-                                 "/sys/kernel/realtime",
-                                 "/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor",
-                                 "/sys/devices/system/cpu/cpuidle/current_driver",
-                                 "/sys/devices/system/clocksource/clocksource0/current_clocksource",
-                                 "/sys/devices/system/clocksource/clocksource0/available_clocksource",
-                                 "/sys/devices/platform/soc/soc:firmware/get_throttled",
-                                 "/sys/class/rtc",
-                                 "/run/systemd/timesync/synchronized"};
     const Registry registry = standard_registry();
     for (unsigned seed = 0; seed < 40; ++seed) {
       CAPTURE(seed);
       std::mt19937 random(seed);
       const Machine machine;
-      for (const char* path : paths) {
+      for (const char* path : files_of_a_machine) {
         const auto at = std::filesystem::path(machine.root + path);
         std::error_code taken;  // by a file that stands where a folder should
         std::filesystem::create_directories(at.parent_path(), taken);
@@ -357,6 +373,20 @@ TEST_SUITE("app") {
         CHECK(text.end() != 1);
         CHECK(text.out.find('\x1b') == std::string::npos);
       }
+    }
+  }
+
+  TEST_CASE("FW-2 scan and doctor wait for no pipe, in whatever file's place one stands") {
+    const Machine machine;
+    for (const char* path : files_of_a_machine) {
+      const auto at = std::filesystem::path(machine.root + path);
+      std::filesystem::create_directories(at.parent_path());
+      CHECK(::mkfifo(at.c_str(), 0600) == 0);
+    }
+    for (const char* command : {"scan", "doctor"}) {
+      Process run(machine.folder, shipped, {command, "--root", machine.root, "--json"});
+      CHECK(run.end() != 1);
+      CHECK(nlohmann::json::accept(run.out));
     }
   }
 
@@ -444,7 +474,12 @@ TEST_SUITE("app") {
 
     Process nowhere(folder, shipped, {"doctor", "--root", "nowhere"});
     CHECK(nowhere.end() == 1);
-    CHECK(nowhere.err.find("nowhere") != std::string::npos);
+    CHECK(nowhere.err == "rtdata: cannot read the copy of the machine: nowhere: No such file or directory\n");
+    for (const char* command : {"scan", "doctor"}) {
+      Process file(folder, shipped, {command, "--root", "wrong.json"});
+      CHECK(file.end() == 1);
+      CHECK(file.err.find("wrong.json: Not a directory") != std::string::npos);
+    }
 
     Process here(folder, shipped, {"doctor", "--json"});
     const int status = here.end();

@@ -199,7 +199,8 @@ int bench(const BenchOptions& options) {
   if (!options.json_file.empty() && options.json_file != "-") {
     file.open(options.json_file);
     if (!file) {
-      std::cerr << "rtdata: " << system_error(errno, "cannot write the figures", options.json_file).text() << std::endl;
+      const Error error = system_error(errno, "cannot write the figures", options.json_file);
+      std::cerr << "rtdata: " << error.text() << std::endl;
       return exit_other;
     }
   }

@@ -33,7 +33,7 @@ class ProcFile {
   ~ProcFile() { close(); }
 
   Result<void> open() {
-    fd_ = ::open(path_.c_str(), O_RDONLY | O_CLOEXEC);
+    fd_ = ::open(path_.c_str(), O_RDONLY | O_CLOEXEC | O_NOCTTY | O_NONBLOCK);  // below `root` there may be a pipe
     if (fd_ < 0) return system_error(errno, cannot_read, path_, not_here);
     return {};
   }
