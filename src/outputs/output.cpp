@@ -120,6 +120,10 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   }
 
   bool is_armed() const noexcept { return is_armed_; }
+  void when_told(Callback<void()> done) {
+    if (told_armed_ == is_armed_) return loop()->post(std::move(done));
+    waiting_.push_back(std::move(done));
+  }
   bool has_ended_unsafe() const noexcept { return has_ended_unsafe_; }
   bool is_safe() const noexcept { return !is_busy_ && value_ && *value_ == config_.safe; }
   std::optional<double> value() const noexcept { return value_; }
@@ -413,12 +417,16 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     OutputChange change{.asked = order.value, .done = done, .cause = order.cause, .armed = is_armed_, .by = order.by};
     if (done) change.took = std::chrono::duration<double>(now() - order.asked).count();
     change.why = fitted<160>(why);
-    if (is_running()) take_sample(&change, loop()->runtime.event_time(now()));
+    if (!is_running()) return;
+    take_sample(&change, loop()->runtime.event_time(now()));
+    told_armed_ = change.armed;
+    for (Callback<void()>& waits : std::exchange(waiting_, {})) loop()->post(std::move(waits));
   }
 
   void on_close() noexcept override {
     give_back();
     subscriptions_.clear();
+    waiting_.clear();
     for (Timer* timer : {&stale_, &lease_, &retry_, &patience_}) timer->close();
     beat_.close();
     FeedNode::on_close();
@@ -435,10 +443,12 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   std::optional<double> value_;  // that the device has
   Order busy_;                   // on its way, if there is one
   std::optional<Order> next_;
+  std::vector<Callback<void()>> waiting_;  // for an event that says whether it is armed
   MonotonicTime last_set_{}, last_input_{}, heard_{};
   bool is_held_ = false;
   bool is_busy_ = false;
   bool is_armed_ = false;
+  bool told_armed_ = false;  // by the last event
   bool is_stale_ = false;
   bool is_overdue_ = false;
   bool is_failing_ = false;
@@ -511,6 +521,12 @@ Result<void> Output::disarm(std::string_view by) {
 }
 bool Output::is_armed() const noexcept {
   return with(node(), false, [](const detail::OutputNode& output) { return output.is_armed(); });
+}
+void Output::when_told(Callback<void()> done) {
+  with(node(), 0, [&](detail::OutputNode& output) {
+    output.when_told(std::move(done));
+    return 0;
+  });
 }
 bool Output::has_ended_unsafe() const noexcept {
   return with(node(), false, [](const detail::OutputNode& output) { return output.has_ended_unsafe(); });

@@ -1,12 +1,9 @@
 // Outputs of configurations: what check says, reloads, and the program, which is killed while one is on.
 #include <doctest/doctest.h>
-#include <fcntl.h>
-#include <pty.h>
 #include <signal.h>
 #include <unistd.h>
 
 #include <algorithm>
-#include <array>
 #include <chrono>
 #include <map>
 #include <string>
@@ -16,6 +13,7 @@
 #include "app/process.hpp"
 #include "app/runtime_folder.hpp"
 #include "outputs/memory_actuator.hpp"
+#include "outputs/terminal.hpp"
 #include "paths.hpp"
 #include "rtdata/app/standard.hpp"
 #include "rtdata/config/change.hpp"
@@ -28,6 +26,7 @@
 using namespace rtdata;
 using namespace std::chrono_literals;
 using outputs_test::Device;
+using outputs_test::Terminal;
 using test::Folder;
 using test::Process;
 
@@ -73,38 +72,6 @@ bool is_refused(const std::string& outputs, const std::string& why) {
     if (!is_so) MESSAGE(problem);
   return is_so;
 }
-
-struct Terminal {
-  int master = -1, slave = -1;
-  std::string name;
-  Terminal() {
-    std::array<char, 128> path{};
-    REQUIRE(::openpty(&master, &slave, path.data(), nullptr, nullptr) == 0);
-    name = path.data();
-    ::close(slave);
-    slave = ::open(name.c_str(), O_RDWR | O_NOCTTY | O_CLOEXEC);  // so that it stays when the program has gone
-    ::fcntl(master, F_SETFL, O_NONBLOCK);
-  }
-  ~Terminal() {
-    ::close(master);
-    ::close(slave);
-  }
-  /// What has come, until it ends with this.
-  bool reads(const std::string& end) { return reads_within(end, 30s); }
-  bool reads_within(const std::string& end, Duration patience) {
-    const auto limit = std::chrono::steady_clock::now() + patience;
-    while (!got.ends_with(end) && std::chrono::steady_clock::now() < limit) {
-      std::array<char, 256> buffer{};
-      const ssize_t size = ::read(master, buffer.data(), buffer.size());
-      if (size > 0)
-        got.append(buffer.data(), static_cast<std::size_t>(size));
-      else
-        std::this_thread::sleep_for(1ms);
-    }
-    return got.ends_with(end);
-  }
-  std::string got;
-};
 
 }  // namespace
 

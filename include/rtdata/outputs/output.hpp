@@ -51,6 +51,7 @@
 #include "rtdata/data/description.hpp"
 #include "rtdata/data/parameter.hpp"
 #include "rtdata/data/text.hpp"
+#include "rtdata/loop/callback.hpp"
 #include "rtdata/sensors/sensor.hpp"
 
 namespace rtdata {
@@ -166,6 +167,9 @@ class Output : public AnySensor {
   Result<void> disarm(std::string_view by);
 
   bool is_armed() const noexcept;
+  /// Calls `done` on its loop, in a later turn, when the last event of its topic says whether it is armed: at once, or
+  /// with the answer of the device, which arming does not wait for and disarming does. Never, when it is closed before.
+  void when_told(Callback<void()> done);
   /// The device is known to have its safe value.
   bool is_safe() const noexcept;
   /// It was stopped, and nobody knows whether its device has the safe value.

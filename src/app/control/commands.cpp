@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <charconv>
+#include <memory>
 #include <nlohmann/json.hpp>
 #include <sstream>
 #include <stdexcept>
@@ -204,10 +205,25 @@ void repeat_command(System& system, const CommandRecord& recorded) {
   }
 }
 
-CommandOutcome CommandDesk::run(const Words& words, std::string_view by) {
-  CommandOutcome outcome = act(system_, words, by);
-  keep(words, by, outcome);
-  return outcome;
+void CommandDesk::run(const Words& words, std::string_view by, Told told) {
+  const auto outcome = std::make_shared<CommandOutcome>();
+  const auto tell = [this, words, by = std::string(by), told = std::move(told), outcome] {
+    keep(words, by, *outcome);
+    told(*outcome);
+  };
+  const auto done = [&] {
+    *outcome = act(system_, words, by);
+    return outcome->done;
+  };
+  if (words.size() != 2 || (words[0] != "arm" && words[0] != "disarm")) {
+    done();
+    return tell();
+  }
+  keeper_.keep(words[1], done, [outcome, tell](const std::string& failed) {
+    if (!failed.empty()) *outcome = {false, outcome->text + "; " + failed};
+    tell();
+  });
+  if (!outcome->done) tell();
 }
 
 void CommandDesk::keep(const Words& words, std::string_view by, const CommandOutcome& outcome) {

@@ -7,6 +7,7 @@
 #include <string_view>
 #include <vector>
 
+#include "app/control/arm_keeper.hpp"
 #include "rtdata/config/system.hpp"
 #include "rtdata/sensors/feed.hpp"
 
@@ -45,10 +46,15 @@ void repeat_command(System& system, const CommandRecord& recorded);
 class CommandDesk {
  public:
   using Log = std::function<void(const std::string& text, bool done)>;
-  CommandDesk(Loop& loop, System& system, Log log) : loop_(loop), system_(system), log_(std::move(log)) {}
+  using Told = std::function<void(const CommandOutcome&)>;
+  CommandDesk(Loop& loop, System& system, Log log)
+      : loop_(loop), system_(system), log_(std::move(log)), keeper_(loop, system) {}
 
-  /// Does what the words say, of all commands but `reload`, and records it.
-  CommandOutcome run(const std::vector<std::string>& words, std::string_view by);
+  /// Does what the words say, of all commands but `reload`, records it, and tells what came of it: at once, but of
+  /// arming and disarming when that is on the card, or after 3 s.
+  void run(const std::vector<std::string>& words, std::string_view by, Told told);
+  /// The run ends: who still waits is told.
+  void end() { keeper_.end(); }
   /// Records a command and what came of it: its event is the topic's, and a line of the log.
   void keep(const std::vector<std::string>& words, std::string_view by, const CommandOutcome& outcome);
 
@@ -56,6 +62,7 @@ class CommandDesk {
   Loop& loop_;
   System& system_;
   Log log_;
+  ArmKeeper keeper_;
   Feed<CommandRecord> record_;  // made with the first command
 };
 

@@ -11,11 +11,11 @@ namespace rtdata::app {
 namespace {
 
 using fsm::MachineSettings;
-using Beginning = fsm::ConfiguredMachine::Beginning;
 
 constexpr std::size_t most_runs = 100;  // that are looked at
 
 struct LastKnown {
+  RunInfo run;
   std::string state;
   Duration in_state{0};           // when the run ended, as far as it is recorded
   std::optional<Duration> pause;  // since then; none: no clock can say it
@@ -60,7 +60,7 @@ Result<std::optional<LastKnown>> last_known(Loop& loop, const MachineSettings& s
       auto next = changes->next();
       if (!next) return std::move(next).error();
       if (*next == nullptr) break;
-      last = LastKnown{std::string((*next)->data.to), Duration{0}, std::nullopt};
+      last = LastKnown{*run, std::string((*next)->data.to), Duration{0}, std::nullopt};
       at = (*next)->time;
     }
     if (!last) continue;
@@ -74,7 +74,7 @@ Result<std::optional<LastKnown>> last_known(Loop& loop, const MachineSettings& s
 
 }  // namespace
 
-std::optional<Beginning> resumed(Loop& loop, const MachineSettings& settings, const std::string& path) {
+std::optional<Resumed> resumed(Loop& loop, const MachineSettings& settings, const std::string& path) {
   const auto tell = [&](LogLevel level, const std::string& text) {
     loop.runtime().core().log(level, "machine " + settings.name, text);
   };
@@ -105,31 +105,25 @@ std::optional<Beginning> resumed(Loop& loop, const MachineSettings& settings, co
     return std::nullopt;
   }
   tell(LogLevel::warning, "it goes on in " + last.state + ", after " + pause);
-  return Beginning{last.state, last.in_state + last.pause.value_or(Duration{0}), "resumed after " + pause};
+  return Resumed{{last.state, last.in_state + last.pause.value_or(Duration{0}), "resumed after " + pause}, last.run};
 }
 
-bool was_armed(const std::string& path, const std::string& output, const std::string& topic) {
+bool was_armed(const std::string& path, std::int64_t run, const std::string& output, const std::string& topic) {
   const auto recording = Recording::open(path);
-  const auto runs = recording ? recording->runs() : Result<std::vector<RunInfo>>(recording.error());
-  if (!runs) return false;
-  std::size_t looked_at = 0;
-  for (auto run = runs->rbegin(); run != runs->rend() && looked_at < most_runs; ++run, ++looked_at) {
-    RowFilter filter;
-    filter.topic = topic;
-    filter.run = run->run;
-    filter.origin = output;
-    auto changes = recording->events<OutputChange>(filter);
-    if (!changes) return false;
-    std::optional<bool> is_armed;
-    for (;;) {
-      const auto next = changes->next();
-      if (!next) return false;
-      if (*next == nullptr) break;
-      if ((*next)->data.cause != OutputCause::stop) is_armed = (*next)->data.armed;
-    }
-    if (is_armed) return *is_armed;
+  if (!recording) return false;
+  RowFilter filter;
+  filter.topic = topic;
+  filter.run = run;
+  filter.origin = output;
+  auto changes = recording->events<OutputChange>(filter);
+  if (!changes) return false;
+  bool is_armed = false;
+  for (;;) {
+    const auto next = changes->next();
+    if (!next) return false;
+    if (*next == nullptr) return is_armed;
+    if ((*next)->data.cause != OutputCause::stop) is_armed = (*next)->data.armed;
   }
-  return false;
 }
 
 }  // namespace rtdata::app

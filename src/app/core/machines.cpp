@@ -28,6 +28,12 @@ struct PlacedMachine {
   }
 };
 
+bool arms(const fsm::MachineSettings& settings, const std::string& output) {
+  return std::any_of(settings.states.begin(), settings.states.end(), [&](const fsm::StateSettings& state) {
+    return std::find(state.arm.begin(), state.arm.end(), output) != state.arm.end();
+  });
+}
+
 /// What a state does to outputs.
 class OutputSetter {
  public:
@@ -49,21 +55,16 @@ class OutputSetter {
     }
   }
   /// Those that were armed when the machine paused.
-  void arm_again(const Parts& parts, const std::string& recording) const {
+  void arm_again(const Parts& parts, const std::string& recording, std::int64_t run) const {
     for (const PartPlan* plan : parts.plans()) {
       const auto known = plan->kind == "output" ? outputs_.find(plan->name) : outputs_.end();
-      if (known == outputs_.end() || !is_armed_by_states(plan->name)) continue;
-      if (was_armed(recording, plan->name, plan->publishes->topic))
+      if (known == outputs_.end() || !arms(settings_, plan->name)) continue;
+      if (was_armed(recording, run, plan->name, plan->publishes->topic))
         tell(plan->name, "armed", known->second->arm(by_ + ", resumed"));
     }
   }
 
  private:
-  bool is_armed_by_states(const std::string& output) const {
-    return std::any_of(settings_.states.begin(), settings_.states.end(), [&](const fsm::StateSettings& state) {
-      return std::find(state.arm.begin(), state.arm.end(), output) != state.arm.end();
-    });
-  }
   void tell(const std::string& output, const char* what, const Result<void>& done) const {
     if (!done)
       loop_.runtime().core().log(LogLevel::error, by_,
@@ -110,8 +111,11 @@ PartObject make(Loop& loop, const Parts& parts, const fsm::MachineSettings& sett
     std::string path;
     for (const PartPlan* plan : parts.plans())
       if (plan->kind == "sink" && plan->name == settings.resume->recording) path = plan->stores->path;
-    if (!before) beginning = resumed(loop, settings, path);
-    if (!before && beginning) setter->arm_again(parts, path);
+    if (const auto last = before ? std::nullopt : resumed(loop, settings, path)) {
+      beginning = last->beginning;
+      // Of one that a reload adds again, the outputs are as they are.
+      if (last->run.uuid != loop.runtime().core().run_uuid()) setter->arm_again(parts, path, last->run.run);
+    }
     Sink& sink = parts.get<Sink>("sink", settings.resume->recording);
     sync = [&sink](Callback<void()> done) { sink.sync(std::move(done)); };
   }
@@ -186,6 +190,26 @@ std::optional<NotArmedIn> refuses_arming(const Parts& parts, const std::string& 
     if (!states.empty() && !is_possible) return NotArmedIn{name, now, states};
   }
   return std::nullopt;
+}
+
+std::vector<ArmsAgain> who_arms_again(const Parts& parts, const std::string& output) {
+  const auto named = [&](std::string_view kind, std::string_view name) -> const PartPlan* {
+    for (const PartPlan* plan : parts.plans())
+      if (plan->kind == kind && plan->name == name) return plan;
+    return nullptr;
+  };
+  std::vector<ArmsAgain> all;
+  const PartPlan* const plan = named("output", output);
+  for (const std::string& name : parts.names("machine")) {
+    const auto* const machine = parts.find<fsm::ConfiguredMachine>("machine", name);
+    if (plan == nullptr || machine == nullptr) continue;
+    const fsm::MachineSettings& settings = machine->settings();
+    if (!settings.resume || !arms(settings, output)) continue;
+    const PartPlan* const recording = named("sink", settings.resume->recording);
+    if (recording != nullptr && recording->stores->wants(plan->publishes->topic))
+      all.push_back({name, recording, plan->publishes->topic, settings.resume->wait});
+  }
+  return all;
 }
 
 }  // namespace rtdata::app

@@ -3,22 +3,36 @@
 
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "rtdata/config/registry.hpp"
 #include "rtdata/fsm/configured.hpp"
 #include "rtdata/loop/loop.hpp"
+#include "rtdata/sinks/recording.hpp"
 
 namespace rtdata::app {
 
 void add_machines(Registry& registry);
 
-/// The state in which the last run of a recording that knows the machine left it, as `resume` says; nothing: it begins
-/// in `start`. What was found, and what follows from it, goes to the log. Reads the file.
-std::optional<fsm::ConfiguredMachine::Beginning> resumed(Loop& loop, const fsm::MachineSettings& settings,
-                                                         const std::string& path);
+/// The state in which the last run of a recording that knows the machine left it, as `resume` says, and that run.
+struct Resumed {
+  fsm::ConfiguredMachine::Beginning beginning;
+  RunInfo run;
+};
+/// Nothing: it begins in `start`. What was found, and what follows from it, goes to the log. Reads the file.
+std::optional<Resumed> resumed(Loop& loop, const fsm::MachineSettings& settings, const std::string& path);
 
-/// Whether an output was armed when the last run of a recording that knows it ended. Reads the file.
-bool was_armed(const std::string& recording, const std::string& output, const std::string& topic);
+/// Whether an output was armed at the end of a run of a recording. Reads the file.
+bool was_armed(const std::string& recording, std::int64_t run, const std::string& output, const std::string& topic);
+
+/// A machine that, after a kill, would arm the output again if its recording says that it was armed.
+struct ArmsAgain {
+  std::string machine;
+  const PartPlan* recording;  ///< valid until the system changes
+  std::string topic;          ///< of the output
+  Duration wait;              ///< for the card, at most
+};
+std::vector<ArmsAgain> who_arms_again(const Parts& parts, const std::string& output);
 
 /// The machine in whose present state this output cannot be armed, and that state; nothing: it can be.
 struct NotArmedIn {

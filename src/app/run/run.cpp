@@ -30,7 +30,7 @@ namespace rtdata::app {
 namespace {
 
 constexpr Duration redraw_period = std::chrono::milliseconds{500};
-constexpr Duration reload_patience = std::chrono::seconds{4};  // less than that of the control socket
+constexpr Duration answer_patience = std::chrono::seconds{4};  // less than that of the control socket
 constexpr Duration line_period = std::chrono::seconds{10};     // in a pipe, and for the service manager
 
 /// One run, from the file to the exit status. Members in the order in which they may go.
@@ -129,6 +129,7 @@ class Run {
       }
       (void)service.tell("STOPPING=1\nSTATUS=storing what is queued");
       is_closing_ = true;
+      desk.end();
       ticker.set_period(redraw_period);
       not_stored_ += reload.not_stored();  // what its sinks still send is among what closing counts
       not_stored_ += loop.close(close_deadline_);
@@ -186,7 +187,7 @@ class Run {
                    },
                    {words.begin() + static_cast<std::ptrdiff_t>(std::min<std::size_t>(words.size(), 2)), words.end()});
     });
-    if (told.wait_for(reload_patience) == std::future_status::ready) return told.get();
+    if (told.wait_for(answer_patience) == std::future_status::ready) return told.get();
     return {false,
             "it is not applied yet: the loop is busy, such as storing what a closed sink has; the log says what "
             "comes of it"};
@@ -244,8 +245,14 @@ class Run {
       const std::string by = control->peer_of(client);
       if (words[0] == "reload" && (words.size() == 1 || (words.size() > 2 && words[1] == "give-up")))
         return [&, words, by] { return command_answer(reload_for(loop, reload, desk, words, by)); };
-      return [outcome = is_closing_ ? CommandOutcome{false, "it ends already"} : desk.run(words, by)] {
-        return command_answer(outcome);
+      if (is_closing_) return [] { return command_answer({false, "it ends already"}); };
+      auto outcome = std::make_shared<std::promise<CommandOutcome>>();
+      desk.run(words, by, [outcome](const CommandOutcome& came) { outcome->set_value(came); });
+      return [told = std::make_shared<std::future<CommandOutcome>>(outcome->get_future())] {
+        if (told->wait_for(answer_patience) == std::future_status::ready) return command_answer(told->get());
+        return command_answer({false,
+                               "it is not known yet whether that is on the card: the loop is busy; the log "
+                               "says what comes of it"});
       };
     };
     try {
