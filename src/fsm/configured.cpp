@@ -68,6 +68,8 @@ struct ConfiguredMachine::Core {
   std::atomic<std::uint64_t> shown{0};
 
   Callback<void(std::string_view)> handler;
+  bool is_acted_on = false;   // the present arrival
+  bool was_acted_on = false;  // the arrival with which it begins, of the machine before
   std::uint64_t arrivals = 0;
   std::uint64_t syncing = 0;  // the arrival that is to be on the card; 0: none is awaited
   std::weak_ptr<Core> self;
@@ -241,7 +243,8 @@ void ConfiguredMachine::Core::arrived(std::size_t index) {
     if (last_time) evaluate(when, *last_time);  // its memories begin with what the machine arrived with
   }
   ++arrivals;
-  act();
+  is_acted_on = std::exchange(was_acted_on, false);
+  if (!is_acted_on) act();
 }
 
 void ConfiguredMachine::Core::act() {
@@ -260,6 +263,7 @@ void ConfiguredMachine::Core::acted_on(std::uint64_t number) {
   syncing = 0;
   if (patience) patience.stop();
   if (number != arrivals) return act();
+  is_acted_on = true;
   if (handler) handler(settings.states[state].name);
 }
 
@@ -289,6 +293,7 @@ ConfiguredMachine::ConfiguredMachine(Loop& loop, const MachineSettings& settings
   core_->self = core_;
   core_->listen();
   if (beginning) {
+    core_->was_acted_on = beginning->is_acted_on;
     core_->machine.start_in(beginning->state, beginning->cause, beginning->in_state);
   } else {
     core_->machine.start();
@@ -318,6 +323,7 @@ ConfiguredMachine::Now ConfiguredMachine::now() const noexcept {
   const auto us = static_cast<std::int64_t>(shown & ((std::uint64_t{1} << time_bits) - 1));
   return {core_->settings.states[shown >> time_bits].name, MonotonicTime{std::chrono::microseconds{us}}};
 }
+bool ConfiguredMachine::is_acted_on() const noexcept { return core_->is_acted_on; }
 
 void ConfiguredMachine::on_state(Callback<void(std::string_view)> handler) { core_->handler = std::move(handler); }
 MachineCounts ConfiguredMachine::counts() const noexcept { return core_->machine.counts(); }

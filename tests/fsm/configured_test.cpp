@@ -240,6 +240,53 @@ TEST_SUITE("fsm") {
     CHECK(b.machine->now().state == "c");
   }
 
+  TEST_CASE("US-41 in the place of another, a machine acts on its state once, also while the card is waited for") {
+    NEEDS_EXPRESSIONS();
+    const fsm::MachineSettings settings{
+        .name = "m",
+        .start = "up",
+        .states = {{.name = "up"}, {.name = "down"}},
+        .transitions = {{.from = "up", .to = "down", .event = "go"}, {.from = "down", .to = "up", .event = "back"}},
+        .resume = fsm::ResumeSettings{.recording = "r", .max_age = 1min, .wait = 10s}};
+    Loop loop{Loop::Manual{}};
+    std::vector<Callback<void()>> syncs;
+    const auto sync = [&](Callback<void()> done) { syncs.push_back(std::move(done)); };
+    Lines acted;
+    std::optional<fsm::ConfiguredMachine> machine;
+    const auto make = [&](const std::optional<fsm::ConfiguredMachine::Beginning>& beginning) {
+      machine.reset();
+      machine.emplace(loop, settings, beginning, sync);
+      machine->on_state([&](std::string_view state) { acted.emplace_back(state); });
+    };
+    const auto reload = [&] {
+      const fsm::ConfiguredMachine::Now now = machine->now();
+      make(fsm::ConfiguredMachine::Beginning{std::string(now.state), 1s, "reloaded", machine->is_acted_on()});
+    };
+    make(std::nullopt);
+    REQUIRE(syncs.size() == 1);
+    CHECK_FALSE(machine->is_acted_on());
+    syncs[0]();
+    CHECK(machine->is_acted_on());
+    CHECK(std::exchange(acted, {}) == Lines{"up"});
+    machine->raise("go").or_throw();
+    loop.advance(0ns);
+    REQUIRE(syncs.size() == 2);
+    reload();  // the card has not answered
+    REQUIRE(syncs.size() == 3);
+    syncs[1]();  // the one before has gone
+    CHECK(acted.empty());
+    syncs[2]();
+    CHECK(std::exchange(acted, {}) == Lines{"down"});
+    reload();
+    reload();
+    CHECK(machine->is_acted_on());
+    CHECK(syncs.size() == 3);
+    machine->raise("back").or_throw();
+    loop.advance(11s);  // longer than it waits
+    CHECK(syncs.size() == 4);
+    CHECK(acted == Lines{"up"});
+  }
+
   TEST_CASE("US-41 the schema knows machines, which need no type") {
     const std::string schema = standard_registry().schema();
     CHECK(schema.find("\"machines\"") != std::string::npos);

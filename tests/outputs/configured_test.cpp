@@ -201,6 +201,66 @@ TEST_SUITE("outputs") {
     CHECK(devices.all["A"].did == Lines{"open 0", "set 1", "set 0", "gone"});
   }
 
+  TEST_CASE("US-35 US-41 a reload fires nothing again: an output gets back what its machine had set, if it had that") {
+    if (!Expression::available()) return;
+    Devices devices;
+    Loop loop{Loop::Manual{}};
+    be_quiet(loop);
+    const auto plan =
+        [&](const std::string& igniter, const std::string& valve, const std::string& machine) {
+          return plan_system(devices.registry, parse_config(R"({"outputs": [
+        {"name": "igniter", "type": "memory", "device": "I", "lease": "1 s")" +
+                                                                igniter +
+                                                                R"(},
+        {"name": "valve", "type": "memory", "device": "V")" + valve +
+                                                                R"(}],
+        "machines": [{"name": "m", "start": "pad", "states": [{"name": "pad"},
+          {"name": "fire", "set": [{"output": "igniter"}, {"output": "valve", "value": 2}]}, {"name": "coast"}],
+          "transitions": [{"from": "pad", "to": "fire", "event": "go"}, {"from": "fire", "to": "coast", "event": "on"},
+                          {"from": "coast", "to": "fire", "event": "again"})" +
+                                                                machine + "]}]}",
+                                                            "f.json"));
+        };
+    const auto begin = plan("", "", "");
+    REQUIRE_MESSAGE(begin.good(), begin.report());
+    System system(loop, devices.registry, begin);
+    const auto raise = [&](const char* event) {
+      system.parts().get<fsm::ConfiguredMachine>("machine", "m").raise(event).or_throw();
+      loop.advance(1ms);
+    };
+    const auto did = [&](const char* device) {
+      loop.advance(1ms);
+      return std::exchange(devices.all[device].did, {});
+    };
+    const std::string more = R"(, {"from": "pad", "to": "coast", "event": "x"})";
+    raise("go");
+    CHECK(did("I") == Lines{"open 0", "set 1"});
+    CHECK(did("V") == Lines{"open 0", "set 2"});
+    loop.advance(2s);
+    CHECK(did("I") == Lines{"set 0"});  // its lease is over
+    CHECK(system.apply(plan("", "", more)).count(Fate::restarted) == 1);
+    CHECK(did("I").empty());
+    CHECK(did("V").empty());
+    CHECK(system.parts().get<fsm::ConfiguredMachine>("machine", "m").now().state == "fire");
+    // Made anew, each has what it had, also in a state that sets nothing.
+    const std::string slower = R"(, "watchdog": "2 s")";
+    system.apply(plan(slower, slower, more));
+    CHECK(did("I") == Lines{"set 0", "gone", "open 0"});
+    CHECK(did("V") == Lines{"set 0", "gone", "open 0", "set 2"});
+    raise("on");
+    system.apply(plan(slower, "", more));
+    CHECK(did("V") == Lines{"set 0", "gone", "open 0", "set 2"});
+    system.parts().get<Output>("output", "valve").set(0, "operator").or_throw();
+    CHECK(did("V") == Lines{"set 0"});
+    system.apply(plan(slower, slower, ""));
+    CHECK(did("V") == Lines{"set 0", "gone", "open 0"});
+    CHECK(did("I").empty());
+    // An arrival sets them again.
+    raise("again");
+    CHECK(did("I") == Lines{"set 1"});
+    CHECK(did("V") == Lines{"set 2"});
+  }
+
   TEST_CASE("US-35 US-39 outputs follow the states of a machine and an alarm, which hold until they change") {
     Devices devices;
     Loop loop{Loop::Manual{}};

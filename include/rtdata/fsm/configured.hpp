@@ -153,8 +153,9 @@ class ConfiguredMachine {
   /// Where a machine goes on. Nothing: in `start`.
   struct Beginning {
     std::string state;
-    Duration in_state{0};    ///< how long it has been in it already
-    std::string cause = {};  ///< of the change, which is published: "resumed after 1.2 s"
+    Duration in_state{0};      ///< how long it has been in it already
+    std::string cause = {};    ///< of the change, which is published: "resumed after 1.2 s"
+    bool is_acted_on = false;  ///< who acts on the states has heard of it, and hears of the next one
   };
   /// Calls `done` on the machine's loop when what was published up to now is on the card.
   using Sync = std::function<void(Callback<void()> done)>;
@@ -174,6 +175,8 @@ class ConfiguredMachine {
   };
   /// Any thread.
   Now now() const noexcept;
+  /// Who acts on the states has heard of the present one.
+  bool is_acted_on() const noexcept;
   /// For who acts on the states: called after each arrival, on the loop. With `resume`, once the change is on the card
   /// or `wait` is over; of changes that come meanwhile, the last. One handler; an empty one ends it.
   void on_state(Callback<void(std::string_view state)> handler);

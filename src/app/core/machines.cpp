@@ -46,12 +46,38 @@ class OutputSetter {
     std::erase_if(outputs_, [](const auto& output) { return output.second == nullptr; });  // a replay makes none
   }
   bool is_needed() const { return !outputs_.empty(); }
-  void arrive(std::string_view name) const {
+  void arrive(std::string_view name) {
     for (const fsm::StateSettings& state : settings_.states) {
       if (state.name != name) continue;
       for (const fsm::OutputValue& one : state.set)
-        if (const auto known = outputs_.find(one.output); known != outputs_.end())
-          tell(one.output, "set", known->second->set(one.value, by_));
+        if (const auto known = outputs_.find(one.output); known != outputs_.end()) set(*known->second, one);
+    }
+  }
+  template <class Function>
+  auto on_its_loop(const Function& function) const {
+    if (!loop_.core().runs_elsewhere()) return function();
+    std::optional<decltype(function())> result;
+    loop_.core().call_there([&] { result = function(); });
+    return std::move(*result);
+  }
+  /// What outputs have by the machine: of a value that somebody else set, or whose lease is over, nothing.
+  std::vector<fsm::OutputValue> held() const {
+    std::vector<fsm::OutputValue> all;
+    for (const fsm::OutputValue& one : set_) {
+      const Output& output = *outputs_.at(one.output);
+      if (output.is_armed() && output.value() == one.value) all.push_back(one);
+    }
+    return all;
+  }
+  /// Of the machine before: those that a reload has made anew get it again.
+  void hold(const std::vector<fsm::OutputValue>& before) {
+    for (const fsm::OutputValue& one : before) {
+      const auto known = outputs_.find(one.output);
+      if (known == outputs_.end()) continue;
+      if (known->second->value() == one.value)
+        set_.push_back(one);
+      else
+        set(*known->second, one);
     }
   }
   /// Those that were armed when the machine paused.
@@ -65,6 +91,12 @@ class OutputSetter {
   }
 
  private:
+  void set(Output& output, const fsm::OutputValue& one) {
+    std::erase_if(set_, [&](const fsm::OutputValue& other) { return other.output == one.output; });
+    const Result<void> done = output.set(one.value, by_);
+    if (done) set_.push_back(one);
+    tell(one.output, "set", done);
+  }
   void tell(const std::string& output, const char* what, const Result<void>& done) const {
     if (!done)
       loop_.runtime().core().log(LogLevel::error, by_,
@@ -75,6 +107,21 @@ class OutputSetter {
   const fsm::MachineSettings settings_;
   const std::string by_;
   std::map<std::string, Output*> outputs_;
+  std::vector<fsm::OutputValue> set_;  // by the machine, the last of each output
+};
+
+struct ActingMachine : fsm::ConfiguredMachine {
+  ActingMachine(fsm::ConfiguredMachine machine, std::shared_ptr<OutputSetter> its_setter)
+      : ConfiguredMachine(std::move(machine)), setter(std::move(its_setter)) {}
+  std::shared_ptr<OutputSetter> setter;
+};
+
+/// The machine in whose place another is made.
+struct MachineBefore {
+  std::string state;
+  MonotonicTime since;
+  bool is_acted_on;
+  std::vector<fsm::OutputValue> held;
 };
 
 /// A change, and each state as a name that is true in it. Null: a state is called as a name cannot be.
@@ -88,20 +135,19 @@ std::shared_ptr<const Description> with_states(const fsm::MachineSettings& setti
 
 /// Where a machine goes on that a reload makes anew. None: its state is not there any more, which is said.
 std::optional<fsm::ConfiguredMachine::Beginning> after_reload(Loop& loop, const fsm::MachineSettings& settings,
-                                                              const fsm::ConfiguredMachine::Now& before,
-                                                              MonotonicTime now) {
+                                                              const MachineBefore& before, MonotonicTime now) {
   const bool is_there = std::any_of(settings.states.begin(), settings.states.end(),
                                     [&](const fsm::StateSettings& state) { return state.name == before.state; });
-  if (is_there) return fsm::ConfiguredMachine::Beginning{std::string(before.state), now - before.since, "reloaded"};
+  if (is_there)
+    return fsm::ConfiguredMachine::Beginning{before.state, now - before.since, "reloaded", before.is_acted_on};
   loop.runtime().core().log(
       LogLevel::warning, "machine " + settings.name,
-      "it was in " + std::string(before.state) + ", which is no state of it any more: it begins in " + settings.start);
+      "it was in " + before.state + ", which is no state of it any more: it begins in " + settings.start);
   return std::nullopt;
 }
 
-/// `before`: the state of the one in whose place it is made.
 PartObject make(Loop& loop, const Parts& parts, const fsm::MachineSettings& settings,
-                const std::optional<fsm::ConfiguredMachine::Now>& before) {
+                const std::optional<MachineBefore>& before) {
   std::optional<fsm::ConfiguredMachine::Beginning> beginning;
   if (before) beginning = after_reload(loop, settings, *before, loop.now());
   fsm::ConfiguredMachine::Sync sync;
@@ -121,12 +167,14 @@ PartObject make(Loop& loop, const Parts& parts, const fsm::MachineSettings& sett
   }
 #endif
   const bool is_at_once = !sync;
+  if (before) setter->hold(before->held);
   PartObject made = PartObject::made_by<fsm::ConfiguredMachine>(
-      [&] { return fsm::ConfiguredMachine(loop, settings, beginning, std::move(sync)); });
+      [&] { return ActingMachine(fsm::ConfiguredMachine(loop, settings, beginning, std::move(sync)), setter); });
   if (setter->is_needed()) {
     auto& machine = *made.as<fsm::ConfiguredMachine>();
     machine.on_state([setter](std::string_view state) { setter->arrive(state); });
-    if (is_at_once) setter->arrive(machine.now().state);
+    const bool is_known = beginning && beginning->is_acted_on && machine.counts().transitions == 0;
+    if (is_at_once && !is_known) setter->arrive(machine.now().state);
   }
   return made;
 }
@@ -165,12 +213,13 @@ void add_machines(Registry& registry) {
         };
         plan.make = [settings](Loop& loop, const Parts& parts) { return make(loop, parts, settings, std::nullopt); };
         plan.make_again = [settings](const PartObject& object) -> PartPlan::Make {
-          const auto* const machine = object.as<fsm::ConfiguredMachine>();
+          const auto* const machine = object.as<ActingMachine>();
           if (machine == nullptr) return {};
-          const auto [state, since] = machine->now();
-          return [settings, state = std::string(state), since = since](Loop& loop, const Parts& parts) {
-            return make(loop, parts, settings, fsm::ConfiguredMachine::Now{state, since});
-          };
+          return [settings, before = machine->setter->on_its_loop([&] {
+                    const fsm::ConfiguredMachine::Now now = machine->now();
+                    return MachineBefore{std::string(now.state), now.since, machine->is_acted_on(),
+                                         machine->setter->held()};
+                  })](Loop& loop, const Parts& parts) { return make(loop, parts, settings, before); };
         };
       });
 }
