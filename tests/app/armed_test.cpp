@@ -124,4 +124,28 @@ TEST_SUITE("app") {
     CHECK(b.ctl({"arm", "igniter"}) == "output igniter is armed\n");
     b.end();
   }
+
+  TEST_CASE("US-35 US-41 a reload of what a machine uses fires nothing again, and leaves what is armed alone") {
+    if (!rtdata::Expression::available()) return;
+    Bench b;
+    b.write(R"(, "lease": "200 ms")");
+    b.start();
+    CHECK(b.ctl({"arm", "igniter"}) == "output igniter is armed\n");
+    CHECK(b.ctl({"event", "m", "go"}) == "machine m has got the event go\n");
+    CHECK(b.line.reads("<0><1><0>"));
+    b.write(R"(, "lease": "200 ms")", "10 s");
+    const std::string reloaded = b.ctl({"reload"});
+    CHECK_MESSAGE(has(reloaded, "machine m: restarted (it uses sink run.db)"), reloaded);
+    CHECK_FALSE(b.line.reads_within("<1>", 500ms));
+    b.write(R"(, "lease": "300 ms")", "10 s");
+    const std::string refused = b.ctl({"reload"}, 1);
+    CHECK(has(refused, "output igniter: refused: it is armed; disarm it first"));
+    CHECK(has(refused, "nothing was changed"));
+    CHECK(b.ctl({"set", "igniter", "1"}) == "output igniter is being set to 1\n");
+    CHECK(b.line.reads("<0><1><0><1><0>"));
+    CHECK(has(b.ctl({"disarm", "igniter"}), "output igniter is disarmed"));
+    CHECK(has(b.ctl({"reload"}), "output igniter: restarted (lease)"));
+    CHECK(b.line.got.find("<1>", 13) == std::string::npos);
+    b.end();
+  }
 }

@@ -261,6 +261,54 @@ TEST_SUITE("outputs") {
     CHECK(did("V") == Lines{"set 2"});
   }
 
+  TEST_CASE("US-35 US-5 an output that is armed by command is not touched by a reload, and none is armed by one") {
+    Devices devices;
+    Loop loop{Loop::Manual{}};
+    be_quiet(loop);
+    const auto plan = [&](const std::string& more, bool has_igniter = true) {
+      return plan_system(
+          devices.registry,
+          parse_config(
+              std::string(R"({"outputs": [)") +
+                  (has_igniter
+                       ? R"({"name": "igniter", "type": "memory", "device": "I", "armed": "by command")" + more + "}, "
+                       : "") +
+                  R"({"name": "valve", "type": "memory", "device": "V")" + more + "}]}",
+              "f.json"));
+    };
+    const SystemPlan first = plan("");
+    const SystemPlan next = plan(R"(, "watchdog": "2 s")");
+    REQUIRE_MESSAGE(next.good(), next.report());
+    System system(loop, devices.registry, first);
+    const auto output = [&](const char* name) -> Output& { return system.parts().get<Output>("output", name); };
+    // Nobody knows it of two files.
+    CHECK(plan_change(first, next).text() ==
+          "output igniter: restarted (watchdog; refused while it is armed)\noutput valve: restarted (watchdog)\n");
+    CHECK(plan_change(first, plan("", false)).text() == "output igniter: removed (refused while it is armed)\n");
+
+    output("igniter").arm("operator").or_throw();
+    output("igniter").set(1, "operator").or_throw();
+    loop.advance(1ms);
+    CHECK(system.change_to(next).text() ==
+          "output igniter: refused: it is armed; disarm it first\noutput valve: restarted (watchdog)\n");
+    CHECK(system.change_to(plan("", false)).text() == "output igniter: refused: it is armed; disarm it first\n");
+    CHECK_THROWS_WITH_AS(system.apply(next), doctest::Contains("it is armed; disarm it first"), SetupError);
+    CHECK(devices.all["I"].did == Lines{"open 0", "set 1"});
+    CHECK(devices.all["V"].did == Lines{"open 0"});
+    CHECK(output("igniter").is_armed());
+
+    output("igniter").disarm("operator").or_throw();
+    output("valve").disarm("operator").or_throw();
+    loop.advance(1ms);
+    CHECK(system.apply(next).text() == "output igniter: restarted (watchdog)\noutput valve: restarted (watchdog)\n");
+    CHECK_FALSE(output("igniter").is_armed());
+    CHECK_FALSE(output("valve").is_armed());  // though it is armed from the start on
+    CHECK(output("valve").set(1, "operator").error().why == "it is disarmed");
+    output("valve").arm("operator").or_throw();
+    system.apply(first);
+    CHECK(output("valve").is_armed());
+  }
+
   TEST_CASE("US-35 US-39 outputs follow the states of a machine and an alarm, which hold until they change") {
     Devices devices;
     Loop loop{Loop::Manual{}};

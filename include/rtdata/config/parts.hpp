@@ -155,6 +155,14 @@ struct PartPlan {
   /// may throw SetupError: then that of the old plan is called, which applies the old value again.
   std::map<std::string, std::function<void(const PartObject& part)>, std::less<>> live = {};
 
+  /// While this is so, a reload neither makes the part anew nor removes it: an output that is armed.
+  struct Hold {
+    std::string what;    ///< "it is armed"
+    std::string advice;  ///< "disarm it first"
+    std::function<bool(const PartObject& part)> is_so;
+  };
+  std::optional<Hold> hold = {};
+
   /// The tier that it runs on; empty: the main loop.
   std::string_view tier() const noexcept;
   /// "sensor chamber"

@@ -137,6 +137,11 @@ Sampling sampling_of(const C& config) {
 /// What the sensor publishes; an empty topic is as its name.
 PublishedTopic published_topic(const std::string& name, const std::string& topic,
                                Result<std::shared_ptr<const Description>> description, const Processing& processing);
+
+/// A reload leaves an output disarmed that is, and does not touch one that somebody has armed by command. `made`: what
+/// makes it.
+void keep_arming(PartPlan& plan, const OutputConfig& config, std::function<PartPlan::Make(Arming armed)> made);
+
 /// The name of a sink: as it is given, or its path, or its type.
 std::string sink_name(const std::string& type, const std::string& path, const SinkConfig& config);
 
@@ -388,10 +393,16 @@ class Registry {
       };
       ConfigItem guarded = write_config(all.own);
       guarded.set("type", type);
-      plan.make = [make, all, guarded = guarded.to_json()](Loop& loop, const Parts&) {
-        const auto make_actuator = [make, own = all.own]() -> std::unique_ptr<Actuator> { return make(own); };
-        return PartObject::made_by<Output>([&] { return Output(loop, all.common, make_actuator, guarded); });
+      const auto made = [make, all, guarded = guarded.to_json()](Arming armed) -> PartPlan::Make {
+        return [make, all, guarded, armed](Loop& loop, const Parts&) {
+          const auto make_actuator = [make, own = all.own]() -> std::unique_ptr<Actuator> { return make(own); };
+          OutputConfig config = all.common;
+          config.armed = armed;
+          return PartObject::made_by<Output>([&] { return Output(loop, std::move(config), make_actuator, guarded); });
+        };
       };
+      plan.make = made(all.common.armed);
+      config_detail::keep_arming(plan, all.common, made);
     };
     add_type<All>("output", type, std::move(doc), plan_part, std::move(page));
     actuators_.add<C>(type, {}, [make](const C& config) -> std::unique_ptr<Actuator> { return make(config); });

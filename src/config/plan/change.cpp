@@ -98,6 +98,16 @@ std::string obstacle(const PlannedChange& planned, const RunSoFar& run) {
          listed(carries->differences(*part.publishes->description)) + "); give it another topic";
 }
 
+/// Of a part that is to be made anew or removed.
+void respect_hold(const PartPlan& part, const RunSoFar& run, PartChange& change) {
+  if (!part.hold || (change.fate != Fate::restarted && change.fate != Fate::removed)) return;
+  if (!run.is_held) {
+    change.why += (change.why.empty() ? "" : "; ") + ("refused while " + part.hold->what);
+  } else if (run.is_held(part)) {
+    change = {change.object, Fate::refused, part.hold->what + "; " + part.hold->advice};
+  }
+}
+
 }  // namespace
 
 ComparedPlans compare(const Compared& now, const Compared& next, const RunSoFar& run) {
@@ -135,6 +145,7 @@ ComparedPlans compare(const Compared& now, const Compared& next, const RunSoFar&
         change.why = std::move(why);
       }
     }
+    if (planned.now != nullptr) respect_hold(*planned.now, run, change);
     if (change.fate == Fate::restarted) anew.insert(key_of(*part));
     plans.parts.push_back(std::move(planned));
   }
@@ -145,6 +156,7 @@ ComparedPlans compare(const Compared& now, const Compared& next, const RunSoFar&
       change.fate = Fate::refused;
       change.why = "the thread of a tier ends with the run; start the program again";
     }
+    respect_hold(*part, run, change);
     plans.parts.push_back({part, nullptr, std::move(change)});
   }
   return plans;

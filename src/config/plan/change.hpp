@@ -34,6 +34,8 @@ struct RunSoFar {
   std::function<const Description*(const std::string& topic)> carried;
   /// The topic of this name's events; empty: there were none.
   std::function<std::string(const std::string& origin)> topic_of;
+  /// Whether what holds a part (PartPlan::hold) is so. Empty: not known.
+  std::function<bool(const PartPlan& part)> is_held = {};
 };
 
 ComparedPlans compare(const Compared& now, const Compared& next, const RunSoFar& run);

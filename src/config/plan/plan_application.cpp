@@ -187,8 +187,19 @@ void PlanApplication::add_one() {
   planned.change.fate = Fate::unchanged;  // from here on
 }
 
+/// Also what has begun to hold while sensors were added.
+void PlanApplication::refuse_held() const {
+  for (const PlannedChange& planned : compared_.parts) {
+    if (planned.now == nullptr || !planned.now->hold || !ends(planned.change.fate)) continue;
+    const PartPlan& part = *planned.now;
+    if (!part.hold->is_so(system_.parts_.part_named(part.kind, part.name).object)) continue;
+    throw SetupError({Errc::busy, "cannot apply the configuration", part.object(), part.hold->what, part.hold->advice});
+  }
+}
+
 void PlanApplication::replace() {
   try {
+    refuse_held();
     close();
     if (!closes_nothing_) take_text();  // what was closed has ended with its own
     make();

@@ -33,6 +33,7 @@ class PlanApplication {
   enum class Stage { beginning, adding, replacing, finishing, undoing, done };
 
   void refuse() const;
+  void refuse_held() const;
   /// Which parts are added before, and closed after, the step that replaces.
   void sort_out();
   void begin();

@@ -32,6 +32,19 @@ Json schema_of_kind(const PartKind& kind) {
 
 }  // namespace
 
+void config_detail::keep_arming(PartPlan& plan, const OutputConfig& config,
+                                std::function<PartPlan::Make(Arming armed)> made) {
+  plan.make_again = [made = std::move(made)](const PartObject& before) -> PartPlan::Make {
+    const auto* const output = before.as<Output>();
+    return output != nullptr && !output->is_armed() ? made(Arming::by_command) : PartPlan::Make{};
+  };
+  if (config.armed != Arming::by_command) return;
+  plan.hold = {"it is armed", "disarm it first", [](const PartObject& part) {
+                 const auto* const output = part.as<Output>();
+                 return output != nullptr && output->is_armed();
+               }};
+}
+
 PublishedTopic config_detail::published_topic(const std::string& name, const std::string& topic,
                                               Result<std::shared_ptr<const Description>> description,
                                               const Processing& processing) {

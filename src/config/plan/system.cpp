@@ -127,15 +127,17 @@ void System::remove(std::string_view kind, std::string_view name) {
 config_detail::ComparedPlans System::compared_to(const SystemPlan& next) const {
   std::vector<const PartPlan*> parts;
   for (const PartPlan& part : next.parts) parts.push_back(&part);
-  return config_detail::compare({parts_.plans(), root_}, {std::move(parts), next.document.root},
-                                {[&](const std::string& topic) -> const Description* {
-                                   const detail::TopicCore* known = loop_.runtime().core().find_topic(topic);
-                                   return known != nullptr ? known->type.description.get() : nullptr;
-                                 },
-                                 [&](const std::string& origin) {
-                                   const detail::OriginCore* known = loop_.runtime().core().find_origin(origin);
-                                   return known != nullptr ? known->topic.name : std::string();
-                                 }});
+  return config_detail::compare(
+      {parts_.plans(), root_}, {std::move(parts), next.document.root},
+      {[&](const std::string& topic) -> const Description* {
+         const detail::TopicCore* known = loop_.runtime().core().find_topic(topic);
+         return known != nullptr ? known->type.description.get() : nullptr;
+       },
+       [&](const std::string& origin) {
+         const detail::OriginCore* known = loop_.runtime().core().find_origin(origin);
+         return known != nullptr ? known->topic.name : std::string();
+       },
+       [&](const PartPlan& part) { return part.hold->is_so(parts_.part_named(part.kind, part.name).object); }});
 }
 
 PlanChange System::change_to(const SystemPlan& next) const { return compared_to(next).all(); }
