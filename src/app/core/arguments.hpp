@@ -1,0 +1,45 @@
+// The options and arguments of each subcommand. Private to the program.
+#pragma once
+
+#include <unistd.h>
+
+#include <CLI/CLI.hpp>
+#include <functional>
+#include <iostream>
+
+#include "app/core/terminal_text.hpp"
+#include "rtdata/config/registry.hpp"
+
+namespace rtdata::app {
+
+/// What a subcommand does once the command line is read; returns the exit status.
+using Action = std::function<int(const Registry&)>;
+
+/// For what people read: lines as wide as the terminal, while it lives. Not where a run goes on, whose handlers may
+/// print from any thread, and not around data.
+struct ForPeople {
+  WrappedOutput out{std::cout, STDOUT_FILENO};
+  WrappedOutput err{std::cerr, STDERR_FILENO};
+};
+
+/// Each adds to the command what it takes, and returns what is done with it.
+Action prepare_init(CLI::App& command);
+Action prepare_run(CLI::App& command);
+Action prepare_check(CLI::App& command);
+Action prepare_graph(CLI::App& command);
+Action prepare_types(CLI::App& command);
+Action prepare_top(CLI::App& command);
+Action prepare_ctl(CLI::App& command);
+Action prepare_bench(CLI::App& command);
+Action prepare_scan(CLI::App& command);
+Action prepare_doctor(CLI::App& command);
+
+// Of recordings.
+Action prepare_verify(CLI::App& command);
+Action prepare_info(CLI::App& command);
+Action prepare_export(CLI::App& command);
+Action prepare_import(CLI::App& command);
+Action prepare_replay(CLI::App& command);
+Action prepare_forward(CLI::App& command);
+
+}  // namespace rtdata::app

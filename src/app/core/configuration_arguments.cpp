@@ -1,0 +1,218 @@
+// The options of the subcommands of configurations, of running instances, and of this machine.
+#include <algorithm>
+#include <atomic>
+#include <iostream>
+#include <memory>
+#include <optional>
+#include <string>
+#include <utility>
+
+#include "app/core/arguments.hpp"
+#include "app/core/configuration_commands.hpp"
+
+namespace rtdata::app {
+namespace {
+
+/// A span above nothing. None: it is no such span, and that was said.
+std::optional<Duration> span_of(const std::string& option, const std::string& text) {
+  const Result<Duration> parsed = parse_duration(text);
+  if (parsed && *parsed > Duration{0}) return *parsed;
+  std::cerr << "rtdata: " << option << " " << text << ": "
+            << (parsed ? "it must be longer than nothing" : parsed.error().text()) << std::endl;
+  return std::nullopt;
+}
+
+}  // namespace
+
+Action prepare_init(CLI::App& command) {
+  const auto file = std::make_shared<std::string>("rtdata.json");
+  command.footer(
+      "example:\n  rtdata init bench.json\nIt has gentle rates and limits. What else there is: rtdata types");
+  command.add_option("FILE", *file, "The file; one that exists is not overwritten")->capture_default_str();
+  return [file](const Registry& registry) {
+    const ForPeople wrapped;
+    return init(registry, *file);
+  };
+}
+
+Action prepare_run(CLI::App& command) {
+  struct Given {
+    RunOptions options;
+    std::string duration;
+  };
+  const auto given = std::make_shared<Given>();
+  command.add_option("FILE", given->options.file, "The configuration")->required();
+  command.add_option("--for", given->duration, "End after so long, such as 10s or 5min")->type_name("DURATION");
+  command.add_flag_callback(
+      "--fail-on-loss", [given] { given->options.on_loss = OnLoss::fail; },
+      "Exit 3 when anything was lost: ticks, events, or a time without a device");
+  command.add_flag_callback(
+      "--quiet,-q", [given] { given->options.talk = Talk::quiet; }, "Print warnings and errors only");
+  command
+      .add_option("--log", given->options.log_file,
+                  "The log file; default: as the configuration says, or its name with .log, in the working directory")
+      ->type_name("FILE");
+  command.footer(
+      "example:\n  rtdata run bench.json --for 10s --fail-on-loss\nexit status:\n"
+      "  0  every tick and event is accounted for, and all is stored\n  1  it is not, or another error\n"
+      "  2  mistakes in the configuration: nothing was started\n"
+      "  3  with --fail-on-loss: something was missed, failed, unreadable, lost or\n     dropped");
+  return [given](const Registry& registry) {
+    if (!given->duration.empty()) {
+      given->options.duration = span_of("--for", given->duration);
+      if (!given->options.duration) return exit_other;
+    }
+    return run(registry, given->options);
+  };
+}
+
+Action prepare_check(CLI::App& command) {
+  const auto options = std::make_shared<CheckOptions>();
+  command.footer(
+      "examples:\n  rtdata check bench.json\n  rtdata check new.json --against bench.json\nexit status:\n"
+      "  0  no mistake, perhaps warnings\n"
+      "  1  with --against: a running system cannot change to it\n  2  mistakes");
+  command.add_option("FILE", options->file, "The configuration")->required();
+  command
+      .add_option("--against", options->against,
+                  "Also say what becomes of each part when it takes the place of this one in a running system")
+      ->type_name("FILE");
+  return [options](const Registry& registry) {
+    const ForPeople wrapped;
+    return check(registry, *options);
+  };
+}
+
+Action prepare_graph(CLI::App& command) {
+  const auto options = std::make_shared<GraphOptions>();
+  command.footer(
+      "examples:\n  rtdata graph rocket.json                     for a ```mermaid block of Markdown\n"
+      "  rtdata graph rocket.json --dot | dot -Tsvg   by Graphviz\nexit status:\n"
+      "  0  drawn\n  1  there is no such machine\n  2  mistakes in the configuration");
+  command.add_option("FILE", options->file, "The configuration")->required();
+  command.add_option("--machine", options->machine, "Only this one")->type_name("NAME");
+  command.add_flag_callback(
+      "--dot", [options] { options->draw_as = DrawAs::dot; }, "In the language of Graphviz, instead of Mermaid");
+  return [options](const Registry& registry) { return graph(registry, *options); };
+}
+
+Action prepare_types(CLI::App& command) {
+  struct Given {
+    std::string type;
+    TypesAs format = TypesAs::text;
+  };
+  const auto given = std::make_shared<Given>();
+  command.add_option("NAME", given->type, "Only this type, or a chip or a word, such as bme280, pt100, button, csv");
+  command.add_flag_callback(
+      "--all", [given] { given->format = TypesAs::all; }, "All types with their parameters");
+  command.add_flag_callback(
+      "--schema", [given] { given->format = TypesAs::schema; }, "Print the JSON Schema, for editors");
+  command.add_flag_callback(
+      "--markdown", [given] { given->format = TypesAs::markdown; }, "Print pages of documentation, in Markdown");
+  command.footer(
+      "examples:\n  rtdata types\n  rtdata types analog\n  rtdata types bme280\n  rtdata types --schema > "
+      "rtdata.schema.json");
+  return [given](const Registry& registry) {
+    std::optional<ForPeople> wrapped;
+    if (given->format == TypesAs::text || given->format == TypesAs::all) wrapped.emplace();
+    return types(registry, given->type, given->format);
+  };
+}
+
+Action prepare_top(CLI::App& command) {
+  const auto options = std::make_shared<TopOptions>();
+  command.add_option("NAME|PID", options->instance, "Which instance; needed when several are running");
+  command.add_flag_callback(
+      "--once", [options] { options->how_often = HowOften::once; }, "Print once and end");
+  command.add_flag_callback(
+      "--json", [options] { options->show_as = ShowAs::json; }, "Print the status as JSON, a line each time");
+  command.footer(
+      "examples:\n  rtdata top                        the only instance, until q or Ctrl-C\n"
+      "  rtdata top bench --once           one look at the instance called bench\n"
+      "  rtdata top 4711 --once --json     for programs");
+  return [options](const Registry&) {
+    const WrappedOutput errors(std::cerr, STDERR_FILENO);  // the rest is laid out for the terminal, or data
+    return top(*options);
+  };
+}
+
+Action prepare_ctl(CLI::App& command) {
+  const auto words = std::make_shared<std::vector<std::string>>();
+  command.add_option("WORDS", *words, "[NAME|PID] COMMAND ...: an instance when several run, and a command")
+      ->required()
+      ->expected(1, 1002);
+  command.prefix_command();
+  command.footer(ctl_help() +
+                 "Each is recorded on the topic rtdata/commands, with who gave it and what came of it.\n"
+                 "examples:\n  rtdata ctl rate imu \"200 Hz\"\n  rtdata ctl bench note valve replaced");
+  return [words](const Registry&) {
+    const ForPeople wrapped;
+    return ctl(*words);
+  };
+}
+
+Action prepare_bench(CLI::App& command) {
+  struct Given {
+    BenchOptions options;
+    std::string duration = "60s";
+  };
+  const auto given = std::make_shared<Given>();
+  command.add_option("--for", given->duration, "How long all of it takes, about")
+      ->type_name("DURATION")
+      ->capture_default_str();
+  command
+      .add_option("--json", given->options.json_file,
+                  "Write the figures to this file as JSON; - is standard output, instead of the text")
+      ->type_name("FILE");
+  command.add_option("--cpu", given->options.cpu, "Sample on this processor; default: any")->type_name("N");
+  command.footer(
+      "examples:\n  rtdata bench                      a minute, in the folder where you are going to record\n"
+      "  rtdata bench --cpu 3              sample on processor 3, as with isolcpus=3\n"
+      "  rtdata bench --for 10s --json board.json");
+  return [given](const Registry&) {
+    const std::optional<Duration> duration = span_of("--for", given->duration);
+    if (!duration) return exit_other;
+    given->options.duration = *duration;
+    std::optional<ForPeople> wrapped;
+    if (given->options.json_file != "-") wrapped.emplace();
+    return bench(given->options);
+  };
+}
+
+Action prepare_scan(CLI::App& command) {
+  const auto options = std::make_shared<ScanOptions>();
+  command.add_flag("--probe", options->probe,
+                   "Also read a byte from each free I2C address; a chip may take that amiss");
+  command.add_option("--root", options->root, "Look at a copy of another machine's /sys and /dev in this folder")
+      ->type_name("DIR");
+  command.add_flag_callback(
+      "--json", [options] { options->show_as = ShowAs::json; }, "Print JSON");
+  command.footer("examples:\n  rtdata scan\n  rtdata scan --probe");
+  return [options](const Registry& registry) {
+    std::optional<ForPeople> wrapped;
+    if (options->show_as == ShowAs::text) wrapped.emplace();
+    return scan(registry, *options);
+  };
+}
+
+Action prepare_doctor(CLI::App& command) {
+  const auto options = std::make_shared<DoctorOptions>();
+  command.add_option("FILE", options->file, "The configuration that is to run here: its devices, disks and tiers too");
+  command
+      .add_option("--root", options->root, "Look at a copy of another machine's /proc, /sys and /etc in this folder")
+      ->type_name("DIR");
+  command.add_flag_callback(
+      "--json", [options] { options->show_as = ShowAs::json; }, "Print JSON");
+  command.footer(
+      "examples:\n  rtdata doctor\n  rtdata doctor bench.json\nexit status:\n"
+      "  0  notes at most\n  1  an error\n"
+      "  2  something that the configuration needs cannot work, or it has mistakes\n"
+      "  3  something costs timing or data");
+  return [options](const Registry& registry) {
+    std::optional<ForPeople> wrapped;
+    if (options->show_as == ShowAs::text) wrapped.emplace();
+    return doctor(registry, *options);
+  };
+}
+
+}  // namespace rtdata::app
