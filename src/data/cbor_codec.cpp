@@ -5,6 +5,7 @@
 
 #include "data/character.hpp"
 #include "data/copy.hpp"
+#include "data/copy_padded.hpp"
 #include "data/event_head.hpp"
 #include "data/json_decode.hpp"
 #include "data/load.hpp"
@@ -75,14 +76,23 @@ char* put_text(char* to, std::string_view text) {
 /// What to write for the payloads of one description: before each leaf bytes that never change.
 struct Plan {
   explicit Plan(const Description& description) : leaves_(description.leaves()) {
-    prefix_sizes.reserve(leaves_.size());
+    steps.reserve(leaves_.size());
     add_record(description.fields());
+    end_size = fixed.size() - used_;
+    fixed.append(detail::padding, '\0');
     longest += fixed.size();
   }
 
-  std::vector<std::size_t> prefix_sizes;  ///< of each leaf: of the next bytes of `fixed`
-  std::string fixed;                      ///< what they leave of it stands at the end
-  std::size_t longest = 0;                ///< bytes that all this may take
+  /// A leaf. Of floats that are always there, the head is fixed, too: what is left are the bytes of the number.
+  struct Step {
+    enum class Sort : std::uint8_t { item, number_4, number_8 } sort = Sort::item;
+    std::size_t prefix_size = 0;  ///< of the next bytes of `fixed`
+    std::size_t offset = 0;       ///< of the number in the payload
+  };
+  std::vector<Step> steps;   ///< of each leaf
+  std::string fixed;         ///< padded
+  std::size_t end_size = 0;  ///< of what follows in it, behind the leaves
+  std::size_t longest = 0;   ///< bytes that all this may take
 
  private:
   void add_head(Major major, std::uint64_t number) {
@@ -99,13 +109,22 @@ struct Plan {
         if (field.kind == Kind::record) {
           add_record(field.fields);
         } else {
-          add_leaf(leaves_[prefix_sizes.size()]);  // they come in the order of the fields
+          add_leaf(leaves_[steps.size()]);  // they come in the order of the fields
         }
       }
     }
   }
   void add_leaf(const Leaf& leaf) {
-    prefix_sizes.push_back(fixed.size() - used_);
+    Step step{Step::Sort::item, 0, leaf.offset};
+    if (leaf.optional == nullptr && leaf.kind == Kind::f64) {
+      step.sort = Step::Sort::number_8;
+      fixed += f64_item;
+    } else if (leaf.optional == nullptr && leaf.kind == Kind::f32) {
+      step.sort = Step::Sort::number_4;
+      fixed += f32_item;
+    }
+    step.prefix_size = fixed.size() - used_;
+    steps.push_back(step);
     used_ = fixed.size();
     std::size_t most = longest_head;
     if (leaf.kind == Kind::text) most += leaf.size;
@@ -224,18 +243,31 @@ class CborCodec final : public Codec {
     to = put_head(put(to, head_.before_sequence), natural, event.sequence());
     to = put(to, head_.before_data);
     const char* fixed = plan.fixed.data();
-    const std::vector<Leaf>& leaves = event.description().leaves();
-    for (std::size_t i = 0; i < leaves.size(); ++i) {
-      to = detail::copy_short(to, fixed, plan.prefix_sizes[i]);
-      fixed += plan.prefix_sizes[i];
-      const std::byte* from = find_value(leaves[i], event.payload().data());
-      if (from == nullptr) {
-        *to++ = null_item;
-      } else {
-        to = put_value(to, leaves[i], from);
+    const Leaf* leaf = event.description().leaves().data();
+    const std::byte* const payload = event.payload().data();
+    for (const Plan::Step& step : plan.steps) {
+      to = detail::copy_padded(to, fixed, step.prefix_size);
+      fixed += step.prefix_size;
+      switch (step.sort) {
+        case Plan::Step::Sort::number_8:
+          to = put_big_endian(to, load<std::uint64_t>(payload + step.offset));
+          break;
+        case Plan::Step::Sort::number_4:
+          to = put_big_endian(to, load<std::uint32_t>(payload + step.offset));
+          break;
+        case Plan::Step::Sort::item: {
+          const std::byte* from = find_value(*leaf, payload);
+          if (from == nullptr) {
+            *to++ = null_item;
+          } else {
+            to = put_value(to, *leaf, from);
+          }
+          break;
+        }
       }
+      ++leaf;
     }
-    to = detail::copy_short(to, fixed, static_cast<std::size_t>(plan.fixed.data() + plan.fixed.size() - fixed));
+    to = detail::copy_padded(to, fixed, plan.end_size);
     const auto* item = reinterpret_cast<const std::byte*>(item_.data());
     out.insert(out.end(), item, item + (to - item_.data()));
     return {};

@@ -3,6 +3,7 @@
 
 #include "data/character.hpp"
 #include "data/copy.hpp"
+#include "data/copy_padded.hpp"
 #include "data/event_head.hpp"
 #include "data/json_decode.hpp"
 #include "data/load.hpp"
@@ -99,11 +100,14 @@ struct Plan {
     fixed = '{';
     add(description.fields(), 0);
     fixed += "}}\n";
+    end_size = fixed.size() - used_;
+    fixed.append(detail::padding, '\0');
     longest += fixed.size();
   }
 
   std::vector<Step> steps;
-  std::string fixed;                                        ///< what the steps leave of it stands at the end
+  std::string fixed;                                        ///< padded
+  std::size_t end_size = 0;                                 ///< of what follows in it, behind the leaves
   std::vector<std::pair<std::int64_t, std::string>> names;  ///< quoted
   std::size_t longest = 0;                                  ///< bytes that all this may take
 
@@ -205,7 +209,7 @@ class JsonCodec final : public Codec {
     const char* fixed = plan.fixed.data();
     const std::byte* payload = event.payload().data();
     for (const Plan::Step& step : plan.steps) {
-      to = put(to, {fixed, step.prefix_size});
+      to = detail::copy_padded(to, fixed, step.prefix_size);
       fixed += step.prefix_size;
       const std::byte* from = payload + step.offset;
       if (step.optional != nullptr && !step.optional->has_value(from)) {
@@ -214,7 +218,7 @@ class JsonCodec final : public Codec {
         to = put_value(to, plan, step, from);
       }
     }
-    to = put(to, {fixed, plan.fixed.data() + plan.fixed.size()});
+    to = detail::copy_padded(to, fixed, plan.end_size);
     const auto* line = reinterpret_cast<const std::byte*>(line_.data());
     out.insert(out.end(), line, line + (to - line_.data()));
     return {};

@@ -322,6 +322,8 @@ bool MqttConnection::take_answer(int status) {
   if (const auto answer = std::exchange(client_->answer, {})) {
     if (*answer == 0) {
       is_connected_ = true;
+      // It formats a line for each message, whatever becomes of it; from here on the errors are those of TLS, mostly.
+      if (!broker_.tls) ::mosquitto_log_callback_set(client_->handle, nullptr);
       connected();
       if (client_ == nullptr) return false;
     } else {

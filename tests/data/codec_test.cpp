@@ -660,6 +660,30 @@ TEST_SUITE("data") {
     CHECK_FALSE(with("a", nlohmann::json::array({1})));
     CHECK_FALSE(with("a", nlohmann::json::array({1, 256})));
     CHECK_FALSE(with("z", 1));
+    // Names longer than what is copied at once, floats of both sizes, present and absent.
+    auto made = DescriptionBuilder("long")
+                    .field("a_name_of_more_than_sixteen_letters", Kind::f32, "m")
+                    .field("b", Kind::f64, "m")
+                    .field("another_name_of_more_than_sixteen_letters", Kind::f64, "m")
+                    .build()
+                    .or_throw();
+    std::vector<std::byte> payload(made->size());
+    const float single = -1.5F;
+    const double numbers[] = {0.1, -1e300};
+    const auto put_at = [&](const char* path, const void* from, std::size_t size) {
+      std::memcpy(payload.data() + made->find(path)->offset, from, size);
+    };
+    put_at("a_name_of_more_than_sixteen_letters", &single, sizeof single);
+    put_at("b", &numbers[0], sizeof numbers[0]);
+    put_at("another_name_of_more_than_sixteen_letters", &numbers[1], sizeof numbers[1]);
+    bytes.clear();
+    codec->encode(EventView("t", EventHeader{from_nanoseconds(1), 2, "o"}, *made, payload), bytes).or_throw();
+    const auto of_long = nlohmann::ordered_json::parse(
+        R"({"topic":"t","time":1,"origin":"o","sequence":2,"data":{"a_name_of_more_than_sixteen_letters":-1.5,
+            "b":0.1,"another_name_of_more_than_sixteen_letters":-1e300}})");
+    const auto expected = nlohmann::ordered_json::to_cbor(of_long);
+    CHECK(std::vector<std::uint8_t>(reinterpret_cast<std::uint8_t*>(bytes.data()),
+                                    reinterpret_cast<std::uint8_t*>(bytes.data()) + bytes.size()) == expected);
     // -2^64, of which nlohmann's parser makes 0.
     auto below = as_bytes(std::string_view("\xa5\x65topic\x61t\x64time\x3b\xff\xff\xff\xff\xff\xff\xff\xff", 23));
     CHECK(codec->decode(below, *description_of<Small>()).error().code == Errc::out_of_range);

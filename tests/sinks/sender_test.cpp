@@ -133,6 +133,35 @@ TEST_SUITE("sinks") {
     CHECK(sequences == bench.all());
   }
 
+  TEST_CASE("of a long backlog a few windows at a time become parcels, in order, of topics that take turns") {
+    Bench bench;
+    std::size_t most = 0;
+    bool is_away = true;
+    bench.peer->on_send = [&](const Parcel& parcel, Answer answer) {
+      if (is_away) return answer.again(away);
+      most = std::max(most, parcel.rows().back().in_batch);
+      bench.peer->take(parcel, std::move(answer));
+    };
+    Sink sink = bench.make();
+    constexpr int count = 40'000;  // 32 bytes each: twenty chunks of the queue
+    for (int i = 0; i < count; ++i) {
+      bench.publish(1);
+      if (i % 7 == 0) bench.loop.topic<Number>("b").publish({0});
+    }
+    bench.loop.advance(100ms);
+    CHECK(bench.peer->events.empty());
+    is_away = false;
+    bench.loop.advance(5s);
+    std::vector<std::uint64_t> of_a, of_b;
+    for (const auto& event : bench.peer->events) (event.topic == "a" ? of_a : of_b).push_back(event.sequence);
+    CHECK(of_a == bench.all());
+    CHECK(of_b.size() == (count + 6) / 7);
+    CHECK(std::is_sorted(of_b.begin(), of_b.end()));
+    CHECK(most < 2 * 2048);  // less than 30 rows beyond whole chunks of 2048
+    CHECK(sink.counts().stored == bench.peer->events.size());
+    CHECK(sink.counts().balances());
+  }
+
   TEST_CASE("what the peer does not have is sent again: nothing is lost while it is away, and the delay doubles") {
     Bench bench;
     bool is_away = true;

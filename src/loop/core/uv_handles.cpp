@@ -89,8 +89,13 @@ UvHandles::UvHandles(LoopCore& core, uv_loop_t* host) : loop_(host != nullptr ? 
     if (const int status = uv_loop_init(&own_loop_); status != 0) throw_uv(status, "cannot make a loop");
   }
   make_memory(core);
-  uv_poll_start(&memory_->timer, UV_READABLE,
-                [](uv_poll_t* handle, int, int) { static_cast<Memory*>(handle->data)->core->run_due(); });
+  uv_poll_start(&memory_->timer, UV_READABLE, [](uv_poll_t* handle, int, int) {
+    auto* memory = static_cast<Memory*>(handle->data);
+    // The loop turns from here on, and takes in `check` what is sent meanwhile: no sender has to write.
+    Wake& wake = memory->wake;
+    if (!wake.is_sent() && wake.take_news()) wake.send();  // sent between the two
+    memory->core->run_due();
+  });
   uv_check_start(&memory_->check, [](uv_check_t* handle) { static_cast<Memory*>(handle->data)->core->turn_ended(); });
   uv_poll_start(&memory_->wake_poll, UV_READABLE, [](uv_poll_t* handle, int, int) {
     auto* memory = static_cast<Memory*>(handle->data);

@@ -25,10 +25,12 @@ void SinkQueue::pause(Duration duration) {
 }
 
 ChunkHeader* SinkQueue::next_queued(std::uint64_t before) {
+  // What the loop queues during the look could hide one that it queued before that: they come later.
+  before = std::min(before, last_ticket_.load(std::memory_order_acquire) + 1);
   for (;;) {
     ChunkHeader* next = nullptr;
     std::uint64_t next_value = 0;
-    for (ChunkHeader& chunk : chunks_) {
+    for (ChunkHeader& chunk : used_chunks()) {
       const std::uint64_t value = chunk.ticket_and_state.load(std::memory_order_acquire);
       if ((value & 3) == ChunkHeader::queued && value >> 2 < before && (next == nullptr || value < next_value)) {
         next = &chunk;
@@ -53,12 +55,13 @@ bool SinkQueue::gather() {
   AccountBox& box = accounts_[account_cursor_];
   const std::uint64_t after = box.after_ticket.load(std::memory_order_acquire);
   const std::uint64_t before = after != 0 ? after : std::numeric_limits<std::uint64_t>::max();
-  // What waits already is stored together, in transactions that stay short.
-  const std::size_t window_rows = sender_ != nullptr ? sending_.window * sending_.parcel_rows : 0;
-  const std::size_t enough_rows = pace_.bytes == 0 ? std::max(config_.batch_rows, window_rows) : 1;
+  // What waits already is stored together, in transactions that stay short; of what is sent, as much as its memory in
+  // the processor's caches is good for.
+  const std::size_t enough_rows = pace_.bytes == 0 ? rows_at_once() : 1;
+  const std::size_t enough_chunks = sender_ == nullptr ? most_chunks_ : 0;
   bool has_all = false;                     // all before the account has been gathered, or was taken back by the loop
   const bool takes_all = feed_ != nullptr;  // what a recording gave at a time is settled together
-  while ((takes_all || batch_.rows_ < enough_rows || batch_.chunks_.size() < most_chunks_) && !has_all) {
+  while ((takes_all || batch_.rows_ < enough_rows || batch_.chunks_.size() < enough_chunks) && !has_all) {
     ChunkHeader* chunk = next_queued(before);
     has_all = chunk == nullptr || taken_ticket_ + 1 == before;
     if (chunk == nullptr) break;
@@ -69,9 +72,19 @@ bool SinkQueue::gather() {
   if (batch_.chunks_.empty() && batch_.account_ == nullptr) return false;
   slots_in_batch_.clear();
   for (const ChunkHeader* chunk : batch_.chunks_) {
-    for_each_record(*chunk, [this](SlotStored& counts) {
-      if (counts.in_batch++ == 0) slots_in_batch_.push_back(&counts);
+    SlotStored* of = nullptr;
+    std::uint32_t count = 0;  // of it, that follow one another
+    const auto add_run = [&] {
+      if (count == 0) return;
+      if (of->in_batch == 0) slots_in_batch_.push_back(of);
+      of->in_batch += std::exchange(count, 0);
+    };
+    for_each_record(*chunk, [&](const RecordHeader& header) {
+      if (header.stored != of) add_run();
+      of = header.stored;
+      ++count;
     });
+    add_run();
   }
   return true;
 }

@@ -130,8 +130,13 @@ void SinkQueue::keep(const OriginAccount& now, const Gap* closed) noexcept {
 ChunkHeader* SinkQueue::take_chunk(std::uint32_t index) {
   const std::uint64_t revision = revision_.load(std::memory_order_acquire);
   if (revision != full_at_revision_) {  // else the lane has freed none since the last look
-    for (ChunkHeader& chunk : chunks_) {
+    for (ChunkHeader& chunk : used_chunks()) {
       if ((chunk.ticket_and_state.load(std::memory_order_acquire) & 3) == ChunkHeader::free) return &chunk;
+    }
+    const std::size_t used = used_.load(std::memory_order_relaxed);
+    if (used < chunks_.size()) {
+      used_.store(used + 1, std::memory_order_release);
+      return &chunks_[used];
     }
   }
   full_at_revision_ = revision;
@@ -145,7 +150,7 @@ ChunkHeader* SinkQueue::take_chunk(std::uint32_t index) {
   for (;;) {
     ChunkHeader* oldest = nullptr;
     std::uint64_t oldest_value = 0;
-    for (ChunkHeader& chunk : chunks_) {
+    for (ChunkHeader& chunk : used_chunks()) {
       const std::uint64_t value = chunk.ticket_and_state.load(std::memory_order_acquire);
       if ((value & 3) == ChunkHeader::queued && (oldest == nullptr || value < oldest_value)) {
         oldest = &chunk;
@@ -156,8 +161,8 @@ ChunkHeader* SinkQueue::take_chunk(std::uint32_t index) {
     if (!oldest->ticket_and_state.compare_exchange_strong(oldest_value,
                                                           ticket_in_state(oldest_value >> 2, ChunkHeader::filling)))
       continue;
-    for_each_record(*oldest, [this](const SlotStored& stored) {
-      Slot& lost = slot(stored.index);
+    for_each_record(*oldest, [this](const RecordHeader& header) {
+      Slot& lost = slot(header.stored->index);
       ++lost.dropped_oldest;
       ++lost.live->dropped;
     });
@@ -181,7 +186,9 @@ std::byte* SinkQueue::room(std::uint32_t slot, std::size_t bytes) {
 }
 
 void SinkQueue::queue_filling() {
-  filling_->ticket_and_state.store(ticket_in_state(++last_ticket_, ChunkHeader::queued), std::memory_order_release);
+  const std::uint64_t ticket = last_ticket_.load(std::memory_order_relaxed) + 1;
+  filling_->ticket_and_state.store(ticket_in_state(ticket, ChunkHeader::queued), std::memory_order_release);
+  last_ticket_.store(ticket, std::memory_order_release);
   filling_ = nullptr;
 }
 
@@ -199,7 +206,8 @@ bool SinkQueue::has_account() const noexcept {
 }
 
 void SinkQueue::hand_over_account() {
-  accounts_[next_account_].after_ticket.store(last_ticket_ + 1, std::memory_order_release);
+  accounts_[next_account_].after_ticket.store(last_ticket_.load(std::memory_order_relaxed) + 1,
+                                              std::memory_order_release);
   next_account_ = (next_account_ + 1) % account_count;
   rows_since_account_ = 0;
 }
@@ -242,7 +250,7 @@ SinkCounts SinkQueue::sum() const noexcept {
     sum.dropped[static_cast<std::size_t>(DropReason::queue_full_oldest)] += s.dropped_oldest;
     sum.dropped[static_cast<std::size_t>(DropReason::refused)] += refused;
   }
-  for (const ChunkHeader& chunk : chunks_) {
+  for (const ChunkHeader& chunk : used_chunks()) {
     if ((chunk.ticket_and_state.load(std::memory_order_acquire) & 3) != ChunkHeader::free) sum.queued += chunk.rows;
   }
   sum.queued -= std::min(sum.queued, rows_settled_.load(std::memory_order_relaxed));
@@ -272,7 +280,7 @@ std::vector<TopicDrops> SinkQueue::dropped_by_topic(Queued queued) const {
 }
 
 bool SinkQueue::is_idle() const noexcept {
-  for (const ChunkHeader& chunk : chunks_) {
+  for (const ChunkHeader& chunk : used_chunks()) {
     const auto state = chunk.ticket_and_state.load(std::memory_order_acquire) & 3;
     if (state == ChunkHeader::queued || state == ChunkHeader::writing) return false;
   }

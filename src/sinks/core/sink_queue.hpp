@@ -10,6 +10,7 @@
 #include <memory>
 #include <mutex>
 #include <optional>
+#include <span>
 #include <string>
 #include <utility>
 #include <vector>
@@ -68,12 +69,19 @@ struct SlotStored {
   const SlotInfo* info = nullptr;
 };
 
+/// The payload lies behind the header that is given. The size is looked up where the slot changes only, so that the
+/// processor knows where the next record lies before it has read this one.
 template <class Function>
 void for_each_record(const ChunkHeader& chunk, Function&& function) {
-  for (std::size_t at = 0; at < chunk.used;) {
-    SlotStored& stored = *reinterpret_cast<const RecordHeader*>(chunk.data + at)->stored;
-    function(stored);
-    at += record_bytes_of(stored.payload_bytes);
+  const SlotStored* slot = nullptr;
+  std::size_t bytes = 0;
+  for (std::size_t at = 0; at < chunk.used; at += bytes) {
+    const auto& header = *reinterpret_cast<const RecordHeader*>(chunk.data + at);
+    if (header.stored != slot) {
+      slot = header.stored;
+      bytes = record_bytes_of(slot->payload_bytes);
+    }
+    function(header);
   }
 }
 
@@ -250,6 +258,10 @@ class SinkQueue {
   void call_on_loop(const char* name, Call&& call) noexcept;
   /// In the handler of an exception from a call on the loop.
   void note_set_up_error(const char* call) noexcept;
+  std::span<ChunkHeader> used_chunks() noexcept { return {chunks_.data(), used_.load(std::memory_order_acquire)}; }
+  std::span<const ChunkHeader> used_chunks() const noexcept {
+    return {chunks_.data(), used_.load(std::memory_order_acquire)};
+  }
   ChunkHeader* take_chunk(std::uint32_t slot);
   void queue_filling();
   SinkCounts sum() const noexcept;
@@ -287,6 +299,7 @@ class SinkQueue {
   std::byte* memory_ = nullptr;
   std::size_t memory_bytes_ = 0;
   std::vector<ChunkHeader> chunks_;
+  std::atomic<std::size_t> used_{0};  // chunks that were ever filled, which are the first; nobody looks at the others
   std::array<std::atomic<Slot*>, most_blocks> blocks_{};
   std::array<std::atomic<SlotStored*>, most_blocks> stored_blocks_{};
   std::atomic<std::uint32_t> slot_count_{0};
@@ -296,7 +309,6 @@ class SinkQueue {
   std::optional<Error> set_up_error_;
   bool counts_live_;  // the writer has been opened as far as it must be to keep counts
   ChunkHeader* filling_ = nullptr;
-  std::uint64_t last_ticket_ = 0;
   std::size_t rows_since_handover_ = 0;
   std::uint64_t rows_since_account_ = 0;
   std::size_t full_chunks_ = 0;  // queued since the last hand-over because they were full
@@ -322,7 +334,8 @@ class SinkQueue {
   std::vector<Parcel> spare_parcels_;           // for their memory
   std::atomic<std::uint64_t> rows_settled_{0};  // of the batch, and counted
   // both
-  std::atomic<std::uint64_t> revision_{0};  // odd while a batch is being counted
+  std::atomic<std::uint64_t> last_ticket_{0};  // that the loop has given
+  std::atomic<std::uint64_t> revision_{0};     // odd while a batch is being counted
   std::mutex abandon_mutex_;
   std::condition_variable abandoned_signal_;
   bool abandoned_ = false;  // guarded by the mutex

@@ -29,12 +29,22 @@ Parcel& SinkQueue::add_parcel() {
 Result<void> SinkQueue::encode() {
   Parcel* parcel = nullptr;
   std::size_t in_batch = 0;
-  for (Record record : batch_) {
-    record.header.time += to_utc_;
+  const SlotStored* slot = nullptr;  // of the record: what it says is the same for all of the slot
+  Record record;
+  const auto encode_one = [&](const RecordHeader& header) {
+    if (slot != header.stored) {
+      slot = header.stored;
+      record = {slot->index, slot->info, {{}, 0, slot->info->origin}, {}};
+    }
+    record.header.time = from_nanoseconds(header.time) + to_utc_;
+    record.header.sequence = header.sequence;
+    record.payload = {reinterpret_cast<const std::byte*>(&header + 1), slot->payload_bytes};
     if (parcel == nullptr || parcel->rows_.size() >= sending_.parcel_rows ||
         parcel->bytes_.size() >= sending_.parcel_bytes) {
+      const std::size_t size = parcel != nullptr ? parcel->bytes_.size() : 0;
       parcel = &add_parcel();
       parcel->rows_.reserve(std::min(sending_.parcel_rows, batch_.rows_ - in_batch));
+      parcel->bytes_.reserve(size);
     }
     const std::size_t before = parcel->bytes_.size();
     if (auto encoded = sender_->encode(record, parcel->bytes_)) {
@@ -45,7 +55,8 @@ Result<void> SinkQueue::encode() {
       batch_.refuse(record, encoded.error());
     }
     ++in_batch;
-  }
+  };
+  for (const ChunkHeader* chunk : batch_.chunks_) for_each_record(*chunk, encode_one);
   if (parcel != nullptr && parcel->rows_.empty()) parcels_.pop_back();
   return {};
 }

@@ -48,10 +48,9 @@ bool is_refusal(int reason) {
 
 class Publishing final : public detail::MqttConnection {
  public:
-  Publishing(Loop& loop, const MqttConfig& config, bool is_text)
+  Publishing(Loop& loop, const MqttConfig& config)
       : MqttConnection(loop, "sink " + config.sink.name, broker_of(config), options_of(config)),
         config_(config),
-        is_text_(is_text),
         good_at_(loop, [this] {
           is_on_trial_ = false;
           work();
@@ -158,8 +157,7 @@ class Publishing final : public detail::MqttConnection {
         if (slot_of(expected).number != 0) return MOSQ_ERR_SUCCESS;  // an old one is unanswered
         const std::size_t row = one.next++;
         --left;
-        auto bytes = one.parcel->bytes(row);
-        if (is_text_ && !bytes.empty() && bytes.back() == std::byte{'\n'}) bytes = bytes.first(bytes.size() - 1);
+        const auto bytes = one.parcel->bytes(row);
         // Before the call, which may tell at once that it is done.
         slot_of(expected) = {expected, one.id, row};
         ++messages_;
@@ -313,7 +311,6 @@ class Publishing final : public detail::MqttConnection {
   }
 
   const MqttConfig config_;
-  const bool is_text_;
   std::vector<UnderWay> under_way_;
   std::map<const Parcel*, Progress> begun_;  // and are to be sent again
   std::uint64_t parcels_ = 0;
@@ -339,7 +336,7 @@ class MqttSender final : public Sender {
   MqttSender(MqttConfig config, std::unique_ptr<Codec> codec) : config_(std::move(config)), codec_(std::move(codec)) {}
 
   SendingConfig sending() const override { return config_.sending; }
-  void begin(Loop& loop) override { connection_ = std::make_shared<Publishing>(loop, config_, codec_->is_text()); }
+  void begin(Loop& loop) override { connection_ = std::make_shared<Publishing>(loop, config_); }
   void send(const Parcel& parcel, Answer answer) override { connection_->send(parcel, std::move(answer)); }
   void cancel() override { connection_->cancel(); }
   void end() override {
@@ -347,7 +344,11 @@ class MqttSender final : public Sender {
     connection->end();
   }
   Result<void> encode(const Record& record, std::vector<std::byte>& out) override {
-    return codec_->encode(record.keyed_view(), out);
+    const std::size_t before = out.size();
+    auto encoded = codec_->encode(record.keyed_view(), out);
+    // A message needs no line end.
+    if (encoded && codec_->is_text() && out.size() > before && out.back() == std::byte{'\n'}) out.pop_back();
+    return encoded;
   }
 
  private:
