@@ -225,6 +225,58 @@ TEST_SUITE("sinks") {
     CHECK(verdict_of(path) == Verdict::balanced);
   }
 
+  TEST_CASE("US-32 what waits for a sink that another of its name follows counts once, for that one") {
+    Folder folder;
+    auto peer = std::make_shared<ScriptedPeer::Script>();
+    bool is_away = true;
+    peer->on_send = [&](const Parcel& parcel, Answer answer) {
+      if (is_away) return answer.again(away);
+      peer->take(parcel, std::move(answer));
+    };
+    Run run(folder / "run.db", peer, {.name = "peer"});
+    const auto queued = [&] {
+      std::uint64_t sum = 0;
+      for (const SinkStatus& sink : run.loop.runtime().sinks()) {
+        CHECK(sink.counts.balances());
+        if (sink.backlog) sum += sink.counts.queued;
+      }
+      return sum;
+    };
+    const auto replace = [&] {
+      run.sink = Sink();
+      run.sink = Sink(run.loop, {.name = "peer", .through = "recording"}, std::make_unique<ScriptedPeer>(peer));
+    };
+    run.publish(30);
+    run.loop.advance(2s);
+    CHECK(queued() == 30);
+    replace();
+    run.loop.advance(2s);
+    CHECK(queued() == 30);
+    run.sink = Sink();  // removed: what waits for it stays
+    run.publish(12);
+    run.loop.advance(2s);
+    CHECK(queued() == 30);
+    run.sink = Sink(run.loop, {.name = "peer", .through = "recording"}, std::make_unique<ScriptedPeer>(peer));
+    run.loop.advance(2s);
+    CHECK(queued() == 42);
+    replace();
+    is_away = false;
+    run.loop.advance(2s);
+    CHECK(peer->events.size() == 42);
+    CHECK(queued() == 0);
+    // Of another recording, or another name: that does not follow it.
+    is_away = true;
+    run.publish(5);
+    run.loop.advance(2s);
+    run.sink = Sink();
+    SqliteSink other(run.loop, {.path = folder / "other.db", .sink = {.name = "other"}});
+    Sink elsewhere(run.loop, {.name = "peer", .through = "other"}, std::make_unique<ScriptedPeer>(peer));
+    run.sink = Sink(run.loop, {.name = "renamed", .through = "recording"}, std::make_unique<ScriptedPeer>(peer));
+    run.loop.advance(2s);
+    CHECK(queued() == 5);
+    run.loop.close(1s);
+  }
+
   TEST_CASE("US-32 the final account of a run goes out when everything else is settled, however many tables wait") {
     Folder folder;
     auto peer = std::make_shared<ScriptedPeer::Script>();

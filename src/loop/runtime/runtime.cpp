@@ -60,7 +60,7 @@ std::vector<SensorStatus> Runtime::sensors() const {
 }
 
 std::vector<SinkStatus> Runtime::sinks() const {
-  std::vector<SinkStatus> all = core_->closed_sinks;
+  std::vector<SinkStatus> all(core_->closed_sinks.begin(), core_->closed_sinks.end());
   for (const auto* recorder : core_->recorders) all.push_back(recorder->status());
   return all;
 }

@@ -40,6 +40,11 @@ std::string payload_name(const PayloadType& type);
 /// Of a payload that is not trivially copyable.
 Error cannot_cross(const TopicCore& topic);
 
+/// A sink as it ended.
+struct ClosedSink : SinkStatus {
+  std::string recording = {};  ///< the file of the one that it went through; empty: none
+};
+
 class RuntimeCore {
  public:
   RuntimeCore(Runtime& face, Runtime::Config config);
@@ -107,7 +112,7 @@ class RuntimeCore {
     std::erase(listeners, &recorder);
     std::erase(recorders, &recorder);
   }
-  std::vector<SinkStatus> closed_sinks;  ///< as they ended
+  std::vector<ClosedSink> closed_sinks;  ///< as they ended
   std::string unknown_end;               ///< what those that the last drain closed do not know of tiers; empty: all is
 
   // Its loop

@@ -82,12 +82,13 @@ std::uint64_t SinkNode::leave() noexcept {
   // What waits in a recording stays there.
   const std::uint64_t lost = is_fed() ? 0 : std::exchange(last_->counts.queued, 0);
   last_->counts.dropped[static_cast<std::size_t>(DropReason::refused)] += lost;
-  SinkStatus end;
+  ClosedSink end;
   end.health = health_;
   end.counts = last_->counts;
   note([&] {
     last_->dropped = queue_->dropped_by_topic(is_fed() ? SinkQueue::Queued::waits : SinkQueue::Queued::lost);
-    end = *last_;
+    static_cast<SinkStatus&>(end) = *last_;
+    if (is_fed()) end.recording = queue_->feed()->path();
   });
   runtime.closed_sinks.push_back(std::move(end));  // there is room for it
   note([&] {

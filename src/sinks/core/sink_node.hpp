@@ -183,6 +183,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   /// The recording has committed something.
   void rows_came();
   void note_backlog() noexcept;
+  void take_over(const std::string& recording) noexcept;
   /// Of a recording: tells those that go through it.
   void tell_followers();
   void give_up();

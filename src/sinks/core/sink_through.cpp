@@ -1,6 +1,7 @@
 // How a sink goes through a recording: it is fed with what is committed there, and keeps its position in it.
 #include <algorithm>
 #include <string>
+#include <utility>
 
 #include "loop/support/deadline.hpp"
 #include "sinks/core/sink_node.hpp"
@@ -31,6 +32,7 @@ void SinkNode::follow_recording() {
       {config_.name, config_.topics, config_.from, runtime.event_time(loop()->now()),
        queue_->sender() != nullptr ? RowFeedConfig::Times::utc : RowFeedConfig::Times::recorded, rows});
   if (feed == nullptr) refuse("it is no recording", "name a sqlite sink");
+  take_over(feed->path());
   queue_->feed_from(std::move(feed));
   recording_->followers_.push_back(this);
   runtime.attach(*this);
@@ -38,6 +40,15 @@ void SinkNode::follow_recording() {
   life_ = Life::attached;
   recording_->commit_within(config_.batch_time);
   if (recording_->is_readable_) start_work();
+}
+
+/// What waited in this recording for a sink of this name that was closed is offered to this one: it counts once.
+void SinkNode::take_over(const std::string& recording) noexcept {
+  for (ClosedSink& closed : loop()->runtime.closed_sinks) {
+    if (closed.name != config_.name || closed.recording != recording || !closed.backlog) continue;
+    closed.counts.offered -= std::exchange(closed.counts.queued, 0);
+    closed.backlog = Backlog{};
+  }
 }
 
 void SinkNode::leave_recording() noexcept {
