@@ -8,12 +8,14 @@
 #include "rtdata/loop/account.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/sensors/feed.hpp"
+#include "rtdata/sensors/sensor.hpp"
 #include "rtdata/sinks/sender.hpp"
 #include "sinks/through_run.hpp"
 
 using namespace rtdata;
 using namespace sinks;
 using namespace std::chrono_literals;
+using namespace rtdata::literals;
 using recordings::Folder;
 using recordings::number;
 using recordings::sql;
@@ -222,6 +224,43 @@ TEST_SUITE("sinks") {
       CHECK(event->data.lost == 0);
     }
     CHECK(count == 3);
+    CHECK(verdict_of(path) == Verdict::balanced);
+  }
+
+  TEST_CASE("US-32 the final account has the sensors, too, that were removed before the end") {
+    Folder folder;
+    auto peer = std::make_shared<ScriptedPeer::Script>();
+    const std::string path = folder / "run.db";
+    const std::vector<std::string> topics{"#", account_topic};
+    Run run(path, peer, {.name = "peer", .topics = topics}, {.path = "", .sink = {.topics = topics}});
+    Feed<Number> stays(run.loop, {.name = "stays", .topic = "room"});
+    Feed<Number> goes(run.loop, {.name = "goes", .topic = "room"});
+    Feed<Number> mute(run.loop, {.name = "mute", .topic = "room"});
+    Sensor<Number> ticks(run.loop, {.name = "ticks", .topic = "ticks", .rate = 10_Hz}, [] { return Number{1}; });
+    for (int i = 1; i <= 3; ++i) goes.publish({static_cast<double>(i)});
+    stays.publish({4});
+    run.loop.advance(1s);
+    const std::uint64_t ticked = ticks.counts().published;
+    CHECK(ticked >= 10);
+    ticks.close();
+    goes.close();
+    mute.close();
+    {  // the name again, removed again
+      Feed<Number> again(run.loop, {.name = "goes", .topic = "room"});
+      again.publish({5});
+    }
+    CHECK(run.loop.close(5s) == 0);
+    std::map<std::string, std::uint64_t> published;
+    auto recorded = Recording::open(path).or_throw();
+    auto accounts = recorded.events<FinalCounts>(account_topic).or_throw();
+    while (const auto* event = accounts.next().or_throw()) {
+      const auto [at, is_new] = published.emplace(std::string(event->data.name.view()), event->data.published);
+      CHECK_MESSAGE(is_new, at->first);
+    }
+    CHECK(published.size() == 3);
+    CHECK(published["goes"] == 4);
+    CHECK(published["stays"] == 1);
+    CHECK(published["ticks"] == ticked);
     CHECK(verdict_of(path) == Verdict::balanced);
   }
 

@@ -2,7 +2,10 @@
 
 #include <algorithm>
 #include <array>
+#include <set>
+#include <string>
 #include <string_view>
+#include <vector>
 
 #include "loop/core/loop_core.hpp"
 #include "loop/runtime/runtime_core.hpp"
@@ -27,22 +30,30 @@ void publish_final_account(LoopCore& loop) noexcept try {
                          std::any_of(runtime.recorders.begin(), runtime.recorders.end(),
                                      [](const Recorder* recorder) { return recorder->wants(account_topic); });
   if (!is_wanted) return;
-  const auto sensors = loop.face.runtime().sensors();
-  TopicCore& topic = runtime.topic(account_topic, payload_type<FinalCounts>());
-  for (const SensorStatus& sensor : sensors) {
-    if (sensor.topic == account_topic) continue;
-    FinalCounts account;
-    account.name = fitting<200>(sensor.name);
-    account.topic = fitting<200>(sensor.topic);
-    account.published = sensor.counts.published;
-    account.late = sensor.counts.late;
-    account.missed = sensor.counts.missed;
-    account.failed = sensor.counts.failed;
-    account.unreadable = sensor.counts.unreadable;
-    account.lost = sensor.counts.lost;
-    account.lost_is_known = sensor.counts.lost_is_known;
-    publish_from_program(topic, &account);
+  std::vector<FinalCounts> accounts;
+  std::set<std::string, std::less<>> told;
+  const auto add = [&](std::string_view name, std::string_view of_topic, const SensorCounts& counts) {
+    if (of_topic == account_topic || !told.emplace(name).second) return;
+    FinalCounts& account = accounts.emplace_back();
+    account.name = fitting<200>(name);
+    account.topic = fitting<200>(of_topic);
+    account.published = counts.published;
+    account.late = counts.late;
+    account.missed = counts.missed;
+    account.failed = counts.failed;
+    account.unreadable = counts.unreadable;
+    account.lost = counts.lost;
+    account.lost_is_known = counts.lost_is_known;
+  };
+  for (const SensorStatus& sensor : loop.face.runtime().sensors()) add(sensor.name, sensor.topic, sensor.counts);
+  // Those that were removed before the end: what they have published is to arrive, too.
+  for (const OriginCore& origin : runtime.origins()) {
+    const bool has_account = origin.sequence > 0 || origin.counts.scheduled > 0 || origin.counts.received > 0;
+    const bool is_sensors = !origin.name.starts_with("program:") && !origin.topic.name.starts_with('$');
+    if (!origin.is_claimed && has_account && is_sensors) add(origin.name, origin.topic.name, origin.counts);
   }
+  TopicCore& topic = runtime.topic(account_topic, payload_type<FinalCounts>());
+  for (const FinalCounts& account : accounts) publish_from_program(topic, &account);
   loop.deliver_all();
 } catch (...) {  // no memory; or the program uses the name for another topic
 }
