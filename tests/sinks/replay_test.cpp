@@ -397,6 +397,16 @@ TEST_CASE("FW-5 damage that a replay meets is told, and the replay ends there") 
     CHECK(again.errors.find("sequence 300, time") != std::string::npos);
     CHECK(replay.counts().events == 299);
   }
+  SUBCASE("an event after the end of its run") {
+    const std::string path = make(folder);
+    sql(path, "UPDATE \"room/climate\" SET time = time + 2305843009213693952 WHERE sequence = 300");
+    Again again(path);
+    Replay replay(again.loop, {.file = path});
+    again.finish(replay);
+    CHECK_MESSAGE(again.errors.find("sequence 300, time 20") != std::string::npos, again.errors);
+    CHECK(again.errors.find("it is after the end of the run, 20") != std::string::npos);
+    CHECK(replay.counts().refused == 0);
+  }
   SUBCASE("sequences that go back") {
     const std::string path = make(folder);
     sql(path, "UPDATE \"room/climate\" SET sequence = 5 WHERE sequence IN (300, 301)");

@@ -63,6 +63,49 @@ struct Bench {
 }  // namespace
 
 TEST_SUITE("sinks") {
+  TEST_CASE("in virtual time a sink with nothing to do has no ticks, and those that it has come when they always do") {
+    Loop loop{Loop::Manual{}};
+    const auto script = std::make_shared<ScriptedWriter::Script>();
+    std::vector<MonotonicTime> stored;
+    script->before_write = [&] { stored.push_back(loop.now()); };
+    const auto ticks = [&] {
+      for (const CallbackStatus& status : loop.callbacks())
+        if (status.name == "sink script") return status.times.count;
+      return std::uint64_t{0};
+    };
+    Sink sink(loop, {.name = "script", .batch_rows = 100, .batch_time = 1s}, std::make_unique<ScriptedWriter>(script));
+    loop.advance(300ms);
+    loop.topic<Number>("a").publish({1});
+    loop.advance(60s);
+    REQUIRE(script->rows.size() == 1);
+    const MonotonicTime first = stored.front();
+    const std::uint64_t before = ticks();
+    CHECK(before >= 1);
+    loop.advance(24h * 30);
+    CHECK(ticks() - before <= 2);
+    stored.clear();
+    loop.topic<Number>("a").publish({2});
+    const MonotonicTime published = loop.now();
+    loop.advance(2s);
+    REQUIRE(script->rows.size() == 2);
+    CHECK(stored.front() - published <= 1s);
+    CHECK((stored.front() - first) % 1s == 0s);
+    // A timer is on time, and what it publishes is stored as soon as ever.
+    stored.clear();
+    MonotonicTime fired{};
+    Timer timer(loop, 24h * 30 + 400ms, [&] {
+      fired = loop.now();
+      loop.topic<Number>("a").publish({3});
+    });
+    loop.advance(24h * 31);
+    CHECK(fired - published == 24h * 30 + 2400ms);
+    REQUIRE(script->rows.size() == 3);
+    CHECK(stored.front() > fired);
+    CHECK(stored.front() - fired <= 1s);
+    CHECK((stored.front() - first) % 1s == 0s);
+    CHECK(loop.close() == 0);
+  }
+
   TEST_CASE("a batch that fails is tried again, with a delay that doubles, and nothing is lost or doubled") {
     for (const bool throws : {false, true}) {
       Bench bench;

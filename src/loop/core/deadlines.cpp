@@ -1,6 +1,7 @@
 #include "loop/core/deadlines.hpp"
 
 #include <algorithm>
+#include <array>
 
 #include "loop/core/loop_core.hpp"
 
@@ -45,6 +46,30 @@ void Deadlines::moved(Deadline& deadline) noexcept {
 std::optional<MonotonicTime> Deadlines::next_due() const noexcept {
   if (heap_.top() == nullptr || heap_.top()->due == MonotonicTime::max()) return std::nullopt;
   return heap_.top()->due;
+}
+
+void Deadlines::leave_out_idle(MonotonicTime until) noexcept {
+  // Those that are first, taken aside until it is known what comes after them.
+  struct Idle {
+    RateGroup* group;
+    MonotonicTime due;
+  };
+  std::array<Idle, 16> idle;
+  std::size_t count = 0;
+  for (; count < idle.size(); ++count) {
+    auto* const group = dynamic_cast<RateGroup*>(heap_.top());
+    if (group == nullptr || group->due >= until || !group->is_idle()) break;
+    idle[count] = {group, group->due};
+    group->due = MonotonicTime::max();
+    heap_.moved(*group);
+  }
+  if (count == 0) return;
+  const MonotonicTime next = std::min(until, heap_.top()->due);
+  for (std::size_t i = 0; i < count; ++i) {
+    idle[i].group->due = idle[i].due;
+    if (next != MonotonicTime::max()) idle[i].group->leave_out_until(next);
+    heap_.moved(*idle[i].group);
+  }
 }
 
 void Deadlines::arm() noexcept {

@@ -32,6 +32,10 @@ class Deadlines {
   MonotonicTime handled_until() const noexcept { return handled_until_; }
   void begin(MonotonicTime now) noexcept { handled_until_ = now; }
 
+  /// In virtual time: passes over the ticks before `until`, and before anything else is due, at which nothing is to be
+  /// done.
+  void leave_out_idle(MonotonicTime until) noexcept;
+
   bool is_firing() const noexcept { return firing_; }
   /// Unless they fire already. The timer is not armed for the next one before `arm` is called.
   void fire_due();

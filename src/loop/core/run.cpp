@@ -70,6 +70,7 @@ void LoopCore::run() {
     begin_instant();
     if (!is_stopping()) settle();
     while (!is_stopping() && refs_ > 0 && (deadlines.next_due() || has_running_tiers())) {
+      if (!has_running_tiers()) deadlines.leave_out_idle(MonotonicTime::max());
       if (!advance_to(deadlines.next_due().value_or(MonotonicTime::max()))) break;
     }
   } else {
@@ -139,6 +140,7 @@ void LoopCore::advance(Duration duration) {
   begin_instant();
   if (!is_stopping()) settle();
   for (bool is_there = false; !is_there && !is_stopping();) {
+    if (!has_running_tiers()) deadlines.leave_out_idle(target);  // of tiers, events may come before anything is due
     const std::optional<MonotonicTime> next = deadlines.next_due();
     const bool is_last = !next || *next > target;
     if (!advance_to(is_last ? target : *next)) break;

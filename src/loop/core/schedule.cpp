@@ -36,6 +36,21 @@ MonotonicTime RateGroup::next_due_of(const RateMember& member) const noexcept {
   return std::max(later(firing_due_, period_), member.first_due_);
 }
 
+bool RateGroup::is_idle() const noexcept {
+  for (std::size_t i = 0; i < members_.places(); ++i) {
+    const RateMember* const member = members_.at(i);
+    if (member != nullptr && !member->is_idle()) return false;
+  }
+  return true;
+}
+
+void RateGroup::leave_out_until(MonotonicTime at) noexcept {
+  const Duration span = span_between(due, at);
+  if (span <= Duration{0}) return;
+  const std::int64_t ticks = span / period_ + (span % period_ != Duration{0} ? 1 : 0);
+  due = later(due, multiple(ticks, period_));
+}
+
 void RateGroup::fire(MonotonicTime now) {
   // What is late by a period or more is skipped: the latest tick that has come due is taken.
   const auto behind = (now - due) / period_;

@@ -42,6 +42,9 @@ class RateMember {
   /// The first tick that has not been dealt with.
   MonotonicTime next_due() const noexcept;
 
+  /// As things are, `tick` would do nothing: in virtual time, until something else is due, it is not called.
+  virtual bool is_idle() const noexcept { return false; }
+
   /// Asks the processor for memory that `tick` will use besides the member's own: called some members ahead of it.
   virtual void prefetch() const noexcept {}
   Duration period() const noexcept { return period_; }
@@ -85,6 +88,10 @@ class RateGroup final : public Deadline {
   RateGroup(LoopCore& loop, Duration period) : loop_(loop), period_(period) {}
   void fire(MonotonicTime now) override;
   Duration period() const noexcept { return period_; }
+  /// All members are.
+  bool is_idle() const noexcept;
+  /// The first tick from `at` on is the next one; those before it are nobody's.
+  void leave_out_until(MonotonicTime at) noexcept;
   /// Of this member: the group's first tick not dealt with, unless the group is past it in the tick under way.
   MonotonicTime next_due_of(const RateMember& member) const noexcept;
 

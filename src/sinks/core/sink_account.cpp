@@ -61,6 +61,13 @@ void SinkAccount::close_gaps() noexcept {
   }
 }
 
+bool SinkAccount::goes_on_by_itself() const noexcept {
+  return std::any_of(taps_.begin(), taps_.end(), [](const auto& tap) {
+    const auto& origins = tap->topic().origins();
+    return std::any_of(origins.begin(), origins.end(), [](const OriginCore* origin) { return origin->has_segment(); });
+  });
+}
+
 void SinkAccount::add(OriginCore& origin, const Gap& gap) {
   SinkTap* tap = find_tap(origin);
   if (tap == nullptr || !tap->knows(origin)) return;

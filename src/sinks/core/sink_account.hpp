@@ -31,6 +31,8 @@ class SinkAccount {
 
   void add(OriginCore& origin, const Gap& gap);
   void add(OriginCore& origin, const Segment& segment);
+  /// There is a schedule, whose ticks change it although nothing comes.
+  bool goes_on_by_itself() const noexcept;
   SinkNotes notes;  ///< what else is to be recorded
 
   /// A part of it, or all, of the origins that changed since the last one.

@@ -82,6 +82,8 @@ bool SinkNode::enqueue_account(SinkAccount::Part part) noexcept try {
   const Time now = loop()->runtime.event_time(loop()->now());
   const auto enqueued = account_.enqueue(part, now, loop()->deadlines.handled_until(), unknown_);
   is_account_due_ = false;
+  had_no_news_ = part == SinkAccount::Part::first && !enqueued.is_something && !enqueued.has_more;
+  rows_told_ = queue_->rows_since_account();
   is_between_parts_ = enqueued.has_more;
   set_account_timer();
   if (part == SinkAccount::Part::last) is_last_told_ = true;

@@ -169,6 +169,17 @@ void SinkNode::tick(const Tick&) {
   if (is_open() && is_sync_due()) start_work();  // also when nothing more came
 }
 
+bool SinkNode::is_idle() const noexcept {
+  if (is_fed()) return true;
+  if (work_ != Work::idle || are_positions_due_ || is_account_due_ || queue_->has_rows() || !syncs_.empty())
+    return false;
+  const StorePace& pace = queue_->pace();
+  if (pace.sync_time.count() > 0 && unsynced_since_) return false;
+  if (!queue_->keeps_account()) return true;
+  return account_.notes.is_empty() && queue_->slot_count() == slots_told_ &&
+         queue_->rows_since_account() == rows_told_ && had_no_news_ && !account_.goes_on_by_itself();
+}
+
 bool SinkNode::report_times(CallbackStatus& status) const {
   status.name = object_name();
   status.times = times;

@@ -52,6 +52,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
 
   // ---- batches by time
   void tick(const Tick&) override;
+  bool is_idle() const noexcept override;
   std::string blame_name() const override { return object_name(); }
   bool report_times(CallbackStatus& status) const override;
 
@@ -240,6 +241,8 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   // health
   Health health_ = Health::ok;
   Health told_health_ = Health::ok;  // as last published
+  bool had_no_news_ = false;      // there was nothing to say in it
+  std::uint64_t rows_told_ = 0;   // of those since the account before it, which are in it
   std::string reason_;
   std::string fault_;                    // why it stays faulted: it wants a topic that it cannot take
   bool error_already_reported_ = false;  // the last error is the same as the one before it

@@ -138,6 +138,8 @@ class SinkQueue {
   }
   /// Queues the chunk being filled. False when nothing has come since the last call.
   bool hand_over();
+  /// Some wait for that.
+  bool has_rows() const noexcept { return full_chunks_ != 0 || (filling_ != nullptr && filling_->rows != 0); }
   /// As much as makes a batch, or half of the queue, waits to be handed over.
   bool is_batch_due() const noexcept { return rows_since_handover_ >= due_rows_ || full_chunks_ >= due_chunks_; }
   const StorePace& pace() const noexcept { return pace_; }

@@ -301,7 +301,8 @@ ReplayNode::ReplayNode(LoopCore& loop, ReplayConfig config)
     find_origins(recording, filter, known);
     std::vector<RecordedTopic> recorded;
     for (const Topic& topic : topics_) recorded.push_back(topic.recorded);
-    source_ = std::make_shared<ReplaySource>(std::move(recording), std::move(filter), recorded, known);
+    source_ = std::make_shared<ReplaySource>(std::move(recording), std::move(filter), recorded, known,
+                                             run_.state == RunState::recording ? std::nullopt : run_.ended);
     for (auto& job : jobs_) job = std::make_shared<ReplayJob>(*this, source_);
     lane_ = std::make_unique<Lane>(loop, "replay " + config_.name, no_limit);
     loop.runtime.sensors.add(*this);

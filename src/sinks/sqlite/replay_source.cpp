@@ -5,12 +5,14 @@
 #include <mutex>
 #include <set>
 
+#include "loop/support/deadline.hpp"
 #include "sinks/sqlite/recording_file.hpp"
 
 namespace rtdata::detail {
 namespace {
 
 constexpr std::size_t rows_at_once = 1024;
+constexpr Duration end_tolerance = std::chrono::milliseconds{1};  // events at one time are put 1 ns apart
 constexpr std::size_t bytes_at_once = std::size_t{256} << 10;
 
 }  // namespace
@@ -35,8 +37,8 @@ std::optional<Gap::Kind> gap_kind(std::string_view name) noexcept {
 }
 
 ReplaySource::ReplaySource(Recording recording, RowFilter filter, const std::vector<RecordedTopic>& topics,
-                           const std::vector<ReplayOrigin>& origins)
-    : recording_(std::move(recording)), filter_(std::move(filter)) {
+                           const std::vector<ReplayOrigin>& origins, std::optional<Time> end)
+    : recording_(std::move(recording)), filter_(std::move(filter)), end_(end) {
   for (const RecordedTopic& topic : topics) topics_.emplace_back(topic.topic, topic.version);
   for (const ReplayOrigin& origin : origins) origins_.emplace(origin, static_cast<std::uint32_t>(origins_.size()));
 }
@@ -82,6 +84,12 @@ Result<void> ReplaySource::read_rows(ReplayPortion& portion) {
       portion.entries.push_back({time, 0, origin, static_cast<std::uint32_t>(portion.gaps.size())});
       portion.gaps.push_back({*kind, kept_reason(gap->reason), gap->first, gap->last, gap->count});
       continue;
+    }
+    if (end_ && row->header().time > later(*end_, end_tolerance)) {
+      return at_row(
+          *recording_.file(), row->topic(), row->run(), row->header().origin, row->header().sequence,
+          {Errc::damaged, "cannot replay", "time " + to_iso8601(row->header().time),
+           "it is after the end of the run, " + to_iso8601(*end_), "see `rtdata verify`; `--until` leaves it out"});
     }
     Topic& topic = topic_of(row->topic());
     if (topic.place == topics_.size()) {

@@ -53,9 +53,10 @@ struct ReplayPortion {
 /// Thread: one at a time, that of the lane once it works.
 class ReplaySource {
  public:
-  /// `topics`: the topics that are replayed, in the order of their places. `origins`: those that are known.
+  /// `topics`: the topics that are replayed, in the order of their places. `origins`: those that are known. `end`: of
+  /// the run, if it has ended; an event after that is an error.
   ReplaySource(Recording recording, RowFilter filter, const std::vector<RecordedTopic>& topics,
-               const std::vector<ReplayOrigin>& origins);
+               const std::vector<ReplayOrigin>& origins, std::optional<Time> end);
   void read(ReplayPortion& portion) noexcept;
   /// Any thread: `read` ends soon.
   void cancel() noexcept;
@@ -75,6 +76,7 @@ class ReplaySource {
 
   Recording recording_;
   RowFilter filter_;
+  const std::optional<Time> end_;
   std::optional<Rows> rows_;
   std::vector<std::pair<std::string, std::int64_t>> topics_;  // name and version
   std::map<ReplayOrigin, std::uint32_t> origins_;
