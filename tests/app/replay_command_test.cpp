@@ -11,6 +11,7 @@
 #include "rtdata/sinks/recording.hpp"
 #include "rtdata/sinks/sqlite.hpp"
 #include "rtdata/sinks/verify.hpp"
+#include "sinks/http_bench.hpp"
 
 using namespace rtdata;
 using namespace rtdata::literals;
@@ -54,6 +55,16 @@ std::string recorded(const Folder& folder) {
   room.close();
   CHECK(loop.close() == 0);
   return path;
+}
+
+/// A run of `seconds` with 10 events a second.
+void record(const Folder& folder, int seconds) {
+  Loop loop{Loop::Manual{}};
+  SqliteSink sink(loop, {.path = folder.path() + "/run.db"});
+  Sensor<Warmth> room(loop, {.name = "room", .rate = 10_Hz}, [] { return Warmth{21}; });
+  loop.advance(std::chrono::seconds{seconds} - 50ms);
+  room.close();
+  CHECK(loop.close() == 0);
 }
 
 std::vector<Time> utc_of(const std::string& path) {
@@ -126,6 +137,67 @@ TEST_CASE("FW-5 replay: to the terminal, chosen; and what is wrong has a status"
   CHECK(status({"run.db", "bad.json"}) == 2);
   std::filesystem::resize_file(path, 20'000);
   CHECK(status({"run.db", "--speed", "max"}) == 2);
+}
+
+TEST_CASE("FW-5 replay: as fast as it goes, a peer has the time that it takes, and gets every event") {
+  if (!sinks::is_program(sinks::python)) return;
+  const Folder folder;
+  record(folder, 60);
+  sinks::HttpServer server;
+  for (const char* through : {"", R"(, "through": "again.db")"}) {
+    CAPTURE(through);
+    std::filesystem::remove(folder.path() + "/again.db");
+    folder.write("again.json", R"({"sinks": [{"type": "sqlite", "path": "again.db"}, {"type": "http", "url": ")" +
+                                   server.url() + R"(", "parcel_rows": 20)" + through + "}]}");
+    server.forget();
+    Process replay(folder, program, {"replay", "run.db", "again.json", "--speed", "max"});
+    CHECK_MESSAGE(replay.end() == 0, replay.err);
+    CHECK(server.sequences().size() == 600);
+    CHECK(server.events().size() == 600);
+  }
+  // One that is away at first: what waits is sent again when it is back. Without a recording between, the replay waits.
+  server.become("status 503");
+  server.forget();
+  folder.write("again.json", R"({"sinks": [{"type": "http", "url": ")" + server.url() +
+                                 R"(", "retry_first": "20 ms", "retry_longest": "50 ms"}]})");
+  Process replay(folder, program, {"replay", "run.db", "again.json", "--speed", "max"});
+  CHECK_MESSAGE(replay.wait_for("503"), replay.err);
+  server.become("ok");
+  (void)replay.end();
+  CHECK_MESSAGE(server.sequences().size() == 600, replay.err);
+}
+
+TEST_CASE("FW-5 replay: as fast as it goes, a peer that never answers has its time-out and no longer") {
+  if (!sinks::is_program(sinks::python)) return;
+  const Folder folder;
+  record(folder, 2);
+  sinks::HttpServer server;
+  server.become("hang");
+  folder.write("again.json", R"({"sinks": [{"type": "http", "url": ")" + server.url() + R"(", "timeout": "200 ms"}]})");
+  const auto begin = std::chrono::steady_clock::now();
+  Process replay(folder, program, {"replay", "run.db", "again.json", "--speed", "max"});
+  CHECK(replay.end() == 1);
+  CHECK(std::chrono::steady_clock::now() - begin > 2s);  // the deadline of closing is the machine's time, too
+  CHECK_MESSAGE(replay.err.find("no answer in 200 ms") != std::string::npos, replay.err);
+  CHECK_MESSAGE(replay.err.find("lost 20 events") != std::string::npos, replay.err);
+}
+
+TEST_CASE("FW-5 replay: as fast as it goes, years without an event are passed over") {
+  const Folder folder;
+  folder.write("table.csv", "t,a\n0,1\n1700000000,2\n1731536000,3\n");
+  Process import(folder, program, {"import", "table.csv", "--time", "t", "--into", "run.db"});
+  REQUIRE(import.end() == 0);
+  folder.write("again.json", R"({"sinks": [{"type": "sqlite", "path": "again.db"},
+                                           {"type": "file", "path": "again.csv", "format": "csv"}]})");
+  for (const std::vector<std::string>& to : {std::vector<std::string>{}, {"again.json"}}) {
+    std::vector<std::string> arguments{"replay", "run.db", "--speed", "max"};
+    arguments.insert(arguments.end(), to.begin(), to.end());
+    Process replay(folder, program, arguments);
+    CHECK_MESSAGE(replay.end() == 0, replay.err);
+    CHECK_MESSAGE(replay.err.find("has ended: 3 events") != std::string::npos, replay.err);
+  }
+  const auto report = verify(Recording::open(folder.path() + "/again.db").or_throw()).or_throw();
+  CHECK_MESSAGE(report.verdict() == Verdict::balanced, report.text());
 }
 
 TEST_CASE("FW-5 US-17 a sensor of type replay: checked with the recording, and run beside live ones") {

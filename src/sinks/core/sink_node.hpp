@@ -72,6 +72,12 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   const std::string& name() const noexcept override { return config_.name; }
   SinkCounts counts() const noexcept override { return last_ ? last_->counts : queue_->counts(); }
   Health health() const noexcept { return health_; }
+  /// Its peer has something to answer; or it tries again later, and meanwhile its queue fills. What waits in a
+  /// recording is safe there.
+  bool needs_real_time() const noexcept {
+    if (work_ == Work::sending) return !is_fed() || !transfer_->is_waiting();
+    return is_attached() && is_waiting() && !is_fed();
+  }
 
  private:
   /// The states of the sink's life, in this order.
