@@ -163,7 +163,7 @@ TEST_CASE("FW-5 replay: as fast as it goes, a peer has the time that it takes, a
   Process replay(folder, program, {"replay", "run.db", "again.json", "--speed", "max"});
   CHECK_MESSAGE(replay.wait_for("503"), replay.err);
   server.become("ok");
-  (void)replay.end();
+  CHECK_MESSAGE(replay.end() == 0, replay.err);
   CHECK_MESSAGE(server.sequences().size() == 600, replay.err);
 }
 
@@ -179,7 +179,32 @@ TEST_CASE("FW-5 replay: as fast as it goes, a peer that never answers has its ti
   CHECK(replay.end() == 1);
   CHECK(std::chrono::steady_clock::now() - begin > 2s);  // the deadline of closing is the machine's time, too
   CHECK_MESSAGE(replay.err.find("no answer in 200 ms") != std::string::npos, replay.err);
-  CHECK_MESSAGE(replay.err.find("lost 20 events") != std::string::npos, replay.err);
+  CHECK_MESSAGE(replay.err.find("dropped 20 events") != std::string::npos, replay.err);
+}
+
+TEST_CASE("FW-5 replay: the status says whether all was replayed and stored, whatever was logged on the way") {
+  if (!sinks::is_program(sinks::python)) return;
+  const Folder folder;
+  record(folder, 20);
+  sinks::HttpServer server;
+  const auto replay = [&](const std::string& more) {
+    folder.write("again.json", R"({"sinks": [{"type": "http", "url": ")" + server.url() +
+                                   R"(", "retry_first": "20 ms", "retry_longest": "50 ms")" + more + "}]}");
+    return std::make_unique<Process>(folder, program,
+                                     std::vector<std::string>{"replay", "run.db", "again.json", "--speed", "max"});
+  };
+  server.become("status 503");
+  auto retried = replay("");
+  CHECK_MESSAGE(retried->wait_for("503"), retried->err);
+  server.become("ok");
+  CHECK_MESSAGE(retried->end() == 0, retried->err);
+  CHECK(retried->err.find("error: ") != std::string::npos);
+  CHECK(server.sequences().size() == 200);
+  // What the peer refuses is not stored.
+  server.become("status 400");
+  auto refused = replay(R"(, "parcel_rows": 50)");
+  CHECK(refused->end() == 1);
+  CHECK_MESSAGE(refused->err.find("dropped 200 events") != std::string::npos, refused->err);
 }
 
 TEST_CASE("FW-5 replay: as fast as it goes, years without an event are passed over") {

@@ -134,6 +134,22 @@ std::uint64_t close_in_virtual_time(Loop& loop) {
   return lost;
 }
 
+/// What sinks dropped or could not close, beside what the recording had dropped already: those are counted again.
+/// False: none did.
+bool tell_drops(const Runtime& runtime, std::uint64_t dropped_before) {
+  bool is_any = false;
+  for (const SinkStatus& sink : runtime.sinks()) {
+    const std::uint64_t refused = sink.counts.dropped[static_cast<std::size_t>(DropReason::refused)];
+    const std::uint64_t others = sink.counts.all_dropped() - refused;
+    const std::uint64_t dropped = refused + (others > dropped_before ? others - dropped_before : 0);
+    is_any = is_any || dropped > 0 || (sink.health == Health::faulted && !sink.backlog);
+    if (dropped == 0) continue;
+    std::cerr << "rtdata: error: sink " << sink.name << " dropped " << dropped << (dropped == 1 ? " event" : " events")
+              << std::endl;
+  }
+  return is_any;
+}
+
 class ReplayRun {
  public:
   ReplayRun(const Registry& registry, const ReplayOptions& options) : registry_(registry), options_(options) {}
@@ -184,7 +200,6 @@ class ReplayRun {
       std::cerr << "rtdata: "
                 << (record.level >= LogLevel::warning ? std::string(name_of_level(record.level)) + ": " : "")
                 << record.object << ": " << record.text << std::endl;
-      if (record.level == LogLevel::error) status_ = exit_other;
     });
     Loop loop(runtime, {.name = "replay"});
     std::optional<System> system;
@@ -228,8 +243,8 @@ class ReplayRun {
     const ReplayCounts counts = replay.counts();
     const std::uint64_t lost = options_.is_virtual ? close_in_virtual_time(loop) : loop.close();
     replayed_ += counts.events;
-    if (failed || counts.refused > 0 || is_stopped_ || lost > 0) status_ = exit_other;
-    if (lost > 0) std::cerr << "rtdata: error: " << lost << " events could not be stored" << std::endl;
+    const bool has_dropped = tell_drops(runtime, counts.dropped);
+    if (failed || counts.refused > 0 || is_stopped_ || lost > 0 || has_dropped) status_ = exit_other;
   }
 
   static std::string_view name_of_level(LogLevel level) { return level == LogLevel::error ? "error" : "warning"; }
