@@ -124,6 +124,54 @@ TEST_SUITE("app") {
     CHECK(lines_of(folder.path() + "/copy.jsonl") == rows_of(folder.path() + "/home/moved.db"));
   }
 
+  TEST_CASE("US-32 what waits for a sink that the configuration does not have is told, and so is another peer") {
+    const Folder folder;
+    folder.write("node.json", configuration);
+    const auto changed = [](std::string from, const std::string& to) {
+      std::string text = configuration;
+      text.replace(text.find(from), from.size(), to);
+      return text;
+    };
+    folder.write("renamed.json", changed(R"("name": "copy")", R"("name": "other")"));
+    folder.write("moved.json", changed(R"("path": "copy.jsonl")", R"("path": "elsewhere.jsonl")"));
+    Process before(folder, program, {"check", "renamed.json"});
+    CHECK(before.end() == 0);
+    CHECK_MESSAGE(!has(before.out, "no sink of that name"), before.out);  // there is no recording yet
+    {
+      const Away away(folder);
+      Process run(folder, program, {"run", "node.json", "--for", "300ms"});
+      CHECK(run.end() == 0);
+    }
+    const std::string waits = std::to_string(rows_of(folder.path() + "/node.db")) + " events (";
+    const auto said = [&](std::vector<std::string> arguments, int status) {
+      Process process(folder, program, std::move(arguments));
+      CHECK_MESSAGE(process.end() == status, process.out << process.err);
+      return process.out + process.err;
+    };
+    const std::string left = "node.db for a sink \"copy\", and no sink of that name goes through it";
+    std::string text = said({"check", "renamed.json"}, 0);
+    CHECK_MESSAGE(has(text, waits), text);
+    CHECK_MESSAGE(has(text, left), text);
+    CHECK_MESSAGE(!has(text, "is another than when"), text);
+    text = said({"check", "moved.json"}, 0);
+    CHECK_MESSAGE(has(text, "`path` is another than when node.db was recorded: " + waits), text);
+    CHECK_MESSAGE(!has(text, "no sink of that name"), text);
+    text = said({"check", "node.json"}, 0);
+    CHECK_MESSAGE(!has(text, "is another than when"), text);
+    CHECK_MESSAGE(!has(text, "no sink of that name"), text);
+    text = said({"forward", "node.db", "renamed.json"}, 1);
+    CHECK_MESSAGE(has(text, "copy: " + waits), text);
+    CHECK_MESSAGE(has(text, "but renamed.json has no sink of that name"), text);
+    CHECK_MESSAGE(has(text, "not all is sent: 0 events, 0 dropped, "), text);
+    text = said({"run", "renamed.json", "--for", "200ms"}, 0);
+    CHECK_MESSAGE(has(text, left), text);
+    // Under its name, it is sent; then there is nothing to tell.
+    CHECK(has(said({"forward", "node.db", "node.json"}, 0), "all is sent"));
+    text = said({"check", "moved.json"}, 0) + said({"check", "renamed.json"}, 0);
+    CHECK_MESSAGE(!has(text, "is another than when"), text);
+    CHECK_MESSAGE(!has(text, "no sink of that name"), text);
+  }
+
   TEST_CASE("US-32 killed at any moment, nothing that is recorded is missing at the peer") {
     const Folder folder;
     folder.write("node.json", configuration);

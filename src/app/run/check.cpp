@@ -3,6 +3,7 @@
 #include "app/core/configuration_commands.hpp"
 #include "app/run/data_at_risk.hpp"
 #include "app/run/growth.hpp"
+#include "app/run/left_backlogs.hpp"
 #include "app/run/log_file.hpp"
 #include "rtdata/config/change.hpp"
 #include "rtdata/config/secret.hpp"
@@ -51,6 +52,7 @@ int check(const Registry& registry, const CheckOptions& options) {
   }
   warn_of_growth(plan, growth_span);
   warn_of_losses(plan);
+  warn_of_left_backlogs(plan);
   plan.hide_secrets();
   std::cout << plan.document.report(plan.warnings, "warning: ");
   const std::vector<LoopLoad> loads = plan.loads();

@@ -4,8 +4,10 @@
 #include <algorithm>
 #include <iostream>
 
+#include "app/core/amounts.hpp"
 #include "app/core/configuration_commands.hpp"
 #include "app/core/terminal_text.hpp"
+#include "app/run/left_backlogs.hpp"
 #include "app/run/stop_signals.hpp"
 #include "rtdata/config/system.hpp"
 #include "rtdata/loop/timer.hpp"
@@ -35,8 +37,7 @@ std::string forwarding_configuration(const ConfigItem& root, const std::string& 
     if (std::string through = text(sink.item, "through"); !through.empty()) recordings.push_back(std::move(through));
   }
   for (const ConfigChild& sink : sinks->children()) {
-    std::string name = text(sink.item, "name");
-    if (name.empty()) name = text(sink.item, "path");
+    const std::string name = sink_name(sink.item);
     if (std::find(recordings.begin(), recordings.end(), name) != recordings.end()) {
       ConfigItem recording = sink.item;
       recording.set("name", name);
@@ -46,7 +47,7 @@ std::string forwarding_configuration(const ConfigItem& root, const std::string& 
       recording.set("max_bytes", 0);
       kept.push_back(recording);
     } else if (!text(sink.item, "through").empty()) {
-      senders.push_back(name.empty() ? text(sink.item, "type") : name);
+      senders.push_back(name);
       kept.push_back(sink.item);
     }
   }
@@ -123,10 +124,23 @@ class Forward {
       sent += sink.counts.stored;
       refused += sink.counts.all_dropped();
     }
+    left += tell_of_others(senders);
     const bool is_all = left == 0 && refused == 0;
     std::cout << (is_all ? "all is sent: " : "not all is sent: ") << sent << " events, " << refused << " dropped, "
               << left << " wait" << std::endl;
     return is_all ? exit_good : exit_other;
+  }
+
+  /// What waits for sinks that the configuration does not have: nobody sends it. How many events.
+  std::uint64_t tell_of_others(const std::vector<std::string>& senders) const {
+    const auto recording = Recording::open(options_.database).or_throw();
+    std::uint64_t sum = 0;
+    for (const RecordedBacklog& other : backlogs_of_others(recording, senders).or_throw()) {
+      std::cout << other.sink << ": " << waiting_text({other.events, other.bytes, {}, {}}) << ", but " << options_.file
+                << " has no sink of that name that goes through a recording\n";
+      sum += other.events;
+    }
+    return sum;
   }
 
   static std::uint64_t waiting(System& system, const std::vector<std::string>& senders) {

@@ -7,6 +7,7 @@
 
 #include "app/run/data_at_risk.hpp"
 #include "app/run/growth.hpp"
+#include "app/run/left_backlogs.hpp"
 #include "app/run/log_file.hpp"
 
 namespace rtdata::app {
@@ -33,6 +34,7 @@ std::shared_ptr<const Reload::NextPlan> Reload::read_again() const {
     if (next->plan.good()) {
       warn_of_growth(next->plan, growth_span);
       warn_of_losses(next->plan);
+      warn_of_left_backlogs(next->plan);
     }
   } catch (const std::exception& error) {
     next->failed = error.what();

@@ -15,6 +15,7 @@
 #include "app/run/console.hpp"
 #include "app/run/data_at_risk.hpp"
 #include "app/run/growth.hpp"
+#include "app/run/left_backlogs.hpp"
 #include "app/run/reload.hpp"
 #include "app/run/service.hpp"
 #include "app/run/stop_signals.hpp"
@@ -48,6 +49,7 @@ class Run {
     console_.add_secrets(plan.secrets);
     warn_of_growth(plan, options_.duration.value_or(growth_span));
     warn_of_losses(plan);
+    if (plan.good()) warn_of_left_backlogs(plan);
     console_.open_log(plan);
     const FatalSignals fatal(log_);
     log_.write(LogLevel::info, "program", "started with " + options_.file);

@@ -183,6 +183,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   // ---- through a recording: sink_through.cpp
   /// Finds the recording, and is fed by it from now on. Throws SetupError.
   void follow_recording();
+  void take_over(const std::string& recording) noexcept;
   void leave_recording() noexcept;
   /// Of a recording: they get no more rows.
   void leave_followers(const char* why) noexcept;
@@ -190,7 +191,6 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   /// The recording has committed something.
   void rows_came();
   void note_backlog() noexcept;
-  void take_over(const std::string& recording) noexcept;
   /// Of a recording: tells those that go through it.
   void tell_followers();
   void give_up();
@@ -241,14 +241,14 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   MonotonicTime account_at_{};    // when the latest account was begun
   MonotonicTime next_early_{};    // an early account is made no sooner
   std::uint64_t slots_told_ = 0;  // the number of slots in the latest account
+  bool had_no_news_ = false;      // there was nothing to say in it
+  std::uint64_t rows_told_ = 0;   // of those since the account before it, which are in it
   std::string unknown_;           // what the latest account cannot know
   bool had_no_memory_ = false;    // an entry of the next account could not be allocated
 
   // health
   Health health_ = Health::ok;
   Health told_health_ = Health::ok;  // as last published
-  bool had_no_news_ = false;      // there was nothing to say in it
-  std::uint64_t rows_told_ = 0;   // of those since the account before it, which are in it
   std::string reason_;
   std::string fault_;                    // why it stays faulted: it wants a topic that it cannot take
   bool error_already_reported_ = false;  // the last error is the same as the one before it
