@@ -161,8 +161,7 @@ Result<std::vector<RecordedBacklog>> backlogs_of_others(const Recording& recordi
     return std::vector<RecordedBacklog>{};
   auto backlogs = recording.backlogs();
   if (!backlogs) return backlogs;
-  std::erase_if(*backlogs,
-                [&](const RecordedBacklog& one) { return one.events == 0 || contains(names, one.sink); });
+  std::erase_if(*backlogs, [&](const RecordedBacklog& one) { return one.events == 0 || contains(names, one.sink); });
   return backlogs;
 }
 
