@@ -35,7 +35,7 @@ class Bench {
       "machines": [{"name": "m", "start": "pad",
         "states": [{"name": "pad", "arm": ["igniter"]}, {"name": "fly", "set": [{"output": "igniter"}]}],
         "transitions": [{"from": "pad", "to": "fly", "event": "go"}, {"from": "fly", "to": "pad", "event": "back"}],
-        "resume": {"recording": "run.db", "max_age": "5 min", "unknown_age": "start", "wait": "300 ms"}}],
+        "resume": {"recording": "run.db", "max_age": "5 min", "unknown_age": "start"}}],
       "sinks": [{"type": "sqlite", "path": "run.db", "topics": [")" +
                                  topics + R"("], "batch_time": ")" + batch_time + "\"}]}");
   }
@@ -103,10 +103,10 @@ TEST_SUITE("app") {
                        .or_throw();
       other.execute("BEGIN IMMEDIATE").or_throw();
       CHECK(has(b.ctl({"disarm", "igniter"}, 1),
-                "output igniter is disarmed: it has its safe value; but that is not on the card in run.db, after 300 ms: "
+                "output igniter is disarmed: it has its safe value; but that is not on the card in run.db, after 3 s: "
                 "after a kill or a power cut now, machine m would arm it again"));
       CHECK(has(b.ctl({"arm", "igniter"}, 1),
-                "output igniter is armed; but that is not on the card in run.db, after 300 ms: after a kill or a power "
+                "output igniter is armed; but that is not on the card in run.db, after 3 s: after a kill or a power "
                 "cut now, machine m would not arm it again"));
     }
     // A second command waits for it anew.

@@ -10,7 +10,7 @@
 namespace rtdata::app {
 namespace {
 
-constexpr Duration longest_wait = std::chrono::seconds{3};  // less than who commands waits for the answer
+constexpr Duration patience = std::chrono::seconds{3};  // less than that of who commands
 
 }  // namespace
 
@@ -21,8 +21,7 @@ struct ArmKeeper::Waiting {
   std::set<std::string> recordings = {};  // that do not have it yet
   std::set<std::string> all = {};
   std::uint64_t dropped = 0;  // by these, of the output's topic, before
-  Duration wait{0};
-  Timer patience = {};
+  Timer timer = {};
   Told told = {};
 };
 
@@ -33,7 +32,6 @@ void ArmKeeper::keep(const std::string& output, const std::function<bool()>& act
     waiting->topic = one.topic;
     waiting->machines += (waiting->machines.empty() ? "machine " : " and machine ") + one.machine;
     waiting->recordings.insert(one.recording->name);
-    waiting->wait = std::min(std::max(waiting->wait, one.wait), longest_wait);
   }
   waiting->all = waiting->recordings;
   waiting->dropped = dropped(*waiting);
@@ -42,10 +40,10 @@ void ArmKeeper::keep(const std::string& output, const std::function<bool()>& act
   waiting->told = std::move(told);
   waiting->is_armed = system_.parts().get<Output>("output", output).is_armed();
   waiting_.push_back(waiting);
-  waiting->patience = Timer(loop_, waiting->wait, [this, waiting = waiting.get()] {
+  waiting->timer = Timer(loop_, patience, [this, waiting = waiting.get()] {
     const auto found = std::find_if(waiting_.begin(), waiting_.end(),
                                     [&](const auto& one) { return one.get() == waiting; });
-    if (found != waiting_.end()) conclude(std::shared_ptr(*found), "after " + to_string(waiting->wait));
+    if (found != waiting_.end()) conclude(std::shared_ptr(*found), "after " + to_string(patience));
   });
   look_at_event(waiting);
 }
@@ -59,16 +57,15 @@ void ArmKeeper::look_at_event(const std::shared_ptr<Waiting>& waiting) {
         if (const auto still = weak.lock()) look_at_card(still);
       });
     });
-  } catch (const SetupError&) {  // its tier hangs: patience comes to an end
+  } catch (const SetupError&) {  // its tier hangs: the timer tells
   }
 }
 
 void ArmKeeper::look_at_card(const std::shared_ptr<Waiting>& waiting) {
   for (const std::string& name : waiting->all) {
     const std::vector<const PartPlan*> plans = system_.parts().plans();
-    const auto plan = std::find_if(plans.begin(), plans.end(), [&](const PartPlan* one) {
-      return one->kind == "sink" && one->name == name;
-    });
+    const auto plan = std::find_if(plans.begin(), plans.end(),
+                                   [&](const PartPlan* one) { return one->kind == "sink" && one->name == name; });
     if (plan == plans.end()) return conclude(waiting, "since a reload has removed it");
     const std::string tier((*plan)->tier());
     const auto sync = [&, name](Loop&) {
@@ -94,10 +91,10 @@ void ArmKeeper::conclude(const std::shared_ptr<Waiting>& waiting, const std::str
   std::string missing;
   for (const std::string& name : waiting->recordings.empty() ? waiting->all : waiting->recordings)
     missing += (missing.empty() ? "" : " and ") + name;
-  waiting->told(why.empty() ? ""
-                            : "but that is not on the card in " + missing + ", " + why +
-                                  ": after a kill or a power cut now, " + waiting->machines + " would " +
-                                  (waiting->is_armed ? "not " : "") + "arm it again");
+  waiting->told(why.empty()
+                    ? ""
+                    : "but that is not on the card in " + missing + ", " + why + ": after a kill or a power cut now, " +
+                          waiting->machines + " would " + (waiting->is_armed ? "not " : "") + "arm it again");
 }
 
 void ArmKeeper::end() {

@@ -21,7 +21,7 @@ class ArmKeeper {
   ArmKeeper(Loop& loop, System& system) : loop_(loop), system_(system) {}
 
   /// Arms or disarms it with `act`, which returns whether that was done, and tells what came of it: at once, or within
-  /// the `wait` of the machines, 3 s at most. Not done: nothing is told.
+  /// 3 s. Not done: nothing is told.
   void keep(const std::string& output, const std::function<bool()>& act, Told told);
   /// The run ends: nothing is waited for any more.
   void end();

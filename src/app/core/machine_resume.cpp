@@ -110,20 +110,29 @@ std::optional<Resumed> resumed(Loop& loop, const MachineSettings& settings, cons
 
 bool was_armed(const std::string& path, std::int64_t run, const std::string& output, const std::string& topic) {
   const auto recording = Recording::open(path);
-  if (!recording) return false;
-  RowFilter filter;
-  filter.topic = topic;
-  filter.run = run;
-  filter.origin = output;
-  auto changes = recording->events<OutputChange>(filter);
-  if (!changes) return false;
-  bool is_armed = false;
-  for (;;) {
-    const auto next = changes->next();
-    if (!next) return false;
-    if (*next == nullptr) return is_armed;
-    if ((*next)->data.cause != OutputCause::stop) is_armed = (*next)->data.armed;
+  const auto runs = recording ? recording->runs() : Result<std::vector<RunInfo>>(recording.error());
+  if (!runs) return false;
+  std::size_t looked_at = 0;
+  // Back from there: a reload begins a run without events of outputs that it does not touch.
+  for (auto one = runs->rbegin(); one != runs->rend() && looked_at < most_runs; ++one) {
+    if (one->run > run) continue;
+    ++looked_at;
+    RowFilter filter;
+    filter.topic = topic;
+    filter.run = one->run;
+    filter.origin = output;
+    auto changes = recording->events<OutputChange>(filter);
+    if (!changes) return false;
+    std::optional<bool> is_armed;
+    for (;;) {
+      const auto next = changes->next();
+      if (!next) return false;
+      if (*next == nullptr) break;
+      if ((*next)->data.cause != OutputCause::stop) is_armed = (*next)->data.armed;
+    }
+    if (is_armed) return *is_armed;
   }
+  return false;
 }
 
 }  // namespace rtdata::app

@@ -216,10 +216,9 @@ void add_machines(Registry& registry) {
           const auto* const machine = object.as<ActingMachine>();
           if (machine == nullptr) return {};
           return [settings, before = machine->setter->on_its_loop([&] {
-                    const fsm::ConfiguredMachine::Now now = machine->now();
-                    return MachineBefore{std::string(now.state), now.since, machine->is_acted_on(),
-                                         machine->setter->held()};
-                  })](Loop& loop, const Parts& parts) { return make(loop, parts, settings, before); };
+            const fsm::ConfiguredMachine::Now now = machine->now();
+            return MachineBefore{std::string(now.state), now.since, machine->is_acted_on(), machine->setter->held()};
+          })](Loop& loop, const Parts& parts) { return make(loop, parts, settings, before); };
         };
       });
 }
@@ -256,7 +255,7 @@ std::vector<ArmsAgain> who_arms_again(const Parts& parts, const std::string& out
     if (!settings.resume || !arms(settings, output)) continue;
     const PartPlan* const recording = named("sink", settings.resume->recording);
     if (recording != nullptr && recording->stores->wants(plan->publishes->topic))
-      all.push_back({name, recording, plan->publishes->topic, settings.resume->wait});
+      all.push_back({name, recording, plan->publishes->topic});
   }
   return all;
 }

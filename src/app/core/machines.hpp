@@ -22,7 +22,8 @@ struct Resumed {
 /// Nothing: it begins in `start`. What was found, and what follows from it, goes to the log. Reads the file.
 std::optional<Resumed> resumed(Loop& loop, const fsm::MachineSettings& settings, const std::string& path);
 
-/// Whether an output was armed at the end of a run of a recording. Reads the file.
+/// Whether an output was armed at the end of a run of a recording, as far as that or one before it says. Reads the
+/// file.
 bool was_armed(const std::string& recording, std::int64_t run, const std::string& output, const std::string& topic);
 
 /// A machine that, after a kill, would arm the output again if its recording says that it was armed.
@@ -30,7 +31,6 @@ struct ArmsAgain {
   std::string machine;
   const PartPlan* recording;  ///< valid until the system changes
   std::string topic;          ///< of the output
-  Duration wait;              ///< for the card, at most
 };
 std::vector<ArmsAgain> who_arms_again(const Parts& parts, const std::string& output);
 

@@ -10,7 +10,7 @@ namespace rtdata::detail {
 
 /// The first line of a file, at most 255 bytes; empty when it cannot be read.
 inline std::string first_line(const char* path) {
-  const int fd = ::open(path, O_RDONLY | O_CLOEXEC);
+  const int fd = ::open(path, O_RDONLY | O_CLOEXEC | O_NOCTTY | O_NONBLOCK);
   if (fd < 0) return {};
   char text[255];
   const ssize_t size = ::read(fd, text, sizeof text);
