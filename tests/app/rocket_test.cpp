@@ -129,7 +129,7 @@ TEST_SUITE("app") {
       CHECK_MESSAGE((landing > 8 && landing < 15), landing);
       for (const std::uint32_t seed : {1u, 2u}) {
         const Decided noisy = fly(barometer_noisy(flight, 20, seed));
-        check_apogee(flight, noisy, -1, 1, "apogee, by a noisy barometer");
+        check_apogee(flight, noisy, -1, 1, "apogee");
         CHECK(noisy.states == whole);
       }
     }
@@ -142,10 +142,11 @@ TEST_SUITE("app") {
       for (const double first : {flight.liftoff + 1, flight.burnout - 1, flight.burnout + 2, flight.apogee - 4})
         check_apogee(flight, fly(with_gaps(flight, 1e6, first)), -1, 1, "apogee");
       check_apogee(flight, fly(with_gaps(flight, 1e6, flight.apogee - 1)), 1, 2.3, "apogee");
-      // Of each five seconds.
+      // Of each five seconds: where the apogee is in one, it is seen 1 s after the end.
       for (const double first : {3.0, 5.5}) {
         const Decided often = fly(with_gaps(flight, 5, first));
-        CHECK_MESSAGE(std::abs(off(often, "apogee", flight.apogee)) < 2, off(often, "apogee", flight.apogee));
+        const double apogee = off(often, "apogee", flight.apogee);
+        CHECK_MESSAGE((apogee > -1 && apogee < 3.3), apogee);
       }
       check_whole(flight, fly(saturated(flight, 2)));
       // It shows 2 g for ever: no end of the boost is seen, and only that it falls.
