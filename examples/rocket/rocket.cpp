@@ -31,8 +31,8 @@ struct Readings {
 
 double seconds(rtdata::Duration duration) { return std::chrono::duration<double>(duration).count(); }
 
-// The speed now of something that is thrown upwards: the slope of a straight line through its latest altitudes, which
-// is its speed in their middle, less what gravity takes away from there on.
+// The speed of something that is thrown upwards: the slope of a straight line through its latest altitudes is its speed
+// in their middle; it is slower now, by what gravity has taken away since.
 class Climb {
  public:
   explicit Climb(rtdata::Duration length) : length_(length) {}
@@ -42,18 +42,19 @@ class Climb {
     rows_[at_] = {time, altitude};
     if (count_ < rows_.size()) ++count_;
     while (time - row(count_ - 1).time > length_) --count_;
-  }
-  rtdata::Duration length() const { return length_; }
-  bool is_whole() const { return count_ > 2 && seconds(newest().time - row(count_ - 1).time) > 0.8 * seconds(length_); }
-  double speed() const {
     double t = 0, h = 0, tt = 0, th = 0;
     for (std::size_t i = 0; i < count_; ++i) {
-      const double x = seconds(row(i).time - newest().time), y = row(i).altitude - newest().altitude;
+      const double x = seconds(row(i).time - time), y = row(i).altitude - altitude;
       t += x, h += y, tt += x * x, th += x * y;
     }
     const double n = double(count_);
-    return (n * th - t * h) / (n * tt - t * t) + g * t / n;
+    mean_ = count_ > 2 ? (n * th - t * h) / (n * tt - t * t) : 0;
+    now_ = mean_ + g * t / n;
   }
+  rtdata::Duration length() const { return length_; }
+  bool is_whole() const { return count_ > 2 && seconds(newest().time - row(count_ - 1).time) > 0.8 * seconds(length_); }
+  double mean() const { return mean_; }
+  double now() const { return now_; }
 
  private:
   struct Row {
@@ -63,46 +64,100 @@ class Climb {
   const Row& row(std::size_t back) const { return rows_[(at_ + rows_.size() - back) % rows_.size()]; }
   const Row& newest() const { return row(0); }
   const rtdata::Duration length_;
-  std::array<Row, 500> rows_{};  // enough for the longer one at 120 Hz
+  std::array<Row, 2048> rows_{};  // enough for the longer one at 500 Hz
   std::size_t at_ = 0, count_ = 0;
+  double mean_ = 0, now_ = 0;
+};
+
+// What the accelerometer says.
+class Felt {
+ public:
+  void take(rtdata::Time time, double acceleration) {
+    const double passed = seconds(time - rows_[at_].time);
+    speed_ += (acceleration - 1) * g * passed;
+    if (passed > 0.5) count_ = 0;  // a gap, of which nothing is known
+    at_ = (at_ + 1) % rows_.size();
+    rows_[at_] = {time, speed_};
+    if (count_ < rows_.size()) ++count_;
+    while (time - row(count_ - 1).time > 2s) --count_;
+    if (!was_thrown_ && gained() > 12) {
+      was_thrown_ = true;
+      speed_ = rows_[at_].speed = gained();
+      count_ = 1;
+    }
+    if (was_thrown_) top_ = std::max(top_, speed_);
+  }
+  bool was_thrown() const { return was_thrown_; }
+  double speed() const { return speed_; }                                            // m/s, since it was thrown
+  double top() const { return top_; }                                                // the highest of them
+  double gained() const { return count_ > 0 ? speed_ - row(count_ - 1).speed : 0; }  // m/s, in the last 2 s
+
+ private:
+  struct Row {
+    rtdata::Time time{};
+    double speed = 0;
+  };
+  const Row& row(std::size_t back) const { return rows_[(at_ + rows_.size() - back) % rows_.size()]; }
+  std::array<Row, 1024> rows_{};  // 2 s at 500 Hz
+  std::size_t at_ = 0, count_ = 0;
+  bool was_thrown_ = false;
+  double speed_ = 0, top_ = 0;
 };
 
 // What the states look at.
 struct Sensors {
   Climb quick{1s}, slow{4s};
-  double noise = 0;  // m, of the barometer
-  bool is_flying = false;
-  double felt_speed = 0;   // m/s, what was felt since liftoff, less gravity
-  rtdata::Time changed{};  // when the altitude last did
-  rtdata::Time fast{};     // when it last climbed or fell faster than 25 m/s
-  rtdata::Time now{};
+  Felt felt;
+  double noise = 0;                // m, of the barometer
+  double best = 0;                 // m/s, that was surely reached since liftoff, by one sensor or the other
+  bool was_fast = false;           // the barometer has shown more than 50 m/s
+  rtdata::Time above_50, above_5;  // m/s, when it was last faster
+  rtdata::Time moved;              // when it was last faster than 8 m/s, up or down
+  rtdata::Time changed;            // when the altitude last did
+  rtdata::Time now;
+
+  explicit Sensors(rtdata::Time start) : above_50(start), above_5(start), moved(start), changed(start), now(start) {}
 
   void take(rtdata::Time time, const Readings& readings) {
     const double passed = seconds(time - now);
     now = time;
-    felt_speed = is_flying || readings.acceleration > 1.8 ? felt_speed + (readings.acceleration - 1) * g * passed : 0;
-    if (!std::isfinite(readings.altitude)) return;
-    if (readings.altitude != before_) changed = time;
-    const double step = readings.altitude - before_;
-    noise += (std::min(std::abs(step - step_before_) / 2, 8.0) - noise) * std::min(1.0, passed / 0.7);
-    step_before_ = step;
-    before_ = readings.altitude;
-    quick.take(time, readings.altitude);
-    slow.take(time, readings.altitude);
-    if (std::abs(climb().speed()) > 25) fast = time;
+    if (std::isfinite(readings.acceleration)) felt.take(time, readings.acceleration);
+    if (std::isfinite(readings.altitude)) take_altitude(readings.altitude, passed);
+    best = std::max({best, felt.gained(), climb().is_whole() ? climb().mean() - noise : 0});
   }
-  const Climb& climb() const { return noise < 4 ? quick : slow; }
-  double unchanged() const { return seconds(now - changed); }
+  const Climb& climb() const { return noise < 3 ? quick : slow; }
+  bool is_ready() const { return climb().is_whole() && now - changed < 500ms; }
+  rtdata::Duration still() const { return now - moved; }
+  // From 50 m/s to 5 in more than a second, as what flies freely: what is stuck, or wrong near Mach 1, stops at once.
+  bool is_smooth() const { return !was_fast || above_5 - above_50 > 1s; }
 
  private:
-  double before_ = 0, step_before_ = 0;
+  void take_altitude(double altitude, double passed) {
+    since_change_ += passed;
+    if (altitude != before_) {  // rows that only repeat a value do not count
+      const double step = altitude - before_;
+      noise += (std::min(std::abs(step - step_before_) / 2, 8.0) - noise) * std::min(1.0, since_change_ / 0.7);
+      step_before_ = step;
+      before_ = altitude;
+      changed = now;
+      since_change_ = 0;
+    }
+    quick.take(now, altitude);
+    slow.take(now, altitude);
+    if (!climb().is_whole() || std::abs(climb().mean()) > 8) moved = now;
+    if (!is_ready()) return;
+    if (climb().now() > 50) was_fast = true, above_50 = now;
+    if (climb().now() > 5) above_5 = now;
+  }
+  double before_ = 0, step_before_ = 0, since_change_ = 0;
 };
 
+// It has not flown before it was as fast as nobody carries it.
 class Boost : public fsm::State {
  public:
   explicit Boost(Sensors& sensors) : sensors_(sensors) {}
-  void arrive(const fsm::Moment&) override { sensors_.is_flying = true; }
-  void leave(const fsm::Moment&) override { std::printf("  at %.0f m/s\n", sensors_.felt_speed); }
+  void arrive(const fsm::Moment&) override { sensors_.best = 0; }
+  void leave(const fsm::Moment&) override { std::printf("  at %.0f m/s\n", sensors_.felt.speed()); }
 
  private:
   Sensors& sensors_;
@@ -115,11 +170,11 @@ class Apogee : public fsm::State {
   void leave(const fsm::Moment&) override { std::puts("  charge off"); }
 };
 
-// The machine stays in the boost while `check` says no: who has merely carried the rocket about has not flown it.
+// The machine stays in the boost while `check` says no.
 class Coast : public fsm::State {
  public:
   explicit Coast(const Sensors& sensors) : sensors_(sensors) {}
-  bool check(const fsm::Moment&) override { return std::max(sensors_.felt_speed, sensors_.quick.speed()) > 5; }
+  bool check(const fsm::Moment&) override { return sensors_.best > 12; }
 
  private:
   const Sensors& sensors_;
@@ -127,16 +182,18 @@ class Coast : public fsm::State {
 
 int main(int argc, char** argv) {
   const std::string flight_of = argc > 1 ? argv[1] : "flight.db", decisions = argc > 2 ? argv[2] : "decided.db";
-  rtdata::ManualClock clock(rtdata::Recording::open(flight_of).or_throw().runs().or_throw().back().started);
+  const rtdata::Time start = rtdata::Recording::open(flight_of).or_throw().runs().or_throw().back().started;
+  rtdata::ManualClock clock(start);
   rtdata::Runtime runtime({.name = "rocket", .clock = &clock});
   rtdata::Loop loop(runtime, {});
   rtdata::SqliteSink sink(loop, {.path = decisions});
 
-  Sensors sensors;
+  Sensors sensors(start);
   const auto take = loop.subscribe<Readings>("rocket", [&](const auto& event) { sensors.take(event.time, *event); });
   fsm::Machine flight(loop, {.name = "flight", .start = "pad"});
   fsm::Input<Readings> rocket(flight, "rocket", 1s);  // behind `take`, which knows of a row first
-  const auto falls = [&] { return sensors.quick.is_whole() && sensors.quick.speed() < -15; };
+  const auto falls = [&] { return sensors.is_ready() && sensors.climb().mean() < -10 && sensors.is_smooth(); };
+  const Felt& felt = sensors.felt;
 
   flight.add_state("pad");
   flight.add_state("boost", std::make_unique<Boost>(sensors));
@@ -150,33 +207,51 @@ int main(int argc, char** argv) {
                          .when = [&] { return rocket->acceleration > 1.8; },
                          .hold = 100ms,
                          .cause = "liftoff"});
+  flight.add_transition({.from = "pad",
+                         .to = "boost",
+                         .when = [&] { return sensors.is_ready() && sensors.climb().mean() - sensors.noise > 12; },
+                         .hold = 700ms,
+                         .cause = "liftoff, by the barometer"});
   flight.add_transition({.from = "boost",
                          .to = "coast",
                          .when = [&] { return rocket->acceleration < 0.5; },
                          .hold = 200ms,
                          .cause = "burnout"});
-  flight.add_transition({.from = "boost", .to = "apogee", .when = falls, .hold = 2s, .cause = "it falls"});
+  flight.add_transition({.from = "boost",
+                         .to = "apogee",
+                         .when = [&] { return falls() && sensors.best > 12; },
+                         .hold = 2s,
+                         .cause = "it falls"});
+  flight.add_transition({.from = "boost",
+                         .to = "pad",
+                         .when = [&] { return sensors.best < 12 && sensors.still() > 5s; },
+                         .after = 5s,
+                         .cause = "it has not flown"});
   flight.add_transition({.from = "coast",
                          .to = "apogee",
                          .when =
                              [&](const fsm::Moment& moment) {
-                               const Climb& climb = sensors.climb();
-                               return moment.in_state > climb.length() && climb.is_whole() && climb.speed() < 0 &&
-                                      sensors.now - sensors.fast > 1s && sensors.unchanged() < 0.5;
+                               return sensors.is_ready() && sensors.climb().now() < 0 && sensors.is_smooth() &&
+                                      sensors.still() < 1s && moment.in_state > sensors.climb().length() &&
+                                      felt.gained() <= 0 && (!felt.was_thrown() || felt.speed() < felt.top() / 3);
                              },
                          .cause = "apogee"});
   flight.add_transition({.from = "coast",
                          .to = "apogee",
-                         .when = [&] { return sensors.felt_speed < 0 && sensors.unchanged() > 2.5; },
+                         .when = [&] { return felt.was_thrown() && felt.speed() < 0 && sensors.still() > 2500ms; },
                          .cause = "apogee, without a barometer"});
-  flight.add_transition({.from = "coast", .to = "apogee", .when = falls, .hold = 2s, .cause = "it falls"});
+  flight.add_transition({.from = "coast", .to = "apogee", .when = falls, .hold = 300ms, .cause = "it falls"});
+  flight.add_transition({.from = "coast",
+                         .to = "pad",
+                         .when = [&] { return !felt.was_thrown() && sensors.still() > 5s; },
+                         .cause = "it has not flown"});
   flight.add_transition({.from = "apogee", .to = "descent", .after = 2s, .cause = "the parachute is out"});
   flight.add_transition({.from = "descent",
                          .to = "landed",
                          .when =
                              [&](const fsm::Moment& moment) {
-                               return sensors.slow.is_whole() && std::abs(sensors.slow.speed() + 2 * g) < 2 &&
-                                      sensors.unchanged() < seconds(moment.in_state);
+                               return sensors.slow.is_whole() && std::abs(sensors.slow.mean()) < 2 &&
+                                      sensors.now - sensors.changed < moment.in_state;
                              },
                          .hold = 5s,
                          .after = 10s,

@@ -244,6 +244,57 @@ inline Flight accelerometer_stuck(Flight flight, double from, double at) {
   return flight;
 }
 
+/// It shows a little more or less than at this time, so that it never quite stands still.
+inline Flight barometer_flickering(Flight flight, double from, double metres) {
+  std::mt19937 random(1);
+  std::normal_distribution<double> normal;
+  const Flight frozen = barometer_frozen(flight, from);
+  for (std::size_t i = 0; i < flight.rows.size(); ++i)
+    if (flight.rows[i].time >= from)
+      flight.rows[i].altitude = *frozen.rows[i].altitude + std::round(metres * normal(random) * 10) / 10;
+  return flight;
+}
+/// It reads `speed` less each second than it should, for so long, and recovers in 1 s.
+inline Flight barometer_dipping(Flight flight, double from, double seconds, double speed) {
+  for (FlightRow& row : flight.rows) {
+    const double t = row.time - from;
+    if (t >= 0) *row.altitude -= speed * seconds * std::clamp(std::min(t / seconds, 1 - (t - seconds)), 0.0, 1.0);
+  }
+  return flight;
+}
+/// Its values come at this rate, and are repeated in the rows between.
+inline Flight barometer_slow(Flight flight, double rate) {
+  double next = 0;
+  std::optional<double> last;
+  for (FlightRow& row : flight.rows) {
+    if (row.time >= next) {
+      last = row.altitude;
+      next += 1 / rate;
+    }
+    row.altitude = last;
+  }
+  return flight;
+}
+inline Flight accelerometer_biased(Flight flight, double g) {
+  for (FlightRow& row : flight.rows) *row.acceleration += g;
+  return flight;
+}
+/// It feels this from one time to another.
+inline Flight knocked(Flight flight, double from, double to, double g) {
+  for (FlightRow& row : flight.rows)
+    if (row.time >= from && row.time < to) row.acceleration = g;
+  return flight;
+}
+/// A rocket that stays on the pad.
+inline Flight on_pad(double seconds, double rate, double noise) {
+  std::mt19937 random(1);
+  std::normal_distribution<double> normal;
+  Flight flight{"on the pad"};
+  for (double t = 0; t < seconds; t += 1 / rate)
+    flight.rows.push_back({t, 100 + noise * normal(random), 1 + 0.02 * normal(random)});
+  return flight;
+}
+
 /// The flight of ../shared/data/flight, with so many seconds on the pad before its first row, which is 0.1 s before 3
 /// g, and a minute on the ground after its last. None: the folder is not there.
 inline std::optional<Flight> real_flight(double pad = 10) {
