@@ -55,13 +55,12 @@ bool SinkQueue::gather() {
   AccountBox& box = accounts_[account_cursor_];
   const std::uint64_t after = box.after_ticket.load(std::memory_order_acquire);
   const std::uint64_t before = after != 0 ? after : std::numeric_limits<std::uint64_t>::max();
-  // What waits already is stored together, in transactions that stay short; of what is sent, as much as its memory in
-  // the processor's caches is good for.
-  const std::size_t enough_rows = pace_.bytes == 0 ? rows_at_once() : 1;
-  const std::size_t enough_chunks = sender_ == nullptr ? most_chunks_ : 0;
+  // What waits already is stored together, in transactions that stay short.
+  const std::size_t window_rows = sender_ != nullptr ? sending_.window * sending_.parcel_rows : 0;
+  const std::size_t enough_rows = pace_.bytes == 0 ? std::max(config_.batch_rows, window_rows) : 1;
   bool has_all = false;                     // all before the account has been gathered, or was taken back by the loop
   const bool takes_all = feed_ != nullptr;  // what a recording gave at a time is settled together
-  while ((takes_all || batch_.rows_ < enough_rows || batch_.chunks_.size() < enough_chunks) && !has_all) {
+  while ((takes_all || batch_.rows_ < enough_rows || batch_.chunks_.size() < most_chunks_) && !has_all) {
     ChunkHeader* chunk = next_queued(before);
     has_all = chunk == nullptr || taken_ticket_ + 1 == before;
     if (chunk == nullptr) break;
