@@ -58,7 +58,8 @@ void Lanes::collect() {
   // Threads end jobs about in the order of the list: what is behind the last that has finished is not looked at. One
   // that has finished and is not counted yet may be taken for another that is; the latter is found when the former is
   // counted, after which the thread tells again.
-  std::size_t left = listener_->finished.exchange(0, std::memory_order_acquire);
+  std::size_t left = listener_->finished.load(std::memory_order_relaxed);
+  if (left > 0) left = listener_->finished.exchange(0, std::memory_order_acquire);
   for (std::size_t i = 0; i < listed_.size() && left > 0; ++i) {
     if (listed_[i] != nullptr) {
       const LaneJob* const first = listed_[i]->first_.get();
@@ -70,7 +71,7 @@ void Lanes::collect() {
     listed_[i] = nullptr;
   }
   collecting_ = false;
-  std::erase(listed_, nullptr);
+  if (!listed_.empty()) std::erase(listed_, nullptr);
   wake_threads();
   if (pooled_ > 1 || !watch_.is_listed()) return;
   loop_.deadlines.remove(watch_);

@@ -74,6 +74,7 @@ bool LoopCore::take_sent(MonotonicTime end) {
 }
 
 void LoopCore::take_news() {
+  if (is_manual() && !uv.wake().is_sent()) return;  // to look is enough for one that does not sleep
   if (!uv.wake().take_news()) return;
   take_sent(end_of_budget());
   if (!is_attached() && is_stopping()) uv_stop(uv.loop());
@@ -99,6 +100,7 @@ void LoopCore::turn_ended() noexcept {
     deliveries.deliver(Deliveries::Budget::limited);
     call_own("loop", [&] { runtime.turn_done(); });  // sends what handlers have published
   }
+  if (is_manual()) return;  // it does not sleep: what is sent is looked for at every instant
   if (!uv.wake().rest()) {
     uv.forbid_sleep();
   } else if (deliveries.is_empty() && !turn_is_open_) {

@@ -37,7 +37,7 @@ PostCounts Posts::counts() noexcept {
 void Posts::take() {
   taken_.clear();
   next_ = 0;
-  if (!is_any_waiting_.load(std::memory_order_acquire)) return;  // who adds one wakes the loop up afterwards
+  if (!is_any_waiting_.load(std::memory_order_acquire)) return;
   {
     const std::lock_guard lock(mutex_);
     taken_.swap(waiting_);
@@ -76,6 +76,8 @@ bool Posts::run_taken(MonotonicTime begin, MonotonicTime end) {
 }
 
 bool Posts::run(MonotonicTime end) {
+  // Who adds one wakes the loop up afterwards.
+  if (next_ == taken_.size() && !is_any_waiting_.load(std::memory_order_acquire)) return false;
   const MonotonicTime begin = loop_.now();
   if (next_ < taken_.size() && !run_taken(begin, end)) {  // those that an earlier call has left
     loop_.uv.wake().send();

@@ -190,6 +190,7 @@ void UvHandles::watch_clock() {
 }
 
 void UvHandles::forbid_sleep() noexcept {
+  if (memory_->core->is_manual()) return;  // libuv is never told to wait
   uv_idle_start(&memory_->idle, [](uv_idle_t*) {});
 }
 

@@ -74,7 +74,8 @@ ClockPair ClockLog::read(const std::pair<MonotonicTime, Time>& both, const char*
 }
 
 bool ClockLog::look(const char* occasion) {
-  const auto both = both_times(*clock_);
+  const auto both = clock_ == &manual_clock_ ? std::pair(manual_clock_.monotonic(), manual_clock_.realtime())
+                                             : both_times(*clock_);
   const Duration offset = difference(both.first.time_since_epoch(), both.second.time_since_epoch());
   const bool was_set = is_step(difference(last_offset_, offset));
   // Nearly always, and in virtual time at every instant: before anything else is asked for.

@@ -119,7 +119,9 @@ Result<sqlite::Statement> rows_in_order(const RecordingFile& file, const Recorde
   auto in_order = has_one_origin(file, topic, selection.filter);
   if (in_order && !*in_order) in_order = is_in_order(file, topic, selection);
   if (!in_order) return std::move(in_order).error();
-  auto statement = file.prepare("SELECT t.run, t.time, t.origin, t.sequence" + columns + " FROM " +
+  // SQLite would take the run out of each row for `WHERE`, and once more to give it.
+  const char* const run = selection.filter.run ? ":run" : "t.run";
+  auto statement = file.prepare("SELECT " + std::string(run) + ", t.time, t.origin, t.sequence" + columns + " FROM " +
                                 sqlite::quoted(topic.table) + " t" + row_conditions(selection) +
                                 (*in_order ? " ORDER BY t.rowid" : " ORDER BY t.run, t.time, t.rowid"));
   if (statement) bind_conditions(*statement, selection);
