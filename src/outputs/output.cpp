@@ -85,7 +85,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
       record(order, {}, "it is disarmed");
       return refusal(Errc::not_permitted, "it is disarmed", "arm it first");
     }
-    if (is_failing_) {
+    if (is_failing_ && !is_busy_) {  // while its safe value is on its way, the order follows that
       record(order, {}, "the device has failed");
       return refusal(Errc::io_failed, "the device has failed", "it is set safe as soon as it takes that; set it then");
     }
@@ -150,6 +150,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     OutputCause cause = OutputCause::start;
     text<48> by = {};
     MonotonicTime asked{};
+    bool is_repeat = false;  // of the value that is on its way: it is only needed when the device does not take that
   };
 
   std::string name() const { return "output " + origin_.name; }
@@ -218,14 +219,22 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
 
   /// Asks for the value, or notes that there is nothing to do.
   void request(const Order& order) {
+    const bool is_asked = order.cause == OutputCause::set || order.cause == OutputCause::input;
     const double last = next_ ? next_->value : is_busy_ ? busy_.value : value_.value_or(std::nan(""));
     if (last == order.value) {
-      if (order.cause == OutputCause::set || order.cause == OutputCause::input) return repeated();
+      if (is_asked && is_busy_ && !next_) {
+        next_ = order;
+        next_->is_repeat = true;
+        return;
+      }
+      if (is_asked) return repeated();
       if (!is_busy_) return record(order, value_, "");
       return record(order, {}, "it is on its way already");
     }
     if (!is_busy_) return send(order);
-    if (next_ && next_->cause == OutputCause::input) {
+    if (next_ && next_->is_repeat) {
+      repeated();
+    } else if (next_ && next_->cause == OutputCause::input) {
       ++origin_.counts.received;
       ++origin_.counts.filtered;
     } else if (next_) {
@@ -263,20 +272,31 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   void go_on() {
     if (is_busy_ || !next_ || !is_held_) return;
     const Order order = *std::exchange(next_, std::nullopt);
-    if (value_ == order.value) return record(order, value_, "");
-    send(order);
+    if (value_ != order.value) return send(order);
+    if (order.is_repeat) return repeated();
+    record(order, value_, "");
   }
   void failed(const Error& error) {
     record(busy_, {}, error.why);
-    if (next_) record(*std::exchange(next_, std::nullopt), {}, "the device failed");
+    std::optional<Order> waiting = std::exchange(next_, std::nullopt);
     value_.reset();
     const bool was_failing = std::exchange(is_failing_, true);
     if (!was_failing) complain(error, Health::faulted);
-    if (!is_open() || !is_held_ || !is_failing_) return;  // its handler may have stopped it, and started it again
-    if (!was_failing && busy_.value != config_.safe)
+    // Its handler may have stopped it, and started it again.
+    const bool goes_on = is_open() && is_held_ && is_failing_;
+    if (goes_on && !was_failing && (waiting || busy_.value != config_.safe)) {
       be_safe(OutputCause::failure, "");
-    else
+    } else if (goes_on) {
       retry_.start(retry_period);
+    }
+    if (waiting) follow_failure(*waiting);
+  }
+  /// What was asked for while a value was on its way that failed: it is set after the safe value, if the device takes
+  /// that at once.
+  void follow_failure(Order order) {
+    if (!is_busy_ || next_ || !is_armed_ || !is_held_) return record(order, {}, "the device failed");
+    order.is_repeat = order.value == busy_.value;
+    next_ = order;
   }
   void try_again() {
     Call call(*this);
@@ -338,8 +358,8 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     if (!is_held_ || is_lost_) return;
     is_lost_ = true;
     is_armed_ = false;
-    is_busy_ = false;
-    next_.reset();
+    if (std::exchange(is_busy_, false)) record(busy_, {}, error.why);
+    if (next_) record(*std::exchange(next_, std::nullopt), {}, error.why);
     value_.reset();
     beat_.close();
     patience_.stop();
