@@ -380,14 +380,14 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     if (!is_held_) return;
     Call call(*this);
     input_->put(topic, event);
-    if (topic != 0) return;
+    if (!input_->computes_with(topic)) return;
     heard_ = now();
     const std::optional<double> value = input_->evaluate(time);
     if (!input_->why().empty()) return go_stale(Errc::bad_data, input_->why(), "look at what is measured");
     if (!value) return;
     last_input_ = now();
     is_stale_ = false;
-    if (input_->is_held())
+    if (input_->silent() == nullptr)
       stale_.stop();
     else if (!stale_.is_running())
       stale_.start(config_.max_age);
@@ -399,11 +399,12 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   }
   void look_at_age() {
     Call call(*this);
-    if (!is_held_ || input_->is_held()) return;
+    const std::string* const topic = input_->silent();
+    if (!is_held_ || topic == nullptr) return;
     if (const MonotonicTime due = last_input_ + config_.max_age; due > now()) return stale_.start_at(due);
     const bool is_silent = now() - heard_ >= config_.max_age;
     go_stale(Errc::timed_out,
-             "the topic \"" + config_.on + "\" has brought " + (is_silent ? "nothing" : "events without a value") +
+             "the topic \"" + *topic + "\" has brought " + (is_silent ? "nothing" : "events without a value") +
                  " for " + to_string(config_.max_age),
              "it follows it again with its next event; a longer `max_age` bridges longer pauses");
   }

@@ -130,6 +130,29 @@ TEST_SUITE("outputs") {
                             "input 1 > 1 by hot", "input 0 > 0 by hot"});
     b.output.close();
 
+    // On the alarm, with what is measured: that changes it too, and its silence counts.
+    (void)b.told();
+    b.make({.safe = 0, .on = "hot", .with = {"air"}, .expression = "not hot.is_active and air.temperature < 25",
+            .max_age = 1s});
+    give(20);
+    CHECK(b.output.value() == 1);
+    give(26);
+    CHECK(b.output.value() == 0);  // the alarm is as before
+    give(21);
+    b.loop.advance(900ms);
+    CHECK(b.output.value() == 1);
+    b.loop.advance(100ms);
+    CHECK(b.output.value() == 0);
+    CHECK(b.errors ==
+          Lines{"the topic \"air\" has brought nothing yet", "the topic \"air\" has brought nothing for 1 s"});
+    give(21);
+    CHECK(b.output.value() == 1);
+    CHECK(b.told() == Lines{"start 0 > 0", "stale 0 > 0 by hot", "input 1 > 1 by hot", "input 0 > 0 by hot",
+                            "input 1 > 1 by hot", "stale 0 > 0 by hot", "input 1 > 1 by hot"});
+    b.errors.clear();
+    b.output.close();
+    (void)b.told();
+
     // With another topic, whose silence counts.
     give(40);
     b.make(
