@@ -115,7 +115,9 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     if (!is_held_) return refusal(Errc::closed, "it is stopped", "");
     if (!is_armed_) return {};
     is_armed_ = false;
+    end_lease();
     be_safe(OutputCause::disarm, by);
+    settle();
     return {};
   }
 
@@ -343,6 +345,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   void tripped() override {
     Call call(*this);
     is_armed_ = false;
+    end_lease();
     has_tripped_ = true;
     value_ = config_.safe;
     if (next_) record(*std::exchange(next_, std::nullopt), {}, "it is disarmed");
@@ -358,6 +361,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     if (!is_held_ || is_lost_) return;
     is_lost_ = true;
     is_armed_ = false;
+    end_lease();
     if (std::exchange(is_busy_, false)) record(busy_, {}, error.why);
     if (next_) record(*std::exchange(next_, std::nullopt), {}, error.why);
     value_.reset();
@@ -413,6 +417,11 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     be_safe(OutputCause::stale, config_.on);
     complain({code, "the output has its safe value", name(), why, std::move(advice)}, worst(Health::degraded));
   }
+  /// Nothing is set, and so nothing to set again.
+  void end_lease() {
+    lease_.stop();
+    is_overdue_ = false;
+  }
   void look_at_lease() {
     Call call(*this);
     if (!is_held_) return;
@@ -420,7 +429,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     is_overdue_ = true;
     be_safe(OutputCause::lease, "");
     complain({Errc::timed_out, "the output has its safe value", name(),
-              "nobody has set it for " + to_string(config_.lease), "set it again"},
+              "nobody has set it for " + to_string(config_.lease), "set it again if it is to keep its value"},
              worst(Health::degraded));
   }
 

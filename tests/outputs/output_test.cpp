@@ -132,7 +132,10 @@ TEST_SUITE("outputs") {
 
     // On the alarm, with what is measured: that changes it too, and its silence counts.
     (void)b.told();
-    b.make({.safe = 0, .on = "hot", .with = {"air"}, .expression = "not hot.is_active and air.temperature < 25",
+    b.make({.safe = 0,
+            .on = "hot",
+            .with = {"air"},
+            .expression = "not hot.is_active and air.temperature < 25",
             .max_age = 1s});
     give(20);
     CHECK(b.output.value() == 1);
@@ -215,6 +218,34 @@ TEST_SUITE("outputs") {
     b.loop.advance(1ms);
     CHECK(b.output.health() == Health::ok);
     CHECK(b.output.value() == 1);
+  }
+
+  TEST_CASE("US-35 what is disarmed has no lease") {
+    Bench b;
+    b.make({.lease = 100ms, .armed = Arming::by_command});
+    b.output.arm("me").or_throw();
+    b.output.set(1).or_throw();
+    b.loop.advance(50ms);
+    b.output.disarm("me").or_throw();
+    b.loop.advance(1s);
+    CHECK(b.errors.empty());
+    CHECK(b.output.health() == Health::ok);
+    CHECK(b.told() ==
+          Lines{"start 0 > 0, disarmed", "arm 0 > 0 by me", "set 1 > 1 by program", "disarm 0 > 0 by me, disarmed"});
+    // One whose lease is over is well again when it is disarmed, and has a new one when it is set again.
+    b.output.arm("me").or_throw();
+    b.output.set(1).or_throw();
+    b.loop.advance(200ms);
+    CHECK(b.output.health() == Health::degraded);
+    b.output.disarm("me").or_throw();
+    b.loop.advance(1ms);
+    CHECK(b.output.health() == Health::ok);
+    b.output.arm("me").or_throw();
+    b.output.set(1).or_throw();
+    b.loop.advance(99ms);
+    CHECK(b.output.value() == 1);
+    b.loop.advance(1ms);
+    CHECK(b.output.value() == 0);
   }
 
   TEST_CASE("US-35 an output follows a topic, is safe while that is stale or fails, and follows it again") {
@@ -334,8 +365,8 @@ TEST_SUITE("outputs") {
     b.loop.advance(2s);
     CHECK(b.output.value() == 1);
     CHECK(b.output.health() == Health::ok);
-    CHECK(b.told() == Lines{"start 0 > 0", "set 1 > - by apogee: it is broken", "failure 0 > 0",
-                            "set 1 > 1 by descent"});
+    CHECK(b.told() ==
+          Lines{"start 0 > 0", "set 1 > - by apogee: it is broken", "failure 0 > 0", "set 1 > 1 by descent"});
     CHECK(b.device.did == Lines{"open 0", "set 1 failed", "gone", "open 0", "set 1"});
     // When the device takes the first, the second is a repetition.
     set(2, "first");
@@ -353,8 +384,7 @@ TEST_SUITE("outputs") {
       set(4, "second");
       b.loop.advance(2s);
       CHECK(b.output.value() == 4);
-      CHECK(b.told() ==
-            Lines{"set 3 > - by first: it is broken", "failure 0 > 0", "set 4 > 4 by second"});
+      CHECK(b.told() == Lines{"set 3 > - by first: it is broken", "failure 0 > 0", "set 4 > 4 by second"});
     }
     // A device that does not even take its safe value: it is told, and nothing is set later.
     b.device.fails = true;
