@@ -127,6 +127,14 @@ TEST_SUITE("fsm") {
     says(machine(a_and_b, R"({"from": "a", "to": "b", "for": "1 s"})"), "machines[0].transitions[0].for",
          "`for` is how long `when` is true");
     says(machine(a_and_b + R"(, {"name": "a"})", go), "machines[0].states[2].name", "there is a state \"a\" already");
+    const auto says_of_state = [&](const std::string& state, const std::string& why) {
+      says(R"({"name": "m", "start": ")" + state + R"(", "states": [{"name": ")" + state + R"(", "final": true}]})",
+           "machines[0].states[0].name", why);
+    };
+    says_of_state("a/b", "the name of a state has no `/`, which is a `.` in expressions");
+    says_of_state("lasted", "`lasted` is a field of the machine's changes");
+    says_of_state("m", "`m` is the machine's topic");
+    CHECK(said_of(R"({"name": "m", "start": "to", "states": [{"name": "to", "final": true}]})").empty());
     says(R"({"name": "m", "inputs": ["laod"], "start": "a", "states": [{"name": "a", "final": true}]})",
          "machines[0].inputs[0]", "nothing of this configuration publishes on \"laod\"");
     says(R"({"name": "load", "topic": "x", "start": "a", "states": [{"name": "a", "final": true}]})",
@@ -205,16 +213,15 @@ TEST_SUITE("fsm") {
     NEEDS_EXPRESSIONS();
     for (const bool is_used : {false, true}) {
       CAPTURE(is_used);
-      Bench b({.name = "m",
-               .inputs = {"baro", "other"},
-               .max_age = 500ms,
-               .start = "a",
-               .states = {{"a"}, {"b", true}, {"c", true}},
-               .transitions = {{.from = "a", .to = "c", .when = "other > 1000 or altitude > 1000"},
-                               {.from = "a",
-                                .to = "b",
-                                .when = is_used ? "altitude > 3 and other > 3" : "altitude > 3",
-                                .hold = 2s}}});
+      Bench b(
+          {.name = "m",
+           .inputs = {"baro", "other"},
+           .max_age = 500ms,
+           .start = "a",
+           .states = {{"a"}, {"b", true}, {"c", true}},
+           .transitions = {
+               {.from = "a", .to = "c", .when = "other > 1000 or altitude > 1000"},
+               {.from = "a", .to = "b", .when = is_used ? "altitude > 3 and other > 3" : "altitude > 3", .hold = 2s}}});
       b.changes.clear();
       // The other one comes each 550 ms, when its value before is too old, and that of the first is 55 ms old.
       Duration to_b = Duration::max();
