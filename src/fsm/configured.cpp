@@ -27,7 +27,8 @@ struct ConfiguredMachine::Core {
   /// Of a transition.
   struct When {
     Expression expression;
-    std::string of;  // "from pad to boost", in reports
+    std::string of;   // "from pad to boost", in reports
+    std::size_t way;  // among the transitions out of its state
     ExpressionResult result = {};
     bool is_failure_told = false;
   };
@@ -47,6 +48,10 @@ struct ConfiguredMachine::Core {
     if (!ages[input].has_come) return true;
     const bool ages_at_all = settings.max_age > Duration{0} && !inputs.all()[input].is_held;
     return ages_at_all && loop.now() - ages[input].came > settings.max_age;
+  }
+  bool uses(const Expression& expression, std::size_t input) const {
+    const auto& fields = inputs.all()[input].fields;
+    return std::any_of(fields.begin(), fields.end(), [&](const auto& field) { return expression.uses(field.index); });
   }
   // Who acts
   void act();
@@ -119,7 +124,10 @@ void ConfiguredMachine::Core::build(const std::vector<std::string>& names) {
     Condition condition;
     if (!one.when.empty()) {
       const std::size_t number = whens.size();
-      whens.push_back({Expression(one.when, names), "from " + one.from + " to " + one.to});
+      const auto way = static_cast<std::size_t>(
+          std::count_if(settings.transitions.begin(), settings.transitions.begin() + std::ptrdiff_t(i),
+                        [&](const TransitionSettings& before) { return before.from == one.from; }));
+      whens.push_back({Expression(one.when, names), "from " + one.from + " to " + one.to, way});
       for (std::size_t k = 0; k < settings.states.size(); ++k)
         if (settings.states[k].name == one.from) whens_of[k].push_back(number);
       condition = [this, number](const Moment& moment) { return holds(number, moment); };
@@ -181,8 +189,11 @@ void ConfiguredMachine::Core::take(std::size_t input, const EventView& event, Ti
   for (const std::size_t number : own) evaluate(whens[number], time);
   is_evaluated = true;
   const std::shared_ptr<Core> kept = self.lock();  // a handler of the change may end the machine's life
-  detail::input_event(detail::node_of_open(machine, inputs.all()[input].topic), time, came,
-                      was_old ? detail::Before::stale : detail::Before::fresh);
+  rtdata::detail::Node& node = detail::node_of_open(machine, inputs.all()[input].topic);
+  if (was_old)
+    for (const std::size_t number : own)
+      if (uses(whens[number].expression, input)) detail::begin_hold_anew(node, whens[number].way);
+  detail::input_event(node, time, came);
   is_evaluated = false;
 }
 

@@ -193,11 +193,18 @@ class MachineNode final : public Node {
     take_now(no_event);
   }
   /// In a delivery of the loop.
-  void input(Time time, MonotonicTime came, detail::Before before) {
+  void begin_hold_anew(std::size_t way) {
+    if (current_ != nullptr && way < current_->ways.size()) current_->ways[way]->since.reset();
+  }
+  /// An input's value was too old from then on. With events that came since, conditions were tried without it, so that
+  /// what holds does not need it; without one, nothing confirmed any.
+  void input_was_old(MonotonicTime from) {
+    if (last_came_ > from || current_ == nullptr) return;
+    for (const auto& way : current_->ways) way->since.reset();
+  }
+  void input(Time time, MonotonicTime came) {
     last_time_ = time;
     last_came_ = came;
-    if (before == detail::Before::stale && current_ != nullptr)
-      for (const auto& way : current_->ways) way->since.reset();
     take(any_event, time, came);
   }
 
@@ -573,15 +580,20 @@ Graph Machine::graph() const {
 
 namespace detail {
 
-void input_event(rtdata::detail::Node& machine, Time time, MonotonicTime came, Before before) {
-  if (machine.is_open()) static_cast<MachineNode&>(machine).input(time, came, before);
+void input_event(rtdata::detail::Node& machine, Time time, MonotonicTime came) {
+  if (machine.is_open()) static_cast<MachineNode&>(machine).input(time, came);
+}
+void begin_hold_anew(rtdata::detail::Node& machine, std::size_t way) {
+  if (machine.is_open()) static_cast<MachineNode&>(machine).begin_hold_anew(way);
 }
 void input_event(InputTimes& input, Time time) {
   const MonotonicTime now = input.machine.loop()->now();
-  const bool was_stale = input.time && input.max_age != Duration::max() && now - input.came > input.max_age;
+  auto& machine = static_cast<MachineNode&>(input.machine);
+  if (input.time && input.max_age != Duration::max() && now - input.came > input.max_age)
+    machine.input_was_old(input.came + input.max_age);
   input.time = time;
   input.came = now;
-  static_cast<MachineNode&>(input.machine).input(time, now, was_stale ? Before::stale : Before::fresh);
+  machine.input(time, now);
 }
 rtdata::detail::Node& node_of_open(const Machine& machine, std::string_view input) {
   rtdata::detail::Node* const node = machine.node();

@@ -68,11 +68,21 @@ class Checker {
       const ConfigItem& at = child_or(element_of(item_, "states", i), "name");
       if (name.size() > max_name)
         add(at, "bad-name", "the name of a state has at most " + std::to_string(max_name) + " bytes");
+      if (const std::string why = why_no_name(name); !why.empty()) add(at, "bad-name", why);
       if (std::find(names_.begin(), names_.end(), name) != names_.end())
         add(at, "duplicate-name", "there is a state \"" + name + "\" already");
       names_.push_back(name);
     }
     check_known(settings_.start, child_or(item_, "start"));
+  }
+  /// Why expressions could not name the state, which they would see too late: the name would be another value.
+  std::string why_no_name(const std::string& state) const {
+    const std::string topic = Expression::normal_name(settings_.topic.empty() ? settings_.name : settings_.topic);
+    if (state.find('/') != std::string::npos) return "the name of a state has no `/`, which is a `.` in expressions";
+    if (state == "lasted") return "`lasted` is a field of the machine's changes: expressions could not name the state";
+    if (state == topic || state.starts_with(topic + "."))
+      return "`" + topic + "` is the machine's topic: expressions could not name the state";
+    return "";
   }
   void check_known(const std::string& state, const ConfigItem& at) {
     if (std::find(names_.begin(), names_.end(), state) == names_.end())

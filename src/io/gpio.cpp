@@ -7,6 +7,7 @@
 
 #include "data/nearest.hpp"
 #include "io/gpio_failure.hpp"
+#include "io/gpio_lookup.hpp"
 #include "rtdata/data/config_item.hpp"
 
 namespace rtdata {
@@ -151,6 +152,17 @@ class Finder {
   std::string line_;
   std::string chip_;
 };
+
+}  // namespace
+
+Result<detail::FoundLine> detail::find_gpio_line(std::vector<GpioChipInfo> chips, const GpioLineName& line,
+                                                 const std::string& chip) {
+  Result<Place> found = Finder(std::move(chips), line, chip).find();
+  if (!found) return found.error();
+  return FoundLine{found->text(), found->line};
+}
+
+namespace {
 
 Error refusal_of(int error_number, GpioBackend& backend, const Place& place) {
   switch (error_number) {

@@ -50,6 +50,16 @@ std::optional<double> OutputInput::evaluate(Time time) {
   return result.value;
 }
 
+const std::string* OutputInput::silent() const noexcept {
+  const ExpressionSources::Source* oldest = nullptr;
+  for (std::size_t i = 0; i < sources_.all().size(); ++i) {
+    const ExpressionSources::Source& one = sources_.all()[i];
+    if (one.is_held || !computes_with(i) || (i > 0 && one.fields.empty())) continue;
+    if (oldest == nullptr || (oldest->has_come && (!one.has_come || one.time < oldest->time))) oldest = &one;
+  }
+  return oldest != nullptr ? &oldest->topic : nullptr;
+}
+
 void OutputInput::follow(double value) noexcept {
   if (pid_) pid_->follow(value);
 }

@@ -28,9 +28,12 @@ class OutputInput {
   void recall(Loop& loop, const std::function<void(std::size_t, const EventView&)>& take) {
     sources_.recall(loop, take);
   }
-  /// The first topic is such a one: it may be silent.
-  bool is_held() const noexcept { return sources_.all().front().is_held; }
-  /// As of an event of the first topic. None: it has none now; `why` says why, if it is not just waiting.
+  /// Its value changes with events of this topic: of the first, and of all where the first only says what changes.
+  bool computes_with(std::size_t topic) const noexcept { return topic == 0 || sources_.all().front().is_held; }
+  /// The topic that has been silent for longest, of those that it changes with and that may not be silent. Null: there
+  /// is none.
+  const std::string* silent() const noexcept;
+  /// None: it has none now; `why` says why, if it is not just waiting.
   std::optional<double> evaluate(Time time);
   /// Empty: it is waiting, or has a value.
   const std::string& why() const noexcept { return why_; }

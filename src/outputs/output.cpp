@@ -85,7 +85,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
       record(order, {}, "it is disarmed");
       return refusal(Errc::not_permitted, "it is disarmed", "arm it first");
     }
-    if (is_failing_) {
+    if (is_failing_ && !is_busy_) {  // while its safe value is on its way, the order follows that
       record(order, {}, "the device has failed");
       return refusal(Errc::io_failed, "the device has failed", "it is set safe as soon as it takes that; set it then");
     }
@@ -115,7 +115,9 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     if (!is_held_) return refusal(Errc::closed, "it is stopped", "");
     if (!is_armed_) return {};
     is_armed_ = false;
+    end_lease();
     be_safe(OutputCause::disarm, by);
+    settle();
     return {};
   }
 
@@ -150,6 +152,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     OutputCause cause = OutputCause::start;
     text<48> by = {};
     MonotonicTime asked{};
+    bool is_repeat = false;  // of the value that is on its way: it is only needed when the device does not take that
   };
 
   std::string name() const { return "output " + origin_.name; }
@@ -218,14 +221,22 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
 
   /// Asks for the value, or notes that there is nothing to do.
   void request(const Order& order) {
+    const bool is_asked = order.cause == OutputCause::set || order.cause == OutputCause::input;
     const double last = next_ ? next_->value : is_busy_ ? busy_.value : value_.value_or(std::nan(""));
     if (last == order.value) {
-      if (order.cause == OutputCause::set || order.cause == OutputCause::input) return repeated();
+      if (is_asked && is_busy_ && !next_) {
+        next_ = order;
+        next_->is_repeat = true;
+        return;
+      }
+      if (is_asked) return repeated();
       if (!is_busy_) return record(order, value_, "");
       return record(order, {}, "it is on its way already");
     }
     if (!is_busy_) return send(order);
-    if (next_ && next_->cause == OutputCause::input) {
+    if (next_ && next_->is_repeat) {
+      repeated();
+    } else if (next_ && next_->cause == OutputCause::input) {
       ++origin_.counts.received;
       ++origin_.counts.filtered;
     } else if (next_) {
@@ -263,20 +274,31 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   void go_on() {
     if (is_busy_ || !next_ || !is_held_) return;
     const Order order = *std::exchange(next_, std::nullopt);
-    if (value_ == order.value) return record(order, value_, "");
-    send(order);
+    if (value_ != order.value) return send(order);
+    if (order.is_repeat) return repeated();
+    record(order, value_, "");
   }
   void failed(const Error& error) {
     record(busy_, {}, error.why);
-    if (next_) record(*std::exchange(next_, std::nullopt), {}, "the device failed");
+    std::optional<Order> waiting = std::exchange(next_, std::nullopt);
     value_.reset();
     const bool was_failing = std::exchange(is_failing_, true);
     if (!was_failing) complain(error, Health::faulted);
-    if (!is_open() || !is_held_ || !is_failing_) return;  // its handler may have stopped it, and started it again
-    if (!was_failing && busy_.value != config_.safe)
+    // Its handler may have stopped it, and started it again.
+    const bool goes_on = is_open() && is_held_ && is_failing_;
+    if (goes_on && !was_failing && (waiting || busy_.value != config_.safe)) {
       be_safe(OutputCause::failure, "");
-    else
+    } else if (goes_on) {
       retry_.start(retry_period);
+    }
+    if (waiting) follow_failure(*waiting);
+  }
+  /// What was asked for while a value was on its way that failed: it is set after the safe value, if the device takes
+  /// that at once.
+  void follow_failure(Order order) {
+    if (!is_busy_ || next_ || !is_armed_ || !is_held_) return record(order, {}, "the device failed");
+    order.is_repeat = order.value == busy_.value;
+    next_ = order;
   }
   void try_again() {
     Call call(*this);
@@ -323,6 +345,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   void tripped() override {
     Call call(*this);
     is_armed_ = false;
+    end_lease();
     has_tripped_ = true;
     value_ = config_.safe;
     if (next_) record(*std::exchange(next_, std::nullopt), {}, "it is disarmed");
@@ -338,8 +361,9 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     if (!is_held_ || is_lost_) return;
     is_lost_ = true;
     is_armed_ = false;
-    is_busy_ = false;
-    next_.reset();
+    end_lease();
+    if (std::exchange(is_busy_, false)) record(busy_, {}, error.why);
+    if (next_) record(*std::exchange(next_, std::nullopt), {}, error.why);
     value_.reset();
     beat_.close();
     patience_.stop();
@@ -360,14 +384,14 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     if (!is_held_) return;
     Call call(*this);
     input_->put(topic, event);
-    if (topic != 0) return;
+    if (!input_->computes_with(topic)) return;
     heard_ = now();
     const std::optional<double> value = input_->evaluate(time);
     if (!input_->why().empty()) return go_stale(Errc::bad_data, input_->why(), "look at what is measured");
     if (!value) return;
     last_input_ = now();
     is_stale_ = false;
-    if (input_->is_held())
+    if (input_->silent() == nullptr)
       stale_.stop();
     else if (!stale_.is_running())
       stale_.start(config_.max_age);
@@ -379,11 +403,12 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   }
   void look_at_age() {
     Call call(*this);
-    if (!is_held_ || input_->is_held()) return;
+    const std::string* const topic = input_->silent();
+    if (!is_held_ || topic == nullptr) return;
     if (const MonotonicTime due = last_input_ + config_.max_age; due > now()) return stale_.start_at(due);
     const bool is_silent = now() - heard_ >= config_.max_age;
     go_stale(Errc::timed_out,
-             "the topic \"" + config_.on + "\" has brought " + (is_silent ? "nothing" : "events without a value") +
+             "the topic \"" + *topic + "\" has brought " + (is_silent ? "nothing" : "events without a value") +
                  " for " + to_string(config_.max_age),
              "it follows it again with its next event; a longer `max_age` bridges longer pauses");
   }
@@ -392,6 +417,11 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     be_safe(OutputCause::stale, config_.on);
     complain({code, "the output has its safe value", name(), why, std::move(advice)}, worst(Health::degraded));
   }
+  /// Nothing is set, and so nothing to set again.
+  void end_lease() {
+    lease_.stop();
+    is_overdue_ = false;
+  }
   void look_at_lease() {
     Call call(*this);
     if (!is_held_) return;
@@ -399,7 +429,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     is_overdue_ = true;
     be_safe(OutputCause::lease, "");
     complain({Errc::timed_out, "the output has its safe value", name(),
-              "nobody has set it for " + to_string(config_.lease), "set it again"},
+              "nobody has set it for " + to_string(config_.lease), "set it again if it is to keep its value"},
              worst(Health::degraded));
   }
 

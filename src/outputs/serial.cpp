@@ -7,6 +7,8 @@
 #include <array>
 #include <cerrno>
 #include <chrono>
+#include <map>
+#include <mutex>
 #include <string_view>
 
 #include "io/tty.hpp"
@@ -28,6 +30,30 @@ bool wait_for(int fd, short events, Deadline until) {
     if (ready == 0) return false;
     if (errno != EINTR) return false;
   }
+}
+
+/// The rest of a text of which a part was sent, of each device. It is sent before the next text, which would be glued
+/// to that part otherwise, and not understood. Of the process, since after a failure another actuator takes the device.
+/// Thread: any.
+class Unsent {
+ public:
+  void keep(const std::string& device, std::string_view rest) {
+    const std::scoped_lock lock(mutex_);
+    rests_[device] = rest;
+  }
+  std::string take(const std::string& device) {
+    const std::scoped_lock lock(mutex_);
+    const auto found = rests_.find(device);
+    return found != rests_.end() ? std::move(rests_.extract(found).mapped()) : std::string();
+  }
+
+ private:
+  std::mutex mutex_;
+  std::map<std::string, std::string> rests_;
+};
+Unsent& unsent() {
+  static Unsent all;
+  return all;
 }
 
 }  // namespace
@@ -58,13 +84,19 @@ Result<void> SerialActuator::set(double value) {
     return system_error(errno, cannot_set, config_.device);
   };
   ::tcflush(fd_, TCIFLUSH);
-  const std::string text = detail::set_text(config_.text, value, config_.words);
+  const std::string before = unsent().take(config_.device);
+  const std::string text = before + detail::set_text(config_.text, value, config_.words);
   for (std::string_view rest = text; !rest.empty();) {
     const ssize_t wrote = ::write(fd_, rest.data(), rest.size());
     if (wrote > 0) rest.remove_prefix(static_cast<std::size_t>(wrote));
     if (wrote >= 0 || errno == EINTR) continue;
     if (errno != EAGAIN) return failed();
-    if (!wait_for(fd_, POLLOUT, until)) return late("it takes nothing");
+    if (wait_for(fd_, POLLOUT, until)) continue;
+    // Of a text that was not begun nothing is owed.
+    const std::size_t sent = text.size() - rest.size();
+    if (sent != 0 || !before.empty())
+      unsent().keep(config_.device, sent > before.size() ? rest : std::string_view(before).substr(sent));
+    return late("it takes nothing");
   }
   if (config_.answer.empty()) return {};
   std::string got;

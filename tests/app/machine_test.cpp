@@ -471,6 +471,12 @@ TEST_SUITE("app") {
     CHECK(wrong.end() == 2);
     CHECK(wrong.err.find("host") != std::string::npos);
     CHECK(wrong.out.empty());
+    Process wrong_json(folder, shipped, {"doctor", "--json", "wrong.json"});
+    CHECK(wrong_json.end() == 2);
+    const auto mistakes = nlohmann::json::parse(wrong_json.out);
+    CHECK(mistakes["worst"] == "fault");
+    REQUIRE(mistakes["findings"].size() == 1);
+    CHECK(mistakes["findings"][0]["what"].get<std::string>().find("host") != std::string::npos);
 
     Process nowhere(folder, shipped, {"doctor", "--root", "nowhere"});
     CHECK(nowhere.end() == 1);
@@ -486,6 +492,45 @@ TEST_SUITE("app") {
     const auto json = nlohmann::json::parse(here.out);
     CHECK(status == (json["worst"] == "fault" ? 2 : json["worst"] == "warning" ? 3 : 0));
     CHECK(json["findings"].size() >= 6);
+  }
+
+  TEST_CASE("FW-3 doctor says which GPIO lines, PWM channels and processors of a configuration are not there") {
+    const Machine board;
+    const bool has_gpio = standard_registry().outputs().find("gpio").has_value();
+    const std::string gpio = has_gpio ? R"({"name": "lamp", "type": "gpio", "line": "GPIO99"},)" : "";
+    const SystemPlan plan = plan_system(standard_registry(), parse_config(R"({"tiers": {"fast": {"cpu": 77},
+      "any": {}}, "sensors": [{"name": "l", "type": "host", "quantity": "load", "rate": "1 Hz"}], "outputs": [)" +
+                                                                          gpio +
+                                                                          R"(
+      {"name": "fan", "type": "pwm"}, {"name": "heater", "type": "pwm", "chip": 2, "channel": 3}]})"));
+    REQUIRE_MESSAGE(plan.good(), plan.report());
+    board.file("/sys/class/pwm/pwmchip2/npwm", "2\n");
+    board.file("/sys/devices/system/cpu/cpu0/online", "1\n");
+    std::vector<Finding> found = examine_lines(board.files(), plan);
+    REQUIRE(find(found, "output fan") != nullptr);
+    CHECK(find(found, "output fan")->severity == Severity::fault);
+    CHECK(find(found, "output fan")->what == "there is no PWM chip /sys/class/pwm/pwmchip0");
+    REQUIRE(find(found, "output heater") != nullptr);
+    CHECK(find(found, "output heater")->what == "/sys/class/pwm/pwmchip2 has 2 channels, from 0 on");
+    REQUIRE((find(found, "output lamp") != nullptr) == has_gpio);
+    if (has_gpio) CHECK(find(found, "output lamp")->what == "this machine has no GPIO chip");
+    const std::vector<Finding> timing = examine_timing(board.files(), &plan);
+    REQUIRE(find(timing, "tier fast") != nullptr);
+    CHECK(find(timing, "tier fast")->severity == Severity::warning);
+    CHECK(find(timing, "tier fast")->what.find("77") != std::string::npos);
+    CHECK(find(timing, "tier any") == nullptr);
+
+    board.file("/dev/gpiochip0");
+    board.file("/sys/class/pwm/pwmchip0/npwm", "1\n");
+    board.file("/sys/class/pwm/pwmchip0/export");
+    board.file("/sys/class/pwm/pwmchip2/npwm", "4\n");
+    board.file("/sys/class/pwm/pwmchip2/pwm3/duty_cycle", "0\n");
+    board.file("/sys/devices/system/cpu/cpu77/online", "1\n");
+    found = examine_lines(board.files(), plan);
+    REQUIRE(found.size() == 2);  // which lines the chip of a copy has is not known
+    CHECK(found[0].severity == Severity::good);
+    CHECK(found[1].severity == Severity::good);
+    CHECK(find(examine_timing(board.files(), &plan), "tier fast") == nullptr);
   }
 
   TEST_CASE("FW-3 doctor says which groups nobody is in, and that the kernel has a chip") {

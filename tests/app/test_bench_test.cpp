@@ -122,6 +122,25 @@ TEST_SUITE("app") {
     CHECK(bench.number(R"(SELECT max(thrust) FROM "fire/daq")") > 2000);
   }
 
+  TEST_CASE("US-35 US-39 examples/test_bench: an abort in the countdown, and while it is held, lights nothing") {
+    NEEDS_BENCH();
+    for (const bool is_held : {false, true}) {
+      CAPTURE(is_held);
+      Bench bench;
+      std::this_thread::sleep_for(1s);
+      bench.fire();
+      if (is_held) bench.ctl({"event", "sequence", "hold"});
+      bench.ctl({"event", "sequence", "abort"});
+      CHECK(bench.bench->wait_for("purge 1"));
+      bench.ctl({"event", "sequence", "start"});  // only after `reset`
+      std::this_thread::sleep_for(4s);
+      bench.end();
+      CHECK(bench.states() == (is_held ? "idle countdown hold abort" : "idle countdown abort"));
+      CHECK(bench.number("SELECT count(*) FROM igniter WHERE asked = 1") == 0);
+      CHECK(bench.number("SELECT count(*) FROM valve WHERE asked = 1") == 0);
+    }
+  }
+
   TEST_CASE("US-35 US-39 examples/test_bench: too much pressure, a sensor that dies, and no ignition end it") {
     NEEDS_BENCH();
     struct {

@@ -127,6 +127,14 @@ TEST_SUITE("fsm") {
     says(machine(a_and_b, R"({"from": "a", "to": "b", "for": "1 s"})"), "machines[0].transitions[0].for",
          "`for` is how long `when` is true");
     says(machine(a_and_b + R"(, {"name": "a"})", go), "machines[0].states[2].name", "there is a state \"a\" already");
+    const auto says_of_state = [&](const std::string& state, const std::string& why) {
+      says(R"({"name": "m", "start": ")" + state + R"(", "states": [{"name": ")" + state + R"(", "final": true}]})",
+           "machines[0].states[0].name", why);
+    };
+    says_of_state("a/b", "the name of a state has no `/`, which is a `.` in expressions");
+    says_of_state("lasted", "`lasted` is a field of the machine's changes");
+    says_of_state("m", "`m` is the machine's topic");
+    CHECK(said_of(R"({"name": "m", "start": "to", "states": [{"name": "to", "final": true}]})").empty());
     says(R"({"name": "m", "inputs": ["laod"], "start": "a", "states": [{"name": "a", "final": true}]})",
          "machines[0].inputs[0]", "nothing of this configuration publishes on \"laod\"");
     says(R"({"name": "load", "topic": "x", "start": "a", "states": [{"name": "a", "final": true}]})",
@@ -199,6 +207,35 @@ TEST_SUITE("fsm") {
     CHECK(b.give(10, 200ms).empty());
     CHECK(b.give(60, 200ms).empty());  // the other is 400 ms old
     CHECK(b.give(501, 200ms) == Lines{"a>b: altitude > 500 or other > 500"});
+  }
+
+  TEST_CASE("US-41 an input that is slow begins a condition anew that uses it, and no other") {
+    NEEDS_EXPRESSIONS();
+    for (const bool is_used : {false, true}) {
+      CAPTURE(is_used);
+      Bench b(
+          {.name = "m",
+           .inputs = {"baro", "other"},
+           .max_age = 500ms,
+           .start = "a",
+           .states = {{"a"}, {"b", true}, {"c", true}},
+           .transitions = {
+               {.from = "a", .to = "c", .when = "other > 1000 or altitude > 1000"},
+               {.from = "a", .to = "b", .when = is_used ? "altitude > 3 and other > 3" : "altitude > 3", .hold = 2s}}});
+      b.changes.clear();
+      // The other one comes each 550 ms, when its value before is too old, and that of the first is 55 ms old.
+      Duration to_b = Duration::max();
+      const MonotonicTime begin = b.loop.now();
+      for (int i = 0; i < 40 && to_b == Duration::max(); ++i) {
+        for (int k = 0; k < 5; ++k)
+          if (!b.give(5, 99ms).empty()) to_b = b.loop.now() - begin;
+        b.loop.advance(55ms);
+        b.other.publish(Height{5}, b.loop.time());
+        b.loop.advance(0ns);
+      }
+      CHECK((to_b == Duration::max()) == is_used);
+      if (!is_used) CHECK(to_b <= 2200ms);
+    }
   }
 
   TEST_CASE("US-41 events by name; a condition that fails is told once, and is false") {

@@ -138,6 +138,24 @@ TEST_SUITE("fsm") {
     CHECK(b.told() == Lines{">a: start", "a>b: after 2 s", "b>c: go, after 1 s"});
   }
 
+  TEST_CASE("US-41 an input that is slow does not begin a condition anew that was true without it meanwhile") {
+    Bench b;
+    Feed<Climate> one(b.loop, {.name = "one"});
+    Feed<Climate> two(b.loop, {.name = "two"});
+    fsm::Input<Climate> first(b.machine, "one", 500ms);
+    fsm::Input<Climate> second(b.machine, "two", 500ms);
+    b.machine.add_transition(
+        {.from = "a", .to = "b", .when = [&] { return first && first->temperature > 3; }, .hold = 2s});
+    b.machine.start();
+    for (int i = 0; i < 22; ++i) {
+      b.loop.advance(100ms);
+      one.publish({.temperature = 5});
+      if (i % 10 == 0) two.publish({.temperature = 5});
+      b.loop.advance(0ns);
+      CHECK(b.machine.state() == (i < 20 ? "a" : "b"));
+    }
+  }
+
   TEST_CASE("US-41 a condition on two topics, which must hold for a time; a stale input begins it anew") {
     Bench b;
     Feed<Climate> one(b.loop, {.name = "one"});

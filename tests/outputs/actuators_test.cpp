@@ -1,5 +1,6 @@
 // The shipped devices of outputs: a GPIO chip of memory, a PWM chip of files, a pseudo terminal.
 #include <doctest/doctest.h>
+#include <poll.h>
 #include <pty.h>
 #include <unistd.h>
 
@@ -148,6 +149,33 @@ TEST_SUITE("outputs") {
     const auto opened = asked.open(3);
     device.join();
     CHECK(opened.has_value());
+    // One that takes no more in the middle of a text, and later goes on: it gets that text whole before the next.
+    {
+      Terminal slow;
+      const std::string long_text = "VALUE " + std::string(300, 'p') + "{value};\n";
+      SerialActuatorConfig settings{.device = slow.name, .text = long_text, .timeout = 20ms};
+      int taken = 0;
+      {
+        SerialActuator valve(settings);
+        REQUIRE(valve.open({}).has_value());
+        while (taken < 1000 && valve.set(taken).has_value()) ++taken;
+        CHECK(valve.set(1000).error().code == Errc::timed_out);  // nothing of it is sent, or ever will be
+      }
+      REQUIRE(taken > 2);
+      REQUIRE(taken < 1000);
+      std::string got;
+      const auto read_all = [&] {
+        for (pollfd ready{slow.master, POLLIN, 0}; ::poll(&ready, 1, 200) > 0;) got += slow.read();
+      };
+      read_all();
+      SerialActuator valve(settings);  // after a failure another one takes the device
+      REQUIRE(valve.open(-5).has_value());
+      read_all();
+      std::string expected;
+      for (int i = 0; i <= taken; ++i) expected += "VALUE " + std::string(300, 'p') + std::to_string(i) + ";\n";
+      expected += "VALUE " + std::string(300, 'p') + "-5;\n";
+      CHECK(got == expected);
+    }
     SerialActuator deaf({.device = line.name, .answer = "OK", .timeout = 50ms});
     CHECK(deaf.open({}).error().code == Errc::busy);  // it is opened for one alone
     CHECK(SerialActuator({.device = "/dev/no-such"}).open(0).error().code == Errc::not_found);

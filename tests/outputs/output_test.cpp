@@ -130,6 +130,32 @@ TEST_SUITE("outputs") {
                             "input 1 > 1 by hot", "input 0 > 0 by hot"});
     b.output.close();
 
+    // On the alarm, with what is measured: that changes it too, and its silence counts.
+    (void)b.told();
+    b.make({.safe = 0,
+            .on = "hot",
+            .with = {"air"},
+            .expression = "not hot.is_active and air.temperature < 25",
+            .max_age = 1s});
+    give(20);
+    CHECK(b.output.value() == 1);
+    give(26);
+    CHECK(b.output.value() == 0);  // the alarm is as before
+    give(21);
+    b.loop.advance(900ms);
+    CHECK(b.output.value() == 1);
+    b.loop.advance(100ms);
+    CHECK(b.output.value() == 0);
+    CHECK(b.errors ==
+          Lines{"the topic \"air\" has brought nothing yet", "the topic \"air\" has brought nothing for 1 s"});
+    give(21);
+    CHECK(b.output.value() == 1);
+    CHECK(b.told() == Lines{"start 0 > 0", "stale 0 > 0 by hot", "input 1 > 1 by hot", "input 0 > 0 by hot",
+                            "input 1 > 1 by hot", "stale 0 > 0 by hot", "input 1 > 1 by hot"});
+    b.errors.clear();
+    b.output.close();
+    (void)b.told();
+
     // With another topic, whose silence counts.
     give(40);
     b.make(
@@ -192,6 +218,34 @@ TEST_SUITE("outputs") {
     b.loop.advance(1ms);
     CHECK(b.output.health() == Health::ok);
     CHECK(b.output.value() == 1);
+  }
+
+  TEST_CASE("US-35 what is disarmed has no lease") {
+    Bench b;
+    b.make({.lease = 100ms, .armed = Arming::by_command});
+    b.output.arm("me").or_throw();
+    b.output.set(1).or_throw();
+    b.loop.advance(50ms);
+    b.output.disarm("me").or_throw();
+    b.loop.advance(1s);
+    CHECK(b.errors.empty());
+    CHECK(b.output.health() == Health::ok);
+    CHECK(b.told() ==
+          Lines{"start 0 > 0, disarmed", "arm 0 > 0 by me", "set 1 > 1 by program", "disarm 0 > 0 by me, disarmed"});
+    // One whose lease is over is well again when it is disarmed, and has a new one when it is set again.
+    b.output.arm("me").or_throw();
+    b.output.set(1).or_throw();
+    b.loop.advance(200ms);
+    CHECK(b.output.health() == Health::degraded);
+    b.output.disarm("me").or_throw();
+    b.loop.advance(1ms);
+    CHECK(b.output.health() == Health::ok);
+    b.output.arm("me").or_throw();
+    b.output.set(1).or_throw();
+    b.loop.advance(99ms);
+    CHECK(b.output.value() == 1);
+    b.loop.advance(1ms);
+    CHECK(b.output.value() == 0);
   }
 
   TEST_CASE("US-35 an output follows a topic, is safe while that is stale or fails, and follows it again") {
@@ -293,6 +347,63 @@ TEST_SUITE("outputs") {
     CHECK(b.told() == Lines{"start 0 > 0", "set 1 > 1 by program", "set 2 > - by program: it is broken",
                             "failure 0 > -: it is broken", "set 2 > - by program: the device has failed",
                             "failure 0 > -: it is broken", "failure 0 > -: it is broken", "failure 0 > 0"});
+  }
+
+  TEST_CASE("US-35 what is asked for while a value is on its way is not lost when the device does not take that") {
+    Bench b;
+    b.make({});
+    b.loop.script_lane_duration(30ms);
+    const auto set = [&](double value, const char* by) {
+      b.output.set(value, by).or_throw();
+      b.loop.advance(1ms);
+    };
+    // The same value, twice: the first order fails, and the second is done after the safe value.
+    b.device.fails = true;
+    set(1, "apogee");
+    set(1, "descent");
+    b.device.fails = false;
+    b.loop.advance(2s);
+    CHECK(b.output.value() == 1);
+    CHECK(b.output.health() == Health::ok);
+    CHECK(b.told() ==
+          Lines{"start 0 > 0", "set 1 > - by apogee: it is broken", "failure 0 > 0", "set 1 > 1 by descent"});
+    CHECK(b.device.did == Lines{"open 0", "set 1 failed", "gone", "open 0", "set 1"});
+    // When the device takes the first, the second is a repetition.
+    set(2, "first");
+    set(2, "second");
+    set(2, "third");
+    b.loop.advance(100ms);
+    CHECK(b.told() == Lines{"set 2 > 2 by first"});
+    CHECK(b.output.counts().repeated == 2);
+    // Another value, and one that comes while the safe value is on its way.
+    for (const bool is_later : {false, true}) {
+      b.device.fails = true;
+      set(3, "first");
+      b.device.fails = false;
+      if (is_later) b.loop.advance(40ms);
+      set(4, "second");
+      b.loop.advance(2s);
+      CHECK(b.output.value() == 4);
+      CHECK(b.told() == Lines{"set 3 > - by first: it is broken", "failure 0 > 0", "set 4 > 4 by second"});
+    }
+    // A device that does not even take its safe value: it is told, and nothing is set later.
+    b.device.fails = true;
+    set(5, "first");
+    set(5, "second");
+    b.loop.advance(100ms);
+    b.device.fails = false;
+    b.loop.advance(2s);
+    CHECK(b.output.value() == 0);
+    CHECK(b.told() == Lines{"set 5 > - by first: it is broken", "failure 0 > -: it is broken",
+                            "set 5 > - by second: the device failed", "failure 0 > 0"});
+    // Nor when it is disarmed meanwhile.
+    b.device.fails = true;
+    set(6, "first");
+    set(6, "second");
+    b.device.fails = false;
+    b.output.disarm("me").or_throw();
+    b.loop.advance(2s);
+    CHECK(b.output.value() == 0);
   }
 
   TEST_CASE("US-35 a device that hangs is given up, and the loop goes on") {

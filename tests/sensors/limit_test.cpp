@@ -296,6 +296,36 @@ TEST_CASE("a topic that falls silent is an alarm, a gap and a fault, and told on
   CHECK(bench.levels() == std::vector{high});
 }
 
+TEST_CASE("a limit that is stopped is an alarm: unknown, for all that follow it") {
+  Bench bench({.high = 100, .silence = 0s});
+  bench.take(50);
+  CHECK(bench.levels() == std::vector{normal});
+  bench.sensor.stop();
+  bench.loop.advance(0ns);
+  REQUIRE(bench.alarms.size() == 1);
+  CHECK(bench.alarms[0].is_active);
+  CHECK_FALSE(bench.alarms[0].value.has_value());
+  CHECK(bench.levels() == std::vector{unknown});
+  bench.sensor.stop();
+  bench.take(200);
+  CHECK(bench.alarms.empty());
+  bench.sensor.start();
+  bench.take(60);
+  CHECK(bench.levels() == std::vector{normal});
+  // One that has nothing yet, and one that has an alarm already: the alarm stays, its value is unknown.
+  bench.take(150);
+  CHECK(bench.levels() == std::vector{high});
+  bench.sensor.stop();
+  bench.loop.advance(0ns);
+  REQUIRE(bench.alarms.size() == 1);
+  CHECK(bench.alarms[0].alarm == high);
+  CHECK(bench.levels() == std::vector{unknown});
+  Bench silent({.high = 100, .silence = 0s});
+  silent.sensor.stop();
+  silent.loop.advance(0ns);
+  CHECK(silent.levels() == std::vector{unknown});
+}
+
 TEST_CASE("a limit of a topic without that number says so with each event") {
   Loop loop(Loop::Manual{});
   be_quiet(loop);

@@ -143,10 +143,11 @@ struct MachineCounts {
 
 class Machine;
 namespace detail {
-/// An input's event: an earlier one was too old before this one came.
-enum class Before { fresh, stale };
-/// In the delivery of the event.
-void input_event(rtdata::detail::Node& machine, Time time, MonotonicTime came, Before before);
+/// An input's event, in its delivery.
+void input_event(rtdata::detail::Node& machine, Time time, MonotonicTime came);
+/// The condition of this transition out of the current state, counted in the order in which they were added, has not
+/// been true until now.
+void begin_hold_anew(rtdata::detail::Node& machine, std::size_t way);
 /// SetupError (closed).
 rtdata::detail::Node& node_of_open(const Machine& machine, std::string_view input);
 Loop& loop_of(rtdata::detail::Node& machine);

@@ -100,10 +100,18 @@ int doctor(const Registry& registry, const DoctorOptions& options) {
     plan = plan_system(registry, load_config(options.file));
     if (!plan->good()) {
       plan->hide_secrets();
+      if (options.show_as == ShowAs::json) {
+        Json findings = Json::array();
+        for (const Problem& problem : plan->problems)
+          findings.push_back({{"severity", "fault"}, {"subject", options.file}, {"what", problem.text()}});
+        std::cout << text_of({{"worst", "fault"}, {"findings", std::move(findings)}}) << std::endl;
+        return exit_configuration;
+      }
       std::cerr << plan->report() << "rtdata: " << options.file << " has mistakes; see rtdata check" << std::endl;
       return exit_configuration;
     }
     append(examine_devices(files, *plan));
+    append(examine_lines(files, *plan));
   }
   append(examine_groups(files));
   append(examine_timing(files, plan ? &*plan : nullptr));

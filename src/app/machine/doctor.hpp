@@ -37,6 +37,8 @@ std::vector<Finding> examine_disks(const MachineFiles& files, const SystemPlan* 
 /// Devices of the plan's parts: are they there, and may they be opened?
 /// Is a chip the kernel's, and has somebody else the port open?
 std::vector<Finding> examine_devices(const MachineFiles& files, const SystemPlan& plan);
+/// GPIO lines and PWM channels of the plan's parts: are they there, and free?
+std::vector<Finding> examine_lines(const MachineFiles& files, const SystemPlan& plan);
 /// The groups that own ports and buses and that this user is not in; on a copy of a machine's files, that nobody is in.
 std::vector<Finding> examine_groups(const MachineFiles& files);
 

@@ -9,6 +9,7 @@
 #include <string_view>
 
 #include "app/machine/doctor.hpp"
+#include "loop/support/processors.hpp"
 
 namespace rtdata::app {
 namespace {
@@ -105,6 +106,27 @@ std::vector<Finding> memory(const MachineFiles& files, const Needs& needs) {
   return found;
 }
 
+/// Of tiers that are bound to some.
+std::vector<Finding> tiers(const MachineFiles& files, const SystemPlan* plan) {
+  std::vector<Finding> found;
+  const std::string cpus = "/sys/devices/system/cpu/cpu";
+  if (plan == nullptr || !files.exists(cpus + "0")) return found;
+  const cpu_set_t bindable = detail::bindable_processors();
+  for (const auto& [name, tier] : plan->settings.tiers) {
+    std::string missing;
+    for (const int cpu : tier.tier_config(name).cpus) {
+      const bool is_there = files.is_this_machine() ? CPU_ISSET(static_cast<std::size_t>(cpu), &bindable) != 0
+                                                    : files.exists(cpus + std::to_string(cpu));
+      if (!is_there) missing += (missing.empty() ? "" : ", ") + std::to_string(cpu);
+    }
+    if (missing.empty()) continue;
+    found.push_back({Severity::warning, "tier " + name,
+                     "this machine does not have the processors " + missing + ", or the program may not use them",
+                     "it runs on others, beside all else", "set `cpu` or `cpus` to processors that there are"});
+  }
+  return found;
+}
+
 std::vector<Finding> processors(const MachineFiles& files, const Needs& needs) {
   std::vector<Finding> found;
   const std::string cpus = "/sys/devices/system/cpu/";
@@ -196,6 +218,7 @@ std::vector<Finding> examine_timing(const MachineFiles& files, const SystemPlan*
     for (Finding& one : more) found.push_back(std::move(one));
   };
   append(memory(files, needs));
+  append(tiers(files, plan));
   append(processors(files, needs));
   append(power(files));
   return found;

@@ -51,8 +51,12 @@ class LimitNode final : public FeedNode {
     begin();
   }
   void stop() override {
+    if (!is_running()) return;
+    Call call(*this);
     silence_.stop();
     FeedNode::stop();
+    // What follows the alarm has its last event until the next, and nobody watches any more.
+    if (watch_.take_unknown() || !has_published_) tell(loop()->runtime.event_time(loop()->now()));
   }
   void stop_schedule(MonotonicTime end) override {
     silence_.stop();
