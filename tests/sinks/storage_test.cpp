@@ -191,6 +191,66 @@ TEST_SUITE("sinks") {
     check_counts(path);
   }
 
+  TEST_CASE("US-26 a program that starts again and again keeps its recording below max_bytes, and its data") {
+    constexpr std::uint64_t max_bytes = SqliteConfig::least_max_bytes;
+    constexpr int starts = 300;
+    for (const bool has_rows : {false, true}) {
+      CAPTURE(has_rows);
+      const Folder folder;
+      const std::string path = folder / "run.db";
+      std::uint64_t largest = 0;
+      const auto run = [&](int events, bool is_killed) {
+        Runtime runtime({.configuration = std::string(30'000, 'c')});
+        runtime.on_log([](const LogRecord&) {});
+        Loop loop(runtime, {});
+        SqliteSink sink(loop, {.path = path, .profile = SqliteProfile::fast, .max_bytes = max_bytes});
+        Feed<Number> feed(loop, {.name = "feed", .topic = "a"});
+        for (int i = 0; i < events; ++i) feed.publish({1});
+        feed.set_numbered();
+        feed.lost(1);
+        largest = std::max(largest, size_of(path));
+        if (is_killed) ::raise(SIGKILL);
+        feed.close();
+        loop.close();
+        largest = std::max(largest, size_of(path));
+      };
+      run(1000, false);
+      for (int i = 0; i < starts; ++i) {
+        if (i % 10 == 5) {
+          const pid_t child = ::fork();
+          if (child == 0) run(has_rows ? 3 : 0, true);
+          int status = 0;
+          REQUIRE(::waitpid(child, &status, 0) == child);
+        } else {
+          run(has_rows ? 3 : 0, false);
+        }
+      }
+      CHECK(largest < max_bytes * 11 / 10);
+      const VerifyReport report = verified(path);
+      INFO(problems_of(report));
+      CHECK(report.exit_code() == 0);
+      const std::int64_t runs = number(path, "SELECT count(*) FROM rtdata_run");
+      CHECK(runs >= 16);
+      CHECK(runs < starts);
+      // No run is gone without being counted, nor what it lost.
+      CHECK(number(path, "SELECT runs FROM rtdata_deleted WHERE topic = ''") == starts + 1 - runs);
+      REQUIRE(report.deleted);
+      CHECK(report.deleted->runs.runs == static_cast<std::uint64_t>(starts + 1 - runs));
+      std::uint64_t lost = 0;
+      for (const TopicLoss& loss : report.losses()) lost += loss.by_source;
+      CHECK(lost == 1 + starts * 9 / 10);  // of those that were killed, no account was written
+      const std::int64_t offered = number(path,
+                                          "SELECT coalesce((SELECT sum(offered) FROM rtdata_deleted), 0) + "
+                                          "(SELECT sum(offered) FROM rtdata_ledger)");
+      if (has_rows) {
+        CHECK(offered == 1000 + starts * 9 / 10 * 3);  // none of those that were killed had committed a name
+      } else {
+        CHECK(offered == 1000);
+        CHECK(number(path, "SELECT count(*) FROM a WHERE run = 1") == 1000);  // the data is all there
+      }
+    }
+  }
+
   TEST_CASE("US-26 a device that fails for years takes no other's room with its gaps, errors and changes of health") {
     // Bad fails at every second tick, which is a gap a minute; right goes on at its rate. Once without, once with it.
     std::int64_t rows[2] = {};

@@ -87,6 +87,22 @@ struct LedgerEntry {
   std::uint64_t dropped() const noexcept { return dropped_newest + dropped_oldest + dropped_refused + dropped_unsaved; }
 };
 
+/// What an origin came to in all runs that were deleted, and its outages in them (without a schedule).
+struct DeletedOrigin {
+  LedgerEntry account;  ///< only sums: no sequences; lost_is_known: of all of them
+  Outages outages;
+};
+
+/// The runs of which `max_bytes` or `max_age` had deleted every row, and then the account: what is left are sums.
+struct DeletedRuns {
+  std::uint64_t runs = 0;  ///< 0: none was deleted, and nothing else is set
+  std::int64_t first_run = 0, last_run = 0;
+  Time started{}, ended{};    ///< of the first, of the last
+  std::uint64_t sealed = 0;   ///< of them, those that were not closed
+  std::uint64_t unsaved = 0;  ///< events of sensors that had only begun when their run was killed
+  std::vector<DeletedOrigin> origins;
+};
+
 struct RecordedGap {
   std::string topic, origin;
   std::string kind;  ///< as name_of(Gap::Kind)
@@ -308,6 +324,8 @@ class Recording {
 
   const std::string& path() const noexcept;
   Result<std::vector<RunInfo>> runs() const;
+  /// The runs that are not among them any more.
+  Result<DeletedRuns> deleted_runs() const;
   /// In order of name and version.
   Result<std::vector<RecordedTopic>> topics() const;
   Result<std::vector<LedgerEntry>> ledger(std::int64_t run) const;

@@ -85,10 +85,19 @@ struct RunReport {
   std::uint64_t more_problems = 0;    ///< beyond these
 };
 
+/// What is left of the runs whose rows and accounts were deleted.
+struct DeletedReport {
+  DeletedRuns runs;
+  std::uint64_t offered = 0, stored = 0, dropped = 0, unsaved = 0;
+  std::vector<TopicLoss> losses;                       ///< as those of a run
+  std::vector<std::string> not_known, not_detectable;  ///< as those of a run
+};
+
 struct VerifyReport {
   std::string path;
   std::vector<RunReport> runs;
-  std::vector<std::string> problems;  ///< that belong to no run
+  std::optional<DeletedReport> deleted;  ///< none: no run was deleted
+  std::vector<std::string> problems;     ///< that belong to no run
 
   /// The verdict of the whole file: the worst of its runs (recording counts as balanced).
   Verdict verdict() const noexcept;

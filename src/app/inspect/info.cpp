@@ -152,6 +152,7 @@ Json json_of(const TopicSummary& topic) {
 /// What is read of a recording before anything is printed.
 struct Content {
   std::vector<RunInfo> runs;
+  DeletedRuns deleted;
   std::vector<RecordedTopic> topics;
   std::optional<RunInfo> shown;
   std::vector<TopicSummary> summaries;
@@ -169,6 +170,9 @@ Result<Content> read(const Recording& recording, std::optional<std::int64_t> wan
   auto runs = recording.runs();
   if (!runs) return std::move(runs).error();
   content.runs = std::move(*runs);
+  auto deleted = recording.deleted_runs();
+  if (!deleted) return std::move(deleted).error();
+  content.deleted = std::move(*deleted);
   auto topics = recording.topics();
   if (!topics) return std::move(topics).error();
   content.topics = std::move(*topics);
@@ -252,6 +256,14 @@ void print(const Recording& recording, const Content& content, InfoOptions::Gaps
     return;
   }
   out << "runs\n";
+  if (content.deleted.runs != 0) {
+    std::string line;
+    detail::wrap(line, "  ",
+                 std::to_string(content.deleted.first_run) + " to " + std::to_string(content.deleted.last_run) + "  " +
+                     short_time(content.deleted.started) + " to " + short_time(content.deleted.ended) + "  " +
+                     std::to_string(content.deleted.runs) + " of them deleted, sums in rtdata_deleted");
+    out << line;
+  }
   for (const RunInfo& run : content.runs) {
     out << "  " << run.run << (run.name.empty() ? "" : " \"" + run.name + "\"") << "  " << short_time(run.started)
         << (run.ended ? " to " + short_time(*run.ended) : "") << "  " << name_of(run.state) << "\n";
@@ -302,6 +314,7 @@ void print(const Recording& recording, const Content& content, InfoOptions::Gaps
 void print_json(const Recording& recording, const Content& content, InfoOptions::Gaps gaps, std::ostream& out) {
   Json json;
   json["path"] = recording.path();
+  json["deleted_runs"] = content.deleted.runs;
   json["runs"] = Json::array();
   for (const RunInfo& run : content.runs) json["runs"].push_back(json_of(run));
   json["shown_run"] = content.shown ? Json(content.shown->run) : Json();

@@ -5,6 +5,8 @@
 #include <limits>
 #include <utility>
 
+#include "sinks/sqlite/deleted_runs.hpp"
+
 namespace rtdata::sqlite {
 namespace {
 
@@ -106,8 +108,9 @@ Result<void> Pruner::look_at(Table& table) {
   auto first = table.first.step();
   if (!first) return std::move(first).error();
   table.first_rowid = *first ? table.first.integer(0) : 0;
-  table.first_run = *first ? table.first.integer(2) : 0;
-  table.first_time = *first ? table.first.integer(1) + line_of(table.first_run).shift : 0;
+  const std::int64_t run = *first ? table.first.integer(2) : 0;
+  if (std::exchange(table.first_run, run) != run) may_have_runs_ = true;
+  table.first_time = *first ? table.first.integer(1) + line_of(run).shift : 0;
   table.first.reset();
   auto last = table.last.step();
   if (!last) return std::move(last).error();
@@ -218,6 +221,9 @@ Result<void> Pruner::make_room(Database& database, ValueRanges& ranges, Time now
     if (!deleted) return std::move(deleted).error();
     has_more_ = std::any_of(tables_.begin(), tables_.end(),
                             [&](const Table& table) { return is_beyond(table, limit); });
+    if (!has_more_) {
+      if (auto removed = delete_runs(database, at - max_age_.count(), 0, enough); !removed) return removed;
+    }
     // Not for each row: that would write its page each time.
     if (!has_more_) next_look_ = at + max_age_.count() / 100;
   }
@@ -225,6 +231,14 @@ Result<void> Pruner::make_room(Database& database, ValueRanges& ranges, Time now
     const std::int64_t goal = most - of_limit(64);
     int shift = 0;  // of the step: grows while nothing is found to be deleted
     while (left.used() > goal) {
+      if (may_have_runs_) {
+        constexpr std::int64_t at_any_time = std::numeric_limits<std::int64_t>::max();
+        if (auto removed = delete_runs(database, at_any_time, goal, enough); !removed) return removed;
+        auto after = pages(database);
+        if (!after) return std::move(after).error();
+        left = *after;
+        if (has_more_ || left.used() <= goal) break;
+      }
       std::int64_t first = std::numeric_limits<std::int64_t>::max();
       for (const Table& table : tables_) {
         if (table.has_rows()) first = std::min(first, table.first_time);
@@ -255,6 +269,24 @@ Result<void> Pruner::make_room(Database& database, ValueRanges& ranges, Time now
     if (auto shrunk = shrink(database, left); !shrunk) return shrunk;
   }
   used_before_ = left.used();
+  return {};
+}
+
+Result<void> Pruner::delete_runs(Database& database, std::int64_t ended_before, std::int64_t goal,
+                                 std::int64_t enough) {
+  auto begin = pages(database);
+  if (!begin) return std::move(begin).error();
+  auto runs = runs_without_rows(database, ended_before);
+  if (!runs) return std::move(runs).error();
+  for (const std::int64_t run : *runs) {
+    if (auto done = delete_run(database, run); !done) return done;
+    auto left = pages(database);
+    if (!left) return std::move(left).error();
+    if (left->used() <= goal) return {};
+    has_more_ = begin->used() - left->used() >= enough && run != runs->back();
+    if (has_more_) return {};
+  }
+  if (ended_before == std::numeric_limits<std::int64_t>::max()) may_have_runs_ = false;
   return {};
 }
 

@@ -15,8 +15,9 @@
 
 namespace rtdata::sqlite {
 
-/// Of all topics alike the rows before one instant are deleted, so that a fast sensor does not take the room of a slow
-/// one. The last row of each table stays, so that row numbers go on ascending. Thread: the writer's.
+/// Runs of which no row is left go first. Then, of all topics alike, the rows before one instant are deleted, so that a
+/// fast sensor does not take the room of a slow one. The last row of each table stays, so that row numbers go on
+/// ascending. Thread: the writer's.
 class Pruner {
  public:
   Pruner() noexcept = default;
@@ -49,6 +50,7 @@ class Pruner {
     tables_.clear();
     deleted_.clear();
     share_.close();
+    may_have_runs_ = true;
     for (Statement* statement : {&count_pruned_, &page_count_, &free_pages_}) *statement = Statement();
   }
 
@@ -93,6 +95,8 @@ class Pruner {
   Result<std::int64_t> delete_part_of_future(Database& database, ValueRanges& ranges, std::int64_t now);
   /// The only place where rows are deleted.
   Result<std::int64_t> delete_rows(Database& database, ValueRanges& ranges, Table& table, std::int64_t up_to);
+  /// Deletes runs of which no row is left, until enough pages are free. `ended_before`: only those.
+  Result<void> delete_runs(Database& database, std::int64_t ended_before, std::int64_t goal, std::int64_t enough);
   Result<void> shrink(Database& database, const Pages& now);
 
   std::uint64_t max_bytes_ = 0;
@@ -108,6 +112,7 @@ class Pruner {
   Statement free_pages_;
   std::int64_t used_before_ = 0;  // pages, after the last call
   std::int64_t next_look_ = 0;    // at the age
+  bool may_have_runs_ = true;     // of which no row is left
   bool has_more_ = false;
   bool is_exhausted_ = false;
 };

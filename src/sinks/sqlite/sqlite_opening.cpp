@@ -68,6 +68,10 @@ Result<void> SqliteWriter::begin_in(const std::string& recording) {
   auto remarks = seal_runs(database_, recording, lock_.noted(), sums_, used);
   if (!remarks) return std::move(remarks).error();
   if (auto done = begin_run(uuid); !done) return done;
+  // A program that is killed again and again as soon as it has started stores nothing, but its runs take room.
+  if (pruner_.has_limits()) {
+    if (auto done = pruner_.make_room(database_, ranges_, info_.started); !done) return done;
+  }
   if (auto done = sums_.write_changes(database_); !done) return done;
   if (auto made = LiveFile::make(recording, uuid)) {
     const std::lock_guard lock(opening_mutex_);

@@ -213,13 +213,15 @@ void TopicLoss::add(const TopicLoss& other) noexcept {
 
 std::vector<TopicLoss> VerifyReport::losses() const {
   std::map<std::string, TopicLoss> by_topic;
-  for (const RunReport& run : runs) {
-    for (const TopicLoss& loss : run.losses) {
+  const auto add = [&](const std::vector<TopicLoss>& losses) {
+    for (const TopicLoss& loss : losses) {
       TopicLoss& sum = by_topic[loss.topic];
       sum.topic = loss.topic;
       sum.add(loss);
     }
-  }
+  };
+  for (const RunReport& run : runs) add(run.losses);
+  if (deleted) add(deleted->losses);
   std::vector<TopicLoss> all;
   for (auto& [topic, loss] : by_topic) all.push_back(std::move(loss));
   detail::most_first(all);
@@ -316,6 +318,9 @@ Result<VerifyReport> verify(const Recording& recording) {
   detail::check_formats(report.runs, *version, report.problems);
   if (*version >= sqlite::first_version_with_checksums)
     detail::check_topics(*checksums, *topics, numbers, report.problems);
+  auto deleted = recording.deleted_runs();
+  if (!deleted) return std::move(deleted).error();
+  detail::verify_deleted(std::move(*deleted), report);
   for (RunReport& run : report.runs) {
     if (auto done = detail::verify_run(accounts.at(run.info.run), rows[run.info.run], *checksums, run); !done)
       return std::move(done).error();

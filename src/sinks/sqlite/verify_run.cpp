@@ -351,16 +351,7 @@ class Losses {
  public:
   void add(const LedgerEntry& entry, const Outages& outages) {
     const SensorCounts& s = entry.sensor;
-    TopicLoss loss{entry.topic,
-                   s.missed,
-                   s.failed,
-                   s.unreadable,
-                   s.lost,
-                   entry.dropped_newest,
-                   entry.dropped_oldest,
-                   entry.dropped_refused,
-                   entry.dropped_unsaved,
-                   outages};
+    TopicLoss loss = loss_of(entry, outages);
     if (!s.has_schedule && !s.lost_is_known && s.published != 0) not_detectable_.insert(entry.topic);
     if (!loss.has_loss()) return;
     const auto [known, is_new] = by_topic_.try_emplace(entry.topic, std::move(loss));

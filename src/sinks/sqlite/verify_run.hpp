@@ -111,6 +111,11 @@ void check_format(const Findings& found, const OfRun& of_run, const Checksums& c
 /// Compares the account of one run with its rows. Fills everything of the report but `info`.
 Result<void> verify_run(const OfRun& of_run, const OriginMap& rows, const Checksums& checksums, RunReport& report);
 
+TopicLoss loss_of(const LedgerEntry& entry, const Outages& outages);
+
+/// Fills the report's part of the runs that were deleted, if there are any, and holds their sums to the equations.
+void verify_deleted(DeletedRuns runs, VerifyReport& report);
+
 /// The largest losses first; an outage counts as more than a number.
 void most_first(std::vector<TopicLoss>& losses);
 

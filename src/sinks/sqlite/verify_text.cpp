@@ -92,13 +92,20 @@ void add_losses(const VerifyReport& report, std::string& out) {
   const std::vector<TopicLoss> losses = report.losses();
   std::uint64_t rows = 0;
   std::vector<std::string> not_known, not_detectable;
+  const auto add_topics = [&](const std::vector<std::string>& topics) {
+    for (const std::string& topic : topics)
+      if (std::find(not_detectable.begin(), not_detectable.end(), topic) == not_detectable.end())
+        not_detectable.push_back(topic);
+  };
+  if (report.deleted) {
+    not_known = report.deleted->not_known;
+    add_topics(report.deleted->not_detectable);
+  }
   for (const RunReport& run : report.runs) {
     rows += run.rows;
     for (const std::string& what : run.not_known)
       not_known.push_back((report.runs.size() > 1 ? "of run " + std::to_string(run.info.run) + ": " : "") + what);
-    for (const std::string& topic : run.not_detectable)
-      if (std::find(not_detectable.begin(), not_detectable.end(), topic) == not_detectable.end())
-        not_detectable.push_back(topic);
+    add_topics(run.not_detectable);
   }
   if (!report.problems.empty()) not_known.emplace_back("what else was lost, since the file does not agree (! below)");
   if (losses.empty())
@@ -191,11 +198,37 @@ nlohmann::ordered_json json_of(const RunReport& run) {
   return json;
 }
 
+nlohmann::ordered_json json_of(const DeletedReport& deleted) {
+  return {{"runs", deleted.runs.runs},
+          {"first_run", deleted.runs.first_run},
+          {"last_run", deleted.runs.last_run},
+          {"started", to_nanoseconds(deleted.runs.started)},
+          {"ended", to_nanoseconds(deleted.runs.ended)},
+          {"not_closed", deleted.runs.sealed},
+          {"offered", deleted.offered},
+          {"stored", deleted.stored},
+          {"dropped", deleted.dropped},
+          {"not_saved", deleted.unsaved},
+          {"losses", json_of(deleted.losses)},
+          {"not_known", deleted.not_known},
+          {"not_detectable", deleted.not_detectable}};
+}
+
 }  // namespace
 
 std::string VerifyReport::text() const {
   std::string out = path + "\n";
   if (!runs.empty() || !problems.empty()) add_losses(*this, out);
+  if (deleted) {
+    const DeletedRuns& of = deleted->runs;
+    const auto n = [](std::uint64_t value) { return std::to_string(value); };
+    wrap(out, "",
+         "\n" + counted(of.runs, "run") + " from run " + std::to_string(of.first_run) + " to " +
+             std::to_string(of.last_run) + ", " + to_iso8601(of.started).substr(0, 19) + "Z to " +
+             to_iso8601(of.ended).substr(0, 19) + "Z, deleted since none of their rows was left; " +
+             n(deleted->offered) + " offered = " + n(deleted->stored) + " stored and pruned + " + n(deleted->dropped) +
+             " dropped" + (deleted->unsaved != 0 ? " + " + n(deleted->unsaved) + " not saved" : ""));
+  }
   for (const RunReport& run : runs) {
     out += "\nrun " + std::to_string(run.info.run) + (run.info.name.empty() ? "" : " \"" + run.info.name + "\"") +
            "  " + times_of(run.info) + "  " + std::string(name_of(run.verdict)) + "\n";
@@ -235,12 +268,14 @@ std::string VerifyReport::to_json() const {
   json["verdict"] = name_of(verdict());
   json["exit_code"] = exit_code();
   const std::vector<TopicLoss> lost = losses();
-  const bool is_all_known = problems.empty() && std::all_of(runs.begin(), runs.end(),
-                                                            [](const RunReport& run) { return run.not_known.empty(); });
+  const bool is_all_known = problems.empty() && (!deleted || deleted->not_known.empty()) &&
+                            std::all_of(runs.begin(), runs.end(),
+                                        [](const RunReport& run) { return run.not_known.empty(); });
   json["nothing_lost"] = nothing_lost(!lost.empty(), is_all_known);
   json["losses"] = json_of(lost);
   json["proves"] = "consistency, not that nobody forged it";
   json["problems"] = problems;
+  json["deleted_runs"] = deleted ? json_of(*deleted) : nlohmann::ordered_json();
   json["runs"] = nlohmann::ordered_json::array();
   for (const RunReport& run : runs) json["runs"].push_back(json_of(run));
   return json.dump(2, ' ', false, nlohmann::ordered_json::error_handler_t::replace);
