@@ -18,20 +18,75 @@ const char* folder_of_authorities() {
   return is_openssl && about->age >= CURLVERSION_SEVENTH ? about->capath : nullptr;
 }
 
-/// What of a URL may be a secret, as a server's answer may repeat it: what follows the host, its query, and the long
-/// parts of both.
+/// Parameters of InfluxDB's URLs: their values help whoever reads an error.
+bool is_known_parameter(std::string_view key) {
+  constexpr std::string_view known[] = {"org", "orgID", "bucket", "db", "rp", "precision", "consistency"};
+  return std::find(std::begin(known), std::end(known), key) != std::end(known);
+}
+
+/// As most servers show what they got.
+std::string decoded(std::string_view text) {
+  std::string out;
+  const auto digit = [](char c) {
+    constexpr std::string_view digits = "0123456789abcdef";
+    return digits.find(static_cast<char>(c >= 'A' && c <= 'F' ? c - 'A' + 'a' : c));
+  };
+  for (std::size_t i = 0; i < text.size(); ++i) {
+    const bool is_escape = text[i] == '%' && i + 2 < text.size() && digit(text[i + 1]) != text.npos &&
+                           digit(text[i + 2]) != text.npos;
+    if (is_escape) {
+      out += static_cast<char>(digit(text[i + 1]) << 4 | digit(text[i + 2]));
+      i += 2;
+    } else {
+      out += text[i];
+    }
+  }
+  return out;
+}
+
+/// As it is, decoded, and decoded as a form's query is.
+void add_forms_of(std::string_view part, std::vector<std::string>& secrets) {
+  secrets.emplace_back(part);
+  if (part.find('%') != part.npos) secrets.push_back(decoded(part));
+  if (part.find('+') == part.npos) return;
+  std::string form(part);
+  std::replace(form.begin(), form.end(), '+', ' ');
+  secrets.push_back(decoded(form));
+}
+
+/// Short parts of a path are words, such as "api", unless they have digits among letters, as tokens do.
+bool may_be_token(std::string_view part) {
+  constexpr std::size_t least = 12, least_mixed = 6;
+  const auto has = [&](auto is) { return std::any_of(part.begin(), part.end(), is); };
+  return part.size() >= least || (part.size() >= least_mixed && has([](char c) { return c >= '0' && c <= '9'; }) &&
+                                  has([](char c) { return (c | 0x20) >= 'a' && (c | 0x20) <= 'z'; }));
+}
+
+/// What of a URL may be a secret, as a server's answer may repeat it: what follows the host, its query, the values in
+/// the query, and the parts of the path that may be tokens; each also decoded.
 void add_secrets_of(std::string_view url, std::vector<std::string>& secrets) {
-  constexpr std::size_t least = 12;  // shorter ones are words, such as a bucket's name
+  constexpr std::size_t least_value = 4;  // shorter texts are not hidden
   const std::size_t host = url.find("://");
   const std::size_t target = host == url.npos ? url.npos : url.find_first_of("/?", host + 3);
   if (target == url.npos) return;
-  std::string_view rest = url.substr(target);
-  secrets.emplace_back(rest);
-  if (const std::size_t query = rest.find('?'); query != rest.npos) secrets.emplace_back(rest.substr(query));
-  while (!rest.empty()) {
-    const std::size_t end = std::min(rest.find_first_of("/?&="), rest.size());
-    if (end >= least) secrets.emplace_back(rest.substr(0, end));
-    rest.remove_prefix(std::min(end + 1, rest.size()));
+  const std::string_view whole = url.substr(target);
+  const std::size_t question = std::min(whole.find('?'), whole.size());
+  add_forms_of(whole, secrets);
+  if (question < whole.size()) add_forms_of(whole.substr(question), secrets);
+  for (std::string_view path = whole.substr(0, question); !path.empty();) {
+    const std::size_t end = std::min(path.find('/'), path.size());
+    if (may_be_token(decoded(path.substr(0, end)))) add_forms_of(path.substr(0, end), secrets);
+    path.remove_prefix(std::min(end + 1, path.size()));
+  }
+  for (std::string_view query = whole.substr(question); !query.empty();) {
+    if (query.front() == '?') query.remove_prefix(1);
+    const std::size_t end = std::min(query.find_first_of("&;"), query.size());
+    const std::string_view one = query.substr(0, end);
+    const std::size_t equals = std::min(one.find('='), one.size());
+    const std::string_view key = one.substr(0, equals), value = one.substr(std::min(equals + 1, one.size()));
+    if (may_be_token(key)) add_forms_of(key, secrets);
+    if (value.size() >= least_value && (may_be_token(value) || !is_known_parameter(key))) add_forms_of(value, secrets);
+    query.remove_prefix(std::min(end + 1, query.size()));
   }
 }
 
@@ -78,7 +133,7 @@ std::vector<std::string> secrets_of(const HttpPeer& server) {
   if (!server.user.empty()) secrets.push_back(base64(server.user + ":" + server.password));
   if (!server.proxy_user.empty()) secrets.push_back(base64(server.proxy_user + ":" + server.proxy_password));
   for (const auto& [name, text] : server.headers)
-    if (constexpr std::size_t least = 8; text.size() >= least) secrets.push_back(text);
+    if (constexpr std::size_t least = 4; text.size() >= least) secrets.push_back(text);  // as `hidden` hides
   add_secrets_of(server.url, secrets);
   return secrets;
 }

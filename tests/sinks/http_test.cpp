@@ -305,6 +305,28 @@ TEST_CASE("US-32 an answer that repeats the request shows no secret of the URL, 
   }
 }
 
+TEST_CASE("US-32 a secret of the URL or of a header is not shown when the server repeats it decoded, or alone") {
+  NEEDS_PYTHON();
+  HttpServer server;
+  for (const char* answer : {"Cannot POST /in/t0k3n7?token=urlS3cret!&key=a b+c", "token urlS3cret! is wrong",
+                             "token urlS3cret%21 is wrong", "no key: a b+c", "path t0k3n7", "no site hush5"}) {
+    CAPTURE(answer);
+    server.become(std::string("status 404 -- ") + answer);
+    HttpBench bench(
+        {.url = server.url("/in/t0k3n7?token=urlS3cret%21&key=a+b%2Bc&bucket=bench"), .headers = {{"X-Key", "hush5"}}});
+    bench.publish(1);
+    CHECK(bench.is_faulted());
+    CHECK_MESSAGE(has(bench.said(), "(secret)"), bench.said());
+    for (const char* secret : {"urlS3cret", "a b+c", "a+b", "t0k3n7", "hush5"})
+      CHECK_MESSAGE(!has(bench.said(), secret), bench.said());
+  }
+  server.become("status 404 -- bucket bench not found");  // a word of InfluxDB's is none
+  HttpBench bench({.url = server.url("/api/v2/write?org=lab&bucket=bench")});
+  bench.publish(1);
+  CHECK(bench.is_faulted());
+  CHECK_MESSAGE(has(bench.said(), "bucket bench not found"), bench.said());
+}
+
 TEST_CASE("US-32 a token that has expired throws nothing away, and is never shown") {
   NEEDS_PYTHON();
   HttpServer server;
