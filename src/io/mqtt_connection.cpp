@@ -162,6 +162,57 @@ std::string obstacle_of_topic(const std::string& topic) {
   return topic.size() > 1000 ? "it is too long" : "";
 }
 
+std::vector<std::pair<const char*, std::string>> mistakes_of_client(const MqttBroker& broker) {
+  std::vector<std::pair<const char*, std::string>> mistakes;
+  const auto is_control = [](char c) { return static_cast<unsigned char>(c) < ' ' || c == 0x7f; };
+  for (const auto& [key, text] : {std::pair{"client_id", &broker.client_id}, std::pair{"user", &broker.user}}) {
+    if (std::any_of(text->begin(), text->end(), is_control))
+      mistakes.emplace_back(key, "it has a control character, which brokers do not take");
+  }
+  if (broker.password.find('\0') != std::string::npos)
+    mistakes.emplace_back("password", "it has a NUL byte, at which it would end");
+  return mistakes;
+}
+
+std::string topic_of_both(std::string_view one, std::string_view other) {
+  const auto without_share = [](std::string_view filter) {
+    constexpr std::string_view share = "$share/";
+    if (!filter.starts_with(share)) return filter;
+    return filter.substr(std::min(filter.find('/', share.size()), filter.size() - 1) + 1);
+  };
+  one = without_share(one);
+  other = without_share(other);
+  const auto is_wildcard = [](std::string_view level) { return level == "+" || level == "#"; };
+  std::string topic;
+  for (bool is_first = true, has_one = true, has_other = true;; is_first = false) {
+    if (!has_one && !has_other) return topic;
+    const auto next = [](std::string_view& filter, bool& has) {
+      const std::size_t end = filter.find('/');
+      const std::string_view level = filter.substr(0, end);
+      has = end != std::string_view::npos;
+      filter = has ? filter.substr(end + 1) : std::string_view();
+      return level;
+    };
+    if (!has_one || !has_other) {  // "a/#" matches "a", too
+      return next(has_one ? one : other, has_one ? has_one : has_other) == "#" ? topic : "";
+    }
+    const std::string_view a = next(one, has_one), b = next(other, has_other);
+    // What begins with a wildcard does not match the broker's own topics.
+    if (is_first && ((a.starts_with('$') && is_wildcard(b)) || (b.starts_with('$') && is_wildcard(a)))) return "";
+    if (a != b && !is_wildcard(a) && !is_wildcard(b)) return "";
+    if (a == "#" || b == "#") {  // the rest of the other one is below it
+      const std::string_view level = a == "#" ? b : a;
+      const std::string_view rest = a == "#" ? other : one;
+      topic += (is_first ? "" : "/") + std::string(is_wildcard(level) ? "x" : level);
+      if (!rest.empty()) topic += "/" + std::string(rest);
+      for (char& c : topic)
+        if (is_wildcard({&c, 1})) c = 'x';
+      return topic;
+    }
+    topic += (is_first ? "" : "/") + std::string(!is_wildcard(a) ? a : !is_wildcard(b) ? b : "x");
+  }
+}
+
 bool is_older(int answer) noexcept {
   return answer == MQTT_RC_UNSUPPORTED_PROTOCOL_VERSION || answer == CONNACK_REFUSED_PROTOCOL_VERSION;
 }

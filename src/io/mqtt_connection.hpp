@@ -9,6 +9,7 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <string_view>
 #include <utility>
 #include <vector>
 
@@ -59,6 +60,10 @@ struct MqttOptions {
 std::uint16_t port_of(const MqttBroker& broker) noexcept;
 /// Why messages cannot be published there; empty: they can.
 std::string obstacle_of_topic(const std::string& topic);
+/// What of the broker's configuration MQTT cannot carry: the key, and why.
+std::vector<std::pair<const char*, std::string>> mistakes_of_client(const MqttBroker& broker);
+/// A topic that both filters match (the broker sends such a message twice); empty: there is none.
+std::string topic_of_both(std::string_view one, std::string_view other);
 
 /// Makes the client's handle and connects it: blocks, as looking up names does. Status: the library's. What the broker
 /// answers comes by the library's loop. SIGPIPE is the caller's affair.

@@ -255,6 +255,23 @@ TEST_SUITE("config") {
       CHECK_FALSE(good(address));
   }
 
+#ifdef RTDATA_WITH_MQTT
+  TEST_CASE("filters of one mqtt sensor of which a message could match two are refused, others not") {
+    const auto good = [](const std::string& topics) {
+      return planned(R"({"sensors": [{"name": "s", "type": "mqtt", "host": "127.0.0.1", "topics": )" + topics +
+                     R"(, "fields": [{"name": "x"}]}]})")
+          .good();
+    };
+    for (const char* both :
+         {R"(["a", "a"])", R"(["a/#", "a"])", R"(["#", "a/b"])", R"(["+/b", "a/+"])", R"(["+", "#"])",
+          R"(["$share/g/a/#", "a/b"])", R"(["$share/g/a/+", "$share/h/+/b"])", R"(["$SYS/#", "$SYS/+"])"})
+      CHECK_MESSAGE(!good(both), both);
+    for (const char* apart : {R"(["a", "b"])", R"(["a/#", "ab"])", R"(["+/b", "a/+/b"])", R"(["#", "$SYS/#"])",
+                              R"(["+/x", "$SYS/x"])", R"(["a/+", "a"])", R"(["$share/g/a/#", "b/#"])"})
+      CHECK_MESSAGE(good(apart), apart);
+  }
+#endif
+
   TEST_CASE("NFR-5 check and run refuse the same mistakes, with the same words, both with 2") {
     const Folder folder;
     std::filesystem::create_directory(folder.path() + "/folder");

@@ -308,6 +308,18 @@ std::vector<Mistake> mistakes_of(const MqttSensorConfig& config) {
   if (config.topics.empty()) add("topics", "there is none");
   for (const std::string& topic : config.topics)
     if (std::string why = obstacle_of_filter(topic); !why.empty()) add("topics", "\"" + topic + "\": " + why);
+  if (all.empty()) {
+    for (std::size_t i = 0; i < config.topics.size(); ++i) {
+      for (std::size_t k = 0; k < i; ++k) {
+        const std::string both = topic_of_both(config.topics[k], config.topics[i]);
+        if (both.empty()) continue;
+        add("topics", "\"" + config.topics[k] + "\" and \"" + config.topics[i] + "\" both match \"" + both +
+                          "\", and the broker sends such a message once for each: leave one out, or give each a "
+                          "sensor of its own");
+      }
+    }
+  }
+  for (auto& [key, why] : mistakes_of_client(config.broker)) add(key, std::move(why));
   if (config.qos > 2) add("qos", "it is 0, 1 or 2");
   if (config.session > Duration{0} && config.broker.client_id.empty())
     add("session", "the broker knows this sensor again by its name: set `client_id`");
