@@ -4,6 +4,7 @@
 #include <limits>
 
 #include "data/character.hpp"
+#include "data/influx_name.hpp"
 #include "data/load.hpp"
 #include "data/number_text.hpp"
 #include "data/utf8.hpp"
@@ -26,16 +27,6 @@ void append_name(std::string& line, std::string_view text) {
     if (c == ',' || c == ' ' || c == '=') line += '\\';
     line += c;
   }
-}
-
-/// There is no way to write a line break in it, nor a backslash that would take the next character with it.
-bool fits_name(std::string_view text) {
-  for (std::size_t i = 0; i < text.size(); ++i) {
-    const char next = i + 1 < text.size() ? text[i + 1] : ' ';
-    if (text[i] == '\n' || (text[i] == '\\' && (next == ',' || next == ' ' || next == '=' || next == '\\')))
-      return false;
-  }
-  return true;
 }
 
 /// The protocol has no line break in a text: one is written as \x0a, as bytes that are no UTF-8 are.
@@ -223,7 +214,7 @@ class InfluxCodec final : public Codec {
 
   Result<void> encode(const EventView& event, std::vector<std::byte>& out) override {
     for (const std::string_view text : {event.topic(), event.origin()}) {
-      if (fits_name(text) && (text.empty() || text.back() != '\\')) continue;
+      if (detail::fits_influx_name(text)) continue;
       return Error{Errc::does_not_fit, "cannot write the event as a line of InfluxDB", detail::readable(text),
                    "it has no way to write this name", "line breaks and some backslashes cannot be in it"};
     }
@@ -277,7 +268,8 @@ class InfluxCodec final : public Codec {
     }
     if (!line.take(' ')) return bad("", "it has no fields");
     if (text.find('\n') != std::string_view::npos) return bad("", "something follows the end of the line");
-    if (!fits_name(event.topic) || !fits_name(event.origin)) return bad("", "a name has a line break");
+    if (!detail::fits_influx_name(event.topic) || !detail::fits_influx_name(event.origin))
+      return bad("", "a name has a line break");
     std::vector<bool> is_there(leaves.size(), false);
     do {
       const std::string key = line.name("=, ");

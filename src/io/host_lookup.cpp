@@ -1,5 +1,6 @@
 #include "io/host_lookup.hpp"
 
+#include <arpa/inet.h>
 #include <netdb.h>
 
 #include <algorithm>
@@ -115,6 +116,15 @@ std::string obstacle_of_host(const std::string& host) {
     return static_cast<unsigned char>(c) <= ' ' || c == '/' || c == '\\' || c == '"' || c == 0x7f;
   });
   if (has_other) return "it is no name of a host, nor an address";
+  if (host.front() == '[') return "it has brackets, as in a URL: give the address alone";
+  if (const std::size_t colon = host.find(':'); colon != std::string::npos) {
+    const std::string address = host.substr(0, host.find('%'));  // without its zone
+    in6_addr ignored{};
+    if (::inet_pton(AF_INET6, address.c_str(), &ignored) != 1) {
+      const bool is_one = host.find(':', colon + 1) == std::string::npos;
+      return is_one ? "it has a port: give that as `port`" : "it is no name of a host, nor an address";
+    }
+  }
   return host.size() > 253 ? "it is longer than names of hosts are" : "";
 }
 

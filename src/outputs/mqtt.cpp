@@ -32,6 +32,7 @@ std::vector<Mistake> mistakes_of(const MqttActuatorConfig& config) {
     if (!why.empty()) mistakes.push_back({key, std::move(why)});
   };
   add("host", detail::obstacle_of_host(config.broker.host));
+  for (auto& [key, why] : detail::mistakes_of_client(config.broker)) add(key, std::move(why));
   add("to", detail::obstacle_of_topic(config.to));
   if (config.broker.tls)
     for (const TlsMistake& mistake : mistakes_of(*config.broker.tls)) add("tls", mistake.key + ": " + mistake.message);

@@ -7,6 +7,7 @@
 
 #include "config/plan/part_reader.hpp"
 #include "config/read/mistakes.hpp"
+#include "data/influx_name.hpp"
 #include "loop/support/name.hpp"
 #include "rtdata/loop/account.hpp"
 #include "rtdata/loop/health.hpp"
@@ -54,6 +55,7 @@ Neighbours::Neighbours(const Registry& registry, const std::string& configuratio
 
 void Neighbours::add(const PartPlan& part, Problems& problems) {
   if (part.publishes) check_topic(part, problems);
+  if (part.publishes) publishing_.push_back(&part);
   if (!part.place.text.empty()) check_place(part, part.place, problems);
   for (const PartPlan::Place& place : part.more_places) check_place(part, place, problems);
   if (part.stores) {
@@ -192,6 +194,7 @@ void Neighbours::check_files_of_topics(Problems& problems) {
 }
 
 void Neighbours::check_stored_topics(Problems& problems) {
+  check_written_names(problems);
   for (Storing& storing : storing_) {
     const StoredTopics& stores = *storing.part->stores;
     const std::size_t first_new = std::exchange(storing.stored, topic_names_.size());
@@ -216,8 +219,33 @@ void Neighbours::check_stored_topics(Problems& problems) {
   }
 }
 
+/// Each event of such a name would be refused.
+void Neighbours::check_written_names(Problems& problems) {
+  for (Storing& storing : storing_) {
+    const PartPlan& sink = *storing.part;
+    const bool is_influx = text_or_empty(sink.item, "format") == "influx";
+    for (; storing.named < publishing_.size(); ++storing.named) {
+      const PartPlan& part = *publishing_[storing.named];
+      const std::string& topic = part.publishes->topic;
+      if (!is_influx || !sink.stores->wants(topic)) continue;
+      const std::string
+          why = " cannot be in the lines of InfluxDB that the sink at " + place_of(sink.item) +
+                " writes: they have no way to write a line break, nor a backslash at the end or before a "
+                "comma, a blank, = or another; give it another name, or leave it out of the `topics` there";
+      if (!detail::fits_influx_name(topic)) {
+        problems.add(topic_item(part).problem("cannot-record", "the topic \"" + topic + "\"" + why));
+      } else if (!detail::fits_influx_name(part.name)) {
+        problems.add(problem_of_name(part, "cannot-record", "the name \"" + part.name + "\"" + why));
+      }
+    }
+  }
+}
+
 void Neighbours::assume_stored() {
-  for (Storing& storing : storing_) storing.stored = topic_names_.size();
+  for (Storing& storing : storing_) {
+    storing.stored = topic_names_.size();
+    storing.named = publishing_.size();
+  }
 }
 
 void Neighbours::add_log(const LogSettings& log, const ConfigItem& at, Problems& problems) {

@@ -64,9 +64,11 @@ class Neighbours {
     const PartPlan* part;
     std::size_t files = 0;   ///< the number of topic_names_ whose files have been checked
     std::size_t stored = 0;  ///< the number of topic_names_ for which `check_stored_topics` is done
+    std::size_t named = 0;   ///< the number of publishing_ whose names have been checked
   };
 
   void check_name(const PartPlan& part, Problems& problems);
+  void check_written_names(Problems& problems);
   void check_topic(const PartPlan& part, Problems& problems);
   void check_path(const PartPlan& part, Problems& problems);
   void check_file_of(const PartPlan& part, const std::string& topic, Problems& problems);
@@ -83,7 +85,8 @@ class Neighbours {
   std::map<std::string, const PartPlan*, std::less<>> topics_;
   std::map<std::string, const PartPlan*> topic_by_lower_case_;
   std::map<std::string, std::vector<const PartPlan*>> publishers_;
-  std::vector<std::string> topic_names_;  // in the order in which they came
+  std::vector<const PartPlan*> publishing_;  // in the order in which they came
+  std::vector<std::string> topic_names_;     // in the order in which they came
   std::vector<Storing> storing_;
   std::set<const PartPlan*> refused_paths_;
   std::vector<KnownFile> files_;

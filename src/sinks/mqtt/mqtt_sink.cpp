@@ -369,12 +369,24 @@ std::string obstacle_of_waiting(const MqttConfig& config) {
   return config.version == MqttVersion::v311 ? "only version 5 of MQTT tells that nobody is subscribed" : "";
 }
 
+/// Of a topic with marks.
+std::string obstacle_of_pattern(const std::string& topic) {
+  for (std::size_t begin = topic.find('{'); begin != std::string::npos; begin = topic.find('{', begin + 1)) {
+    const std::size_t end = topic.find_first_of("{}/", begin + 1);
+    if (end == std::string::npos || topic[end] != '}') continue;
+    const std::string mark = topic.substr(begin, end + 1 - begin);
+    if (mark != "{topic}" && mark != "{origin}") return "there is no " + mark + ", only {topic} and {origin}";
+  }
+  return detail::obstacle_of_topic(topic);
+}
+
 std::unique_ptr<Sender> sender_of(const MqttConfig& config, const CodecRegistry& formats) {
   detail::require_host(what, config.host, detail::port_of(broker_of(config)));
   const auto require = [](const std::string& where, const std::string& why) {
     if (!why.empty()) throw SetupError({Errc::bad_argument, what, where, why, ""});
   };
-  require(config.topic, detail::obstacle_of_topic(config.topic));
+  for (const auto& [key, why] : detail::mistakes_of_client(broker_of(config))) require(key, why);
+  require(config.topic, obstacle_of_pattern(config.topic));
   if (config.will) require(config.will->topic, detail::obstacle_of_topic(config.will->topic));
   require("wait_for_subscriber", obstacle_of_waiting(config));
   if (config.qos > 2 || (config.will && config.will->qos > 2)) require("qos", "it is 0, 1 or 2");
@@ -389,7 +401,9 @@ std::unique_ptr<Sender> sender_of(const MqttConfig& config, const CodecRegistry&
 void check_config(const MqttConfig& config, const ConfigItem& item, Problems& problems) {
   detail::add_obstacle(detail::obstacle_of_host(config.host), "host", item, problems);
   detail::add_obstacle(detail::obstacle_of_format(config.format), "format", item, problems);
-  detail::add_obstacle(detail::obstacle_of_topic(config.topic), "topic", item, problems);
+  for (auto& [key, why] : detail::mistakes_of_client(broker_of(config)))
+    detail::add_obstacle(std::move(why), key, item, problems);
+  detail::add_obstacle(obstacle_of_pattern(config.topic), "topic", item, problems);
   if (config.will) detail::add_obstacle(detail::obstacle_of_topic(config.will->topic), "will", item, problems);
   detail::add_obstacle(obstacle_of_waiting(config), "wait_for_subscriber", item, problems);
   if (!config.tls) return;
