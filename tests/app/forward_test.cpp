@@ -69,6 +69,57 @@ bool has(const std::string& text, const std::string& part) { return text.find(pa
 }  // namespace
 
 TEST_SUITE("app") {
+  TEST_CASE("US-32 forward sends with the sinks of the recording, where a configuration has two") {
+    const Folder folder;
+    const auto sinks = [](const std::string& first, const std::string& more) {
+      return R"({"name": "node",
+  "sensors": [{"name": "cpu", "type": "host", "quantity": "cpu", "rate": "100 Hz", "topic": "host/cpu"}],
+  "sinks": [{"name": "one", "type": "sqlite", "path": "one.db"},
+            {"name": ")" +
+             first + R"(", "type": "file", "path": "copy.jsonl", "format": "json", "through": "one"},
+            {"name": "two", "type": "sqlite", "path": "two.db"},
+            {"name": "b", "type": "file", "path": "b.jsonl", "format": "json", "through": "two")" +
+             more + "}]}";
+    };
+    folder.write("node.json", sinks("a", ""));
+    {
+      const Away away(folder);
+      Process node(folder, program, {"run", "node.json", "--for", "500ms"});
+      CHECK(node.end() == 0);
+    }
+    REQUIRE(lines_of(folder.path() + "/copy.jsonl") == 0);
+    const std::size_t sent = lines_of(folder.path() + "/b.jsonl");
+    std::filesystem::create_directory(folder.path() + "/home");
+    std::filesystem::rename(folder.path() + "/one.db", folder.path() + "/home/x.db");
+    const std::string home = folder.path() + "/home";
+    {
+      Process forward(folder, program, {"forward", "home/x.db", "node.json"});
+      CHECK(forward.end() == 0);
+      CHECK_MESSAGE(has(forward.out, "all is sent"), (forward.out + forward.err));
+    }
+    CHECK(lines_of(folder.path() + "/copy.jsonl") == rows_of(home + "/x.db"));
+    CHECK(lines_of(folder.path() + "/b.jsonl") == sent);
+    CHECK_FALSE(std::filesystem::exists(folder.path() + "/one.db"));
+    // A mistake is shown at its place in the file.
+    folder.write("bad.json", sinks("a", R"(, "topics": "x")"));
+    {
+      Process forward(folder, program, {"forward", "home/x.db", "bad.json"});
+      CHECK(forward.end() == 2);
+      CHECK_MESSAGE(has(forward.err, "bad.json:6:"), forward.err);
+    }
+    // Sinks that the recording does not know, and another name of the file: it cannot be told.
+    std::filesystem::copy(folder.path() + "/two.db", home + "/y.db");
+    folder.write("other.json", R"({"sinks": [{"name": "one", "type": "sqlite", "path": "one.db"},
+      {"name": "c", "type": "file", "path": "c.jsonl", "format": "json", "through": "one"},
+      {"name": "two", "type": "sqlite", "path": "two.db"},
+      {"name": "d", "type": "file", "path": "d.jsonl", "format": "json", "through": "two"}]})");
+    {
+      Process forward(folder, program, {"forward", "home/y.db", "other.json"});
+      CHECK(forward.end() == 2);
+      CHECK_MESSAGE(has(forward.err, "\"one\" \"two\", and which of them home/y.db is cannot be told"), forward.err);
+    }
+  }
+
   TEST_CASE("US-32 what waits in a recording is sent at the next start, and a recording that was moved by forward") {
     const Folder folder;
     folder.write("node.json", configuration);

@@ -2,7 +2,9 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <filesystem>
 #include <iostream>
+#include <optional>
 
 #include "app/core/amounts.hpp"
 #include "app/core/configuration_commands.hpp"
@@ -20,22 +22,44 @@ namespace {
 constexpr Duration look_period = std::chrono::milliseconds{200};
 constexpr Duration line_period = std::chrono::seconds{10};
 
-/// The same configuration with its recording at `database`, the sinks that go through it, and nothing else. Empty: no
-/// sink goes through one.
-std::string forwarding_configuration(const ConfigItem& root, const std::string& database,
-                                     std::vector<std::string>& senders) {
-  const ConfigItem* sinks = root.find("sinks");
-  if (sinks == nullptr) return "";
-  const auto text = [](const ConfigItem& item, std::string_view key) {
-    const ConfigItem* child = item.find(key);
-    const std::string* value = child != nullptr ? child->as_string() : nullptr;
-    return value != nullptr ? *value : std::string();
+std::string text_of(const ConfigItem& item, std::string_view key) {
+  const ConfigItem* child = item.find(key);
+  const std::string* value = child != nullptr ? child->as_string() : nullptr;
+  return value != nullptr ? *value : std::string();
+}
+
+/// Which of the recordings that sinks go through `database` is: the only one; else the one whose senders it knows, or
+/// that has its file's name. Several: it cannot be told.
+std::vector<std::string> recordings_of(const ConfigItem& sinks, const Recording& database) {
+  std::vector<std::string> all, known, namesakes;
+  const auto add = [](std::vector<std::string>& to, const std::string& name) {
+    if (!name.empty() && std::find(to.begin(), to.end(), name) == to.end()) to.push_back(name);
   };
-  std::vector<std::string> recordings;
-  ConfigItem kept = ConfigItem::array();
-  for (const ConfigChild& sink : sinks->children()) {
-    if (std::string through = text(sink.item, "through"); !through.empty()) recordings.push_back(std::move(through));
+  const std::vector<RecordedBacklog> backlogs = database.backlogs().or_throw();
+  for (const ConfigChild& sink : sinks.children()) {
+    const std::string through = text_of(sink.item, "through"), name = sink_name(sink.item);
+    add(all, through);
+    const auto is_it = [&](const RecordedBacklog& one) { return one.sink == name; };
+    if (std::any_of(backlogs.begin(), backlogs.end(), is_it)) add(known, through);
   }
+  if (all.size() <= 1) return all;
+  if (known.size() == 1) return known;
+  for (const ConfigChild& sink : sinks.children()) {
+    const std::string path = text_of(sink.item, "path"), name = text_of(sink.item, "name");
+    const std::string& called = name.empty() ? path : name;
+    const bool is_namesake = std::filesystem::path(path).filename() ==
+                             std::filesystem::path(database.path()).filename();
+    if (is_namesake && std::find(all.begin(), all.end(), called) != all.end()) add(namesakes, called);
+  }
+  return namesakes.size() == 1 ? namesakes : all;
+}
+
+/// The same configuration with its recording at `database`, the sinks that go through it, and nothing else. What is
+/// kept has the places that it had.
+ConfigItem forwarding_configuration(const ConfigItem& root, const std::vector<std::string>& recordings,
+                                    const std::string& database, std::vector<std::string>& senders) {
+  const ConfigItem* sinks = root.find("sinks");
+  ConfigItem kept = ConfigItem::array();
   for (const ConfigChild& sink : sinks->children()) {
     const std::string name = sink_name(sink.item);
     if (std::find(recordings.begin(), recordings.end(), name) != recordings.end()) {
@@ -46,17 +70,16 @@ std::string forwarding_configuration(const ConfigItem& root, const std::string& 
       recording.set("max_age", "0 s");
       recording.set("max_bytes", 0);
       kept.push_back(recording);
-    } else if (!text(sink.item, "through").empty()) {
+    } else if (std::find(recordings.begin(), recordings.end(), text_of(sink.item, "through")) != recordings.end()) {
       senders.push_back(name);
       kept.push_back(sink.item);
     }
   }
-  if (senders.empty()) return "";
   ConfigItem result = ConfigItem::object();
   if (const ConfigItem* name = root.find("name")) result.set("name", *name);
   result.set("notes", "sent what waited in this recording");
   result.set("sinks", kept);
-  return result.to_json();
+  return result;
 }
 
 class Forward {
@@ -64,21 +87,42 @@ class Forward {
   explicit Forward(const ForwardOptions& options) : options_(options) {}
 
   int run(const Registry& registry) {
-    if (auto opened = Recording::open(options_.database); !opened) {
+    auto opened = Recording::open(options_.database);
+    if (!opened) {
       std::cerr << "rtdata: " << opened.error().text() << "\n";
       return exit_configuration;
     }
+    std::optional<Recording> database(std::move(*opened));
     SystemPlan whole = plan_system(registry, load_config(options_.file));
     if (!whole.good()) return refuse(whole);
     std::vector<std::string> senders;
-    const std::string text = forwarding_configuration(whole.document.root, options_.database, senders);
-    if (text.empty()) {
+    const ConfigItem* sinks = whole.document.root.find("sinks");
+    const auto recordings = sinks != nullptr ? recordings_of(*sinks, *database) : std::vector<std::string>();
+    database.reset();
+    if (recordings.size() > 1) {
+      std::cerr << "rtdata: sinks of " << options_.file << " go through " << recordings.size() << " recordings,";
+      for (const std::string& name : recordings) std::cerr << " \"" << name << "\"";
+      std::cerr
+          << ", and which of them " << options_.database
+          << " is cannot be told: it has the file name of none, and positions of none of their sinks alone; leave "
+             "the others out of a copy of the configuration\n";
+      return exit_configuration;
+    }
+    ConfigItem root;
+    if (!recordings.empty())
+      root = forwarding_configuration(whole.document.root, recordings, options_.database, senders);
+    if (senders.empty()) {
       std::cerr << "rtdata: nothing to do: no sink of " << options_.file
                 << " goes through a recording; give one `through`, the name of its recording\n";
       return exit_configuration;
     }
-    const SystemPlan plan = plan_system(registry, parse_config(text, options_.file));
-    if (!plan.good()) return refuse(plan);
+    ConfigDocument document = parse_config(root.to_json(), options_.file);
+    document.root = std::move(root);
+    SystemPlan plan = plan_system(registry, std::move(document));
+    if (!plan.good()) {
+      plan.document.text = whole.document.text;
+      return refuse(plan);
+    }
     return send(registry, plan, senders);
   }
 
