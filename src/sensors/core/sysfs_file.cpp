@@ -34,7 +34,7 @@ void SysfsFile::close() noexcept {
 }
 
 void SysfsFile::open() noexcept {
-  fd_ = ::open(path_.c_str(), O_RDONLY | O_CLOEXEC | O_NOCTTY | O_NONBLOCK);
+  fd_ = ::open(path_.c_str(), O_RDONLY | O_CLOEXEC | O_NOCTTY);
   if (fd_ < 0) {
     error_number_ = errno;
     return;

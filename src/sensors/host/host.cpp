@@ -13,6 +13,7 @@
 #include <type_traits>
 #include <utility>
 
+#include "loop/support/first_line.hpp"
 #include "sensors/core/sysfs_file.hpp"
 #include "sensors/host/host_text.hpp"
 #include "sensors/host/hwmon.hpp"
@@ -239,18 +240,13 @@ std::vector<std::string> names_in(const std::string& directory) {
   return names;
 }
 
-std::string first_line_of(const std::string& path) {
-  detail::SysfsFile file(path);
-  file.read();
-  return std::string(detail::trimmed(file.error_number() == 0 ? file.text() : ""));
-}
-
 std::vector<HostSensorInfo> thermal_zones(const std::string& root) {
   std::vector<HostSensorInfo> found;
   const std::string zones = root + "/sys/class/thermal/";
   for (const std::string& zone : names_in(zones)) {
     if (zone.starts_with("thermal_zone"))
-      found.push_back({HostQuantity::temperature, zone, first_line_of(zones + zone + "/type"), zones + zone + "/temp"});
+      found.push_back({HostQuantity::temperature, zone, detail::first_line((zones + zone + "/type").c_str()),
+                       zones + zone + "/temp"});
   }
   return found;
 }
