@@ -254,8 +254,8 @@ TEST_SUITE("sinks") {
     auto recorded = Recording::open(path).or_throw();
     auto accounts = recorded.events<FinalCounts>(account_topic).or_throw();
     while (const auto* event = accounts.next().or_throw()) {
-      const auto [at, is_new] = published.emplace(std::string(event->data.name.view()), event->data.published);
-      CHECK_MESSAGE(is_new, at->first);
+      const std::string name(event->data.name.view());
+      CHECK_MESSAGE(published.emplace(name, event->data.published).second, name);
     }
     CHECK(published.size() == 3);
     CHECK(published["goes"] == 4);
