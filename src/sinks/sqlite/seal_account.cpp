@@ -247,6 +247,11 @@ Result<void> seal_account(Database& database, const KilledOrigin& killed, const 
     if (closed.is_there && lacking != signed_of(closed.count)) {
       closed.kind = Gap::Kind::joined;
       closed.count = static_cast<std::uint64_t>(lacking);
+      // Gaps before it had been stored, and went with the disk: it begins after what is left.
+      const std::int64_t period = segment.period.count();
+      const std::int64_t after = known->is_any ? known->last + period : 0;
+      if (period > 0 && lacking > (closed.last - closed.first) / period + 1)
+        closed.first = std::min(closed.first, std::max(after, to_nanoseconds(segment.first_due)));
     }
   } else if (closed.is_there && known->is_any && closed.first <= known->last && closed.first != known->first) {
     closed.is_there = false;  // it is in the recording
