@@ -266,12 +266,8 @@ TEST_SUITE("sinks") {
 
   TEST_CASE("US-32 what waits for a sink that another of its name follows counts once, for that one") {
     Folder folder;
-    auto peer = std::make_shared<ScriptedPeer::Script>();
     bool is_away = true;
-    peer->on_send = [&](const Parcel& parcel, Answer answer) {
-      if (is_away) return answer.again(away);
-      peer->take(parcel, std::move(answer));
-    };
+    const Peer peer = peer_away_while(is_away);
     Run run(folder / "run.db", peer, {.name = "peer"});
     const auto queued = [&] {
       std::uint64_t sum = 0;
@@ -436,12 +432,8 @@ TEST_SUITE("sinks") {
 
   TEST_CASE("rows that a limit of the recording deletes before they are sent are counted for the sink") {
     Folder folder;
-    auto peer = std::make_shared<ScriptedPeer::Script>();
     bool is_away = true;
-    peer->on_send = [&](const Parcel& parcel, Answer answer) {
-      if (is_away) return answer.again(away);
-      peer->take(parcel, std::move(answer));
-    };
+    const Peer peer = peer_away_while(is_away);
     const std::string path = folder / "run.db";
     Run run(path, peer, {.name = "peer"}, {.path = "", .max_age = 5s});
     Ticker ticker(run.loop, {.period = 10ms}, [&](const Tick&) { run.publish(1); });
@@ -465,12 +457,8 @@ TEST_SUITE("sinks") {
     for (const bool is_renewed : {false, true}) {
       CAPTURE(is_renewed);
       Folder folder;
-      auto peer = std::make_shared<ScriptedPeer::Script>();
       bool is_away = true;
-      peer->on_send = [&](const Parcel& parcel, Answer answer) {
-        if (is_away) return answer.again(away);
-        peer->take(parcel, std::move(answer));
-      };
+      const Peer peer = peer_away_while(is_away);
       const std::string path = folder / "run.db";
       std::uint64_t published = 0, dropped = 0, waiting = 0;
       {
@@ -565,12 +553,8 @@ TEST_SUITE("sinks") {
     for (const bool is_there : {true, false}) {
       CAPTURE(is_there);
       Folder folder;
-      auto peer = std::make_shared<ScriptedPeer::Script>();
       bool is_away = false;
-      peer->on_send = [&](const Parcel& parcel, Answer answer) {
-        if (is_away) return answer.again(away);
-        peer->take(parcel, std::move(answer));
-      };
+      const Peer peer = peer_away_while(is_away);
       const std::string path = folder / "run.db";
       Run run(path, peer, {.name = "peer"}, {.path = "", .max_age = 4s});
       Ticker ticker(run.loop, {.period = 10ms}, [&](const Tick&) { run.publish(1); });
