@@ -10,6 +10,8 @@
 #include "rtdata/sensors/feed.hpp"
 #include "rtdata/sensors/sensor.hpp"
 #include "rtdata/sinks/sender.hpp"
+#include "sinks/core/row_feed.hpp"
+#include "sinks/sqlite/sqlite_writer.hpp"
 #include "sinks/through_run.hpp"
 
 using namespace rtdata;
@@ -85,6 +87,37 @@ TEST_SUITE("sinks") {
     CHECK(run.sink.counts().balances());
     CHECK(run.loop.close(1s) == 0);
     CHECK(verdict_of(path) == Verdict::balanced);
+  }
+
+  TEST_CASE("what is recorded after a kill that came before the sink looked into the recording is sent, too") {
+    Folder folder;
+    auto peer = std::make_shared<ScriptedPeer::Script>();
+    const std::string path = folder / "run.db";
+    {  // its first transaction says that the sink is there
+      sqlite::RunInfo info;
+      info.started = Time{1s};
+      sqlite::SqliteWriter writer({.path = path}, info);
+      REQUIRE(writer.open());
+      detail::RowFeedConfig config;
+      config.sink = "peer";
+      config.topics = {"#"};
+      config.attached = info.started;
+      const auto feed = writer.feed(config);
+      REQUIRE(writer.flush());
+    }
+    {
+      Loop loop{Loop::Manual{}};
+      loop.runtime().on_log([](const LogRecord&) {});
+      SqliteSink recording(loop, {.path = path});
+      for (int i = 1; i <= 30; ++i) loop.topic<Number>("a").publish({static_cast<double>(i)});
+      CHECK(loop.close(5s) == 0);
+    }
+    Run run(path, peer);
+    run.published = 30;
+    run.publish(5);
+    run.loop.advance(3s);
+    CHECK(count_all_once(*peer) == 35);
+    CHECK(run.loop.close(1s) == 0);
   }
 
   TEST_CASE("what is recorded while it closes waits for a peer that is away then, whenever it closes") {

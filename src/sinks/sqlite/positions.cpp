@@ -16,6 +16,11 @@ void Positions::set(const std::string& sink, const std::string& table, Position 
   dirty_[{sink, table}] = std::move(position);
 }
 
+void Positions::begin(const std::string& sink, std::int64_t time, bool at_beginning) {
+  const std::lock_guard lock(mutex_);
+  begins_[sink] = {time, at_beginning};
+}
+
 void Positions::add(Refusal refusal, std::string reason) {
   const std::lock_guard lock(mutex_);
   refusals_.insert_or_assign(std::move(refusal), std::move(reason));
@@ -75,18 +80,25 @@ std::vector<std::string> Positions::end() {
 
 bool Positions::is_dirty() const {
   const std::lock_guard lock(mutex_);
-  return !dirty_.empty() || !refusals_.empty();
+  return !dirty_.empty() || !refusals_.empty() || !begins_.empty();
 }
 
 Result<void> Positions::write(Database& database) {
   {
     const std::lock_guard lock(mutex_);
-    if (dirty_.empty() && refusals_.empty()) return {};
+    if (dirty_.empty() && refusals_.empty() && begins_.empty()) return {};
     in_transaction_ = dirty_;
+    begins_in_transaction_.swap(begins_);
     refusals_in_transaction_.swap(refusals_);
   }
   if (auto made = database.execute(position_schema); !made) return made;
   const std::string host = host_name();
+  auto begin = database.prepare("INSERT OR IGNORE INTO rtdata_position VALUES(?,?,0,?,'',?,?)");
+  if (!begin) return std::move(begin).error();
+  for (const auto& [sink, at] : begins_in_transaction_) {
+    begin->bind(1, sink).bind(2, no_table).bind(3, at.at_beginning ? 0 : run()).bind(4, at.time).bind(5, host);
+    if (auto done = begin->run(); !done) return done;
+  }
   auto position = database.prepare("INSERT OR REPLACE INTO rtdata_position VALUES(?,?,?,?,?,?,?)");
   if (!position) return std::move(position).error();
   for (const auto& [key, at] : in_transaction_) {
@@ -142,6 +154,7 @@ void Positions::committed() noexcept {
     if (now != dirty_.end() && now->second.row == stored.row) dirty_.erase(now);
   }
   in_transaction_.clear();
+  begins_in_transaction_.clear();
   refusals_in_transaction_.clear();
 }
 
@@ -149,6 +162,8 @@ void Positions::rolled_back() noexcept {
   const std::lock_guard lock(mutex_);
   refused_bytes_ = -1;
   in_transaction_.clear();
+  begins_.merge(begins_in_transaction_);
+  begins_in_transaction_.clear();
   refusals_.merge(refusals_in_transaction_);  // what is left has been said again
   refusals_in_transaction_.clear();
 }

@@ -34,7 +34,8 @@ struct Refusal {
   auto operator<=>(const Refusal&) const = default;
 };
 
-/// In rtdata_position this stands for the table when a sink has come to the recording for the first time.
+/// In rtdata_position this stands for the table in the row that says when a sink came to the recording for the first
+/// time: `run` and, as `sequence`, the time in it. With run 0 it begins at the beginning.
 inline constexpr const char* no_table = "";
 
 /// Of this machine.
@@ -60,6 +61,9 @@ CREATE TABLE IF NOT EXISTS rtdata_refused_before(  -- how many more a sink was r
 class Positions {
  public:
   void set(const std::string& sink, const std::string& table, Position position);
+  /// The sink is there from this time of the run on, unless the file knows it already. Stored with the next
+  /// transaction, so that no row that comes later is left out by a run after a kill.
+  void begin(const std::string& sink, std::int64_t time, bool at_beginning);
   /// The same may be said again.
   void add(Refusal refusal, std::string reason);
   /// So many refusals wait to be written that a sink waits for that before it reads more rows.
@@ -120,10 +124,16 @@ class Positions {
   Result<void> forget_refusals(Database& database);
 
   using Key = std::pair<std::string, std::string>;
+  struct Begin {
+    std::int64_t time = 0;
+    bool at_beginning = false;
+  };
   mutable std::mutex mutex_;
   std::condition_variable changed_;
   std::map<Key, Position> dirty_;
   std::map<Key, Position> in_transaction_;
+  std::map<std::string, Begin> begins_;  // by sink
+  std::map<std::string, Begin> begins_in_transaction_;
   std::map<Refusal, std::string> refusals_;  // and their reasons
   std::map<Refusal, std::string> refusals_in_transaction_;
   std::map<std::string, Committed> last_rows_;

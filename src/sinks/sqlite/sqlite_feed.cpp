@@ -15,7 +15,9 @@ enum Column { row_column, run_column, time_column, origin_column, sequence_colum
 }  // namespace
 
 SqliteFeed::SqliteFeed(std::string path, std::shared_ptr<Positions> positions, detail::RowFeedConfig config)
-    : path_(std::move(path)), positions_(std::move(positions)), config_(std::move(config)) {}
+    : path_(std::move(path)), positions_(std::move(positions)), config_(std::move(config)) {
+  positions_->begin(config_.sink, to_nanoseconds(config_.attached), config_.from == From::beginning);
+}
 
 // ---- opening
 
@@ -32,21 +34,22 @@ Result<void> SqliteFeed::open() {
   recording_.emplace(std::move(*opened));
   auto has_table = file.database.integer("SELECT count(*) FROM sqlite_schema WHERE name = 'rtdata_position'");
   if (!has_table) return std::move(has_table).error();
-  is_new_ = *has_table == 0;
-  if (!is_new_) {
-    auto known = file.prepare("SELECT host FROM rtdata_position WHERE sink = ? AND table_name = ''");
-    if (!known) return std::move(known).error();
-    known->bind(1, config_.sink);
-    auto row = known->step();
-    if (!row) return std::move(row).error();
-    is_new_ = !*row;
-    if (*row && known->text(0) != host_name()) {
-      remarks_.push_back("goes on where the machine " + std::string(known->text(0)) +
-                         " has got to in this recording; if that machine still sends it, events arrive twice");
-      positions_->set(config_.sink, no_table, {});  // from now on it is this machine's
-    }
+  begin_ = {0, config_.from == From::now ? positions_->run() : 0, {}, to_nanoseconds(config_.attached)};
+  is_new_ = true;
+  if (*has_table == 0) return {};
+  auto known = file.prepare("SELECT host, run, sequence FROM rtdata_position WHERE sink = ? AND table_name = ''");
+  if (!known) return std::move(known).error();
+  known->bind(1, config_.sink);
+  auto row = known->step();
+  if (!row) return std::move(row).error();
+  if (!*row) return {};
+  is_new_ = known->integer(2) == begin_.sequence;
+  begin_ = {0, known->integer(1), {}, known->integer(2)};
+  if (known->text(0) != host_name()) {
+    remarks_.push_back("goes on where the machine " + std::string(known->text(0)) +
+                       " has got to in this recording; if that machine still sends it, events arrive twice");
+    positions_->set(config_.sink, no_table, begin_);  // from now on it is this machine's
   }
-  if (is_new_) positions_->set(config_.sink, no_table, {});
   return {};
 }
 
@@ -187,41 +190,40 @@ Result<std::int64_t> SqliteFeed::number(const std::string& sql, const Position& 
 }
 
 Result<Position> SqliteFeed::position_in(const Table& table) {
-  const std::string name = quoted(table.topic.table);
   const detail::RecordingFile& file = *recording_->file();
+  auto has_table = file.database.integer("SELECT count(*) FROM sqlite_schema WHERE name = 'rtdata_position'");
+  if (!has_table) return std::move(has_table).error();
   Position position;
-  if (is_new_ && config_.from == From::now) {
-    // From the end: only what has come since is read.
-    auto older = file.prepare("SELECT rowid, run, origin, sequence FROM " + name +
-                              " WHERE run < ?1 OR time < ?2 ORDER BY rowid DESC LIMIT 1");
-    if (!older) return std::move(older).error();
-    older->bind(1, positions_->run()).bind(2, to_nanoseconds(config_.attached));
-    auto row = older->step();
-    if (!row) return std::move(row).error();
-    if (*row) position = {older->integer(0), older->integer(1), std::string(older->text(2)), older->integer(3)};
-  } else if (!is_new_) {
-    auto has_table = file.database.integer("SELECT count(*) FROM sqlite_schema WHERE name = 'rtdata_position'");
-    if (!has_table) return std::move(has_table).error();
-    if (*has_table == 0) return position;
+  bool is_stored = false;
+  if (*has_table != 0) {
     auto stored = file.prepare(
         "SELECT row, run, origin, sequence FROM rtdata_position WHERE sink = ? AND table_name = ?");
     if (!stored) return std::move(stored).error();
     stored->bind(1, config_.sink).bind(2, table.topic.table);
     auto row = stored->step();
     if (!row) return std::move(row).error();
+    is_stored = *row;
     if (*row) position = {stored->integer(0), stored->integer(1), std::string(stored->text(2)), stored->integer(3)};
-    if (position.row == 0) {
-      positions_->set(config_.sink, table.topic.table, position);  // so that the file says that it is to be sent
-      return position;
-    }
-    return position_now(table, std::move(position));
-  } else if (is_new_) {
-    auto beginning = beginning_of(table);
-    if (!beginning) return beginning;
-    position = *std::move(beginning);
   }
-  positions_->set(config_.sink, table.topic.table, position);
+  if (is_stored && position.row != 0) return position_now(table, std::move(position));
+  if (!is_stored) {
+    auto first = begin_.run != 0 ? beginning_since(table) : is_new_ ? beginning_of(table) : Position{};
+    if (!first) return first;
+    position = *std::move(first);
+  }
+  positions_->set(config_.sink, table.topic.table, position);  // so that the file says that it is to be sent
   return position;
+}
+
+Result<Position> SqliteFeed::beginning_since(const Table& table) {
+  auto older = recording_->file()->prepare("SELECT rowid, run, origin, sequence FROM " + quoted(table.topic.table) +
+                                           " WHERE run < ?1 OR (run = ?1 AND time < ?2) ORDER BY rowid DESC LIMIT 1");
+  if (!older) return std::move(older).error();
+  older->bind(1, begin_.run).bind(2, begin_.sequence);
+  auto row = older->step();
+  if (!row) return std::move(row).error();
+  if (!*row) return Position{};
+  return Position{older->integer(0), older->integer(1), std::string(older->text(2)), older->integer(3)};
 }
 
 Result<Position> SqliteFeed::position_now(const Table& table, Position position) {

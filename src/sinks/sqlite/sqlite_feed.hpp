@@ -21,7 +21,7 @@ namespace rtdata::sqlite {
 
 class SqliteFeed final : public detail::RowFeed {
  public:
-  /// Touches no file.
+  /// Touches no file. The recording's next transaction says that the sink is there.
   SqliteFeed(std::string path, std::shared_ptr<Positions> positions, detail::RowFeedConfig config);
 
   Result<void> attach() override;
@@ -88,6 +88,8 @@ class SqliteFeed final : public detail::RowFeed {
   bool is_wanted(std::string_view topic) const noexcept;
   /// Where to go on in a table: as it is stored, if that still fits.
   Result<Position> position_in(const Table& table);
+  /// After the rows that were there before the sink came.
+  Result<Position> beginning_since(const Table& table);
   /// Before the first row that is there.
   Result<Position> beginning_of(const Table& table);
   /// Where a position of before is now.
@@ -113,7 +115,8 @@ class SqliteFeed final : public detail::RowFeed {
   std::int64_t topics_known_ = 0;
   std::int64_t clock_pairs_ = -1;  // rows of rtdata_clock when the lines of UTC were made
   std::int64_t first_run_with_escapes_ = 0;
-  bool is_new_ = false;  // the sink comes to this recording for the first time
+  bool is_new_ = false;  // nothing was looked at before
+  Position begin_;       // the sink came to this recording for the first time: in `run`, at the time `sequence`
   std::vector<Mark> marks_;
   std::size_t settled_ = 0;                  // of those
   std::uint64_t removed_ahead_ = 0;          // since the last row that was put into the queue
