@@ -1,5 +1,6 @@
 // The checksums of values and accounts: what they are of, what leaves them alone, and what they show.
 #include "sinks/sqlite/checksum.hpp"
+#include "sinks/killed.hpp"
 
 #include <sys/wait.h>
 
@@ -11,6 +12,7 @@
 
 using namespace recordings;
 using namespace std::chrono_literals;
+using sinks::fork_without_threads;
 
 namespace {
 
@@ -240,7 +242,7 @@ TEST_SUITE("sinks") {
       "US-26 a killed run keeps the checksums of what it committed, and what was changed before it is sealed is seen") {
     const Folder folder;
     const std::string path = folder / "run.db";
-    const pid_t child = ::fork();
+    const pid_t child = fork_without_threads();
     if (child == 0) {
       Loop loop{Loop::Manual{}};
       SqliteSink sink(loop, {.path = path});
@@ -280,7 +282,7 @@ TEST_SUITE("sinks") {
         for (const char* part : {"", "-wal"})
           std::filesystem::copy_file(from + part, to + part, std::filesystem::copy_options::overwrite_existing);
       };
-      const pid_t child = ::fork();
+      const pid_t child = fork_without_threads();
       if (child == 0) {
         Loop loop{Loop::Manual{}};
         SqliteSink sink(loop, {.path = path});

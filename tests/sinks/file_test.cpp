@@ -15,6 +15,7 @@
 
 #include "data/payloads.hpp"
 #include "rtdata/config/read.hpp"
+#include "sinks/killed.hpp"
 #include "sinks/sink_kinds.hpp"
 
 using namespace rtdata;
@@ -231,7 +232,7 @@ TEST_SUITE("sinks") {
       CAPTURE(format);
       Bench bench;
       const FileConfig config{.path = bench.directory / "run", .format = format, .sink = {.batch_rows = 10}};
-      const pid_t child = ::fork();
+      const pid_t child = fork_without_threads();
       if (child == 0) {
         Loop loop{Loop::Manual{}};
         FileSink sink(loop, config);

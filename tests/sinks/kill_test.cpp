@@ -15,6 +15,7 @@
 #include <vector>
 
 #include "rtdata/loop/timer.hpp"
+#include "sinks/killed.hpp"
 #include "sinks/power_cut.hpp"
 #include "sinks/recordings.hpp"
 #include "sinks/sink_kinds.hpp"
@@ -23,6 +24,7 @@ using namespace rtdata;
 using namespace rtdata::literals;
 using namespace std::chrono_literals;
 using recordings::number;
+using sinks::fork_without_threads;
 
 namespace {
 
@@ -134,7 +136,7 @@ TEST_SUITE("sinks") {
       const bool is_manual = seed % 3 != 0;
       const bool is_by_change = seed % 3 == 1;  // of the files; otherwise anywhere
       const auto when = random();
-      const pid_t child = ::fork();
+      const pid_t child = fork_without_threads();
       if (child == 0) {
         power_cut::Disk disk;
         if (is_by_change) {

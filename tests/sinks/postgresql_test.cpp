@@ -22,6 +22,7 @@
 using namespace rtdata;
 using namespace rtdata::literals;
 using namespace std::chrono_literals;
+using sinks::fork_without_threads;
 using sinks::PostgresqlServer;
 
 namespace {
@@ -691,7 +692,7 @@ TEST_SUITE("sinks") {
     const unsigned long count = wanted != nullptr ? std::strtoul(rest, nullptr, 10) : 6;
     for (unsigned long seed = first; seed < first + count; ++seed) {
       CAPTURE(seed);
-      const pid_t child = ::fork();
+      const pid_t child = fork_without_threads();
       if (child == 0) {
         Loop loop;
         loop.on_error([](const ErrorReport&) {});

@@ -24,6 +24,7 @@
 #include "rtdata/sinks/recording.hpp"
 #include "rtdata/sinks/tcp.hpp"
 #include "sinks/answering_peer.hpp"
+#include "sinks/killed.hpp"
 #include "sinks/recordings.hpp"
 #ifdef RTDATA_WITH_HTTP
 #include "rtdata/sinks/http.hpp"
@@ -186,7 +187,7 @@ void kill_at_random(const Kind& kind) {
     CAPTURE(seed);
     std::mt19937 random(static_cast<unsigned>(seed));
     receiver.start(static_cast<unsigned>(seed));
-    const pid_t child = ::fork();
+    const pid_t child = fork_without_threads();
     if (child == 0) {
       send(path, kind, receiver.port(), false);
       ::_exit(0);
@@ -206,7 +207,7 @@ void kill_at_random(const Kind& kind) {
   // A run that a slow machine does not let finish is followed by another one; what counts is what the file says waits.
   std::uint64_t waiting = 1;
   for (int runs = 0; runs < 10 && waiting > 0; ++runs) {
-    const pid_t last = ::fork();
+    const pid_t last = fork_without_threads();
     if (last == 0) {
       send(path, kind, receiver.port(), true);
       ::_exit(0);

@@ -21,6 +21,7 @@
 #include "rtdata/sensors/feed.hpp"
 #include "rtdata/sensors/sensor.hpp"
 #include "rtdata/sinks/verify.hpp"
+#include "sinks/killed.hpp"
 #include "sinks/sink_kinds.hpp"
 #include "sinks/sqlite/database.hpp"
 
@@ -319,7 +320,7 @@ TEST_SUITE("sinks") {
   TEST_CASE("US-26 killed in the middle: the next start seals the run and says exactly what was lost") {
     Directory directory;
     const std::string path = directory / "run.db";
-    const pid_t child = ::fork();
+    const pid_t child = fork_without_threads();
     if (child == 0) {
       Loop loop{Loop::Manual{}};
       SqliteSink sink(loop, {.path = path, .sink = {.batch_time = 1ms}});
@@ -353,7 +354,7 @@ TEST_SUITE("sinks") {
     for (const auto after : {0us, 500us, 1500us, 2500us}) {  // all, one, two parts, none left
       Directory directory;
       const std::string path = directory / "run.db";
-      const pid_t child = ::fork();
+      const pid_t child = fork_without_threads();
       if (child == 0) {
         Loop loop{Loop::Manual{}};
         SqliteSink sink(loop, {.path = path});

@@ -13,12 +13,14 @@
 
 #include "rtdata/app/standard.hpp"
 #include "rtdata/config/system.hpp"
+#include "sinks/killed.hpp"
 #include "sinks/recordings.hpp"
 #include "sinks/sqlite/prune.hpp"
 
 using namespace rtdata;
 using namespace rtdata::literals;
 using namespace recordings;
+using sinks::fork_without_threads;
 using sqlite::Database;
 
 namespace {
@@ -120,7 +122,7 @@ TEST_SUITE("sinks") {
       CAPTURE(static_cast<int>(profile));
       Folder folder;
       const std::string path = folder / "run.db";
-      const pid_t child = ::fork();
+      const pid_t child = fork_without_threads();
       if (child == 0) {
         Loop loop{Loop::Manual{}};
         SqliteSink sink(loop, {.path = path, .profile = profile});
@@ -217,10 +219,11 @@ TEST_SUITE("sinks") {
       run(1000, false);
       for (int i = 0; i < starts; ++i) {
         if (i % 10 == 5) {
-          const pid_t child = ::fork();
+          const pid_t child = fork_without_threads();
           if (child == 0) run(has_rows ? 3 : 0, true);
           int status = 0;
           REQUIRE(::waitpid(child, &status, 0) == child);
+          REQUIRE(WTERMSIG(status) == SIGKILL);
         } else {
           run(has_rows ? 3 : 0, false);
         }
