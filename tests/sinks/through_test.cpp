@@ -101,7 +101,6 @@ TEST_SUITE("sinks") {
       detail::RowFeedConfig config;
       config.sink = "peer";
       config.topics = {"#"};
-      config.attached = info.started;
       const auto feed = writer.feed(config);
       REQUIRE(writer.flush());
     }
@@ -112,12 +111,38 @@ TEST_SUITE("sinks") {
       for (int i = 1; i <= 30; ++i) loop.topic<Number>("a").publish({static_cast<double>(i)});
       CHECK(loop.close(5s) == 0);
     }
+    const auto waiting = Recording::open(path).or_throw().backlogs().or_throw();
+    REQUIRE(waiting.size() == 1);
+    CHECK(waiting[0].events == 30);
     Run run(path, peer);
     run.published = 30;
     run.publish(5);
     run.loop.advance(3s);
     CHECK(count_all_once(*peer) == 35);
     CHECK(run.loop.close(1s) == 0);
+  }
+
+  TEST_CASE("events with times of before the start are sent, too, and a sink that comes later gets what is committed") {
+    Folder folder;
+    auto peer = std::make_shared<ScriptedPeer::Script>(), other = std::make_shared<ScriptedPeer::Script>();
+    const std::string path = folder / "run.db";
+    Run run(path, peer);
+    Feed<Number> feed(run.loop, {.name = "old", .topic = "a"});
+    const auto publish = [&](Time time) { feed.publish({++run.published}, time); };
+    for (int i = 1; i <= 100; ++i) publish(Time{1s} + i * 1ms);
+    run.loop.advance(2s);
+    publish(run.loop.time());
+    publish(Time{1s});  // a late one
+    run.loop.advance(2s);
+    CHECK(count_all_once(*peer) == 102);
+    const Sink late(run.loop, {.name = "late", .through = "recording"}, std::make_unique<ScriptedPeer>(other));
+    for (int i = 0; i < 10; ++i) publish(Time{2s});
+    run.loop.advance(2s);
+    CHECK(other->events.size() == 10);
+    CHECK(count_all_once(*peer) == 112);
+    CHECK(run.loop.close(5s) == 0);
+    CHECK(number(path, "SELECT row FROM rtdata_position WHERE sink = 'late' AND table_name = 'a'") == 112);
+    CHECK(verdict_of(path) == Verdict::balanced);
   }
 
   TEST_CASE("what is recorded while it closes waits for a peer that is away then, whenever it closes") {

@@ -19,7 +19,6 @@ struct RowFeedConfig {
   std::string sink;                 ///< its name: that of its position
   std::vector<std::string> topics;  ///< patterns
   From from = From::now;
-  Time attached{};  ///< when it was attached: what is older is not now
   /// The times that it gets: as they are recorded, or UTC as far as it is known when they are read.
   enum class Times { recorded, utc } times = Times::recorded;
   std::size_t rows = 0;  ///< put into the queue at a time, about

@@ -29,7 +29,7 @@ void SinkNode::follow_recording() {
   if (queue_->is_recording()) refuse("this sink is a recording itself", "leave `through` out");
   const std::size_t rows = queue_->rows_at_once();
   auto feed = recording_->queue_->make_feed(
-      {config_.name, config_.topics, config_.from, runtime.event_time(loop()->now()),
+      {config_.name, config_.topics, config_.from,
        queue_->sender() != nullptr ? RowFeedConfig::Times::utc : RowFeedConfig::Times::recorded, rows});
   if (feed == nullptr) refuse("it is no recording", "name a sqlite sink");
   take_over(feed->path());

@@ -1,5 +1,8 @@
 // What the sinks that go through a recording still have to send, from their positions in the file.
+#include <algorithm>
+#include <iterator>
 #include <map>
+#include <utility>
 
 #include "rtdata/sinks/recording.hpp"
 #include "sinks/sqlite/database.hpp"
@@ -31,6 +34,23 @@ Result<std::vector<Stored>> positions_in(const detail::RecordingFile& file) {
                       std::string(query->text(2)),
                       {query->integer(3), query->integer(4), std::string(query->text(5)), query->integer(6)}});
   }
+}
+
+/// With the tables of a sink's topics that have no row: all of theirs waits.
+std::vector<Stored> with_other_tables(std::vector<Stored> stored, const std::vector<RecordedTopic>& topics) {
+  std::vector<Stored> all;
+  for (auto one = stored.begin(); one != stored.end();) {  // sorted by sink
+    const auto end = std::find_if(one, stored.end(), [&](const Stored& other) { return other.sink != one->sink; });
+    for (const RecordedTopic& topic : topics) {
+      const auto is_of_table = [&](const Stored& other) { return other.table == topic.table; };
+      if (one->table == sqlite::no_table && sqlite::has_topic(one->position.origin, topic.topic) &&
+          std::none_of(one, end, is_of_table))
+        all.push_back({one->sink, topic.table, one->host, {}});
+    }
+    std::move(one, end, std::back_inserter(all));
+    one = end;
+  }
+  return all;
 }
 
 /// The number that the row of the position has now: VACUUM changes them. 0: all rows come after it.
@@ -68,7 +88,7 @@ Result<std::vector<RecordedBacklog>> Recording::backlogs() const {
   if (!stored) return std::move(stored).error();
   auto topics = this->topics();
   if (!topics) return std::move(topics).error();
-  for (Stored& one : *stored) {
+  for (Stored& one : with_other_tables(std::move(*stored), *topics)) {
     if (backlogs.empty() || backlogs.back().sink != one.sink) {
       RecordedBacklog& made = backlogs.emplace_back();
       made.sink = one.sink;

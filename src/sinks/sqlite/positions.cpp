@@ -1,6 +1,9 @@
 #include "sinks/sqlite/positions.hpp"
 
+#include <algorithm>
 #include <chrono>
+
+#include "rtdata/loop/topic.hpp"
 
 namespace rtdata::sqlite {
 namespace {
@@ -11,14 +14,35 @@ constexpr auto longest_wait = std::chrono::milliseconds{500};
 
 }  // namespace
 
+std::string lines_of(const std::vector<std::string>& topics) {
+  std::string lines;
+  for (const std::string& topic : topics) lines += (lines.empty() ? "" : "\n") + topic;
+  return lines;
+}
+
+bool has_topic(std::string_view lines, std::string_view topic) noexcept {
+  while (!lines.empty()) {
+    const std::size_t end = std::min(lines.find('\n'), lines.size());
+    if (topic_matches(lines.substr(0, end), topic)) return true;
+    lines.remove_prefix(std::min(end + 1, lines.size()));
+  }
+  return false;
+}
+
 void Positions::set(const std::string& sink, const std::string& table, Position position) {
   const std::lock_guard lock(mutex_);
   dirty_[{sink, table}] = std::move(position);
 }
 
-void Positions::begin(const std::string& sink, std::int64_t time, bool at_beginning) {
+void Positions::begin(const std::string& sink, std::string topics, bool at_beginning, const void* owner) {
   const std::lock_guard lock(mutex_);
-  begins_[sink] = {time, at_beginning};
+  sinks_[sink] = {std::move(topics), at_beginning, owner, false, false};
+}
+
+void Positions::leave(const std::string& sink, const void* owner) noexcept {
+  const std::lock_guard lock(mutex_);
+  const auto found = sinks_.find(sink);
+  if (found != sinks_.end() && found->second.owner == owner) sinks_.erase(found);
 }
 
 void Positions::add(Refusal refusal, std::string reason) {
@@ -80,25 +104,68 @@ std::vector<std::string> Positions::end() {
 
 bool Positions::is_dirty() const {
   const std::lock_guard lock(mutex_);
-  return !dirty_.empty() || !refusals_.empty() || !begins_.empty();
+  return !dirty_.empty() || !refusals_.empty() ||
+         std::any_of(sinks_.begin(), sinks_.end(), [](const auto& sink) { return !sink.second.is_known; });
+}
+
+Result<void> Positions::write_begins(Database& database) {
+  std::map<std::string, GoingThrough> begins;
+  {
+    const std::lock_guard lock(mutex_);
+    for (auto& [name, sink] : sinks_) {
+      if (sink.is_known) continue;
+      sink.is_written = true;
+      begins.emplace(name, sink);
+    }
+  }
+  if (begins.empty()) return {};
+  if (auto made = database.execute(position_schema); !made) return made;
+  for (const auto& [name, sink] : begins) {
+    if (auto done = write_begin(database, name, sink); !done) return done;
+  }
+  return {};
+}
+
+Result<void> Positions::write_begin(Database& database, const std::string& name, const GoingThrough& sink) {
+  const std::string host = host_name();
+  auto come = database.prepare("INSERT OR IGNORE INTO rtdata_position VALUES(?, '', 0, 0, ?, 0, ?)");
+  if (!come) return std::move(come).error();
+  come->bind(1, name).bind(2, sink.topics).bind(3, host);
+  if (auto done = come->run(); !done) return done;
+  if (sqlite3_changes(database.raw()) == 0) {  // it goes on where it was
+    auto change = database.prepare("UPDATE rtdata_position SET origin = ? WHERE sink = ? AND table_name = ''");
+    if (!change) return std::move(change).error();
+    change->bind(1, sink.topics).bind(2, name);
+    return change->run();
+  }
+  auto topics = database.prepare("SELECT topic, table_name FROM rtdata_topic");
+  if (!topics) return std::move(topics).error();
+  for (;;) {
+    auto row = topics->step();
+    if (!row) return std::move(row).error();
+    if (!*row) return {};
+    if (!has_topic(sink.topics, topics->text(0))) continue;
+    const std::string table(topics->text(1)), rows = " FROM " + quoted(table) + " ORDER BY rowid";
+    auto begin = database.prepare(
+        "INSERT OR IGNORE INTO rtdata_position SELECT ?1, ?2, * FROM (SELECT " +
+        (sink.at_beginning ? "rowid - 1, 0, '', 0, ?3" + rows : "rowid, run, origin, sequence, ?3" + rows + " DESC") +
+        " LIMIT 1)");
+    if (!begin) return std::move(begin).error();
+    begin->bind(1, name).bind(2, table).bind(3, host);
+    if (auto done = begin->run(); !done) return done;
+  }
 }
 
 Result<void> Positions::write(Database& database) {
+  if (auto done = write_begins(database); !done) return done;
   {
     const std::lock_guard lock(mutex_);
-    if (dirty_.empty() && refusals_.empty() && begins_.empty()) return {};
+    if (dirty_.empty() && refusals_.empty()) return {};
     in_transaction_ = dirty_;
-    begins_in_transaction_.swap(begins_);
     refusals_in_transaction_.swap(refusals_);
   }
   if (auto made = database.execute(position_schema); !made) return made;
   const std::string host = host_name();
-  auto begin = database.prepare("INSERT OR IGNORE INTO rtdata_position VALUES(?,?,0,?,'',?,?)");
-  if (!begin) return std::move(begin).error();
-  for (const auto& [sink, at] : begins_in_transaction_) {
-    begin->bind(1, sink).bind(2, no_table).bind(3, at.at_beginning ? 0 : run()).bind(4, at.time).bind(5, host);
-    if (auto done = begin->run(); !done) return done;
-  }
   auto position = database.prepare("INSERT OR REPLACE INTO rtdata_position VALUES(?,?,?,?,?,?,?)");
   if (!position) return std::move(position).error();
   for (const auto& [key, at] : in_transaction_) {
@@ -154,7 +221,7 @@ void Positions::committed() noexcept {
     if (now != dirty_.end() && now->second.row == stored.row) dirty_.erase(now);
   }
   in_transaction_.clear();
-  begins_in_transaction_.clear();
+  for (auto& [name, sink] : sinks_) sink.is_known = sink.is_known || std::exchange(sink.is_written, false);
   refusals_in_transaction_.clear();
 }
 
@@ -162,8 +229,7 @@ void Positions::rolled_back() noexcept {
   const std::lock_guard lock(mutex_);
   refused_bytes_ = -1;
   in_transaction_.clear();
-  begins_.merge(begins_in_transaction_);
-  begins_in_transaction_.clear();
+  for (auto& [name, sink] : sinks_) sink.is_written = false;
   refusals_.merge(refusals_in_transaction_);  // what is left has been said again
   refusals_in_transaction_.clear();
 }

@@ -9,6 +9,7 @@
 #include <map>
 #include <mutex>
 #include <string>
+#include <string_view>
 #include <utility>
 #include <vector>
 
@@ -34,9 +35,12 @@ struct Refusal {
   auto operator<=>(const Refusal&) const = default;
 };
 
-/// In rtdata_position this stands for the table in the row that says when a sink came to the recording for the first
-/// time: `run` and, as `sequence`, the time in it. With run 0 it begins at the beginning.
+/// In rtdata_position this stands for the table in the row that says that a sink has come to the recording. Its
+/// `origin` has the patterns of the sink's topics, a line each: of their tables that have no row, all waits.
 inline constexpr const char* no_table = "";
+std::string lines_of(const std::vector<std::string>& topics);
+/// Whether a topic is one of those.
+bool has_topic(std::string_view lines, std::string_view topic) noexcept;
 
 /// Of this machine.
 std::string host_name();
@@ -44,7 +48,7 @@ std::string host_name();
 inline constexpr const char* position_schema = R"sql(
 CREATE TABLE IF NOT EXISTS rtdata_position(
   sink TEXT NOT NULL,
-  table_name TEXT NOT NULL,         -- of a topic; empty: the sink has been here
+  table_name TEXT NOT NULL,         -- of a topic; empty: the sink has been here, and origin has its topics
   row INTEGER NOT NULL,             -- rowid of the last row that the sink is done with, and its key
   run INTEGER NOT NULL, origin TEXT NOT NULL, sequence INTEGER NOT NULL,
   host TEXT NOT NULL,               -- the machine whose sink it is
@@ -61,9 +65,10 @@ CREATE TABLE IF NOT EXISTS rtdata_refused_before(  -- how many more a sink was r
 class Positions {
  public:
   void set(const std::string& sink, const std::string& table, Position position);
-  /// The sink is there from this time of the run on, unless the file knows it already. Stored with the next
-  /// transaction, so that no row that comes later is left out by a run after a kill.
-  void begin(const std::string& sink, std::int64_t time, bool at_beginning);
+  /// A sink of these topics goes through the recording. The file knows of it, and of where it begins, from the next
+  /// transaction on: what that one brings is the first that comes "now".
+  void begin(const std::string& sink, std::string topics, bool at_beginning, const void* owner);
+  void leave(const std::string& sink, const void* owner) noexcept;
   /// The same may be said again.
   void add(Refusal refusal, std::string reason);
   /// So many refusals wait to be written that a sink waits for that before it reads more rows.
@@ -91,6 +96,8 @@ class Positions {
   /// Calls those; what they say, if anything.
   std::vector<std::string> end();
   bool is_dirty() const;
+  /// In a transaction, before its rows: where sinks begin that the file does not know.
+  Result<void> write_begins(Database& database);
   /// In a transaction: stores what has changed.
   Result<void> write(Database& database);
   void committed() noexcept;
@@ -124,16 +131,19 @@ class Positions {
   Result<void> forget_refusals(Database& database);
 
   using Key = std::pair<std::string, std::string>;
-  struct Begin {
-    std::int64_t time = 0;
+  struct GoingThrough {
+    std::string topics;  // lines
     bool at_beginning = false;
+    const void* owner = nullptr;
+    bool is_known = false;    // the file knows it
+    bool is_written = false;  // in this transaction
   };
+  Result<void> write_begin(Database& database, const std::string& name, const GoingThrough& sink);
   mutable std::mutex mutex_;
   std::condition_variable changed_;
   std::map<Key, Position> dirty_;
   std::map<Key, Position> in_transaction_;
-  std::map<std::string, Begin> begins_;  // by sink
-  std::map<std::string, Begin> begins_in_transaction_;
+  std::map<std::string, GoingThrough> sinks_;
   std::map<Refusal, std::string> refusals_;  // and their reasons
   std::map<Refusal, std::string> refusals_in_transaction_;
   std::map<std::string, Committed> last_rows_;

@@ -16,8 +16,10 @@ enum Column { row_column, run_column, time_column, origin_column, sequence_colum
 
 SqliteFeed::SqliteFeed(std::string path, std::shared_ptr<Positions> positions, detail::RowFeedConfig config)
     : path_(std::move(path)), positions_(std::move(positions)), config_(std::move(config)) {
-  positions_->begin(config_.sink, to_nanoseconds(config_.attached), config_.from == From::beginning);
+  positions_->begin(config_.sink, lines_of(config_.topics), config_.from == From::beginning, this);
 }
+
+SqliteFeed::~SqliteFeed() { positions_->leave(config_.sink, this); }
 
 // ---- opening
 
@@ -34,21 +36,18 @@ Result<void> SqliteFeed::open() {
   recording_.emplace(std::move(*opened));
   auto has_table = file.database.integer("SELECT count(*) FROM sqlite_schema WHERE name = 'rtdata_position'");
   if (!has_table) return std::move(has_table).error();
-  begin_ = {0, config_.from == From::now ? positions_->run() : 0, {}, to_nanoseconds(config_.attached)};
   is_new_ = true;
   if (*has_table == 0) return {};
-  auto known = file.prepare("SELECT host, run, sequence FROM rtdata_position WHERE sink = ? AND table_name = ''");
+  auto known = file.prepare("SELECT host FROM rtdata_position WHERE sink = ? AND table_name = ''");
   if (!known) return std::move(known).error();
   known->bind(1, config_.sink);
   auto row = known->step();
   if (!row) return std::move(row).error();
-  if (!*row) return {};
-  is_new_ = known->integer(2) == begin_.sequence;
-  begin_ = {0, known->integer(1), {}, known->integer(2)};
-  if (known->text(0) != host_name()) {
+  is_new_ = !*row;
+  if (*row && known->text(0) != host_name()) {
     remarks_.push_back("goes on where the machine " + std::string(known->text(0)) +
                        " has got to in this recording; if that machine still sends it, events arrive twice");
-    positions_->set(config_.sink, no_table, begin_);  // from now on it is this machine's
+    positions_->set(config_.sink, no_table, {0, 0, lines_of(config_.topics), 0});  // from now on it is this machine's
   }
   return {};
 }
@@ -207,7 +206,7 @@ Result<Position> SqliteFeed::position_in(const Table& table) {
   }
   if (is_stored && position.row != 0) return position_now(table, std::move(position));
   if (!is_stored) {
-    auto first = begin_.run != 0 ? beginning_since(table) : is_new_ ? beginning_of(table) : Position{};
+    auto first = !is_new_ ? Result(Position{}) : config_.from == From::beginning ? beginning_of(table) : end_of(table);
     if (!first) return first;
     position = *std::move(first);
   }
@@ -215,15 +214,14 @@ Result<Position> SqliteFeed::position_in(const Table& table) {
   return position;
 }
 
-Result<Position> SqliteFeed::beginning_since(const Table& table) {
-  auto older = recording_->file()->prepare("SELECT rowid, run, origin, sequence FROM " + quoted(table.topic.table) +
-                                           " WHERE run < ?1 OR (run = ?1 AND time < ?2) ORDER BY rowid DESC LIMIT 1");
-  if (!older) return std::move(older).error();
-  older->bind(1, begin_.run).bind(2, begin_.sequence);
-  auto row = older->step();
+Result<Position> SqliteFeed::end_of(const Table& table) {
+  auto last = recording_->file()->prepare("SELECT rowid, run, origin, sequence FROM " + quoted(table.topic.table) +
+                                          " ORDER BY rowid DESC LIMIT 1");
+  if (!last) return std::move(last).error();
+  auto row = last->step();
   if (!row) return std::move(row).error();
   if (!*row) return Position{};
-  return Position{older->integer(0), older->integer(1), std::string(older->text(2)), older->integer(3)};
+  return Position{last->integer(0), last->integer(1), std::string(last->text(2)), last->integer(3)};
 }
 
 Result<Position> SqliteFeed::position_now(const Table& table, Position position) {
@@ -455,8 +453,6 @@ void SqliteFeed::note_committed() {
     } else if (is_wanted(committed.topic)) {
       rows_of_new_tables_ += static_cast<std::uint64_t>(committed.last_row);
       removed_of_new_tables_ += static_cast<std::uint64_t>(std::min(committed.deleted_to, committed.last_row));
-      // So that the file says that it is to be sent, also if it is not looked at before the end.
-      if (new_tables_.insert(name).second) positions_->set(config_.sink, name, {});
     }
   }
   update_counts();

@@ -7,7 +7,6 @@
 #include <map>
 #include <memory>
 #include <optional>
-#include <set>
 #include <string>
 #include <utility>
 #include <vector>
@@ -23,6 +22,7 @@ class SqliteFeed final : public detail::RowFeed {
  public:
   /// Touches no file. The recording's next transaction says that the sink is there.
   SqliteFeed(std::string path, std::shared_ptr<Positions> positions, detail::RowFeedConfig config);
+  ~SqliteFeed() override;
 
   Result<void> attach() override;
   Result<bool> fill(detail::SinkQueue& queue) override;
@@ -88,8 +88,8 @@ class SqliteFeed final : public detail::RowFeed {
   bool is_wanted(std::string_view topic) const noexcept;
   /// Where to go on in a table: as it is stored, if that still fits.
   Result<Position> position_in(const Table& table);
-  /// After the rows that were there before the sink came.
-  Result<Position> beginning_since(const Table& table);
+  /// After the last row that is there.
+  Result<Position> end_of(const Table& table);
   /// Before the first row that is there.
   Result<Position> beginning_of(const Table& table);
   /// Where a position of before is now.
@@ -111,12 +111,10 @@ class SqliteFeed final : public detail::RowFeed {
   std::map<std::int64_t, Run> runs_;
   std::map<std::string, std::uint32_t> topic_numbers_;
   std::uint64_t rows_of_new_tables_ = 0;  // that it has not looked at yet
-  std::set<std::string> new_tables_;      // that have been committed to and not been looked at when they were
   std::int64_t topics_known_ = 0;
   std::int64_t clock_pairs_ = -1;  // rows of rtdata_clock when the lines of UTC were made
   std::int64_t first_run_with_escapes_ = 0;
-  bool is_new_ = false;  // nothing was looked at before
-  Position begin_;       // the sink came to this recording for the first time: in `run`, at the time `sequence`
+  bool is_new_ = false;  // the sink comes to this recording for the first time
   std::vector<Mark> marks_;
   std::size_t settled_ = 0;                  // of those
   std::uint64_t removed_ahead_ = 0;          // since the last row that was put into the queue

@@ -187,7 +187,8 @@ void SqliteWriter::roll_back() noexcept {
 
 Result<void> SqliteWriter::store(Batch& batch) {
   auto done = begin_transaction();
-  // First, so that the new rows take the pages of the old ones within one transaction.
+  if (done) done = positions_->write_begins(database_);
+  // Before the rows, so that new ones take the pages of the old ones within one transaction.
   if (done && pruner_.has_limits()) done = pruner_.make_room(database_, ranges_, now_);
   if (done) done = account_.write_slots(batch, tables_);
   if (done) done = write_rows(batch);
