@@ -175,6 +175,40 @@ TEST_SUITE("sinks") {
     }
   }
 
+  TEST_CASE("US-26 a recording at its limit that is killed is sealed, and stays so when its rows are pruned") {
+    Folder folder;
+    const std::string path = folder / "run.db";
+    const auto run = [&](bool is_killed) {
+      Loop loop{Loop::Manual{}};
+      loop.runtime().on_log([](const LogRecord&) {});
+      SqliteSink sink(loop, {.path = path, .max_bytes = SqliteConfig::least_max_bytes});
+      Feed<Number> feed(loop, {.name = "feed", .topic = "a"});
+      Ticker ticker(loop, 1ms, [&](const Tick& tick) {
+        for (int i = 0; i < 100; ++i) feed.publish({1});
+        feed.set_numbered();
+        if (tick.index % 100 == 0) feed.lost(1);
+      });
+      loop.advance(2500ms);
+      if (is_killed) ::raise(SIGKILL);
+      ticker.close();
+      feed.close();
+      loop.close();
+    };
+    for (int i = 0; i < 2; ++i) {
+      CAPTURE(i);
+      sinks::killed_in([&] { run(true); });
+      sinks::killed_in([&] {  // sealed, and pruned by what seals it
+        run(false);
+        ::raise(SIGKILL);
+      });
+      const VerifyReport report = verified(path);
+      INFO(problems_of(report));
+      CHECK(report.exit_code() == 0);
+    }
+    CHECK(number(path, "SELECT count(*) FROM rtdata_run WHERE state = 'sealed'") > 0);
+    CHECK(number(path, "SELECT sum(pruned) FROM rtdata_ledger") > 100'000);
+  }
+
   TEST_CASE("US-26 a fast sensor does not take the room of a slow one: both are kept for the same time") {
     Folder folder;
     const std::string path = folder / "run.db";

@@ -113,7 +113,7 @@ RunSums AccountSums::sums_of(std::int64_t run) const {
 Result<void> AccountSums::write_changes(Database& database) {
   Statement query, update;
   for (auto& [run, change] : pending_) {
-    if (run == open_run_ || change.is_written) continue;
+    if (run == open_run_) continue;
     for (std::size_t table = 0; table <= topics; ++table) {
       const RowSum& sum = table == topics ? change.topics : change.sums[table];
       if (sum == RowSum{}) continue;
@@ -140,7 +140,7 @@ Result<void> AccountSums::write_changes(Database& database) {
       update.bind(1, static_cast<std::int64_t>(now.rows)).bind(2, static_cast<std::int64_t>(now.sum)).bind(3, rowid);
       if (auto done = update.run(); !done) return done;
     }
-    change.is_written = true;
+    change = {};  // what the transaction changes after this is written by another call
   }
   return {};
 }
@@ -151,14 +151,18 @@ Result<void> AccountSums::write_lines(Database& database, std::int64_t run) {
     if (auto made = insert_line(database, {run, account_tables[table], "", 0, 0, columns_[table], sums[table]}); !made)
       return made;
   }
-  pending_[run].is_written = true;
+  if (run == open_run_) {
+    pending_[run].has_ended = true;
+  } else {
+    pending_.erase(run);
+  }
   return {};
 }
 
 void AccountSums::committed() {
   if (const auto change = pending_.find(open_run_); open_run_ != 0 && change != pending_.end()) {
     for (std::size_t table = 0; table < settled_.size(); ++table) add(settled_[table], change->second.sums[table]);
-    if (change->second.is_written) open_run_ = 0;
+    if (change->second.has_ended) open_run_ = 0;
   }
   pending_.clear();
 }

@@ -40,9 +40,9 @@ class AccountSums {
   /// From here on the run's sums are these: of one that is to be sealed.
   void set(std::int64_t run, const RunSums& sums) { pending_[run].sums = sums; }
 
-  /// In a transaction, at its end: brings the lines of ended runs in line with what it did to their accounts.
+  /// In a transaction, after its changes: brings the lines of ended runs in line with what it did to their accounts.
   Result<void> write_changes(Database& database);
-  /// In a transaction, as its last change of this run's account: the run has ended.
+  /// In a transaction: the run has ended. Of the open one, as the last change of its account.
   Result<void> write_lines(Database& database, std::int64_t run);
   void committed();
   void rolled_back() { pending_.clear(); }
@@ -51,7 +51,7 @@ class AccountSums {
   struct Change {
     RunSums sums{};
     RowSum topics;
-    bool is_written = false;
+    bool has_ended = false;  // the open run
   };
   static void changed(sqlite3_context* context, int count, sqlite3_value** values);
 
