@@ -164,6 +164,29 @@ TEST_SUITE("app") {
     CHECK_MESSAGE(has(again.err, "it goes on in b, after a pause of unknown length"), again.err);
   }
 
+  TEST_CASE(
+      "US-41 a machine that goes on after a pause has its topic for itself, and so have the outputs that it arms") {
+    if (!rtdata::Expression::available()) return;
+    const Folder folder;
+    const auto checked = [&](const std::string& topic_of_n, const std::string& topic_of_p) {
+      std::string text = resumes("1 min", "start");
+      const std::string a = R"("states": [{"name": "a"})";
+      text.replace(text.find(a), a.size(), R"("states": [{"name": "a", "set": [{"output": "o", "value": 1}]})");
+      text.replace(text.rfind(R"("back"}])"), 8, R"("back"}], "topic": ")" + topic_of_n + "\"");
+      text.insert(text.find(R"("sinks")"),
+                  R"("outputs": [{"name": "o", "type": "serial", "device": "/dev/ttyS98", "text": "{value}"},
+          {"name": "p", "type": "serial", "device": "/dev/ttyS99", "text": "{value}", "topic": ")" +
+                      topic_of_p + "\"}], ");
+      folder.write("rig.json", text);
+      const Done checking = done(folder, {"check", "rig.json"});
+      return checking.out + checking.err;
+    };
+    const std::string shares = "shares the topic";
+    CHECK(!has(checked("n", "p"), shares));
+    CHECK(has(checked("m", "p"), "machine m shares the topic \"m\" with machine n, at "));
+    CHECK(has(checked("n", "o"), "output o shares the topic \"o\" with output p, at "));
+  }
+
   TEST_CASE("US-41 over a reload a machine keeps its state, a changed one too") {
     if (!rtdata::Expression::available()) return;
     const Folder folder;

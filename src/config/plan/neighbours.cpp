@@ -332,6 +332,21 @@ void Neighbours::check_stored_by(const PartPlan& part, Problems& problems) const
   } else if (sink->tier() != part.tier()) {
     problems.add(at.problem("wrong-part", name + " is on another loop; give both the same `tier`, or none"));
   }
+  if (part.kind != "machine") return;
+  // A recording with limits keeps the last row of each topic: by those the machine and its outputs go on.
+  const auto check_alone = [&](const PartPlan& one) {
+    for (const PartPlan* other : publishers(one.publishes->topic))
+      if (other != &one)
+        problems.add(at.problem("wrong-part", one.object() + " shares the topic \"" + one.publishes->topic +
+                                                  "\" with " + other->object() + ", at " + place_of_name(*other) +
+                                                  ": by what is recorded there last, one machine and its outputs go "
+                                                  "on; give each a topic of its own"));
+  };
+  check_alone(part);
+  for (const PartUse& output : part.uses) {
+    const PartPlan* plan = output.kind == "output" ? find("output", output.name) : nullptr;
+    if (plan != nullptr && plan->publishes) check_alone(*plan);
+  }
 }
 
 void Neighbours::check_uses(const PartPlan& part, Problems& problems) {
