@@ -101,11 +101,11 @@ TEST_SUITE("app") {
     CHECK(lines_of(folder.path() + "/b.jsonl") == sent);
     CHECK_FALSE(std::filesystem::exists(folder.path() + "/one.db"));
     // A mistake is shown at its place in the file.
-    folder.write("bad.json", sinks("a", R"(, "topics": "x")"));
+    folder.write("bad.json", sinks(R"(a", "topics": "x)", ""));
     {
       Process forward(folder, program, {"forward", "home/x.db", "bad.json"});
       CHECK(forward.end() == 2);
-      CHECK_MESSAGE(has(forward.err, "bad.json:6:"), forward.err);
+      CHECK_MESSAGE(has(forward.err, "bad.json:4:"), forward.err);
     }
     // Sinks that the recording does not know, and another name of the file: it cannot be told.
     std::filesystem::copy(folder.path() + "/two.db", home + "/y.db");
@@ -163,8 +163,14 @@ TEST_SUITE("app") {
     }
     std::filesystem::create_directories(folder.path() + "/home");
     std::filesystem::rename(folder.path() + "/node.db", folder.path() + "/home/moved.db");
-    Process forward(folder, program, {"forward", "home/moved.db", "node.json"});
-    CHECK(forward.end() == 0);
+    // The folders and devices of the node are not there.
+    std::string at_home = configuration;
+    at_home.replace(at_home.find("\"node.db\""), 9, "\"/nowhere/node.db\"");
+    at_home.insert(at_home.rfind(']'), R"(, {"type": "file", "path": "/nowhere/all.csv"})");
+    at_home.insert(at_home.find(R"("sinks")"), R"("buses": [{"name": "i2c-9", "type": "i2c", "number": 9999}], )");
+    folder.write("at_home.json", at_home);
+    Process forward(folder, program, {"forward", "home/moved.db", "at_home.json"});
+    CHECK_MESSAGE(forward.end() == 0, forward.err);
     CHECK_MESSAGE(has(forward.out, "all is sent"), forward.out);
     CHECK(lines_of(folder.path() + "/copy.jsonl") == rows_of(folder.path() + "/home/moved.db"));
     CHECK(!std::filesystem::exists(folder.path() + "/node.db"));

@@ -25,6 +25,10 @@ using sqlite::Database;
 
 namespace {
 
+struct Wide {
+  text<400> value;
+  friend constexpr auto describe(type_tag<Wide>) { return record("wide", field("value", &Wide::value)); }
+};
 struct Number {
   double value = 0;
   friend constexpr auto describe(type_tag<Number>) { return record("number", field("value", &Number::value, "1")); }
@@ -207,6 +211,37 @@ TEST_SUITE("sinks") {
     }
     CHECK(number(path, "SELECT count(*) FROM rtdata_run WHERE state = 'sealed'") > 0);
     CHECK(number(path, "SELECT sum(pruned) FROM rtdata_ledger") > 100'000);
+  }
+
+  TEST_CASE("US-26 of a killed run, rows that a limit deleted before the first account are counted") {
+    Folder folder;
+    const std::string path = folder / "run.db";
+    for (const int kill_after : {50, 400, 900, 1300}) {
+      CAPTURE(kill_after);
+      sinks::killed_in([&] {
+        Loop loop{Loop::Manual{}};
+        loop.runtime().on_log([](const LogRecord&) {});
+        SqliteSink sink(loop, {.path = path, .max_bytes = SqliteConfig::least_max_bytes, .sink = {.batch_time = 10ms}});
+        Feed<Wide> feed(loop, {.name = "feed", .topic = "a"});
+        Feed<Wide> other(loop, {.name = "other", .topic = "a"});
+        for (int ms = 1; ms <= kill_after; ++ms) {
+          for (int i = 0; i < 20; ++i) feed.publish({std::string(390, 'x')});
+          if (ms % 10 == 5) other.publish({"y"});
+          loop.advance(1ms);
+        }
+        ::raise(SIGKILL);
+      });
+      recordings::seal(path);
+      const VerifyReport report = verified(path);
+      INFO(problems_of(report));
+      CHECK(report.exit_code() == 0);
+      const std::string
+          of = " FROM rtdata_ledger WHERE run = (SELECT max(run) - 1 FROM rtdata_run) AND origin = 'feed'";
+      CHECK(number(path, "SELECT offered" + of) == 20 * kill_after);
+      CHECK(number(path, "SELECT first_sequence" + of) == 1);
+      CHECK(number(path, "SELECT offered - stored" + of) == number(path, "SELECT dropped_unsaved" + of));
+      CHECK(number(path, "SELECT offered - stored" + of) <= 400);
+    }
   }
 
   TEST_CASE("US-26 a fast sensor does not take the room of a slow one: both are kept for the same time") {

@@ -93,10 +93,10 @@ class Forward {
       return exit_configuration;
     }
     std::optional<Recording> database(std::move(*opened));
-    SystemPlan whole = plan_system(registry, load_config(options_.file));
-    if (!whole.good()) return refuse(whole);
+    // What else is in it, such as devices and folders of the node, need not be here.
+    const ConfigDocument whole = load_config(options_.file);
     std::vector<std::string> senders;
-    const ConfigItem* sinks = whole.document.root.find("sinks");
+    const ConfigItem* sinks = whole.root.find("sinks");
     const auto recordings = sinks != nullptr ? recordings_of(*sinks, *database) : std::vector<std::string>();
     database.reset();
     if (recordings.size() > 1) {
@@ -109,9 +109,9 @@ class Forward {
       return exit_configuration;
     }
     ConfigItem root;
-    if (!recordings.empty())
-      root = forwarding_configuration(whole.document.root, recordings, options_.database, senders);
+    if (!recordings.empty()) root = forwarding_configuration(whole.root, recordings, options_.database, senders);
     if (senders.empty()) {
+      if (const SystemPlan plan = plan_system(registry, whole); !plan.good()) return refuse(plan);
       std::cerr << "rtdata: nothing to do: no sink of " << options_.file
                 << " goes through a recording; give one `through`, the name of its recording\n";
       return exit_configuration;
@@ -120,7 +120,7 @@ class Forward {
     document.root = std::move(root);
     SystemPlan plan = plan_system(registry, std::move(document));
     if (!plan.good()) {
-      plan.document.text = whole.document.text;
+      plan.document.text = whole.text;
       return refuse(plan);
     }
     return send(registry, plan, senders);

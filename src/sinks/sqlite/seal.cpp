@@ -30,14 +30,15 @@ Result<std::vector<std::string>> tables_of(Database& database, const std::string
 
 struct LedgerRow {
   std::string origin;
-  std::int64_t slot, offered, stored, dropped, first_sequence, last_sequence, rows_up_to;
+  std::int64_t slot, offered, stored, dropped, first_sequence, last_sequence, rows_up_to, pruned;
   std::int64_t added = 0;  // rows that came after it was written
+  std::int64_t there = 0;  // rows, if some were pruned
 };
 
 Result<std::vector<LedgerRow>> ledger_of(Database& database, std::int64_t run, const std::string& topic) {
   auto query = database.prepare(
       "SELECT origin, slot, offered, stored, dropped_newest + dropped_oldest + dropped_refused, first_sequence, "
-      "last_sequence, rows_up_to "
+      "last_sequence, rows_up_to, pruned "
       "FROM rtdata_ledger WHERE run = ? AND topic = ?");
   if (!query) return std::move(query).error();
   query->bind(1, run).bind(2, topic);
@@ -47,7 +48,7 @@ Result<std::vector<LedgerRow>> ledger_of(Database& database, std::int64_t run, c
     if (!row) return std::move(row).error();
     if (!*row) return rows;
     rows.push_back({std::string(query->text(0)), query->integer(1), query->integer(2), query->integer(3),
-                    query->integer(4), query->integer(5), query->integer(6), query->integer(7), 0});
+                    query->integer(4), query->integer(5), query->integer(6), query->integer(7), query->integer(8)});
   }
 }
 
@@ -82,6 +83,35 @@ Result<void> add_later_rows(Database& database, const std::string& table, std::i
   }
 }
 
+/// Of what came after the account, a limit may have deleted rows, too.
+Result<void> add_pruned_rows(Database& database, const std::vector<std::string>& tables, std::int64_t run,
+                             std::vector<LedgerRow>& ledger) {
+  if (std::none_of(ledger.begin(), ledger.end(), [](const LedgerRow& row) { return row.pruned > 0; })) return {};
+  for (const std::string& table : tables) {
+    auto before = rows_before(database, table, run);
+    if (!before) return std::move(before).error();
+    auto query = database.prepare("SELECT origin, count(*) FROM " + quoted(table) +
+                                  " WHERE rowid > ? AND run = ? GROUP BY origin");
+    if (!query) return std::move(query).error();
+    query->bind(1, *before).bind(2, run);
+    for (;;) {
+      auto is_row = query->step();
+      if (!is_row) return std::move(is_row).error();
+      if (!*is_row) break;
+      for (LedgerRow& row : ledger)
+        if (row.origin == query->text(0)) row.there += query->integer(1);
+    }
+  }
+  for (LedgerRow& row : ledger) {
+    if (row.pruned == 0) continue;
+    const std::int64_t missing = row.pruned + row.there - row.stored - row.added;
+    if (missing <= 0) continue;
+    if (row.stored == 0 && row.first_sequence != 0) row.first_sequence -= std::min(missing, row.first_sequence - 1);
+    row.added += missing;
+  }
+  return {};
+}
+
 /// Brings the ledger of one topic in line with its rows. Adds to `lost`; it stays unknown (negative) without live
 /// counts.
 Result<void> seal_topic(Database& database, const OpenRun& run, const std::string& topic, LiveFile* live,
@@ -94,6 +124,7 @@ Result<void> seal_topic(Database& database, const OpenRun& run, const std::strin
   for (const std::string& table : *tables) {
     if (auto added = add_later_rows(database, table, run.run, *rows, last_time); !added) return added;
   }
+  if (auto added = add_pruned_rows(database, *tables, run.run, *rows); !added) return added;
   // Its account may be older than its rows, or not there yet: what it publishes at least is what was offered.
   auto update = database.prepare(
       "UPDATE rtdata_ledger SET offered = ?1, stored = ?2, published = max(published, ?1), "
