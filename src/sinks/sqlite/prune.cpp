@@ -83,6 +83,7 @@ Result<void> Pruner::find_tables(Database& database, std::int64_t now) {
       const std::pair<Statement*, std::string> all[] = {
           {&table.first, "SELECT rowid, time, run FROM " + name + " ORDER BY rowid LIMIT 1"},
           {&table.last, "SELECT max(rowid) FROM " + name},
+          {&table.at, "SELECT time, run FROM " + name + " WHERE rowid >= ? ORDER BY rowid LIMIT 1"},
           // Up to the first that is not older, whatever comes after it: a clock may have been wrong in a later run.
           {&table.up_to,
            "SELECT min(CASE WHEN time >= ?2 OR run <> ?3 THEN rowid - 1 END), max(rowid) FROM (SELECT rowid, time, run "
@@ -194,6 +195,22 @@ Result<std::int64_t> Pruner::delete_part_of_future(Database& database, ValueRang
   return deleted;
 }
 
+Result<std::int64_t> Pruner::end_of_step(std::int64_t time, const Pages& now, std::int64_t goal) {
+  std::int64_t rows = 0;
+  for (const Table& table : tables_) rows += table.last_rowid - table.first_rowid + 1;
+  const auto part = static_cast<double>(now.used() - goal) / static_cast<double>(now.used());
+  const auto most = static_cast<std::int64_t>(static_cast<double>(rows) * part) + 1;
+  for (Table& table : tables_) {
+    if (!table.has_rows() || table.first_time >= time || table.first_rowid + most >= table.last_rowid) continue;
+    table.at.bind(1, table.first_rowid + most);
+    auto row = table.at.step();
+    if (!row) return std::move(row).error();
+    if (*row) time = std::min(time, table.at.integer(0) + line_of(table.at.integer(1)).shift);
+    table.at.reset();
+  }
+  return time;
+}
+
 Result<void> Pruner::make_room(Database& database, ValueRanges& ranges, Time now) {
   has_more_ = is_exhausted_ = false;
   const std::int64_t at = to_nanoseconds(now);
@@ -248,7 +265,9 @@ Result<void> Pruner::make_room(Database& database, ValueRanges& ranges, Time now
       std::int64_t deleted = 0;
       if (first < at) {
         const std::int64_t step = std::max<std::int64_t>(1, (at - first) / steps_of_a_span);
-        auto old = delete_beyond(database, ranges, {first + step * (std::int64_t{1} << shift)});
+        auto end = end_of_step(first + step * (std::int64_t{1} << shift), left, goal);
+        if (!end) return std::move(end).error();
+        auto old = delete_beyond(database, ranges, {std::max(*end, first + 1)});
         if (!old) return std::move(old).error();
         deleted += *old;
       }

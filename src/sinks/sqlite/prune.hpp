@@ -60,6 +60,7 @@ class Pruner {
     std::string name;
     Statement first;   // row number, time and run of its first row
     Statement last;    // row number of its last row
+    Statement at;      // time and run of a row, or of the next one that is there
     Statement up_to;   // row number of the last of its first rows that are all of a run and before a time
     Statement remove;  // up to a row number
     std::int64_t first_rowid = 0;
@@ -88,6 +89,9 @@ class Pruner {
   Result<void> find_tables(Database& database, std::int64_t now);
   Result<void> look_at(Table& table);
   Result<Pages> pages(Database& database);
+  /// `time`, or before it when no more rows need to go for the pages to come down to `goal`: the recording may have
+  /// pauses.
+  Result<std::int64_t> end_of_step(std::int64_t time, const Pages& now, std::int64_t goal);
   /// Deletes some thousand rows of what is beyond the limit at most. The number of rows.
   Result<std::int64_t> delete_beyond(Database& database, ValueRanges& ranges, const Limit& limit);
   /// Of tables that begin later than now (a device's clock is wrong, or the computer's was) the first rows: as much of

@@ -78,6 +78,7 @@ Result<void> SqliteWriter::tend_log() {
 
 Result<void> SqliteWriter::checkpoint(int mode) {
   const int status = sqlite3_wal_checkpoint_v2(database_.raw(), nullptr, mode, nullptr, nullptr);
+  if (mode == SQLITE_CHECKPOINT_RESTART) log_is_read_ = (status & 0xff) == SQLITE_BUSY;
   if (status != SQLITE_OK && (status & 0xff) != SQLITE_BUSY)
     return error_of(database_.raw(), "cannot checkpoint the recording");
   log_bytes_ = std::max<std::int64_t>(log_size(), 0);
@@ -102,7 +103,8 @@ void SqliteWriter::look_at_size() {
     if (::stat((config_.path + part).c_str(), &status) == 0) total += static_cast<std::uint64_t>(status.st_size);
   }
   const bool is_too_large = total > config_.max_bytes + config_.max_bytes / 10;
-  if (is_too_large && !is_too_large_ && !pruner_.has_more()) {
+  const bool has_cause = pruner_.is_exhausted() || log_is_read_;  // else it is smaller soon
+  if (is_too_large && !is_too_large_ && !pruner_.has_more() && has_cause) {
     warning_ = Error{Errc::storage_full, "the recording is larger than `max_bytes`", config_.path,
                      std::to_string(total) + " bytes" +
                          (pruner_.is_exhausted() ? ": its accounts alone take as much"

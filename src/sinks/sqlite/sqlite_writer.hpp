@@ -128,6 +128,7 @@ class SqliteWriter final : public RecordingWriter {
   std::atomic<bool> has_feeds_{false};
   Pruner pruner_;
   bool is_too_large_ = false;  // and this was reported
+  bool log_is_read_ = false;   // by another program: so it could not begin anew the last time
   Time now_{};                 // of the last account
   using SteadyTime = std::chrono::steady_clock::time_point;
   SteadyTime readers_waited_for_at_{};
