@@ -43,22 +43,22 @@ struct GuardOrder {
 };
 
 struct GuardAnswer {
-  enum Kind : std::uint32_t { done, failed, tripped };
-  Kind kind = done;
-  std::int32_t code = 0;  // an Errc
+  enum Kind : std::uint32_t { answered, tripped };
+  Kind kind = answered;   // to an order, or of the guard's own accord: the loop does not turn
+  std::int32_t code = 0;  // an Errc; 0: the device has the value
   std::array<char, 96> what{};
   std::array<char, 160> where{}, why{}, advice{};
 
   void put(const Error& error) noexcept {
-    kind = failed;
     code = error.code.category() == error_category() ? error.code.value() : static_cast<int>(Errc::io_failed);
     put_text(what, error.what);
     put_text(where, error.where);
     put_text(why, error.why);
     put_text(advice, error.advice);
   }
-  Error error() const {
-    return {static_cast<Errc>(code), text_of(what), text_of(where), text_of(why), text_of(advice)};
+  Result<void> result() const {
+    if (code == 0) return {};
+    return Error{static_cast<Errc>(code), text_of(what), text_of(where), text_of(why), text_of(advice)};
   }
 
  private:

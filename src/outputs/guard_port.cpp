@@ -27,6 +27,7 @@ class GuardPort final : public OutputPort {
   ~GuardPort() override { close(); }
 
   Result<void> open(std::optional<double> value) override {
+    late_trip_.reset();
     if (socket_ < 0)
       if (const auto known = introduce(); !known) return known;
     return exchange({GuardOrder::open, value ? 1U : 0U, value.value_or(0)});
@@ -38,6 +39,7 @@ class GuardPort final : public OutputPort {
     close();
     return result;
   }
+  std::optional<Result<void>> late_trip() const override { return late_trip_; }
   void beat(MonotonicTime until) noexcept override {
     if (socket_ >= 0) link_->beats[slot_].until.store(until.time_since_epoch().count(), std::memory_order_release);
   }
@@ -87,14 +89,11 @@ class GuardPort final : public OutputPort {
       const ssize_t got = ::recv(socket_, &answer, sizeof answer, MSG_DONTWAIT);
       if (got < 0 && (errno == EAGAIN || errno == EINTR)) continue;
       if (got != sizeof answer) return ended();
+      if (answer.kind == GuardAnswer::tripped) late_trip_ = answer.result();
       if (answer.kind == GuardAnswer::tripped || --unanswered_ > 0) continue;
-      return result_of(answer);
+      return answer.result();
     }
     return Error{Errc::timed_out, cannot_set, "", "its guard does not answer", "look at the device"};
-  }
-  static Result<void> result_of(const GuardAnswer& answer) {
-    if (answer.kind == GuardAnswer::failed) return answer.error();
-    return {};
   }
 
   void receive() {
@@ -105,9 +104,9 @@ class GuardPort final : public OutputPort {
       watch_.close();
       return listener_.lost(ended());  // the last use of this object
     }
-    if (answer.kind == GuardAnswer::tripped) return listener_.tripped();
+    if (answer.kind == GuardAnswer::tripped) return listener_.tripped(answer.result());
     --unanswered_;
-    listener_.answered(result_of(answer));
+    listener_.answered(answer.result());
   }
 
   const std::shared_ptr<OutputGuard::Link> link_;
@@ -119,6 +118,7 @@ class GuardPort final : public OutputPort {
   std::uint32_t slot_ = 0;
   int socket_ = -1;
   int unanswered_ = 0;
+  std::optional<Result<void>> late_trip_;
   FdWatch watch_;
 };
 

@@ -43,25 +43,29 @@ class Keeper {
       }
       const int ready = ::ppoll(&one, 1, wait ? &most : nullptr, nullptr);
       beat_.seen.store(now(), std::memory_order_release);
-      if (is_due()) be_safe();
+      if (is_due() && !(is_retrying_ && ready > 0)) be_safe();
       if (ready > 0) receive();
     }
     ::close(socket_);
   }
 
  private:
-  bool is_due() const noexcept { return is_watching() && now() >= beat_.until.load(std::memory_order_acquire); }
+  bool is_due() const noexcept { return is_watching() && (is_retrying_ || is_over_time()); }
+  bool is_over_time() const noexcept { return now() >= beat_.until.load(std::memory_order_acquire); }
   /// Something other than the safe value may be set.
   bool is_watching() const noexcept { return is_open_ && !is_safe_; }
   std::optional<Duration> time_left() const noexcept {
     if (!is_watching()) return {};
-    return has_tripped_ ? retry_period : Duration{beat_.until.load(std::memory_order_acquire) - now()};
+    return is_retrying_ ? retry_period : Duration{beat_.until.load(std::memory_order_acquire) - now()};
   }
   static std::int64_t now() noexcept { return SteadyClock::now().time_since_epoch().count(); }
 
   void be_safe() noexcept {
-    is_safe_ = held_.put(safe_).has_value();
-    if (!std::exchange(has_tripped_, true)) send({.kind = GuardAnswer::tripped});
+    const bool trips = is_over_time() && !std::exchange(has_tripped_, true);
+    const Result<void> done = held_.put(safe_);
+    is_safe_ = done.has_value();
+    is_retrying_ = !is_safe_;
+    if (trips) send(GuardAnswer::tripped, done);
   }
 
   void receive() noexcept {
@@ -74,12 +78,13 @@ class Keeper {
       return;
     }
     const std::optional<double> value = order.has_value != 0 ? std::optional(order.value) : std::nullopt;
-    if (order.kind == GuardOrder::set && has_tripped_ && value != safe_)
+    if (order.kind == GuardOrder::set && (has_tripped_ || is_retrying_) && value != safe_)
       return answer(Error{Errc::not_permitted, "cannot set the output", "", "its guard has set it safe", "arm it"});
     const Result<void> done = order.kind == GuardOrder::finish && !value ? Result<void>() : held_.put(value);
     // What a device has that did not take its value is not known: the safe one is set when the time is over.
     is_open_ = is_open_ || done.has_value();
     is_safe_ = done.has_value() ? value == safe_ : false;
+    is_retrying_ = is_retrying_ && !is_safe_;
     if (order.kind == GuardOrder::finish && (done.has_value() || !is_open_)) {
       held_.give_back();
       is_over_ = true;
@@ -95,13 +100,11 @@ class Keeper {
     while (!held_.put(safe_) && SteadyClock::now() < last) std::this_thread::sleep_for(retry_period);
   }
 
-  void answer(const Result<void>& result) noexcept {
-    GuardAnswer answer;
-    if (!result) answer.put(result.error());
-    send(answer);
-  }
+  void answer(const Result<void>& result) noexcept { send(GuardAnswer::answered, result); }
   /// A program that does not read for so long that the socket is full is not waited for: the watchdog is for that.
-  void send(const GuardAnswer& answer) const noexcept {
+  void send(GuardAnswer::Kind kind, const Result<void>& result) const noexcept {
+    GuardAnswer answer{.kind = kind};
+    if (!result) answer.put(result.error());
     (void)::send(socket_, &answer, sizeof answer, MSG_NOSIGNAL | MSG_DONTWAIT);
   }
 
@@ -111,7 +114,8 @@ class Keeper {
   HeldActuator held_;
   bool is_open_ = false;
   bool is_safe_ = true;
-  bool has_tripped_ = false;
+  bool has_tripped_ = false;  // and was not armed since
+  bool is_retrying_ = false;  // the device did not take the safe value when the time was over
   bool is_over_ = false;
 };
 

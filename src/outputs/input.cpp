@@ -27,15 +27,20 @@ std::vector<Subscription> OutputInput::subscribe(Loop& loop, const std::string& 
   return sources_.subscribe(loop, output, take);
 }
 
-void OutputInput::put(std::size_t topic, const EventView& event) {
+void OutputInput::put(std::size_t topic, const EventView& event, MonotonicTime now) {
+  came_[topic] = now;
   sources_.put(topic, event,
                [this](std::size_t name, std::optional<double> value) { set_or_unknown(expression_, name, value); });
 }
 
-std::optional<double> OutputInput::evaluate(Time time) {
+std::optional<double> OutputInput::evaluate(Time time, MonotonicTime now) {
   why_.clear();
   if (const ExpressionSources::Source* const lacking = sources_.lacking(time, max_age_)) {
     why_ = ExpressionSources::why(*lacking, max_age_);
+    return {};
+  }
+  if (const Silence silence = this->silence(); silence.topic != nullptr && now - silence.since >= max_age_) {
+    why_ = "the topic \"" + *silence.topic + "\" has brought nothing for " + to_string(max_age_);
     return {};
   }
   const ExpressionResult result = expression_.evaluate(time);
@@ -50,14 +55,14 @@ std::optional<double> OutputInput::evaluate(Time time) {
   return result.value;
 }
 
-const std::string* OutputInput::silent() const noexcept {
-  const ExpressionSources::Source* oldest = nullptr;
+OutputInput::Silence OutputInput::silence() const noexcept {
+  Silence longest{nullptr, MonotonicTime::max()};
   for (std::size_t i = 0; i < sources_.all().size(); ++i) {
     const ExpressionSources::Source& one = sources_.all()[i];
-    if (one.is_held || !computes_with(i) || (i > 0 && one.fields.empty())) continue;
-    if (oldest == nullptr || (oldest->has_come && (!one.has_come || one.time < oldest->time))) oldest = &one;
+    if (one.is_held || (i > 0 && one.fields.empty()) || came_[i] >= longest.since) continue;
+    longest = {&one.topic, came_[i]};
   }
-  return oldest != nullptr ? &oldest->topic : nullptr;
+  return longest;
 }
 
 void OutputInput::follow(double value) noexcept {

@@ -23,18 +23,23 @@ class OutputInput {
   /// `take(topic)` is called with the index of each event's topic, after `put`.
   std::vector<Subscription> subscribe(Loop& loop, const std::string& output,
                                       const std::function<void(std::size_t, const EventView&)>& take) const;
-  void put(std::size_t topic, const EventView& event);
+  void put(std::size_t topic, const EventView& event, MonotonicTime now);
+  /// What came before counts as if it came now.
+  void begin(MonotonicTime now) { came_.assign(sources_.all().size(), now); }
   /// The last events of topics that bring one only when something changes, as if they came now.
   void recall(Loop& loop, const std::function<void(std::size_t, const EventView&)>& take) {
     sources_.recall(loop, take);
   }
   /// Its value changes with events of this topic: of the first, and of all where the first only says what changes.
   bool computes_with(std::size_t topic) const noexcept { return topic == 0 || sources_.all().front().is_held; }
-  /// The topic that has been silent for longest, of those that it changes with and that may not be silent. Null: there
-  /// is none.
-  const std::string* silent() const noexcept;
-  /// None: it has none now; `why` says why, if it is not just waiting.
-  std::optional<double> evaluate(Time time);
+  struct Silence {
+    const std::string* topic;  ///< null: none of them may be silent
+    MonotonicTime since;
+  };
+  /// The topic that has been silent for longest, of those that its value is made of and that may not be silent.
+  Silence silence() const noexcept;
+  /// None: it has none now; `why` says why, if it is not just waiting. `time`: of the event with which it changes.
+  std::optional<double> evaluate(Time time, MonotonicTime now);
   /// Empty: it is waiting, or has a value.
   const std::string& why() const noexcept { return why_; }
   /// The output has this value, whatever was evaluated.
@@ -46,6 +51,7 @@ class OutputInput {
   Duration max_age_;
   Expression expression_;
   ExpressionSources sources_;
+  std::vector<MonotonicTime> came_;  // when each source brought its last event
   std::optional<Hysteresis> hysteresis_;
   std::optional<Pid> pid_;
   std::string why_;

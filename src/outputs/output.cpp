@@ -1,5 +1,6 @@
 #include "rtdata/outputs/output.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <utility>
 
@@ -105,7 +106,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     port_->arm();
     is_armed_ = true;
     has_tripped_ = false;
-    record({config_.safe, OutputCause::arm, fitted<48>(by), now()}, value_, "");
+    record({config_.safe, OutputCause::arm, fitted<48>(by), now()}, value_, is_failing_ ? "the device has failed" : "");
     recall();
     settle();
     return {};
@@ -170,6 +171,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
 
   void take_device() {
     beat();
+    value_.reset();
     const MonotonicTime began = now();
     const Result<void> opened = port_->open(config_.keep ? std::nullopt : std::optional(config_.safe));
     // What is away may come: the other errors are for who has configured it.
@@ -188,7 +190,9 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
       if (is_open() && is_held_ && is_failing_) retry_.start(retry_period);
     }
     last_input_ = now();
-    if (input_) stale_.start(config_.max_age);
+    if (!input_) return;
+    input_->begin(now());
+    stale_.start(config_.max_age);
   }
 
   void give_back() noexcept {
@@ -203,6 +207,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
       if (is_busy_) record(busy_, {}, "it ends");
       if (next_) record(*next_, {}, "it ends");
       const Result<void> done = port_->finish(config_.keep ? std::nullopt : std::optional(config_.safe));
+      if (const auto trip = port_->late_trip()) tell_trip(*trip);
       if (!done) {
         has_ended_unsafe_ = !config_.keep;
         value_.reset();
@@ -329,32 +334,49 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   }
   void beat() {
     if (port_ == nullptr) return;
-    port_->beat(now() + config_.watchdog);
+    const MonotonicTime now = this->now();
+    if (now - last_beat_ > config_.watchdog) turning_since_ = now;
+    last_beat_ = now;
+    port_->beat(now + config_.watchdog);
     look_at_guard();
   }
-  /// It looks at the beat once in a watchdog's time at least, while the output is not safe.
+  /// It looks at the beat once in a watchdog's time at least, while the output is not safe. After a pause of the beats
+  /// it may have made the output safe, and looks no more.
   void look_at_guard() {
     const std::optional<MonotonicTime> seen = port_->guard_seen();
     const bool is_silent = is_held_ && !is_busy_ && value_ && *value_ != config_.safe && seen &&
-                           now() - *seen > 4 * config_.watchdog;
+                           now() - std::max(*seen, turning_since_) > 4 * config_.watchdog;
     if (!std::exchange(is_guard_silent_, is_silent) && is_silent)
       complain({Errc::timed_out, "nobody would set the output safe", name(), "its guard does not run",
                 "look for what has stopped the process rtdata-guard"},
                Health::faulted);
   }
-  void tripped() override {
+  void tripped(const Result<void>& done) override {
     Call call(*this);
-    is_armed_ = false;
     end_lease();
     has_tripped_ = true;
-    value_ = config_.safe;
+    is_failing_ = !done;
+    retry_.stop();
+    is_armed_ = false;
     if (next_) record(*std::exchange(next_, std::nullopt), {}, "it is disarmed");
     if (input_) input_->follow(config_.safe);
-    record({config_.safe, OutputCause::watchdog, fitted<48>("guard"), now()}, value_, "");
-    complain({Errc::not_turning, "the guard has set the output to its safe value", name(),
-              "the loop did not turn for " + to_string(config_.watchdog),
-              "look for what held it, then arm the output again"},
-             Health::degraded);
+    tell_trip(done);
+    // The device may have taken it since: asking is how that is known.
+    if (is_open() && is_held_ && is_failing_ && !is_busy_) be_safe(OutputCause::failure, "");
+  }
+  void tell_trip(const Result<void>& done) {
+    is_armed_ = false;
+    value_ = done ? std::optional(config_.safe) : std::nullopt;
+    record({config_.safe, OutputCause::watchdog, fitted<48>("guard"), now()}, value_, done ? "" : done.error().why);
+    Error error{Errc::not_turning, "the guard has set the output to its safe value", name(),
+                "the loop did not turn for " + to_string(config_.watchdog),
+                "look for what held it, then arm the output again"};
+    if (!done) {
+      error.what = "the guard could not set the output to its safe value";
+      error.why += ", and the device did not take the value: " + done.error().why;
+      error.advice = "look at the device: it is tried again until it takes it";
+    }
+    complain(error, done ? Health::degraded : Health::faulted);
   }
   void lost(const Error& error) override {
     Call call(*this);
@@ -383,18 +405,18 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   void take(std::size_t topic, const EventView& event, Time time) {
     if (!is_held_) return;
     Call call(*this);
-    input_->put(topic, event);
+    input_->put(topic, event, now());
     if (!input_->computes_with(topic)) return;
-    heard_ = now();
-    const std::optional<double> value = input_->evaluate(time);
+    const std::optional<double> value = input_->evaluate(time, now());
     if (!input_->why().empty()) return go_stale(Errc::bad_data, input_->why(), "look at what is measured");
     if (!value) return;
     last_input_ = now();
     is_stale_ = false;
-    if (input_->silent() == nullptr)
+    const OutputInput::Silence silence = input_->silence();
+    if (silence.topic == nullptr)
       stale_.stop();
     else if (!stale_.is_running())
-      stale_.start(config_.max_age);
+      stale_.start_at(silence.since + config_.max_age);
     if (is_armed_ && !is_failing_)
       request({*value, OutputCause::input, fitted<48>(config_.on), now()});
     else
@@ -403,12 +425,13 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   }
   void look_at_age() {
     Call call(*this);
-    const std::string* const topic = input_->silent();
-    if (!is_held_ || topic == nullptr) return;
-    if (const MonotonicTime due = last_input_ + config_.max_age; due > now()) return stale_.start_at(due);
-    const bool is_silent = now() - heard_ >= config_.max_age;
+    const OutputInput::Silence silence = input_->silence();
+    if (!is_held_ || silence.topic == nullptr) return;
+    const MonotonicTime due = std::min(silence.since, last_input_) + config_.max_age;
+    if (due > now()) return stale_.start_at(due);
+    const bool is_silent = now() - silence.since >= config_.max_age;
     go_stale(Errc::timed_out,
-             "the topic \"" + *topic + "\" has brought " + (is_silent ? "nothing" : "events without a value") +
+             "the topic \"" + *silence.topic + "\" has brought " + (is_silent ? "nothing" : "events without a value") +
                  " for " + to_string(config_.max_age),
              "it follows it again with its next event; a longer `max_age` bridges longer pauses");
   }
@@ -474,7 +497,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   Order busy_;                   // on its way, if there is one
   std::optional<Order> next_;
   std::vector<Callback<void()>> waiting_;  // for an event that says whether it is armed
-  MonotonicTime last_set_{}, last_input_{}, heard_{};
+  MonotonicTime last_set_{}, last_input_{}, last_beat_{}, turning_since_{};
   bool is_held_ = false;
   bool is_busy_ = false;
   bool is_armed_ = false;

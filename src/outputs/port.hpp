@@ -34,8 +34,8 @@ class OutputPort {
    public:
     /// The value of the last `set` is there, or is not. May destroy the port.
     virtual void answered(Result<void> result) = 0;
-    /// The guard has set the safe value, and takes no other until `arm`.
-    virtual void tripped() = 0;
+    /// The guard has set the safe value, or tries to until the device takes it. It takes no other until `arm`.
+    virtual void tripped(const Result<void>& done) = 0;
     /// There is no way to the device any more. May destroy the port.
     virtual void lost(const Error& error) = 0;
 
@@ -49,6 +49,8 @@ class OutputPort {
   virtual Result<void> set(double value) = 0;
   /// Waits, also for a value that is under way, whose answer never comes; then the device is given back.
   virtual Result<void> finish(std::optional<double> value) = 0;
+  /// What `tripped` would have said, had its turn come before `finish`. None: the guard has not tripped since.
+  virtual std::optional<Result<void>> late_trip() const { return {}; }
   /// The loop turns: the guard is to wait until then.
   virtual void beat(MonotonicTime) noexcept {}
   /// When the guard has last shown that it is there, of an output that is not safe. None: there is no guard.

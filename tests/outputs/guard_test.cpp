@@ -10,6 +10,7 @@
 
 #include <algorithm>
 #include <chrono>
+#include <filesystem>
 #include <fstream>
 #include <stdexcept>
 #include <string>
@@ -28,27 +29,39 @@ namespace {
 
 constexpr auto patience = 20s;
 
-/// Writes each value as a line of a file, which any process can read.
+/// Writes each value as a line of a file, which any process can read. While there is a file PATH.mute it takes nothing,
+/// and each try is a line of PATH.tries.
 class FileActuator final : public Actuator {
  public:
   explicit FileActuator(std::string path) : path_(std::move(path)) {}
-  ~FileActuator() override { write("gone"); }
+  ~FileActuator() override {
+    if (is_open_) write("gone");
+  }
   Result<void> open(std::optional<double> value) override {
     if (path_.find("refused") != std::string::npos)
       return Error{Errc::busy, "cannot open", path_, "somebody has it", "ask them"};
+    if (is_mute()) return mute();
+    is_open_ = true;
     write("open " + (value ? std::to_string(*value).substr(0, 3) : "kept"));
     return {};
   }
   Result<void> set(double value) override {
     if (value == 9) return Error{Errc::out_of_range, "cannot set", path_, "9 is too much", ""};
     if (value == 13) ::abort();
+    if (is_mute()) return mute();
     write("set " + std::to_string(value).substr(0, 3));
     return {};
   }
 
  private:
+  bool is_mute() const { return ::access((path_ + ".mute").c_str(), F_OK) == 0; }
+  Error mute() const {
+    std::ofstream(path_ + ".tries", std::ios::app) << "tried" << std::endl;
+    return {Errc::timed_out, "cannot set", path_, "it is mute", ""};
+  }
   void write(const std::string& text) const { std::ofstream(path_, std::ios::app) << text << std::endl; }
   std::string path_;
+  bool is_open_ = false;
 };
 
 std::unique_ptr<Actuator> make_file(const std::string& path) {
@@ -120,7 +133,9 @@ struct Bench {
 
   explicit Bench(OutputConfig config = {}) {
     be_quiet(loop);
-    loop.on_error([this](const ErrorReport& report) { errors.push_back(report.error.why); });
+    loop.on_error([this](const ErrorReport& report) {
+      if (report.error.code != Errc::held_too_long) errors.push_back(report.error.why);
+    });
     seen = loop.subscribe<OutputChange>("o", [this](const Event<OutputChange>& event) {
       constexpr const char* names[] = {"start", "set",    "input",    "stale",   "lease",
                                        "arm",   "disarm", "watchdog", "failure", "stop"};
@@ -130,6 +145,7 @@ struct Bench {
     output = Output(
         loop, config, [this] { return make_file(path); }, path);
   }
+  long count(const std::string& cause) const { return std::count(causes.begin(), causes.end(), cause); }
   /// Until the condition holds.
   template <class Condition>
   bool turn_until(const Condition& condition) {
@@ -213,7 +229,7 @@ TEST_SUITE("outputs") {
     CHECK(lines_of(b.path) == Lines{"open 0.0", "set 1.0", "set 0.0"});
     CHECK(b.output.value() == 0);
     CHECK(b.output.health() == Health::degraded);
-    CHECK(std::find(b.errors.begin(), b.errors.end(), "the loop did not turn for 100 ms") != b.errors.end());
+    CHECK(b.errors == Lines{"the loop did not turn for 100 ms"});
     CHECK(b.output.set(1).error().code == Errc::not_permitted);
     b.output.arm("me").or_throw();
     CHECK(b.output.health() == Health::ok);
@@ -221,6 +237,77 @@ TEST_SUITE("outputs") {
     CHECK(b.turn_until([&] { return b.output.value() == 1; }));
     CHECK(b.causes == Lines{"start", "set", "watchdog", "set not done", "arm", "set"});
     CHECK(lines_of(b.path) == Lines{"open 0.0", "set 1.0", "set 0.0", "set 1.0"});
+  }
+
+  TEST_CASE(
+      "US-35 guard: a safe value that the device did not take is not done, and is tried until it is, armed or not") {
+    Bench b({.watchdog = 500ms});
+    b.output.set(1).or_throw();
+    CHECK(b.turn_until([&] { return b.output.value() == 1; }));
+    std::ofstream(b.path + ".mute").flush();
+    const Timer hang(b.loop, 0ms, [] { std::this_thread::sleep_for(1500ms); });
+    CHECK(b.turn_until([&] { return b.count("failure not done") > 0; }));
+    REQUIRE(b.causes.size() >= 4);
+    b.causes.resize(4);
+    CHECK(b.causes == Lines{"start", "set", "watchdog not done", "failure not done"});
+    CHECK_FALSE(b.output.is_armed());
+    CHECK_FALSE(b.output.value().has_value());
+    CHECK(b.output.health() == Health::faulted);
+    CHECK(b.errors == Lines{"the loop did not turn for 500 ms, and the device did not take the value: it is mute"});
+    b.output.arm("me").or_throw();
+    CHECK(b.output.set(0).error().code == Errc::io_failed);
+    // The guard goes on to try, more often than the program asks.
+    const auto own_tries = [&] {
+      return static_cast<long>(lines_of(b.path + ".tries").size()) - b.count("failure not done");
+    };
+    const long before = own_tries();
+    CHECK(b.turn_until([&] { return own_tries() >= before + 5; }));
+    CHECK(lines_of(b.path) == Lines{"open 0.0", "set 1.0", "gone"});
+    CHECK(b.errors.size() == 1);
+    std::filesystem::remove(b.path + ".mute");
+    CHECK(b.turn_until([&] { return b.output.value() == 0; }));
+    CHECK(b.output.health() == Health::ok);
+    CHECK(lines_of(b.path)[3] == "open 0.0");
+    b.output.set(1).or_throw();
+    CHECK(b.turn_until([&] { return b.output.value() == 1; }));
+    CHECK(lines_of(b.path).back() == "set 1.0");
+  }
+
+  TEST_CASE("US-35 guard: an output that had failed is well again when the guard has set it safe") {
+    Bench b({.watchdog = 300ms});
+    b.output.set(1).or_throw();
+    CHECK(b.turn_until([&] { return b.output.value() == 1; }));
+    std::ofstream(b.path + ".mute").flush();
+    b.output.set(2).or_throw();
+    CHECK(b.turn_until([&] { return b.count("failure not done") == 1; }));
+    std::filesystem::remove(b.path + ".mute");
+    const Timer hang(b.loop, 0ms, [] { std::this_thread::sleep_for(800ms); });
+    CHECK(b.turn_until([&] { return b.count("watchdog") == 1; }));
+    b.output.arm("me").or_throw();
+    CHECK(b.output.health() == Health::ok);
+    b.output.set(1).or_throw();
+    CHECK(b.turn_until([&] { return b.output.value() == 1; }));
+  }
+
+  TEST_CASE("US-35 guard: that it had to act is told also when the run ends in the turn that hung") {
+    for (const bool is_mute : {false, true}) {
+      Bench b({.watchdog = 100ms});
+      b.output.set(1).or_throw();
+      CHECK(b.turn_until([&] { return b.output.value() == 1; }));
+      if (is_mute) std::ofstream(b.path + ".mute").flush();
+      const Timer hang(b.loop, 0ms, [&] {
+        std::this_thread::sleep_for(500ms);
+        b.loop.stop();
+      });
+      b.loop.run();
+      CHECK(b.loop.close(10s) == 0);
+      const std::string not_done = is_mute ? " not done" : "";
+      CHECK(b.causes == Lines{"start", "set", "watchdog" + not_done, "stop" + not_done});
+      CHECK(b.errors ==
+            (is_mute ? Lines{"the loop did not turn for 100 ms, and the device did not take the value: it is mute",
+                             "it is mute"}
+                     : Lines{"the loop did not turn for 100 ms"}));
+    }
   }
 
   TEST_CASE("US-35 guard: a loop that turns keeps its output for much longer than the watchdog") {

@@ -169,6 +169,59 @@ TEST_SUITE("outputs") {
     CHECK(b.output.value() == 0);
   }
 
+  TEST_CASE("US-35 an output is safe `max_age` after one of its topics fell silent, whatever the others bring") {
+    if (!Expression::available()) return;
+    Bench b;
+    Feed<Air> air(b.loop, {.name = "air"}), oven(b.loop, {.name = "oven"});
+    LimitSensor alarm(b.loop, {.name = "hot"}, {.on = "oven", .high = 30, .silence = 0s});
+    const auto give = [&](Feed<Air>& to, double temperature) {
+      to.publish({temperature});
+      b.loop.advance(1ms);
+    };
+    for (const std::string& on : {std::string("hot"), std::string("oven")}) {
+      CAPTURE(on);
+      give(oven, 20);
+      b.loop.advance(2s);  // the alarm tells of a change once in a second
+      b.make({.on = on,
+              .with = {"air", on == "hot" ? "oven" : "hot"},
+              .expression = "hot.is_active and air.temperature < 50 and oven.temperature > 0",
+              .max_age = 4s});
+      (void)b.told();
+      give(air, 20);
+      give(oven, 20);
+      give(oven, 20);  // after what the alarm made of the one before
+      CHECK(b.output.value() == 0);
+      give(air, 20);  // for the last time
+      for (int i = 0; i < 3; ++i) {
+        b.loop.advance(1s);
+        give(oven, 20);
+      }
+      b.loop.advance(200ms);
+      give(oven, 40);  // the alarm changes, 3.2 s after
+      give(oven, 40);
+      CHECK(b.output.value() == 1);
+      b.loop.advance(793ms);
+      CHECK(b.output.value() == 1);  // 3.999 s after
+      b.errors.clear();
+      b.loop.advance(1ms);
+      CHECK(b.output.value() == 0);
+      CHECK(b.errors == Lines{"the topic \"air\" has brought nothing for 4 s"});
+      // Neither another topic nor a change of the alarm makes it go on.
+      for (const double temperature : {20, 40, 40}) {
+        b.loop.advance(1s);
+        give(oven, temperature);
+      }
+      CHECK(b.output.value() == 0);
+      CHECK(b.errors.size() == 1);
+      CHECK(b.output.health() == Health::degraded);
+      give(air, 20);
+      if (on == "oven") give(oven, 40);
+      CHECK(b.output.value() == 1);
+      CHECK(b.output.health() == Health::ok);
+      b.output.close();
+    }
+  }
+
   TEST_CASE("US-35 a device that is slow holds no loop: the time it took is told, and only the latest value waits") {
     Bench b;
     b.make({});
