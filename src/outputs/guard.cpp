@@ -9,6 +9,7 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <chrono>
 #include <new>
 
 #include "outputs/guard_link.hpp"
@@ -100,7 +101,17 @@ Result<int> OutputGuard::Link::introduce(double safe, const std::string& what, s
 
 void OutputGuard::Link::release(std::uint32_t slot) noexcept {
   const std::lock_guard lock(mutex);
+  patience[slot].loop.store(nullptr);
   is_taken[slot] = false;
+}
+
+void OutputGuard::Link::beat_for(const Loop& loop) noexcept {
+  for (std::size_t slot = 0; slot < patience.size(); ++slot) {
+    if (patience[slot].loop.load(std::memory_order_relaxed) != &loop) continue;
+    const Duration now = std::chrono::steady_clock::now().time_since_epoch();
+    beats[slot].until.store(now.count() + patience[slot].time.load(std::memory_order_relaxed),
+                            std::memory_order_release);
+  }
 }
 
 }  // namespace rtdata

@@ -14,6 +14,7 @@
 
 #include "loop/support/fitting.hpp"
 #include "rtdata/data/error.hpp"
+#include "rtdata/loop/loop.hpp"
 #include "rtdata/outputs/guard.hpp"
 
 namespace rtdata {
@@ -28,6 +29,12 @@ struct alignas(64) GuardBeat {
   std::atomic<std::int64_t> seen{0};   // when the guard looked at that last, which it does while the output is not safe
 };
 static_assert(std::atomic<std::int64_t>::is_always_lock_free, "two processes share it");
+
+/// How long the guard is to wait for a loop that turns no more, of an output; this process alone.
+struct GuardPatience {
+  std::atomic<const Loop*> loop{nullptr};
+  std::atomic<std::int64_t> time{0};  // ns
+};
 
 /// Introduces an output; its socket goes with it, and what its Actuator is made of follows.
 struct GuardIntroduction {
@@ -82,12 +89,15 @@ struct OutputGuard::Link {
   /// The socket of an output that the guard knows from now on. Errors: disconnected, and no descriptors.
   Result<int> introduce(double safe, const std::string& what, std::uint32_t& slot);
   void release(std::uint32_t slot) noexcept;
+  /// The loop waits for an output's device, and so cannot beat for those that it has.
+  void beat_for(const Loop& loop) noexcept;
 
   int socket = -1;
   pid_t process = -1;
   detail::GuardBeat* beats = nullptr;
   std::mutex mutex;  // outputs are made on the threads of all loops
   std::vector<bool> is_taken = std::vector<bool>(detail::most_guarded);
+  std::vector<detail::GuardPatience> patience = std::vector<detail::GuardPatience>(detail::most_guarded);
 };
 
 }  // namespace rtdata

@@ -16,6 +16,7 @@ namespace {
 
 constexpr const char* cannot_set = "cannot set the output";
 constexpr auto longest_wait = std::chrono::seconds{5};
+constexpr int beat_ms = 10;
 
 class GuardPort final : public OutputPort {
  public:
@@ -41,7 +42,10 @@ class GuardPort final : public OutputPort {
   }
   std::optional<Result<void>> late_trip() const override { return late_trip_; }
   void beat(MonotonicTime until) noexcept override {
-    if (socket_ >= 0) link_->beats[slot_].until.store(until.time_since_epoch().count(), std::memory_order_release);
+    if (socket_ < 0) return;
+    link_->beats[slot_].until.store(until.time_since_epoch().count(), std::memory_order_release);
+    link_->patience[slot_].time.store((until - loop_.now()).count(), std::memory_order_relaxed);
+    link_->patience[slot_].loop.store(&loop_, std::memory_order_relaxed);
   }
   std::optional<MonotonicTime> guard_seen() const noexcept override {
     if (socket_ < 0) return {};
@@ -77,14 +81,16 @@ class GuardPort final : public OutputPort {
       return Error{Errc::backlog, cannot_set, "", "its guard takes no more orders", "look at the device"};
     return ended();
   }
-  /// Waits for the answer to this order.
+  /// Waits for the answer to this order, while the loop's other outputs are held.
   Result<void> exchange(const GuardOrder& order) {
     if (const Result<void> sent = send(order); !sent) return sent;
     const auto until = std::chrono::steady_clock::now() + longest_wait;
     while (std::chrono::steady_clock::now() < until) {
       pollfd one{socket_, POLLIN, 0};
-      const auto left = std::chrono::duration_cast<std::chrono::milliseconds>(until - std::chrono::steady_clock::now());
-      if (::poll(&one, 1, static_cast<int>(left.count()) + 1) <= 0) continue;
+      if (::poll(&one, 1, beat_ms) <= 0) {
+        link_->beat_for(loop_);
+        continue;
+      }
       GuardAnswer answer;
       const ssize_t got = ::recv(socket_, &answer, sizeof answer, MSG_DONTWAIT);
       if (got < 0 && (errno == EAGAIN || errno == EINTR)) continue;

@@ -41,6 +41,7 @@ class FileActuator final : public Actuator {
     if (path_.find("refused") != std::string::npos)
       return Error{Errc::busy, "cannot open", path_, "somebody has it", "ask them"};
     if (is_mute()) return mute();
+    if (path_.find("slow") != std::string::npos) std::this_thread::sleep_for(1s);
     is_open_ = true;
     write("open " + (value ? std::to_string(*value).substr(0, 3) : "kept"));
     return {};
@@ -316,6 +317,20 @@ TEST_SUITE("outputs") {
     b.loop.run_for(2s);
     CHECK(b.output.value() == 1);
     CHECK(b.causes == Lines{"start", "set"});
+  }
+
+  TEST_CASE("US-35 guard: an output keeps its value while the loop waits for the device of another") {
+    OutputConfig config;
+    config.watchdog = 200ms;
+    Bench b(config);
+    b.output.set(1).or_throw();
+    CHECK(b.turn_until([&] { return b.output.value() == 1; }));
+    Output slow(b.loop, {.name = "slow"}, {}, b.directory.file("slow"));  // for a second
+    CHECK(b.turn_until([&] { return slow.value() == 0; }));
+    CHECK(b.output.is_armed());
+    CHECK(b.output.value() == 1);
+    CHECK(b.count("watchdog") == 0);
+    CHECK(lines_of(b.path) == Lines{"open 0.0", "set 1.0"});
   }
 
   TEST_CASE("US-35 guard: when it is killed the program takes the device, sets it safe, and stays so") {
