@@ -145,6 +145,27 @@ TEST_SUITE("sinks") {
     CHECK(verdict_of(path) == Verdict::balanced);
   }
 
+  TEST_CASE("a topic that is added to a sink begins with what comes then, or at its first row, as a new sink does") {
+    for (const From from : {From::now, From::beginning}) {
+      CAPTURE(static_cast<int>(from));
+      Folder folder;
+      auto peer = std::make_shared<ScriptedPeer::Script>();
+      const std::string path = folder / "run.db";
+      std::size_t came = 0;
+      for (const char* const topics : {"a", "#"}) {
+        Run run(path, peer, {.name = "peer", .topics = {topics}, .from = from});
+        run.published = static_cast<double>(came);
+        run.publish(10, "a");
+        run.publish(10, "b");
+        run.loop.advance(3s);
+        CHECK(run.loop.close(1s) == 0);
+        const std::size_t expected = came == 0 ? 10 : from == From::now ? 30 : 40;
+        CHECK(peer->events.size() == expected);
+        came = peer->events.size();
+      }
+    }
+  }
+
   TEST_CASE("what is recorded while it closes waits for a peer that is away then, whenever it closes") {
     for (const auto before : {0ms, 1ms, 500ms, 999ms, 1000ms, 1001ms}) {
       Folder folder;

@@ -127,24 +127,28 @@ Result<void> Positions::write_begins(Database& database) {
 }
 
 Result<void> Positions::write_begin(Database& database, const std::string& name, const GoingThrough& sink) {
-  const std::string host = host_name();
-  auto come = database.prepare("INSERT OR IGNORE INTO rtdata_position VALUES(?, '', 0, 0, ?, 0, ?)");
+  auto known = database.prepare("SELECT origin, host FROM rtdata_position WHERE sink = ? AND table_name = ''");
+  if (!known) return std::move(known).error();
+  known->bind(1, name);
+  auto row = known->step();
+  if (!row) return std::move(row).error();
+  const bool is_known = *row;
+  const std::string topics_before(is_known ? known->text(0) : "");
+  const std::string host(is_known ? std::string(known->text(1)) : host_name());
+  known->reset();
+  if (is_known && topics_before == sink.topics) return {};
+  auto come = database.prepare("INSERT OR REPLACE INTO rtdata_position VALUES(?, '', 0, 0, ?, 0, ?)");
   if (!come) return std::move(come).error();
   come->bind(1, name).bind(2, sink.topics).bind(3, host);
   if (auto done = come->run(); !done) return done;
-  if (sqlite3_changes(database.raw()) == 0) {  // it goes on where it was
-    auto change = database.prepare("UPDATE rtdata_position SET origin = ? WHERE sink = ? AND table_name = ''");
-    if (!change) return std::move(change).error();
-    change->bind(1, sink.topics).bind(2, name);
-    return change->run();
-  }
+  if (is_known && topics_before.empty()) return {};  // by an older version: which topics are new is not known
   auto topics = database.prepare("SELECT topic, table_name FROM rtdata_topic");
   if (!topics) return std::move(topics).error();
   for (;;) {
-    auto row = topics->step();
-    if (!row) return std::move(row).error();
-    if (!*row) return {};
-    if (!has_topic(sink.topics, topics->text(0))) continue;
+    auto topic = topics->step();
+    if (!topic) return std::move(topic).error();
+    if (!*topic) return {};
+    if (!has_topic(sink.topics, topics->text(0)) || has_topic(topics_before, topics->text(0))) continue;
     const std::string table(topics->text(1)), rows = " FROM " + quoted(table) + " ORDER BY rowid";
     auto begin = database.prepare(
         "INSERT OR IGNORE INTO rtdata_position SELECT ?1, ?2, * FROM (SELECT " +

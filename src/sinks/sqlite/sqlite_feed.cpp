@@ -34,17 +34,25 @@ Result<void> SqliteFeed::open() {
   if (!version) return std::move(version).error();
   get_schema_version_ = std::move(*version);
   recording_.emplace(std::move(*opened));
+  return {};
+}
+
+Result<void> SqliteFeed::look_at_beginning() {
+  const detail::RecordingFile& file = *recording_->file();
   auto has_table = file.database.integer("SELECT count(*) FROM sqlite_schema WHERE name = 'rtdata_position'");
   if (!has_table) return std::move(has_table).error();
   is_new_ = true;
+  topics_before_.clear();
   if (*has_table == 0) return {};
-  auto known = file.prepare("SELECT host FROM rtdata_position WHERE sink = ? AND table_name = ''");
+  auto known = file.prepare("SELECT host, origin FROM rtdata_position WHERE sink = ? AND table_name = ''");
   if (!known) return std::move(known).error();
   known->bind(1, config_.sink);
   auto row = known->step();
   if (!row) return std::move(row).error();
   is_new_ = !*row;
-  if (*row && known->text(0) != host_name()) {
+  if (!*row) return {};
+  topics_before_ = known->text(1);
+  if (known->text(0) != host_name()) {
     remarks_.push_back("goes on where the machine " + std::string(known->text(0)) +
                        " has got to in this recording; if that machine still sends it, events arrive twice");
     positions_->set(config_.sink, no_table, {0, 0, lines_of(config_.topics), 0});  // from now on it is this machine's
@@ -53,6 +61,9 @@ Result<void> SqliteFeed::open() {
 }
 
 Result<void> SqliteFeed::look() {
+  if (!has_looked_) {
+    if (auto looked = look_at_beginning(); !looked) return looked;
+  }
   auto row = get_schema_version_.step();
   if (!row) return std::move(row).error();
   const std::int64_t version = get_schema_version_.integer(0);
@@ -78,6 +89,8 @@ Result<void> SqliteFeed::look() {
     rows_of_new_tables_ = removed_of_new_tables_ = 0;
   }
   is_new_ = false;  // tables that are made from now on are new themselves
+  topics_before_.clear();
+  has_looked_ = true;
   if (config_.times == detail::RowFeedConfig::Times::utc) {
     auto pairs = recording_->file()->database.integer("SELECT coalesce(max(rowid), 0) FROM rtdata_clock");
     if (!pairs) return std::move(pairs).error();
@@ -206,7 +219,8 @@ Result<Position> SqliteFeed::position_in(const Table& table) {
   }
   if (is_stored && position.row != 0) return position_now(table, std::move(position));
   if (!is_stored) {
-    auto first = !is_new_ ? Result(Position{}) : config_.from == From::beginning ? beginning_of(table) : end_of(table);
+    const bool is_new = is_new_ || (!topics_before_.empty() && !has_topic(topics_before_, table.topic.topic));
+    auto first = !is_new ? Result(Position{}) : config_.from == From::beginning ? beginning_of(table) : end_of(table);
     if (!first) return first;
     position = *std::move(first);
   }

@@ -72,6 +72,8 @@ class SqliteFeed final : public detail::RowFeed {
   };
 
   Result<void> open();
+  /// What the file knows of the sink when it comes.
+  Result<void> look_at_beginning();
   /// Tables that are new, what was deleted, and the last row of each.
   Result<void> look();
   Result<void> look_at(Table& table);
@@ -114,7 +116,9 @@ class SqliteFeed final : public detail::RowFeed {
   std::int64_t topics_known_ = 0;
   std::int64_t clock_pairs_ = -1;  // rows of rtdata_clock when the lines of UTC were made
   std::int64_t first_run_with_escapes_ = 0;
-  bool is_new_ = false;  // the sink comes to this recording for the first time
+  bool has_looked_ = false;
+  bool is_new_ = false;        // the sink comes to this recording for the first time
+  std::string topics_before_;  // lines: of the sink when it came the last time; of the first look alone, with is_new_
   std::vector<Mark> marks_;
   std::size_t settled_ = 0;                  // of those
   std::uint64_t removed_ahead_ = 0;          // since the last row that was put into the queue
