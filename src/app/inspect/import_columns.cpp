@@ -107,8 +107,8 @@ void name_columns(std::vector<ImportColumn>& columns) {
   }
 }
 
-Result<std::shared_ptr<const Description>> describe_columns(std::vector<ImportColumn>& columns,
-                                                            std::size_t time_column, const std::string& file) {
+Result<std::shared_ptr<const Description>> describe_columns(std::vector<ImportColumn>& columns, std::size_t time_column,
+                                                            const std::string& file) {
   DescriptionBuilder builder("import");
   const std::span<ImportColumn> all(columns);
   for (std::size_t i = 0; i < columns.size(); ++i) {
@@ -135,8 +135,8 @@ Result<std::shared_ptr<const Description>> describe_columns(std::vector<ImportCo
       builder.text(column.name, column.longest, presence);
     } else {
       return import_refused(file,
-                     "a text in column " + column.heading + " has " + std::to_string(column.longest) + " bytes",
-                     "1024 at most");
+                            "a text in column " + column.heading + " has " + std::to_string(column.longest) + " bytes",
+                            "1024 at most");
     }
   }
   return builder.build();

@@ -38,8 +38,8 @@ void name_columns(std::vector<ImportColumn>& columns);
 
 /// The payload of all columns with values but the one of time; of numbers "accel[0]", "accel[1]" an array, whose
 /// elements are named after it. `file`: for errors, which are bad-argument and those of DescriptionBuilder.
-Result<std::shared_ptr<const Description>> describe_columns(std::vector<ImportColumn>& columns,
-                                                            std::size_t time_column, const std::string& file);
+Result<std::shared_ptr<const Description>> describe_columns(std::vector<ImportColumn>& columns, std::size_t time_column,
+                                                            const std::string& file);
 
 /// The cell as its column is described.
 Value value_of(const ImportColumn& column, const detail::CsvCell& cell);

@@ -12,9 +12,9 @@ namespace rtdata::app {
 struct ImportNotation {
   char separator = ',';
   char decimal = '.';
-  std::string zone = {};               ///< of times that say none; empty: these are refused
-  Duration scale{1'000'000'000};       ///< what 1 is of times that are numbers
-  Time start{};                        ///< what 0 is of these
+  std::string zone = {};          ///< of times that say none; empty: these are refused
+  Duration scale{1'000'000'000};  ///< what 1 is of times that are numbers
+  Time start{};                   ///< what 0 is of these
 };
 
 /// Whether the text is a number, and which.
