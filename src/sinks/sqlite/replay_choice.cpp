@@ -28,14 +28,14 @@ Result<std::optional<GivenTime>> given_time(const char* key, const std::string& 
   auto time = parse_iso8601(text);
   if (time) return std::optional<GivenTime>{{*time, RowFilter::Times::utc}};
   return replay_refused(std::string(key) + " \"" + text + "\"", "it is no time",
-                 "write it as 2026-03-01T12:00:00Z, or as recorded ns");
+                        "write it as 2026-03-01T12:00:00Z, or as recorded ns");
 }
 
 Result<std::pair<std::string, std::string>> renaming_of(const std::string& text) {
   const std::size_t at = text.find('=');
   if (at == std::string::npos || !is_topic_name(text.substr(0, at)) || !is_topic_name(text.substr(at + 1))) {
     return replay_refused("rename \"" + text + "\"", "it is not the name of a topic, \"=\", and another name",
-                   "write room=lab/room");
+                          "write room=lab/room");
   }
   return std::pair(text.substr(0, at), text.substr(at + 1));
 }
@@ -48,7 +48,7 @@ Result<RunInfo> chosen_run(const Recording& recording, const ReplayConfig& confi
   for (RunInfo& run : *runs) {
     if (run.state == RunState::recording && run.pid == ::getpid()) {
       return replay_refused(config.file, "this program records into it: what is replayed would be recorded again",
-                     "record into another file");
+                            "record into another file");
     }
     numbers += (numbers.empty() ? "" : ", ") + std::to_string(run.run);
     if (config.run == 0 || run.run == config.run) chosen = std::move(run);
@@ -120,7 +120,8 @@ void check_config(const ReplayConfig& config, const ConfigItem& item, Problems& 
   if (!until) add("until", until.error());
   if (from && until && *from && *until) {
     if ((*from)->line != (*until)->line) {
-      add("until", detail::replay_refused("until", "one of from and until is UTC, the other in ns", "write both in the same way"));
+      add("until", detail::replay_refused("until", "one of from and until is UTC, the other in ns",
+                                          "write both in the same way"));
     } else if ((*from)->time > (*until)->time) {
       add("until", detail::replay_refused("until", "it ends before it begins", "exchange from and until"));
     }

@@ -27,7 +27,7 @@ ReplayNode::ReplayNode(LoopCore& loop, ReplayConfig config)
   if (from || until) filter.times = (from ? from : until)->line;
   if (from && until && (from->line != until->line || from->time > until->time))
     throw SetupError(replay_refused("from " + config_.from + ", until " + config_.until,
-                             "it ends before it begins, or one is UTC and the other in ns", "correct them"));
+                                    "it ends before it begins, or one is UTC and the other in ns", "correct them"));
   Recording recording = Recording::open(config_.file).or_throw();
   run_ = chosen_run(recording, config_).or_throw();
   filter.run = run_.run;
