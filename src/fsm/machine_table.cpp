@@ -86,7 +86,6 @@ std::size_t MachineTable::remove_transitions(std::string_view from, std::string_
   return count;
 }
 
-
 void MachineTable::tidy() {
   has_removed_ = false;
   for (const auto& state : states_)
@@ -135,8 +134,7 @@ Graph MachineTable::graph(const std::string& machine, const std::string& start) 
   return graph;
 }
 
-void MachineTable::refuse(Errc code, const char* what, std::string_view of, std::string why,
-                         std::string advice) const {
+void MachineTable::refuse(Errc code, const char* what, std::string_view of, std::string why, std::string advice) const {
   throw SetupError({code, what, object_ + ", " + std::string(of), std::move(why), std::move(advice)});
 }
 

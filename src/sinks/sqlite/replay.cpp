@@ -207,13 +207,12 @@ void ReplayNode::give_health(std::int64_t up_to) {
                                          [&](const Origin& origin) { return origin.core == of; });
     if (!is_replayed) continue;
     HealthChange change;
-    char reason[96];
     change.kind = text<16>("sensor");
     change.name = text<200>(of->name);
     change.state = recorded.state == name_of(Health::ok)         ? Health::ok
                    : recorded.state == name_of(Health::degraded) ? Health::degraded
                                                                  : Health::faulted;
-    change.reason = text<96>(std::string_view(reason, put_fitting(reason, sizeof reason, recorded.reason)));
+    change.reason = fitting<96>(recorded.reason);
     for (Listener* listener : runtime.recorders)
       listener->on_health(recorded.time, recorded.last, change, recorded.count);
     TopicCore& topic = runtime.topic(health_topic, payload_type<HealthChange>());
