@@ -80,7 +80,6 @@ struct ConfiguredMachine::Core {
   std::weak_ptr<Core> self;
 
   Machine machine;
-  Timer begin;     // in the first turn, when all that follows the machine is there
   Timer patience;  // with the card
   Ticker silence;
   std::vector<Subscription> subscriptions;

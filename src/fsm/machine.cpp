@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "data/nearest.hpp"
+#include "fsm/machine_table.hpp"
 #include "loop/core/loop_core.hpp"
 #include "loop/runtime/runtime_core.hpp"
 #include "rtdata/loop/timer.hpp"
@@ -13,14 +14,15 @@
 namespace rtdata::fsm {
 namespace {
 
+using detail::any_event;
+using detail::Entry;
+using detail::MachineTable;
+using detail::no_event;
+using detail::Way;
 using rtdata::detail::LoopCore;
 using rtdata::detail::Node;
 
-/// What makes a machine try its transitions: a named event, by its number, or any other.
-constexpr std::uint16_t any_event = 0xffff;
 constexpr const char* not_standard = "an exception that is no std::exception";
-/// As any_event, without an event: time has passed, or the program asked. What must hold for a time goes by events.
-constexpr std::uint16_t no_event = 0xfffe;
 
 class StateOfFunctions final : public State {
  public:
@@ -36,39 +38,6 @@ class StateOfFunctions final : public State {
  private:
   StateConfig config_;
 };
-
-struct Entry;
-
-// What each event looks at comes first.
-struct Way {
-  std::uint16_t on;         // any_event: it waits for none
-  bool is_removed = false;  // destroyed when no action runs
-  Entry& to;
-  Condition when;
-  Duration after;
-  Duration hold;
-  std::optional<Time> since{};  // its condition has been true, of one with `hold`
-  std::string cause;
-};
-
-/// A state, with the ways out of it.
-struct Entry {
-  std::string name;
-  std::unique_ptr<State> code;
-  bool is_final;
-  bool has_check;  // it decides itself whether it may be gone to
-  std::vector<std::unique_ptr<Way>> ways{};
-};
-
-std::string cause_of(const Transition& transition) {
-  if (!transition.cause.empty()) return transition.cause;
-  std::string cause = transition.on;
-  const auto add = [&](const std::string& more) { cause += (cause.empty() ? "" : ", ") + more; };
-  if (transition.when) add("a condition");
-  if (transition.hold > Duration{0}) add("for " + to_string(transition.hold));
-  if (transition.after > Duration{0}) add("after " + to_string(transition.after));
-  return cause;
-}
 
 /// As much of it as fits, without a broken character at its end.
 text<max_cause> cut(std::string_view cause) {
@@ -89,82 +58,36 @@ class MachineNode final : public Node {
         config_(std::move(config)),
         feed_(loop, {.name = config_.name, .topic = config_.topic}),
         time_(loop, {.name = object()}, [this] { time_passed(); }),
-        go_on_(loop, {.name = object()}, [this] { take_waiting(); }) {
+        go_on_(loop, {.name = object()}, [this] { take_waiting(); }),
+        table_(config_.name) {
     feed_.set_numbered();  // it makes its events itself
   }
 
   // Its table
   void add_state(std::string name, std::unique_ptr<State> code, bool is_final, bool has_check) {
     check_use("cannot add a state");
-    check_name(name, "state");
-    if (code == nullptr) refuse(Errc::bad_argument, "cannot add state", name, "there is no state", "give it one");
-    if (find(name) != nullptr) {
-      refuse(Errc::bad_name, "cannot add state", name, "there is one of that name already",
-             "remove it first, or give it another name");
-    }
-    states_.push_back(std::make_unique<Entry>(Entry{std::move(name), std::move(code), is_final, has_check}));
+    table_.add_state(std::move(name), std::move(code), is_final, has_check);
   }
   void remove_state(std::string_view name) {
     check_use("cannot remove a state");
-    Entry& state = entry(name, "cannot remove state");
+    Entry& state = table_.entry(name, "cannot remove state");
     if (&state == current_ || &state == going_to_)
-      refuse(Errc::busy, "cannot remove state", state.name, "the machine is in it", "leave it first");
-    if (state.name == config_.failure && current_ != nullptr)
-      refuse(Errc::busy, "cannot remove state", state.name, "the machine goes to it when an action throws", "keep it");
-    for (const auto& other : states_)
-      for (const auto& way : other->ways)
-        if (&way->to == &state) way->is_removed = true;
-    const auto found = std::find_if(states_.begin(), states_.end(), [&](const auto& e) { return e.get() == &state; });
-    has_removed_ = true;
-    removed_.push_back(std::move(*found));
-    states_.erase(found);
+      table_.refuse(Errc::busy, "cannot remove state", state.name, "the machine is in it", "leave it first");
+    if (state.name == config_.failure && current_ != nullptr) {
+      table_.refuse(Errc::busy, "cannot remove state", state.name, "the machine goes to it when an action throws",
+                    "keep it");
+    }
+    table_.remove_state(state);
     tidy();
   }
   void add_transition(Transition transition) {
     check_use("cannot add a transition");
-    Entry& from = entry(transition.from, "cannot add a transition from");
-    Entry& to = entry(transition.to, "cannot add a transition to");
-    const std::string name = transition.from + " to " + transition.to;
-    if (transition.hold > Duration{0} && !transition.when)
-      refuse(Errc::bad_argument, "cannot add transition", name, "`hold` without a condition",
-             "give `when`, or use `after`");
-    if (transition.hold < Duration{0} || transition.after < Duration{0})
-      refuse(Errc::bad_argument, "cannot add transition", name, "a time is negative", "give 0 or more");
-    if (transition.hold > Duration{0} && !transition.on.empty()) {
-      refuse(Errc::bad_argument, "cannot add transition", name,
-             "`hold` with `on`: a condition is asked once with a named event", "leave one of them out");
-    }
-    std::uint16_t on = any_event;
-    if (!transition.on.empty()) {
-      check_name(transition.on, "event");
-      on = event_number(transition.on);
-      if (on == any_event) {
-        if (events_.size() >= no_event)
-          refuse(Errc::bad_argument, "cannot add transition", name, "there are too many events", "use fewer");
-        events_.push_back(transition.on);
-        on = static_cast<std::uint16_t>(events_.size() - 1);
-      }
-    }
-    std::string cause = cause_of(transition);
-    from.ways.push_back(std::make_unique<Way>(Way{.on = on,
-                                                  .to = to,
-                                                  .when = std::move(transition.when),
-                                                  .after = transition.after,
-                                                  .hold = transition.hold,
-                                                  .cause = std::move(cause)}));
+    const Entry& from = table_.add_transition(std::move(transition));
     if (&from == current_ && going_to_ == nullptr) arm();
   }
   std::size_t remove_transitions(std::string_view from, std::string_view to) {
     check_use("cannot remove transitions");
-    Entry& source = entry(from, "cannot remove transitions from");
-    const Entry& target = entry(to, "cannot remove transitions to");
-    std::size_t count = 0;
-    for (const auto& way : source.ways) {
-      if (&way->to != &target || way->is_removed) continue;
-      has_removed_ = true;
-      way->is_removed = true;
-      ++count;
-    }
+    const std::size_t count = table_.remove_transitions(from, to);
     tidy();
     return count;
   }
@@ -173,8 +96,8 @@ class MachineNode final : public Node {
   void start(std::string_view name, std::string_view cause, Duration in_state) {
     check_use("cannot start");
     if (current_ != nullptr || going_to_ != nullptr) return;
-    Entry& state = entry(name.empty() ? std::string_view(config_.start) : name, "cannot start in");
-    if (!config_.failure.empty()) (void)entry(config_.failure, "cannot have as the state after failures");
+    Entry& state = table_.entry(name.empty() ? std::string_view(config_.start) : name, "cannot start in");
+    if (!config_.failure.empty()) (void)table_.entry(config_.failure, "cannot have as the state after failures");
     const rtdata::detail::Call call(*this);
     const LoopCore::Calling calling(loop()->runtime);
     is_busy_ = true;
@@ -184,7 +107,7 @@ class MachineNode final : public Node {
   }
   void raise(std::string_view name) {
     check_use("cannot raise an event");
-    const std::uint16_t number = event_number(name);
+    const std::uint16_t number = table_.event_number(name);
     if (number == any_event) return unknown(name);
     take_now(number);
   }
@@ -214,60 +137,13 @@ class MachineNode final : public Node {
   Duration in_state() const { return current_ != nullptr ? loop()->now() - arrived_ : Duration{0}; }
   const MachineCounts& counts() const noexcept { return counts_; }
   const std::string& name() const noexcept { return config_.name; }
-  Graph graph() const {
-    Graph graph;
-    graph.name = config_.name;
-    const auto index = [&](const Entry& state) {
-      return static_cast<std::size_t>(
-          std::find_if(states_.begin(), states_.end(), [&](const auto& e) { return e.get() == &state; }) -
-          states_.begin());
-    };
-    for (const auto& state : states_) {
-      if (state->name == config_.start) graph.start = graph.states.size();
-      graph.states.push_back({state->name, state->is_final});
-    }
-    for (const auto& state : states_) {
-      for (const auto& way : state->ways) {
-        if (way->is_removed) continue;
-        graph.edges.push_back({index(*state), index(way->to), way->cause, way->on == any_event ? "" : events_[way->on],
-                               !way->when && !way->to.has_check, way->after});
-      }
-    }
-    return graph;
-  }
+  Graph graph() const { return table_.graph(config_.name, config_.start); }
   std::string callback_name() const override { return object(); }
 
  private:
   ~MachineNode() override;
   std::string object() const { return "machine " + config_.name; }
   void check_use(const char* what) const { loop()->check_thread(what, config_.name); }
-
-  [[noreturn]] void refuse(Errc code, const char* what, std::string_view of, std::string why,
-                           std::string advice) const {
-    throw SetupError({code, what, object() + ", " + std::string(of), std::move(why), std::move(advice)});
-  }
-  void check_name(const std::string& name, const char* what) const {
-    if (name.empty()) refuse(Errc::bad_name, "cannot add", what, "its name is empty", "give it one");
-    if (name.size() > max_name) {
-      refuse(Errc::bad_name, "cannot add", what + (" " + name),
-             "its name is longer than " + std::to_string(max_name) + " bytes", "give it a shorter one");
-    }
-  }
-  Entry* find(std::string_view name) const noexcept {
-    const auto found = std::find_if(states_.begin(), states_.end(), [&](const auto& e) { return e->name == name; });
-    return found == states_.end() ? nullptr : found->get();
-  }
-  Entry& entry(std::string_view name, const char* what) const {
-    if (Entry* const found = find(name)) return *found;
-    std::vector<std::string_view> names;
-    for (const auto& state : states_) names.push_back(state->name);
-    refuse(Errc::not_found, what, "state " + std::string(name), "there is no state of that name",
-           rtdata::detail::suggestion(name, names));
-  }
-  std::uint16_t event_number(std::string_view name) const noexcept {
-    const auto found = std::find(events_.begin(), events_.end(), name);
-    return found == events_.end() ? any_event : static_cast<std::uint16_t>(found - events_.begin());
-  }
 
   // Events
   /// An event of the program's, maybe outside of the loop's callbacks.
@@ -290,7 +166,7 @@ class MachineNode final : public Node {
   void keep(std::uint16_t event, Time time) {
     if (waiting_ == queue_.size()) {
       ++counts_.dropped;
-      return report(Errc::backlog, "an event was dropped", event >= no_event ? "of an input" : events_[event],
+      return report(Errc::backlog, "an event was dropped", event >= no_event ? "of an input" : table_.events()[event],
                     std::to_string(queue_.size()) + " wait for the end of a change already",
                     "raise fewer in one action");
     }
@@ -321,17 +197,11 @@ class MachineNode final : public Node {
   /// When an action or a condition is done, and what it called.
   void ended() {
     is_busy_ = false;
-    if (has_removed_) tidy();
+    if (table_.has_removed()) tidy();
   }
   /// Destroys what was removed, when none of it is on the stack.
   void tidy() {
-    if (is_busy_ || !has_removed_) return;
-    has_removed_ = false;
-    for (const auto& state : states_)
-      state->ways.erase(
-          std::remove_if(state->ways.begin(), state->ways.end(), [](const auto& way) { return way->is_removed; }),
-          state->ways.end());
-    removed_.clear();
+    if (!is_busy_ && table_.has_removed()) table_.tidy();
   }
 
   void try_ways(std::uint16_t event, Time time, MonotonicTime now) {
@@ -343,7 +213,7 @@ class MachineNode final : public Node {
     }
     Entry& from = *current_;
     const Moment moment{time, from.name, now - arrived_,
-                        is_named ? std::string_view(events_[event]) : std::string_view()};
+                        is_named ? std::string_view(table_.events()[event]) : std::string_view()};
     if (Way* const way = way_out(from, event, moment)) {
       ++counts_.transitions;
       go(way->to, way->cause, time);
@@ -398,7 +268,7 @@ class MachineNode final : public Node {
   /// Goes to a state, and on to the failure state when an action threw.
   void go(Entry& target, std::string_view cause, Time time, Duration before = Duration{0}) {
     Entry* to = &target;
-    Entry* const failure = config_.failure.empty() ? nullptr : find(config_.failure);
+    Entry* const failure = config_.failure.empty() ? nullptr : table_.find(config_.failure);
     const char* why = nullptr;
     going_to_ = to;
     if (current_ != nullptr) {
@@ -479,7 +349,7 @@ class MachineNode final : public Node {
   void unknown(std::string_view name) {
     ++counts_.ignored;
     report(Errc::bad_name, "cannot raise event", name, "no transition waits for an event of that name",
-           rtdata::detail::suggestion(name, {events_.begin(), events_.end()}));
+           rtdata::detail::suggestion(name, {table_.events().begin(), table_.events().end()}));
   }
 
   void on_close() noexcept override {
@@ -495,10 +365,7 @@ class MachineNode final : public Node {
   Feed<StateChange> feed_;
   Timer time_;   // for the next `after`
   Timer go_on_;  // with events that wait, after a turn of the loop
-  std::vector<std::unique_ptr<Entry>> states_;
-  std::vector<std::unique_ptr<Entry>> removed_;  // while an action runs
-  bool has_removed_ = false;                     // of these, or of ways
-  std::vector<std::string> events_;              // by their number
+  MachineTable table_;
   Entry* current_ = nullptr;
   Entry* going_to_ = nullptr;  // while a change is under way
   MonotonicTime arrived_{};
@@ -517,10 +384,7 @@ class MachineNode final : public Node {
 
 // Apart, so that what ends a call (`Call`) stays short.
 MachineNode::~MachineNode() = default;
-void MachineNode::drop_callbacks() noexcept {
-  states_.clear();
-  removed_.clear();
-}
+void MachineNode::drop_callbacks() noexcept { table_.clear(); }
 
 namespace {
 

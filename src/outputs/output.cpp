@@ -20,12 +20,6 @@ constexpr const char* cannot_set = "cannot set the output";
 constexpr Duration retry_period = std::chrono::seconds{1};
 constexpr Duration answer_limit = std::chrono::seconds{3};  // longer than a lane's
 
-template <std::size_t N>
-text<N> fitted(std::string_view content) {
-  char buffer[N];
-  return text<N>(std::string_view(buffer, detail::put_fitting(buffer, N, content)));
-}
-
 /// Why the configuration cannot work; empty: it can.
 std::string refusal_of(const OutputConfig& config) {
   if (!std::isfinite(config.safe)) return "`safe` is no finite number";
@@ -81,7 +75,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     if (!std::isfinite(value)) return refusal(Errc::bad_argument, "the value is no finite number", "");
     if (input_)
       return refusal(Errc::bad_argument, "it follows the topic \"" + config_.on + "\"", "disarm it to hold it safe");
-    const Order order{value, OutputCause::set, fitted<48>(by), now()};
+    const Order order{value, OutputCause::set, fitting<48>(by), now()};
     if (!is_armed_) {
       record(order, {}, "it is disarmed");
       return refusal(Errc::not_permitted, "it is disarmed", "arm it first");
@@ -106,7 +100,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     port_->arm();
     is_armed_ = true;
     has_tripped_ = false;
-    record({config_.safe, OutputCause::arm, fitted<48>(by), now()}, value_, is_failing_ ? "the device has failed" : "");
+    record({config_.safe, OutputCause::arm, fitting<48>(by), now()}, value_, is_failing_ ? "the device has failed" : "");
     recall();
     settle();
     return {};
@@ -261,7 +255,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   }
   void be_safe(OutputCause cause, std::string_view by) {
     if (input_) input_->follow(config_.safe);
-    request({config_.safe, cause, fitted<48>(by), now()});
+    request({config_.safe, cause, fitting<48>(by), now()});
   }
 
   void answered(Result<void> result) override {
@@ -367,7 +361,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   void tell_trip(const Result<void>& done) {
     is_armed_ = false;
     value_ = done ? std::optional(config_.safe) : std::nullopt;
-    record({config_.safe, OutputCause::watchdog, fitted<48>("guard"), now()}, value_, done ? "" : done.error().why);
+    record({config_.safe, OutputCause::watchdog, fitting<48>("guard"), now()}, value_, done ? "" : done.error().why);
     Error error{Errc::not_turning, "the guard has set the output to its safe value", name(),
                 "the loop did not turn for " + to_string(config_.watchdog),
                 "look for what held it, then arm the output again"};
@@ -418,7 +412,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     else if (!stale_.is_running())
       stale_.start_at(silence.since + config_.max_age);
     if (is_armed_ && !is_failing_)
-      request({*value, OutputCause::input, fitted<48>(config_.on), now()});
+      request({*value, OutputCause::input, fitting<48>(config_.on), now()});
     else
       input_->follow(config_.safe);
     settle();
@@ -469,7 +463,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   void record(const Order& order, std::optional<double> done, std::string_view why) {
     OutputChange change{.asked = order.value, .done = done, .cause = order.cause, .armed = is_armed_, .by = order.by};
     if (done) change.took = std::chrono::duration<double>(now() - order.asked).count();
-    change.why = fitted<160>(why);
+    change.why = fitting<160>(why);
     if (!is_running()) return;
     take_sample(&change, loop()->runtime.event_time(now()));
     told_armed_ = change.armed;

@@ -125,6 +125,25 @@ TEST_SUITE("app") {
     b.end();
   }
 
+  TEST_CASE("a machine that cannot read whether an output was armed says so, and leaves it disarmed") {
+    if (!rtdata::Expression::available()) return;
+    Bench b;
+    b.start();
+    CHECK(b.ctl({"arm", "igniter"}) == "output igniter is armed\n");
+    b.process->signal(SIGKILL);
+    CHECK(b.process->end() == 128 + SIGKILL);
+    rtdata::sqlite::Database::open(b.folder.path() + "/run.db", rtdata::sqlite::Database::Mode::write)
+        .or_throw()
+        .execute("UPDATE igniter SET armed = 'x'")
+        .or_throw();
+    b.start();
+    CHECK_MESSAGE(has(b.process->err, "error: machine m: output igniter is not armed again, since it cannot be read"),
+                  b.process->err);
+    CHECK(has(b.ctl({"set", "igniter", "1"}, 1), "it is disarmed"));
+    b.process->signal(SIGTERM);
+    CHECK(b.process->end() == 0);
+  }
+
   TEST_CASE("US-35 US-41 a reload of what a machine uses fires nothing again, and leaves what is armed alone") {
     if (!rtdata::Expression::available()) return;
     Bench b;

@@ -89,6 +89,40 @@ TEST_SUITE("app") {
     CHECK(has(first.out, "1795665132554291438,ms,1,1\n"));
   }
 
+  TEST_CASE("import: an array whose name a column or another array has is numbered") {
+    const Folder folder;
+    folder.write("x.csv", "t,accel,accel[0],accel[1],a b[0],a b[1],a_b[0],a_b[1]\n0,1,2,3,4,5,6,7\n");
+    Process import(folder, program, {"import", "x.csv", "--time", "t"});
+    CHECK(import.end() == 0);
+    CHECK_MESSAGE(import.err.empty(), import.err);
+    Process rows(folder, program, {"export", "x.db"});
+    CHECK(rows.end() == 0);
+    CHECK(rows.out ==
+          "time,origin,sequence,accel,accel_2[0],accel_2[1],a_b[0],a_b[1],a_b_2[0],a_b_2[1]\n"
+          "0,x,1,1,2,3,4,5,6,7\n");
+  }
+
+  TEST_CASE("import: times beyond what can be recorded are refused, also those that --start puts there") {
+    const Folder folder;
+    folder.write("x.csv", "t,v\n0,1\n8000000000000000000,2\n");
+    folder.write("y.csv", "t,v\n-9000000000000000000,1\n9000000000000000000,2\n");
+    folder.write("z.csv", "t,v\n-1e30,1\n");
+    const auto refuses = [&](const char* file, const char* start, const std::string& why) {
+      Process import(folder, program, {"import", file, "--time", "t", "--scale", "1ns", "--start", start});
+      CAPTURE(start);
+      CHECK(import.end() == 1);
+      CHECK_MESSAGE(has(import.err, why), import.err);
+    };
+    refuses("x.csv", "2026-03-01T12:00:00Z",
+            "x.csv:3: \"8000000000000000000\" in column t is no time that can be recorded");
+    refuses("y.csv", "1960-01-01T00:00:00Z",
+            "y.csv:2: \"-9000000000000000000\" in column t is no time that can be recorded");
+    refuses("y.csv", "1970-01-01T00:00:00Z", "y.csv: its times span more than 292 years: look at --scale");
+    refuses("z.csv", "2200-01-01T00:00:00Z", "z.csv:2: \"-1e30\" in column t is no time that can be recorded");
+    for (const auto& entry : std::filesystem::directory_iterator(folder.path()))
+      CHECK(entry.path().extension() == ".csv");
+  }
+
   TEST_CASE("FW-5 import: rows that do not follow in time are moved, which is said; absolute times; a second table") {
     const Folder folder;
     folder.write(
@@ -118,6 +152,7 @@ TEST_SUITE("app") {
     folder.write("head.csv", "t,v\n");
     folder.write("twice.csv", "t,v,V\n1,2,3\n");
     folder.write("long.csv", "t,v\n1," + std::string(2000, 'x') + "\n");
+    folder.write("lines.csv", "t,v\n1,\"" + std::string(1'000'000, '\n') + "\"\n");
     std::ofstream(folder.path() + "/garbage.csv", std::ios::binary) << std::string(2'000'000, '\x01');
     const auto refuses = [&](std::vector<std::string> arguments, const std::string& why) {
       arguments.insert(arguments.begin(), "import");
@@ -150,6 +185,7 @@ TEST_SUITE("app") {
     refuses({"head.csv", "--time", "t"}, "it has no rows");
     refuses({"twice.csv", "--time", "t"}, "V");
     refuses({"long.csv", "--time", "t"}, "2000 bytes");
+    refuses({"lines.csv", "--time", "t"}, "a text in column v has 1000000 bytes");
     refuses({"garbage.csv", "--time", "t"}, "longer than 1 MiB");
     refuses({"absent.csv", "--time", "t"}, "absent.csv");
     refuses({".", "--time", "t"}, "");

@@ -1,10 +1,7 @@
 // examples/rocket in flight, killed at 20 moments and started again, while its sensors go on.
 #include <doctest/doctest.h>
-#include <fcntl.h>
-#include <pty.h>
 #include <signal.h>
 #include <stdio.h>
-#include <termios.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -21,46 +18,17 @@
 #include "app/flights.hpp"
 #include "app/process.hpp"
 #include "app/runtime_folder.hpp"
+#include "outputs/terminal.hpp"
 #include "paths.hpp"
 #include "rtdata/outputs/output.hpp"
 #include "rtdata/process/expression.hpp"
 
 using namespace rtdata::test;
 using namespace std::chrono_literals;
+using outputs_test::Terminal;
 using Clock = std::chrono::steady_clock;
 
 namespace {
-
-/// A serial line without anything on it, which stays when the program has gone.
-struct Line {
-  int master = -1, slave = -1;
-  std::string name, got;
-  Line() {
-    std::array<char, 128> path{};
-    termios raw{};
-    ::cfmakeraw(&raw);
-    raw.c_cflag |= CREAD | CLOCAL | CS8;
-    REQUIRE(::openpty(&master, &slave, path.data(), &raw, nullptr) == 0);
-    name = path.data();
-    for (const int fd : {master, slave}) ::fcntl(fd, F_SETFD, FD_CLOEXEC);
-    ::fcntl(master, F_SETFL, O_NONBLOCK);
-  }
-  Line(const Line&) = delete;
-  Line& operator=(const Line&) = delete;
-  ~Line() {
-    ::close(master);
-    ::close(slave);
-  }
-  void write(const std::string& text) const { (void)!::write(master, text.data(), text.size()); }
-  /// What came while nobody read is lost, as on a real line.
-  void flush() const { ::tcflush(slave, TCIFLUSH); }
-  const std::string& collect() {
-    char buffer[256];
-    for (ssize_t size; (size = ::read(master, buffer, sizeof buffer)) > 0;)
-      got.append(buffer, static_cast<std::size_t>(size));
-    return got;
-  }
-};
 
 void replace(std::string& text, const std::string& old, const std::string& with) {
   REQUIRE(text.find(old) != std::string::npos);
@@ -74,7 +42,7 @@ class Computer {
     std::string text = source().read("rocket.json");
     replace(text, "\"name\": \"rocket\"", "\"name\": \"" + name_ + "\"");
     replace(text, "/dev/ttyACM0", sensors.name);
-    for (Line* const charge : {&drogue, &backup}) {
+    for (Terminal* const charge : {&drogue, &backup}) {
       const std::string line = charge == &drogue ? "\"GPIO22\"" : "\"GPIO23\"";
       replace(text, "\"type\": \"gpio\", \"line\": " + line,
               "\"type\": \"serial\", \"device\": \"" + charge->name + "\", \"text\": \"<{value}>\"");
@@ -107,7 +75,7 @@ class Computer {
     return one.out + one.err;
   }
 
-  Line sensors, drogue, backup;
+  Terminal sensors, drogue, backup;
   Folder folder;
   std::string err;
 

@@ -36,9 +36,11 @@ struct BrittleConfig {
 struct LampConfig {
   std::string watches;
   std::uint64_t above = 1;
+  bool sticks = false;
   friend constexpr auto parameters(type_tag<LampConfig>) {
     return parameter_list(parameter("watches", &LampConfig::watches, "a topic", required, names_part("topic")),
-                          parameter("above", &LampConfig::above, "on above this number"));
+                          parameter("above", &LampConfig::above, "on above this number"),
+                          parameter("sticks", &LampConfig::sticks, "no other can take it over"));
   }
 };
 struct Lamp {
@@ -66,6 +68,10 @@ Registry registry() {
         return lamp;
       });
     };
+    if (config.sticks)
+      plan.make_again = [](const PartObject&) -> PartPlan::Make {
+        throw SetupError({Errc::busy, "cannot take over", "the lamp", "it sticks", ""});
+      };
   });
   return registry;
 }
@@ -236,6 +242,32 @@ TEST_SUITE("config") {
     loop.advance(1s);
     CHECK(seen >= 99);
     loop.close(1s);
+    CHECK(run.runtime.balances());
+  }
+
+  TEST_CASE("a part that says that it cannot be taken over: nothing is closed, and all goes on") {
+    const auto text = [](int above) {
+      return sensors(
+          counter + R"(, {"name": "b", "type": "tallied", "rate": "10 Hz", "first": )" + std::to_string(above) + "}",
+          R"(, "lamps": {"l": {"type": "led", "watches": "a", "sticks": true, "above": )" + std::to_string(above) +
+              "}}");
+    };
+    Running run(text(3));
+    run.loop.advance(15ms);
+    const auto* const lamp = run.system.parts().find<std::unique_ptr<Lamp>>("lamp", "l");
+    REQUIRE(lamp != nullptr);
+    const AnySensor* const b = &run.system.sensor("b");
+    const std::string why = refusal([&] { run.system.apply(run.next(text(5))); });
+    CHECK(has(why, "it sticks"));
+    CHECK(has(why, "the parts of before are running again"));
+    CHECK_MESSAGE(!has(why, "but not"), why);
+    CHECK(run.system.parts().find<std::unique_ptr<Lamp>>("lamp", "l") == lamp);
+    CHECK(&run.system.sensor("b") == b);
+    CHECK(run.system.change_to(run.plan).is_empty());
+    CHECK(!(*lamp)->is_on);
+    run.loop.advance(100ms);
+    CHECK((*lamp)->is_on);
+    run.loop.close(1s);
     CHECK(run.runtime.balances());
   }
 

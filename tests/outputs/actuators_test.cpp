@@ -1,16 +1,15 @@
 // The shipped devices of outputs: a GPIO chip of memory, a PWM chip of files, a pseudo terminal.
 #include <doctest/doctest.h>
 #include <poll.h>
-#include <pty.h>
 #include <unistd.h>
 
-#include <array>
 #include <cstdlib>
 #include <fstream>
 #include <memory>
 #include <string>
 #include <thread>
 
+#include "outputs/terminal.hpp"
 #include "rtdata/io/fake_gpio.hpp"
 #include "rtdata/outputs/gpio.hpp"
 #include "rtdata/outputs/pwm.hpp"
@@ -19,6 +18,7 @@
 
 using namespace rtdata;
 using namespace std::chrono_literals;
+using outputs_test::Terminal;
 
 namespace {
 
@@ -45,25 +45,6 @@ struct PwmFiles {
   std::string all() const {
     return text_of(channel + "period") + " " + text_of(channel + "duty_cycle") + " " + text_of(channel + "polarity") +
            " " + text_of(channel + "enable");
-  }
-};
-
-struct Terminal {
-  int master = -1, slave = -1;
-  std::string name;
-  Terminal() {
-    std::array<char, 128> path{};
-    REQUIRE(::openpty(&master, &slave, path.data(), nullptr, nullptr) == 0);
-    name = path.data();
-  }
-  ~Terminal() {
-    ::close(master);
-    ::close(slave);
-  }
-  std::string read() const {
-    std::array<char, 256> buffer{};
-    const ssize_t size = ::read(master, buffer.data(), buffer.size());
-    return {buffer.data(), static_cast<std::size_t>(size > 0 ? size : 0)};
   }
 };
 

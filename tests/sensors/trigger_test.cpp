@@ -210,6 +210,23 @@ TEST_CASE("US-17 a ring that is too small says so once, and how far back it goes
   CHECK(small.values == numbers(10, 12));
 }
 
+TEST_CASE("a trigger that the handler of its report stops takes no further event, and starts with an empty ring") {
+  NEEDS_EXPRESSIONS();
+  Bench bench({.when = "button.pressed", .before = 10s, .events = 5});
+  bench.trigger.on_error([&](const ErrorReport&) { bench.trigger.stop(); });
+  bench.button.publish({false});
+  bench.run(6);  // the ring is full with the sixth
+  CHECK_FALSE(bench.trigger.is_running());
+  CHECK(bench.counts().filtered == bench.counts().received);
+  bench.trigger.start();
+  bench.press(true);
+  CHECK(bench.values.empty());
+  bench.run(1);
+  CHECK(bench.values == numbers(7, 7));
+  bench.loop.close(1s);
+  CHECK(bench.loop.runtime().balances());
+}
+
 TEST_CASE("US-17 a condition without a value holds nothing open, and is told") {
   NEEDS_EXPRESSIONS();
   Bench bench({.when = "button.pressed", .before = 1s, .age = 2s});

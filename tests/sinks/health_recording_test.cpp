@@ -39,7 +39,7 @@ TEST_CASE("US-26 every change of health is in the recording, with its time and r
   CHECK(app::info({.database = path}, out, err) == 0);
   CHECK(out.str().find("sensor room: degraded: no answer") != std::string::npos);
   CHECK(out.str().find("sensor room: ok") != std::string::npos);
-  CHECK(app::info({.database = path, .output = app::Output::json}, json, err) == 0);
+  CHECK(app::info({.database = path, .show_as = app::ShowAs::json}, json, err) == 0);
   CHECK(json.str().find("\"state\": \"degraded\"") != std::string::npos);
 }
 

@@ -359,7 +359,7 @@ TEST_CASE("FW-5 of a run that was not closed the summary tells what is known, an
   CHECK(room().wanted_hertz == 0);
   CHECK(room().reached_hertz == doctest::Approx(100).epsilon(0.03));
   out.str("");
-  CHECK(app::info({.database = path, .output = app::Output::json}, out, err) == 0);
+  CHECK(app::info({.database = path, .show_as = app::ShowAs::json}, out, err) == 0);
   const auto json = nlohmann::json::parse(out.str());
   CHECK(json["topics"][1]["wanted_hz"].is_null());
   CHECK(json["topics"][1]["is_complete"] == false);
@@ -378,7 +378,7 @@ TEST_CASE("FW-5 the subcommand info shows runs, topics and fields") {
   CHECK(app::info({.database = path, .run = 5}, out, err) == 1);
   CHECK(app::info({.database = folder / "none"}, out, err) == 2);
   CHECK(out.str() == "");
-  CHECK(app::info({.database = path, .output = app::Output::json}, out, err) == 0);
+  CHECK(app::info({.database = path, .show_as = app::ShowAs::json}, out, err) == 0);
   const auto json = nlohmann::json::parse(out.str());
   CHECK(json["topics"][1]["rows"] == 999);
   CHECK(json["descriptions"][1]["description"]["fields"][0]["unit"] == "Cel");

@@ -4,6 +4,7 @@
 #include <doctest/doctest.h>
 
 #include <cstring>
+#include <limits>
 #include <map>
 
 #include "rtdata/loop/health.hpp"
@@ -352,6 +353,7 @@ TEST_CASE("FW-5 what cannot be replayed is refused, with the reason") {
   CHECK(has(refusal({.from = "yesterday"}), "it is no time"));
   CHECK(has(refusal({.from = "2", .until = "1"}), "it ends before it begins"));
   CHECK(refusal({.speed = 0}).starts_with("bad-argument: "));
+  CHECK(refusal({.speed = std::numeric_limits<double>::quiet_NaN()}).starts_with("bad-argument: "));
   std::ofstream(folder / "text.db") << "no recording";
   CHECK(refusal({.file = folder / "text.db"}).starts_with("not-a-recording: "));
   {

@@ -1,6 +1,7 @@
 /// A sender whose peer does what a test tells it, without a network.
 #pragma once
 
+#include <algorithm>
 #include <cstdint>
 #include <functional>
 #include <memory>
@@ -12,6 +13,8 @@
 #include "rtdata/sinks/sender.hpp"
 
 namespace sinks {
+
+inline const rtdata::Error away{rtdata::Errc::io_failed, "cannot send", "peer", "it is away", ""};
 
 class ScriptedPeer final : public rtdata::Sender {
  public:
@@ -39,6 +42,13 @@ class ScriptedPeer final : public rtdata::Sender {
       for (const auto& row : parcel.rows())
         events.push_back({row.info->run, row.info->topic, row.info->origin, row.sequence, row.time});
       answer.acknowledge();
+    }
+    /// From here on it takes everything but while it is away.
+    void take_unless(const bool& is_away) {
+      on_send = [this, &is_away](const rtdata::Parcel& parcel, rtdata::Answer answer) {
+        if (is_away) return answer.again(away);
+        take(parcel, std::move(answer));
+      };
     }
     void hold(const rtdata::Parcel& parcel, rtdata::Answer answer) {
       held.push_back(std::move(answer));

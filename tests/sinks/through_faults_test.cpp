@@ -128,12 +128,8 @@ TEST_SUITE("sinks") {
         if (!is_so) ::_exit(step);
       };
       std::ofstream(disk + "/ballast") << std::string(160'000, 'x');
-      auto peer = std::make_shared<ScriptedPeer::Script>();
       bool is_away = true;
-      peer->on_send = [&](const Parcel& parcel, Answer answer) {
-        if (is_away) return answer.again(away);
-        peer->take(parcel, std::move(answer));
-      };
+      const Peer peer = peer_away_while(is_away);
       Run run(disk + "/run.db", peer);
       int seconds = 0;
       for (; run.recording.health() != Health::faulted && seconds < 200; ++seconds) {

@@ -22,18 +22,13 @@ namespace sinks {
 using namespace rtdata;
 using namespace std::chrono_literals;
 
-inline const Error away{Errc::io_failed, "cannot send", "peer", "it is away", ""};
-
 /// What the peer of all runs has.
 using Peer = std::shared_ptr<ScriptedPeer::Script>;
 
 /// It takes everything but while it is away.
 inline Peer peer_away_while(const bool& is_away) {
   auto peer = std::make_shared<ScriptedPeer::Script>();
-  peer->on_send = [&is_away, script = peer.get()](const Parcel& parcel, Answer answer) {
-    if (is_away) return answer.again(away);
-    script->take(parcel, std::move(answer));
-  };
+  peer->take_unless(is_away);
   return peer;
 }
 

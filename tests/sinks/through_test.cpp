@@ -62,10 +62,7 @@ TEST_SUITE("sinks") {
     auto peer = std::make_shared<ScriptedPeer::Script>();
     const std::string path = folder / "run.db";
     bool is_away = true;
-    peer->on_send = [&](const Parcel& parcel, Answer answer) {
-      if (is_away) return answer.again(away);
-      peer->take(parcel, std::move(answer));
-    };
+    peer->take_unless(is_away);
     for (int start = 0; start < 3; ++start) {
       Run run(path, peer);
       run.publish(100);
@@ -172,10 +169,7 @@ TEST_SUITE("sinks") {
       auto peer = std::make_shared<ScriptedPeer::Script>();
       const std::string path = folder / "run.db";
       bool is_away = true;
-      peer->on_send = [&](const Parcel& parcel, Answer answer) {
-        if (is_away) return answer.again(away);
-        peer->take(parcel, std::move(answer));
-      };
+      peer->take_unless(is_away);
       {
         Run run(path, peer);
         run.publish(250);
@@ -266,10 +260,7 @@ TEST_SUITE("sinks") {
     auto peer = std::make_shared<ScriptedPeer::Script>();
     const std::string path = folder / "run.db";
     bool is_away = false;
-    peer->on_send = [&](const Parcel& parcel, Answer answer) {
-      if (is_away) return answer.again(away);
-      peer->take(parcel, std::move(answer));
-    };
+    peer->take_unless(is_away);
     const std::vector<std::string> topics{"#", account_topic};
     const auto run_once = [&] {
       Run run(path, peer, {.name = "peer", .topics = topics}, {.path = "", .sink = {.topics = topics}});
@@ -771,10 +762,7 @@ TEST_SUITE("sinks") {
     Folder folder;
     auto none = std::make_shared<ScriptedPeer::Script>(), peer = std::make_shared<ScriptedPeer::Script>();
     bool is_away = true;
-    peer->on_send = [&](const Parcel& parcel, Answer answer) {
-      if (is_away) return answer.again(away);
-      peer->take(parcel, std::move(answer));
-    };
+    peer->take_unless(is_away);
     const std::string path = folder / "run.db";
     {
       Run run(path, none, {.name = "other"});

@@ -587,7 +587,7 @@ TEST_CASE("US-26 the subcommand verify prints at most 80 columns, or JSON, and r
   for (std::string line; std::getline(lines, line);) CHECK_MESSAGE((line.size() <= 80 || line == path), line);
   out.str("");
   sql(path, "DELETE FROM \"room/climate\" WHERE sequence = 417");
-  CHECK(app::verify({.database = path, .output = app::Output::json}, out, err) == 1);
+  CHECK(app::verify({.database = path, .show_as = app::ShowAs::json}, out, err) == 1);
   std::ostringstream text;
   CHECK(app::verify({.database = path}, text, err) == 1);
   CHECK(has(text.str(), "not balanced: see above."));

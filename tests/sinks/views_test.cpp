@@ -127,7 +127,7 @@ TEST_SUITE("sinks") {
     CHECK(told("joined", "timed-out").find("several gaps joined, 2 together: timed-out\n") != std::string::npos);
     CHECK(told("disconnected", "disconnected").find("disconnected 2\n") != std::string::npos);
     CHECK(told("failed", "io-failed").find("failed 2: io-failed\n") != std::string::npos);
-    CHECK(app::info({.database = path, .output = app::Output::json, .gaps = app::InfoOptions::Gaps::listed}, json,
+    CHECK(app::info({.database = path, .show_as = app::ShowAs::json, .gaps = app::InfoOptions::Gaps::listed}, json,
                     err) == 0);
     const auto tree = nlohmann::json::parse(json.str());
     REQUIRE(tree["gaps"].size() == 1);

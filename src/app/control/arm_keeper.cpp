@@ -50,15 +50,11 @@ void ArmKeeper::keep(const std::string& output, const std::function<bool()>& act
 
 /// First it is to be an event, which a disarmed output makes when its device has answered.
 void ArmKeeper::look_at_event(const std::shared_ptr<Waiting>& waiting) {
-  auto& output = system_.parts().get<Output>("output", waiting->output);
-  try {
-    output.when_told([this, &loop = loop_, weak = std::weak_ptr(waiting)] {
-      loop.post([this, weak] {
-        if (const auto still = weak.lock()) look_at_card(still);
-      });
+  system_.parts().get<Output>("output", waiting->output).when_told([this, &loop = loop_, weak = std::weak_ptr(waiting)] {
+    loop.post([this, weak] {
+      if (const auto still = weak.lock()) look_at_card(still);
     });
-  } catch (const SetupError&) {  // its tier hangs: the timer tells
-  }
+  });
 }
 
 void ArmKeeper::look_at_card(const std::shared_ptr<Waiting>& waiting) {
@@ -67,22 +63,15 @@ void ArmKeeper::look_at_card(const std::shared_ptr<Waiting>& waiting) {
     const auto plan = std::find_if(plans.begin(), plans.end(),
                                    [&](const PartPlan* one) { return one->kind == "sink" && one->name == name; });
     if (plan == plans.end()) return conclude(waiting, "since a reload has removed it");
-    const std::string tier((*plan)->tier());
-    const auto sync = [&, name](Loop&) {
-      system_.sink(name).sync([this, &loop = loop_, name, weak = std::weak_ptr(waiting)] {
-        loop.post([this, name, weak] {
-          const auto still = weak.lock();
-          if (still == nullptr) return;
-          still->recordings.erase(name);
-          if (!still->recordings.empty()) return;
-          conclude(still, dropped(*still) == still->dropped ? "" : "since it has dropped events of " + still->topic);
-        });
+    system_.sink(name).sync([this, name, weak = std::weak_ptr(waiting)] {
+      loop_.post([this, name, weak] {  // not from within the sink
+        const auto still = weak.lock();
+        if (still == nullptr) return;
+        still->recordings.erase(name);
+        if (!still->recordings.empty()) return;
+        conclude(still, dropped(*still) == still->dropped ? "" : "since it has dropped events of " + still->topic);
       });
-    };
-    if (tier.empty())
-      sync(loop_);
-    else
-      system_.tier(tier).call(sync);
+    });
   }
 }
 

@@ -8,6 +8,7 @@
 #include <stdexcept>
 
 #include "app/core/machines.hpp"
+#include "loop/support/fitting.hpp"
 #include "rtdata/config/format.hpp"
 #include "rtdata/fsm/configured.hpp"
 #include "rtdata/outputs/output.hpp"
@@ -131,14 +132,6 @@ std::string joined(const Words& words) {
   return text;
 }
 
-template <std::size_t size>
-text<size> shortened(std::string_view full) {
-  if (full.size() <= size) return text<size>(full);
-  std::size_t end = size - 3;
-  while (end > 0 && (static_cast<unsigned char>(full[end]) & 0xc0) == 0x80) --end;  // not within a character
-  return text<size>(std::string(full.substr(0, end)) + "...");
-}
-
 CommandOutcome act(System& system, const Words& words, std::string_view by) {
   const auto verb = std::find_if(verbs().begin(), verbs().end(), [&](const Verb& one) { return words[0] == one.word; });
   if (verb == verbs().end()) {
@@ -234,8 +227,8 @@ void CommandDesk::keep(const Words& words, std::string_view by, const CommandOut
       record_ = Feed<CommandRecord>(loop_, {.name = "rtdata-commands", .topic = command_topic});
       record_.set_numbered();  // it makes its events itself
     }
-    record_.publish(
-        {shortened<longest_command>(command), shortened<60>(by), outcome.done, shortened<240>(outcome.text)});
+    record_.publish({detail::fitting<longest_command>(command), detail::fitting<60>(by), outcome.done,
+                     detail::fitting<240>(outcome.text)});
   } catch (const std::exception& error) {
     log_(std::string("a command is not recorded: ") + error.what(), false);
   }

@@ -6,7 +6,9 @@
 #include <CLI/CLI.hpp>
 #include <functional>
 #include <iostream>
+#include <memory>
 
+#include "app/core/show_as.hpp"
 #include "app/core/terminal_text.hpp"
 #include "rtdata/config/registry.hpp"
 
@@ -21,6 +23,13 @@ struct ForPeople {
   WrappedOutput out{std::cout, STDOUT_FILENO};
   WrappedOutput err{std::cerr, STDERR_FILENO};
 };
+
+/// Of a command that prints for people or for programs.
+template <class Options>
+void add_json(CLI::App& command, const std::shared_ptr<Options>& options, const char* doc = "Print JSON") {
+  command.add_flag_callback(
+      "--json", [options] { options->show_as = ShowAs::json; }, doc);
+}
 
 /// Each adds to the command what it takes, and returns what is done with it.
 Action prepare_init(CLI::App& command);

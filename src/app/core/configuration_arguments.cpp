@@ -124,8 +124,7 @@ Action prepare_top(CLI::App& command) {
   command.add_option("NAME|PID", options->instance, "Which instance; needed when several are running");
   command.add_flag_callback(
       "--once", [options] { options->how_often = HowOften::once; }, "Print once and end");
-  command.add_flag_callback(
-      "--json", [options] { options->show_as = ShowAs::json; }, "Print the status as JSON, a line each time");
+  add_json(command, options, "Print the status as JSON, a line each time");
   command.footer(
       "examples:\n  rtdata top                        the only instance, until q or Ctrl-C\n"
       "  rtdata top bench --once           one look at the instance called bench\n"
@@ -185,8 +184,7 @@ Action prepare_scan(CLI::App& command) {
                    "Also read a byte from each free I2C address; a chip may take that amiss");
   command.add_option("--root", options->root, "Look at a copy of another machine's /sys and /dev in this folder")
       ->type_name("DIR");
-  command.add_flag_callback(
-      "--json", [options] { options->show_as = ShowAs::json; }, "Print JSON");
+  add_json(command, options);
   command.footer("examples:\n  rtdata scan\n  rtdata scan --probe");
   return [options](const Registry& registry) {
     std::optional<ForPeople> wrapped;
@@ -201,8 +199,7 @@ Action prepare_doctor(CLI::App& command) {
   command
       .add_option("--root", options->root, "Look at a copy of another machine's /proc, /sys and /etc in this folder")
       ->type_name("DIR");
-  command.add_flag_callback(
-      "--json", [options] { options->show_as = ShowAs::json; }, "Print JSON");
+  add_json(command, options);
   command.footer(
       "examples:\n  rtdata doctor\n  rtdata doctor bench.json\nexit status:\n"
       "  0  notes at most\n  1  an error\n"

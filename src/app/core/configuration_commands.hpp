@@ -4,6 +4,7 @@
 #include <optional>
 #include <string>
 
+#include "app/core/show_as.hpp"
 #include "rtdata/config/registry.hpp"
 #include "rtdata/config/system.hpp"
 
@@ -54,7 +55,6 @@ enum class TypesAs { text, all, schema, markdown };
 int types(const Registry& registry, const std::string& name, TypesAs format);
 
 enum class HowOften { live, once };
-enum class ShowAs { text, json };
 struct TopOptions {
   std::string instance;  ///< name or pid; empty: the only one
   HowOften how_often = HowOften::live;

@@ -108,10 +108,11 @@ std::optional<Resumed> resumed(Loop& loop, const MachineSettings& settings, cons
   return Resumed{{last.state, last.in_state + last.pause.value_or(Duration{0}), "resumed after " + pause}, last.run};
 }
 
-bool was_armed(const std::string& path, std::int64_t run, const std::string& output, const std::string& topic) {
+Result<bool> was_armed(const std::string& path, std::int64_t run, const std::string& output, const std::string& topic) {
   const auto recording = Recording::open(path);
-  const auto runs = recording ? recording->runs() : Result<std::vector<RunInfo>>(recording.error());
-  if (!runs) return false;
+  if (!recording) return recording.error();
+  const auto runs = recording->runs();
+  if (!runs) return runs.error();
   std::size_t looked_at = 0;
   // Back from there: a reload begins a run without events of outputs that it does not touch.
   for (auto one = runs->rbegin(); one != runs->rend() && looked_at < most_runs; ++one) {
@@ -122,11 +123,12 @@ bool was_armed(const std::string& path, std::int64_t run, const std::string& out
     filter.run = one->run;
     filter.origin = output;
     auto changes = recording->events<OutputChange>(filter);
-    if (!changes) return false;
+    if (!changes && changes.error().code == Errc::not_found) return false;
+    if (!changes) return changes.error();
     std::optional<bool> is_armed;
     for (;;) {
       const auto next = changes->next();
-      if (!next) return false;
+      if (!next) return next.error();
       if (*next == nullptr) break;
       if ((*next)->data.cause != OutputCause::stop) is_armed = (*next)->data.armed;
     }

@@ -85,7 +85,14 @@ class OutputSetter {
     for (const PartPlan* plan : parts.plans()) {
       const auto known = plan->kind == "output" ? outputs_.find(plan->name) : outputs_.end();
       if (known == outputs_.end() || !arms(settings_, plan->name)) continue;
-      if (was_armed(recording, run, plan->name, plan->publishes->topic))
+      const Result<bool> was = was_armed(recording, run, plan->name, plan->publishes->topic);
+      if (!was)
+        loop_.runtime().core().log(LogLevel::error, by_,
+                                   "output " + plan->name +
+                                       " is not armed again, since it cannot be read whether it "
+                                       "was: " +
+                                       was.error().text());
+      else if (*was)
         tell(plan->name, "armed", known->second->arm(by_ + ", resumed"));
     }
   }

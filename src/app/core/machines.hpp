@@ -23,8 +23,9 @@ struct Resumed {
 std::optional<Resumed> resumed(Loop& loop, const fsm::MachineSettings& settings, const std::string& path);
 
 /// Whether an output was armed at the end of a run of a recording, as far as that or one before it says. Reads the
-/// file.
-bool was_armed(const std::string& recording, std::int64_t run, const std::string& output, const std::string& topic);
+/// file. Errors: those of reading it.
+Result<bool> was_armed(const std::string& recording, std::int64_t run, const std::string& output,
+                       const std::string& topic);
 
 /// A machine that, after a kill, would arm the output again if its recording says that it was armed.
 struct ArmsAgain {

@@ -36,11 +36,10 @@ Action prepare_verify(CLI::App& command) {
       "  1  not balanced, or not sealed yet: record into it again\n"
       "  2  unreadable or damaged");
   command.add_option("DB", options->database, "The recording, or a server: postgresql://...")->required();
-  command.add_flag_callback(
-      "--json", [options] { options->output = Output::json; }, "Print JSON");
+  add_json(command, options);
   return [options](const Registry&) {
     std::optional<ForPeople> wrapped;
-    if (options->output == Output::text) wrapped.emplace();
+    if (options->show_as == ShowAs::text) wrapped.emplace();
     return verify(*options, std::cout, std::cerr);
   };
 }
@@ -55,11 +54,10 @@ Action prepare_info(CLI::App& command) {
   command.add_option("--run", options->run, "Which run; default: the last")->type_name("NUMBER");
   command.add_flag_callback(
       "--gaps", [options] { options->gaps = InfoOptions::Gaps::listed; }, "List the gaps of the run, in UTC");
-  command.add_flag_callback(
-      "--json", [options] { options->output = Output::json; }, "Print JSON");
+  add_json(command, options);
   return [options](const Registry&) {
     std::optional<ForPeople> wrapped;
-    if (options->output == Output::text) wrapped.emplace();
+    if (options->show_as == ShowAs::text) wrapped.emplace();
     return info(*options, std::cout, std::cerr);
   };
 }

@@ -7,16 +7,15 @@
 #include <optional>
 #include <string>
 
+#include "app/core/show_as.hpp"
 #include "rtdata/config/registry.hpp"
 #include "rtdata/sinks/replay.hpp"
 
 namespace rtdata::app {
 
-enum class Output { text, json };
-
 struct VerifyOptions {
   std::string database;
-  Output output = Output::text;
+  ShowAs show_as = ShowAs::text;
 };
 /// 0 balanced, sealed or being recorded; 1 not balanced or not sealed; 2 unreadable.
 int verify(const VerifyOptions& options, std::ostream& out, std::ostream& err);
@@ -24,7 +23,7 @@ int verify(const VerifyOptions& options, std::ostream& out, std::ostream& err);
 struct InfoOptions {
   std::string database;
   std::optional<std::int64_t> run = {};  // the last one unless given
-  Output output = Output::text;
+  ShowAs show_as = ShowAs::text;
   enum class Gaps { counted, listed };
   Gaps gaps = Gaps::counted;  // listed: --gaps, each with UTC
 };

@@ -397,8 +397,8 @@ int info(const InfoOptions& options, std::ostream& out, std::ostream& err) {
     err << "rtdata: " << content.error().text() << "\n";
     return content.error().code == make_error_code(Errc::not_found) ? 1 : 2;
   }
-  options.output == Output::json ? print_json(*recording, *content, options.gaps, out)
-                                 : print(*recording, *content, options.gaps, out);
+  options.show_as == ShowAs::json ? print_json(*recording, *content, options.gaps, out)
+                                  : print(*recording, *content, options.gaps, out);
   return 0;
 }
 

@@ -28,7 +28,7 @@ int verify(const VerifyOptions& options, std::ostream& out, std::ostream& err) {
     err << "rtdata: " << report.error().text() << "\n";
     return 2;
   }
-  out << (options.output == Output::json ? report->to_json() + "\n" : report->text());
+  out << (options.show_as == ShowAs::json ? report->to_json() + "\n" : report->text());
   return report->exit_code();
 }
 

@@ -26,16 +26,21 @@ bool contains(const std::vector<std::string>& names, const std::string& name) {
   return std::find(names.begin(), names.end(), name) != names.end();
 }
 
-/// Those that have come to the recording; fast, however much waits. Formats without them: none.
-std::vector<std::string> known_sinks(const Recording& recording) {
+/// Those that have come to the recording; fast, however much waits. Of formats without them: none.
+Result<std::vector<std::string>> known_sinks(const Recording& recording) {
   std::vector<std::string> names;
+  auto has_table = recording.file()->database.integer(
+      "SELECT count(*) FROM sqlite_schema WHERE name = 'rtdata_position'");
+  if (!has_table) return std::move(has_table).error();
+  if (*has_table == 0) return names;
   auto query = recording.file()->prepare("SELECT DISTINCT sink FROM rtdata_position");
-  while (query) {
+  if (!query) return std::move(query).error();
+  for (;;) {
     auto row = query->step();
-    if (!row || !*row) break;
+    if (!row) return std::move(row).error();
+    if (!*row) return names;
     names.emplace_back(query->text(0));
   }
-  return names;
 }
 
 const ConfigItem* sink_in(const ConfigItem& root, const std::string& name) {
@@ -102,7 +107,9 @@ class Look {
     if (!opened) return;  // it is refused when it is made
     std::vector<std::string> names;
     for (const PartPlan* sender : senders_) names.push_back(sender->name);
-    const std::vector<std::string> known = known_sinks(*opened);
+    const auto sinks = known_sinks(*opened);
+    if (!sinks) return;  // as above
+    const std::vector<std::string>& known = *sinks;
     std::vector<const PartPlan*> moved;
     std::vector<std::string> keys;
     for (const PartPlan* sender : senders_) {
@@ -156,8 +163,9 @@ std::string sink_name(const ConfigItem& sink) {
 
 Result<std::vector<RecordedBacklog>> backlogs_of_others(const Recording& recording,
                                                         const std::vector<std::string>& names) {
-  const std::vector<std::string> known = known_sinks(recording);
-  if (std::all_of(known.begin(), known.end(), [&](const std::string& name) { return contains(names, name); }))
+  const auto known = known_sinks(recording);
+  if (!known) return known.error();
+  if (std::all_of(known->begin(), known->end(), [&](const std::string& name) { return contains(names, name); }))
     return std::vector<RecordedBacklog>{};
   auto backlogs = recording.backlogs();
   if (!backlogs) return backlogs;

@@ -200,6 +200,7 @@ void PlanApplication::refuse_held() const {
 void PlanApplication::replace() {
   try {
     refuse_held();
+    keep_what_is_taken_over();  // before `close`: what it throws has closed nothing
     close();
     if (!closes_nothing_) take_text();  // what was closed has ended with its own
     make();
@@ -261,7 +262,6 @@ void PlanApplication::close() {
   for (const PartPlan& plan : closed_) order.push_back(&plan);
   std::stable_partition(order.begin(), order.end(),
                         [&](const PartPlan* plan) { return !plan->stores || is_used(*plan); });
-  keep_what_is_taken_over();
   for (auto plan = order.rbegin(); plan != order.rend(); ++plan) {
     std::unique_ptr<Parts::Part> part = system_.parts_.take((*plan)->kind, (*plan)->name);
     const bool is_given_up = (*plan)->stores && given_up_.contains((*plan)->name);

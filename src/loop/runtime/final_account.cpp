@@ -1,7 +1,6 @@
 #include "loop/runtime/final_account.hpp"
 
 #include <algorithm>
-#include <array>
 #include <set>
 #include <string>
 #include <string_view>
@@ -14,15 +13,6 @@
 #include "rtdata/loop/topic.hpp"
 
 namespace rtdata::detail {
-namespace {
-
-template <std::size_t N>
-text<N> fitting(std::string_view content) {
-  std::array<char, N> bytes;
-  return text<N>(std::string_view(bytes.data(), put_fitting(bytes.data(), N, content)));
-}
-
-}  // namespace
 
 void publish_final_account(LoopCore& loop) noexcept try {
   RuntimeCore& runtime = loop.runtime;

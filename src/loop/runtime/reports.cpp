@@ -3,7 +3,6 @@
 #include <unistd.h>
 
 #include <algorithm>
-#include <array>
 #include <chrono>
 #include <cstdio>
 #include <new>
@@ -125,16 +124,6 @@ void Reports::Flusher::fire(MonotonicTime) {
   reports.runtime_.own_loop->deadlines.remove(*this);
   reports.flush(Repeated::due);
 }
-
-namespace {
-
-template <std::size_t N>
-text<N> fitting(std::string_view content) {
-  std::array<char, N> bytes{};
-  return text<N>(std::string_view(bytes.data(), put_fitting(bytes.data(), N, content)));
-}
-
-}  // namespace
 
 void Reports::health_changed(std::string_view kind, std::string_view name, Health health,
                              std::string_view reason) noexcept try {

@@ -5,6 +5,8 @@
 #include <cstddef>
 #include <string_view>
 
+#include "rtdata/data/text.hpp"
+
 namespace rtdata::detail {
 
 /// Puts as much of a text as fits into `most` bytes, whole characters only; what is cut ends with "...". Returns its
@@ -19,6 +21,13 @@ inline std::size_t put_fitting(char* to, std::size_t most, std::string_view text
   std::size_t end = text.copy(to, size);
   if (size < text.size()) end += mark.copy(to + end, most - end);
   return end;
+}
+
+/// The same as a text of a payload.
+template <std::size_t N>
+text<N> fitting(std::string_view content) noexcept {
+  char bytes[N];
+  return text<N>(std::string_view(bytes, put_fitting(bytes, N, content)));
 }
 
 }  // namespace rtdata::detail

@@ -46,6 +46,7 @@ class EventRing {
  public:
   EventRing(std::size_t room, std::size_t payload_bytes)
       : room_(room), stride_(sizeof(std::int64_t) + (payload_bytes + 7) / 8 * 8), bytes_(payload_bytes) {
+    if (room_ > memory_.max_size() / stride_) throw std::bad_alloc();  // where a std::size_t has 32 bits
     memory_.resize(room_ * stride_);
   }
   bool is_full() const noexcept { return end_ - begin_ == room_; }
@@ -139,6 +140,7 @@ class TriggerNode final : public FeedNode {
       if (!is_alike(event.description())) return refuse();
       if (ring_.is_full()) make_room(now);
       clear(other_payload);
+      if (!is_running()) return;  // the handler of a report has stopped it
       ring_.push(now, event.payload().data());
     }
     forget_before(now);

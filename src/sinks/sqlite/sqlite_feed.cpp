@@ -133,8 +133,7 @@ Result<void> SqliteFeed::find_again(Table& table) {
   if (now->row == table.done.row) return {};
   table.begin += now->row - table.done.row;
   table.done = *std::move(now);
-  table.read = table.deleted_to = table.done.row;
-  table.last_row = 0;  // it is looked at next
+  table.read = table.deleted_to = table.last_row = table.done.row;  // those after it are looked for next
   positions_->set(config_.sink, table.topic.table, table.done);
   return {};
 }

@@ -1,0 +1,8 @@
+// Whether a subcommand prints for people or for programs. Private to the program.
+#pragma once
+
+namespace rtdata::app {
+
+enum class ShowAs { text, json };
+
+}  // namespace rtdata::app

@@ -1,0 +1,154 @@
+#include "app/inspect/import_columns.hpp"
+
+#include <algorithm>
+#include <set>
+#include <string_view>
+
+#include "app/inspect/import_time.hpp"
+#include "data/number_text.hpp"
+
+namespace rtdata::app {
+namespace {
+
+constexpr std::size_t longest_text = 1024;
+
+/// "accel[0]": its end without the index, which is set.
+std::string_view array_of(std::string_view heading, std::size_t& index) {
+  const std::size_t open = heading.rfind('[');
+  if (open == std::string_view::npos || open == 0 || heading[open - 1] == ' ' || !heading.ends_with(']')) return {};
+  const std::string_view number = heading.substr(open + 1, heading.size() - open - 2);
+  return detail::read_number(number, index) == std::errc{} ? heading.substr(0, open) : std::string_view();
+}
+
+void make_name(std::string& text) {
+  for (char& c : text)
+    if ((c < 'a' || c > 'z') && (c < 'A' || c > 'Z') && (c < '0' || c > '9')) c = '_';
+  if (text.empty() || (text[0] >= '0' && text[0] <= '9')) text.insert(0, "c");
+  if (text == "time" || text == "origin" || text == "sequence" || text == "run") text += "_";
+}
+
+/// How many columns from this one on are the elements of an array, all of them numbers; 0: it is none.
+std::size_t array_size(std::span<const ImportColumn> columns) {
+  std::size_t size = 0;
+  for (const ImportColumn& column : columns) {
+    if (column.array.empty() || column.array != columns[0].array || column.index != size) break;
+    if (!column.can_be_number || !column.has_any || column.has_empty || column.unit != columns[0].unit) return 0;
+    ++size;
+  }
+  return size;
+}
+
+/// The name, or with a number after it, as no column has it.
+std::string free_name(const std::string& name, const std::vector<ImportColumn>& columns) {
+  std::string free = name;
+  const auto is_taken = [&](const ImportColumn& column) {
+    return column.name == free || column.name.starts_with(free + "[");
+  };
+  for (int i = 2; std::any_of(columns.begin(), columns.end(), is_taken); ++i) free = name + "_" + std::to_string(i);
+  return free;
+}
+
+}  // namespace
+
+void ImportColumn::look_at(const detail::CsvCell& cell) {
+  if (cell.text.empty() && !cell.quoted) {
+    has_empty = true;
+    return;
+  }
+  has_any = true;
+  longest = std::max(longest, cell.text.size());
+  std::int64_t integer = 0;
+  double number = 0;
+  const std::errc as_integer = detail::read_number(cell.text, integer);
+  const bool is_integer = as_integer == std::errc{};
+  constexpr std::int64_t exact = std::int64_t{1} << 53;  // a double holds all integers up to this
+  has_large = has_large || as_integer == std::errc::result_out_of_range ||
+              (is_integer && (integer > exact || integer < -exact));
+  can_be_integer = can_be_integer && is_integer;
+  can_be_number = can_be_number && is_number(cell.text, decimal, number);
+  can_be_with_comma = can_be_with_comma && is_number(cell.text, ',', number);
+  has_comma = has_comma || cell.text.find(',') != std::string::npos;
+}
+std::string ImportColumn::type() const {
+  const std::string absent = has_empty ? ", may be absent" : "";
+  if (!has_any) return "no values: left out";
+  return (can_be_integer  ? "integer"
+          : can_be_number ? "number"
+                          : "text of up to " + std::to_string(longest) + " bytes") +
+         absent;
+}
+
+void name_columns(std::vector<ImportColumn>& columns) {
+  std::set<std::string> all, twice;
+  const auto tail = [](const std::string& text) { return text.substr(text.rfind('.') + 1); };
+  for (ImportColumn& column : columns) {
+    std::string text = column.heading;
+    std::size_t index = 0;
+    if (const std::size_t open = text.rfind('[');
+        open != std::string::npos && text.ends_with(']') && array_of(text, index).empty()) {
+      column.unit = text.substr(open + 1, text.size() - open - 2);
+      text.resize(open);
+    }
+    while (!text.empty() && text.back() == ' ') text.pop_back();
+    column.array = array_of(text, column.index);
+    if (!column.array.empty()) {
+      make_name(column.array);
+      text = column.array + "_" + std::to_string(column.index);
+    }
+    column.name = text;
+    if (!all.insert(tail(text)).second) twice.insert(tail(text));
+  }
+  std::set<std::string> names;
+  for (ImportColumn& column : columns) {
+    if (!twice.contains(tail(column.name))) column.name = tail(column.name);
+    make_name(column.name);
+    const std::string name = column.name;
+    for (int i = 2; !names.insert(column.name).second; ++i) column.name = name + "_" + std::to_string(i);
+  }
+}
+
+Result<std::shared_ptr<const Description>> describe_columns(std::vector<ImportColumn>& columns, std::size_t time_column,
+                                                            const std::string& file) {
+  DescriptionBuilder builder("import");
+  const std::span<ImportColumn> all(columns);
+  for (std::size_t i = 0; i < columns.size(); ++i) {
+    const ImportColumn& column = columns[i];
+    if (i == time_column || !column.has_any) continue;
+    if (const std::size_t size = array_size(all.subspan(i)); size > 0) {
+      const auto elements = all.subspan(i, size);
+      const bool is_integer = std::all_of(elements.begin(), elements.end(),
+                                          [](const ImportColumn& one) { return one.can_be_integer; });
+      const std::string array = free_name(column.array, columns);
+      builder.array(array, is_integer ? Kind::i64 : Kind::f64, size, column.unit);
+      for (ImportColumn& element : elements) {
+        element.can_be_integer = is_integer;
+        element.name = array + "[" + std::to_string(element.index) + "]";
+      }
+      i += size - 1;
+      continue;
+    }
+    using Presence = DescriptionBuilder::Presence;
+    const Presence presence = column.has_empty ? Presence::optional : Presence::always;
+    if (column.can_be_number) {
+      builder.field(column.name, column.can_be_integer ? Kind::i64 : Kind::f64, column.unit, presence);
+    } else if (column.longest <= longest_text) {
+      builder.text(column.name, column.longest, presence);
+    } else {
+      return import_refused(file,
+                            "a text in column " + column.heading + " has " + std::to_string(column.longest) + " bytes",
+                            "1024 at most");
+    }
+  }
+  return builder.build();
+}
+
+Value value_of(const ImportColumn& column, const detail::CsvCell& cell) {
+  if (cell.text.empty() && !cell.quoted) return {};
+  std::int64_t integer = 0;
+  if (column.can_be_integer && detail::read_number(cell.text, integer) == std::errc{}) return Value(integer);
+  double number = 0;
+  if (column.can_be_number && is_number(cell.text, column.decimal, number)) return Value(number);
+  return Value(cell.text);
+}
+
+}  // namespace rtdata::app

@@ -1,0 +1,45 @@
+#include "app/inspect/import_rows.hpp"
+
+#include <algorithm>
+#include <istream>
+#include <utility>
+
+#include "data/utf8.hpp"
+
+namespace rtdata::app {
+namespace {
+
+constexpr std::size_t longest_row = std::size_t{1} << 20;
+
+}  // namespace
+
+Result<bool> ImportRows::next(std::vector<detail::CsvCell>& cells) {
+  std::string row, line;
+  bool is_quoted = false;  // the row does not end with this line, which ends within quotes
+  line_ = next_line_;
+  while (std::getline(in_, line)) {
+    ++next_line_;
+    row += line;
+    row += '\n';
+    if (line_ == 1 && row.starts_with(detail::byte_order_mark)) row.erase(0, detail::byte_order_mark.size());
+    if (row.size() > longest_row)
+      return Error{Errc::bad_data, "cannot import", where(), "the row is longer than 1 MiB", ""};
+    if (std::count(line.begin(), line.end(), '"') % 2 != 0) is_quoted = !is_quoted;
+    if (is_quoted) continue;
+    if (row == "\n" || row == "\r\n") {
+      row.clear();
+      line_ = next_line_;
+      continue;
+    }
+    auto split = detail::split_csv(row, separator_);
+    if (!split)
+      return Error{Errc::bad_data, "cannot import", where(), split.error().where + ": " + split.error().why, ""};
+    cells = *std::move(split);
+    return true;
+  }
+  if (in_.bad()) return Error{Errc::io_failed, "cannot read", path_, "", ""};
+  if (!row.empty()) return Error{Errc::bad_data, "cannot import", where(), "a quoted cell does not end", ""};
+  return false;
+}
+
+}  // namespace rtdata::app

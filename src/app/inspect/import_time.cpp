@@ -1,0 +1,96 @@
+#include "app/inspect/import_time.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <optional>
+#include <string_view>
+#include <utility>
+
+#include "data/number_text.hpp"
+
+namespace rtdata::app {
+namespace {
+
+/// `scale` times a number such as "1795665132.554291437", to the nearest nanosecond: a double would be up to 119 ns
+/// beside a time of today. None: it is written otherwise, or is too large.
+std::optional<Duration> exact_time(std::string_view text, char decimal, Duration scale) {
+  const bool is_negative = text.starts_with('-');
+  if (is_negative || text.starts_with('+')) text.remove_prefix(1);
+  const std::size_t mark = text.find(decimal);
+  const std::string_view whole_part = text.substr(0, mark);
+  std::string_view part = mark == std::string_view::npos ? std::string_view() : text.substr(mark + 1);
+  const auto is_digits = [](std::string_view digits) {
+    return std::all_of(digits.begin(), digits.end(), [](char c) { return c >= '0' && c <= '9'; });
+  };
+  std::int64_t whole = 0;
+  if (!is_digits(whole_part) || !is_digits(part) || detail::read_number(whole_part, whole) != std::errc{}) return {};
+  // 18 digits of the fraction and the scale, in two halves each: their products fit.
+  constexpr std::int64_t half = 1'000'000'000;
+  const std::string digits = (std::string(part) + std::string(18, '0')).substr(0, 18);
+  const std::int64_t high = std::stoll(digits.substr(0, 9)), low = std::stoll(digits.substr(9));
+  const std::int64_t scale_high = scale.count() / half, scale_low = scale.count() % half;
+  if (scale_high >= half) return {};
+  const std::int64_t of_high = high * scale_low, of_low = low * scale_high;
+  const std::int64_t rest = of_high % half + of_low % half + low * scale_low / half;
+  const std::int64_t fraction = high * scale_high + of_high / half + of_low / half + (rest + half / 2) / half;
+  constexpr std::int64_t most = 9'200'000'000'000'000'000;
+  if (whole > (most - fraction) / scale.count()) return {};
+  const std::int64_t ns = whole * scale.count() + fraction;
+  return Duration{is_negative ? -ns : ns};
+}
+
+/// None: it is no time that can be recorded, which are those from 1678 to 2261.
+std::optional<Time> later_than(Time start, Duration by) {
+  constexpr std::int64_t most = 9'200'000'000'000'000'000;
+  std::int64_t sum = 0;
+  if (__builtin_add_overflow(start.time_since_epoch().count(), by.count(), &sum) || sum > most || sum < -most)
+    return {};
+  return Time{Duration{sum}};
+}
+
+}  // namespace
+
+/// Whether the text is a number, and which.
+bool is_number(const std::string& text, char decimal, double& number) {
+  if (decimal == '.') return detail::read_number(text, number) == std::errc{};
+  if (text.find('.') != std::string::npos) return false;
+  std::string usual = text;
+  if (const std::size_t comma = usual.find(','); comma != std::string::npos) usual[comma] = '.';
+  return detail::read_number(usual, number) == std::errc{};
+}
+
+/// By which this would be a time of these decades, since 1970: "; with --scale 1ns it is 2026-03-01". Empty: by none.
+std::string scale_of(double number) {
+  for (const auto& [scale, name] : {std::pair{1, "1ns"}, {1'000, "1us"}, {1'000'000, "1ms"}}) {
+    const double seconds = number * scale / 1e9;
+    if (seconds < 631e6 || seconds > 4.1e9) continue;  // 1990 to 2099
+    return std::string("; with --scale ") + name + " it is " +
+           to_iso8601(Time{std::chrono::seconds{std::llround(seconds)}}).substr(0, 10);
+  }
+  return "";
+}
+
+Result<Time> time_of(const std::string& text, const ImportNotation& notation) {
+  std::optional<Duration> since_start = exact_time(text, notation.decimal, notation.scale);
+  double number = 0;
+  if (since_start || is_number(text, notation.decimal, number)) {
+    const double ns = number * static_cast<double>(notation.scale.count());
+    if (!since_start && std::abs(ns) < 9.2e18) since_start = Duration{std::llround(ns)};
+    const auto time = since_start ? later_than(notation.start, *since_start) : std::nullopt;
+    if (time) return *time;
+    return import_refused("", text + " is no time that can be recorded", "look at --scale and --start");
+  }
+  const auto time = parse_iso8601(text);
+  if (time) return time;
+  const auto with_zone = parse_iso8601(text + (notation.zone.empty() ? "Z" : notation.zone));
+  if (!with_zone) return time;
+  if (notation.zone.empty())
+    return import_refused("", "it says no time zone", "write --zone Z if it is UTC, or such as +01:00");
+  return with_zone;
+}
+
+Error import_refused(std::string where, std::string why, std::string advice) {
+  return {Errc::bad_argument, "cannot import", std::move(where), std::move(why), std::move(advice)};
+}
+
+}  // namespace rtdata::app

@@ -1,0 +1,87 @@
+// The table of a machine: its states, and the ways from one to another. Private to the machine.
+#pragma once
+
+#include <algorithm>
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "rtdata/fsm/machine.hpp"
+
+namespace rtdata::fsm::detail {
+
+/// What makes a machine try its transitions: a named event, by its number, or any other.
+inline constexpr std::uint16_t any_event = 0xffff;
+/// As any_event, without an event: time has passed, or the program asked. What must hold for a time goes by events.
+inline constexpr std::uint16_t no_event = 0xfffe;
+
+struct Entry;
+
+// What each event looks at comes first.
+struct Way {
+  std::uint16_t on;         // any_event: it waits for none
+  bool is_removed = false;  // destroyed when no action runs
+  Entry& to;
+  Condition when;
+  Duration after;
+  Duration hold;
+  std::optional<Time> since{};  // its condition has been true, of one with `hold`
+  std::string cause;
+};
+
+/// A state, with the ways out of it.
+struct Entry {
+  std::string name;
+  std::unique_ptr<State> code;
+  bool is_final;
+  bool has_check;  // it decides itself whether it may be gone to
+  std::vector<std::unique_ptr<Way>> ways{};
+};
+
+/// Thread: the machine's loop's. What is removed stays until `tidy`, since it may be on the stack.
+class MachineTable {
+ public:
+  explicit MachineTable(const std::string& machine) : object_("machine " + machine) {}
+
+  void add_state(std::string name, std::unique_ptr<State> code, bool is_final, bool has_check);
+  /// With all ways to it.
+  void remove_state(Entry& state);
+  /// Returns the state that it leads out of.
+  Entry& add_transition(Transition transition);
+  /// The number of those that were removed.
+  std::size_t remove_transitions(std::string_view from, std::string_view to);
+  bool has_removed() const noexcept { return has_removed_; }
+  /// Destroys what was removed.
+  void tidy();
+  void clear() noexcept;
+
+  /// None: null.
+  Entry* find(std::string_view name) const noexcept;
+  /// Not there: SetupError, which says `what` cannot be done.
+  Entry& entry(std::string_view name, const char* what) const;
+  /// any_event: no transition waits for an event of that name.
+  std::uint16_t event_number(std::string_view name) const noexcept {
+    const auto found = std::find(events_.begin(), events_.end(), name);
+    return found == events_.end() ? any_event : static_cast<std::uint16_t>(found - events_.begin());
+  }
+  /// By their numbers.
+  const std::vector<std::string>& events() const noexcept { return events_; }
+  /// `start`: the name of its first state.
+  Graph graph(const std::string& machine, const std::string& start) const;
+
+  [[noreturn]] void refuse(Errc code, const char* what, std::string_view of, std::string why, std::string advice) const;
+
+ private:
+  void check_name(const std::string& name, const char* what) const;
+
+  const std::string object_;  // in errors
+  std::vector<std::unique_ptr<Entry>> states_;
+  std::vector<std::unique_ptr<Entry>> removed_;
+  bool has_removed_ = false;  // of these, or of ways
+  std::vector<std::string> events_;
+};
+
+}  // namespace rtdata::fsm::detail
