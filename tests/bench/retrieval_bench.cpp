@@ -3,6 +3,7 @@
 #include <unistd.h>
 
 #include <filesystem>
+#include <stdexcept>
 #include <string>
 
 #include "harness.hpp"
@@ -28,7 +29,7 @@ struct Motion {
   RTDATA_FIELDS(Motion, (x, "m/s2"), (y, "m/s2"), (z, "m/s2"))
 };
 
-constexpr std::int64_t start_ns = 1'800'000'000'000'000'000;
+constexpr std::int64_t start_ns = 1'700'000'000'000'000'000;  // where a manual loop's time of day begins
 constexpr std::int64_t period_ns = 10'000'000;
 constexpr int steps = 1000;
 
@@ -39,7 +40,7 @@ void record(const std::string& path, int rows) {
   Feed<Motion> feed(loop, {.name = "imu", .topic = "imu"});
   for (int i = 0; i < rows; ++i) {
     feed.publish({.x = i / 7.0, .y = i % 300 / 10.0, .z = 9.81 + i % 11}, Time{Duration{start_ns + i * period_ns}});
-    if (i % 1000 == 0) loop.advance(std::chrono::milliseconds{10});
+    if (i % 1000 == 999) loop.advance(Duration{1000 * period_ns});
   }
   feed.close();
   loop.close();
@@ -93,10 +94,15 @@ void bench_replay_events(Report& report) {
         const std::int64_t begin = process_cpu_ns();
         rtdata::Loop loop{rtdata::Loop::Manual{}};
         double sum = 0;
-        auto heard = loop.subscribe<Motion>("imu", [&](const rtdata::Event<Motion>& event) { sum += event->x; });
+        int count = 0;
+        auto heard = loop.subscribe<Motion>("imu", [&](const rtdata::Event<Motion>& event) {
+          sum += event->x;
+          ++count;
+        });
         rtdata::Replay replay(loop, {.file = path});
         while (!replay.is_done()) loop.advance(std::chrono::hours{1});
         keep(sum);
+        if (count != rows) throw std::runtime_error("replay_events: " + std::to_string(count) + " events came");
         return static_cast<double>(process_cpu_ns() - begin) / rows;
       },
       [&] {
