@@ -247,12 +247,12 @@ Error Connection::failed(const PGresult* result, std::string doing) {
   return {meaning.code, std::move(doing), where_, detail::hidden(std::move(why), secrets_), meaning.advice};
 }
 
-Result<void> Connection::wait(short events, Clock::time_point until) {
+Result<short> Connection::wait(short events, Clock::time_point until) {
   for (;;) {
     const auto left = std::chrono::duration_cast<std::chrono::milliseconds>(until - Clock::now()).count();
     pollfd ready{PQsocket(connection_.get()), events, 0};
     const int count = left > 0 ? ::poll(&ready, 1, static_cast<int>(std::min<std::int64_t>(left, 1 << 30))) : 0;
-    if (count > 0) return {};
+    if (count > 0) return ready.revents;
     if (count < 0 && errno == EINTR) continue;
     if (count < 0) return lost();
     Error error{Errc::timed_out, what, where_, "it does not answer", "it is tried again with a new connection"};
@@ -304,18 +304,20 @@ Result<Reply> Connection::query(const std::string& sql, std::span<const std::str
 }
 
 Result<void> Connection::put(std::string_view data) {
-  constexpr std::size_t piece = std::size_t{64} << 10;
+  // With the five bytes of its head, what libpq sends in one call and without a rest.
+  constexpr std::size_t piece = (std::size_t{64} << 10) - 5;
   PGconn* const connection = connection_.get();
   for (std::size_t at = 0; at < data.size(); at += piece) {
-    const std::string_view now = data.substr(at, piece);
-    if (PQputCopyData(connection, now.data(), static_cast<int>(now.size())) < 0) return lost();
     // What libpq holds back is bounded: no more is given before it is gone.
     const auto until = Clock::now() + timeout_;
     for (int flushed = PQflush(connection); flushed != 0; flushed = PQflush(connection)) {
       if (flushed < 0) return lost();
-      if (auto ready = wait(POLLIN | POLLOUT, until); !ready) return ready;
-      if (PQconsumeInput(connection) == 0) return lost();
+      auto ready = wait(POLLIN | POLLOUT, until);
+      if (!ready) return std::move(ready).error();
+      if ((*ready & ~POLLOUT) != 0 && PQconsumeInput(connection) == 0) return lost();
     }
+    const std::string_view now = data.substr(at, piece);
+    if (PQputCopyData(connection, now.data(), static_cast<int>(now.size())) < 0) return lost();
   }
   return {};
 }

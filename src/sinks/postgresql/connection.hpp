@@ -81,7 +81,8 @@ class Connection {
   };
   /// Sends what is waiting and returns the next result; null after the last.
   Result<PGresult*> next();
-  Result<void> wait(short events, Clock::time_point until);
+  /// Which of them, or that the connection is gone.
+  Result<short> wait(short events, Clock::time_point until);
   Result<void> put(std::string_view data);
   Error failed(const PGresult* result, std::string what);
   Error lost();
