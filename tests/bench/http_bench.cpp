@@ -127,7 +127,8 @@ class Receiver {
   std::string url_;
 };
 
-/// Process CPU time a row, from the first publish until the last is acknowledged.
+/// Process CPU time a row, from the first publish until the last is acknowledged. Some windows ahead wait in the queue,
+/// so that the sink has something to send whenever it may, as the limit has.
 double http_sink_row(const std::string& url, const std::string& format) {
   rtdata::Loop loop;
   rtdata::Feed<Eight> feed(loop, {.name = "chamber", .topic = "test/climate"});
@@ -141,11 +142,12 @@ double http_sink_row(const std::string& url, const std::string& format) {
   unsigned left = rows / at_a_time;
   const std::int64_t begin = process_cpu_ns();
   rtdata::Ticker ticker(loop, std::chrono::milliseconds{1}, [&](const rtdata::Tick&) {
-    if (left > 0) {
+    constexpr unsigned ahead = 8;
+    const std::uint64_t stored = sink.counts().stored;
+    if (left == 0 && stored == rows) return loop.stop();
+    while (left > 0 && rows / at_a_time - left < stored / at_a_time + ahead) {
       for (unsigned i = 0; i < at_a_time; ++i) feed.publish(reading(i));
       if (--left == 0) sink.flush();
-    } else if (sink.counts().stored == rows) {
-      loop.stop();
     }
   });
   loop.run();
