@@ -100,7 +100,8 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     port_->arm();
     is_armed_ = true;
     has_tripped_ = false;
-    record({config_.safe, OutputCause::arm, fitting<48>(by), now()}, value_, is_failing_ ? "the device has failed" : "");
+    record({config_.safe, OutputCause::arm, fitting<48>(by), now()}, value_,
+           is_failing_ ? "the device has failed" : "");
     recall();
     settle();
     return {};
