@@ -212,7 +212,7 @@ class MachineNode final : public Node {
       return;
     }
     Entry& from = *current_;
-    const Moment moment{time, from.name, now - arrived_,
+    const Moment moment{time, from.name, std::max(now - arrived_, Duration{0}),
                         is_named ? std::string_view(table_.events()[event]) : std::string_view()};
     if (Way* const way = way_out(from, event, moment)) {
       ++counts_.transitions;
@@ -451,7 +451,7 @@ void begin_hold_anew(rtdata::detail::Node& machine, std::size_t way) {
   if (machine.is_open()) static_cast<MachineNode&>(machine).begin_hold_anew(way);
 }
 void input_event(InputTimes& input, Time time) {
-  const MonotonicTime now = input.machine.loop()->now();
+  const MonotonicTime now = input.machine.loop()->deliveries.handler_began();
   auto& machine = static_cast<MachineNode&>(input.machine);
   if (input.time && input.max_age != Duration::max() && now - input.came > input.max_age)
     machine.input_was_old(input.came + input.max_age);

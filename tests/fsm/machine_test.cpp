@@ -3,6 +3,8 @@
 
 #include <doctest/doctest.h>
 
+#include <algorithm>
+#include <cstdint>
 #include <memory>
 #include <stdexcept>
 #include <string>
@@ -53,6 +55,29 @@ struct Bench {
 }  // namespace
 
 TEST_SUITE("fsm") {
+  TEST_CASE("in real time, each of several events in a row may take a transition, and none is before the arrival") {
+    constexpr std::uint64_t count = 50;
+    Loop loop;
+    Feed<Climate> feed(loop, {.name = "climate"});
+    fsm::Machine machine(loop, {.name = "machine", .start = "a"});
+    fsm::Input<Climate> climate(machine, "climate", 1h);
+    Duration shortest = Duration::max();
+    const auto look = [&](const fsm::Moment& moment) {
+      shortest = std::min(shortest, moment.in_state);
+      return static_cast<bool>(climate);
+    };
+    machine.add_state("a");
+    machine.add_state("b");
+    machine.add_transition({.from = "a", .to = "b", .when = look});
+    machine.add_transition({.from = "b", .to = "a", .when = look});
+    machine.start();
+    for (std::uint64_t i = 0; i < count; ++i) feed.publish(Climate{});
+    loop.poll();
+    CHECK(machine.counts().events == count);
+    CHECK(machine.counts().transitions == count);
+    CHECK(shortest >= Duration{0});
+  }
+
   TEST_CASE("US-39 a machine is in its start state from the start on, and its changes are events of its topic") {
     Bench b;
     CHECK(b.machine.state().empty());

@@ -248,6 +248,66 @@ TEST_SUITE("loop") {
     }
   }
 
+  TEST_CASE("a device that was slow once is still known to be quick, and one that was slow twice is not") {
+    constexpr Duration quick = 300ms, slow = 350ms;
+    Bench bench(4, quick);
+    Lane& lane = bench.quick_lane();
+    Lane& other = bench.quick_lane();
+    // Whether a job of the other lane, which was submitted after one of `lane`, runs before that one has ended. The
+    // loop does not run meanwhile, so that it makes no other thread lead.
+    const auto other_runs_beside_it = [&](Duration at_most) {
+      std::atomic<bool> other_ran{false};
+      std::atomic<int> ended{0};
+      bool is_beside = false;
+      REQUIRE(lane.submit(job(
+          [&] {
+            const auto end = std::chrono::steady_clock::now() + at_most;
+            while (!other_ran && std::chrono::steady_clock::now() < end) std::this_thread::yield();
+            is_beside = other_ran;
+            ++ended;
+          },
+          {})));
+      REQUIRE(other.submit(job(
+          [&] {
+            other_ran = true;
+            ++ended;
+          },
+          {})));
+      while (ended < 2) std::this_thread::yield();
+      bench.loop.run();
+      return is_beside;
+    };
+    const auto ask_slowly = [&] {
+      bool is_done = false;
+      REQUIRE(lane.submit(job([slow] { detail::lane_sleep(slow); }, [&](Outcome) { is_done = true; })));
+      run_until(bench.loop, [&] { return is_done; });
+    };
+    const auto ask_quickly = [&](int times) {
+      for (int i = 0; i < times; ++i) bench.ask(lane);
+    };
+    ask_quickly(4);
+    bench.ask(other);
+    CHECK_FALSE(other_runs_beside_it(20ms));
+    ask_slowly();
+    CHECK_FALSE(other_runs_beside_it(20ms));
+    ask_slowly();
+    CHECK(other_runs_beside_it(1h));
+    ask_quickly(6);
+    CHECK(other_runs_beside_it(1h));
+    CHECK_FALSE(other_runs_beside_it(20ms));
+
+    SUBCASE("slow again, after so many that were quick: it is forgotten") {
+      ask_quickly(3);
+      ask_slowly();
+      CHECK_FALSE(other_runs_beside_it(20ms));
+    }
+    SUBCASE("slow again, sooner") {
+      ask_quickly(2);
+      ask_slowly();
+      CHECK(other_runs_beside_it(1h));
+    }
+  }
+
   TEST_CASE("what is submitted in a callback of a deadline can be waited for there, and is run without that, too") {
     Bench bench(4);
     Lane& lane = bench.new_lane();

@@ -3,6 +3,8 @@
 #include <semaphore.h>
 
 #include <algorithm>
+#include <array>
+#include <bit>
 #include <mutex>
 #include <thread>
 #include <utility>
@@ -14,19 +16,18 @@
 namespace rtdata::detail {
 namespace {
 
-constexpr std::ptrdiff_t most_idle = 4;  // more end when they have nothing to do
-constexpr unsigned longest_mistrust = 8;
+constexpr int most_idle = 4;  // more end when they have nothing to do, but for one that leads
 constexpr Duration most_patience = 10 * LanePool::patience;  // with a thread that the processor is not given to
-constexpr Duration longest_untold = std::chrono::microseconds{250};
+constexpr Duration longest_untold = std::chrono::microseconds{500};
 
 MonotonicTime kernel_now() noexcept { return std::chrono::steady_clock::now(); }
 
-/// One less, unless there is none.
-bool take_one(std::atomic<std::ptrdiff_t>& count) noexcept {
-  std::ptrdiff_t was = count.load();
-  while (was > 0 && !count.compare_exchange_weak(was, was - 1)) {
+/// Clears the lowest bit that is set, and returns which that was. -1: none is.
+int take_lowest(std::atomic<unsigned>& bits) noexcept {
+  unsigned was = bits.load();
+  while (was != 0 && !bits.compare_exchange_weak(was, was & (was - 1))) {
   }
-  return was > 0;
+  return was != 0 ? std::countr_zero(was) : -1;
 }
 
 std::size_t count_of(const std::atomic<std::ptrdiff_t>& count) noexcept {
@@ -38,7 +39,7 @@ std::size_t count_of(const std::atomic<std::ptrdiff_t>& count) noexcept {
 void LaneListener::tell() noexcept {
   const std::lock_guard lock(mutex);
   if (loop_wake != nullptr) loop_wake->send();
-  job_ended.notify_all();
+  if (is_waited_for.load(std::memory_order_relaxed)) job_ended.notify_all();  // set under the mutex
 }
 
 void LaneListener::stop_listening() noexcept {
@@ -104,11 +105,13 @@ struct LanePool::State : std::enable_shared_from_this<LanePool::State> {
   std::atomic<std::uint64_t> leaderships{0};  // the number of them so far
   std::atomic<std::uint64_t> led_jobs{0};     // the number of jobs that leaders have begun
   std::atomic<std::uint64_t> in_led_job{0};   // the leadership that runs a job; 0: none
-  std::atomic<std::ptrdiff_t> sleeping{0};    // threads that nobody has woken yet
+  std::atomic<unsigned> sleeping{0};          // a bit for each place where a thread sleeps that nobody has woken yet
   std::atomic<std::ptrdiff_t> threads{0};     // without those that hang
   std::atomic<std::ptrdiff_t> behind{0};      // that hang
   std::atomic<bool> quit{false};
-  sem_t wake;  // not std::counting_semaphore, which may lose a wake-up in the libraries of our compilers
+  // Where threads sleep. The first is taken and woken first: the same thread goes on, whose memory is still in the
+  // processor's caches. Not std::counting_semaphore, which may lose a wake-up in the libraries of our compilers.
+  std::array<sem_t, most_idle + 1> places;
 
   PriorityMutex mutex;              // of what follows; no loop takes it on the way of a job
   LaneJobs ready;                   // that were sent, in order
@@ -120,11 +123,11 @@ struct LanePool::State : std::enable_shared_from_this<LanePool::State> {
   std::optional<cpu_set_t> processors;
 
   State(std::size_t most_threads, Duration quick_) : most(static_cast<std::ptrdiff_t>(most_threads)), quick(quick_) {
-    ::sem_init(&wake, 0, 0);
+    for (sem_t& place : places) ::sem_init(&place, 0, 0);
   }
   ~State() {
     drop_jobs();
-    ::sem_destroy(&wake);
+    for (sem_t& place : places) ::sem_destroy(&place);
   }
   static const State*& of_this_thread() noexcept {
     static thread_local const State* own = nullptr;
@@ -138,12 +141,12 @@ struct LanePool::State : std::enable_shared_from_this<LanePool::State> {
       std::uint64_t nobody = 0, chosen = ++leaderships;
       if (!leader.compare_exchange_strong(nobody, chosen) || wake_one()) return;
       leader.compare_exchange_strong(chosen, 0);
-    } while (sleeping > 0);  // one went to sleep meanwhile, since somebody had been chosen
+    } while (sleeping != 0);  // one went to sleep meanwhile, since somebody had been chosen
   }
   /// Somebody has been chosen. False: there is no thread, and the system gives none.
   bool wake_one() noexcept {
-    if (take_one(sleeping)) {
-      ::sem_post(&wake);
+    if (const int place = take_lowest(sleeping); place >= 0) {
+      ::sem_post(&places[static_cast<std::size_t>(place)]);
       return true;
     }
     const SignalsBlocked for_the_thread;
@@ -218,8 +221,8 @@ struct LanePool::State : std::enable_shared_from_this<LanePool::State> {
     const std::shared_ptr<LaneQueue> queue = std::move(worker.queue);
     if (std::exchange(queue->has_own_thread, false)) --own_threads;
     queue->is_busy = false;
-    if (worker.took > quick) {
-      queue->mistrust = longest_mistrust;
+    if (worker.took > quick) {  // once: the processor may have been given to others meanwhile
+      queue->mistrust = queue->mistrust == 0 ? LaneQueue::suspected : LaneQueue::known_to_be_slow;
     } else if (worker.took.count() > 0 && queue->mistrust > 0) {
       --queue->mistrust;
     }
@@ -244,7 +247,7 @@ struct LanePool::State : std::enable_shared_from_this<LanePool::State> {
       LaneQueue& queue = *job.queue_;
       if (queue.is_busy) {
         queue.waiting.push(job);
-      } else if (most == 1 || queue.mistrust == 0) {
+      } else if (most == 1 || queue.mistrust <= LaneQueue::suspected) {
         return begin(worker, job);
       } else if (may_have_own_thread()) {
         queue.is_busy = true;
@@ -299,17 +302,26 @@ struct LanePool::State : std::enable_shared_from_this<LanePool::State> {
   }
   /// Sleeps until it is to lead. False: there are enough that do so.
   bool rest(Worker& worker) noexcept {
-    if (worker.leads == 0 && sleeping >= most_idle) return false;
-    ++sleeping;
+    unsigned others = sleeping.load(), place = 0;
+    do {
+      const int count = std::popcount(others);
+      if (worker.leads == 0 && count >= most_idle) return false;
+      if (count > most_idle) {  // one that led before has taken the leader's place
+        leader.compare_exchange_strong(worker.leads, 0);
+        if (unserved > 0) choose_leader();
+        return false;
+      }
+      place = static_cast<unsigned>(std::countr_one(others));
+    } while (!sleeping.compare_exchange_weak(others, others | 1u << place));
     if (worker.leads != 0) leader.compare_exchange_strong(worker.leads, 0);
     if (std::uint64_t nobody = 0; unserved > 0) {
       const std::uint64_t chosen = ++leaderships;
-      if (leader.compare_exchange_strong(nobody, chosen) && take_one(sleeping)) {
+      if (leader.compare_exchange_strong(nobody, chosen) && (sleeping.fetch_and(~(1u << place)) & 1u << place) != 0) {
         worker.leads = chosen;
         return true;
-      }  // else somebody has chosen this thread already
+      }  // else somebody has chosen this thread already, or another one at this place
     }
-    while (::sem_wait(&wake) != 0) {
+    while (::sem_wait(&places[place]) != 0) {
     }
     worker.leads = leader;
     worker.now = kernel_now();
@@ -342,7 +354,8 @@ LanePool::~LanePool() {
   constexpr Duration patience_at_end = std::chrono::seconds{1};  // nothing holds them but the end of what they just do
   State& state = *state_;
   state.quit.store(true, std::memory_order_release);
-  for (std::size_t left = threads(); left > 0; --left) ::sem_post(&state.wake);
+  for (std::size_t left = threads(); left > 0; --left)  // wherever they sleep
+    for (sem_t& place : state.places) ::sem_post(&place);
   if (State::of_this_thread() != &state) {
     std::unique_lock lock(state.mutex);
     state.ended.wait_for(lock, patience_at_end, [&] { return state.threads <= 0; });

@@ -65,11 +65,13 @@ class LaneJobs {
 /// The jobs of one lane, or of the lanes of several loops to one bus. Shared with its jobs; all but `behind` is guarded
 /// by the pool's mutex.
 struct LaneQueue {
-  LaneJobs waiting;             // behind the one that runs, or for a thread
-  bool is_busy = false;         // one of them runs, or waits for a thread in `LanePool::State::slow`
-  bool has_own_thread = false;  // what runs it does not lead
-  std::uint64_t led_by = 0;     // the leadership under which one of them runs
-  unsigned mistrust = 1;        // the number of quick jobs until it counts as quick
+  static constexpr unsigned suspected = 4;  // up to here it counts as quick: at most one of its last jobs was slow
+  static constexpr unsigned known_to_be_slow = suspected + 8;
+  LaneJobs waiting;                   // behind the one that runs, or for a thread
+  bool is_busy = false;               // one of them runs, or waits for a thread in `LanePool::State::slow`
+  bool has_own_thread = false;        // what runs it does not lead
+  std::uint64_t led_by = 0;           // the leadership under which one of them runs
+  unsigned mistrust = suspected + 1;  // the number of quick jobs until its slow ones are forgotten
   LaneQueue* next_slow = nullptr;
   std::atomic<std::ptrdiff_t> behind{0};  // threads that hang; below 0: one comes back just when it is left behind
 };
@@ -77,7 +79,7 @@ struct LaneQueue {
 /// Owner: shared by those who have lanes on it; its threads end with the last of them. Thread: any.
 class LanePool {
  public:
-  /// Lanes whose last jobs took no longer are known to be quick: not worth handing them to another thread.
+  /// Lanes of whose last jobs at most one took longer are known to be quick: not worth handing them to another thread.
   static constexpr Duration usual_quick = std::chrono::microseconds{100};
   /// One that takes longer than this does not lead any more, so that the others wait no longer.
   static constexpr Duration patience = std::chrono::milliseconds{1};

@@ -285,6 +285,7 @@ MonotonicTime TopicCore::deliver_group(LoopCore& loop, MonotonicTime begin, Mono
     {
       Call call(*node);
       loop.nodes.begins(node);
+      loop.deliveries.handler_begins(from);
       const auto result = node->deliver(run, map.get());
       Link& link = links_[i];  // the vector may have grown meanwhile
       link.delivered += result.seen - result.cancelled;
