@@ -3,6 +3,8 @@
 
 #include <doctest/doctest.h>
 
+#include <optional>
+
 #include "app/control/live_view.hpp"
 #include "app/core/table.hpp"
 #include "app/core/terminal_text.hpp"
@@ -58,6 +60,43 @@ TEST_SUITE("app") {
     CHECK(dropped(account, "some/a") == 1);
     CHECK(dropped(account, "some/b") == 5);
     CHECK(account.dropped == 6);
+  }
+
+  TEST_CASE("what a sensor lost that was removed while it ran is in the sums, the table and the verdict") {
+    Loop loop{Loop::Manual{}};
+    loop.on_error([](const ErrorReport&) {});
+    const Sensor<Number> stays(loop, {.name = "stays", .rate = 2_Hz}, [] { return Number{1}; });
+    std::optional<Sensor<Number>> fails, brings;
+    const auto make = [&](double value) {
+      fails.emplace(loop, SensorConfig{.name = "fails", .rate = 10_Hz}, []() -> Result<Number> {
+        return Error{Errc::io_failed, "cannot read", "x", "", ""};
+      });
+      brings.emplace(loop, SensorConfig{.name = "brings", .rate = 5_Hz}, [value] { return Number{value}; });
+    };
+    make(1);
+    loop.advance(1s);
+    fails.reset();
+    brings.reset();
+    loop.advance(1s);
+    const auto failed = [&](const app::RunAccount& account, std::string_view topic) {
+      for (const app::TopicAccount& one : account.topics)
+        if (one.topic == topic) return one.failed;
+      return std::uint64_t{999};
+    };
+    app::RunAccount account = app::account_of(loop.runtime());
+    CHECK(account.failed == 11);
+    CHECK(failed(account, "fails") == 11);
+    CHECK(failed(account, "brings") == 0);
+    CHECK(account.mute == std::vector<std::string>{"fails"});
+    CHECK(app::verdict(account, {.has_loss = loop.runtime().has_loss()}) ==
+          "NO EVENT ever came from fails; LOST: 11 ticks failed (fails); taken: 11 events; ledger balances");
+
+    make(2);  // of the same names: their counts go on, and count once
+    loop.advance(450ms);
+    account = app::account_of(loop.runtime());
+    CHECK(account.failed == 16);
+    CHECK(failed(account, "fails") == 16);
+    CHECK(account.mute == std::vector<std::string>{"fails"});
   }
 
   TEST_CASE("the verdict names what was lost, of whom, and what is there; late is not lost") {

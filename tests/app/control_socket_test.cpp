@@ -11,8 +11,10 @@
 #include <cstring>
 #include <nlohmann/json.hpp>
 
+#include "app/control/commands.hpp"
 #include "app/control/status.hpp"
 #include "app/runtime_folder.hpp"
+#include "rtdata/loop/lane.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/sensors/sensor.hpp"
 
@@ -165,6 +167,75 @@ TEST_SUITE("app") {
     CHECK(last.read() == "30:y\n");
   }
 
+  TEST_CASE("a control socket disconnects nobody whose answer is being made, and refuses a ninth when all are so") {
+    RuntimeFolder folder;
+    Loop loop{Loop::Manual{}};
+    std::size_t taken = 0;
+    ControlSocket socket{loop,
+                         [&](std::uint64_t client, std::string_view line) -> ControlSocket::Work {
+                           ++taken;
+                           return [text = std::to_string(client) + ":" + std::string(line)] {
+                             detail::lane_sleep(300ms);  // one after the other: the first is there when all have asked
+                             return text;
+                           };
+                         },
+                         [](std::uint64_t) {}};
+    const auto turn = [&](Duration duration = 10ms) {
+      for (int i = 0; i < 20; ++i) {
+        loop.advance(duration / 20);
+        loop.poll();
+      }
+    };
+    std::vector<std::unique_ptr<RawClient>> clients;
+    const auto connect = [&](const std::string& line) {
+      clients.push_back(std::make_unique<RawClient>(socket.path()));
+      if (!line.empty()) clients.back()->send(line + "\n");
+      turn();
+    };
+    connect("command 1");
+    for (int i = 2; i <= 7; ++i) connect("command");
+    connect("");  // asks nothing
+    CHECK(taken == 7);
+    connect("the last");
+    CHECK(taken == 8);
+    CHECK(clients[7]->read() == "{\"error\":\"too many clients, and this one asked nothing for the longest\"}\n");
+    CHECK(clients[7]->is_disconnected());
+    connect("one too many");
+    CHECK(taken == 8);
+    CHECK(clients[9]->read() ==
+          "{\"error\":\"too many clients, and all of them wait for their answers: ask again\"}\n");
+    CHECK(clients[9]->is_disconnected());
+    turn(4s);
+    CHECK(clients[0]->read() == "1:command 1\n");
+    for (std::size_t i = 1; i < 7; ++i) CHECK(clients[i]->read() == std::to_string(i + 1) + ":command\n");
+    CHECK(clients[8]->read() == "9:the last\n");
+    connect("room again");
+    turn(1s);
+    CHECK(clients[10]->read() == "10:room again\n");
+  }
+
+  TEST_CASE("a control socket that closes tells whose answer was being made that the log has it") {
+    RuntimeFolder folder;
+    Loop loop{Loop::Manual{}};
+    std::optional<ControlSocket> socket;
+    socket.emplace(
+        loop,
+        [](std::uint64_t, std::string_view) -> ControlSocket::Work {
+          return [] {
+            detail::lane_sleep(1s);
+            return std::string("answer");
+          };
+        },
+        [](std::uint64_t) {});
+    RawClient asks(socket->path());
+    RawClient looks(socket->path());
+    asks.send("command\n");
+    for (int i = 0; i < 20; ++i) loop.poll();
+    socket.reset();
+    CHECK(asks.read() == "{\"ended\":\"the run has ended; whether it was done, its log says\"}\n");
+    CHECK(looks.read() == "{\"ended\":\"the run has ended\"}\n");
+  }
+
   TEST_CASE("a control socket gives up on who does not read, and serves the others meanwhile") {
     Echo echo;
     echo.answer_size = std::size_t{8} << 20;
@@ -264,6 +335,12 @@ TEST_SUITE("app") {
       CHECK(answer.size() == 1);
     }
     CHECK(loop.callbacks().empty());
+    for (const char* words : {"", R"(,"words":[])", R"(,"words":"note x")", R"(,"words":["note",1])"}) {
+      const std::string line = std::string(R"({"request":"command")") + words + "}";
+      CHECK(command_words(line).empty());
+      CHECK(status.answer(1, line)() ==
+            R"({"error":"the \"words\" of a command are a list of texts, which is not empty"})");
+    }
   }
 
   TEST_CASE("a status has counts, rates since the last one, lateness and last values, and looks only while asked") {

@@ -11,6 +11,7 @@
 #include "app/runtime_folder.hpp"
 #include "paths.hpp"
 #include "rtdata/process/expression.hpp"
+#include "rtdata/sinks/recording.hpp"
 #include "sinks/sqlite/database.hpp"
 
 using rtdata::test::built;
@@ -180,6 +181,85 @@ TEST_SUITE("app") {
     Process second(folder, program, {"verify", "second.db"});
     CHECK(second.end() == 0);
     CHECK(has(second.out, "balanced"));
+  }
+
+  TEST_CASE("US-5 US-32 a stuck recording is given up though a sender goes through it, and what waits in it is told") {
+    const rtdata::test::RuntimeFolder runtime;
+    const Folder folder;
+    const std::string program = built("rtdata");
+    const auto text = [](const char* file) {
+      return R"({"name": "rig", "sensors": [{"name": "a", "type": "host", "quantity": "load", "rate": "100 Hz"}], "sinks": [
+        {"type": "sqlite", "name": "db", "path": ")" +
+             std::string(file) + R"(", "batch_time": "50 ms", "close_deadline": "500 ms"},
+        {"type": "tcp", "name": "far", "host": "127.0.0.1", "port": 1, "through": "db", "retry_longest": "200 ms"}]})";
+    };
+    const auto waiting_in = [&](const std::string& file) {
+      std::uint64_t events = 0;
+      for (const auto& backlog : rtdata::Recording::open(folder.path() + "/" + file).or_throw().backlogs().or_throw())
+        events += backlog.events;
+      return events;
+    };
+    folder.write("rig.json", text("first.db"));
+    Process run(folder, program, {"run", "rig.json"});
+    REQUIRE(run.wait_for("running rig"));
+    const auto reload = [&](std::vector<std::string> words, int status) {
+      words.insert(words.begin(), {"ctl", "reload"});
+      Process ctl(folder, program, words);
+      CHECK_MESSAGE(ctl.end() == status, ctl.err);
+      return ctl.out + ctl.err;
+    };
+    for (int i = 0; i < 1000; ++i) {  // until something waits for the peer that is not there
+      std::this_thread::sleep_for(std::chrono::milliseconds{10});
+      if (const auto opened = rtdata::Recording::open(folder.path() + "/first.db"); opened && opened->topics())
+        if (const auto all = opened->backlogs(); all && !all->empty() && all->front().events > 10) break;
+    }
+    std::string told;
+    {
+      auto other = rtdata::sqlite::Database::open(folder.path() + "/first.db", rtdata::sqlite::Database::Mode::write)
+                       .or_throw();
+      other.execute("BEGIN IMMEDIATE").or_throw();
+      folder.write("rig.json", text("second.db"));
+      CHECK(has(reload({}, 1), "`rtdata ctl reload give-up db`"));
+      told = reload({"give-up", "db"}, 0);
+      REQUIRE(run.wait_for("sink db: lost "));
+    }
+    INFO(told);
+    CHECK(has(told, "sink db: restarted (path)"));
+    CHECK(has(told, "sink far: restarted"));
+    CHECK(has(told,
+              " in first.db for sink \"far\", and no sink goes through that file any more: `rtdata forward first.db "
+              "rig.json` sends them"));
+    CHECK(has(told, "\n" + std::to_string(waiting_in("first.db")) + " events ("));
+
+    // And from a disk that is well: what the recording stores when it closes waits, too.
+    folder.write("rig.json", text("third.db"));
+    told = reload({}, 0);
+    CHECK(has(told, "\n" + std::to_string(waiting_in("second.db")) + " events ("));
+    CHECK(has(told, " in second.db for sink \"far\", and no sink goes through"));
+    folder.write("rig.json", R"({"name": "rig", "sensors": [], "sinks": []})");
+    Process check(folder, program, {"check", "rig.json", "--against", "old.json"});
+    CHECK(check.end() == 2);  // there is none yet
+    folder.write("old.json", text("third.db"));
+    told = reload({}, 0);
+    CHECK(has(told,
+              " in third.db for sink \"far\", and no sink goes through that file any more: `rtdata forward third.db "
+              "FILE` sends them, with a FILE that has this sink"));
+    Process compared(folder, program, {"check", "rig.json", "--against", "old.json"});
+    CHECK(compared.end() == 0);
+    CHECK(has(compared.out, "warning: " + std::to_string(waiting_in("third.db")) + " events ("));
+    run.signal(SIGTERM);
+    CHECK(run.end() == 1);  // not all is stored
+    // The table has the file that each had.
+    for (const char* file : {"first.db", "second.db", "third.db"}) {
+      const std::string& out = run.out;
+      std::size_t rows = 0;
+      for (std::size_t at = out.find("\ndb "); at != std::string::npos; at = out.find("\ndb ", at + 1)) {
+        const std::string row = out.substr(at + 1, out.find('\n', at + 1) - at - 1);
+        if (row.ends_with(file)) ++rows;
+      }
+      CHECK_MESSAGE(rows == 1, file << "\n" << out);
+      CHECK(has(out, " in " + std::string(file) + "\n"));
+    }
   }
 
   TEST_CASE("US-32 what a sender has queued goes out after a reload has restarted it, each event once") {

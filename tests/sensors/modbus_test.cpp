@@ -353,6 +353,30 @@ TEST_SUITE("sensors") {
     CHECK(device.read_registers(ModbusTable::holding, 0, words).error().code == Errc::closed);
   }
 
+  TEST_CASE("US-42 Modbus: a device has no value, whichever way its data sheet writes the raw number") {
+    TcpServer server;
+    Stage stage;
+    ModbusBus bus("plc", {.host = "127.0.0.1", .port = server.port()});
+    const auto raw = std::bit_cast<std::uint32_t>(-9999.9f);
+    const std::array<std::uint16_t, 10> words{
+        0x8000, 0x8000, 0xffff, 0xffff, static_cast<std::uint16_t>(raw >> 16), static_cast<std::uint16_t>(raw & 0xffff),
+        0xffff, 0xffff, 0xffff, 0xffff};
+    bus.device({.unit = 1}).write_registers(20, words).or_throw();
+    DriverSensor<Modbus> meter(
+        stage.loop, common("meter"), bus, {.unit = 1},
+        {.fields = {{.name = "a", .address = 20, .type = Kind::i16, .scale = 0.1, .no_value = 32768},
+                    {.name = "b", .address = 21, .type = Kind::i16, .no_value = -32768},
+                    {.name = "c", .address = 22, .type = Kind::u16, .no_value = -1},
+                    {.name = "d", .address = 22, .type = Kind::i16, .no_value = 65535},
+                    {.name = "e", .address = 22, .type = Kind::i32, .no_value = 4294967295},
+                    {.name = "f", .address = 24, .type = Kind::f32, .no_value = -9999.9},
+                    {.name = "g", .address = 26, .type = Kind::u64, .no_value = -1},
+                    {.name = "h", .address = 26, .type = Kind::u64, .no_value = 18446744073709551615.0},
+                    {.name = "is", .address = 20, .type = Kind::i16, .no_value = 32767}}});
+    stage.until([&] { return !stage.values.empty(); });
+    CHECK(stage.values[0] == "meter: absent absent absent absent absent absent absent absent -32768");
+  }
+
   TEST_CASE("US-42 NFR-1 Modbus TCP: a server that is absent, silent, closes and comes back") {
     auto server = std::make_unique<TcpServer>();
     const std::uint16_t port = server->port();
@@ -403,6 +427,19 @@ TEST_SUITE("sensors") {
     CHECK(has(report(tcp + R"(, "answer_timeout": "5 s")", field), "make `timeout` longer"));
     CHECK(has(report(tcp, field + R"(, "unit": 0)"), "unit"));
     CHECK(has(report(tcp, field + R"(, "unit": 248)"), "unit"));
+    const auto none = [&](const std::string& kind, const std::string& number) {
+      return report(
+          tcp, R"("fields": [{"name": "x", "address": 0, "type": ")" + kind + R"(", "no_value": )" + number + "}]");
+    };
+    using Said = std::pair<const char*, const char*>;
+    for (const Said& said :
+         {Said{"uint16", "65536"}, Said{"uint16", "-32769"}, Said{"int16", "65536"}, Said{"int16", "0.5"},
+          Said{"int32", "4294967296"}, Said{"int64", "-1e19"}, Said{"uint64", "2e19"}, Said{"float", "1e39"}})
+      CHECK(has(none(said.first, said.second), "never hold its `no_value`"));
+    for (const Said& said : {Said{"uint16", "65535"}, Said{"uint16", "-1"}, Said{"int16", "32768"},
+                             Said{"int32", "4294967295"}, Said{"int64", "-1"}, Said{"uint64", "1.8446744073709552e19"},
+                             Said{"float", "-9999.9"}, Said{"double", "1e39"}})
+      CHECK(none(said.first, said.second).empty());
     CHECK(has(report(tcp, R"("fields": [])"), "there are none"));
     CHECK(has(report(tcp, R"("fields": [{"name": "x", "address": 65535, "type": "float"}])"), "beyond address 65535"));
     CHECK(has(report(tcp, R"("fields": [{"name": "x", "address": 0}, {"name": "x", "address": 1}])"), "x"));

@@ -12,8 +12,9 @@
 ///   it says otherwise.
 /// - A number with a `scale` or an `offset` is published as a double, raw * scale + offset; others as they are. Coils
 ///   and discrete inputs are bools.
-/// - `no_value` is the raw number by which the device says that there is none (0x8000, 65535 ...): the field is then
-///   absent, as it is with a float that is no number. Without `no_value` such a float makes the reading unreadable.
+/// - `no_value` is the raw number by which the device says that there is none (0x8000, 65535 ...), of an integer with
+///   or without its sign: the field is then absent, as it is with a float that is no number. Without `no_value` such a
+///   float makes the reading unreadable.
 /// - An answer with a wrong checksum, or to something else, is unreadable; the device's exceptions are reported by
 ///   name.
 ///

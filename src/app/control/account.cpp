@@ -1,13 +1,16 @@
 #include "app/control/account.hpp"
 
 #include <algorithm>
+#include <utility>
 
 #include "app/core/amounts.hpp"
 #include "app/core/table.hpp"
+#include "loop/runtime/final_account.hpp"
+#include "loop/runtime/runtime_core.hpp"
 
 namespace rtdata::app {
 
-RunAccount account_of(const Runtime& runtime) {
+RunAccount account_of(Runtime& runtime) {
   RunAccount account;
   for (const TopicStatus& topic : runtime.topics()) {
     if (topic.name.starts_with('$')) continue;
@@ -16,7 +19,9 @@ RunAccount account_of(const Runtime& runtime) {
     account.topics.back().events = topic.published;
     account.events += topic.published;
   }
-  for (const SensorStatus& sensor : runtime.sensors()) {
+  std::vector<SensorStatus> sensors = runtime.sensors();
+  for (SensorStatus& closed : detail::closed_sensors(runtime.core(), sensors)) sensors.push_back(std::move(closed));
+  for (const SensorStatus& sensor : sensors) {
     const auto topic = std::find_if(account.topics.begin(), account.topics.end(),
                                     [&](const TopicAccount& known) { return known.topic == sensor.topic; });
     if (topic == account.topics.end()) continue;
@@ -43,6 +48,12 @@ RunAccount account_of(const Runtime& runtime) {
     account.lost += sensor.counts.lost;
   }
   account.sinks = runtime.sinks();
+  const detail::RuntimeCore& core = runtime.core();
+  for (const detail::ClosedSink& closed : core.closed_sinks) {
+    RunAccount::Files& files = account.closed_sinks.emplace_back();
+    if (closed.path) files.own = core.hide(*closed.path);
+    files.recording = core.hide(closed.recording);
+  }
   for (const SinkStatus& sink : account.sinks) {
     account.dropped += sink.counts.all_dropped();
     for (const TopicDrops& dropped : sink.dropped) {
@@ -198,14 +209,17 @@ std::string summary(const RunAccount& account, const std::map<std::string, std::
   }
   if (!topics.empty()) text += topics.text("", columns);
   Table sinks({"sink", ">stored", ">dropped", "health", "where"});
-  for (const SinkStatus& sink : account.sinks) {
-    const auto path = paths.find(sink.name);
-    const std::string where = path == paths.end() || path->second.empty() ? "-"
-                              : path->second == "-"                       ? "standard output"
-                                                                          : path->second;
+  for (std::size_t i = 0; i < account.sinks.size(); ++i) {
+    const SinkStatus& sink = account.sinks[i];
+    const RunAccount::Files* const closed = i < account.closed_sinks.size() ? &account.closed_sinks[i] : nullptr;
+    const auto known = paths.find(sink.name);
+    std::string where = known == paths.end() ? std::string() : known->second;
+    if (closed != nullptr && closed->own) where = *closed->own;
+    if (where.empty() || where == "-") where = where.empty() ? "-" : "standard output";
     std::string note = sink.health == Health::ok ? "" : sink.reason;
     if (sink.backlog && sink.counts.queued > 0)
-      note += (note.empty() ? "" : "; ") + waiting_text({sink.counts.queued, sink.backlog->bytes, sink.backlog->age});
+      note += (note.empty() ? "" : "; ") + waiting_text({sink.counts.queued, sink.backlog->bytes, sink.backlog->age}) +
+              (closed != nullptr && !closed->recording.empty() ? " in " + closed->recording : "");
     sinks.add(
         {sink.name, std::to_string(sink.counts.stored), dropped_text(sink), std::string(name_of(sink.health)), where},
         note);

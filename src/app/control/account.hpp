@@ -3,6 +3,7 @@
 
 #include <cstdint>
 #include <map>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -27,6 +28,13 @@ struct TopicAccount {
 struct RunAccount {
   std::vector<TopicAccount> topics;
   std::vector<SinkStatus> sinks;
+  /// Of the first of these, which were closed: their own file, where the one of their name may have another now, and
+  /// that of the recording that they went through. Empty: none.
+  struct Files {
+    std::optional<std::string> own;
+    std::string recording;
+  };
+  std::vector<Files> closed_sinks;
   std::uint64_t events = 0, late = 0, missed = 0, failed = 0, unreadable = 0, lost = 0, dropped = 0, queued = 0;
   std::uint64_t waiting = 0;  ///< in recordings, to be sent
   Outages outages = {};
@@ -35,10 +43,11 @@ struct RunAccount {
   std::vector<std::string> not_detectable;
 };
 
-RunAccount account_of(const Runtime& runtime);
+/// Up to now, also of sensors that were removed while it ran.
+RunAccount account_of(Runtime& runtime);
 
 /// The tables printed at the end, at most `columns` wide where names allow (0: as wide as they are); what was
-/// unreadable has a column if there is any. `paths`: of sinks, by name.
+/// unreadable has a column if there is any. `paths`: of the sinks that are there last, by name.
 std::string summary(const RunAccount& account, const std::map<std::string, std::string>& paths, std::size_t columns);
 
 /// What the verdict says beside the account.

@@ -153,7 +153,11 @@ ControlSocket::~ControlSocket() {
   watch_.close();
   ::close(fd_);
   while (!clients_.empty()) {
-    if (clients_.back()->out.empty()) tell(*clients_.back(), "{\"ended\":\"the run has ended\"}\n");
+    const Client& client = *clients_.back();
+    if (client.is_answered)
+      tell(client.fd, "{\"ended\":\"the run has ended; whether it was done, its log says\"}\n");
+    else if (client.out.empty())
+      tell(client.fd, "{\"ended\":\"the run has ended\"}\n");
     drop(clients_.back()->number);
   }
 }
@@ -165,9 +169,9 @@ std::string ControlSocket::peer_of(std::uint64_t number) noexcept {
   return "uid " + std::to_string(peer->uid) + ", pid " + std::to_string(peer->pid);
 }
 
-/// Before it is dropped; if it takes that at once.
-void ControlSocket::tell(const Client& client, std::string_view why) {
-  [[maybe_unused]] const ssize_t told = ::send(client.fd, why.data(), why.size(), MSG_NOSIGNAL | MSG_DONTWAIT);
+/// Before it is disconnected; if it takes that at once.
+void ControlSocket::tell(int fd, std::string_view why) {
+  [[maybe_unused]] const ssize_t told = ::send(fd, why.data(), why.size(), MSG_NOSIGNAL | MSG_DONTWAIT);
 }
 
 void ControlSocket::listen() {
@@ -222,7 +226,11 @@ void ControlSocket::accept() {
     ::close(fd);
     return;
   }
-  if (clients_.size() >= most_clients) make_room();
+  if (clients_.size() >= most_clients && !make_room()) {
+    tell(fd, "{\"error\":\"too many clients, and all of them wait for their answers: ask again\"}\n");
+    ::close(fd);
+    return;
+  }
   auto client = std::make_unique<Client>();
   const std::uint64_t number = ++last_number_;
   client->number = number;
@@ -240,14 +248,18 @@ void ControlSocket::accept() {
   clients_.push_back(std::move(client));
 }
 
-/// Disconnects the client that has been silent for the longest time.
-void ControlSocket::make_room() {
-  const auto quietest = std::min_element(clients_.begin(), clients_.end(), [](const auto& a, const auto& b) {
-    return a->last_asked != b->last_asked ? a->last_asked < b->last_asked : a->number < b->number;
-  });
-  constexpr std::string_view why = "{\"error\":\"too many clients, and this one asked nothing for the longest\"}\n";
-  if ((*quietest)->out.empty()) tell(**quietest, why);
-  drop((*quietest)->number);
+/// Disconnects the client that has been silent for the longest time, of those that wait for no answer: what they were
+/// told last is whole. False: all wait for one.
+bool ControlSocket::make_room() {
+  const Client* quietest = nullptr;
+  for (const auto& client : clients_) {
+    if (client->is_answered || !client->out.empty()) continue;
+    if (quietest == nullptr || client->last_asked < quietest->last_asked) quietest = client.get();  // in their order
+  }
+  if (quietest == nullptr) return false;
+  tell(quietest->fd, "{\"error\":\"too many clients, and this one asked nothing for the longest\"}\n");
+  drop(quietest->number);
+  return true;
 }
 
 ControlSocket::Client* ControlSocket::find(std::uint64_t number) noexcept {

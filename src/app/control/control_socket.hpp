@@ -25,7 +25,8 @@ namespace rtdata::app {
 /// Takes connections on its loop and answers their lines. It never waits, and its memory is bounded: at most 8 clients,
 /// lines of at most 64 KiB, a line of each client every 20 ms, and one answer at a time; a client that does not read an
 /// answer for 5 s or sends a longer line is disconnected; when there is one too many, so is the one that has been
-/// silent for the longest time: idle connections keep no client out.
+/// silent for the longest time, of those that wait for no answer: idle connections keep no client out, and no command
+/// that is under way ends without its answer. While all wait for one, the one too many is told so and disconnected.
 ///
 /// Thread: the loop's, for everything.
 class ControlSocket {
@@ -67,9 +68,9 @@ class ControlSocket {
   void listen();
   void look_for_clients();
   void accept();
-  void make_room();
+  bool make_room();
   Client* find(std::uint64_t number) noexcept;
-  static void tell(const Client& client, std::string_view why);
+  static void tell(int fd, std::string_view why);
   void drop(std::uint64_t number);
   void ready(std::uint64_t number, const FdEvent& event);
   /// False: the client is to go.

@@ -147,8 +147,9 @@ std::function<std::string()> StatusSource::answer(std::uint64_t client, std::str
   if (request.is_discarded() || !request.is_object()) return refused("a request is an object of JSON on one line");
   const auto what = request.find("request");
   if (what == request.end() || !what->is_string()) return refused("it has no \"request\"");
+  if (*what == "command") return refused("the \"words\" of a command are a list of texts, which is not empty");
   if (*what != "status")
-    return refused("there is no request \"" + what->get<std::string>() + "\"; there is \"status\"");
+    return refused("there is no request \"" + what->get<std::string>() + "\"; there is \"status\" and \"command\"");
   auto& last = clients_[client];
   const auto before = std::exchange(last, take());
   return [now = last, before] { return text(*now, before.get()); };
@@ -218,6 +219,11 @@ std::shared_ptr<const StatusSource::Snapshot> StatusSource::take() {
   }
   shot->loops = runtime.loops();
   shot->sinks = runtime.sinks();
+  const detail::RuntimeCore& core = loop_.core().runtime;
+  for (const detail::ClosedSink& closed : core.closed_sinks) {
+    std::optional<std::string>& path = shot->closed_paths.emplace_back();
+    if (closed.path) path = core.hide(*closed.path);
+  }
   shot->topics = runtime.topics();
   if (info_->made != nullptr) {
     for (const std::string& name : info_->made->names("machine")) {
@@ -336,14 +342,17 @@ std::string StatusSource::text(const Snapshot& now, const Snapshot* before) {
   }
 
   Json& sinks = json["sinks"] = Json::array();
-  for (const SinkStatus& sink : now.sinks) {
+  for (std::size_t at = 0; at < now.sinks.size(); ++at) {
+    const SinkStatus& sink = now.sinks[at];
     Json dropped;
     for (std::size_t i = 0; i < drop_reasons; ++i) {
       dropped[std::string(name_of(static_cast<DropReason>(i)))] = sink.counts.dropped[i];
     }
-    const auto path = now.info->sink_paths.find(sink.name);
+    const auto known = now.info->sink_paths.find(sink.name);
+    std::string path = known == now.info->sink_paths.end() ? std::string() : known->second;
+    if (at < now.closed_paths.size() && now.closed_paths[at]) path = *now.closed_paths[at];
     sinks.push_back({{"name", sink.name},
-                     {"path", path == now.info->sink_paths.end() ? "" : path->second},
+                     {"path", path},
                      {"offered", sink.counts.offered},
                      {"queued", sink.counts.queued},
                      {"stored", sink.counts.stored},

@@ -5,6 +5,7 @@
 #include <functional>
 #include <map>
 #include <memory>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -60,8 +61,8 @@ class StatusSource {
   /// Another configuration.
   void set(Info info);
 
-  /// `{"request":"status"}` gives the status; anything else {"error": why}. What is returned makes the text, one line
-  /// without its end, on any thread, also when this object is gone.
+  /// `{"request":"status"}` gives the status; anything else {"error": why}, also a command whose words are none. What
+  /// is returned makes the text, one line without its end, on any thread, also when this object is gone.
   std::function<std::string()> answer(std::uint64_t client, std::string_view line);
   /// The client has gone.
   void forget(std::uint64_t client);
@@ -97,6 +98,7 @@ class StatusSource {
     std::vector<SeenSensor> seen;  // beside `sensors`
     std::vector<LoopStatus> loops;
     std::vector<SinkStatus> sinks;
+    std::vector<std::optional<std::string>> closed_paths;  // beside the first of `sinks`
     std::vector<TopicStatus> topics;
     struct MachineState {
       std::string state;

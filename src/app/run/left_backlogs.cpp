@@ -173,6 +173,43 @@ Result<std::vector<RecordedBacklog>> backlogs_of_others(const Recording& recordi
   return backlogs;
 }
 
+std::vector<std::string> recordings_left(const std::vector<const PartPlan*>& now, const SystemPlan& next) {
+  const auto place = [](const std::string& path) {
+    return std::filesystem::absolute(std::filesystem::path(path)).lexically_normal();
+  };
+  std::vector<std::string> left;
+  for (const PartPlan* part : now) {
+    if (!part->stores || !part->stores->is_recording) continue;
+    const bool is_written = std::any_of(next.parts.begin(), next.parts.end(), [&](const PartPlan& other) {
+      return other.stores && other.stores->is_recording && place(other.stores->path) == place(part->stores->path);
+    });
+    if (!is_written) left.push_back(part->stores->path);
+  }
+  return left;
+}
+
+std::vector<std::string> left_behind(const std::string& recording, const SystemPlan& next, const std::string& file) {
+  std::vector<std::string> lines;
+  std::error_code unknown;
+  if (!std::filesystem::is_regular_file(recording, unknown)) return lines;
+  const auto opened = Recording::open(recording);
+  const auto backlogs = opened ? backlogs_of_others(*opened, {}) : opened.error();
+  if (!backlogs) {
+    lines.push_back("what waits in " + recording + " for sinks is not known: " + backlogs.error().text());
+    return lines;
+  }
+  for (const RecordedBacklog& backlog : *backlogs) {
+    const std::vector<const PartPlan*> sinks = next.of_kind("sink");
+    const bool has_sender = std::any_of(sinks.begin(), sinks.end(), [&](const PartPlan* sink) {
+      return sink->name == backlog.sink && sink->stores && !sink->stores->through.empty();
+    });
+    lines.push_back(waiting_text({backlog.events, backlog.bytes, {}, {}}) + " in " + recording + " for sink \"" +
+                    backlog.sink + "\", and no sink goes through that file any more: `rtdata forward " + recording +
+                    " " + (has_sender ? file + "` sends them" : "FILE` sends them, with a FILE that has this sink"));
+  }
+  return lines;
+}
+
 void warn_of_left_backlogs(SystemPlan& plan) {
   for (const PartPlan* part : plan.of_kind("sink"))
     if (part->stores && part->stores->is_recording) Look(plan, *part).warn();

@@ -18,6 +18,13 @@ Result<std::vector<RecordedBacklog>> backlogs_of_others(const Recording& recordi
 /// while it reads.
 void warn_of_left_backlogs(SystemPlan& plan);
 
+/// The files of recordings that are written `now`, and that none of `next` writes.
+std::vector<std::string> recordings_left(const std::vector<const PartPlan*>& now, const SystemPlan& next);
+
+/// A line for each sink for which something waits in such a file, with how it can be sent: with the senders of `next`,
+/// which `file` says, or with another configuration. Blocks while it reads.
+std::vector<std::string> left_behind(const std::string& recording, const SystemPlan& next, const std::string& file);
+
 /// The name of a sink of a configuration: as written, or its path, or its type.
 std::string sink_name(const ConfigItem& sink);
 

@@ -91,16 +91,50 @@ bool Reload::may_be_applied(Change& change) {
   return refused("what is refused can be done by starting the program again");
 }
 
+/// Reads what waits in the recordings of a change.
+struct Reload::Look final : detail::LaneJob {
+  Look(Reload& reload, const std::shared_ptr<Change>& change)
+      : reload_(reload), change_(change), recordings_(change->left), next_(change->read), file_(reload.options_.file) {}
+  void run() noexcept override try {
+    for (const std::string& recording : recordings_)
+      for (std::string& line : left_behind(recording, next_->plan, file_)) lines_.push_back(std::move(line));
+  } catch (...) {  // no memory: as if it had not come back
+    has_failed_ = true;
+  }
+  void done(Outcome outcome) override {
+    const auto change = change_.lock();
+    if (change == nullptr || outcome == Outcome::cancelled) return;
+    if (outcome == Outcome::finished && !has_failed_)
+      change->waiting = std::move(lines_);
+    else
+      change->waiting = not_known(recordings_);
+    reload_.then(change_, &Reload::tell_left);
+  }
+  static std::vector<std::string> not_known(const std::vector<std::string>& recordings) {
+    std::vector<std::string> lines;
+    for (const std::string& recording : recordings)
+      lines.push_back("what waits in " + recording + " for sinks could not be read in " + to_string(looking_patience) +
+                      ": `rtdata info " + recording + "` tells");
+    return lines;
+  }
+
+ private:
+  Reload& reload_;
+  const Weak change_;
+  const std::vector<std::string> recordings_;
+  const std::shared_ptr<const NextPlan> next_;
+  const std::string file_;
+  std::vector<std::string> lines_;
+  bool has_failed_ = false;
+};
+
 std::string Reload::obstacle_to_give_up(const Change& change) const {
   const std::set<std::string> closing = closing_sinks(change, false);
   for (const std::string& name : change.given_up) {
     if (!closing.contains(name)) return "sink " + name + " cannot be given up: the change does not close it";
     std::string path;
     for (const PartPlan* plan : system_.parts().plans()) {
-      if (!plan->stores) continue;
-      if (plan->stores->through == name)
-        return "sink " + name + " cannot be given up: " + plan->object() + " goes through it";
-      if (plan->name == name) path = plan->stores->path;
+      if (plan->stores && plan->name == name) path = plan->stores->path;
     }
     for (const PartPlan& plan : change.read->plan.parts)
       if (plan.stores && !path.empty() && plan.stores->path == path)
@@ -148,6 +182,7 @@ void Reload::begin_next() {
 void Reload::begin(const std::shared_ptr<Change>& change) {
   if (!may_be_applied(*change)) return;
   under_way_ = change;
+  change->left = recordings_left(system_.parts().plans(), change->read->plan);
   change->waits_for = closing_sinks(*change, false);
   for (const std::string& name : change->given_up) change->waits_for.erase(name);
   const Weak weak = change;
@@ -198,6 +233,14 @@ void Reload::go_on(const std::shared_ptr<Change>& change) {
 
 void Reload::be_applied(const std::shared_ptr<Change>& change) {
   run_.applied(change->read->plan);
+  if (change->left.empty()) return then(change, &Reload::tell_parts);
+  if (lane_.submit(std::make_shared<Look>(*this, change))) return;
+  change->waiting = Look::not_known(change->left);
+  then(change, &Reload::tell_left);
+}
+
+void Reload::tell_left(const std::shared_ptr<Change>& change) {
+  for (const std::string& line : change->waiting) add(*change, LogLevel::warning, line, "left-backlog");
   then(change, &Reload::tell_parts);
 }
 

@@ -7,12 +7,14 @@
 #include <set>
 #include <string>
 #include <utility>
+#include <vector>
 
 #include "app/control/commands.hpp"
 #include "app/core/configuration_commands.hpp"
 #include "app/run/console.hpp"
 #include "rtdata/config/change.hpp"
 #include "rtdata/config/system.hpp"
+#include "rtdata/loop/lane.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/timer.hpp"
 
@@ -31,9 +33,16 @@ class Reload {
     std::string failed = {};  ///< empty: there is a plan, perhaps with mistakes
   };
   using Told = std::function<void(const CommandOutcome&)>;
+  static constexpr Duration looking_patience = std::chrono::seconds{1};  // who asked waits for it, too
 
   Reload(Loop& loop, System& system, const Registry& registry, const RunOptions& options, RunConsole& console, Run run)
-      : loop_(loop), system_(system), registry_(registry), options_(options), console_(console), run_(std::move(run)) {}
+      : loop_(loop),
+        system_(system),
+        registry_(registry),
+        options_(options),
+        console_(console),
+        run_(std::move(run)),
+        lane_(loop.core(), "reload", looking_patience) {}
 
   /// Reads and checks the file again. Any thread but the loop's: so nothing waits for it.
   std::shared_ptr<const NextPlan> read_again() const;
@@ -58,8 +67,10 @@ class Reload {
     bool is_waiting = false;
     std::set<std::string> waits_for = {};  // sinks that store what they have
     Timer patience = {};
-    std::size_t told_parts = 0;  // of those that are changed, for the log
-    std::string details = {};    // what is said of it, a line each
+    std::vector<std::string> left = {};     // files of recordings that it closes for good
+    std::vector<std::string> waiting = {};  // what waits in those, a line each
+    std::size_t told_parts = 0;             // of those that are changed, for the log
+    std::string details = {};               // what is said of it, a line each
   };
   using Weak = std::weak_ptr<Change>;
   void conclude(Change& change, LogLevel level, const std::string& text, std::string_view id = {});
@@ -79,7 +90,11 @@ class Reload {
   void stop_waiting(const std::shared_ptr<Change>& change);
   void go_on(const std::shared_ptr<Change>& change);
   void be_applied(const std::shared_ptr<Change>& change);
+  /// Tells what waits in the recordings that it has closed for good.
+  void tell_left(const std::shared_ptr<Change>& change);
   void tell_parts(const std::shared_ptr<Change>& change);
+
+  struct Look;
 
   Loop& loop_;
   System& system_;
@@ -90,6 +105,7 @@ class Reload {
   std::shared_ptr<Change> under_way_;  // null: none
   std::shared_ptr<Change> next_;       // that waits for it
   std::uint64_t not_stored_ = 0;
+  detail::Lane lane_;  // that looks into recordings, on whatever disks they are
 };
 
 }  // namespace rtdata::app

@@ -315,7 +315,7 @@ class Run {
     }
   }
 
-  void stop(Loop& loop, const Runtime& runtime, const char* signal) {
+  void stop(Loop& loop, Runtime& runtime, const char* signal) {
     is_storing_told_ = true;
     if (is_closing_) {  // stopping the loop would end that
       console_.say(LogLevel::info, "program",
@@ -338,7 +338,7 @@ class Run {
                      to_string(close_deadline_) + " (Ctrl-C twice ends at once)");
   }
 
-  void show(const Runtime& runtime, Service& service, MonotonicTime due) {
+  void show(Runtime& runtime, Service& service, MonotonicTime due) {
     if (last_line_ == MonotonicTime{}) last_line_ = due;
     const bool is_line_due = due - last_line_ >= line_period;
     if (is_line_due) last_line_ = due;
@@ -353,7 +353,7 @@ class Run {
   }
 
   /// `unknown`: what is not in the account; empty: it is complete.
-  int report(const Runtime& runtime, const std::string& unknown, const std::string& unsafe) {
+  int report(Runtime& runtime, const std::string& unknown, const std::string& unsafe) {
     console_.tell_log_failure();
     const RunAccount account = account_of(runtime);
     const bool balances = unknown.empty() && runtime.balances();

@@ -1,6 +1,7 @@
 #include "config/plan/plan_application.hpp"
 
 #include <algorithm>
+#include <optional>
 #include <set>
 #include <string_view>
 #include <unordered_map>
@@ -19,6 +20,11 @@ bool ends(Fate fate) { return fate == Fate::restarted || fate == Fate::removed; 
 /// clients by their names.
 bool sends_beside_another(const PartPlan& plan) {
   return plan.stores && plan.stores->is_sender && plan.stores->through.empty() && plan.type != "mqtt";
+}
+/// Of the sink that has left the runtime just now: another of its name may have another file.
+void note_file_of_closed(Loop& loop, const std::string& name, const std::optional<StoredTopics>& stores) {
+  auto& closed = loop.runtime().core().closed_sinks;
+  if (stores && !closed.empty() && closed.back().name == name && !closed.back().path) closed.back().path = stores->path;
 }
 bool is_made(Fate fate) { return fate == Fate::restarted || fate == Fate::added; }
 
@@ -235,7 +241,14 @@ void PlanApplication::undo_one() {
     stage_ = Stage::done;
     return;
   }
-  system_.parts_.remove(made_.back().first, made_.back().second);
+  remove_last_made();
+}
+
+void PlanApplication::remove_last_made() {
+  const auto& [kind, name] = made_.back();
+  const std::optional<StoredTopics> stores = system_.parts_.part_named(kind, name).plan.stores;
+  system_.parts_.remove(kind, name);
+  note_file_of_closed(system_.loop_, name, stores);
   made_.pop_back();
 }
 
@@ -264,9 +277,14 @@ void PlanApplication::close() {
                         [&](const PartPlan* plan) { return !plan->stores || is_used(*plan); });
   for (auto plan = order.rbegin(); plan != order.rend(); ++plan) {
     std::unique_ptr<Parts::Part> part = system_.parts_.take((*plan)->kind, (*plan)->name);
-    const bool is_given_up = (*plan)->stores && given_up_.contains((*plan)->name);
-    if (is_given_up || sends_beside_another(**plan)) finish(std::move(part));
-    part = nullptr;
+    // What goes through a recording has nothing in memory: it ends with that.
+    const bool is_given_up = (*plan)->stores && (*plan)->stores->through.empty() && given_up_.contains((*plan)->name);
+    if (is_given_up || sends_beside_another(**plan)) {
+      finish(std::move(part));
+    } else {
+      part = nullptr;
+      note_file_of_closed(system_.loop_, (*plan)->name, (*plan)->stores);
+    }
     closed_at_[(*plan)->object()] = system_.loop_.now();
   }
 }
@@ -279,6 +297,7 @@ void PlanApplication::finish(std::unique_ptr<Parts::Part> part) {
     const auto finishing = all.lock();
     if (finishing == nullptr) return;
     finishing->lost += lost;
+    note_file_of_closed(loop, sending->plan.name, sending->plan.stores);
     loop.post([all, sending] {  // not from within it
       if (const auto still = all.lock())
         std::erase_if(still->sinks, [&](const auto& one) { return one.get() == sending; });
@@ -390,7 +409,7 @@ std::string PlanApplication::bring_back() {
     } catch (const SetupError&) {  // it had that value: it is as it was
     }
   }
-  for (; made_.size() > made_ahead_; made_.pop_back()) system_.parts_.remove(made_.back().first, made_.back().second);
+  while (made_.size() > made_ahead_) remove_last_made();
   std::string gone;
   for (PartPlan& plan : closed_) {
     std::string object = plan.object();

@@ -50,6 +50,7 @@ class PlanApplication {
   void keep_what_is_taken_over();
   /// Of a sink that needs a loop that turns to get rid of what it has queued, or that is not waited for.
   void finish(std::unique_ptr<Parts::Part> part);
+  void remove_last_made();
   void make();
   /// By `make` if it is not empty.
   void make_part(const PartPlan& plan, PartPlan::Make make);

@@ -3,6 +3,7 @@
 
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <unordered_map>
@@ -43,6 +44,8 @@ Error cannot_cross(const TopicCore& topic);
 /// A sink as it ended.
 struct ClosedSink : SinkStatus {
   std::string recording = {};  ///< the file of the one that it went through; empty: none
+  /// Of its own file, empty for none, when another configuration took its place; else the one of its name has it.
+  std::optional<std::string> path = {};
 };
 
 class RuntimeCore {

@@ -6,6 +6,7 @@
 #include <bit>
 #include <cmath>
 #include <cstring>
+#include <limits>
 #include <numeric>
 
 #include "data/field_layout.hpp"
@@ -29,6 +30,38 @@ Kind published_kind(const ModbusField& field) {
   return is_computed(field) ? Kind::f64 : field.type;
 }
 
+bool is_integer(Kind kind) { return kind != Kind::f32 && kind != Kind::f64; }
+
+/// The same number of bits, with a sign for one without, and the other way round.
+Kind other_sign(Kind kind) {
+  switch (kind) {
+    case Kind::i16:
+      return Kind::u16;
+    case Kind::u16:
+      return Kind::i16;
+    case Kind::i32:
+      return Kind::u32;
+    case Kind::u32:
+      return Kind::i32;
+    case Kind::i64:
+      return Kind::u64;
+    case Kind::u64:
+      return Kind::i64;
+    default:
+      return kind;
+  }
+}
+
+/// Whether registers of this type can hold it.
+bool can_be_raw(Kind type, double number) {
+  if (type == Kind::f32) return std::abs(number) <= std::numeric_limits<float>::max();
+  if (!is_integer(type)) return std::isfinite(number);
+  const int bits = static_cast<int>(8 * detail::size_of(type));
+  // 2^64 is the nearest double of the largest of 64 bits.
+  const double most = bits == 64 ? std::ldexp(1.0, bits) : std::ldexp(1.0, bits) - 1;
+  return number == std::trunc(number) && number >= -std::ldexp(1.0, bits - 1) && number <= most;
+}
+
 Error refused(const ModbusField& field, std::string why, std::string advice) {
   return {Errc::bad_argument, "cannot use this field", "field " + field.name, std::move(why), std::move(advice)};
 }
@@ -44,6 +77,9 @@ Result<std::shared_ptr<const Description>> Modbus::describe(const Config& config
       return refused(field, "it goes beyond address 65535", "set another `address`");
     if (!std::isfinite(field.scale) || field.scale == 0 || !std::isfinite(field.offset))
       return refused(field, "its scale is 0, or it is no number", "set `scale`");
+    if (may_be_absent(field) && !can_be_raw(field.type, *field.no_value))
+      return refused(field, "registers of type " + std::string(name_of(field.type)) + " never hold its `no_value`",
+                     "set the raw number, before `scale` and `offset`");
     using Presence = DescriptionBuilder::Presence;
     builder.field(field.name, published_kind(field), field.unit,
                   may_be_absent(field) ? Presence::optional : Presence::always);
@@ -106,6 +142,10 @@ double number_of(Kind kind, std::uint64_t bits) {
   switch (kind) {
     case Kind::i16:
       return static_cast<std::int16_t>(bits & 0xffff);
+    case Kind::u16:
+      return static_cast<std::uint16_t>(bits & 0xffff);
+    case Kind::u32:
+      return static_cast<std::uint32_t>(bits & 0xffffffff);
     case Kind::i32:
       return static_cast<std::int32_t>(bits & 0xffffffff);
     case Kind::i64:
@@ -117,6 +157,15 @@ double number_of(Kind kind, std::uint64_t bits) {
     default:
       return static_cast<double>(bits);
   }
+}
+
+/// Whether the bits of a field are those by which the device says that it has none.
+bool is_none(const ModbusField& field, std::uint64_t bits) {
+  if (!field.no_value) return false;
+  const double raw = number_of(field.type, bits);
+  if (field.type == Kind::f32)
+    return std::isnan(raw) || raw == static_cast<double>(static_cast<float>(*field.no_value));
+  return std::isnan(raw) || raw == *field.no_value || number_of(other_sign(field.type), bits) == *field.no_value;
 }
 
 }  // namespace
@@ -137,8 +186,7 @@ Result<void> Modbus::put(DescribedValue& value, std::size_t index, std::span<con
   const ModbusField& field = config_.fields[index];
   const Leaf& leaf = *description_->find(field.name);
   const std::uint64_t bits = bits_of(words, config_.word_order);
-  const double raw = number_of(field.type, bits);
-  if (field.no_value && (raw == *field.no_value || std::isnan(raw))) return {};
+  if (is_none(field, bits)) return {};
   const Result<double> number = decode(field, words, config_.word_order);
   if (!number) return number.error();
   std::byte* const to = value.data() + leaf.offset;
