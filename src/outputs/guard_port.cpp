@@ -37,6 +37,7 @@ class GuardPort final : public OutputPort {
   /// Afterwards the guard knows the output no more.
   Result<void> finish(std::optional<double> value) override {
     Result<void> result = exchange({GuardOrder::finish, value ? 1U : 0U, value.value_or(0)});
+    if (value) link_->note(name_, result.has_value());
     close();
     return result;
   }

@@ -9,9 +9,13 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <filesystem>
+#include <fstream>
 #include <list>
 #include <memory>
 #include <optional>
+#include <string>
+#include <string_view>
 #include <thread>
 #include <utility>
 
@@ -24,6 +28,39 @@ namespace {
 using SteadyClock = std::chrono::steady_clock;
 constexpr Duration retry_period = std::chrono::milliseconds{100};
 constexpr Duration longest_after_end = std::chrono::seconds{10};
+constexpr const char* name_of_guard = "rtdata-guard";
+constexpr const char* name_of_ending = "guard-ending";  // a thread's, whose output has ended and is not safe yet
+
+bool is_named(const std::filesystem::path& task, std::string_view wanted) {
+  std::ifstream file(task / "comm");
+  std::string name;
+  return std::getline(file, name) && name == wanted;
+}
+
+/// Whether a guard on this machine, also this one, has an output that has ended and whose device does not take the safe
+/// value. Its device may be had for moments only.
+bool is_any_ending() {
+  std::error_code ignored;
+  for (const auto& process : std::filesystem::directory_iterator("/proc", ignored)) {
+    if (!is_named(process.path(), name_of_guard)) continue;
+    for (const auto& task : std::filesystem::directory_iterator(process.path() / "task", ignored))
+      if (is_named(task.path(), name_of_ending)) return true;
+  }
+  return false;
+}
+
+/// An error that passes, as of a device that is away.
+Error passing(Error error) noexcept {
+  if (error.code != make_error_code(Errc::busy) && error.code != make_error_code(Errc::timed_out)) return error;
+  try {
+    if (!is_any_ending()) return error;
+    error.code = make_error_code(Errc::disconnected);
+    error.why += "; the guard of what had it before still tries to set it safe";
+    error.advice = "leave that guard alone: it ends after 10 s, and this output is tried again each second";
+  } catch (const std::exception&) {  // no memory: the error stays as it is
+  }
+  return error;
+}
 
 /// One output. Thread: its own.
 class Keeper {
@@ -89,15 +126,21 @@ class Keeper {
       held_.give_back();
       is_over_ = true;
     }
-    answer(done);
+    answer(done || is_open_ ? done : passing(done.error()));
   }
 
-  /// The program has gone.
+  /// The program has gone, or has closed the output.
   void end() noexcept {
     is_over_ = true;
     if (!is_open_ || is_safe_) return;
+    ::prctl(PR_SET_NAME, name_of_ending);
     const auto last = SteadyClock::now() + longest_after_end;
-    while (!held_.put(safe_) && SteadyClock::now() < last) std::this_thread::sleep_for(retry_period);
+    for (;;) {
+      const Result<void> done = held_.put(safe_);
+      // Who has it now has set it safe when it took it.
+      if (done || done.error().code == make_error_code(Errc::busy) || SteadyClock::now() >= last) return;
+      std::this_thread::sleep_for(retry_period);
+    }
   }
 
   void answer(const Result<void>& result) noexcept { send(GuardAnswer::answered, result); }
@@ -174,7 +217,7 @@ void be_guard(int socket, GuardBeat* beats, const OutputGuard::Make& make) noexc
   for (const int number : {SIGINT, SIGTERM, SIGHUP, SIGQUIT, SIGPIPE, SIGUSR1, SIGUSR2}) ::signal(number, SIG_IGN);
   for (const int number : {SIGSEGV, SIGBUS, SIGILL, SIGFPE, SIGABRT}) ::signal(number, SIG_DFL);
   ::setsid();
-  ::prctl(PR_SET_NAME, "rtdata-guard");
+  ::prctl(PR_SET_NAME, name_of_guard);
   close_others(socket);
   if (const int nothing = ::open("/dev/null", O_RDWR | O_CLOEXEC); nothing >= 0) {
     ::dup2(nothing, STDIN_FILENO);
