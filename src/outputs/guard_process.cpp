@@ -125,6 +125,8 @@ class Keeper {
     if (order.kind == GuardOrder::finish && (done.has_value() || !is_open_)) {
       held_.give_back();
       is_over_ = true;
+    } else if (order.kind == GuardOrder::finish) {
+      ::prctl(PR_SET_NAME, name_of_ending);  // before the program, which closes the output now, can make it again
     }
     answer(done || is_open_ ? done : passing(done.error()));
   }
