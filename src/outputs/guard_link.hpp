@@ -51,8 +51,8 @@ struct GuardOrder {
 };
 
 struct GuardAnswer {
-  enum Kind : std::uint32_t { answered, tripped };
-  Kind kind = answered;   // to an order, or of the guard's own accord: the loop does not turn
+  enum Kind : std::uint32_t { answered, tripped, vanished };
+  Kind kind = answered;   // to an order, or of the guard's own accord: no turn, no device
   std::int32_t code = 0;  // an Errc; 0: the device has the value
   std::array<char, 96> what{};
   std::array<char, 160> where{}, why{}, advice{};

@@ -97,7 +97,7 @@ class GuardPort final : public OutputPort {
       if (got < 0 && (errno == EAGAIN || errno == EINTR)) continue;
       if (got != sizeof answer) return ended();
       if (answer.kind == GuardAnswer::tripped) late_trip_ = answer.result();
-      if (answer.kind == GuardAnswer::tripped || --unanswered_ > 0) continue;
+      if (answer.kind != GuardAnswer::answered || --unanswered_ > 0) continue;
       return answer.result();
     }
     return Error{Errc::timed_out, cannot_set, "", "its guard does not answer", "look at the device"};
@@ -112,6 +112,7 @@ class GuardPort final : public OutputPort {
       return listener_.lost(ended());  // the last use of this object
     }
     if (answer.kind == GuardAnswer::tripped) return listener_.tripped(answer.result());
+    if (answer.kind == GuardAnswer::vanished) return listener_.vanished(answer.result().error());
     --unanswered_;
     listener_.answered(answer.result());
   }

@@ -27,6 +27,7 @@ namespace {
 
 using SteadyClock = std::chrono::steady_clock;
 constexpr Duration retry_period = std::chrono::milliseconds{100};
+constexpr Duration check_period = std::chrono::seconds{1};
 constexpr Duration longest_after_end = std::chrono::seconds{10};
 constexpr const char* name_of_guard = "rtdata-guard";
 constexpr const char* name_of_ending = "guard-ending";  // a thread's, whose output has ended and is not safe yet
@@ -82,6 +83,7 @@ class Keeper {
       beat_.seen.store(now(), std::memory_order_release);
       if (is_due() && !(is_retrying_ && ready > 0)) be_safe();
       if (ready > 0) receive();
+      if (is_open_ && !is_over_ && now() >= next_check_) check();
     }
     ::close(socket_);
   }
@@ -92,8 +94,11 @@ class Keeper {
   /// Something other than the safe value may be set.
   bool is_watching() const noexcept { return is_open_ && !is_safe_; }
   std::optional<Duration> time_left() const noexcept {
-    if (!is_watching()) return {};
-    return is_retrying_ ? retry_period : Duration{beat_.until.load(std::memory_order_acquire) - now()};
+    if (!is_open_) return {};
+    const Duration until_check{next_check_ - now()};
+    if (!is_watching()) return until_check;
+    return std::min(until_check,
+                    is_retrying_ ? retry_period : Duration{beat_.until.load(std::memory_order_acquire) - now()});
   }
   static std::int64_t now() noexcept { return SteadyClock::now().time_since_epoch().count(); }
 
@@ -103,6 +108,14 @@ class Keeper {
     is_safe_ = done.has_value();
     is_retrying_ = !is_safe_;
     if (trips) send(GuardAnswer::tripped, done);
+  }
+
+  void check() noexcept {
+    next_check_ = now() + check_period.count();
+    const Result<void> there = held_.check();
+    if (there) return;
+    is_safe_ = false;
+    send(GuardAnswer::vanished, there);
   }
 
   void receive() noexcept {
@@ -157,6 +170,7 @@ class Keeper {
   const double safe_;
   GuardBeat& beat_;
   HeldActuator held_;
+  std::int64_t next_check_ = 0;
   bool is_open_ = false;
   bool is_safe_ = true;
   bool has_tripped_ = false;  // and was not armed since

@@ -18,9 +18,12 @@
 #include <thread>
 #include <vector>
 
+#include "outputs/output_log.hpp"
+#include "outputs/terminal.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/runtime.hpp"
 #include "rtdata/loop/timer.hpp"
+#include "rtdata/outputs/serial.hpp"
 #include "sensors/fixture.hpp"
 
 using namespace rtdata;
@@ -31,7 +34,8 @@ namespace {
 constexpr auto patience = 20s;
 
 /// Writes each value as a line of a file, which any process can read. While there is a file PATH.mute it takes nothing,
-/// and each try is a line of PATH.tries. One with "locked" in its path is for one process, and slow when it is mute.
+/// and each try is a line of PATH.tries. One with "slow" in its path takes its time, one with "locked" is for one
+/// process, and slow when it is mute.
 class FileActuator final : public Actuator {
  public:
   explicit FileActuator(std::string path) : path_(std::move(path)) {}
@@ -360,6 +364,47 @@ TEST_SUITE("outputs") {
     again.close();
     CHECK(b.guard.ended_unsafe().empty());
     CHECK(lines_of(b.path).back() == "gone");
+  }
+
+  TEST_CASE(
+      "US-35 guard: a device that went away between two values is told, set safe when it is back, and set again") {
+    ScratchDirectory directory;
+    const std::string line = directory.file("line");
+    auto device = std::make_unique<outputs_test::Terminal>();
+    std::filesystem::create_symlink(device->name, line);
+    OutputGuard guard([line](const std::string&) {
+      return std::make_unique<SerialActuator>(SerialActuatorConfig{.device = line, .text = "V{value}\n"});
+    });
+    Runtime runtime({.guard = &guard});
+    Loop loop(runtime, {});
+    be_quiet(loop);
+    outputs_test::OutputLog log(loop, "o");
+    Output output(loop, {.name = "o"}, {}, "line");
+    output.set(1).or_throw();
+    const auto turn_until = [&](const std::function<bool()>& condition) {
+      const Ticker look(loop, 2ms, [&](const Tick&) {
+        if (condition()) loop.stop();
+      });
+      const Timer limit(loop, patience, [&] { loop.stop(); });
+      loop.run();
+      return condition();
+    };
+    CHECK(turn_until([&] { return output.value() == 1; }));
+    CHECK(device->reads("V1\n"));
+    std::filesystem::remove(line);
+    device.reset();  // unplugged
+    CHECK(turn_until([&] { return log.lines.size() >= 4; }));
+    CHECK(log.lines[2] == "failure 0 failed: the device has gone");
+    CHECK(output.health() == Health::faulted);
+    CHECK_FALSE(output.value().has_value());
+    CHECK(output.set(1).error().code == Errc::io_failed);
+    device = std::make_unique<outputs_test::Terminal>();
+    std::filesystem::create_symlink(device->name, line);
+    CHECK(turn_until([&] { return output.value() == 0; }));
+    CHECK(output.health() == Health::ok);
+    output.set(1).or_throw();
+    CHECK(turn_until([&] { return output.value() == 1; }));
+    CHECK(device->reads("V0\nV1\n"));
   }
 
   TEST_CASE("US-35 guard: a loop that turns keeps its output for much longer than the watchdog") {
