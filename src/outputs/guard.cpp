@@ -61,6 +61,19 @@ OutputGuard::~OutputGuard() = default;
 
 int OutputGuard::process() const noexcept { return link_->process; }
 
+std::vector<std::string> OutputGuard::ended_unsafe() const {
+  const std::lock_guard lock(link_->mutex);
+  return {link_->unsafe.begin(), link_->unsafe.end()};
+}
+
+void OutputGuard::Link::note(const std::string& output, bool is_safe) {
+  const std::lock_guard lock(mutex);
+  if (is_safe)
+    unsafe.erase(output);
+  else
+    unsafe.insert(output);
+}
+
 Result<int> OutputGuard::Link::introduce(double safe, const std::string& what, std::uint32_t& slot) {
   constexpr const char* cannot = "cannot hand the output to its guard";
   if (what.size() > detail::most_guarded_text)

@@ -9,6 +9,7 @@
 #include <cstdint>
 #include <cstring>
 #include <mutex>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -50,8 +51,8 @@ struct GuardOrder {
 };
 
 struct GuardAnswer {
-  enum Kind : std::uint32_t { answered, tripped };
-  Kind kind = answered;   // to an order, or of the guard's own accord: the loop does not turn
+  enum Kind : std::uint32_t { answered, tripped, vanished };
+  Kind kind = answered;   // to an order, or of the guard's own accord: no turn, no device
   std::int32_t code = 0;  // an Errc; 0: the device has the value
   std::array<char, 96> what{};
   std::array<char, 160> where{}, why{}, advice{};
@@ -91,11 +92,14 @@ struct OutputGuard::Link {
   void release(std::uint32_t slot) noexcept;
   /// The loop waits for an output's device, and so cannot beat for those that it has.
   void beat_for(const Loop& loop) noexcept;
+  /// How an output ended, or that it is there again.
+  void note(const std::string& output, bool is_safe);
 
   int socket = -1;
   pid_t process = -1;
   detail::GuardBeat* beats = nullptr;
   std::mutex mutex;  // outputs are made on the threads of all loops
+  std::set<std::string> unsafe;
   std::vector<bool> is_taken = std::vector<bool>(detail::most_guarded);
   std::vector<detail::GuardPatience> patience = std::vector<detail::GuardPatience>(detail::most_guarded);
 };

@@ -37,6 +37,7 @@ class GuardPort final : public OutputPort {
   /// Afterwards the guard knows the output no more.
   Result<void> finish(std::optional<double> value) override {
     Result<void> result = exchange({GuardOrder::finish, value ? 1U : 0U, value.value_or(0)});
+    if (value) link_->note(name_, result.has_value());
     close();
     return result;
   }
@@ -96,7 +97,7 @@ class GuardPort final : public OutputPort {
       if (got < 0 && (errno == EAGAIN || errno == EINTR)) continue;
       if (got != sizeof answer) return ended();
       if (answer.kind == GuardAnswer::tripped) late_trip_ = answer.result();
-      if (answer.kind == GuardAnswer::tripped || --unanswered_ > 0) continue;
+      if (answer.kind != GuardAnswer::answered || --unanswered_ > 0) continue;
       return answer.result();
     }
     return Error{Errc::timed_out, cannot_set, "", "its guard does not answer", "look at the device"};
@@ -111,6 +112,7 @@ class GuardPort final : public OutputPort {
       return listener_.lost(ended());  // the last use of this object
     }
     if (answer.kind == GuardAnswer::tripped) return listener_.tripped(answer.result());
+    if (answer.kind == GuardAnswer::vanished) return listener_.vanished(answer.result().error());
     --unanswered_;
     listener_.answered(answer.result());
   }

@@ -9,9 +9,13 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <filesystem>
+#include <fstream>
 #include <list>
 #include <memory>
 #include <optional>
+#include <string>
+#include <string_view>
 #include <thread>
 #include <utility>
 
@@ -23,7 +27,41 @@ namespace {
 
 using SteadyClock = std::chrono::steady_clock;
 constexpr Duration retry_period = std::chrono::milliseconds{100};
+constexpr Duration check_period = std::chrono::seconds{1};
 constexpr Duration longest_after_end = std::chrono::seconds{10};
+constexpr const char* name_of_guard = "rtdata-guard";
+constexpr const char* name_of_ending = "guard-ending";  // a thread's, whose output has ended and is not safe yet
+
+bool is_named(const std::filesystem::path& task, std::string_view wanted) {
+  std::ifstream file(task / "comm");
+  std::string name;
+  return std::getline(file, name) && name == wanted;
+}
+
+/// Whether a guard on this machine, also this one, has an output that has ended and whose device does not take the safe
+/// value. Its device may be had for moments only.
+bool is_any_ending() {
+  std::error_code ignored;
+  for (const auto& process : std::filesystem::directory_iterator("/proc", ignored)) {
+    if (!is_named(process.path(), name_of_guard)) continue;
+    for (const auto& task : std::filesystem::directory_iterator(process.path() / "task", ignored))
+      if (is_named(task.path(), name_of_ending)) return true;
+  }
+  return false;
+}
+
+/// An error that passes, as of a device that is away.
+Error passing(Error error) noexcept {
+  if (error.code != make_error_code(Errc::busy) && error.code != make_error_code(Errc::timed_out)) return error;
+  try {
+    if (!is_any_ending()) return error;
+    error.code = make_error_code(Errc::disconnected);
+    error.why += "; the guard of what had it before still tries to set it safe";
+    error.advice = "leave that guard alone: it ends after 10 s, and this output is tried again each second";
+  } catch (const std::exception&) {  // no memory: the error stays as it is
+  }
+  return error;
+}
 
 /// One output. Thread: its own.
 class Keeper {
@@ -45,6 +83,7 @@ class Keeper {
       beat_.seen.store(now(), std::memory_order_release);
       if (is_due() && !(is_retrying_ && ready > 0)) be_safe();
       if (ready > 0) receive();
+      if (is_open_ && !is_over_ && now() >= next_check_) check();
     }
     ::close(socket_);
   }
@@ -55,8 +94,11 @@ class Keeper {
   /// Something other than the safe value may be set.
   bool is_watching() const noexcept { return is_open_ && !is_safe_; }
   std::optional<Duration> time_left() const noexcept {
-    if (!is_watching()) return {};
-    return is_retrying_ ? retry_period : Duration{beat_.until.load(std::memory_order_acquire) - now()};
+    if (!is_open_) return {};
+    const Duration until_check{next_check_ - now()};
+    if (!is_watching()) return until_check;
+    return std::min(until_check,
+                    is_retrying_ ? retry_period : Duration{beat_.until.load(std::memory_order_acquire) - now()});
   }
   static std::int64_t now() noexcept { return SteadyClock::now().time_since_epoch().count(); }
 
@@ -66,6 +108,14 @@ class Keeper {
     is_safe_ = done.has_value();
     is_retrying_ = !is_safe_;
     if (trips) send(GuardAnswer::tripped, done);
+  }
+
+  void check() noexcept {
+    next_check_ = now() + check_period.count();
+    const Result<void> there = held_.check();
+    if (there) return;
+    is_safe_ = false;
+    send(GuardAnswer::vanished, there);
   }
 
   void receive() noexcept {
@@ -88,16 +138,24 @@ class Keeper {
     if (order.kind == GuardOrder::finish && (done.has_value() || !is_open_)) {
       held_.give_back();
       is_over_ = true;
+    } else if (order.kind == GuardOrder::finish) {
+      ::prctl(PR_SET_NAME, name_of_ending);  // before the program, which closes the output now, can make it again
     }
-    answer(done);
+    answer(done || is_open_ ? done : passing(done.error()));
   }
 
-  /// The program has gone.
+  /// The program has gone, or has closed the output.
   void end() noexcept {
     is_over_ = true;
     if (!is_open_ || is_safe_) return;
+    ::prctl(PR_SET_NAME, name_of_ending);
     const auto last = SteadyClock::now() + longest_after_end;
-    while (!held_.put(safe_) && SteadyClock::now() < last) std::this_thread::sleep_for(retry_period);
+    for (;;) {
+      const Result<void> done = held_.put(safe_);
+      // Who has it now has set it safe when it took it.
+      if (done || done.error().code == make_error_code(Errc::busy) || SteadyClock::now() >= last) return;
+      std::this_thread::sleep_for(retry_period);
+    }
   }
 
   void answer(const Result<void>& result) noexcept { send(GuardAnswer::answered, result); }
@@ -112,6 +170,7 @@ class Keeper {
   const double safe_;
   GuardBeat& beat_;
   HeldActuator held_;
+  std::int64_t next_check_ = 0;
   bool is_open_ = false;
   bool is_safe_ = true;
   bool has_tripped_ = false;  // and was not armed since
@@ -174,7 +233,7 @@ void be_guard(int socket, GuardBeat* beats, const OutputGuard::Make& make) noexc
   for (const int number : {SIGINT, SIGTERM, SIGHUP, SIGQUIT, SIGPIPE, SIGUSR1, SIGUSR2}) ::signal(number, SIG_IGN);
   for (const int number : {SIGSEGV, SIGBUS, SIGILL, SIGFPE, SIGABRT}) ::signal(number, SIG_DFL);
   ::setsid();
-  ::prctl(PR_SET_NAME, "rtdata-guard");
+  ::prctl(PR_SET_NAME, name_of_guard);
   close_others(socket);
   if (const int nothing = ::open("/dev/null", O_RDWR | O_CLOEXEC); nothing >= 0) {
     ::dup2(nothing, STDIN_FILENO);

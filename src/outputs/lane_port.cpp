@@ -5,6 +5,7 @@
 #include "loop/core/loop_core.hpp"
 #include "outputs/port.hpp"
 #include "rtdata/loop/lane.hpp"
+#include "rtdata/outputs/checked_actuator.hpp"
 
 namespace rtdata::detail {
 
@@ -25,6 +26,22 @@ Result<void> HeldActuator::put(std::optional<double> value) noexcept {
     return result;
   } catch (const SetupError& thrown) {
     error = thrown.error();
+  } catch (const std::exception& thrown) {
+    error.why = thrown.what();
+  } catch (...) {
+  }
+  actuator_.reset();
+  return error;
+}
+
+Result<void> HeldActuator::check() noexcept {
+  auto* const checked = dynamic_cast<CheckedActuator*>(actuator_.get());
+  if (checked == nullptr) return {};
+  Error error{Errc::io_failed, "cannot set the output", "", "an exception", ""};
+  try {
+    Result<void> result = checked->check();
+    if (!result) actuator_.reset();
+    return result;
   } catch (const std::exception& thrown) {
     error.why = thrown.what();
   } catch (...) {

@@ -100,6 +100,7 @@ struct MqttActuator::Link {
       is_v5 = false;
     if (status != MOSQ_ERR_SUCCESS && trouble.why.empty()) trouble = {Errc::disconnected, client.reason(status)};
     handle = nullptr;
+    is_lost = true;
     changed.notify_all();
   }
   void tell(Errc code, std::string why) {
@@ -128,7 +129,14 @@ struct MqttActuator::Link {
       trouble.code = Errc::not_permitted;
       return failed("the broker refuses the message: " + std::string(::mosquitto_reason_string(*result)));
     }
+    is_lost = handle == nullptr;
     return {};
+  }
+  Result<void> check() {
+    const std::lock_guard lock(mutex);
+    if (!is_lost || is_over || !options.will) return {};
+    return failed("the connection was lost" + (trouble.why.empty() ? "" : ": " + trouble.why) +
+                  "; the broker may have published the safe value");
   }
   bool is_refused() const { return trouble.code == Errc::not_permitted; }
   Error failed(std::string why) const {
@@ -161,6 +169,7 @@ struct MqttActuator::Link {
   Trouble trouble;              // the last one
   int awaited = 0;              // number of the message; 0: none
   std::optional<int> result;    // of that
+  bool is_lost = false;         // the connection by which the last value was set
   bool is_over = false;
   bool has_ended = false;
 };
@@ -188,6 +197,8 @@ Result<void> MqttActuator::open(std::optional<double> value) {
 Result<void> MqttActuator::set(double value) {
   return link_->publish(detail::set_text(config_.text, value, config_.words));
 }
+
+Result<void> MqttActuator::check() { return link_ != nullptr ? link_->check() : Result<void>(); }
 
 void check_config(const MqttActuatorConfig& config, const ConfigItem& item, Problems& problems) {
   for (const Mistake& mistake : mistakes_of(config)) {

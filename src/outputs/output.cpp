@@ -359,6 +359,17 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     // The device may have taken it since: asking is how that is known.
     if (is_open() && is_held_ && is_failing_ && !is_busy_) be_safe(OutputCause::failure, "");
   }
+  void vanished(const Error& error) override {
+    Call call(*this);
+    if (!is_held_) return;
+    value_.reset();
+    is_failing_ = true;
+    if (input_) input_->follow(config_.safe);
+    record({config_.safe, OutputCause::failure, {}, now()}, {}, error.why);
+    complain(placed(error), Health::faulted);
+    // A value that is on its way takes the device anew; what comes of that is answered.
+    if (is_open() && is_held_ && is_failing_ && !is_busy_) be_safe(OutputCause::failure, "");
+  }
   void tell_trip(const Result<void>& done) {
     is_armed_ = false;
     value_ = done ? std::optional(config_.safe) : std::nullopt;
@@ -433,7 +444,8 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   void go_stale(Errc code, const std::string& why, std::string advice) {
     if (std::exchange(is_stale_, true)) return;
     be_safe(OutputCause::stale, config_.on);
-    complain({code, "the output has its safe value", name(), why, std::move(advice)}, worst(Health::degraded));
+    complain({code, "the output is being set to its safe value", name(), why, std::move(advice)},
+             worst(Health::degraded));
   }
   /// Nothing is set, and so nothing to set again.
   void end_lease() {
@@ -446,7 +458,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     if (const MonotonicTime due = last_set_ + config_.lease; due > now()) return lease_.start_at(due);
     is_overdue_ = true;
     be_safe(OutputCause::lease, "");
-    complain({Errc::timed_out, "the output has its safe value", name(),
+    complain({Errc::timed_out, "the output is being set to its safe value", name(),
               "nobody has set it for " + to_string(config_.lease), "set it again if it is to keep its value"},
              worst(Health::degraded));
   }

@@ -20,6 +20,8 @@ class HeldActuator {
   explicit HeldActuator(MakeActuator make) : make_(std::move(make)) {}
   /// Takes the device with the value, if it is not held; else sets it. Without a value it is only taken.
   Result<void> put(std::optional<double> value) noexcept;
+  /// Of the one that is held, which is given up after an error.
+  Result<void> check() noexcept;
   void give_back() noexcept { actuator_.reset(); }
 
  private:
@@ -36,6 +38,8 @@ class OutputPort {
     virtual void answered(Result<void> result) = 0;
     /// The guard has set the safe value, or tries to until the device takes it. It takes no other until `arm`.
     virtual void tripped(const Result<void>& done) = 0;
+    /// The device that had taken a value has gone. The next `set` takes it anew.
+    virtual void vanished(const Error& error) = 0;
     /// There is no way to the device any more. May destroy the port.
     virtual void lost(const Error& error) = 0;
 

@@ -112,4 +112,10 @@ Result<void> SerialActuator::set(double value) {
   return {};
 }
 
+Result<void> SerialActuator::check() {
+  pollfd one{fd_, 0, 0};  // what is told without being asked for: that it was hung up
+  if (::poll(&one, 1, 0) <= 0) return {};
+  return Error{Errc::disconnected, cannot_set, config_.device, "the device has gone", "plug it in again"};
+}
+
 }  // namespace rtdata

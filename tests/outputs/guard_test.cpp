@@ -5,6 +5,7 @@
 #include <doctest/doctest.h>
 #include <fcntl.h>
 #include <signal.h>
+#include <sys/file.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -17,9 +18,12 @@
 #include <thread>
 #include <vector>
 
+#include "outputs/output_log.hpp"
+#include "outputs/terminal.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/runtime.hpp"
 #include "rtdata/loop/timer.hpp"
+#include "rtdata/outputs/serial.hpp"
 #include "sensors/fixture.hpp"
 
 using namespace rtdata;
@@ -30,16 +34,22 @@ namespace {
 constexpr auto patience = 20s;
 
 /// Writes each value as a line of a file, which any process can read. While there is a file PATH.mute it takes nothing,
-/// and each try is a line of PATH.tries.
+/// and each try is a line of PATH.tries. One with "slow" in its path takes its time, one with "locked" is for one
+/// process, and slow when it is mute.
 class FileActuator final : public Actuator {
  public:
   explicit FileActuator(std::string path) : path_(std::move(path)) {}
   ~FileActuator() override {
     if (is_open_) write("gone");
+    if (lock_ >= 0) ::close(lock_);
   }
   Result<void> open(std::optional<double> value) override {
     if (path_.find("refused") != std::string::npos)
       return Error{Errc::busy, "cannot open", path_, "somebody has it", "ask them"};
+    if (path_.find("locked") != std::string::npos) {
+      lock_ = ::open((path_ + ".lock").c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0600);
+      if (::flock(lock_, LOCK_EX | LOCK_NB) != 0) return Error{Errc::busy, "cannot open", path_, "in use", "end that"};
+    }
     if (is_mute()) return mute();
     if (path_.find("slow") != std::string::npos) std::this_thread::sleep_for(1s);
     is_open_ = true;
@@ -58,11 +68,13 @@ class FileActuator final : public Actuator {
   bool is_mute() const { return ::access((path_ + ".mute").c_str(), F_OK) == 0; }
   Error mute() const {
     std::ofstream(path_ + ".tries", std::ios::app) << "tried" << std::endl;
+    if (lock_ >= 0) std::this_thread::sleep_for(300ms);
     return {Errc::timed_out, "cannot set", path_, "it is mute", ""};
   }
   void write(const std::string& text) const { std::ofstream(path_, std::ios::app) << text << std::endl; }
   std::string path_;
   bool is_open_ = false;
+  int lock_ = -1;
 };
 
 std::unique_ptr<Actuator> make_file(const std::string& path) {
@@ -124,7 +136,7 @@ struct Program {
 
 struct Bench {
   ScratchDirectory directory;
-  const std::string path = directory.file("device");
+  std::string path = directory.file("device");
   OutputGuard guard{make_file};
   Runtime runtime{{.guard = &guard}};
   Loop loop{runtime, {}};
@@ -132,7 +144,8 @@ struct Bench {
   Subscription seen;
   Output output;
 
-  explicit Bench(OutputConfig config = {}) {
+  explicit Bench(OutputConfig config = {}, std::string device = {}) {
+    if (!device.empty()) path = std::move(device);
     be_quiet(loop);
     loop.on_error([this](const ErrorReport& report) {
       if (report.error.code != Errc::held_too_long) errors.push_back(report.error.why);
@@ -309,6 +322,89 @@ TEST_SUITE("outputs") {
                              "it is mute"}
                      : Lines{"the loop did not turn for 100 ms"}));
     }
+  }
+
+  TEST_CASE("US-35 guard: while that of a killed program tries to set a device safe, the next program waits for it") {
+    ScratchDirectory directory;
+    const std::string path = directory.file("locked");
+    {
+      Program program(path);
+      wait_for(path, "set 1.0");
+      std::ofstream(path + ".mute").flush();
+    }
+    while (lines_of(path + ".tries").size() < 2) std::this_thread::sleep_for(1ms);
+    Bench b({}, path);
+    CHECK(b.output.health() == Health::faulted);
+    CHECK_FALSE(b.output.value().has_value());
+    REQUIRE(b.errors.size() == 1);
+    CHECK(b.errors[0].ends_with("; the guard of what had it before still tries to set it safe"));
+    std::filesystem::remove(path + ".mute");
+    CHECK(b.turn_until([&] { return b.output.value() == 0; }));
+    CHECK(b.output.health() == Health::ok);
+    b.output.set(1).or_throw();
+    CHECK(b.turn_until([&] { return b.output.value() == 1; }));
+    CHECK(b.errors.size() == 1);
+  }
+
+  TEST_CASE("US-35 guard: an output that ended unsafe is remembered, and one that is made anew takes its device over") {
+    ScratchDirectory directory;
+    Bench b({}, directory.file("locked"));
+    b.output.set(1).or_throw();
+    CHECK(b.turn_until([&] { return b.output.value() == 1; }));
+    std::ofstream(b.path + ".mute").flush();
+    b.output.close();
+    CHECK(b.guard.ended_unsafe() == Lines{"output o"});
+    Output again(b.loop, {.name = "o"}, {}, b.path);
+    CHECK(again.health() == Health::faulted);
+    CHECK(b.guard.ended_unsafe() == Lines{"output o"});
+    std::filesystem::remove(b.path + ".mute");
+    CHECK(b.turn_until([&] { return again.value() == 0; }));
+    again.set(1).or_throw();
+    CHECK(b.turn_until([&] { return again.value() == 1; }));
+    again.close();
+    CHECK(b.guard.ended_unsafe().empty());
+    CHECK(lines_of(b.path).back() == "gone");
+  }
+
+  TEST_CASE(
+      "US-35 guard: a device that went away between two values is told, set safe when it is back, and set again") {
+    ScratchDirectory directory;
+    const std::string line = directory.file("line");
+    auto device = std::make_unique<outputs_test::Terminal>();
+    std::filesystem::create_symlink(device->name, line);
+    OutputGuard guard([line](const std::string&) {
+      return std::make_unique<SerialActuator>(SerialActuatorConfig{.device = line, .text = "V{value}\n"});
+    });
+    Runtime runtime({.guard = &guard});
+    Loop loop(runtime, {});
+    be_quiet(loop);
+    outputs_test::OutputLog log(loop, "o");
+    Output output(loop, {.name = "o"}, {}, "line");
+    output.set(1).or_throw();
+    const auto turn_until = [&](const std::function<bool()>& condition) {
+      const Ticker look(loop, 2ms, [&](const Tick&) {
+        if (condition()) loop.stop();
+      });
+      const Timer limit(loop, patience, [&] { loop.stop(); });
+      loop.run();
+      return condition();
+    };
+    CHECK(turn_until([&] { return output.value() == 1; }));
+    CHECK(device->reads("V1\n"));
+    std::filesystem::remove(line);
+    device.reset();  // unplugged
+    CHECK(turn_until([&] { return log.lines.size() >= 4; }));
+    CHECK(log.lines[2] == "failure 0 failed: the device has gone");
+    CHECK(output.health() == Health::faulted);
+    CHECK_FALSE(output.value().has_value());
+    CHECK(output.set(1).error().code == Errc::io_failed);
+    device = std::make_unique<outputs_test::Terminal>();
+    std::filesystem::create_symlink(device->name, line);
+    CHECK(turn_until([&] { return output.value() == 0; }));
+    CHECK(output.health() == Health::ok);
+    output.set(1).or_throw();
+    CHECK(turn_until([&] { return output.value() == 1; }));
+    CHECK(device->reads("V0\nV1\n"));
   }
 
   TEST_CASE("US-35 guard: a loop that turns keeps its output for much longer than the watchdog") {

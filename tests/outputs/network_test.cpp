@@ -5,6 +5,7 @@
 #include <chrono>
 #include <filesystem>
 #include <fstream>
+#include <functional>
 #include <string>
 #include <thread>
 #include <vector>
@@ -14,6 +15,8 @@
 #include "paths.hpp"
 #include "rtdata/app/standard.hpp"
 #include "rtdata/config/system.hpp"
+#include "rtdata/loop/runtime.hpp"
+#include "rtdata/outputs/guard.hpp"
 #ifdef RTDATA_WITH_HTTP
 #include "rtdata/outputs/http.hpp"
 #include "sinks/http_bench.hpp"
@@ -334,6 +337,37 @@ TEST_SUITE("outputs") {
     CHECK(wait_for(loop, [&] { return pump.value() == 1.0; }));
     pump.close();
     CHECK(reader.read(3) == Lines{"pump/set OFF", "pump/set ON", "pump/set OFF"});
+  }
+
+  TEST_CASE("US-35 a connection to a broker that was lost after a value is told, and the safe value is set again") {
+    NEEDS_BROKER();
+    Broker broker;
+    OutputGuard guard([&](const std::string&) { return std::make_unique<MqttActuator>(config_of(broker)); });
+    Runtime runtime({.guard = &guard});
+    Loop loop(runtime, {});
+    runtime.on_log([](const LogRecord&) {});
+    OutputLog log(loop, "pump");
+    Output pump(loop, {.name = "pump"}, {}, "pump");
+    const auto turn_until = [&](const std::function<bool()>& condition) {
+      for (int i = 0; i < 2000 && !condition(); ++i) loop.run_for(10ms);
+      return condition();
+    };
+    pump.set(1).or_throw();
+    CHECK(turn_until([&] { return pump.value() == 1.0; }));
+    broker.kill();
+    CHECK(turn_until([&] { return log.lines.size() >= 3; }));
+    CHECK(log.lines[2].starts_with("failure 0 failed: the connection was lost"));
+    CHECK(log.lines[2].ends_with("; the broker may have published the safe value"));
+    CHECK(pump.health() == Health::faulted);
+    broker.start();
+    Reader reader(broker.port());
+    CHECK(turn_until([&] { return pump.value() == 0.0; }));
+    CHECK(pump.health() == Health::ok);
+    pump.set(1).or_throw();
+    CHECK(turn_until([&] { return pump.value() == 1.0; }));
+    for (int i = 0; i < 100 && (reader.lines.empty() || reader.lines.back() != "pump/set ON"); ++i) reader.read(0);
+    CHECK(reader.lines.back() == "pump/set ON");
+    pump.close();
   }
 
   TEST_CASE("US-35 US-17 rtdata run: the broker has the safe value, also when program and guard are killed at once") {

@@ -273,6 +273,22 @@ TEST_SUITE("outputs") {
     CHECK(b.output.value() == 1);
   }
 
+  TEST_CASE("US-35 the end of a lease is told when the safe value is asked for, and does not say that it is there") {
+    Bench b;
+    b.make({.lease = 100ms});
+    Lines told;
+    b.loop.on_error([&](const ErrorReport& report) {
+      told.push_back(report.error.what + (b.output.is_safe() ? ": it is safe" : ": it is not yet"));
+    });
+    b.output.set(1).or_throw();
+    b.loop.advance(1ms);
+    b.loop.script_lane_duration(30ms);
+    b.loop.advance(100ms);
+    CHECK(told == Lines{"the output is being set to its safe value: it is not yet"});
+    b.loop.advance(30ms);
+    CHECK(b.output.is_safe());
+  }
+
   TEST_CASE("US-35 what is disarmed has no lease") {
     Bench b;
     b.make({.lease = 100ms, .armed = Arming::by_command});

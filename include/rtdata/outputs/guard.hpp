@@ -33,6 +33,7 @@
 #include <functional>
 #include <memory>
 #include <string>
+#include <vector>
 
 #include "rtdata/outputs/output.hpp"
 
@@ -50,6 +51,9 @@ class OutputGuard {
 
   /// Its process id.
   int process() const noexcept;
+  /// The names of outputs, sorted, that ended without that their device took the safe value, and of which none was
+  /// made again that is safe. Thread: any.
+  std::vector<std::string> ended_unsafe() const;
 
   struct Link;
   const std::shared_ptr<Link>& link() const noexcept { return link_; }  ///< for outputs

@@ -24,6 +24,7 @@
 #include <string>
 
 #include "rtdata/io/mqtt.hpp"
+#include "rtdata/outputs/checked_actuator.hpp"
 #include "rtdata/outputs/output.hpp"
 
 namespace rtdata {
@@ -56,7 +57,7 @@ struct MqttActuatorConfig {
 /// Nothing is sent.
 void check_config(const MqttActuatorConfig& config, const ConfigItem& item, Problems& problems);
 
-class MqttActuator : public Actuator {
+class MqttActuator : public CheckedActuator {
  public:
   explicit MqttActuator(MqttActuatorConfig config);
   MqttActuator(const MqttActuator&) = delete;
@@ -65,6 +66,7 @@ class MqttActuator : public Actuator {
   ~MqttActuator() override;
   Result<void> open(std::optional<double> value) override;
   Result<void> set(double value) override;
+  Result<void> check() override;
 
  private:
   struct Link;

@@ -10,6 +10,7 @@
 #include <string>
 
 #include "rtdata/io/serial_settings.hpp"
+#include "rtdata/outputs/checked_actuator.hpp"
 #include "rtdata/outputs/output.hpp"
 
 namespace rtdata {
@@ -41,7 +42,7 @@ struct SerialActuatorConfig {
   static void check(const SerialActuatorConfig& config, const ConfigItem& item, Problems& problems);
 };
 
-class SerialActuator : public Actuator {
+class SerialActuator : public CheckedActuator {
  public:
   explicit SerialActuator(SerialActuatorConfig config) : config_(std::move(config)) {}
   SerialActuator(const SerialActuator&) = delete;
@@ -49,6 +50,7 @@ class SerialActuator : public Actuator {
   ~SerialActuator() override;
   Result<void> open(std::optional<double> value) override;
   Result<void> set(double value) override;
+  Result<void> check() override;
 
  private:
   SerialActuatorConfig config_;

@@ -140,7 +140,8 @@ class Run {
     const std::string hanging = stop_tiers(plan, system);
     tell_buses(system);
     console_.close_view();
-    const int exit_status = report(runtime, loop.core().runtime.unknown_end, unsafe_outputs(system));
+    const int exit_status = report(runtime, loop.core().runtime.unknown_end,
+                                   unsafe_outputs(system, runtime.config().guard));
     if (!hanging.empty()) {
       control.reset();
       leave_behind(hanging);
@@ -195,13 +196,18 @@ class Run {
             "comes of it"};
   }
 
-  /// Outputs of which nobody knows whether they have their safe value: "output heater, output fan".
-  static std::string unsafe_outputs(const System& system) {
-    std::string names;
+  /// Outputs of which nobody knows whether they have their safe value, also those that a reload closed: "output heater,
+  /// output fan".
+  static std::string unsafe_outputs(const System& system, const OutputGuard* guard) {
+    std::set<std::string> all;
+    if (guard != nullptr)
+      for (const std::string& name : guard->ended_unsafe()) all.insert(name);
     for (const std::string& name : system.parts().names("output")) {
       const Output* const output = system.parts().find<Output>("output", name);
-      if (output != nullptr && output->has_ended_unsafe()) names += (names.empty() ? "output " : ", output ") + name;
+      if (output != nullptr && output->has_ended_unsafe()) all.insert("output " + name);
     }
+    std::string names;
+    for (const std::string& name : all) names += (names.empty() ? "" : ", ") + name;
     return names;
   }
   /// What their disks or files did not take.
