@@ -345,6 +345,38 @@ TEST_SUITE("outputs") {
     CHECK(devices.all["D"].did == Lines{"open 0", "set 1", "set 0"});
   }
 
+  TEST_CASE("US-35 US-39 a reload that makes a limit anew pulses neither the output nor the machine that follow it") {
+    Devices devices;
+    Loop loop{Loop::Manual{}};
+    be_quiet(loop);
+    const auto planned = [&](const std::string& field) {
+      return plan_system(devices.registry, parse_config(R"({
+        "sensors": [{"name": "load", "type": "host", "quantity": "load", "rate": "10 Hz"},
+          {"name": "busy", "type": "limit", "on": "load", "field": ")" +
+                                                            field + R"(", "high": 1e9}],
+        "machines": [{"name": "m", "inputs": ["busy"], "start": "ok", "states": [{"name": "ok"}, {"name": "alarm"}],
+          "transitions": [{"from": "ok", "to": "alarm", "when": "is_active == 1"},
+                          {"from": "alarm", "to": "ok", "when": "is_active == 0"}]}],
+        "outputs": [{"name": "siren", "type": "memory", "device": "S", "on": "busy", "expression": "is_active"}]})",
+                                                        "f.json"));
+    };
+    const SystemPlan plan = planned("minutes_1");
+    REQUIRE_MESSAGE(plan.good(), plan.report());
+    System system(loop, devices.registry, plan);
+    Lines states;
+    const auto seen = loop.subscribe<fsm::StateChange>(
+        "m", [&](const Event<fsm::StateChange>& event) { states.emplace_back(std::string(event->to)); });
+    loop.advance(1s);
+    CHECK(system.apply(planned("minutes_5")).text() == "sensor busy: restarted (field)\n");
+    loop.advance(1s);
+    CHECK(devices.all["S"].did == Lines{"open 0"});
+    CHECK(states.empty());
+    system.sensor("busy").stop();
+    loop.advance(1s);
+    CHECK(devices.all["S"].did == Lines{"open 0", "set 1"});
+    CHECK(states == Lines{"alarm"});
+  }
+
   TEST_CASE("US-35 check knows the states of a machine as names, and says which was meant") {
     const auto problems = [](const std::string& expression) {
       Lines lines;
