@@ -104,6 +104,25 @@ TEST_SUITE("outputs") {
     CHECK(plan_system(standard_registry(), parse_config(both, "f.json")).problems.size() == 1);
   }
 
+  TEST_CASE("US-35 check refuses what the guard does not take: more than 1024 outputs, or 64 KiB of one") {
+    const auto pwm = [](std::size_t count) {
+      std::string all;
+      for (std::size_t i = 0; i < count; ++i)
+        all += (i > 0 ? "," : "") + std::string(R"({"name": "p)") + std::to_string(i) +
+               R"(", "type": "pwm", "channel": )" + std::to_string(i) + "}";
+      return all;
+    };
+    CHECK(problems_of(pwm(OutputGuard::most_outputs)).empty());
+    CHECK(
+        is_refused(pwm(OutputGuard::most_outputs + 2), "more outputs than the guard of outputs takes, which is 1024"));
+    const auto serial = [](std::size_t bytes) {
+      return R"({"name": "s", "type": "serial", "device": "/dev/ttyX", "text": ")" + std::string(bytes, 'x') +
+             R"({value}"})";
+    };
+    CHECK(problems_of(serial(OutputGuard::most_bytes - 2000)).empty());
+    CHECK(is_refused(serial(OutputGuard::most_bytes), "more than 64 KiB of settings"));
+  }
+
   TEST_CASE("US-35 US-41 check finds the mistakes of machines that set outputs") {
     const auto is_refused_with = [](const std::string& states, const std::string& more, const std::string& why) {
       const std::string text = "{" + std::string(load) + R"(, "tiers": {"fast": {}},
@@ -122,6 +141,9 @@ TEST_SUITE("outputs") {
                           "did you mean \"fan\"?"));
     CHECK(is_refused_with(R"({"name": "a", "final": true, "arm": ["fam"]})", "", "did you mean \"fan\"?"));
     CHECK(is_refused_with(R"({"name": "a", "final": true, "set": [{"output": "fan", "value": "on"}]})", "", "number"));
+    CHECK(is_refused_with(
+        R"({"name": "a", "final": true, "set": [{"output": "fan", "value": 1}, {"output": "fan", "value": 0}]})", "",
+        "the state sets the output \"fan\" already"));
     CHECK(is_refused_with(R"({"name": "a", "final": true, "set": [{"output": "own", "value": 1}]})", "",
                           "follows a topic, and is set by nobody else"));
     CHECK(is_refused_with(R"({"name": "a", "final": true, "set": [{"output": "far", "value": 1}]})", "",
