@@ -21,8 +21,9 @@
 namespace rtdata {
 namespace detail {
 
-inline constexpr std::size_t most_guarded = 1024;        // outputs
-inline constexpr std::size_t most_guarded_text = 65536;  // bytes of what one is made of
+inline constexpr std::size_t most_guarded = OutputGuard::most_outputs;
+/// With what `check` does not count: the settings that a file leaves out.
+inline constexpr std::size_t most_guarded_text = OutputGuard::most_bytes + 8192;
 
 /// In ns of CLOCK_MONOTONIC. A line of cache each.
 struct alignas(64) GuardBeat {

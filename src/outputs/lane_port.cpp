@@ -22,7 +22,8 @@ Result<void> HeldActuator::put(std::optional<double> value) noexcept {
       result = made->open(value);
       if (result) actuator_ = std::move(made);
     }
-    if (!result) actuator_.reset();
+    // One that refuses a value keeps the device, with what that has.
+    if (!result && result.error().code != Errc::out_of_range) actuator_.reset();
     return result;
   } catch (const SetupError& thrown) {
     error = thrown.error();

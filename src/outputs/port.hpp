@@ -14,7 +14,8 @@ class OutputGuard;
 
 namespace rtdata::detail {
 
-/// An Actuator, made anew after it has failed. Exceptions become errors. Thread: one at a time.
+/// An Actuator, made anew after it has failed, but not after it has refused a value. Exceptions become errors. Thread:
+/// one at a time.
 class HeldActuator {
  public:
   explicit HeldActuator(MakeActuator make) : make_(std::move(make)) {}

@@ -460,6 +460,18 @@ TEST_SUITE("app") {
     CHECK(run.out.find("disk of " + folder.path()) != std::string::npos);
     CHECK_FALSE(std::filesystem::exists(folder.path() + "/bench.jsonl"));  // it looks, and makes nothing
 
+    // A sensor waits for its device; without that of an output the run does not start, as `run` says, too.
+    CHECK(run.out.find("it has no data until that is mended") != std::string::npos);
+    folder.write("valve.json", R"({"sensors": [{"name": "l", "type": "host", "quantity": "load", "rate": "1 Hz"}],
+      "outputs": [{"name": "valve", "type": "serial", "device": "/dev/does-not-exist"}]})");
+    Process valve(folder, shipped, {"doctor", "valve.json"});
+    CHECK(valve.end() == 2);
+    CHECK(valve.out.find("fault: output valve: /dev/does-not-exist: No such file or directory") == 0);
+    CHECK(valve.out.find("the run does not start") != std::string::npos);
+    CHECK(valve.out.find("it has no data") == std::string::npos);
+    Process refused(folder, shipped, {"run", "valve.json"});
+    CHECK(refused.end() != 0);
+
     folder.write("away.json", R"({"sensors": [{"name": "l", "type": "host", "quantity": "load", "rate": "1 Hz"}],
       "sinks": [{"type": "file", "path": "/proc/nowhere/bench.jsonl"}]})");
     Process away(folder, shipped, {"doctor", "away.json"});

@@ -22,7 +22,7 @@ below = {
     "fsm": {"data", "loop", "io", "process", "sensors/feed.hpp", "sensors/sensor.hpp"},  # a machine publishes by a feed
     "control": {"data"},
     "outputs": {"data", "loop", "io", "process", "control", "sensors/derived.hpp", "sensors/feed.hpp", "sensors/sensor.hpp", "sensors/core/feed_node.hpp"},  # an output is a feed of its changes
-    "config": {"data", "loop", "io", "control", "outputs/output.hpp", "sensors/driver.hpp", "sensors/sensor.hpp", "sensors/sensor_parameters.hpp", "sensors/feed.hpp", "sinks/sink.hpp", "process/processing.hpp"},
+    "config": {"data", "loop", "io", "control", "outputs/guard.hpp", "outputs/output.hpp", "sensors/driver.hpp", "sensors/sensor.hpp", "sensors/sensor_parameters.hpp", "sensors/feed.hpp", "sinks/sink.hpp", "process/processing.hpp"},
     "app": {"data", "loop", "io", "process", "sensors", "sinks", "fsm", "outputs", "control", "config"},
 }
 # Rooms of a folder, lowest first: a header includes those of its own room and of lower ones. In loop, sources may call

@@ -222,6 +222,41 @@ TEST_SUITE("config") {
     CHECK(run.runtime.has_loss() == false);
   }
 
+  TEST_CASE("US-5 a sensor that is stopped stays so over a reload that makes it anew, also one that fails") {
+    const auto text = [](const char* first, const char* breaks) {
+      return sensors(R"({"name": "a", "type": "tallied", "rate": "100 Hz", "first": )" + std::string(first) +
+                     R"(}, {"name": "b", "type": "tallied", "rate": "100 Hz", "first": )" + first +
+                     R"(}, {"name": "c", "type": "brittle", "rate": "10 Hz", "breaks": )" + breaks + "}");
+    };
+    Running run(text("1", "false"));
+    Loop& loop = run.loop;
+    std::vector<std::string> told;
+    loop.runtime().on_log(
+        [&](const LogRecord& record) { told.push_back(std::string(record.object) + ": " + std::string(record.text)); });
+    std::uint64_t seen = 0;
+    const auto subscription = loop.subscribe("a", [&](const EventView&) { ++seen; });
+    loop.advance(100ms);
+    run.system.sensor("a").stop();
+    loop.advance(0ns);
+    seen = 0;
+    CHECK(run.system.apply(run.next(text("7", "false"))).count(Fate::restarted) == 2);
+    loop.advance(1s);
+    CHECK_FALSE(run.system.sensor("a").is_running());
+    CHECK(run.system.sensor("b").is_running());
+    CHECK(told == std::vector<std::string>{
+                      "sensor a: it was stopped, and stays so now that it is made anew, until it is started"});
+    CHECK(has(refusal([&] { run.system.apply(run.next(text("9", "true"))); }), "are running again"));
+    loop.advance(1s);
+    CHECK_FALSE(run.system.sensor("a").is_running());
+    CHECK(run.system.sensor("b").is_running());
+    CHECK(seen == 0);
+    run.system.sensor("a").start();
+    loop.advance(995ms);
+    CHECK(seen == 100);
+    loop.close(1s);
+    CHECK(run.runtime.balances());
+  }
+
   TEST_CASE("US-5 what cannot be made brings back all that was before") {
     const std::string two = sensors(counter + R"(, {"name": "b", "type": "brittle", "rate": "10 Hz"})");
     const std::string broken = sensors(R"({"name": "a", "type": "tallied", "rate": "100 Hz", "first": 5},

@@ -104,6 +104,25 @@ TEST_SUITE("outputs") {
     CHECK(plan_system(standard_registry(), parse_config(both, "f.json")).problems.size() == 1);
   }
 
+  TEST_CASE("US-35 check refuses what the guard does not take: more than 1024 outputs, or 64 KiB of one") {
+    const auto pwm = [](std::size_t count) {
+      std::string all;
+      for (std::size_t i = 0; i < count; ++i)
+        all += (i > 0 ? "," : "") + std::string(R"({"name": "p)") + std::to_string(i) +
+               R"(", "type": "pwm", "channel": )" + std::to_string(i) + "}";
+      return all;
+    };
+    CHECK(problems_of(pwm(OutputGuard::most_outputs)).empty());
+    CHECK(
+        is_refused(pwm(OutputGuard::most_outputs + 2), "more outputs than the guard of outputs takes, which is 1024"));
+    const auto serial = [](std::size_t bytes) {
+      return R"({"name": "s", "type": "serial", "device": "/dev/ttyX", "text": ")" + std::string(bytes, 'x') +
+             R"({value}"})";
+    };
+    CHECK(problems_of(serial(OutputGuard::most_bytes - 2000)).empty());
+    CHECK(is_refused(serial(OutputGuard::most_bytes), "more than 64 KiB of settings"));
+  }
+
   TEST_CASE("US-35 US-41 check finds the mistakes of machines that set outputs") {
     const auto is_refused_with = [](const std::string& states, const std::string& more, const std::string& why) {
       const std::string text = "{" + std::string(load) + R"(, "tiers": {"fast": {}},
@@ -122,6 +141,9 @@ TEST_SUITE("outputs") {
                           "did you mean \"fan\"?"));
     CHECK(is_refused_with(R"({"name": "a", "final": true, "arm": ["fam"]})", "", "did you mean \"fan\"?"));
     CHECK(is_refused_with(R"({"name": "a", "final": true, "set": [{"output": "fan", "value": "on"}]})", "", "number"));
+    CHECK(is_refused_with(
+        R"({"name": "a", "final": true, "set": [{"output": "fan", "value": 1}, {"output": "fan", "value": 0}]})", "",
+        "the state sets the output \"fan\" already"));
     CHECK(is_refused_with(R"({"name": "a", "final": true, "set": [{"output": "own", "value": 1}]})", "",
                           "follows a topic, and is set by nobody else"));
     CHECK(is_refused_with(R"({"name": "a", "final": true, "set": [{"output": "far", "value": 1}]})", "",
@@ -343,6 +365,38 @@ TEST_SUITE("outputs") {
     CHECK(devices.all["B"].did == Lines{"open 0"});
     CHECK(devices.all["C"].did == Lines{"open 0", "set 1"});
     CHECK(devices.all["D"].did == Lines{"open 0", "set 1", "set 0"});
+  }
+
+  TEST_CASE("US-35 US-39 a reload that makes a limit anew pulses neither the output nor the machine that follow it") {
+    Devices devices;
+    Loop loop{Loop::Manual{}};
+    be_quiet(loop);
+    const auto planned = [&](const std::string& field) {
+      return plan_system(devices.registry, parse_config(R"({
+        "sensors": [{"name": "load", "type": "host", "quantity": "load", "rate": "10 Hz"},
+          {"name": "busy", "type": "limit", "on": "load", "field": ")" +
+                                                            field + R"(", "high": 1e9}],
+        "machines": [{"name": "m", "inputs": ["busy"], "start": "ok", "states": [{"name": "ok"}, {"name": "alarm"}],
+          "transitions": [{"from": "ok", "to": "alarm", "when": "is_active == 1"},
+                          {"from": "alarm", "to": "ok", "when": "is_active == 0"}]}],
+        "outputs": [{"name": "siren", "type": "memory", "device": "S", "on": "busy", "expression": "is_active"}]})",
+                                                        "f.json"));
+    };
+    const SystemPlan plan = planned("minutes_1");
+    REQUIRE_MESSAGE(plan.good(), plan.report());
+    System system(loop, devices.registry, plan);
+    Lines states;
+    const auto seen = loop.subscribe<fsm::StateChange>(
+        "m", [&](const Event<fsm::StateChange>& event) { states.emplace_back(std::string(event->to)); });
+    loop.advance(1s);
+    CHECK(system.apply(planned("minutes_5")).text() == "sensor busy: restarted (field)\n");
+    loop.advance(1s);
+    CHECK(devices.all["S"].did == Lines{"open 0"});
+    CHECK(states.empty());
+    system.sensor("busy").stop();
+    loop.advance(1s);
+    CHECK(devices.all["S"].did == Lines{"open 0", "set 1"});
+    CHECK(states == Lines{"alarm"});
   }
 
   TEST_CASE("US-35 check knows the states of a machine as names, and says which was meant") {

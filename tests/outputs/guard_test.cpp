@@ -57,7 +57,7 @@ class FileActuator final : public Actuator {
     return {};
   }
   Result<void> set(double value) override {
-    if (value == 9) return Error{Errc::out_of_range, "cannot set", path_, "9 is too much", ""};
+    if (value == 9) return Error{Errc::io_failed, "cannot set", path_, "9 is too much", ""};
     if (value == 13) ::abort();
     if (is_mute()) return mute();
     write("set " + std::to_string(value).substr(0, 3));

@@ -15,6 +15,7 @@ struct Device {
   std::vector<std::string> did;
   std::optional<double> value;
   bool fails = false;
+  double most = 1e9;  // it refuses what is above
 
   rtdata::MakeActuator make() {
     return [this] { return std::make_unique<Memory>(*this); };
@@ -33,6 +34,10 @@ struct Device {
     }
     rtdata::Result<void> set(double wanted) override { return put("set " + text_of(wanted), wanted); }
     rtdata::Result<void> put(const std::string& what, std::optional<double> wanted) {
+      if (wanted && *wanted > device.most) {
+        device.did.push_back(what + " refused");
+        return rtdata::Error{rtdata::Errc::out_of_range, "cannot", "", "it is too much", ""};
+      }
       device.did.push_back(device.fails ? what + " failed" : what);
       if (device.fails) return rtdata::Error{rtdata::Errc::io_failed, "cannot", "", "it is broken", ""};
       if (wanted) device.value = wanted;

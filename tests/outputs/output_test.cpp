@@ -393,6 +393,20 @@ TEST_SUITE("outputs") {
     CHECK(other.did == Lines{"open 0", "set 1"});
   }
 
+  TEST_CASE("US-35 an actuator that refuses a value itself keeps its device, which is set safe") {
+    Bench b;
+    b.make({});
+    b.device.most = 1;
+    b.output.set(1).or_throw();
+    b.loop.advance(1ms);
+    b.output.set(2).or_throw();
+    b.loop.advance(1ms);
+    CHECK(b.output.value() == 0);
+    CHECK(b.output.health() == Health::ok);
+    CHECK(b.errors == Lines{"it is too much"});
+    CHECK(b.device.did == Lines{"open 0", "set 1", "set 2 refused", "set 0"});
+  }
+
   TEST_CASE("US-35 a device that fails is told once, and set safe as soon as it can be") {
     Bench b;
     b.make({});

@@ -3,6 +3,7 @@
 #include <doctest/doctest.h>
 
 #include <cmath>
+#include <functional>
 #include <limits>
 #include <random>
 #include <string>
@@ -11,7 +12,9 @@
 #include "rtdata/app/standard.hpp"
 #include "rtdata/config/format.hpp"
 #include "rtdata/config/system.hpp"
+#include "rtdata/sinks/sqlite.hpp"
 #include "sensors/fixture.hpp"
+#include "sinks/recordings.hpp"
 
 using namespace rtdata;
 using namespace std::chrono_literals;
@@ -324,6 +327,29 @@ TEST_CASE("a limit that is stopped is an alarm: unknown, for all that follow it"
   silent.sensor.stop();
   silent.loop.advance(0ns);
   CHECK(silent.levels() == std::vector{unknown});
+}
+
+TEST_CASE("a limit at the end of its run, or that is closed, publishes no alarm of its own: nothing has happened") {
+  const recordings::Folder folder;
+  const auto events = [&](const std::string& name, const std::function<void(Bench&)>& end) {
+    const std::string path = folder / name;
+    {
+      Bench bench({.high = 100, .silence = 0s});
+      const SqliteSink sink(bench.loop, {.path = path});
+      bench.take(50);
+      CHECK(bench.levels() == std::vector{normal});
+      end(bench);
+      CHECK(bench.levels().empty());
+      bench.loop.close(1s);
+    }
+    return recordings::number(path, "SELECT count(*) FROM alarm");
+  };
+  CHECK(events("end.db", [](Bench&) {}) == 1);
+  CHECK(events("closed.db", [](Bench& bench) {
+          bench.sensor.close();
+          bench.loop.advance(1s);
+        }) == 1);
+  CHECK(events("stopped.db", [](Bench& bench) { bench.sensor.stop(); }) == 2);
 }
 
 TEST_CASE("a limit of a topic without that number says so with each event") {

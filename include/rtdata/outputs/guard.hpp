@@ -26,10 +26,13 @@
 ///
 /// What it cannot do is in docs/outputs.md.
 ///
+/// It has 1024 outputs at most, each of a text of 64 KiB at most: others are refused (does-not-fit).
+///
 /// Owner: the user; it must outlive the runtime. Thread: that of the constructor; outputs use it on their loops.
 /// Errors: SetupError (io-failed): there is no process or memory for it.
 #pragma once
 
+#include <cstddef>
 #include <functional>
 #include <memory>
 #include <string>
@@ -41,6 +44,8 @@ namespace rtdata {
 
 class OutputGuard {
  public:
+  static constexpr std::size_t most_outputs = 1024;
+  static constexpr std::size_t most_bytes = 65536;  ///< of what an output is given as `guarded`
   /// Called in the guard, with what an output was given as `guarded`. May throw.
   using Make = std::function<std::unique_ptr<Actuator>(const std::string& what)>;
   explicit OutputGuard(const Make& make);

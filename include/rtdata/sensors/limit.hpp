@@ -6,7 +6,8 @@
 ///
 /// What levels, alarms and acknowledging are: process/limits.hpp. It publishes an event with the first value, and with
 /// each change. An unknown value (the field is absent, the topic has no such number, nothing has come for `silence`) is
-/// a level too; where nothing comes the sensor is also faulted, and has a gap.
+/// a level too; where nothing comes the sensor is also faulted, and has a gap. A `stop` publishes an unknown value,
+/// since nobody watches any more; closing the limit and the end of its run publish nothing.
 ///
 /// A flood is joined: after an event, changes within `join` are held back and counted, unless the alarm is worse than
 /// what was published since; what has become of them is published once `join` is over. So a value that swings about a

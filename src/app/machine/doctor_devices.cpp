@@ -24,7 +24,9 @@ std::string device_of(const PartPlan& part) {
 }
 
 Finding examine_device(const MachineFiles& files, const PartPlan& part, const std::string& device) {
-  constexpr const char* cost = "it has no data until that is mended";
+  // A sensor waits for its device; an output is safe from the start on, or there is none.
+  const bool is_output = part.kind == "output";
+  const char* const cost = is_output ? "the run does not start" : "it has no data until that is mended";
   // What the kernel shows below /sys and /proc is read; a bus or a port is written to as well.
   const bool is_node = device.starts_with("/dev/");
   const Access access = access_to(files, device, is_node ? R_OK | W_OK : R_OK);
@@ -39,7 +41,7 @@ Finding examine_device(const MachineFiles& files, const PartPlan& part, const st
   const std::string holder = is_alone ? holder_of(device) : "";
   if (holder.empty()) return {Severity::good, part.object(), device + " can be used"};
   return {Severity::warning, part.object(), device + ": " + holder + " has it open",
-          "two programs at one port take each other's bytes", "end that first"};
+          is_output ? cost : "two programs at one port take each other's bytes", "end that first"};
 }
 
 /// A chip on I2C that a driver of the kernel has; the others are known when they are talked to.

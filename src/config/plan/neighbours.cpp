@@ -12,6 +12,7 @@
 #include "rtdata/loop/account.hpp"
 #include "rtdata/loop/health.hpp"
 #include "rtdata/loop/topic.hpp"
+#include "rtdata/outputs/guard.hpp"
 
 namespace rtdata::config_detail {
 namespace {
@@ -63,6 +64,28 @@ void Neighbours::add(const PartPlan& part, Problems& problems) {
     storing_.push_back({&part});
   }
   check_name(part, problems);
+  if (part.kind == "output" && part.item.to_json().size() > OutputGuard::most_bytes)
+    problems.add(part.item.problem("bad-value",
+                                   "the output has more than 64 KiB of settings; the guard of outputs takes no more"));
+  if (part.kind == "output" && ++outputs_ == OutputGuard::most_outputs + 1)
+    problems.add(part.item.problem("bad-value", "there are more outputs than the guard of outputs takes, which is " +
+                                                    std::to_string(OutputGuard::most_outputs)));
+}
+
+void Neighbours::check_values(const PartPlan& machine, Problems& problems) const {
+  const ConfigItem* const states = child_of(machine.item, "states");
+  if (states == nullptr) return;
+  for (const ConfigChild& state : states->children()) {
+    const ConfigItem* const all = child_of(state.item, "set");
+    if (all == nullptr) continue;
+    std::set<std::string> outputs;
+    for (const ConfigChild& one : all->children()) {
+      const std::string name = text_or_empty(one.item, "output");
+      if (!outputs.insert(name).second)
+        problems.add(child_or_self(one.item, "output")
+                         .problem("bad-value", "the state sets the output \"" + name + "\" already"));
+    }
+  }
 }
 
 void Neighbours::check_name(const PartPlan& part, Problems& problems) {
@@ -350,6 +373,7 @@ void Neighbours::check_stored_by(const PartPlan& part, Problems& problems) const
 }
 
 void Neighbours::check_uses(const PartPlan& part, Problems& problems) {
+  if (part.kind == "machine") check_values(part, problems);
   if (!part.stored_by.empty()) check_stored_by(part, problems);
   if (part.stores && !part.stores->through.empty()) check_through(part, problems);
   if (part.check_topics) {

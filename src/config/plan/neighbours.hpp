@@ -68,6 +68,8 @@ class Neighbours {
   };
 
   void check_name(const PartPlan& part, Problems& problems);
+  /// What the states of a machine set outputs to.
+  void check_values(const PartPlan& machine, Problems& problems) const;
   void check_written_names(Problems& problems);
   void check_topic(const PartPlan& part, Problems& problems);
   void check_path(const PartPlan& part, Problems& problems);
@@ -91,6 +93,7 @@ class Neighbours {
   std::set<const PartPlan*> refused_paths_;
   std::vector<KnownFile> files_;
   std::size_t suggestions_ = 0;
+  std::size_t outputs_ = 0;
 };
 
 }  // namespace rtdata::config_detail

@@ -10,6 +10,7 @@
 #include "config/plan/neighbours.hpp"
 #include "loop/runtime/runtime_core.hpp"
 #include "loop/support/deadline.hpp"
+#include "rtdata/sensors/sensor.hpp"
 #include "rtdata/sinks/sink.hpp"
 
 namespace rtdata::config_detail {
@@ -310,6 +311,8 @@ void PlanApplication::keep_what_is_taken_over() {
     if (planned.now == nullptr || !ends(planned.change.fate)) continue;
     const PartPlan& now = *planned.now;
     const PartObject& before = system_.parts_.part_named(now.kind, now.name).object;
+    const auto* const sensor = now.kind == "sensor" ? before.as<AnySensor>() : nullptr;
+    if (sensor != nullptr && !sensor->is_running()) stopped_.insert(now.object());
     if (now.make_again) back_[now.object()] = now.make_again(before);
     if (planned.next != nullptr && planned.next->make_again)
       again_[planned.next->object()] = planned.next->make_again(before);
@@ -320,7 +323,12 @@ void PlanApplication::make_part(const PartPlan& plan, PartPlan::Make make) {
   auto part = std::make_unique<Parts::Part>(Parts::Part{plan, {}});
   if (make) part->plan.make = std::move(make);
   system_.make(std::move(part));
-  system_.parts_.part_named(plan.kind, plan.name).plan.make = plan.make;
+  Parts::Part& made = system_.parts_.part_named(plan.kind, plan.name);
+  made.plan.make = plan.make;
+  if (!stopped_.contains(plan.object())) return;
+  made.object.as<AnySensor>()->stop();
+  system_.loop_.runtime().core().log(LogLevel::warning, plan.object(),
+                                     "it was stopped, and stays so now that it is made anew, until it is started");
 }
 
 void PlanApplication::make() {

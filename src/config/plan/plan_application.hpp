@@ -46,7 +46,7 @@ class PlanApplication {
 
   /// The parts of before that end now: what stores, then the others, of each the last one made first.
   void close();
-  /// While there are those before: they say what those that follow take over.
+  /// While there are those before: they say what those that follow take over. A sensor that is stopped stays so.
   void keep_what_is_taken_over();
   /// Of a sink that needs a loop that turns to get rid of what it has queued, or that is not waited for.
   void finish(std::unique_ptr<Parts::Part> part);
@@ -80,6 +80,7 @@ class PlanApplication {
   std::map<std::string, MonotonicTime> closed_at_;         // by object
   std::map<std::string, PartPlan::Make> again_;            // those that are made anew, by object
   std::map<std::string, PartPlan::Make> back_;             // those that are closed, should they have to be made again
+  std::set<std::string> stopped_;                          // sensors that somebody has stopped, by object
   std::vector<PartPlan> closed_;                           // in the order in which they were made
   std::vector<std::pair<std::string, std::string>> made_;  // kind and name
   std::size_t made_ahead_ = 0;                             // of these, from the first one

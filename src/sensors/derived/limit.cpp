@@ -55,10 +55,13 @@ class LimitNode final : public FeedNode {
     Call call(*this);
     silence_.stop();
     FeedNode::stop();
+    // At the end of the run, or of this limit, which another may replace, nothing has happened to the value.
+    if (is_ending_) return;
     // What follows the alarm has its last event until the next, and nobody watches any more.
     if (watch_.take_unknown() || !has_published_) tell(loop()->runtime.event_time(loop()->now()));
   }
   void stop_schedule(MonotonicTime end) override {
+    is_ending_ = true;
     silence_.stop();
     FeedNode::stop_schedule(end);
   }
@@ -80,6 +83,7 @@ class LimitNode final : public FeedNode {
 
  private:
   void begin() {
+    is_ending_ = false;
     watch_.reset();
     has_published_ = false;
     heard_ = loop()->now();
@@ -140,6 +144,7 @@ class LimitNode final : public FeedNode {
   }
 
   void on_close() noexcept override {
+    is_ending_ = true;
     subscription_.close();
     silence_.close();
     FeedNode::on_close();
@@ -155,6 +160,7 @@ class LimitNode final : public FeedNode {
   std::uint32_t waiting_ = 0;  // changes that were not published
   int worst_ = 0;              // of what was published since `join` began
   bool has_published_ = false;
+  bool is_ending_ = false;  // it is closed, or the run's schedules have ended
   Time published_{};
 };
 
