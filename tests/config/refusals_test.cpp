@@ -348,6 +348,8 @@ TEST_SUITE("config") {
 #ifdef RTDATA_WITH_MQTT
         {sinks(R"({"type": "mqtt", "host": "127.0.0.1", "topic": "x/{nosuch}"})"), "there is no {nosuch}"},
         {sinks(R"({"type": "mqtt", "host": "127.0.0.1", "client_id": "a\u0001b"})"), "it has a control character"},
+        {sinks(R"({"type": "mqtt", "host": "127.0.0.1", "password": "secret"})"),
+         "there is no `user` of whom it could be"},
         {R"({"sensors": [{"name": "s", "type": "mqtt", "host": "127.0.0.1", "client_id": "a\u0000b",
              "topics": ["a"], "fields": [{"name": "x"}]}]})",
          "it has a control character"},
