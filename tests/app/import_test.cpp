@@ -89,6 +89,17 @@ TEST_SUITE("app") {
     CHECK(has(first.out, "1795665132554291438,ms,1,1\n"));
   }
 
+  TEST_CASE("import: units of headings have brackets of their own") {
+    const Folder folder;
+    folder.write("x.csv",
+                 "time [ms],a [[g]],b [m[H2O]],c [[degF]/min],d[0] [V],d[1] [V],e]\n1,2,3,4,5,6,7\n2,3,4,5,6,7,8\n");
+    Process import(folder, program, {"import", "x.csv", "--time", "time [ms]", "--scale", "1ms"});
+    CHECK_MESSAGE(import.end() == 0, import.err);
+    Process rows(folder, program, {"export", "x.db", "--units"});
+    CHECK(rows.end() == 0);
+    CHECK(has(rows.out, ",a [[g]],b [m[H2O]],c [[degF]/min],d[0] [V],d[1] [V],e_\n"));
+  }
+
   TEST_CASE("import: an array whose name a column or another array has is numbered") {
     const Folder folder;
     folder.write("x.csv", "t,accel,accel[0],accel[1],a b[0],a b[1],a_b[0],a_b[1]\n0,1,2,3,4,5,6,7\n");

@@ -363,6 +363,7 @@ TEST_SUITE("config") {
         {sinks(R"({"type": "sqlite", "path": "folder"})"), "\"folder\" is a folder"},
         {sinks(R"({"type": "sqlite", "path": "nowhere/run.db"})"), "there is no folder \"nowhere\": make it first"},
         {sinks(R"({"type": "sqlite", "path": "/dev/null"})"), "\"/dev/null\" is no regular file"},
+        {sinks(R"({"type": "file", "path": "x.csv", "from": "beginning"})"), "it has no effect without `through`"},
         {sinks(R"({"type": "sqlite", "path": "text.txt"})"), "it is no SQLite file"},
         {sinks(R"({"type": "file", "path": "{topic}/x.csv"})"), "a placeholder stands in the name of a folder"},
         {sinks(R"({"type": "file", "path": "other.csv", "format": "csv"})"),

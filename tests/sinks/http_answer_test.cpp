@@ -157,6 +157,7 @@ TEST_SUITE("sinks") {
         {url + R"("tls": {"certificate": ")" + pem + "\"}", "needs its private key"},
         {url + R"("tls": {"key": ")" + pem + "\"}", "nothing without its certificate"},
         {url + R"("tls": {"ca_file": "/no/such/file"})", "No such file"},
+        {url + R"("tls": {"ca_file": "/proc/self/cmdline"})", "no line that begins with -----BEGIN"},
         {url + R"("tls": {"ca_file": "/tmp"})", "no regular file"},
         {url + R"("tls": {"ca_file": ")" + pem + R"(", "verify": false})", "remove one of the two"},
         {url + R"("tls": {"key_password": "x"})", "no `key`"},

@@ -502,6 +502,16 @@ TEST_SUITE("sinks") {
       CHECK_THROWS_WITH_AS(PostgresqlSink(loop, {.url = "postgresql://localhost/b%zz"}),
                            doctest::Contains("libpq does not understand it"), SetupError);
     }
+    SUBCASE("a mode and ports that there are not") {
+      Loop loop{Loop::Manual{}};
+      const auto refused = [&](const std::string& url) {
+        CAPTURE(url);
+        CHECK_THROWS_AS(PostgresqlSink(loop, {.url = "postgresql://" + url}), SetupError);
+      };
+      refused("localhost/b?sslmode=requir");
+      for (const char* port : {"99999", "0", "1,70000"}) refused("localhost/b?port=" + std::string(port));
+      const PostgresqlSink good(loop, {.url = "postgresql://localhost,::1/b?port=1,65535&sslmode=require"});
+    }
   }
 
   TEST_CASE("NFR-1 a server that stands still: each call ends in time, closing too, and everything comes later") {

@@ -20,6 +20,16 @@ std::string_view array_of(std::string_view heading, std::size_t& index) {
   return detail::read_number(number, index) == std::errc{} ? heading.substr(0, open) : std::string_view();
 }
 
+/// Where the bracket opens that the last character closes: units have brackets of their own, such as [m[H2O]].
+std::size_t opening_bracket(std::string_view heading) {
+  int depth = 0;
+  for (std::size_t at = heading.ends_with(']') ? heading.size() : 0; at-- > 0;) {
+    if (heading[at] == ']') ++depth;
+    if (heading[at] == '[' && --depth == 0) return at;
+  }
+  return std::string_view::npos;
+}
+
 void make_name(std::string& text) {
   for (char& c : text)
     if ((c < 'a' || c > 'z') && (c < 'A' || c > 'Z') && (c < '0' || c > '9')) c = '_';
@@ -84,8 +94,7 @@ void name_columns(std::vector<ImportColumn>& columns) {
   for (ImportColumn& column : columns) {
     std::string text = column.heading;
     std::size_t index = 0;
-    if (const std::size_t open = text.rfind('[');
-        open != std::string::npos && text.ends_with(']') && array_of(text, index).empty()) {
+    if (const std::size_t open = opening_bracket(text); open != std::string::npos && array_of(text, index).empty()) {
       column.unit = text.substr(open + 1, text.size() - open - 2);
       text.resize(open);
     }

@@ -75,6 +75,14 @@ void check_retries(const ConfigItem& item, Problems& problems) {
                                              ", up to this: it must not be shorter"));
 }
 
+void check_from(const PartPlan& plan, Problems& problems) {
+  const ConfigItem* const from = child_of(plan.item, "from");
+  if (!plan.stores || !plan.stores->through.empty() || from == nullptr || text_or_empty(plan.item, "from") == "now")
+    return;
+  problems.add(
+      from->problem("bad-value", "it has no effect without `through`: give the name of a recording, or leave it out"));
+}
+
 /// The parts that the item names.
 void collect_uses(const std::vector<ParameterInfo>& parameters, const ConfigItem& item, std::vector<PartUse>& uses) {
   const auto add = [&](const NamesPart& names, const std::string& name, const ConfigItem& at) {
@@ -131,6 +139,7 @@ PartPlan PartReader::read(const PartKind& kind, const std::string& name, const C
     if (plan.publishes) check_topic(plan, problems);
     check_output_files(parameters, item, problems);
     check_retries(item, problems);
+    check_from(plan, problems);
   }
   if (problems.size() != before) plan = raw_plan(kind, name, item);
   collect_uses(parameters, item, plan.uses);

@@ -6,6 +6,7 @@
 #include <cerrno>
 #include <charconv>
 #include <cstdlib>
+#include <iterator>
 #include <utility>
 
 #include "data/hidden.hpp"
@@ -117,6 +118,24 @@ Result<UrlParts> look_at_url(const std::string& url) {
     PQfreemem(why);
     return Error{Errc::bad_argument, "cannot connect", "`url`", "libpq does not understand it",
                  "write postgresql://user@host:port/database, with % and two digits for other characters"};
+  }
+  constexpr std::string_view modes[] = {"", "disable", "allow", "prefer", "require", "verify-ca", "verify-full"};
+  const std::string_view mode = value_of(options, "sslmode");
+  if (std::find(std::begin(modes), std::end(modes), mode) == std::end(modes))
+    return Error{Errc::bad_argument, "cannot connect", "`url`", "there is no sslmode \"" + std::string(mode) + "\"",
+                 "choose disable, allow, prefer, require, verify-ca or verify-full"};
+  std::string_view ports = value_of(options, "port");  // one for each host
+  for (bool is_more = !ports.empty(); is_more;) {
+    const std::size_t end = ports.find(',');
+    const std::string_view port = ports.substr(0, end);
+    unsigned number = 1;
+    const auto read = std::from_chars(port.data(), port.data() + port.size(), number);
+    if (!port.empty() &&
+        (read.ec != std::errc{} || read.ptr != port.data() + port.size() || number < 1 || number > 65535))
+      return Error{Errc::bad_argument, "cannot connect", "`url`", "there is no port " + std::string(port),
+                   "ports go from 1 to 65535"};
+    is_more = end != std::string_view::npos;
+    if (is_more) ports.remove_prefix(end + 1);
   }
   parts.password = value_of(options, "password");
   parts.has_password = !parts.password.empty();
