@@ -38,6 +38,8 @@ BEYOND_A_SCHEMA = [
     "or 0 for no limit",  # a least value, or none
     "there is no format", "without `rotate` there is one", "needs a `priority`", "a priority goes with", "give `cpu` or `cpus`",
     "already at",  # a key that is there twice
+    "there is no `user`", "it has no effect without", "begins with -----BEGIN", "there is no sslmode", "there is no port",
+    "shares the topic", "sets the output", "of settings; the guard",
     "there is no bus", "there is no sink", "goes through no other", "is not among those of the recording", "this needs sqlite", r"\.(address|line): ",  # names of other parts; numbers that may be texts
 ]
 
