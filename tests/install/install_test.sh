@@ -137,7 +137,10 @@ if [ -x "$work/prefix/bin/rtdata" ]; then
     LD_LIBRARY_PATH="$(dirname "$pkgconfig")" check_own_types pkg-config ./own_types
 fi
 
+# In the tree, so that what another clone has compiled serves here: ccache sees paths relative to it.
 project add_subdirectory
-cmake -S . -B out -DRTDATA_TREE="$source" -DCMAKE_BUILD_TYPE=Debug >cmake.log
-cmake --build out -j "$(nproc)" --target record >>cmake.log || { tail -n 50 cmake.log >&2; exit 1; }
-check out/record
+out=$build/add_subdirectory
+rm -rf "$out"
+cmake -S . -B "$out" -DRTDATA_TREE="$source" -DCMAKE_BUILD_TYPE=Debug >cmake.log
+cmake --build "$out" -j "$(nproc)" --target record >>cmake.log || { tail -n 50 cmake.log >&2; exit 1; }
+check "$out/record"
