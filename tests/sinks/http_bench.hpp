@@ -65,7 +65,9 @@ class HttpServer {
   std::vector<Json> requests() const {
     std::vector<Json> all;
     std::istringstream lines(folder_.read("requests"));
-    for (std::string line; std::getline(lines, line);) all.push_back(Json::parse(line));
+    for (std::string line; std::getline(lines, line);) {
+      if (!lines.eof()) all.push_back(Json::parse(line));  // else it is being written
+    }
     return all;
   }
   std::size_t request_count() const {
