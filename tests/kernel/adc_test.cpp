@@ -91,7 +91,7 @@ void check_recovers(const Converter& converter, std::uint32_t count, int number,
     });
     const Timer patience = limit(loop);
     loop.run();
-    CHECK(after == 5);
+    CHECK(after >= 5);  // those that waited when the loop was stopped come, too
     CHECK(sensor.health() == Health::ok);
     CHECK(sensor.counts().failed == count);
     CHECK(errors == std::vector<std::string>(count, std::string(id)));
