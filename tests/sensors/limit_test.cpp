@@ -352,6 +352,25 @@ TEST_CASE("a limit at the end of its run, or that is closed, publishes no alarm 
   CHECK(events("stopped.db", [](Bench& bench) { bench.sensor.stop(); }) == 2);
 }
 
+TEST_CASE("a change that a limit holds back to join it with others is published when it ends") {
+  const recordings::Folder folder;
+  const auto last = [&](const std::string& name, const std::function<void(Bench&)>& end) {
+    const std::string path = folder / name;
+    {
+      Bench bench({.high = 100, .silence = 0s, .join = 10s});
+      const SqliteSink sink(bench.loop, {.path = path});
+      for (const double pressure : {50, 150, 50, 50}) bench.take(pressure);
+      CHECK(bench.levels() == std::vector{normal, high});
+      end(bench);
+      bench.loop.close(1s);
+    }
+    CHECK(recordings::number(path, "SELECT count(*) FROM alarm") == 3);
+    return recordings::number(path, "SELECT count(*) FROM alarm WHERE level = 'normal' AND sequence = 3");
+  };
+  CHECK(last("end.db", [](Bench&) {}) == 1);
+  CHECK(last("closed.db", [](Bench& bench) { bench.sensor.close(); }) == 1);
+}
+
 TEST_CASE("a limit of a topic without that number says so with each event") {
   Loop loop(Loop::Manual{});
   be_quiet(loop);

@@ -55,10 +55,15 @@ class LimitNode final : public FeedNode {
     Call call(*this);
     silence_.stop();
     FeedNode::stop();
-    // At the end of the run, or of this limit, which another may replace, nothing has happened to the value.
-    if (is_ending_) return;
+    const Time now = loop()->runtime.event_time(loop()->now());
+    if (is_ending_) {
+      // The end of the run, or of this limit, which another may replace, is no change of the value; `join` may hold
+      // some back.
+      if (waiting_ > 0) tell(now);
+      return;
+    }
     // What follows the alarm has its last event until the next, and nobody watches any more.
-    if (watch_.take_unknown() || !has_published_) tell(loop()->runtime.event_time(loop()->now()));
+    if (watch_.take_unknown() || !has_published_) tell(now);
   }
   void stop_schedule(MonotonicTime end) override {
     is_ending_ = true;
