@@ -29,6 +29,14 @@ std::string rig(const std::string& rate, const std::string& more) {
          R"(], "sinks": [{"type": "discard"}]})";
 }
 
+/// What `rtdata ctl reload` with these words says, with this status.
+std::string reloaded(const Folder& folder, const std::string& program, std::vector<std::string> words, int status) {
+  words.insert(words.begin(), {"ctl", "reload"});
+  Process ctl(folder, program, words);
+  CHECK_MESSAGE(ctl.end() == status, ctl.err);
+  return ctl.out + ctl.err;
+}
+
 }  // namespace
 
 TEST_SUITE("app") {
@@ -158,11 +166,8 @@ TEST_SUITE("app") {
     folder.write("rig.json", text("first.db"));
     Process run(folder, program, {"run", "rig.json"});
     REQUIRE(run.wait_for("running rig"));
-    const auto reload = [&](std::vector<std::string> words, int status) {
-      words.insert(words.begin(), {"ctl", "reload"});
-      Process ctl(folder, program, words);
-      CHECK_MESSAGE(ctl.end() == status, ctl.err);
-      return ctl.out + ctl.err;
+    const auto reload = [&](const std::vector<std::string>& words, int status) {
+      return reloaded(folder, program, words, status);
     };
     CHECK(has(reload({"give-up", "db"}, 1), "sink db cannot be given up: the change does not close it"));
     CHECK(has(reload({"give-up"}, 1), "it is written `reload [give-up SINK ...]`"));
@@ -202,11 +207,8 @@ TEST_SUITE("app") {
     folder.write("rig.json", text("first.db"));
     Process run(folder, program, {"run", "rig.json"});
     REQUIRE(run.wait_for("running rig"));
-    const auto reload = [&](std::vector<std::string> words, int status) {
-      words.insert(words.begin(), {"ctl", "reload"});
-      Process ctl(folder, program, words);
-      CHECK_MESSAGE(ctl.end() == status, ctl.err);
-      return ctl.out + ctl.err;
+    const auto reload = [&](const std::vector<std::string>& words, int status) {
+      return reloaded(folder, program, words, status);
     };
     for (int i = 0; i < 1000; ++i) {  // until something waits for the peer that is not there
       std::this_thread::sleep_for(std::chrono::milliseconds{10});

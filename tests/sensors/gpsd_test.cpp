@@ -10,7 +10,9 @@
 #include <fstream>
 #include <map>
 #include <nlohmann/json.hpp>
+#include <optional>
 
+#include "listening.hpp"
 #include "paths.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/sensors/gps.hpp"
@@ -137,13 +139,14 @@ void compare_with_gpspipe(const std::vector<std::string>& names, std::size_t mos
   }
   ScratchDirectory scratch;
   std::uint16_t port = 0;
-  {
-    const FakeGpsd free_port;
-    port = free_port.port();
+  std::optional<Program> gpsfake;
+  for (int i = 0; i < 3 && !(gpsfake && test::comes_to_listen(port)); ++i) {  // somebody may take the port before it
+    gpsfake.reset();
+    port = FakeGpsd().port();
+    std::vector<std::string> feeder{"gpsfake", "-q", "-n", "-c", "0.005", "-P", std::to_string(port)};
+    for (const std::string& name : names) feeder.push_back(folder + "/" + name + ".log");
+    gpsfake.emplace(feeder, scratch.file("gpsfake.out"));
   }
-  std::vector<std::string> feeder{"gpsfake", "-q", "-n", "-c", "0.005", "-P", std::to_string(port)};
-  for (const std::string& name : names) feeder.push_back(folder + "/" + name + ".log");
-  const Program gpsfake(feeder, scratch.file("gpsfake.out"));
   Loop loop;
   be_quiet(loop);
   loop.on_error([](const ErrorReport&) {});

@@ -13,6 +13,7 @@
 #include <string>
 #include <thread>
 
+#include "listening.hpp"
 #include "sensors/fake_gpsd.hpp"
 #include "sinks/sink_kinds.hpp"
 
@@ -48,8 +49,7 @@ class Broker {
       ::execl(program.c_str(), "mosquitto", "-c", conf.c_str(), static_cast<char*>(nullptr));
       ::_exit(127);
     }
-    for (int i = 0; i < 1000 && !answers(); ++i) std::this_thread::sleep_for(10ms);  // another program
-    REQUIRE_MESSAGE(answers(), content(log));
+    REQUIRE_MESSAGE(rtdata::test::comes_to_listen(port_), content(log));
   }
   void kill() {
     if (process_ <= 0) return;
@@ -66,16 +66,6 @@ class Broker {
   }
 
  private:
-  bool answers() const {
-    const int fd = ::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
-    sockaddr_in address{};
-    address.sin_family = AF_INET;
-    address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
-    address.sin_port = htons(port_);
-    const bool is_there = ::connect(fd, reinterpret_cast<sockaddr*>(&address), sizeof address) == 0;
-    ::close(fd);
-    return is_there;
-  }
   Directory directory_;
   std::string more_;
   std::uint16_t port_ = 0;

@@ -7,6 +7,7 @@
 
 #include <fstream>
 
+#include "listening.hpp"
 #include "sinks/certificates.hpp"
 #include "sinks/http_bench.hpp"
 
@@ -74,9 +75,7 @@ class Nginx {
   void start() {
     process_.emplace(folder_, nginx,
                      std::vector<std::string>{"-p", folder_.path(), "-c", folder_.path() + "/nginx.conf"});
-    const auto limit = std::chrono::steady_clock::now() + 20s;
-    while (!answers() && std::chrono::steady_clock::now() < limit) ::usleep(2000);
-    REQUIRE_MESSAGE(answers(), folder_.read("errors"));
+    REQUIRE_MESSAGE(rtdata::test::comes_to_listen(static_cast<std::uint16_t>(std::stoi(port))), folder_.read("errors"));
   }
   void stop() {
     process_->signal(SIGTERM);
@@ -98,16 +97,6 @@ class Nginx {
   const std::string port, plain_port;
 
  private:
-  bool answers() const {
-    const int fd = ::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
-    sockaddr_in address{};
-    address.sin_family = AF_INET;
-    address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
-    address.sin_port = htons(static_cast<std::uint16_t>(std::stoi(port)));
-    const bool is_there = ::connect(fd, reinterpret_cast<const sockaddr*>(&address), sizeof address) == 0;
-    ::close(fd);
-    return is_there;
-  }
   rtdata::test::Folder folder_;
   std::optional<rtdata::test::Process> process_;
 };
