@@ -1,4 +1,4 @@
-# One test program, one doctest suite a folder; ctest runs each suite in a process of its own.
+# One test program, one doctest suite a folder; ctest runs each suite, or a part of it, in a process of its own.
 find_package(doctest REQUIRED)
 rtdata_sources(RTDATA_TEST_SOURCES tests/tests.sources)
 add_library(rtdata_test_paths STATIC tests/paths.cpp)
@@ -41,9 +41,22 @@ if(RTDATA_PROGRAM)
   target_include_directories(rtdata_test_program PRIVATE tests)
   add_dependencies(rtdata_tests rtdata_test_program rtdata_main)
 endif()
+# The longest begin first, and the two longest are two tests each, which run beside each other.
+set(examples_of_app --source-file=*/app/rocket*,*/app/test_bench*,*/app/fleet_example*,*/app/many_machines*)
+set(network_of_sinks --source-file=*/sinks/*http*,*/sinks/*mqtt*,*/sinks/*postgresql*,*/sinks/*network*,*/sinks/*tcp*,*/sinks/*sender*,*/sinks/*through*,*/sinks/half_open*,*/sinks/slow_peer*)
 foreach(suite data loop process sensors sinks fsm outputs config app contract)
-  add_test(NAME ${suite} COMMAND rtdata_tests --test-suite=${suite} --no-skipped-summary WORKING_DIRECTORY ${CMAKE_CURRENT_SOURCE_DIR})
+  set(all_but_part "")
+  foreach(part examples network)
+    if(DEFINED ${part}_of_${suite})
+      string(REPLACE --source-file= --source-file-exclude= all_but_part "${${part}_of_${suite}}")
+      add_test(NAME ${suite}_${part} COMMAND rtdata_tests --test-suite=${suite} ${${part}_of_${suite}} --no-skipped-summary
+        WORKING_DIRECTORY ${CMAKE_CURRENT_SOURCE_DIR})
+      set_tests_properties(${suite}_${part} PROPERTIES COST 200)
+    endif()
+  endforeach()
+  add_test(NAME ${suite} COMMAND rtdata_tests --test-suite=${suite} ${all_but_part} --no-skipped-summary WORKING_DIRECTORY ${CMAKE_CURRENT_SOURCE_DIR})
 endforeach()
+set_tests_properties(app sinks sensors PROPERTIES COST 100)
 
 # Run by script/test --all in the kernel bench, with real drivers.
 if(TARGET rtdata_sqlite AND RTDATA_PROGRAM)
