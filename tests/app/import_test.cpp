@@ -152,6 +152,20 @@ TEST_SUITE("app") {
     CHECK(has(rows.out, "a,4,4\n"));
   }
 
+  TEST_CASE("FW-5 import: each row that got another time than its own is counted") {
+    const Folder folder;
+    folder.write("ns.csv", "t,Events,events_,b\n0,1,1,1\n0,2,2,2\n0,3,3,3\n1,4,4,4\n2,5,5,5\n9,6,6,6\n");
+    Process import(folder, program, {"import", "ns.csv", "--time", "t", "--scale", "1ns"});
+    CHECK(import.end() == 0);
+    CHECK(has(import.err, "warning: 4 rows were not later than the row before"));
+    // And steps have a name for the number of events whatever the names of the columns are.
+    Process steps(folder, program, {"export", "ns.db", "--step", "1s", "--format", "csv"});
+    CHECK(steps.end() == 0);
+    CHECK(has(steps.out, "events__"));
+    CHECK(has(steps.out, "Events.max"));
+    CHECK(has(steps.out, "events_.max"));
+  }
+
   TEST_CASE("FW-5 import: what cannot be taken is said with its row, and nothing is made") {
     const Folder folder;
     folder.write("good.csv", "time_s,v\n1,2\n");

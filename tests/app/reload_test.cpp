@@ -396,5 +396,14 @@ while True:
     Process refused(folder, program, {"check", "other.json", "--against", "now.json"});
     CHECK(refused.end() == 1);
     CHECK(has(refused.out, "name: refused"));
+    // As the reload says it: the guard of outputs begins before the loops.
+    std::string first = rig("100 Hz", "");
+    first.insert(first.rfind('}'), R"(, "outputs": [{"name": "o", "type": "serial", "device": "/dev/null"}])");
+    folder.write("first.json", first);
+    Process guarded(folder, program, {"check", "first.json", "--against", "now.json"});
+    CHECK(guarded.end() == 1);
+    CHECK(has(guarded.out, "output o: refused: the guard of outputs is started with the program: start it again"));
+    Process second(folder, program, {"check", "first.json", "--against", "first.json"});
+    CHECK(second.end() == 0);
   }
 }

@@ -156,7 +156,7 @@ Result<Found> look_at(const ImportOptions& options, const ImportNotation& notati
   return found;
 }
 
-/// The number of rows, of which those that are `moved` were not later than the row before.
+/// The number of rows, of which those that are `moved` got another time than they have in the file.
 Result<std::uint64_t> record(const ImportOptions& options, const Found& found, const ImportNotation& notation,
                              std::uint64_t& moved) {
   ManualClock clock(found.first - Duration{1});
@@ -192,10 +192,12 @@ Result<std::uint64_t> record(const ImportOptions& options, const Found& found, c
       const Value value = value_of(found.columns[i], cells[i]);
       if (!write(found.description->leaves()[leaf++], payload.data(), value)) return changed();
     }
-    if (*time <= last) ++moved;
-    loop.advance(std::max(*time - last, Duration{0}));
-    last = std::max(last, *time);
-    feed.publish_bytes(payload, *time);
+    // As the feed does: events of one origin follow each other in time.
+    const Time given = std::max(*time, last + Duration{1});
+    if (given != *time) ++moved;
+    loop.advance(given - last);
+    last = given;
+    feed.publish_bytes(payload, given);
     if (failed) return *failed;
   }
   if (const std::uint64_t lost = loop.close(); lost > 0 || failed)
@@ -264,7 +266,7 @@ int import_table(const ImportOptions& options, std::ostream& out, std::ostream& 
     }
     if (moved > 0)
       err << "rtdata: warning: " << moved
-          << " rows were not later than the row before; each got a time 1 ns after it\n";
+          << " rows were not later than the row before; each got a time 1 ns after that one's\n";
     return 0;
   } catch (const SetupError& error) {
     return fail(error.error());

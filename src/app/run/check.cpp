@@ -5,6 +5,7 @@
 #include "app/run/growth.hpp"
 #include "app/run/left_backlogs.hpp"
 #include "app/run/log_file.hpp"
+#include "app/run/reload.hpp"
 #include "rtdata/config/change.hpp"
 #include "rtdata/config/secret.hpp"
 #include "rtdata/config/system.hpp"
@@ -20,7 +21,12 @@ int compare(const Registry& registry, const SystemPlan& plan, const std::string&
     std::cout << now.report() << "it cannot be compared with " << against << ", which has mistakes" << std::endl;
     return exit_configuration;
   }
-  const PlanChange change = plan_change(now, plan);
+  PlanChange change = plan_change(now, plan);
+  // As a reload says it: the process that sets outputs safe begins before there are threads.
+  if (now.of_kind("output").empty()) {
+    for (PartChange& part : change.all)
+      if (part.object.starts_with("output ")) part = {part.object, Fate::refused, std::string(no_guard)};
+  }
   std::cout << "in the place of " << against << ", in a system that runs:\n"
             << (change.is_empty() ? "nothing changes\n" : hide_secrets(change.text(), plan.secrets)) << std::flush;
   std::vector<const PartPlan*> parts;

@@ -78,8 +78,7 @@ bool Reload::may_be_applied(Change& change) {
                    (next.problems.size() > most_told ? ", the first of which are told; `rtdata check` tells all" : ""));
   }
   for (const Problem& warning : next.warnings) add(change, LogLevel::warning, warning.text(), warning.id);
-  if (!run_.has_guard && !next.of_kind("output").empty())
-    return refused("the guard of outputs is started with the program: start it again");
+  if (!run_.has_guard && !next.of_kind("output").empty()) return refused(std::string(no_guard));
   change.steps = std::make_unique<StepwiseChange>(system_, next, change.given_up);
   const PlanChange& parts = change.steps->changes();
   if (parts.refused() == 0) {

@@ -6,6 +6,7 @@
 #include <memory>
 #include <set>
 #include <string>
+#include <string_view>
 #include <utility>
 #include <vector>
 
@@ -19,6 +20,9 @@
 #include "rtdata/loop/timer.hpp"
 
 namespace rtdata::app {
+
+/// Why a system that was started without outputs gets none.
+inline constexpr std::string_view no_guard = "the guard of outputs is started with the program: start it again";
 
 /// Thread: the loop's, unless said otherwise. Gone before the system.
 class Reload {

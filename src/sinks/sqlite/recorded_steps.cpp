@@ -3,6 +3,7 @@
 #include <cmath>
 #include <limits>
 #include <numeric>
+#include <set>
 
 #include "sinks/sqlite/rows_merge.hpp"
 
@@ -38,45 +39,73 @@ Result<std::shared_ptr<const Description>> statistics_of(const std::string& unit
       .build();
 }
 
-/// Adds what the fields become; false when none of them is a number.
-Result<bool> add_fields(DescriptionBuilder& builder, const std::vector<Field>& fields) {
-  bool has_any = false;
+/// Of one record: as SQLite compares names, without the case of the letters of ASCII.
+class Names {
+ public:
+  /// The name, or with `_` behind it until no other has it.
+  std::string free(std::string name) {
+    while (!taken_.insert(lower(name)).second) name += '_';
+    return name;
+  }
+
+ private:
+  static std::string lower(std::string name) {
+    for (char& c : name) c = c >= 'A' && c <= 'Z' ? static_cast<char>(c - 'A' + 'a') : c;
+    return name;
+  }
+  std::set<std::string> taken_;
+};
+
+/// What a field becomes; null: nothing, since there is no number in it.
+Result<std::shared_ptr<const Description>> steps_of(const Field& field);
+
+/// Adds what the fields become; returns whether there is any. `own`, where it is not empty, is a field of the row
+/// itself, which comes first; the fields keep their names before it, and those without a point before those with one.
+Result<bool> add_fields(DescriptionBuilder& builder, const std::vector<Field>& fields, const std::string& own = "") {
+  struct Part {
+    const Field* field;
+    std::shared_ptr<const Description> steps;
+    std::string name;
+  };
+  std::vector<Part> parts;
   for (const Field& field : fields) {
-    std::shared_ptr<const Description> part;
-    if (field.kind == Kind::record) {
-      DescriptionBuilder nested(field.name);
-      auto is_some = add_fields(nested, field.fields);
-      if (!is_some) return is_some;
-      if (!*is_some) continue;
-      auto built = nested.build();
-      if (!built) return std::move(built).error();
-      part = *std::move(built);
-    } else if (is_number(field.kind)) {
-      auto built = statistics_of(field.unit);
-      if (!built) return std::move(built).error();
-      part = *std::move(built);
-    } else {
-      continue;
-    }
-    has_any = true;
+    auto steps = steps_of(field);
+    if (!steps) return std::move(steps).error();
+    if (*steps != nullptr) parts.push_back({&field, *std::move(steps), field.name});
+  }
+  Names names;
+  const auto has_point = [](const Part& part) { return part.name.find('.') != std::string::npos; };
+  for (Part& part : parts)
+    if (!has_point(part)) part.name = names.free(std::move(part.name));
+  for (Part& part : parts) {
+    if (!has_point(part)) continue;
     // "pressure.raw" beside "pressure": a point is in no name of a record.
-    std::string name = field.name;
-    std::replace(name.begin(), name.end(), '.', '_');
-    if (field.is_array) {
-      builder.record_array(std::move(name), *part, field.count);
+    std::replace(part.name.begin(), part.name.end(), '.', '_');
+    part.name = names.free(std::move(part.name));
+  }
+  if (!own.empty()) builder.field(names.free(own), Kind::u64);
+  for (Part& part : parts) {
+    if (part.field->is_array) {
+      builder.record_array(std::move(part.name), *part.steps, part.field->count);
     } else {
-      builder.record(std::move(name), *part);
+      builder.record(std::move(part.name), *part.steps);
     }
   }
-  return has_any;
+  return !parts.empty();
+}
+
+Result<std::shared_ptr<const Description>> steps_of(const Field& field) {
+  std::shared_ptr<const Description> none;
+  if (field.kind != Kind::record) return is_number(field.kind) ? statistics_of(field.unit) : none;
+  DescriptionBuilder nested(field.name);
+  auto has_any = add_fields(nested, field.fields);
+  if (!has_any) return std::move(has_any).error();
+  return *has_any ? nested.build() : none;
 }
 
 Result<std::shared_ptr<const Description>> description_of_steps(const Description& of) {
   DescriptionBuilder builder(of.name() + "_steps");
-  const bool is_taken = std::any_of(of.fields().begin(), of.fields().end(),
-                                    [](const Field& field) { return field.name == "events" && is_number(field.kind); });
-  builder.field(is_taken ? "events_" : "events", Kind::u64);
-  if (auto added = add_fields(builder, of.fields()); !added) return std::move(added).error();
+  if (auto added = add_fields(builder, of.fields(), "events"); !added) return std::move(added).error();
   return builder.build();
 }
 

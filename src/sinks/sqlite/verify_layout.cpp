@@ -3,10 +3,34 @@
 #include <set>
 
 #include "sinks/sqlite/schema.hpp"
+#include "sinks/sqlite/value_ranges.hpp"
 #include "sinks/sqlite/verify_run.hpp"
 #include "sinks/sqlite/verify_sums.hpp"
 
 namespace rtdata::detail {
+
+namespace {
+
+/// Rows are hashed by position: that each value is under its name stands in the columns alone.
+Result<void> check_columns_of(const RecordingFile& file, const RecordedTopic& topic,
+                              std::vector<std::string>& problems) {
+  auto columns = sqlite::columns_of(file.database, topic.table);
+  if (!columns) return std::move(columns).error();
+  std::vector<std::string> wanted{"run", "time", "origin", "sequence"};
+  for (const Leaf& leaf : topic.description->leaves()) wanted.push_back(leaf.path);
+  const std::set<std::string> there(columns->begin(), columns->end());
+  const std::set<std::string> described(wanted.begin(), wanted.end());
+  for (const std::string& column : *columns) {
+    if (!described.contains(column))
+      problems.push_back(topic.topic + ": the table has a column \"" + column + "\", which is none of the topic's.");
+  }
+  for (const std::string& column : wanted) {
+    if (!there.contains(column)) problems.push_back(topic.topic + ": the table has no column \"" + column + "\".");
+  }
+  return {};
+}
+
+}  // namespace
 
 Result<void> check_layout(const RecordingFile& file, std::int64_t version, const std::vector<RecordedTopic>& topics,
                           std::vector<std::string>& problems) {
@@ -29,6 +53,8 @@ Result<void> check_layout(const RecordingFile& file, std::int64_t version, const
                          std::to_string(sqlite::first_version_with_checksums) + " on have.");
     }
   }
+  for (const RecordedTopic& topic : topics)
+    if (auto checked = check_columns_of(file, topic, problems); !checked) return checked;
   if (version < 1)
     problems.push_back("The file says that its format is " + std::to_string(version) + ": there is none.");
   if (version != sqlite::schema_version) return {};  // those of an older one come when it is recorded into
@@ -36,7 +62,11 @@ Result<void> check_layout(const RecordingFile& file, std::int64_t version, const
                                   "rtdata_field"};
   for (const RecordedTopic& topic : topics) wanted.push_back(topic.table + "~utc");
   for (const std::string& view : wanted) {
-    if (!views.contains(view)) problems.push_back("The view " + view + " is not there.");
+    if (!views.contains(view)) {
+      problems.push_back("The view " + view + " is not there.");
+    } else if (auto usable = file.prepare("SELECT * FROM " + sqlite::quoted(view)); !usable) {
+      problems.push_back("The view " + view + " is damaged: " + usable.error().why + ".");
+    }
   }
   return {};
 }
