@@ -7,6 +7,7 @@
 #include <chrono>
 #include <utility>
 
+#include "loop/core/loop_core.hpp"
 #include "outputs/guard_link.hpp"
 #include "outputs/port.hpp"
 #include "rtdata/loop/watch.hpp"
@@ -61,11 +62,13 @@ class GuardPort final : public OutputPort {
     if (!socket) return std::move(socket).error();
     socket_ = *socket;
     watch_ = FdWatch(loop_, socket_, FdWatch::readable, name_, [this](const FdEvent&) { receive(); });
+    loop_.core().lanes.while_waiting.emplace_back(this, [this] { link_->beat_for(loop_); });
     return {};
   }
   void close() noexcept {
     if (socket_ < 0) return;
     watch_.close();
+    std::erase_if(loop_.core().lanes.while_waiting, [this](const auto& one) { return one.first == this; });
     ::close(std::exchange(socket_, -1));
     link_->release(slot_);
   }

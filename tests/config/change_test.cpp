@@ -9,6 +9,7 @@
 
 #include "app/process.hpp"
 #include "config/test_types.hpp"
+#include "loop/runtime/runtime_core.hpp"
 #include "rtdata/app/standard.hpp"
 #include "rtdata/sinks/recording.hpp"
 #include "rtdata/sinks/verify.hpp"
@@ -446,6 +447,38 @@ TEST_SUITE("config") {
     }
     for (const LedgerEntry& entry : Recording::open(path).or_throw().ledger(1).or_throw())
       if (entry.origin == "c") CHECK(entry.first_sequence == 1);
+  }
+
+  TEST_CASE("US-5 a recording whose file changes is closed while the loop turns; nothing is lost, also when it fails") {
+    const Folder folder;
+    const auto text = [&](const char* file, const char* breaks) {
+      return R"({"sensors": [)" + counter + R"(, {"name": "b", "type": "brittle", "rate": "10 Hz", "breaks": )" +
+             breaks + R"(}], "sinks": [{"type": "sqlite", "name": "db", "topics": ["a"], "path": ")" + folder.path() +
+             "/" + file + "\"}]}";
+    };
+    {
+      Running run(text("first.db", "false"));
+      run.loop.advance(1s);
+      const auto closed = [&] { return run.loop.runtime().core().closed_sinks.size(); };
+      run.system.apply(run.next(text("second.db", "false")));
+      CHECK(closed() == 0);  // it is still being closed
+      run.loop.advance(1s);
+      CHECK(closed() == 1);
+      // This needs the file of before again, at once.
+      CHECK(has(refusal([&] { run.system.apply(run.next(text("third.db", "true"))); }), "it breaks"));
+      run.loop.advance(1s);
+      run.loop.close(1s);
+    }
+    std::uint64_t next_sequence = 1;
+    for (const char* file : {"first.db", "second.db"}) {
+      const Recording recording = Recording::open(folder.path() + "/" + file).or_throw();
+      const VerifyReport report = verify(recording).or_throw();
+      INFO(report.text());
+      CHECK(report.verdict() == Verdict::balanced);
+      auto rows = recording.rows({.topic = "a", .origin = "a"}).or_throw();
+      while (const RecordedRow* row = rows.next().or_throw()) CHECK(row->header().sequence == next_sequence++);
+    }
+    CHECK(next_sequence > 290);
   }
 
   TEST_CASE("US-26 a recording that begins again since a reload failed has the text that holds") {

@@ -24,6 +24,7 @@
 #include "rtdata/loop/runtime.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/outputs/serial.hpp"
+#include "rtdata/sinks/sink.hpp"
 #include "sensors/fixture.hpp"
 
 using namespace rtdata;
@@ -423,6 +424,30 @@ TEST_SUITE("outputs") {
     CHECK(b.turn_until([&] { return b.output.value() == 1; }));
     Output slow(b.loop, {.name = "slow"}, {}, b.directory.file("slow"));  // for a second
     CHECK(b.turn_until([&] { return slow.value() == 0; }));
+    CHECK(b.output.is_armed());
+    CHECK(b.output.value() == 1);
+    CHECK(b.count("watchdog") == 0);
+    CHECK(lines_of(b.path) == Lines{"open 0.0", "set 1.0"});
+  }
+
+  TEST_CASE(
+      "US-35 guard: an output keeps its value while the loop waits for a disk, as when a reload closes a recording") {
+    struct SlowDisk final : Writer {
+      Result<void> open() override { return {}; }
+      Result<void> write(Batch&) override { return {}; }
+      Result<void> close() override {
+        std::this_thread::sleep_for(1s);
+        return {};
+      }
+    };
+    OutputConfig config;
+    config.watchdog = 200ms;
+    Bench b(config);
+    Sink sink(b.loop, {.name = "disk", .topics = {"#"}}, std::make_unique<SlowDisk>());
+    b.output.set(1).or_throw();
+    CHECK(b.turn_until([&] { return b.output.value() == 1; }));
+    sink.close();  // waits
+    b.loop.run_for(300ms);
     CHECK(b.output.is_armed());
     CHECK(b.output.value() == 1);
     CHECK(b.count("watchdog") == 0);

@@ -1,6 +1,7 @@
 #include "config/plan/plan_application.hpp"
 
 #include <algorithm>
+#include <filesystem>
 #include <optional>
 #include <set>
 #include <string_view>
@@ -278,9 +279,12 @@ void PlanApplication::close() {
                         [&](const PartPlan* plan) { return !plan->stores || is_used(*plan); });
   for (auto plan = order.rbegin(); plan != order.rend(); ++plan) {
     std::unique_ptr<Parts::Part> part = system_.parts_.take((*plan)->kind, (*plan)->name);
+    const bool has_file_alone = (*plan)->stores && (*plan)->stores->is_recording &&
+                                !is_made_with((*plan)->stores->path);
     // What goes through a recording has nothing in memory: it ends with that.
     const bool is_given_up = (*plan)->stores && (*plan)->stores->through.empty() && given_up_.contains((*plan)->name);
-    if (is_given_up || sends_beside_another(**plan)) {
+    if (is_given_up || has_file_alone || sends_beside_another(**plan)) {
+      if (has_file_alone && !is_given_up) ending_.push_back(part.get());
       finish(std::move(part));
     } else {
       part = nullptr;
@@ -288,6 +292,14 @@ void PlanApplication::close() {
     }
     closed_at_[(*plan)->object()] = system_.loop_.now();
   }
+}
+
+bool PlanApplication::is_made_with(const std::string& path) const {
+  const auto file = [](const std::string& text) { return std::filesystem::absolute(text).lexically_normal(); };
+  return std::any_of(compared_.parts.begin(), compared_.parts.end(), [&](const PlannedChange& planned) {
+    return planned.next != nullptr && is_made(planned.change.fate) && planned.next->stores &&
+           !planned.next->stores->path.empty() && file(planned.next->stores->path) == file(path);
+  });
 }
 
 void PlanApplication::finish(std::unique_ptr<Parts::Part> part) {
@@ -418,6 +430,14 @@ std::string PlanApplication::bring_back() {
     }
   }
   while (made_.size() > made_ahead_) remove_last_made();
+  // Their files are wanted again: waits for what is being closed.
+  for (const Parts::Part* const ending : ending_) {
+    auto& sinks = system_.finishing_->sinks;
+    const auto found = std::find_if(sinks.begin(), sinks.end(), [&](const auto& one) { return one.get() == ending; });
+    if (found == sinks.end()) continue;
+    const std::unique_ptr<Parts::Part> part = std::move(*found);
+    sinks.erase(found);
+  }
   std::string gone;
   for (PartPlan& plan : closed_) {
     std::string object = plan.object();

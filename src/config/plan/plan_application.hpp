@@ -48,6 +48,8 @@ class PlanApplication {
   void close();
   /// While there are those before: they say what those that follow take over. A sensor that is stopped stays so.
   void keep_what_is_taken_over();
+  /// A part of the next plan that is made stores into this file.
+  bool is_made_with(const std::string& path) const;
   /// Of a sink that needs a loop that turns to get rid of what it has queued, or that is not waited for.
   void finish(std::unique_ptr<Parts::Part> part);
   void remove_last_made();
@@ -82,6 +84,7 @@ class PlanApplication {
   std::map<std::string, PartPlan::Make> back_;             // those that are closed, should they have to be made again
   std::set<std::string> stopped_;                          // sensors that somebody has stopped, by object
   std::vector<PartPlan> closed_;                           // in the order in which they were made
+  std::vector<const Parts::Part*> ending_;                 // recordings that are closed while the loop turns
   std::vector<std::pair<std::string, std::string>> made_;  // kind and name
   std::size_t made_ahead_ = 0;                             // of these, from the first one
   using Live = std::function<void(const PartObject& part)>;

@@ -97,8 +97,7 @@ Lane::~Lane() {
     }
     for (LaneJob* job = first_.get(); job != nullptr; job = job->next_outstanding_.get()) {
       if (job->state_.load(std::memory_order_acquire) != LaneJob::running) continue;
-      loop_.lanes.listener().wait(std::min(job->limit_, longest_wait),
-                                  [&] { return job->state_.load() != LaneJob::running; });
+      loop_.lanes.wait(std::min(job->limit_, longest_wait), [&] { return job->state_.load() != LaneJob::running; });
       if (job->take_away() == LaneJob::running) thread_->leave_behind();
     }
   }
@@ -232,8 +231,7 @@ void Lane::wait(Duration at_most) {
   loop_.lanes.wake_threads();
   if (!is_left_behind_ && thread_->has_thread()) {
     const std::shared_ptr<LaneJob> first = first_;
-    loop_.lanes.listener().wait(std::min(at_most, longest_wait),
-                                [&] { return first->state_.load() == LaneJob::finished; });
+    loop_.lanes.wait(std::min(at_most, longest_wait), [&] { return first->state_.load() == LaneJob::finished; });
   }
   collect();
 }

@@ -4,22 +4,24 @@
 
 #include <sched.h>
 
+#include <algorithm>
+#include <chrono>
+#include <functional>
 #include <memory>
 #include <optional>
 #include <string>
 #include <utility>
 #include <vector>
 
+#include "loop/core/lane_pool.hpp"
 #include "loop/support/deadline.hpp"
 #include "rtdata/data/time.hpp"
 
 namespace rtdata::detail {
 
 class Lane;
-class LanePool;
 class LaneThread;
 class LoopCore;
-struct LaneListener;
 
 /// Thread: the loop's.
 class Lanes {
@@ -48,12 +50,24 @@ class Lanes {
   void hand_over(const std::shared_ptr<LanePool>& pool);
   /// Those that have been handed something since the last time. After deadlines have fired, and before waiting.
   void wake_threads() noexcept;
+  /// Waits until the jobs of lanes have made it so, and calls `while_waiting` meanwhile.
+  template <class Predicate>
+  void wait(Duration at_most, const Predicate& is_so) {
+    constexpr Duration step = std::chrono::milliseconds{10};
+    for (Duration left = at_most; left > Duration{0} && !is_so(); left -= step) {
+      const bool is_watched = !while_waiting.empty();
+      listener_->wait(is_watched ? std::min(left, step) : left, is_so);
+      if (!is_watched) return;
+      for (const auto& [owner, beat] : while_waiting) beat();
+    }
+  }
   /// Before any lane is made; for tests.
   void set_pool(std::shared_ptr<LanePool> pool) noexcept { pool_ = std::move(pool); }
-  LaneListener& listener() noexcept { return *listener_; }
   const std::shared_ptr<LaneListener>& shared_listener() const noexcept { return listener_; }
 
-  Duration scripted_duration{0};             ///< of each job on a manual loop
+  Duration scripted_duration{0};  ///< of each job on a manual loop
+  /// Called now and then while the loop waits for a lane on purpose: it does not hang. With its owner, who removes it.
+  std::vector<std::pair<const void*, std::function<void()>>> while_waiting = {};
   std::optional<cpu_set_t> processors = {};  ///< for their threads, when the loop's own thread is bound to fewer
 
  private:

@@ -14,7 +14,8 @@ void SinkNode::follow_recording() {
   for (Recorder* recorder : runtime.recorders) {
     SinkNode* const sink = recorder->as_sink();
     if (sink == nullptr || sink == this) continue;
-    if (sink->config_.name == config_.through) recording_ = sink;
+    const bool is_ending = sink->is_closing() && recording_ != nullptr;
+    if (sink->config_.name == config_.through && !is_ending) recording_ = sink;
     others += (others.empty() ? "" : ", ") + sink->config_.name;
   }
   const auto refuse = [&](std::string why, std::string advice) {
