@@ -3,6 +3,8 @@
 #include <doctest/doctest.h>
 #include <sys/stat.h>
 
+#include <algorithm>
+#include <array>
 #include <cstring>
 #include <nlohmann/json.hpp>
 #include <sstream>
@@ -273,6 +275,92 @@ TEST_CASE("FW-5 a value that does not fit its field is damage, named with its pl
   CHECK(bad.error().id() == "damaged");
   CHECK(bad.error().where.find("topic every/thing, run 1, origin program feed, sequence 2, field u8") !=
         std::string::npos);
+}
+
+TEST_CASE("FW-5 a damaged row among many is named, and those before and after it come") {
+  const Folder folder;
+  const std::string path = make(folder);
+  bool is_sorted = false;
+  SUBCASE("as they lie") {}
+  SUBCASE("sorted") { is_sorted = true; }
+  if (is_sorted) {  // those of one origin lie behind later ones of the other
+    sql(path,
+        "UPDATE \"room/climate\" SET origin = 'slow', time = time - 35000000 WHERE sequence % 3 = 0;"
+        "CREATE TEMP TABLE slow AS SELECT * FROM rtdata_ledger WHERE origin = 'room'; UPDATE slow SET origin = 'slow';"
+        "INSERT INTO rtdata_ledger SELECT * FROM slow");
+  }
+  sql(path, "UPDATE \"room/climate\" SET temperature = 'warm' WHERE sequence IN (1, 500, 501, 999)");
+  auto recording = Recording::open(path).or_throw();
+  auto rows = recording.rows({.topic = "room/climate"}).or_throw();
+  std::vector<std::uint64_t> found;
+  std::string damaged;
+  Time last{};
+  for (;;) {
+    auto row = rows.next();
+    if (!row) {
+      const std::string& where = row.error().where;
+      damaged += where.substr(where.rfind("sequence ")) + "; ";
+      continue;
+    }
+    if (*row == nullptr) break;
+    CHECK((*row)->header().time >= last);
+    last = (*row)->header().time;
+    found.push_back((*row)->header().sequence);
+  }
+  std::sort(found.begin(), found.end());
+  CHECK(found.size() == 995);
+  CHECK(std::adjacent_find(found.begin(), found.end()) == found.end());
+  for (const std::uint64_t bad : {1, 500, 501, 999}) {
+    CHECK(!std::binary_search(found.begin(), found.end(), bad));
+    CHECK(damaged.find("sequence " + std::to_string(bad) + ", field temperature; ") != std::string::npos);
+  }
+}
+
+namespace {
+
+/// Of more fields than SQLite passes to a function.
+struct Wide {
+  std::array<double, 250> values{};
+  rtdata::text<8> name;
+  RTDATA_FIELDS(Wide, (values), (name))
+};
+
+}  // namespace
+
+TEST_CASE("FW-5 rows of hundreds of fields come back equal") {
+  const Folder folder;
+  const std::string path = folder / "wide.db";
+  constexpr std::size_t count = 150;
+  {
+    Loop loop{Loop::Manual{}};
+    SqliteSink sink(loop, {.path = path});
+    Feed<Wide> feed(loop, {.name = "many", .topic = "many"});
+    for (std::size_t i = 0; i < count; ++i) {
+      Wide wide;
+      for (std::size_t k = 0; k < wide.values.size(); ++k) wide.values[k] = static_cast<double>(1000 * i + k);
+      wide.name = rtdata::text<8>("row" + std::to_string(i));
+      feed.publish(wide);
+      loop.advance(10ms);
+    }
+    feed.close();
+    loop.close();
+  }
+  const auto found = payloads_of<Wide>(path, "many");
+  REQUIRE(found.size() == count);
+  for (std::size_t i = 0; i < count; ++i) {
+    for (std::size_t k = 0; k < found[i].values.size(); ++k)
+      REQUIRE(found[i].values[k] == static_cast<double>(1000 * i + k));
+    CHECK(found[i].name == "row" + std::to_string(i));
+  }
+  sql(path, "UPDATE many SET name = x'41' WHERE sequence = 70");
+  auto recording = Recording::open(path).or_throw();
+  auto rows = recording.rows({.topic = "many"}).or_throw();
+  for (std::uint64_t sequence = 1; sequence < 70; ++sequence)
+    CHECK(rows.next().or_throw()->header().sequence == sequence);
+  const auto bad = rows.next();
+  REQUIRE_FALSE(bad);
+  CHECK(bad.error().where.find("sequence 70, field name") != std::string::npos);
+  CHECK(rows.next().or_throw()->header().sequence == 71);
 }
 
 TEST_CASE("FW-5 recorded times get the UTC of the last clock of the run") {

@@ -250,8 +250,8 @@ class RecordedRow {
   std::vector<std::byte> payload_;
 };
 
-/// Rows run by run, in each in order of time across all topics; at one time in order of the topics' names. Memory: a
-/// row a topic, of `steps` one a topic and origin. While it lives it sees the recording as it was when it was made,
+/// Rows run by run, in each in order of time across all topics; at one time in order of the topics' names. Memory:
+/// 64 rows a topic, of `steps` one a topic and origin. While it lives it sees the recording as it was when it was made,
 /// also while another process writes it; as long as that takes, the log of a recording that is being written grows.
 class Rows {
  public:

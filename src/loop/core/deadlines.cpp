@@ -51,24 +51,25 @@ std::optional<MonotonicTime> Deadlines::next_due() const noexcept {
 void Deadlines::leave_out_idle(MonotonicTime until) noexcept {
   // Those that are first, taken aside until it is known what comes after them.
   struct Idle {
-    RateGroup* group;
+    Deadline* deadline;
     MonotonicTime due;
   };
   std::array<Idle, 16> idle;
   std::size_t count = 0;
   for (; count < idle.size(); ++count) {
-    auto* const group = dynamic_cast<RateGroup*>(heap_.top());
-    if (group == nullptr || group->due >= until || !group->is_idle()) break;
-    idle[count] = {group, group->due};
-    group->due = MonotonicTime::max();
-    heap_.moved(*group);
+    Deadline* const top = heap_.top();
+    if (top == nullptr || top->due >= until || !top->is_idle()) break;
+    idle[count] = {top, top->due};
+    top->due = MonotonicTime::max();
+    heap_.moved(*top);
   }
   if (count == 0) return;
   const MonotonicTime next = std::min(until, heap_.top()->due);
   for (std::size_t i = 0; i < count; ++i) {
-    idle[i].group->due = idle[i].due;
-    if (next != MonotonicTime::max()) idle[i].group->leave_out_until(next);
-    heap_.moved(*idle[i].group);
+    Deadline& deadline = *idle[i].deadline;
+    deadline.due = idle[i].due;
+    if (next != MonotonicTime::max()) deadline.leave_out_until(next);
+    heap_.moved(deadline);
   }
 }
 

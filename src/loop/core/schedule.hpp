@@ -88,10 +88,8 @@ class RateGroup final : public Deadline {
   RateGroup(LoopCore& loop, Duration period) : loop_(loop), period_(period) {}
   void fire(MonotonicTime now) override;
   Duration period() const noexcept { return period_; }
-  /// All members are.
-  bool is_idle() const noexcept;
-  /// The first tick from `at` on is the next one; those before it are nobody's.
-  void leave_out_until(MonotonicTime at) noexcept;
+  bool is_idle() const noexcept override;  // when all members are
+  void leave_out_until(MonotonicTime at) noexcept override;
   /// Of this member: the group's first tick not dealt with, unless the group is past it in the tick under way.
   MonotonicTime next_due_of(const RateMember& member) const noexcept;
 

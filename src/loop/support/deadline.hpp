@@ -51,6 +51,10 @@ class Deadline {
  public:
   /// Does what is due and moves or removes itself in the heap.
   virtual void fire(MonotonicTime now) = 0;
+  /// As things are, `fire` would do nothing: in virtual time, until something else is due, it is left out.
+  virtual bool is_idle() const noexcept { return false; }
+  /// `due` becomes its first instant from `at` on; those before it are nobody's.
+  virtual void leave_out_until(MonotonicTime) noexcept {}
 
   MonotonicTime due{};
   std::uint64_t order = 0;

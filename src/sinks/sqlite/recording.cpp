@@ -7,6 +7,7 @@
 
 #include "rtdata/loop/topic.hpp"
 #include "sinks/sqlite/recording_file.hpp"
+#include "sinks/sqlite/row_batch.hpp"
 #include "sinks/sqlite/schema.hpp"
 #include "sinks/sqlite/utc_line.hpp"
 
@@ -146,6 +147,7 @@ Result<Recording> Recording::open(const std::string& path) {
   if (!database) return std::move(database).error();
   auto file = std::make_shared<RecordingFile>();
   file->database = std::move(*database);
+  if (auto provided = detail::RowBatch::provide(file->database); !provided) return std::move(provided).error();
   for (const char* table : {"run", "topic", "schedule", "ledger", "gap", "clock", "error"}) {
     auto there = file->prepare("SELECT 1 FROM rtdata_" + std::string(table) + " LIMIT 1");
     if (!there) return std::move(there).error();

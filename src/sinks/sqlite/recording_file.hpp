@@ -1,7 +1,9 @@
 // What Recording, Rows, verify and summary share: the open file and snapshots of it.
 #pragma once
 
+#include <cstddef>
 #include <optional>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -49,10 +51,15 @@ struct Selection {
   };
   std::vector<Bounds> bounds;  // of each run when the filter's are in UTC
 };
-/// What rows of a table called t, or gaps, have to fulfil: " WHERE ...". Times are those of these columns.
+/// What rows of a table called t, or gaps, have to fulfil: SQL. Times are those of these columns.
 std::string conditions(const Selection& selection, const char* from_column, const char* until_column);
+/// The same of the rows of a topic's table.
+std::string row_conditions(const Selection& selection);
 /// Binds what stands in them.
 void bind_conditions(sqlite::Statement& statement, const Selection& selection);
+/// Whether these rows lie in the table run by run, each in order of time: else SQLite has to sort them, which takes
+/// longer.
+Result<bool> lies_in_order(const RecordingFile& file, const RecordedTopic& topic, const Selection& selection);
 /// A statement that gives the rows of a topic's table, run by run, each in order of time. `columns`: SQL of those after
 /// the fixed ones, as `RowReader::columns` has it.
 Result<sqlite::Statement> rows_in_order(const RecordingFile& file, const RecordedTopic& topic,
@@ -73,6 +80,8 @@ class RowReader {
   enum class Texts { as_they_are, with_escapes };
   /// `first`: the column where those begin. Errors: damaged, which names the field.
   Result<void> read(sqlite3_stmt* row, int first, Texts texts, std::byte* payload) const;
+  /// Some of these columns, from this one on, into a payload whose bytes were set to zero.
+  Result<void> read(std::span<sqlite3_value*> stored, std::size_t first, Texts texts, std::byte* payload) const;
 
  private:
   const RecordedTopic* topic_;

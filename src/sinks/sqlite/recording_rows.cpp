@@ -1,8 +1,10 @@
 #include <algorithm>
+#include <cstring>
 
 #include "data/field_map.hpp"
 #include "data/nearest.hpp"
 #include "rtdata/loop/topic.hpp"
+#include "sinks/sqlite/row_batch.hpp"
 #include "sinks/sqlite/rows_merge.hpp"
 
 namespace rtdata {
@@ -34,7 +36,7 @@ Result<Selection> Selection::make(const Recording& recording, const RowFilter& f
 
 std::string conditions(const Selection& selection, const char* from_column, const char* until_column) {
   const RowFilter& filter = selection.filter;
-  std::string sql = " WHERE 1";
+  std::string sql = "1";
   if (filter.run) sql += " AND t.run = :run";
   if (filter.origin) sql += " AND t.origin = :origin";
   const auto bound = [&](const char* name, auto of) {  // ":from", or that of each run
@@ -69,12 +71,12 @@ void bind_conditions(sqlite::Statement& statement, const Selection& selection) {
     statement.bind(every, static_cast<std::int64_t>(std::min<std::uint64_t>(filter.every, INT64_MAX)));
 }
 
-namespace {
-
 std::string row_conditions(const Selection& selection) {
   return conditions(selection, "t.time", "t.time") +
          (selection.filter.every > 1 ? " AND (t.sequence - 1) % :every = 0" : "");
 }
+
+namespace {
 
 /// Whether the rows of each run are of one origin, which publishes in order of time.
 Result<bool> has_one_origin(const RecordingFile& file, const RecordedTopic& topic, const RowFilter& filter) {
@@ -92,11 +94,10 @@ Result<bool> has_one_origin(const RecordingFile& file, const RecordedTopic& topi
   return statement->integer(0) == 0;
 }
 
-/// Whether the rows lie in the order of time. They are written in the order in which they were published. That is the
-/// order of time unless several origins share the table and one of them measures long: then SQLite sorts, which takes
-/// longer.
-Result<bool> is_in_order(const RecordingFile& file, const RecordedTopic& topic, const Selection& selection) {
-  auto statement = file.prepare("SELECT t.run, t.time FROM " + sqlite::quoted(topic.table) + " t" +
+/// Whether all rows are in order. They are written in the order in which they were published. That is the order of time
+/// unless several origins share the table and one of them measures long.
+Result<bool> has_order(const RecordingFile& file, const RecordedTopic& topic, const Selection& selection) {
+  auto statement = file.prepare("SELECT t.run, t.time FROM " + sqlite::quoted(topic.table) + " t WHERE " +
                                 row_conditions(selection) + " ORDER BY t.rowid");
   if (!statement) return std::move(statement).error();
   bind_conditions(*statement, selection);
@@ -114,15 +115,19 @@ Result<bool> is_in_order(const RecordingFile& file, const RecordedTopic& topic, 
 
 }  // namespace
 
+Result<bool> lies_in_order(const RecordingFile& file, const RecordedTopic& topic, const Selection& selection) {
+  auto one_origin = has_one_origin(file, topic, selection.filter);
+  return one_origin && !*one_origin ? has_order(file, topic, selection) : one_origin;
+}
+
 Result<sqlite::Statement> rows_in_order(const RecordingFile& file, const RecordedTopic& topic,
                                         const Selection& selection, const std::string& columns) {
-  auto in_order = has_one_origin(file, topic, selection.filter);
-  if (in_order && !*in_order) in_order = is_in_order(file, topic, selection);
+  auto in_order = lies_in_order(file, topic, selection);
   if (!in_order) return std::move(in_order).error();
   // SQLite would take the run out of each row for `WHERE`, and once more to give it.
   const char* const run = selection.filter.run ? ":run" : "t.run";
   auto statement = file.prepare("SELECT " + std::string(run) + ", t.time, t.origin, t.sequence" + columns + " FROM " +
-                                sqlite::quoted(topic.table) + " t" + row_conditions(selection) +
+                                sqlite::quoted(topic.table) + " t WHERE " + row_conditions(selection) +
                                 (*in_order ? " ORDER BY t.rowid" : " ORDER BY t.run, t.time, t.rowid"));
   if (statement) bind_conditions(*statement, selection);
   return statement;
@@ -142,20 +147,21 @@ namespace {
 class TableCursor final : public RowCursor {
  public:
   TableCursor(const RecordingFile& file, RecordedTopic topic, sqlite::Statement statement, std::int64_t first_escaped)
-      : file_(file),
-        topic_(std::move(topic)),
-        reader_(topic_),
-        statement_(std::move(statement)),
-        first_run_with_escapes_(first_escaped) {}
+      : file_(file), topic_(std::move(topic)), batch_(topic_, first_escaped), statement_(std::move(statement)) {
+    batch_.bind_to(statement_);
+  }
 
   Result<bool> advance() override {
-    auto more = statement_.step();
-    if (!more || !*more) return more;
-    const std::int64_t last_run = std::exchange(run, statement_.integer(run_column));
-    const std::int64_t last_time = std::exchange(time, statement_.integer(time_column));
+    if (next_ == batch_.size()) {
+      next_ = 0;
+      auto more = batch_.fill(statement_);
+      if (!more || !*more) return more;
+    }
+    const RowBatch::Row& next = batch_[next_++];
+    const std::int64_t last_run = std::exchange(run, next.run);
+    const std::int64_t last_time = std::exchange(time, next.time);
     if (!is_first_ && run == last_run && time < last_time) [[unlikely]] {
-      return at_row(file_, topic_, run, statement_.text(origin_column),
-                    static_cast<std::uint64_t>(statement_.integer(sequence_column)),
+      return at_row(file_, topic_, run, batch_.origin(next), next.sequence,
                     {Errc::damaged, "cannot read the rows in order", "time",
                      "it is before that of the row before it, of the same origin", "see `rtdata verify`"});
     }
@@ -164,21 +170,19 @@ class TableCursor final : public RowCursor {
   }
 
   Result<void> give(RecordedRow& row) override {
-    std::byte* const payload = set_event(row, statement_.text(origin_column),
-                                         static_cast<std::uint64_t>(statement_.integer(sequence_column)), topic_);
-    auto read = reader_.read(
-        statement_.raw(), fixed_columns,
-        run >= first_run_with_escapes_ ? RowReader::Texts::with_escapes : RowReader::Texts::as_they_are, payload);
-    if (!read) return at_row(file_, topic_, run, row.header().origin, row.header().sequence, std::move(read).error());
+    const RowBatch::Row& given = batch_[next_ - 1];
+    std::byte* const payload = set_event(row, batch_.origin(given), given.sequence, topic_);
+    if (given.is_damaged) return at_row(file_, topic_, run, row.header().origin, row.header().sequence, batch_.error());
+    std::memcpy(payload, batch_.payload(next_ - 1), topic_.description->size());
     return {};
   }
 
  private:
   const RecordingFile& file_;
   const RecordedTopic topic_;
-  const RowReader reader_;
+  RowBatch batch_;
+  std::size_t next_ = 0;  // in the batch
   sqlite::Statement statement_;
-  const std::int64_t first_run_with_escapes_;
   bool is_first_ = true;
 };
 
@@ -223,7 +227,7 @@ class GapCursor final : public RowCursor {
 
 Result<std::unique_ptr<RowCursor>> make_table_cursor(const RecordingFile& file, RecordedTopic topic,
                                                      const Selection& selection) {
-  auto statement = rows_in_order(file, topic, selection, RowReader(topic).columns());
+  auto statement = RowBatch::query(file, topic, selection);
   if (!statement) return std::move(statement).error();
   auto first = file.first_run_with_escapes();
   if (!first) return std::move(first).error();
@@ -234,7 +238,7 @@ Result<std::unique_ptr<RowCursor>> make_table_cursor(const RecordingFile& file, 
 Result<std::unique_ptr<RowCursor>> make_gap_cursor(const RecordingFile& file, const Selection& selection) {
   auto statement = file.prepare(
       "SELECT t.run, t.topic, t.origin, t.kind, t.reason, t.first, t.last, t.count"
-      " FROM rtdata_gap t" +
+      " FROM rtdata_gap t WHERE " +
       conditions(selection, "t.last", "t.first") + " ORDER BY t.run, t.first, t.rowid");
   if (!statement) return std::move(statement).error();
   bind_conditions(*statement, selection);

@@ -9,74 +9,74 @@
 namespace rtdata::detail {
 namespace {
 
-std::string_view column_text(sqlite3_stmt* row, int column) {
-  const auto* bytes = static_cast<const char*>(sqlite3_column_blob(row, column));
+std::string_view text_of(sqlite3_value* stored) {
+  const auto* bytes = static_cast<const char*>(sqlite3_value_blob(stored));
   return bytes == nullptr ? std::string_view{}
-                          : std::string_view{bytes, static_cast<std::size_t>(sqlite3_column_bytes(row, column))};
+                          : std::string_view{bytes, static_cast<std::size_t>(sqlite3_value_bytes(stored))};
 }
 
-/// What is in the column, in words.
-std::string found(sqlite3_stmt* row, int column) {
-  switch (sqlite3_column_type(row, column)) {
+/// What is stored, in words.
+std::string found(sqlite3_value* stored) {
+  switch (sqlite3_value_type(stored)) {
     case SQLITE_INTEGER:
-      return "the integer " + std::to_string(sqlite3_column_int64(row, column));
+      return "the integer " + std::to_string(sqlite3_value_int64(stored));
     case SQLITE_FLOAT:
-      return "the number " + to_string(Value{sqlite3_column_double(row, column)});
+      return "the number " + to_string(Value{sqlite3_value_double(stored)});
     case SQLITE_NULL:
       return "nothing";
     default:
-      return "the text \"" + std::string(column_text(row, column).substr(0, 40)) + "\"";
+      return "the text \"" + std::string(text_of(stored).substr(0, 40)) + "\"";
   }
 }
 
-/// The value of a column as `write` takes it; false when it does not fit the kind.
-bool convert(sqlite3_stmt* row, int column, const Leaf& leaf, RowReader::Texts texts, Value& value) {
-  const int type = sqlite3_column_type(row, column);
+/// What is stored as `write` takes it; false when it does not fit the kind.
+bool convert(sqlite3_value* stored, const Leaf& leaf, RowReader::Texts texts, Value& value) {
+  const int type = sqlite3_value_type(stored);
   switch (leaf.kind) {
     case Kind::boolean:
-      value = sqlite3_column_int64(row, column) != 0;
-      return type == SQLITE_INTEGER && (sqlite3_column_int64(row, column) | 1) == 1;
+      value = sqlite3_value_int64(stored) != 0;
+      return type == SQLITE_INTEGER && (sqlite3_value_int64(stored) | 1) == 1;
     case Kind::f32:
     case Kind::f64:
       if (type == SQLITE_TEXT) {
         value = std::numeric_limits<double>::quiet_NaN();
-        return column_text(row, column) == "NaN";
+        return text_of(stored) == "NaN";
       }
-      value = sqlite3_column_double(row, column);
+      value = sqlite3_value_double(stored);
       return type == SQLITE_FLOAT || type == SQLITE_INTEGER;
     case Kind::u64:
-      value = static_cast<std::uint64_t>(sqlite3_column_int64(row, column));
+      value = static_cast<std::uint64_t>(sqlite3_value_int64(stored));
       return type == SQLITE_INTEGER;
     case Kind::text: {
-      const std::string_view text = column_text(row, column);
+      const std::string_view text = text_of(stored);
       const bool is_escaped = texts == RowReader::Texts::with_escapes && has_escape(text);
       value = is_escaped ? unescaped(text) : std::string(text);
       return type == SQLITE_TEXT;
     }
     case Kind::character: {
       if (type == SQLITE_TEXT) {
-        const std::string_view text = column_text(row, column);
+        const std::string_view text = text_of(stored);
         if (text.size() != 1) return false;
         value = text.front();
         return true;
       }
-      const std::int64_t number = sqlite3_column_int64(row, column);
+      const std::int64_t number = sqlite3_value_int64(stored);
       value = static_cast<char>(number);  // below 0: as older versions stored what is above 127, on x86
       return type == SQLITE_INTEGER && number >= -128 && number <= 255;
     }
     case Kind::enumeration:
       if (type == SQLITE_TEXT) {
-        value = std::string(column_text(row, column));
+        value = std::string(text_of(stored));
         return true;
       }
       if (leaf.enum_base == Kind::u64) {
-        value = static_cast<std::uint64_t>(sqlite3_column_int64(row, column));
+        value = static_cast<std::uint64_t>(sqlite3_value_int64(stored));
       } else {
-        value = sqlite3_column_int64(row, column);
+        value = sqlite3_value_int64(stored);
       }
       return type == SQLITE_INTEGER;
     default:
-      value = sqlite3_column_int64(row, column);
+      value = sqlite3_value_int64(stored);
       return type == SQLITE_INTEGER;
   }
 }
@@ -87,24 +87,43 @@ void store(std::byte* to, T value) {
 }
 
 /// What is most of all recordings, without a Value in between.
-bool read_plain(sqlite3_stmt* row, int column, const Leaf& leaf, std::byte* payload) {
+bool read_plain(sqlite3_value* stored, const Leaf& leaf, std::byte* payload) {
   if (leaf.optional != nullptr) return false;
-  // The column is looked up once; no other thread uses the connection meanwhile.
-  sqlite3_value* const value = sqlite3_column_value(row, column);
-  const int type = sqlite3_value_type(value);
+  const int type = sqlite3_value_type(stored);
   if (leaf.kind == Kind::f64 && type == SQLITE_FLOAT) {
-    store(payload + leaf.offset, sqlite3_value_double(value));
+    store(payload + leaf.offset, sqlite3_value_double(stored));
     return true;
   }
   if (leaf.kind == Kind::f32 && type == SQLITE_FLOAT) {
-    store(payload + leaf.offset, static_cast<float>(sqlite3_value_double(value)));
+    store(payload + leaf.offset, static_cast<float>(sqlite3_value_double(stored)));
     return true;
   }
   if ((leaf.kind == Kind::i64 || leaf.kind == Kind::u64) && type == SQLITE_INTEGER) {
-    store(payload + leaf.offset, sqlite3_value_int64(value));
+    store(payload + leaf.offset, sqlite3_value_int64(stored));
     return true;
   }
   return false;
+}
+
+Result<void> read_any(sqlite3_value* stored, const Leaf& leaf, RowReader::Texts texts, std::byte* payload) {
+  if (sqlite3_value_type(stored) == SQLITE_NULL) {
+    // Absent, NaN, or a field of a later run: zero bytes are zero, empty and absent.
+    if (leaf.optional == nullptr && leaf.kind == Kind::f64)
+      store(payload + leaf.offset, std::numeric_limits<double>::quiet_NaN());
+    if (leaf.optional == nullptr && leaf.kind == Kind::f32)
+      store(payload + leaf.offset, std::numeric_limits<float>::quiet_NaN());
+    return {};
+  }
+  Value value;
+  if (!convert(stored, leaf, texts, value)) {
+    return Error{Errc::damaged, "cannot read a row", "field " + leaf.path,
+                 "it holds " + found(stored) + ", which is no " + std::string(name_of(leaf.kind)), ""};
+  }
+  if (auto done = write(leaf, payload, value); !done) {
+    Error error = std::move(done).error();
+    return Error{Errc::damaged, "cannot read a row", std::move(error.where), std::move(error.why), ""};
+  }
+  return {};
 }
 
 }  // namespace
@@ -117,27 +136,23 @@ std::string RowReader::columns() const {
 
 Result<void> RowReader::read(sqlite3_stmt* row, int first, Texts texts, std::byte* payload) const {
   std::memset(payload, 0, topic_->description->size());
-  int column = first - 1;
+  int column = first;
   for (const Leaf& leaf : topic_->description->leaves()) {
-    ++column;
-    if (read_plain(row, column, leaf, payload)) continue;
-    if (sqlite3_column_type(row, column) == SQLITE_NULL) {
-      // Absent, NaN, or a field of a later run: zero bytes are zero, empty and absent.
-      if (leaf.optional == nullptr && leaf.kind == Kind::f64)
-        store(payload + leaf.offset, std::numeric_limits<double>::quiet_NaN());
-      if (leaf.optional == nullptr && leaf.kind == Kind::f32)
-        store(payload + leaf.offset, std::numeric_limits<float>::quiet_NaN());
-      continue;
+    sqlite3_value* const stored = sqlite3_column_value(row, column++);  // no other thread uses the connection meanwhile
+    if (read_plain(stored, leaf, payload)) continue;
+    if (auto done = read_any(stored, leaf, texts, payload); !done) return done;
+  }
+  return {};
+}
+
+Result<void> RowReader::read(std::span<sqlite3_value*> stored, std::size_t first, Texts texts,
+                             std::byte* payload) const {
+  const Leaf* leaf = topic_->description->leaves().data() + first;
+  for (sqlite3_value* const one : stored) {
+    if (!read_plain(one, *leaf, payload)) {
+      if (auto done = read_any(one, *leaf, texts, payload); !done) return done;
     }
-    Value value;
-    if (!convert(row, column, leaf, texts, value)) {
-      return Error{Errc::damaged, "cannot read a row", "field " + leaf.path,
-                   "it holds " + found(row, column) + ", which is no " + std::string(name_of(leaf.kind)), ""};
-    }
-    if (auto done = write(leaf, payload, value); !done) {
-      Error error = std::move(done).error();
-      return Error{Errc::damaged, "cannot read a row", std::move(error.where), std::move(error.why), ""};
-    }
+    ++leaf;
   }
   return {};
 }
