@@ -28,11 +28,6 @@ struct GpioActuatorConfig {
         parameter("drive", &GpioActuatorConfig::drive, "how it drives its levels"),
         parameter("active_low", &GpioActuatorConfig::active_low, "1 is low, as many relay boards want it"));
   }
-  /// `item`: an output's, whose `safe` must be a level.
-  friend void check_config(const GpioActuatorConfig&, const ConfigItem& item, Problems& problems) {
-    check_level(item, problems);
-  }
-  static void check_level(const ConfigItem& item, Problems& problems);
 };
 
 class GpioActuator : public Actuator {
@@ -40,6 +35,7 @@ class GpioActuator : public Actuator {
   explicit GpioActuator(GpioActuatorConfig config) : GpioActuator(std::move(config), make_kernel_gpio()) {}
   GpioActuator(GpioActuatorConfig config, std::shared_ptr<GpioBackend> backend)
       : config_(std::move(config)), backend_(std::move(backend)) {}
+  OutputRange range() const override { return {0, 1, true}; }
   Result<void> open(std::optional<double> value) override;
   Result<void> set(double value) override;
 
