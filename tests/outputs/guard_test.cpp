@@ -366,6 +366,72 @@ TEST_SUITE("outputs") {
     CHECK(lines_of(b.path).back() == "gone");
   }
 
+  TEST_CASE("US-35 guard: an output that ended unsafe, and is safe later, is told in the log") {
+    ScratchDirectory directory;
+    Bench b({}, directory.file("device"));
+    Lines log;
+    b.runtime.on_log([&](const LogRecord& record) {
+      if (record.text.find("safe value") != std::string_view::npos) log.push_back(std::string(record.text));
+    });
+    b.output.set(1).or_throw();
+    CHECK(b.turn_until([&] { return b.output.value() == 1; }));
+    std::ofstream(b.path + ".mute").flush();
+    b.output.close();
+    CHECK(b.guard.ended_unsafe() == Lines{"output o"});
+    CHECK(b.turn_until([&] { return lines_of(b.path + ".tries").size() > 2; }));
+    CHECK(log.empty());
+    std::filesystem::remove(b.path + ".mute");
+    CHECK(b.turn_until([&] { return !log.empty(); }));
+    CHECK(log == Lines{"it has its safe value now"});
+    CHECK(b.guard.ended_unsafe().empty());
+    CHECK(lines_of(b.path).back() == "gone");
+  }
+
+  TEST_CASE("US-35 guard: that it tries no more is told: in the log, and on standard error when the program has gone") {
+    ScratchDirectory directory;
+    const std::string path = directory.file("device"), said = directory.file("said");
+    const int standard = ::dup(STDERR_FILENO), file = ::open(said.c_str(), O_WRONLY | O_CREAT | O_CLOEXEC, 0600);
+    ::dup2(file, STDERR_FILENO);
+    ::close(file);
+    auto program = std::make_unique<Program>(path);
+    ::dup2(standard, STDERR_FILENO);
+    ::close(standard);
+    wait_for(path, "set 1.0");
+    std::ofstream(path + ".mute").flush();
+    program.reset();  // killed
+    Bench b({}, directory.file("other"));
+    Lines log;
+    b.runtime.on_log([&](const LogRecord& record) {
+      if (record.text.find("safe value") != std::string_view::npos) log.push_back(std::string(record.text));
+    });
+    b.output.set(1).or_throw();
+    CHECK(b.turn_until([&] { return b.output.value() == 1; }));
+    std::ofstream(b.path + ".mute").flush();
+    b.output.close();
+    CHECK(b.turn_until([&] { return !log.empty(); }));
+    const std::string
+        text = "its device has not taken the safe value for 10 s, and the guard no longer tries: it is mute";
+    REQUIRE(log.size() == 1);
+    CHECK(log[0] == text);
+    CHECK(b.guard.ended_unsafe() == Lines{"output o"});
+    CHECK(b.turn_until([&] { return !lines_of(said).empty(); }));
+    CHECK(lines_of(said) == Lines{"rtdata-guard: output o: " + text});
+  }
+
+  TEST_CASE("US-35 guard: what an output of another program waits for is nothing to a device that somebody has") {
+    ScratchDirectory directory;
+    const std::string path = directory.file("locked");
+    {
+      Program program(path);
+      wait_for(path, "set 1.0");
+      std::ofstream(path + ".mute").flush();
+    }
+    while (lines_of(path + ".tries").size() < 2) std::this_thread::sleep_for(1ms);
+    CHECK_THROWS_WITH_AS(Bench({}, directory.file("refused")), doctest::Contains("somebody has it"), SetupError);
+    std::filesystem::remove(path + ".mute");
+    wait_for(path, "gone");
+  }
+
   TEST_CASE(
       "US-35 guard: a device that went away between two values is told, set safe when it is back, and set again") {
     ScratchDirectory directory;
