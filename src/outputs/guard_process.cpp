@@ -50,10 +50,8 @@ bool is_named(const std::filesystem::path& task, std::string_view wanted) {
   return std::getline(file, name) && name == wanted;
 }
 
-/// Whether the device of an output may be had for moments only, since one that has ended is still to be set safe: any
-/// of this guard, or, of the guard of a program that has ended, the one with these settings.
-bool is_ending(const std::string& what) {
-  if (ending > 0) return true;
+/// Whether the guard of a program that has ended still tries to set the output with these settings safe.
+bool is_ending_elsewhere(const std::string& what) {
   const std::string wanted = name_of_ending(what);
   std::error_code ignored;
   for (const auto& process : std::filesystem::directory_iterator("/proc", ignored)) {
@@ -64,11 +62,12 @@ bool is_ending(const std::string& what) {
   return false;
 }
 
-/// An error that passes, as of a device that is away.
-Error passing(Error error, const std::string& what) noexcept {
+/// An error that passes, as of a device that is away: the guard of an output that has ended has it for moments.
+/// `was_ending`: this one had such an output when it began to take the device.
+Error passing(Error error, bool was_ending, const std::string& what) noexcept {
   if (error.code != make_error_code(Errc::busy) && error.code != make_error_code(Errc::timed_out)) return error;
   try {
-    if (!is_ending(what)) return error;
+    if (!was_ending && !is_ending_elsewhere(what)) return error;
     error.code = make_error_code(Errc::disconnected);
     error.why += "; the guard of what had it before still tries to set it safe";
     error.advice = "leave that guard alone: it ends after 10 s, and this output is tried again each second";
@@ -150,13 +149,14 @@ class Keeper {
     const std::optional<double> value = order.has_value != 0 ? std::optional(order.value) : std::nullopt;
     if (order.kind == GuardOrder::set && (has_tripped_ || is_retrying_) && value != safe_)
       return answer(Error{Errc::not_permitted, "cannot set the output", "", "its guard has set it safe", "arm it"});
+    const bool was_ending = ending > 0;
     const Result<void> done = order.kind == GuardOrder::finish && !value ? Result<void>() : held_.put(value);
     // What a device has that did not take its value is not known: the safe one is set when the time is over.
     is_open_ = is_open_ || done.has_value();
     is_safe_ = done.has_value() ? value == safe_ : false;
     is_retrying_ = is_retrying_ && !is_safe_;
     if (order.kind == GuardOrder::finish) return finish(done);
-    answer(done || is_open_ ? done : passing(done.error(), what_));
+    answer(done || is_open_ ? done : passing(done.error(), was_ending, what_));
   }
   void finish(const Result<void>& done) noexcept {
     is_over_ = true;
