@@ -31,4 +31,9 @@ Result<void> GpioActuator::set(double value) {
   return line_.set(value == 1);
 }
 
+Result<void> GpioActuator::check() {
+  if (line_.is_there()) return {};
+  return Error{Errc::disconnected, cannot_set, line_.place(), "the chip has gone", "plug it in again"};
+}
+
 }  // namespace rtdata

@@ -20,9 +20,11 @@
 
 #include "outputs/output_log.hpp"
 #include "outputs/terminal.hpp"
+#include "rtdata/io/fake_gpio.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/runtime.hpp"
 #include "rtdata/loop/timer.hpp"
+#include "rtdata/outputs/gpio.hpp"
 #include "rtdata/outputs/serial.hpp"
 #include "sensors/fixture.hpp"
 
@@ -471,6 +473,65 @@ TEST_SUITE("outputs") {
     output.set(1).or_throw();
     CHECK(turn_until([&] { return output.value() == 1; }));
     CHECK(device->reads("V0\nV1\n"));
+  }
+
+  TEST_CASE("US-35 US-36 guard: a GPIO chip that goes away is noticed, and its line is safe when it is back") {
+    ScratchDirectory directory;
+    const std::string gone = directory.file("gone"), levels = directory.file("levels");
+    auto chips = std::make_shared<FakeGpio>();
+    chips->add_chip("gpiochip0", 8);
+    OutputGuard guard([=](const std::string&) -> std::unique_ptr<Actuator> {
+      /// In the guard: the chip is away while there is the file.
+      class Line final : public GpioActuator {
+       public:
+        Line(std::shared_ptr<FakeGpio> its_chips, std::string its_gone, std::string its_levels)
+            : GpioActuator({.line = 3}, its_chips), chips_(its_chips), gone_(its_gone), levels_(its_levels) {}
+        Result<void> open(std::optional<double> value) override { return look(), told(GpioActuator::open(value)); }
+        Result<void> set(double value) override { return look(), told(GpioActuator::set(value)); }
+        Result<void> check() override { return look(), GpioActuator::check(); }
+
+       private:
+        void look() {
+          const bool is_gone = std::filesystem::exists(gone_), was_gone = chips_->chips().empty();
+          if (is_gone && !was_gone) chips_->unplug("gpiochip0");
+          if (!is_gone && was_gone) chips_->plug_in("gpiochip0");
+        }
+        Result<void> told(Result<void> result) {
+          if (result) std::ofstream(levels_, std::ios::app) << chips_->level("gpiochip0", 3) << std::endl;
+          return result;
+        }
+        std::shared_ptr<FakeGpio> chips_;
+        std::string gone_, levels_;
+      };
+      return std::make_unique<Line>(chips, gone, levels);
+    });
+    Runtime runtime({.guard = &guard});
+    Loop loop(runtime, {});
+    be_quiet(loop);
+    outputs_test::OutputLog log(loop, "o");
+    Output output(loop, {.name = "o"}, {}, "line");
+    const auto turn_until = [&](const std::function<bool()>& condition) {
+      const Ticker look(loop, 2ms, [&](const Tick&) {
+        if (condition()) loop.stop();
+      });
+      const Timer limit(loop, patience, [&] { loop.stop(); });
+      loop.run();
+      return condition();
+    };
+    output.set(1).or_throw();
+    CHECK(turn_until([&] { return output.value() == 1; }));
+    std::ofstream(gone).flush();
+    CHECK(turn_until([&] { return output.health() == Health::faulted; }));
+    CHECK(turn_until([&] { return log.lines.size() >= 3; }));
+    CHECK(log.lines[2] == "failure 0 failed: the chip has gone");
+    CHECK_FALSE(output.value().has_value());
+    std::filesystem::remove(gone);
+    CHECK(turn_until([&] { return output.value() == 0; }));
+    CHECK(output.health() == Health::ok);
+    output.set(1).or_throw();
+    CHECK(turn_until([&] { return output.value() == 1; }));
+    output.close();
+    CHECK(lines_of(levels) == Lines{"0", "1", "0", "1", "0"});
   }
 
   TEST_CASE("US-35 guard: a loop that turns keeps its output for much longer than the watchdog") {

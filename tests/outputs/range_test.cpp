@@ -64,7 +64,8 @@ std::string problems_of(const std::string& outputs, const std::string& more = ""
   Registry registry = standard_registry();
   registry.add_output<StepsConfig>("steps", "a motor", [](const StepsConfig& c) { return std::make_unique<Steps>(c); });
   const std::string text = R"({"sensors": [{"name": "load", "type": "host", "quantity": "load", "rate": "10 Hz"}],)"
-                           "\n" + outputs + more + "}";
+                           "\n" +
+                           outputs + more + "}";
   std::string lines;
   for (const Problem& problem : plan_system(registry, parse_config(text, "f.json")).problems)
     lines += (lines.empty() ? "" : "\n") + std::to_string(problem.place.line) + ":" +
@@ -72,9 +73,7 @@ std::string problems_of(const std::string& outputs, const std::string& more = ""
   return lines;
 }
 
-long count_of(const std::string& lines) {
-  return lines.empty() ? 0 : 1 + std::count(lines.begin(), lines.end(), '\n');
-}
+long count_of(const std::string& lines) { return lines.empty() ? 0 : 1 + std::count(lines.begin(), lines.end(), '\n'); }
 
 std::string text_of(const std::string& path) {
   std::string text;
@@ -109,8 +108,7 @@ TEST_SUITE("outputs") {
   TEST_CASE("US-35 check refuses what an output can never have, at its place: safe values, states, rules") {
     const std::string pwm = R"("outputs": [{"name": "fan", "type": "pwm", )";
     CHECK(problems_of(pwm + R"("safe": 1}])").empty());
-    CHECK(problems_of(pwm + R"("safe": 2}])") ==
-          "2:52 2 is not what the device takes: from 0 to 1");
+    CHECK(problems_of(pwm + R"("safe": 2}])") == "2:52 2 is not what the device takes: from 0 to 1");
     CHECK(problems_of(pwm + R"("safe": -0.1}])") == "2:52 -0.1 is not what the device takes: from 0 to 1");
     CHECK(count_of(problems_of(pwm + R"("safe": 1e999}])")) == 1);
     const std::string steps = R"("outputs": [{"name": "fan", "type": "steps")";
@@ -127,7 +125,7 @@ TEST_SUITE("outputs") {
     CHECK(problems_of(rule + R"("expression": "minutes_1 > 2 ? 1 : 0.5"}])").empty());
     CHECK(problems_of(rule + R"("expression": "minutes_1 > 2 ? 5 : minutes_1 > 1 ? -3 : 0"}])") ==
           "2:89 5 is not what the device takes: from 0 to 1 (column 17 of it)\n"
-                "2:109 -3 is not what the device takes: from 0 to 1 (column 37 of it)");
+          "2:109 -3 is not what the device takes: from 0 to 1 (column 37 of it)");
     CHECK(problems_of(rule + R"("expression": "minutes_1", "pid": {"setpoint": 1, "kp": 1, "most": 100}}])") ==
           "2:125 100 is not what the device takes: from 0 to 1");
     CHECK(problems_of(rule + R"("expression": "1000 * minutes_1", "hysteresis": {"on": 1000, "off": 900}}])").empty());
@@ -171,7 +169,8 @@ TEST_SUITE("outputs") {
     CHECK(device.did == Lines{"open 0", "set 1", "set 0", "set 0", "gone"});
   }
 
-  TEST_CASE("US-35 an expression that gives what the device does not take makes its output safe, and is followed again") {
+  TEST_CASE(
+      "US-35 an expression that gives what the device does not take makes its output safe, and is followed again") {
     if (!Expression::available()) return;
     Device device;
     device.range = {0, 1};
@@ -198,7 +197,8 @@ TEST_SUITE("outputs") {
     for (const char* name : {"period", "duty_cycle", "enable"}) chips.file(std::string("pwmchip0/pwm0/") + name, "0\n");
     chips.file("pwmchip0/pwm0/polarity", "normal\n");
     folder.write("rig.json", R"({"name": "rig", "sinks": [{"type": "sqlite", "path": "run.db"}],
-      "outputs": [{"name": "fan", "type": "pwm", "frequency": "1 kHz", "root": ")" + chips.path() + "\"}]}");
+      "outputs": [{"name": "fan", "type": "pwm", "frequency": "1 kHz", "root": ")" +
+                                 chips.path() + "\"}]}");
     test::Process run(folder, test::built("rtdata"), {"run", "rig.json"});
     REQUIRE(run.wait_for("running rig"));
     const auto ctl = [&](const std::string& value, int status) {

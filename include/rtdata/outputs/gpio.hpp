@@ -10,6 +10,7 @@
 #include <utility>
 
 #include "rtdata/io/gpio.hpp"
+#include "rtdata/outputs/checked_actuator.hpp"
 #include "rtdata/outputs/output.hpp"
 
 namespace rtdata {
@@ -30,7 +31,7 @@ struct GpioActuatorConfig {
   }
 };
 
-class GpioActuator : public Actuator {
+class GpioActuator : public CheckedActuator {
  public:
   explicit GpioActuator(GpioActuatorConfig config) : GpioActuator(std::move(config), make_kernel_gpio()) {}
   GpioActuator(GpioActuatorConfig config, std::shared_ptr<GpioBackend> backend)
@@ -38,6 +39,8 @@ class GpioActuator : public Actuator {
   OutputRange range() const override { return {0, 1, true}; }
   Result<void> open(std::optional<double> value) override;
   Result<void> set(double value) override;
+  /// Whether the chip is still there, such as one behind USB.
+  Result<void> check() override;
 
  private:
   GpioActuatorConfig config_;
