@@ -1,26 +1,15 @@
 #include "rtdata/outputs/gpio.hpp"
 
-#include "rtdata/data/config_item.hpp"
-
 namespace rtdata {
 namespace {
 
-Error no_level(double value) {
-  return {Errc::out_of_range, "cannot set the GPIO line", "", std::to_string(value) + " is no level: it is 0 or 1", ""};
-}
+constexpr const char* cannot_set = "cannot set the GPIO line";
 
 }  // namespace
 
-void GpioActuatorConfig::check_level(const ConfigItem& item, Problems& problems) {
-  const ConfigItem* const safe = item.find("safe");
-  double value = 0;
-  Problems ignored;
-  if (safe == nullptr || !ConfigValue<double>::read(*safe, value, ignored) || value == 0 || value == 1) return;
-  problems.add(safe->problem("bad-value", "the safe value of a line is 0 or 1"));
-}
-
 Result<void> GpioActuator::open(std::optional<double> value) {
-  if (value && *value != 0 && *value != 1) return no_level(*value);
+  if (const std::string why = range().refusal(value.value_or(0)); !why.empty())
+    return Error{Errc::out_of_range, cannot_set, "", why, ""};
   GpioOutput settings;
   settings.line = config_.line;
   settings.chip = config_.chip;
@@ -37,8 +26,14 @@ Result<void> GpioActuator::open(std::optional<double> value) {
 }
 
 Result<void> GpioActuator::set(double value) {
-  if (value != 0 && value != 1) return no_level(value);
+  if (const std::string why = range().refusal(value); !why.empty())
+    return Error{Errc::out_of_range, cannot_set, "", why, ""};
   return line_.set(value == 1);
+}
+
+Result<void> GpioActuator::check() {
+  if (line_.is_there()) return {};
+  return Error{Errc::disconnected, cannot_set, line_.place(), "the chip has gone", "plug it in again"};
 }
 
 }  // namespace rtdata

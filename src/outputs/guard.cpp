@@ -12,6 +12,7 @@
 #include <chrono>
 #include <new>
 
+#include "loop/runtime/runtime_core.hpp"
 #include "outputs/guard_link.hpp"
 
 namespace rtdata {
@@ -22,6 +23,7 @@ constexpr const char* cannot_guard = "cannot start the guard of the outputs";
 }  // namespace
 
 OutputGuard::Link::~Link() {
+  endings.clear();
   if (socket >= 0) ::close(socket);
   if (process > 0) {
     // It ends when the sockets are closed; a device that hangs may keep it.
@@ -74,7 +76,8 @@ void OutputGuard::Link::note(const std::string& output, bool is_safe) {
     unsafe.insert(output);
 }
 
-Result<int> OutputGuard::Link::introduce(double safe, const std::string& what, std::uint32_t& slot) {
+Result<int> OutputGuard::Link::introduce(const std::string& name, double safe, const std::string& what,
+                                         std::uint32_t& slot) {
   constexpr const char* cannot = "cannot hand the output to its guard";
   if (what.size() > detail::most_guarded_text)
     return Error{Errc::does_not_fit, cannot, "", "what it is made of has more than 64 KiB", ""};
@@ -85,7 +88,8 @@ Result<int> OutputGuard::Link::introduce(double safe, const std::string& what, s
   if (::socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0, ends) != 0) return system_error(errno, cannot, "");
   slot = static_cast<std::uint32_t>(free - is_taken.begin());
   beats[slot].until.store(0);
-  detail::GuardIntroduction introduction{slot, safe};
+  detail::GuardIntroduction introduction{slot, safe, {}};
+  detail::put_fitting(introduction.name.data(), introduction.name.size() - 1, name);
   iovec parts[2]{{&introduction, sizeof introduction}, {const_cast<char*>(what.data()), what.size()}};
   alignas(cmsghdr) char control[CMSG_SPACE(sizeof(int))]{};
   msghdr message{};
@@ -116,6 +120,39 @@ void OutputGuard::Link::release(std::uint32_t slot) noexcept {
   const std::lock_guard lock(mutex);
   patience[slot].loop.store(nullptr);
   is_taken[slot] = false;
+}
+
+OutputGuard::Link::Ending::~Ending() {
+  watch.close();
+  if (socket >= 0) ::close(socket);
+}
+
+void OutputGuard::Link::await_end(Loop& loop, const std::string& output, int its_socket) {
+  const std::lock_guard lock(mutex);
+  const auto ending = endings.emplace(endings.end());
+  ending->output = output;
+  ending->socket = its_socket;
+  const auto receive = [this, &loop, ending](const FdEvent&) {
+    detail::GuardAnswer answer;
+    const ssize_t got = ::recv(ending->socket, &answer, sizeof answer, MSG_DONTWAIT);
+    if (got < 0 && (errno == EAGAIN || errno == EINTR)) return;
+    const bool is_told = got == sizeof answer;
+    if (is_told && answer.kind != detail::GuardAnswer::ended) return;
+    const bool is_safe = is_told && answer.code == 0;
+    loop.runtime().core().log(
+        is_safe ? LogLevel::warning : LogLevel::error, ending->output,
+        is_told ? detail::text_of_end(answer.result()) : "its guard has ended, and nobody tries to set it safe");
+    if (is_safe) note(ending->output, true);
+    std::list<Ending> over;  // is destroyed without the lock
+    const std::lock_guard again(mutex);
+    over.splice(over.end(), endings, ending);
+  };
+  try {
+    ending->watch = FdWatch(loop, its_socket, FdWatch::readable, output, receive);
+  } catch (...) {  // the loop ends, too: the guard finds the socket closed
+    endings.erase(ending);
+    throw;
+  }
 }
 
 void OutputGuard::Link::beat_for(const Loop& loop) noexcept {

@@ -8,6 +8,7 @@
 #include <atomic>
 #include <cstdint>
 #include <cstring>
+#include <list>
 #include <mutex>
 #include <set>
 #include <string>
@@ -16,6 +17,7 @@
 #include "loop/support/fitting.hpp"
 #include "rtdata/data/error.hpp"
 #include "rtdata/loop/loop.hpp"
+#include "rtdata/loop/watch.hpp"
 #include "rtdata/outputs/guard.hpp"
 
 namespace rtdata {
@@ -42,7 +44,11 @@ struct GuardPatience {
 struct GuardIntroduction {
   std::uint32_t slot = 0;
   double safe = 0;
+  std::array<char, 64> name{};  // "output pump", for messages
 };
+
+/// How long the guard tries to set an output safe that has ended.
+inline constexpr Duration longest_after_end = std::chrono::seconds{10};
 
 struct GuardOrder {
   enum Kind : std::uint32_t { open, set, arm, finish };
@@ -52,8 +58,8 @@ struct GuardOrder {
 };
 
 struct GuardAnswer {
-  enum Kind : std::uint32_t { answered, tripped, vanished };
-  Kind kind = answered;   // to an order, or of the guard's own accord: no turn, no device
+  enum Kind : std::uint32_t { answered, tripped, vanished, ended };
+  Kind kind = answered;   // to an order, or of the guard's own accord: no turn, no device, what came of its end
   std::int32_t code = 0;  // an Errc; 0: the device has the value
   std::array<char, 96> what{};
   std::array<char, 160> where{}, why{}, advice{};
@@ -81,6 +87,18 @@ struct GuardAnswer {
   }
 };
 
+/// What came of an output that ended without its safe value, for people. Errors: closed (the guard has never had its
+/// device), busy (another one has it), what the device says.
+inline std::string text_of_end(const Result<void>& done) {
+  if (done) return "it has its safe value now";
+  if (done.error().code == make_error_code(Errc::closed))
+    return "its device could not be taken, and is as it was: " + done.error().why;
+  if (done.error().code == make_error_code(Errc::busy))
+    return "its device is somebody else's now, and the guard no longer tries to set it safe";
+  return "its device has not taken the safe value for " + to_string(longest_after_end) +
+         ", and the guard no longer tries: " + done.error().why;
+}
+
 /// The guard's whole life, in its process.
 [[noreturn]] void be_guard(int socket, GuardBeat* beats, const OutputGuard::Make& make) noexcept;
 
@@ -89,8 +107,11 @@ struct GuardAnswer {
 struct OutputGuard::Link {
   ~Link();
   /// The socket of an output that the guard knows from now on. Errors: disconnected, and no descriptors.
-  Result<int> introduce(double safe, const std::string& what, std::uint32_t& slot);
+  Result<int> introduce(const std::string& name, double safe, const std::string& what, std::uint32_t& slot);
   void release(std::uint32_t slot) noexcept;
+  /// Waits on the loop for what the guard says on this socket of an output that ended without its safe value, which the
+  /// log is told. Takes the socket.
+  void await_end(Loop& loop, const std::string& output, int its_socket);
   /// The loop waits for an output's device, and so cannot beat for those that it has.
   void beat_for(const Loop& loop) noexcept;
   /// How an output ended, or that it is there again.
@@ -99,7 +120,14 @@ struct OutputGuard::Link {
   int socket = -1;
   pid_t process = -1;
   detail::GuardBeat* beats = nullptr;
-  std::mutex mutex;  // outputs are made on the threads of all loops
+  std::mutex mutex;  // of what follows: outputs are made on the threads of all loops
+  struct Ending {
+    ~Ending();
+    std::string output;
+    int socket = -1;
+    FdWatch watch;
+  };
+  std::list<Ending> endings;
   std::set<std::string> unsafe;
   std::vector<bool> is_taken = std::vector<bool>(detail::most_guarded);
   std::vector<detail::GuardPatience> patience = std::vector<detail::GuardPatience>(detail::most_guarded);

@@ -26,7 +26,9 @@ class GuardPort final : public OutputPort {
       : link_(std::move(link)), guarded_(guarded), safe_(safe), listener_(listener), loop_(loop), name_(name) {
     introduce().or_throw();
   }
-  ~GuardPort() override { close(); }
+  ~GuardPort() override {
+    if (const int socket = close(); socket >= 0) ::close(socket);
+  }
 
   Result<void> open(std::optional<double> value) override {
     late_trip_.reset();
@@ -39,7 +41,12 @@ class GuardPort final : public OutputPort {
   Result<void> finish(std::optional<double> value) override {
     Result<void> result = exchange({GuardOrder::finish, value ? 1U : 0U, value.value_or(0)});
     if (value) link_->note(name_, result.has_value());
-    close();
+    const int socket = close();
+    if (socket < 0) return result;
+    if (result || !value)
+      ::close(socket);
+    else
+      link_->await_end(loop_, name_, socket);
     return result;
   }
   std::optional<Result<void>> late_trip() const override { return late_trip_; }
@@ -58,19 +65,20 @@ class GuardPort final : public OutputPort {
 
  private:
   Result<void> introduce() {
-    Result<int> socket = link_->introduce(safe_, guarded_, slot_);
+    Result<int> socket = link_->introduce(name_, safe_, guarded_, slot_);
     if (!socket) return std::move(socket).error();
     socket_ = *socket;
     watch_ = FdWatch(loop_, socket_, FdWatch::readable, name_, [this](const FdEvent&) { receive(); });
     loop_.core().lanes.while_waiting.emplace_back(this, [this] { link_->beat_for(loop_); });
     return {};
   }
-  void close() noexcept {
-    if (socket_ < 0) return;
+  /// Leaves the socket to the caller; -1: there is none.
+  int close() noexcept {
+    if (socket_ < 0) return -1;
     watch_.close();
     std::erase_if(loop_.core().lanes.while_waiting, [this](const auto& one) { return one.first == this; });
-    ::close(std::exchange(socket_, -1));
     link_->release(slot_);
+    return std::exchange(socket_, -1);
   }
   static Error ended() {
     return {Errc::disconnected, cannot_set, "", "its guard has ended", "start the program again"};

@@ -8,6 +8,7 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <atomic>
 #include <cerrno>
 #include <filesystem>
 #include <fstream>
@@ -28,9 +29,20 @@ namespace {
 using SteadyClock = std::chrono::steady_clock;
 constexpr Duration retry_period = std::chrono::milliseconds{100};
 constexpr Duration check_period = std::chrono::seconds{1};
-constexpr Duration longest_after_end = std::chrono::seconds{10};
 constexpr const char* name_of_guard = "rtdata-guard";
-constexpr const char* name_of_ending = "guard-ending";  // a thread's, whose output has ended and is not safe yet
+
+/// Outputs of this guard that have ended, and whose devices have not taken the safe value.
+std::atomic<int> ending{0};
+
+/// The name of a thread with such an output, by which the guard of the program's next run finds it: one with the same
+/// settings has the same device. At most 15 bytes.
+std::string name_of_ending(std::string_view what) {
+  std::uint64_t hash = 14695981039346656037ULL;  // FNV-1a, 64 bit: the same in every process
+  for (const char c : what) hash = (hash ^ static_cast<unsigned char>(c)) * 1099511628211ULL;
+  std::string name = "end-";
+  for (int digit = 0; digit < 11; ++digit, hash /= 36) name += "0123456789abcdefghijklmnopqrstuvwxyz"[hash % 36];
+  return name;
+}
 
 bool is_named(const std::filesystem::path& task, std::string_view wanted) {
   std::ifstream file(task / "comm");
@@ -38,23 +50,24 @@ bool is_named(const std::filesystem::path& task, std::string_view wanted) {
   return std::getline(file, name) && name == wanted;
 }
 
-/// Whether a guard on this machine, also this one, has an output that has ended and whose device does not take the safe
-/// value. Its device may be had for moments only.
-bool is_any_ending() {
+/// Whether the guard of a program that has ended still tries to set the output with these settings safe.
+bool is_ending_elsewhere(const std::string& what) {
+  const std::string wanted = name_of_ending(what);
   std::error_code ignored;
   for (const auto& process : std::filesystem::directory_iterator("/proc", ignored)) {
     if (!is_named(process.path(), name_of_guard)) continue;
     for (const auto& task : std::filesystem::directory_iterator(process.path() / "task", ignored))
-      if (is_named(task.path(), name_of_ending)) return true;
+      if (is_named(task.path(), wanted)) return true;
   }
   return false;
 }
 
-/// An error that passes, as of a device that is away.
-Error passing(Error error) noexcept {
+/// An error that passes, as of a device that is away: the guard of an output that has ended has it for moments.
+/// `was_ending`: this one had such an output when it began to take the device.
+Error passing(Error error, bool was_ending, const std::string& what) noexcept {
   if (error.code != make_error_code(Errc::busy) && error.code != make_error_code(Errc::timed_out)) return error;
   try {
-    if (!is_any_ending()) return error;
+    if (!was_ending && !is_ending_elsewhere(what)) return error;
     error.code = make_error_code(Errc::disconnected);
     error.why += "; the guard of what had it before still tries to set it safe";
     error.advice = "leave that guard alone: it ends after 10 s, and this output is tried again each second";
@@ -66,8 +79,14 @@ Error passing(Error error) noexcept {
 /// One output. Thread: its own.
 class Keeper {
  public:
-  Keeper(int socket, const GuardIntroduction& introduction, GuardBeat& beat, MakeActuator make)
-      : socket_(socket), safe_(introduction.safe), beat_(beat), held_(std::move(make)) {}
+  Keeper(int socket, const GuardIntroduction& introduction, std::string what, GuardBeat& beat,
+         const OutputGuard::Make& make)
+      : socket_(socket),
+        name_(introduction.name.data()),
+        safe_(introduction.safe),
+        what_(std::move(what)),
+        beat_(beat),
+        held_([this, &make] { return make(what_); }) {}
 
   /// Until the program has gone, or wants the device back.
   void run() noexcept {
@@ -107,7 +126,7 @@ class Keeper {
     const Result<void> done = held_.put(safe_);
     is_safe_ = done.has_value();
     is_retrying_ = !is_safe_;
-    if (trips) send(GuardAnswer::tripped, done);
+    if (trips) (void)send(GuardAnswer::tripped, done);
   }
 
   void check() noexcept {
@@ -115,7 +134,7 @@ class Keeper {
     const Result<void> there = held_.check();
     if (there) return;
     is_safe_ = false;
-    send(GuardAnswer::vanished, there);
+    (void)send(GuardAnswer::vanished, there);
   }
 
   void receive() noexcept {
@@ -130,44 +149,77 @@ class Keeper {
     const std::optional<double> value = order.has_value != 0 ? std::optional(order.value) : std::nullopt;
     if (order.kind == GuardOrder::set && (has_tripped_ || is_retrying_) && value != safe_)
       return answer(Error{Errc::not_permitted, "cannot set the output", "", "its guard has set it safe", "arm it"});
+    const bool was_ending = ending > 0;
     const Result<void> done = order.kind == GuardOrder::finish && !value ? Result<void>() : held_.put(value);
     // What a device has that did not take its value is not known: the safe one is set when the time is over.
     is_open_ = is_open_ || done.has_value();
     is_safe_ = done.has_value() ? value == safe_ : false;
     is_retrying_ = is_retrying_ && !is_safe_;
-    if (order.kind == GuardOrder::finish && (done.has_value() || !is_open_)) {
+    if (order.kind == GuardOrder::finish) return finish(done);
+    answer(done || is_open_ ? done : passing(done.error(), was_ending, what_));
+  }
+  void finish(const Result<void>& done) noexcept {
+    is_over_ = true;
+    if (done || !is_open_) {
       held_.give_back();
-      is_over_ = true;
-    } else if (order.kind == GuardOrder::finish) {
-      ::prctl(PR_SET_NAME, name_of_ending);  // before the program, which closes the output now, can make it again
+      answer(done);
+      (void)send(GuardAnswer::ended, done ? done : Error{Errc::closed, "", "", done.error().why, ""});
+      return;
     }
-    answer(done || is_open_ ? done : passing(done.error()));
+    be_ending();  // before the program, which closes the output now, can make it again
+    answer(done);
+    keep_trying();
   }
 
-  /// The program has gone, or has closed the output.
+  /// The program has gone.
   void end() noexcept {
     is_over_ = true;
     if (!is_open_ || is_safe_) return;
-    ::prctl(PR_SET_NAME, name_of_ending);
+    be_ending();
+    keep_trying();
+  }
+  void be_ending() const noexcept {
+    ++ending;
+    ::prctl(PR_SET_NAME, name_of_ending(what_).c_str());
+  }
+  void keep_trying() noexcept {
     const auto last = SteadyClock::now() + longest_after_end;
     for (;;) {
       const Result<void> done = held_.put(safe_);
       // Who has it now has set it safe when it took it.
-      if (done || done.error().code == make_error_code(Errc::busy) || SteadyClock::now() >= last) return;
-      std::this_thread::sleep_for(retry_period);
+      const bool is_busy = !done && done.error().code == make_error_code(Errc::busy);
+      if (!done && !is_busy && SteadyClock::now() < last) {
+        std::this_thread::sleep_for(retry_period);
+        continue;
+      }
+      held_.give_back();
+      --ending;
+      if (!send(GuardAnswer::ended, done)) tell_end(done);
+      return;
+    }
+  }
+  /// On standard error, since the program has gone.
+  void tell_end(const Result<void>& done) const noexcept {
+    try {
+      const std::string line = std::string(name_of_guard) + ": " + name_ + ": " + text_of_end(done) + "\n";
+      (void)!::write(STDERR_FILENO, line.data(), line.size());
+    } catch (const std::exception&) {  // no memory
     }
   }
 
-  void answer(const Result<void>& result) noexcept { send(GuardAnswer::answered, result); }
-  /// A program that does not read for so long that the socket is full is not waited for: the watchdog is for that.
-  void send(GuardAnswer::Kind kind, const Result<void>& result) const noexcept {
+  void answer(const Result<void>& result) const noexcept { (void)send(GuardAnswer::answered, result); }
+  /// False: nobody reads it. A program that does not read for so long that the socket is full is not waited for: the
+  /// watchdog is for that.
+  bool send(GuardAnswer::Kind kind, const Result<void>& result) const noexcept {
     GuardAnswer answer{.kind = kind};
     if (!result) answer.put(result.error());
-    (void)::send(socket_, &answer, sizeof answer, MSG_NOSIGNAL | MSG_DONTWAIT);
+    return ::send(socket_, &answer, sizeof answer, MSG_NOSIGNAL | MSG_DONTWAIT) == sizeof answer;
   }
 
   const int socket_;
+  const std::string name_;  // "output pump"
   const double safe_;
+  const std::string what_;
   GuardBeat& beat_;
   HeldActuator held_;
   std::int64_t next_check_ = 0;
@@ -209,9 +261,7 @@ void serve(int socket, GuardBeat* beats, const OutputGuard::Make& make) {
     const int output = receive_introduction(socket, introduction, text);
     if (output < 0) break;
     try {
-      threads.emplace_back([=, &make] {
-        Keeper(output, introduction, beats[introduction.slot], [&make, text] { return make(text); }).run();
-      });
+      threads.emplace_back([=, &make] { Keeper(output, introduction, text, beats[introduction.slot], make).run(); });
     } catch (const std::exception&) {
       ::close(output);  // by which its output sees that it is not guarded
     }

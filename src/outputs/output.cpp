@@ -43,6 +43,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
       : FeedNode(loop.core(), FeedConfig{config.name, config.topic, {}}, payload_type<OutputChange>()),
         config_(std::move(config)),
         make_(std::move(make)),
+        range_(range_of(make_)),
         stale_(loop, {.name = name()}, [this] { look_at_age(); }),
         lease_(loop, {.name = name()}, [this] { look_at_lease(); }),
         retry_(loop, {.name = name()}, [this] { try_again(); }),
@@ -53,6 +54,8 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
 
   /// Apart, since it may fail.
   void begin(OutputGuard* guard, const std::string& guarded) {
+    if (const std::string why = range_.refusal(config_.safe); !why.empty())
+      throw SetupError({Errc::out_of_range, "cannot make the output", name(), "`safe`: " + why, ""});
     Loop& loop = this->loop()->face;
     if (guard != nullptr && !guarded.empty()) take_guard(loop, *guard, guarded);
     if (port_ == nullptr) port_ = make_lane_port(loop, name(), make_, *this);
@@ -76,6 +79,10 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     if (input_)
       return refusal(Errc::bad_argument, "it follows the topic \"" + config_.on + "\"", "disarm it to hold it safe");
     const Order order{value, OutputCause::set, fitting<48>(by), now()};
+    if (const std::string why = range_.refusal(value); !why.empty()) {
+      record(order, {}, why);
+      return refusal(Errc::out_of_range, why, "");
+    }
     if (!is_armed_) {
       record(order, {}, "it is disarmed");
       return refusal(Errc::not_permitted, "it is disarmed", "arm it first");
@@ -416,6 +423,8 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     const std::optional<double> value = input_->evaluate(time, now());
     if (!input_->why().empty()) return go_stale(Errc::bad_data, input_->why(), "look at what is measured");
     if (!value) return;
+    if (const std::string why = range_.refusal(*value); !why.empty())
+      return go_stale(Errc::out_of_range, why, "look at what is measured, and at the expression");
     last_input_ = now();
     is_stale_ = false;
     const OutputInput::Silence silence = input_->silence();
@@ -495,6 +504,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
 
   const OutputConfig config_;
   const MakeActuator make_;
+  const OutputRange range_;
   std::optional<OutputInput> input_;
   Timer stale_, lease_, retry_, patience_;
   Ticker beat_;

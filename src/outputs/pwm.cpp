@@ -7,17 +7,12 @@
 #include <string_view>
 
 #include "io/kernel_file.hpp"
-#include "rtdata/data/config_item.hpp"
 
 namespace rtdata {
 namespace {
 
 constexpr const char* cannot_use = "cannot use the PWM channel";
 
-bool is_duty(double value) noexcept { return value >= 0 && value <= 1; }
-Error no_duty(double value) {
-  return {Errc::out_of_range, cannot_use, "", std::to_string(value) + " is no duty cycle: it is from 0 to 1", ""};
-}
 std::int64_t number_in(const std::string& path) {
   std::int64_t number = 0;
   if (const auto text = detail::read_kernel_file(path, cannot_use))
@@ -27,20 +22,13 @@ std::int64_t number_in(const std::string& path) {
 
 }  // namespace
 
-void PwmConfig::check_duty(const ConfigItem& item, Problems& problems) {
-  const ConfigItem* const safe = item.find("safe");
-  double value = 0;
-  Problems ignored;
-  if (safe == nullptr || !ConfigValue<double>::read(*safe, value, ignored) || is_duty(value)) return;
-  problems.add(safe->problem("bad-value", "the safe value of a PWM channel is a duty cycle, from 0 to 1"));
-}
-
 Result<void> PwmActuator::write(const char* file, std::int64_t value) const {
   return detail::write_kernel_file(folder_ + "/" + file, std::to_string(value), cannot_use);
 }
 
 Result<void> PwmActuator::open(std::optional<double> value) {
-  if (value && !is_duty(*value)) return no_duty(*value);
+  if (const std::string why = range().refusal(value.value_or(0)); !why.empty())
+    return Error{Errc::out_of_range, cannot_use, "", why, ""};
   const std::string chip = config_.root + "/pwmchip" + std::to_string(config_.chip);
   const auto channels = detail::read_kernel_file(chip + "/npwm", cannot_use);
   if (!channels) return channels.error();
@@ -74,7 +62,8 @@ Result<void> PwmActuator::open(std::optional<double> value) {
 }
 
 Result<void> PwmActuator::set(double value) {
-  if (!is_duty(value)) return no_duty(value);
+  if (const std::string why = range().refusal(value); !why.empty())
+    return Error{Errc::out_of_range, cannot_use, "", why, ""};
   const auto period = static_cast<double>(number_in(folder_ + "/period"));
   return write("duty_cycle", std::llround(value * period));
 }

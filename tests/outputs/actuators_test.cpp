@@ -69,6 +69,20 @@ TEST_SUITE("outputs") {
     CHECK_FALSE(pins->is_taken("gpiochip0", 3));
     CHECK(is_high());  // as it was left
     {
+      GpioActuator line({.line = 4}, pins);
+      CHECK(line.check().error().code == Errc::disconnected);
+      CHECK(line.open(1).has_value());
+      CHECK(line.check().has_value());
+      CHECK(pins->level("gpiochip0", 4));  // asking leaves it alone
+      pins->unplug("gpiochip0");
+      CHECK(line.check().error().code == Errc::disconnected);
+      pins->plug_in("gpiochip0");
+      CHECK(line.check().error().code == Errc::disconnected);  // another chip
+      CHECK(line.open(0).has_value());
+      CHECK(line.check().has_value());
+      pins->drive("gpiochip0", 3, true, MonotonicTime{});
+    }
+    {
       GpioActuator line({.line = 3}, pins);
       CHECK(line.open({}).has_value());
       CHECK(is_high());

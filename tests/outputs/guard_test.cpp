@@ -20,9 +20,11 @@
 
 #include "outputs/output_log.hpp"
 #include "outputs/terminal.hpp"
+#include "rtdata/io/fake_gpio.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/runtime.hpp"
 #include "rtdata/loop/timer.hpp"
+#include "rtdata/outputs/gpio.hpp"
 #include "rtdata/outputs/serial.hpp"
 #include "rtdata/sinks/sink.hpp"
 #include "sensors/fixture.hpp"
@@ -367,6 +369,72 @@ TEST_SUITE("outputs") {
     CHECK(lines_of(b.path).back() == "gone");
   }
 
+  TEST_CASE("US-35 guard: an output that ended unsafe, and is safe later, is told in the log") {
+    ScratchDirectory directory;
+    Bench b({}, directory.file("device"));
+    Lines log;
+    b.runtime.on_log([&](const LogRecord& record) {
+      if (record.text.find("safe value") != std::string_view::npos) log.push_back(std::string(record.text));
+    });
+    b.output.set(1).or_throw();
+    CHECK(b.turn_until([&] { return b.output.value() == 1; }));
+    std::ofstream(b.path + ".mute").flush();
+    b.output.close();
+    CHECK(b.guard.ended_unsafe() == Lines{"output o"});
+    CHECK(b.turn_until([&] { return lines_of(b.path + ".tries").size() > 2; }));
+    CHECK(log.empty());
+    std::filesystem::remove(b.path + ".mute");
+    CHECK(b.turn_until([&] { return !log.empty(); }));
+    CHECK(log == Lines{"it has its safe value now"});
+    CHECK(b.guard.ended_unsafe().empty());
+    CHECK(lines_of(b.path).back() == "gone");
+  }
+
+  TEST_CASE("US-35 guard: that it tries no more is told: in the log, and on standard error when the program has gone") {
+    ScratchDirectory directory;
+    const std::string path = directory.file("device"), said = directory.file("said");
+    const int standard = ::dup(STDERR_FILENO), file = ::open(said.c_str(), O_WRONLY | O_CREAT | O_CLOEXEC, 0600);
+    ::dup2(file, STDERR_FILENO);
+    ::close(file);
+    auto program = std::make_unique<Program>(path);
+    ::dup2(standard, STDERR_FILENO);
+    ::close(standard);
+    wait_for(path, "set 1.0");
+    std::ofstream(path + ".mute").flush();
+    program.reset();  // killed
+    Bench b({}, directory.file("other"));
+    Lines log;
+    b.runtime.on_log([&](const LogRecord& record) {
+      if (record.text.find("safe value") != std::string_view::npos) log.push_back(std::string(record.text));
+    });
+    b.output.set(1).or_throw();
+    CHECK(b.turn_until([&] { return b.output.value() == 1; }));
+    std::ofstream(b.path + ".mute").flush();
+    b.output.close();
+    CHECK(b.turn_until([&] { return !log.empty(); }));
+    const std::string
+        text = "its device has not taken the safe value for 10 s, and the guard no longer tries: it is mute";
+    REQUIRE(log.size() == 1);
+    CHECK(log[0] == text);
+    CHECK(b.guard.ended_unsafe() == Lines{"output o"});
+    CHECK(b.turn_until([&] { return !lines_of(said).empty(); }));
+    CHECK(lines_of(said) == Lines{"rtdata-guard: output o: " + text});
+  }
+
+  TEST_CASE("US-35 guard: what an output of another program waits for is nothing to a device that somebody has") {
+    ScratchDirectory directory;
+    const std::string path = directory.file("locked");
+    {
+      Program program(path);
+      wait_for(path, "set 1.0");
+      std::ofstream(path + ".mute").flush();
+    }
+    while (lines_of(path + ".tries").size() < 2) std::this_thread::sleep_for(1ms);
+    CHECK_THROWS_WITH_AS(Bench({}, directory.file("refused")), doctest::Contains("somebody has it"), SetupError);
+    std::filesystem::remove(path + ".mute");
+    wait_for(path, "gone");
+  }
+
   TEST_CASE(
       "US-35 guard: a device that went away between two values is told, set safe when it is back, and set again") {
     ScratchDirectory directory;
@@ -406,6 +474,65 @@ TEST_SUITE("outputs") {
     output.set(1).or_throw();
     CHECK(turn_until([&] { return output.value() == 1; }));
     CHECK(device->reads("V0\nV1\n"));
+  }
+
+  TEST_CASE("US-35 US-36 guard: a GPIO chip that goes away is noticed, and its line is safe when it is back") {
+    ScratchDirectory directory;
+    const std::string gone = directory.file("gone"), levels = directory.file("levels");
+    auto chips = std::make_shared<FakeGpio>();
+    chips->add_chip("gpiochip0", 8);
+    OutputGuard guard([=](const std::string&) -> std::unique_ptr<Actuator> {
+      /// In the guard: the chip is away while there is the file.
+      class Line final : public GpioActuator {
+       public:
+        Line(std::shared_ptr<FakeGpio> its_chips, std::string its_gone, std::string its_levels)
+            : GpioActuator({.line = 3}, its_chips), chips_(its_chips), gone_(its_gone), levels_(its_levels) {}
+        Result<void> open(std::optional<double> value) override { return look(), told(GpioActuator::open(value)); }
+        Result<void> set(double value) override { return look(), told(GpioActuator::set(value)); }
+        Result<void> check() override { return look(), GpioActuator::check(); }
+
+       private:
+        void look() {
+          const bool is_gone = std::filesystem::exists(gone_), was_gone = chips_->chips().empty();
+          if (is_gone && !was_gone) chips_->unplug("gpiochip0");
+          if (!is_gone && was_gone) chips_->plug_in("gpiochip0");
+        }
+        Result<void> told(Result<void> result) {
+          if (result) std::ofstream(levels_, std::ios::app) << chips_->level("gpiochip0", 3) << std::endl;
+          return result;
+        }
+        std::shared_ptr<FakeGpio> chips_;
+        std::string gone_, levels_;
+      };
+      return std::make_unique<Line>(chips, gone, levels);
+    });
+    Runtime runtime({.guard = &guard});
+    Loop loop(runtime, {});
+    be_quiet(loop);
+    outputs_test::OutputLog log(loop, "o");
+    Output output(loop, {.name = "o"}, {}, "line");
+    const auto turn_until = [&](const std::function<bool()>& condition) {
+      const Ticker look(loop, 2ms, [&](const Tick&) {
+        if (condition()) loop.stop();
+      });
+      const Timer limit(loop, patience, [&] { loop.stop(); });
+      loop.run();
+      return condition();
+    };
+    output.set(1).or_throw();
+    CHECK(turn_until([&] { return output.value() == 1; }));
+    std::ofstream(gone).flush();
+    CHECK(turn_until([&] { return output.health() == Health::faulted; }));
+    CHECK(turn_until([&] { return log.lines.size() >= 3; }));
+    CHECK(log.lines[2] == "failure 0 failed: the chip has gone");
+    CHECK_FALSE(output.value().has_value());
+    std::filesystem::remove(gone);
+    CHECK(turn_until([&] { return output.value() == 0; }));
+    CHECK(output.health() == Health::ok);
+    output.set(1).or_throw();
+    CHECK(turn_until([&] { return output.value() == 1; }));
+    output.close();
+    CHECK(lines_of(levels) == Lines{"0", "1", "0", "1", "0"});
   }
 
   TEST_CASE("US-35 guard: a loop that turns keeps its output for much longer than the watchdog") {

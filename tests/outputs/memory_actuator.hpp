@@ -15,7 +15,8 @@ struct Device {
   std::vector<std::string> did;
   std::optional<double> value;
   bool fails = false;
-  double most = 1e9;  // it refuses what is above
+  double most = 1e9;               // it refuses what is above
+  rtdata::OutputRange range = {};  // as it says of itself
 
   rtdata::MakeActuator make() {
     return [this] { return std::make_unique<Memory>(*this); };
@@ -27,6 +28,7 @@ struct Device {
     ~Memory() override {
       if (is_open) device.did.push_back("gone");
     }
+    rtdata::OutputRange range() const override { return device.range; }
     rtdata::Result<void> open(std::optional<double> wanted) override {
       if (auto done = put("open " + (wanted ? text_of(*wanted) : std::string("kept")), wanted); !done) return done;
       is_open = true;

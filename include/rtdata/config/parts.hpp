@@ -143,6 +143,8 @@ struct PartPlan {
   /// is not known before their parts are made. Empty: there is nothing to compare.
   using PayloadOf = std::function<const Description*(std::string_view topic)>;
   std::function<void(const PartPlan& part, const PayloadOf& payload_of, Problems& problems)> check_topics = {};
+  /// Why it cannot be set to a value, of an output. Empty text: it can. Empty: it is none, or its item has mistakes.
+  std::function<std::string(double value)> refusal = {};
   /// Makes it on the loop of the tier that it names, or else on the main loop. Empty: the item has mistakes.
   using Make = std::function<PartObject(Loop& loop, const Parts& parts)>;
   Make make = {};

@@ -387,8 +387,11 @@ class Registry {
       plan.name = all.common.name;
       plan.publishes = config_detail::published_topic(plan.name, all.common.topic,
                                                       Result(description_of<OutputChange>()), {});
-      plan.check_topics = [config = all.common](const PartPlan& part, const PartPlan::PayloadOf& payload_of,
-                                                Problems& problems) {
+      const OutputRange range = range_of([&]() -> std::unique_ptr<Actuator> { return make(all.own); });
+      plan.refusal = [range](double value) { return range.refusal(value); };
+      plan.check_topics = [config = all.common, range](const PartPlan& part, const PartPlan::PayloadOf& payload_of,
+                                                       Problems& problems) {
+        check_output_values(config, range, part.item, problems);
         check_output_names(config, payload_of, part.item, problems);
       };
       ConfigItem guarded = write_config(all.own);

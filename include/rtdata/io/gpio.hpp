@@ -205,6 +205,8 @@ class GpioLine {
   /// Sets an output to its safe value and gives the line back. Harmless when it is closed.
   void close() noexcept;
   bool is_open() const noexcept { return request_ != nullptr; }
+  /// Whether it is open and its chip is still there. Asks for the chip's file, and leaves the line alone.
+  bool is_there() const noexcept { return request_ != nullptr && request_->is_there(); }
   /// "gpiochip0:17 (GPIO17)"
   const std::string& place() const noexcept { return place_; }
 

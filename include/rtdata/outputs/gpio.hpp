@@ -10,6 +10,7 @@
 #include <utility>
 
 #include "rtdata/io/gpio.hpp"
+#include "rtdata/outputs/checked_actuator.hpp"
 #include "rtdata/outputs/output.hpp"
 
 namespace rtdata {
@@ -28,20 +29,18 @@ struct GpioActuatorConfig {
         parameter("drive", &GpioActuatorConfig::drive, "how it drives its levels"),
         parameter("active_low", &GpioActuatorConfig::active_low, "1 is low, as many relay boards want it"));
   }
-  /// `item`: an output's, whose `safe` must be a level.
-  friend void check_config(const GpioActuatorConfig&, const ConfigItem& item, Problems& problems) {
-    check_level(item, problems);
-  }
-  static void check_level(const ConfigItem& item, Problems& problems);
 };
 
-class GpioActuator : public Actuator {
+class GpioActuator : public CheckedActuator {
  public:
   explicit GpioActuator(GpioActuatorConfig config) : GpioActuator(std::move(config), make_kernel_gpio()) {}
   GpioActuator(GpioActuatorConfig config, std::shared_ptr<GpioBackend> backend)
       : config_(std::move(config)), backend_(std::move(backend)) {}
+  OutputRange range() const override { return {0, 1, true}; }
   Result<void> open(std::optional<double> value) override;
   Result<void> set(double value) override;
+  /// Whether the chip is still there, such as one behind USB.
+  Result<void> check() override;
 
  private:
   GpioActuatorConfig config_;

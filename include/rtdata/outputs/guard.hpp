@@ -18,7 +18,8 @@
 ///   - when the loop has not turned for the output's `watchdog`: then it takes no other value until the output is
 ///     armed;
 ///   - when the program has ended, in whatever way: at once; then it gives the device back and ends.
-/// A device that does not take its safe value is tried again, after the end of the program for 10 s.
+/// A device that does not take its safe value is tried again, after the end of the program or of the output for 10 s.
+/// What came of that is told in the log, and on standard error when the program has gone.
 ///
 /// It ignores SIGINT, SIGTERM, SIGHUP and SIGQUIT, which terminals and service managers send to it as well. What ends
 /// it all the same (SIGKILL, an Actuator that crashes) is seen by the program: its outputs take their devices
@@ -56,8 +57,8 @@ class OutputGuard {
 
   /// Its process id.
   int process() const noexcept;
-  /// The names of outputs, sorted, that ended without that their device took the safe value, and of which none was
-  /// made again that is safe. Thread: any.
+  /// The names of outputs, sorted, that ended without that their device took the safe value, then or while the guard
+  /// tried again and the loop turned, and of which none was made again that is safe. Thread: any.
   std::vector<std::string> ended_unsafe() const;
 
   struct Link;

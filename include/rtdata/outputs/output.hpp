@@ -17,8 +17,8 @@
 /// It has its safe value
 ///   - from the start on: the device is taken with it in one step, or with `keep` as it is;
 ///   - from when `stop`, the end of its loop, closing, or the destructor of the handle begins (not with `keep`);
-///   - while its input has brought nothing for `max_age`, or its expression fails: it follows the input again when that
-///     is back;
+///   - while its input has brought nothing for `max_age`, or its expression fails or gives what the device does not
+///     take: it follows the input again when that is back;
 ///   - when `lease` has passed since the last `set`, until the next one;
 ///   - after a `set` that failed: tried again each second until the device takes it;
 ///   - while it is disarmed: `set` is refused, and its input is not followed;
@@ -39,6 +39,7 @@
 
 #include <cstdint>
 #include <functional>
+#include <limits>
 #include <memory>
 #include <optional>
 #include <string>
@@ -56,11 +57,23 @@
 
 namespace rtdata {
 
-/// A device that can be set. The destructor gives it back as it is. Thread: one at a time, any: a lane's, or one of the
-/// guard's. What it throws counts as a failure.
+/// The values that a device takes; any finite number unless it says less.
+struct OutputRange {
+  double least = -std::numeric_limits<double>::infinity();
+  double most = std::numeric_limits<double>::infinity();
+  bool is_whole = false;  ///< whole numbers alone: of a line {0, 1, true}
+  /// Why it does not take this value, for people: "0.5 is not what the device takes: 0 or 1". Empty: it does.
+  std::string refusal(double value) const;
+};
+
+/// A device that can be set. The constructor leaves the device alone, and the destructor gives it back as it is.
+/// Thread: one at a time, any: a lane's, or one of the guard's. What it throws counts as a failure.
 class Actuator {
  public:
   virtual ~Actuator() = default;
+  /// What it takes, by its settings alone: asked of one that is not open, by `rtdata check` and by each Output, which
+  /// refuse other values before they come to the device.
+  virtual OutputRange range() const { return {}; }
   /// Takes the device with this value, in one step where the device can; without one as it is. Called once; after an
   /// error another Actuator is made.
   virtual Result<void> open(std::optional<double> value) = 0;
@@ -68,6 +81,8 @@ class Actuator {
   virtual Result<void> set(double value) = 0;
 };
 using MakeActuator = std::function<std::unique_ptr<Actuator>()>;
+/// What the devices that it makes take. Of one that cannot be made: any finite number.
+OutputRange range_of(const MakeActuator& make) noexcept;
 
 enum class OutputCause : std::uint8_t { start, set, input, stale, lease, arm, disarm, watchdog, failure, stop };
 constexpr auto describe(type_tag<OutputCause>) {
@@ -146,19 +161,24 @@ void check_config(const OutputConfig& config, const ConfigItem& item, Problems& 
 void check_output_names(const OutputConfig& config,
                         const std::function<const Description*(std::string_view topic)>& payload_of,
                         const ConfigItem& item, Problems& problems);
+/// Whether the device takes the values that the configuration names: the safe one, those of a controller, and the
+/// constants that the expression may give.
+void check_output_values(const OutputConfig& config, const OutputRange& range, const ConfigItem& item,
+                         Problems& problems);
 
 class Output : public AnySensor {
  public:
   Output() noexcept = default;
   /// Takes the device, and waits for that. `guarded`: what the runtime's guard makes its Actuator of (guard.hpp);
-  /// empty, or without a guard: this program holds the device itself, as `make` makes it.
-  /// SetupError: a name or topic that is taken; bad-argument for a configuration that cannot work; ExpressionError;
-  /// what the device says.
+  /// empty, or without a guard: this program holds the device itself, as `make` makes it. What `make` makes also says
+  /// which values it takes (`Actuator::range`); where `make` is empty, the device refuses the others itself.
+  /// SetupError: a name or topic that is taken; bad-argument for a configuration that cannot work; out-of-range for a
+  /// safe value that the device does not take; ExpressionError; what the device says.
   Output(Loop& loop, OutputConfig config, MakeActuator make, std::string guarded = {});
 
-  /// `by`: who asks, for the event. Errors: bad-argument (not finite; it follows a topic), not-permitted (it is
-  /// disarmed), io-failed (the device does not even take its safe value), closed. What the device says comes later, as
-  /// an event.
+  /// `by`: who asks, for the event. Errors: bad-argument (not finite; it follows a topic), out-of-range (the device
+  /// takes no such value), not-permitted (it is disarmed), io-failed (the device does not even take its safe value),
+  /// closed: it keeps what it has. What the device says comes later, as an event.
   Result<void> set(double value, std::string_view by = "program");
   /// From the next value on. When it is armed: nothing. Errors: closed; disconnected (the guard has ended: it stays
   /// safe until the program is started again).

@@ -33,14 +33,12 @@ struct PwmConfig {
         parameter("inverted", &PwmConfig::inverted, "the duty cycle is the part of the time that it is low"),
         parameter("root", &PwmConfig::root, "where the chips are", TextIs::recorded));
   }
-  /// `item`: an output's, whose `safe` must be a duty cycle.
-  friend void check_config(const PwmConfig&, const ConfigItem& item, Problems& problems) { check_duty(item, problems); }
-  static void check_duty(const ConfigItem& item, Problems& problems);
 };
 
 class PwmActuator : public Actuator {
  public:
   explicit PwmActuator(PwmConfig config) : config_(std::move(config)) {}
+  OutputRange range() const override { return {0, 1}; }
   Result<void> open(std::optional<double> value) override;
   Result<void> set(double value) override;
 

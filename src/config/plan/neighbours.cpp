@@ -84,6 +84,15 @@ void Neighbours::check_values(const PartPlan& machine, Problems& problems) const
       if (!outputs.insert(name).second)
         problems.add(child_or_self(one.item, "output")
                          .problem("bad-value", "the state sets the output \"" + name + "\" already"));
+      const PartPlan* const output = find("output", name);
+      if (output == nullptr || !output->refusal) continue;
+      const ConfigItem* const given = child_of(one.item, "value");
+      double value = 1;
+      Problems told;  // of the machine
+      if (given != nullptr && !ConfigValue<double>::read(*given, value, told)) continue;
+      if (const std::string why = output->refusal(value); !why.empty())
+        problems.add(child_or_self(one.item, "value")
+                         .problem("bad-value", (given == nullptr ? "`value` is 1 unless given: " : "") + why));
     }
   }
 }
