@@ -113,6 +113,19 @@ TEST_SUITE("app") {
           "0,x,1,1,2,3,4,5,6,7\n");
   }
 
+  TEST_CASE("import: headings that differ by case are numbered as those that are the same") {
+    const Folder folder;
+    folder.write("x.csv", "t,v,V,B[0],B[1],b,c[0],c[1],C[0],C[1],m.d,n.D\n0,1,2,3,4,5,6,7,8,9,10,11\n");
+    Process import(folder, program, {"import", "x.csv", "--time", "t"});
+    CHECK_MESSAGE(import.end() == 0, import.err);
+    Process rows(folder, program, {"export", "x.db"});
+    CHECK(rows.end() == 0);
+    CHECK(rows.out ==
+          "time,origin,sequence,v,V_2,B_2[0],B_2[1],b,c[0],c[1],C_2[0],C_2[1],m_d,n_D\n"
+          "0,x,1,1,2,3,4,5,6,7,8,9,10,11\n");
+    check_verifies(folder, "x.db");
+  }
+
   TEST_CASE("import: times beyond what can be recorded are refused, also those that --start puts there") {
     const Folder folder;
     folder.write("x.csv", "t,v\n0,1\n8000000000000000000,2\n");
@@ -175,7 +188,6 @@ TEST_SUITE("app") {
     folder.write("quote.csv", "t,v\n1,\"2\n");
     folder.write("empty.csv", "");
     folder.write("head.csv", "t,v\n");
-    folder.write("twice.csv", "t,v,V\n1,2,3\n");
     folder.write("long.csv", "t,v\n1," + std::string(2000, 'x') + "\n");
     folder.write("lines.csv", "t,v\n1,\"" + std::string(1'000'000, '\n') + "\"\n");
     std::ofstream(folder.path() + "/garbage.csv", std::ios::binary) << std::string(2'000'000, '\x01');
@@ -208,7 +220,16 @@ TEST_SUITE("app") {
     refuses({"quote.csv", "--time", "t"}, "quote.csv:2");
     refuses({"empty.csv", "--time", "t"}, "it is empty");
     refuses({"head.csv", "--time", "t"}, "it has no rows");
-    refuses({"twice.csv", "--time", "t"}, "V");
+    folder.write("nan.csv", "t,v\n0,1\nnan,2\n");
+    refuses({"nan.csv", "--time", "t"}, "nan.csv:3: \"nan\" in column t is no time: a number, or a time as");
+    folder.write("late.csv", "t,v\n0,1\n40000000,2\n");
+    refuses({"late.csv", "--time", "t", "--start", "2261-01-01T00:00:00Z"}, "late.csv:3: \"40000000\"");
+    refuses({"late.csv", "--time", "t", "--start", "2261-01-01T00:00:00Z"}, "to 2261: look at --start\n");
+    for (const std::string& mark : {std::string("\xff\xfe"), std::string("\xfe\xff")}) {
+      std::ofstream(folder.path() + "/wide.csv", std::ios::binary) << mark << std::string("t\0,\0v\0\n\0", 8);
+      refuses({"wide.csv", "--time", "t"},
+              "wide.csv: it is UTF-16: convert the file: iconv -f UTF-16 -t UTF-8 wide.csv");
+    }
     refuses({"long.csv", "--time", "t"}, "2000 bytes");
     refuses({"lines.csv", "--time", "t"}, "a text in column v has 1000000 bytes");
     refuses({"garbage.csv", "--time", "t"}, "longer than 1 MiB");

@@ -116,6 +116,97 @@ TEST_CASE("FW-5 replay: all runs into another recording, which is a copy, in UTC
   CHECK(itself.err.find("sink again.db records into it") != std::string::npos);
 }
 
+TEST_CASE("FW-5 US-34 replay: at any speed, beside a live run, each run keeps its own UTC") {
+  const Folder folder;
+  const std::string path = recorded(folder);
+  const std::vector<Time> old_utc = utc_of(path);
+  const std::string live = folder.path() + "/live.db";
+  {
+    Loop loop;
+    SqliteSink sink(loop, {.path = live});
+    Feed<Warmth> room(loop, {.name = "room"});
+    room.publish({22});
+    room.close();
+    CHECK(loop.close() == 0);
+  }
+  std::vector<Time> expected = utc_of(live);
+  REQUIRE(!expected.empty());
+  const auto boot_of = [&](std::int64_t run) {
+    for (const RunInfo& info : Recording::open(live).or_throw().runs().or_throw())
+      if (info.run == run) return info.boot_id;
+    return std::string();
+  };
+  folder.write("live.json", R"({"sinks": [{"type": "sqlite", "path": "live.db"}]})");
+  std::int64_t runs = 1;
+  for (const char* speed : {"1", "20", "max"}) {
+    CAPTURE(speed);
+    Process again(folder, program, {"replay", "run.db", "live.json", "--speed", speed, "-q"});
+    CHECK(again.end() == 0);
+    expected.insert(expected.end(), old_utc.begin(), old_utc.end());
+    CHECK(utc_of(live) == expected);
+    runs += 2;
+    CHECK(boot_of(runs - 1) != boot_of(1));
+    CHECK(boot_of(runs) != boot_of(1));
+    CHECK(boot_of(runs) != boot_of(runs - 1));
+  }
+  const auto recording = Recording::open(live).or_throw();
+  const auto report = verify(recording).or_throw();
+  CHECK_MESSAGE(report.verdict() == Verdict::balanced, report.text());
+  CHECK(report.text().find("outside of the run") == std::string::npos);
+  // What is known of the time of day is what was known, no more.
+  const auto source = Recording::open(path).or_throw();
+  for (std::int64_t run = 2; run <= runs; ++run)
+    CHECK(recording.clock(run).or_throw().size() == source.clock(1 + run % 2).or_throw().size());
+  // Faster than it was, it still is as long as what it has.
+  const auto lasted = [](const Recording& of, std::int64_t run) {
+    const auto infos = of.runs().or_throw();
+    const RunInfo& info = infos.at(static_cast<std::size_t>(run - 1));
+    return *info.ended - info.started;
+  };
+  CHECK(lasted(recording, 4) >= 900ms);
+  CHECK(lasted(recording, 6) - lasted(source, 1) <= 1us);
+}
+
+TEST_CASE("FW-5 US-34 replay: several runs of a boot whose clock was set while it was right") {
+  const Folder folder;
+  const std::string path = folder.path() + "/run.db";
+  ManualClock clock(Time{1'800'000'000s});
+  clock.set_accuracy(1ms);
+  for (int run = 0; run < 3; ++run) {
+    Runtime runtime({.clock = &clock});
+    runtime.on_log([](const LogRecord&) {});
+    Loop loop(runtime, {});
+    SqliteSink sink(loop, {.path = path});
+    Sensor<Warmth> room(loop, {.name = "room", .rate = 1_Hz}, [] { return Warmth{21}; });
+    loop.advance(15s);
+    clock.set_realtime(clock.realtime() + 1h);
+    loop.advance(30s);
+    room.close();
+    CHECK(loop.close() == 0);
+    clock.pass(1min);
+    clock.set_realtime(clock.realtime() - 10min);
+  }
+  const std::vector<Time> utc = utc_of(path);
+  CHECK(utc.size() > 3 * 40);
+  CHECK(std::is_sorted(utc.begin(), utc.end()));
+  folder.write("again.json", R"({"sinks": [{"type": "sqlite", "path": "again.db"}]})");
+  Process again(folder, program, {"replay", "run.db", "again.json", "--speed", "max", "-q"});
+  CHECK(again.end() == 0);
+  const std::string copy = folder.path() + "/again.db";
+  const auto recording = Recording::open(copy).or_throw();
+  const auto report = verify(recording).or_throw();
+  CHECK_MESSAGE(report.verdict() == Verdict::balanced, report.text());
+  CHECK(utc_of(copy) == utc);
+  // Of a copy, the pairs do not become more.
+  folder.write("third.json", R"({"sinks": [{"type": "sqlite", "path": "third.db"}]})");
+  Process third(folder, program, {"replay", "again.db", "third.json", "--speed", "max", "-q"});
+  CHECK(third.end() == 0);
+  const auto of_copy = Recording::open(folder.path() + "/third.db").or_throw();
+  for (std::int64_t run = 1; run <= 3; ++run)
+    CHECK(of_copy.clock(run).or_throw().size() == recording.clock(run).or_throw().size());
+  CHECK(utc_of(folder.path() + "/third.db") == utc);
+}
+
 TEST_CASE("FW-5 replay: to the terminal, chosen; and what is wrong has a status") {
   const Folder folder;
   const std::string path = recorded(folder);

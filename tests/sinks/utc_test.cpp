@@ -259,6 +259,27 @@ TEST_CASE("US-34 the UTC line: who counts, and between whom") {
     CHECK(UtcLine(std::vector{pair(10s, at(0), 1ms)}, 100s).utc(Time{99s}) == Time{99s});
     CHECK(UtcLine(std::vector{pair(10s, at(0), 1ms)}, 100s).utc(Time{110s}) == at(0));
   }
+  SUBCASE("pairs from before the beginning, which a copy has of earlier runs: the same line, in order") {
+    const auto all_at = [&](Duration moved) {
+      std::vector<RecordedClock> pairs;
+      for (const auto& [when, realtime] : {std::pair{10s, at(10)}, {20s, at(20)}, {30s, at(31)}, {40s, at(41)}})
+        pairs.push_back(pair(when - moved, realtime, 1ms));
+      return pairs;
+    };
+    for (const Duration moved : {Duration{15s}, Duration{25s}, Duration{30s}, Duration{35s}, Duration{50s}}) {
+      CAPTURE(to_string(moved));
+      const UtcLine line(all_at(moved));
+      CHECK(std::is_sorted(line.stretches().begin(), line.stretches().end(),
+                           [](const auto& a, const auto& b) { return a.since < b.since; }));
+      for (const Duration when : {Duration{25s}, Duration{30s}, Duration{36s}, Duration{51s}}) {
+        if (when >= moved) CHECK(line.utc(Time{when - moved}) == UtcLine(all_at(0s)).utc(Time{when}));
+      }
+    }
+    // A line that does not bend there begins at 0, as those that are written in files do.
+    REQUIRE(UtcLine(all_at(15s)).stretches().size() == 3);
+    CHECK(UtcLine(all_at(15s)).stretches()[0].since == MonotonicTime{});
+    CHECK(UtcLine(std::vector{pair(-5s, at(0), 1ms)}).stretches()[0].since == MonotonicTime{});
+  }
 }
 
 namespace {

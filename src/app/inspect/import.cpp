@@ -1,6 +1,7 @@
 // rtdata import: makes a recording of somebody's table, so that it can be verified, read and exported as any other.
 #include <algorithm>
 #include <cctype>
+#include <cmath>
 #include <filesystem>
 #include <fstream>
 #include <memory>
@@ -116,15 +117,20 @@ Result<Found> look_at(const ImportOptions& options, const ImportNotation& notati
     const auto time = time_of(when, notation);
     if (!time) {
       double number = 0;
-      const bool is_beyond = is_number(when, notation.decimal, number);
-      const bool has_comma = options.decimal.empty() && is_number(when, ',', number);
+      const bool is_beyond = is_number(when, notation.decimal, number) && std::isfinite(number);
+      ImportNotation without_start = notation;
+      without_start.start = Time{};
+      const bool is_start = is_beyond && time_of(when, without_start);
+      const bool has_comma = options.decimal.empty() && when.find(',') != std::string::npos &&
+                             is_number(when, ',', number);
       const bool has_date = when.size() >= 10 && when[4] == '-' && when[7] == '-';
       return Error{Errc::bad_data, "cannot import", table.where(),
                    "\"" + detail::readable(when.substr(0, 64)) + "\" in column " + options.time_column + " is no time" +
                        (is_beyond  ? " that can be recorded, which are those from 1678 to 2261"
                         : has_date ? ": " + time.error().why
                                    : ""),
-                   is_beyond                                  ? "look at --scale" + scale_of(number)
+                   is_start                                   ? "look at --start"
+                   : is_beyond                                ? "look at --scale" + scale_of(number)
                    : has_comma                                ? "its numbers have decimal commas: write --decimal ,"
                    : has_date && !time.error().advice.empty() ? time.error().advice
                                                               : "a number, or a time as 2026-03-01T12:00:00Z"};

@@ -4,6 +4,7 @@
 #include <istream>
 #include <utility>
 
+#include "app/inspect/import_time.hpp"
 #include "data/utf8.hpp"
 
 namespace rtdata::app {
@@ -22,6 +23,8 @@ Result<bool> ImportRows::next(std::vector<detail::CsvCell>& cells) {
     row += line;
     row += '\n';
     if (line_ == 1 && row.starts_with(detail::byte_order_mark)) row.erase(0, detail::byte_order_mark.size());
+    if (line_ == 1 && (row.starts_with("\xff\xfe") || row.starts_with("\xfe\xff")))
+      return import_refused(path_, "it is UTF-16", "convert the file: iconv -f UTF-16 -t UTF-8 " + path_);
     if (row.size() > longest_row)
       return Error{Errc::bad_data, "cannot import", where(), "the row is longer than 1 MiB", ""};
     if (std::count(line.begin(), line.end(), '"') % 2 != 0) is_quoted = !is_quoted;

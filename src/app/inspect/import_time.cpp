@@ -63,7 +63,7 @@ bool is_number(const std::string& text, char decimal, double& number) {
 std::string scale_of(double number) {
   for (const auto& [scale, name] : {std::pair{1, "1ns"}, {1'000, "1us"}, {1'000'000, "1ms"}}) {
     const double seconds = number * scale / 1e9;
-    if (seconds < 631e6 || seconds > 4.1e9) continue;  // 1990 to 2099
+    if (!(seconds >= 631e6 && seconds <= 4.1e9)) continue;  // 1990 to 2099
     return std::string("; with --scale ") + name + " it is " +
            to_iso8601(Time{std::chrono::seconds{std::llround(seconds)}}).substr(0, 10);
   }

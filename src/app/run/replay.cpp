@@ -16,6 +16,7 @@
 #include "app/run/passing_time.hpp"
 #include "app/run/stop_signals.hpp"
 #include "loop/runtime/runtime_core.hpp"
+#include "loop/support/deadline.hpp"
 #include "rtdata/config/secret.hpp"
 #include "rtdata/config/system.hpp"
 #include "rtdata/loop/timer.hpp"
@@ -109,16 +110,29 @@ void give_clock(const Recording& recording, const RunInfo& run, Loop& loop) {
   }
 }
 
-/// The machine's, for a run in real time whose time of day is that of another.
+/// The machine's, for a run in real time whose time of day is that of another. As the two do not belong together, the
+/// run has a boot of its own: its pairs say nothing of what was recorded since this machine started.
 class RunClock final : public SystemClock {
  public:
-  explicit RunClock(Time realtime) : offset_(realtime.time_since_epoch() - monotonic().time_since_epoch()) {}
+  explicit RunClock(Time realtime) { set_realtime(realtime); }
   Time realtime() noexcept override { return Time{monotonic().time_since_epoch() + offset_}; }
+  std::string boot_id() override { return boot_.boot_id(); }
   std::optional<Duration> accuracy() noexcept override { return std::nullopt; }
+  void set_realtime(Time time) noexcept { offset_ = time.time_since_epoch() - monotonic().time_since_epoch(); }
 
  private:
-  const Duration offset_;
+  ManualClock boot_;
+  Duration offset_{0};
 };
+
+/// For a run in virtual time: both its lines begin as those of the run that was recorded.
+ManualClock clock_of(const RunInfo& run) {
+  const Duration since_boot = detail::difference(run.clock_offset, run.started.time_since_epoch());
+  if (since_boot <= Duration{0} || since_boot == Duration::max()) return ManualClock(run.started);
+  ManualClock clock(Time{run.clock_offset});
+  clock.pass(since_boot);
+  return clock;
+}
 
 /// As Loop::close does it. Senders have the machine's time for what is still to be sent.
 std::uint64_t close_in_virtual_time(Loop& loop) {
@@ -189,7 +203,7 @@ class ReplayRun {
  private:
   void give(const Recording& recording, const RunInfo& run, const SystemPlan* plan) {
     // Its line is that of the run, so that whoever asks for the time gets that at which it was recorded.
-    ManualClock clock(run.started);
+    ManualClock clock = clock_of(run);
     RunClock real_clock(run.started - std::chrono::seconds{1});  // while sinks are opened time passes
     Runtime::Config runtime_config = plan != nullptr ? plan->runtime_config() : Runtime::Config{};
     runtime_config.clock = options_.is_virtual ? static_cast<Clock*>(&clock) : &real_clock;
@@ -201,6 +215,7 @@ class ReplayRun {
                 << (record.level >= LogLevel::warning ? std::string(name_of_level(record.level)) + ": " : "")
                 << record.object << ": " << record.text << std::endl;
     });
+    runtime.core().clock_log.repeat_run();
     Loop loop(runtime, {.name = "replay"});
     std::optional<System> system;
     std::optional<ConsoleSink> console;
@@ -216,8 +231,10 @@ class ReplayRun {
     }
     give_clock(recording, run, loop);
     const Time utc = recording.utc_line(run.run).or_throw().utc(run.started);
-    if (options_.is_virtual && std::chrono::abs(utc - run.started) > std::chrono::milliseconds{1})
-      clock.set_realtime(utc);
+    if (const Duration moved = utc - run.started; std::chrono::abs(moved) > std::chrono::milliseconds{1}) {
+      clock.set_realtime(clock.realtime() + moved);
+      real_clock.set_realtime(real_clock.realtime() + moved);
+    }
     ReplayConfig config = options_.config;
     config.run = run.run;
     std::optional<Error> failed;

@@ -74,6 +74,7 @@ ClockPair ClockLog::read(const std::pair<MonotonicTime, Time>& both, const char*
 }
 
 bool ClockLog::look(const char* occasion) {
+  if (is_repeated()) return false;
   const auto both = clock_ == &manual_clock_ ? std::pair(manual_clock_.monotonic(), manual_clock_.realtime())
                                              : both_times(*clock_);
   const Duration offset = difference(both.first.time_since_epoch(), both.second.time_since_epoch());
@@ -157,11 +158,13 @@ void ClockLog::record(Source& source, const ClockPair& pair) {
   source.best = is_known ? std::min(source.best, pair.accuracy) : pair.accuracy;
   source.recorded = pair;
   source.latest = pair;
+  if (is_repeated()) return;
   for (Recorder* recorder : runtime_.recorders) recorder->on_clock(pair);
 }
 
 std::vector<ClockPair> ClockLog::pairs() {
   std::vector<ClockPair> pairs;
+  if (is_repeated()) return pairs;
   for (const Source& source : plugged_) pairs.push_back(source.latest);
   pairs.push_back(read("start"));
   return pairs;

@@ -1,6 +1,7 @@
 // The clock of a run: the monotonic line that events are timed on, and the record of the time of day against it.
 #pragma once
 
+#include <algorithm>
 #include <optional>
 #include <utility>
 #include <vector>
@@ -40,6 +41,16 @@ class ClockLog {
   /// clocks.
   ClockPair read(const char* occasion) noexcept;
   ClockPair read(const std::pair<MonotonicTime, Time>& both, const char* occasion) noexcept;
+  /// For a runtime that gives a recorded run again: what it has for a time of day tells nothing, and no pair of it is
+  /// recorded. Whoever gives the run again hands the pairs of the recording to the recorders.
+  void repeat_run() noexcept { repeated_until_ = Time::min(); }
+  bool is_repeated() const noexcept { return repeated_until_.has_value(); }
+  /// Of a run that is given again: up to here. Faster than it was recorded, it is ahead of the clock.
+  void is_repeated_until(Time time) noexcept {
+    if (repeated_until_ && time > *repeated_until_) repeated_until_ = time;
+  }
+  /// When a run ends that ends now.
+  Time end(MonotonicTime now) const noexcept { return std::max(time_of(now), repeated_until_.value_or(Time::min())); }
   /// For a recording that begins now: the pair now, and the last ones of other sources.
   std::vector<ClockPair> pairs();
 
@@ -61,6 +72,7 @@ class ClockLog {
   Duration offset_{0};
   ClockPair start_;
   Duration last_offset_{0};
+  std::optional<Time> repeated_until_;
   Source system_;
   std::vector<Source> plugged_;
 };

@@ -79,7 +79,7 @@ bool SinkNode::enqueue_account(SinkAccount::Part part) noexcept try {
          "the recording says that it does not know"});
     had_no_memory_ = false;
   }
-  const Time now = loop()->runtime.event_time(loop()->now());
+  const Time now = loop()->runtime.clock_log.end(loop()->now());
   const auto enqueued = account_.enqueue(part, now, loop()->deadlines.handled_until(), unknown_);
   is_account_due_ = false;
   had_no_news_ = part == SinkAccount::Part::first && !enqueued.is_something && !enqueued.has_more;

@@ -33,7 +33,8 @@ void SinkNode::begin_closing(MonotonicTime deadline) {
   life_ = Life::closing;
   account_.end();
   note([&] {
-    if (!account_.notes.has_end()) account_.notes.add(runtime.clock_log.read("end"));
+    if (!account_.notes.has_end() && !runtime.clock_log.is_repeated())
+      account_.notes.add(runtime.clock_log.read("end"));
   });
   account_.close_gaps();
   is_between_parts_ = false;

@@ -135,6 +135,7 @@ void ReplayNode::give(const ReplayPortion::Entry& entry) {
   Origin& origin = origins_[entry.origin];
   if (next_health_ < health_changes_.size()) give_health(entry.time);
   last_given_ = std::max(last_given_, from_nanoseconds(entry.time));
+  loop()->runtime.clock_log.is_repeated_until(last_given_);
   if (origin.core == nullptr) {
     ++counts_.refused;
   } else if (entry.sequence == 0) {

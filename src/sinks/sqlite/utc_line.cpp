@@ -89,6 +89,11 @@ UtcLine::UtcLine(std::span<const RecordedClock> pairs, Duration clock_offset) : 
       stretches_.push_back(stretch);
     }
   }
+  // In a copy, pairs of earlier runs are before 0: a line that bends there begins at the first of them.
+  if (stretches_.size() > 1 && stretches_[1].since < stretches_[0].since) {
+    stretches_[0].since = best.front().monotonic;
+    if (stretches_[1].since == stretches_[0].since) stretches_.erase(stretches_.begin());
+  }
 }
 
 Time UtcLine::utc(Time recorded) const noexcept {
