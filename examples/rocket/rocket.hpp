@@ -1,5 +1,5 @@
-// The rocket of rocket.json once more, in C++: it takes the topic "rocket" of its loop, from a sensor or a recording, and decides
-// as the machine "flight". What the numbers mean: docs/tutorial-rocket.md.
+// The rocket of rocket.json once more, in C++: it takes the topic "rocket" of its loop, from a sensor or a recording,
+// and decides as the machine "flight". What the numbers mean: docs/tutorial-rocket.md.
 #pragma once
 
 #include <algorithm>
@@ -124,8 +124,15 @@ class Felt {
 class Sensors {
  public:
   explicit Sensors(rtdata::Time start)
-      : now_(start), changed_(start), moved_(start), up_(start), above_5_(start), above_20_(start), above_50_(start),
-        whole_(start), spoke_(start) {}
+      : now_(start),
+        changed_(start),
+        moved_(start),
+        up_(start),
+        above_5_(start),
+        above_10_(start),
+        above_50_(start),
+        whole_(start),
+        spoke_(start) {}
 
   void take(rtdata::Time time, const Readings& readings) {
     now_ = time;
@@ -152,8 +159,8 @@ class Sensors {
   rtdata::Duration down() const { return now_ - up_; }      // it does not climb, or is silent
   // From 50 m/s to 5 in more than a second, as what flies freely: what is stuck, or wrong near Mach 1, stops at once.
   bool is_smooth() const { return !was_fast_ || above_5_ - above_50_ > 1s; }
-  // From 20 m/s to nothing takes 2 s in free fall.
-  bool is_free() const { return is_quiet() && was_above_20_ && now_ - above_20_ > 1200ms; }
+  // From 10 m/s to nothing takes 1 s in free fall.
+  bool is_free() const { return is_quiet() && was_above_10_ && now_ - above_10_ > 700ms; }
   // Less than a third of what it was: by what was felt, it may be at its apogee.
   bool is_slow() const { return !felt_.was_thrown() || felt_.speed() < felt_.top() / 3; }
   bool falls() const { return is_ready() && climb().mean() < -10; }
@@ -167,7 +174,8 @@ class Sensors {
     const double passed = seconds(now_ - spoke_);
     spoke_ = now_;
     // The middle one of three: a single wrong value is none.
-    const double altitude = rows_ < 2 ? raw : std::max(std::min(last_, raw), std::min(std::max(last_, raw), last_but_one_));
+    const double altitude = rows_ < 2 ? raw
+                                      : std::max(std::min(last_, raw), std::min(std::max(last_, raw), last_but_one_));
     last_but_one_ = std::exchange(last_, raw);
     ++rows_;
     since_change_ += passed;
@@ -194,15 +202,15 @@ class Sensors {
     if (!is_whole || (is_ready() && climb().now() > 5)) up_ = now_;
     if (!is_ready()) return;
     if (climb().now() > 50) was_fast_ = true, above_50_ = now_;
-    if (climb().now() > 20) was_above_20_ = true, above_20_ = now_;
+    if (climb().now() > 10) was_above_10_ = true, above_10_ = now_;
     if (climb().now() > 5) above_5_ = now_;
   }
 
   Climb quick_{1s}, slow_{4s}, long_{8s};
   Felt felt_;
   double noise_ = 0, best_ = 0, fastest_ = 0;
-  rtdata::Time now_, changed_, moved_, up_, above_5_, above_20_, above_50_, whole_, spoke_;
-  bool was_fast_ = false, was_above_20_ = false, has_ground_ = false;
+  rtdata::Time now_, changed_, moved_, up_, above_5_, above_10_, above_50_, whole_, spoke_;
+  bool was_fast_ = false, was_above_10_ = false, has_ground_ = false;
   double last_ = 0, last_but_one_ = 0, altitude_ = 0, step_ = 0, since_change_ = 0, smoothed_ = 0, ground_ = 0;
   std::size_t rows_ = 0;
 };
@@ -251,7 +259,9 @@ class Rocket {
  public:
   // `charge` sets the output of the parachute.
   Rocket(rtdata::Loop& loop, std::function<void(bool)> charge)
-      : sensors_(loop.time()), feed_(loop, {.name = "readings"}), flight_(loop, {.name = "flight", .start = "pad"}),
+      : sensors_(loop.time()),
+        feed_(loop, {.name = "readings"}),
+        flight_(loop, {.name = "flight", .start = "pad"}),
         rocket_(flight_, "readings", 1s) {
     // Numbers of any type, also where some are absent, as in an imported table with empty cells.
     source_ = loop.subscribe("rocket", [this](const rtdata::EventView& event) {
@@ -267,13 +277,14 @@ class Rocket {
 
  private:
   static double number_of(const rtdata::EventView& event, std::string_view field) {
-    constexpr double none = std::numeric_limits<double>::quiet_NaN();
     const rtdata::Leaf* const leaf = event.description().find(field);
-    if (leaf == nullptr) return none;
+    if (leaf == nullptr) return std::numeric_limits<double>::quiet_NaN();
     return std::visit(
         [](const auto& value) {
-          if constexpr (std::is_arithmetic_v<std::remove_cvref_t<decltype(value)>>) return double(value);
-          return none;
+          if constexpr (std::is_arithmetic_v<std::remove_cvref_t<decltype(value)>>)
+            return double(value);
+          else
+            return std::numeric_limits<double>::quiet_NaN();
         },
         event.value(*leaf));
   }
@@ -326,11 +337,12 @@ class Rocket {
     add({.from = "coast",
          .to = "apogee",
          .when = [&s] { return s.felt().was_thrown() && s.felt().speed() < 0 && s.down() > 2500ms; },
+         .hold = 1s,
+         .after = 3s,
          .cause = "apogee, without a barometer"});
     add({.from = "coast",
          .to = "apogee",
-         .when =
-             [&s] { return s.falls() && (s.is_smooth() || s.down() > 3s) && (s.is_free() || s.is_slow()); },
+         .when = [&s] { return s.falls() && (s.is_smooth() || s.down() > 3s) && (s.is_free() || s.is_slow()); },
          .hold = 300ms,
          .cause = "it falls"});
     add({.from = "coast",
@@ -342,8 +354,8 @@ class Rocket {
          .to = "apogee",
          .when =
              [&s] {
-               return s.is_ready() && s.climb().mean() < -2 && std::abs(s.felt().gained()) < 6 &&
-                      s.felt().was_thrown() && s.is_slow();
+               const bool sinks = (s.is_ready() && s.climb().mean() < -2) || s.down() > 2500ms;
+               return sinks && std::abs(s.felt().gained()) < 6 && s.felt().was_thrown() && s.is_slow();
              },
          .hold = 1s,
          .cause = "it hangs on something"});
@@ -354,7 +366,11 @@ class Rocket {
     add({.from = "apogee", .to = "descent", .after = 2s, .cause = "the parachute is out"});
     add({.from = "descent",
          .to = "landed",
-         .when = [&s] { return s.is_sink_known() && std::abs(s.sink()) < 2 && s.fastest() > 3 && (s.unchanged() < 2s || s.is_near_ground()); },
+         .when =
+             [&s] {
+               return s.is_sink_known() && std::abs(s.sink()) < 2 && s.fastest() > 3 &&
+                      (s.unchanged() < 2s || s.is_near_ground());
+             },
          .hold = 5s,
          .after = 10s,
          .cause = "landing"});

@@ -19,44 +19,44 @@ namespace rtdata::test {
 /// What is hard about a flight.
 enum class Trouble {
   none,
-  two_stages,       // the thrust pauses
-  tilted,           // 10 to 35 degrees from upright
-  noisy,            // 5 to 20 m of noise
-  lagging,          // the static port follows in 0.2 to 0.6 s
-  transonic,        // 100 to 500 m down, each time it passes Mach 1
-  ejection,         // pressure of the charge in the bay, 0.1 to 0.5 s
-  spikes,           // single values 100 m off, each 1 to 2 s
-  dead,             // no altitude, from a moment on
-  frozen,           // the same altitude, from a moment on
-  gaps,             // no rows for 2 s, once or each 6 to 12 s
-  saturated,        // the accelerometer ends at 2 to 8 g
-  biased,           // by up to 0.3 g
-  dragging,         // up to 5 g of drag after burnout
-  handled,          // dropped 10 cm, carried up a hill, taken up in a lift, gusts; and then it flies
-  waiting,          // 20 minutes of weather before it flies
-  hung,             // the motor chuffs, and burns seconds later
-  rebooted,         // the first row is in the boost
-  ballistic,        // nothing opens
-  mixed,            // some of these together, none of which takes a sensor away
-  stays,            // two hours of weather and hands on the pad, and no flight
+  two_stages,  // the thrust pauses
+  tilted,      // 10 to 35 degrees from upright
+  noisy,       // 5 to 20 m of noise
+  lagging,     // the static port follows in 0.2 to 0.6 s
+  transonic,   // 100 to 500 m down, each time it passes Mach 1
+  ejection,    // pressure of the charge in the bay, 0.1 to 0.5 s
+  spikes,      // single values 100 m off, each 1 to 2 s
+  dead,        // no altitude, from a moment on
+  frozen,      // the same altitude, from a moment on
+  gaps,        // no rows for 2 s, once or each 6 to 12 s
+  saturated,   // the accelerometer ends at 2 to 8 g
+  biased,      // by up to 0.3 g
+  dragging,    // up to 5 g of drag after burnout
+  handled,     // dropped 10 cm, carried up a hill, taken up in a lift, gusts; and then it flies
+  waiting,     // 20 minutes of weather before it flies
+  hung,        // the motor chuffs, and burns seconds later
+  rebooted,    // the first row is in the boost
+  ballistic,   // nothing opens
+  mixed,       // some of these together, none of which takes a sensor away
+  stays,       // two hours of weather and hands on the pad, and no flight
   count
 };
 
 inline const char* name_of(Trouble trouble) {
-  constexpr std::array names = {"none",   "two stages", "tilted",   "noisy",    "lagging",   "transonic", "ejection",
-                                "spikes", "dead",       "frozen",   "gaps",     "saturated", "biased",    "dragging",
-                                "handled", "waiting",   "hung",     "rebooted", "ballistic", "mixed",     "stays"};
+  constexpr std::array names = {"none",    "two stages", "tilted", "noisy",    "lagging",   "transonic", "ejection",
+                                "spikes",  "dead",       "frozen", "gaps",     "saturated", "biased",    "dragging",
+                                "handled", "waiting",    "hung",   "rebooted", "ballistic", "mixed",     "stays"};
   static_assert(names.size() == static_cast<std::size_t>(Trouble::count));
   return names[static_cast<std::size_t>(trouble)];
 }
 
 struct HardFlight : Flight {
   Trouble trouble = Trouble::none;
-  std::vector<double> speeds = {};      // m/s upwards, of each row, in truth
-  bool has_barometer = true;            // up to the apogee
-  double first_row = 0;                 // s
-  double gap_at_apogee = 0;             // s after it, when rows come again
-  double noise = 0;                     // m
+  std::vector<double> speeds = {};  // m/s upwards, of each row, in truth
+  bool has_barometer = true;        // up to the apogee
+  double first_row = 0;             // s
+  double gap_at_apogee = 0;         // s after it, when rows come again
+  double noise = 0;                 // m
   bool is_ejected = false;
 };
 
@@ -73,15 +73,15 @@ struct Chance {
 };
 
 struct Body {
-  double pad = 15;         // s
-  double peak = 8;         // g
-  double burn = 2;         // s
-  double pause = 0;        // s without thrust, in the middle
-  double drag = 2e-4;      // 1/m
-  double tilt = 0;         // rad from upright, of the rail
-  double fall = 20;        // m/s
-  double fall_below = 6;   // m/s, below 300 m
-  double opens = 1;        // s after the apogee
+  double pad = 15;        // s
+  double peak = 8;        // g
+  double burn = 2;        // s
+  double pause = 0;       // s without thrust, in the middle
+  double drag = 2e-4;     // 1/m
+  double tilt = 0;        // rad from upright, of the rail
+  double fall = 20;       // m/s
+  double fall_below = 6;  // m/s, below 300 m
+  double opens = 1;       // s after the apogee
   bool never_opens = false;
 };
 
@@ -210,7 +210,8 @@ inline HardFlight hard_flight(Trouble trouble, std::uint32_t seed) {
   const double step = chance.is(0.2) && !is(Trouble::handled) ? chance.between(0.1, 1) : 0;
   const double shake = chance.grows(0.01, 0.15);
   const bool is_blind = is(Trouble::dead) || is(Trouble::frozen);
-  const double bias = has(Trouble::biased, 0.3) || (is_blind && chance.is(0.3)) ? chance.between(-0.3, 0.3) : chance.between(-0.05, 0.05);
+  const double bias = has(Trouble::biased, 0.3) || (is_blind && chance.is(0.3)) ? chance.between(-0.3, 0.3)
+                                                                                : chance.between(-0.05, 0.05);
   const double most = has(Trouble::saturated, 0.2) ? chance.between(2, 8) : 50;
   const double dip = is_fast ? chance.between(100, 500) : 0;
   const double dip_length = chance.between(0.5, 2);
@@ -242,9 +243,9 @@ inline HardFlight hard_flight(Trouble trouble, std::uint32_t seed) {
 
   const double coast = flight.apogee - flight.burnout;
   const double dies = is(Trouble::dead) || is(Trouble::frozen)
-                          ? (chance.is(0.15) ? chance.between(0, flight.liftoff)
-                                             : chance.is(0.2) ? chance.between(flight.apogee, flight.landing)
-                                                              : chance.between(flight.liftoff, flight.apogee))
+                          ? (chance.is(0.15)  ? chance.between(0, flight.liftoff)
+                             : chance.is(0.2) ? chance.between(flight.apogee, flight.landing)
+                                              : chance.between(flight.liftoff, flight.apogee))
                           : 1e9;
   flight.has_barometer = dies > flight.apogee + 2;
   const bool has_gaps = is(Trouble::gaps);
@@ -270,14 +271,16 @@ inline HardFlight hard_flight(Trouble trouble, std::uint32_t seed) {
     // Carried up a hill for 40 s, then up in a lift for 12 s, and down again, each ten minutes or once.
     if (is_handled) {
       const double u = is(Trouble::stays) ? std::fmod(t, 600) : t;
-      height += hill_up * std::clamp(u - 8, 0.0, 40.0) * (is(Trouble::stays) ? 1 - std::clamp((u - 200) / 60, 0.0, 1.0) : 1);
-      height += lift_up * std::clamp(u - 55, 0.0, 12.0) * (is(Trouble::stays) ? 1 - std::clamp((u - 300) / 12, 0.0, 1.0) : 1);
+      height += hill_up * std::clamp(u - 8, 0.0, 40.0) *
+                (is(Trouble::stays) ? 1 - std::clamp((u - 200) / 60, 0.0, 1.0) : 1);
+      height += lift_up * std::clamp(u - 55, 0.0, 12.0) *
+                (is(Trouble::stays) ? 1 - std::clamp((u - 300) / 12, 0.0, 1.0) : 1);
       if (u > 8 && u < 48) felt += 0.25 * std::sin(2 * std::numbers::pi * 1.8 * t);
       if (u > 55 && u < 56) felt += lift_up / g;
       if (u > 66 && u < 67) felt -= lift_up / g;
-      if (u > 80 && u < 80.14) felt = 0;          // dropped 10 cm
-      if (u > 80.14 && u < 80.165) felt = 5;      // onto the table
-      if (u > 90 && u < 90.03) felt = 3;          // a knock
+      if (u > 80 && u < 80.14) felt = 0;      // dropped 10 cm
+      if (u > 80.14 && u < 80.165) felt = 5;  // onto the table
+      if (u > 90 && u < 90.03) felt = 3;      // a knock
     }
     if (chuff > 0 && t > chuff && t < chuff + 0.12) felt = 2.5;
     if (gust > 0) wind += -wind * dt / 1.5 + gust * std::sqrt(2 * dt / 1.5) * chance.normal();
@@ -345,7 +348,7 @@ inline std::string judged(const HardFlight& flight, const std::vector<Decision>&
   if (charge < flight.liftoff) return said("fires on the pad", off);
   if (off < -1 && speed > 15) return said("early", off);
   if (flight.has_barometer) {
-    const double late = std::max(flight.is_ejected ? 4.0 : 1.0, flight.gap_at_apogee);
+    const double late = std::max(flight.is_ejected ? 5.0 : 1.0, flight.gap_at_apogee);
     if (off < -1) return said("early and slow", off);
     if (off > late) return said("late", off);
   } else if (off > 3 + 0.35 * (flight.apogee - flight.liftoff)) {
@@ -353,7 +356,7 @@ inline std::string judged(const HardFlight& flight, const std::vector<Decision>&
   }
   const double true_liftoff = std::max(flight.liftoff, flight.first_row);
   double in_gap = 0.5;
-  if (flight.trouble == Trouble::gaps) in_gap = 3.5;
+  if (flight.trouble == Trouble::gaps) in_gap = 4.5;  // 2 s without rows, and then by the barometer
   if (liftoff < true_liftoff - 0.05 || liftoff > true_liftoff + in_gap) return said("liftoff", liftoff - true_liftoff);
   const double landed = first_to("landed");
   if (landed >= 0 && landed < flight.landing - 1) return said("landed in the air", landed - flight.landing);

@@ -1,8 +1,9 @@
-/// The rocket of examples/rocket in this process, in virtual time, without a recording: thousands of flights in minutes.
+/// The rocket of examples/rocket in this process, in virtual time, without a recording: thousands of flights in
+/// minutes.
 #pragma once
 
-#include <cmath>
 #include <chrono>
+#include <cmath>
 #include <optional>
 #include <string>
 #include <vector>
@@ -67,7 +68,8 @@ class JsonRocket {
       std::erase_if(part.uses, [](const PartUse& use) { return use.kind == "output"; });
   }
   std::vector<Decision> fly(const Flight& flight, std::vector<std::string>* errors = nullptr) const {
-    return flown(flight, [&](Loop& loop) { return std::make_unique<System>(loop, registry_, plan_); }, errors);
+    return flown(
+        flight, [&](Loop& loop) { return std::make_unique<System>(loop, registry_, plan_); }, errors);
   }
 
  private:

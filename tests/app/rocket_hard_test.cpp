@@ -18,8 +18,8 @@ using namespace rtdata::test;
 
 namespace {
 
-/// Two of each kind of trouble; or as many as "FIRST COUNT" in RTDATA_TEST_SEEDS says. Of those that stay on the pad for
-/// two hours there are fewer.
+/// Two of each kind of trouble; or as many as "FIRST COUNT" in RTDATA_TEST_SEEDS says. Of those that stay on the pad
+/// for two hours there are fewer.
 template <class Fly>
 void check_hard_flights(const Fly& fly) {
   std::uint32_t first = 1;
