@@ -20,8 +20,8 @@ constexpr Known by_state[] = {
     {"57014", {Errc::timed_out, "the server is too slow for `timeout`"}},
     {"57P", {Errc::disconnected, "it is tried again"}},
     {"08", {Errc::disconnected, "it is tried again"}},
-    {"23505", {Errc::busy,
-     "rows are there that rtdata_position does not know: was it changed, or is it of another time?"}},
+    {"23505",
+     {Errc::busy, "rows are there that rtdata_position does not know: was it changed, or is it of another time?"}},
     {"22012", {Errc::busy, "another program has sent events of this run meanwhile: the position is read again"}},
     {"42P01", {Errc::description_differs, "a table was dropped or renamed; it is looked for again"}},
     {"42703", {Errc::description_differs, "a column was dropped or renamed; give the table back its columns"}},
@@ -34,13 +34,17 @@ constexpr const char* tls_advice =
 
 /// By a part of the text, since libpq gives what it finds itself no code.
 constexpr Known by_text[] = {
-    {"does not support SSL", {Errc::not_permitted,
-     "set `ssl = on` in the server's postgresql.conf, or choose another `sslmode` in `url`: `prefer` sends in the clear "
-     "where the server has no TLS"}},
+    {"does not support SSL",
+     {Errc::not_permitted,
+      "set `ssl = on` in the server's postgresql.conf, or choose another `sslmode` in `url`: `prefer` sends in the "
+      "clear "
+      "where the server has no TLS"}},
     {"certificate verify failed", {Errc::not_permitted, tls_advice}},
-    {"does not match host name", {Errc::not_permitted,
-     "use the name that the certificate has, or have a certificate made for this one; `sslmode=verify-ca` does not look "
-     "at the name"}},
+    {"does not match host name",
+     {Errc::not_permitted,
+      "use the name that the certificate has, or have a certificate made for this one; `sslmode=verify-ca` does not "
+      "look "
+      "at the name"}},
     {"host name must be specified", {Errc::bad_argument, "name the server with `host`, or in `url`"}},
     {"root certificate file", {Errc::not_found, "give the authority's file as `sslrootcert` in `url`"}},
     {"certificate file", {Errc::not_permitted, "check the file `sslcert` of `url`"}},
