@@ -220,14 +220,14 @@ Result<void> SqliteWriter::write_rows(Batch& batch) {
     if (table == nullptr) continue;
     if (auto flushed = table->flush(); !flushed) return flushed;
   }
-  return {};
+  return new_views_.make(database_);
 }
 
 Result<TopicTable*> SqliteWriter::table_of(const Record& record) {
   const std::uint32_t number = record.info->topic_number;
   if (untaken_.contains(number)) return nullptr;
   if (auto done = database_.execute("SAVEPOINT topic"); !done) return std::move(done).error();
-  auto table = TopicTable::prepare(database_, *record.info, run_, escaped_, ranges_);
+  auto table = TopicTable::prepare(database_, *record.info, run_, escaped_, ranges_, new_views_);
   // What SQLite itself refuses (there is something else of that name) stays so; all else may get better.
   const bool is_refused = !table && (sqlite3_errcode(database_.raw()) == SQLITE_ERROR ||
                                      table.error().code == Errc::bad_description);
@@ -278,6 +278,7 @@ void SqliteWriter::committed() {
 }
 
 void SqliteWriter::rolled_back() {
+  new_views_.clear();
   positions_->rolled_back();
   ranges_.rolled_back(live_);
   sums_.rolled_back();

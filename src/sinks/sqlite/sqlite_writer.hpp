@@ -117,6 +117,7 @@ class SqliteWriter final : public RecordingWriter {
   std::vector<std::string> remarks_;
   detail::EscapedTexts escaped_;
   TopicTables tables_;
+  NewUtcViews new_views_;
   std::map<std::uint32_t, Error> untaken_;  // topics whose tables cannot be made
   Statement begin_;
   Statement commit_;
