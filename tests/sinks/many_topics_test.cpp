@@ -51,7 +51,9 @@ TEST_SUITE("sinks") {
     for (int i = 0; i <= topics; ++i) {
       const std::string view = "\"" + topic_of(i) + "~utc\"";
       CHECK(number(path, "SELECT count(*) FROM " + view + " WHERE utc LIKE '____-__-__T__:__:%Z' AND value = " +
-                             std::to_string(i)) == (i < 2 ? 3 : i < topics ? 2 : 1));
+                             std::to_string(i)) == (i < 2        ? 3
+                                                    : i < topics ? 2
+                                                                 : 1));
     }
     const auto database = sqlite::Database::open(path, sqlite::Database::Mode::read).or_throw();
     CHECK(database.prepare("PRAGMA integrity_check").or_throw().texts().or_throw() == std::vector<std::string>{"ok"});
@@ -80,6 +82,43 @@ TEST_SUITE("sinks") {
     CHECK(number(path, views) == topics);
     CHECK(loop.close() == 0);
     CHECK(number(path, "SELECT count(*) FROM \"plant/t0\"") == 3);
+    check_balanced(path);
+  }
+
+  TEST_CASE("FW-4 3000 topics that are new in one second: the first are committed while the others are being made") {
+    const Folder folder;
+    const std::string path = folder / "run.db";
+    constexpr int topics = 3000, refused = 700;
+    const std::string rows = "SELECT count(*) FROM \"" + topic_of(0) + "\"";
+    Loop loop{Loop::Manual{}};
+    loop.on_error([](const ErrorReport&) {});
+    SqliteSink sink(loop, {.path = path, .sink = {.retry_longest = 1s}});
+    loop.topic<Number>(topic_of(0)).publish({0});
+    loop.topic<Number>(topic_of(refused)).publish({0});
+    loop.advance(2s);
+    // Of this topic no row can be stored for now: what comes before it is stored, and not again later.
+    sql(path, "CREATE TRIGGER no AFTER INSERT ON \"" + topic_of(refused) + "\" BEGIN SELECT RAISE(ABORT, 'no'); END");
+    loop.topic<Number>(topic_of(0)).publish({0});
+    publish(loop, topics);
+    loop.advance(2s);
+    CHECK(sink.health() == Health::faulted);
+    CHECK(number(path, rows) == 3);
+    CHECK(number(path, views) == 2 + 600);
+    CHECK(number(path, "SELECT count(*) FROM rtdata_topic WHERE topic LIKE 'plant/%'") == 2 + 600);
+    CHECK(number(path, "SELECT count(*) FROM \"plant/t600\"") == 1);
+    publish(loop, 10);
+    loop.advance(2s);
+    CHECK(sink.health() == Health::faulted);
+    CHECK(number(path, rows) == 3);  // the same batch again
+    sql(path, "DROP TRIGGER no");
+    loop.advance(5s);
+    CHECK(sink.health() == Health::ok);
+    CHECK(sink.counts().stored == 3 + topics + 10);
+    CHECK(sink.counts().balances());
+    CHECK(loop.close() == 0);
+    CHECK(number(path, views) == topics);
+    CHECK(number(path, rows) == 4);
+    CHECK(number(path, "SELECT sum(stored) FROM rtdata_ledger") == 3 + topics + 10);
     check_balanced(path);
   }
 }
