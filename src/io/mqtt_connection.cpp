@@ -12,6 +12,7 @@
 #include <mutex>
 #include <system_error>
 
+#include "io/tls_session.hpp"
 #include "loop/core/loop_core.hpp"
 #include "loop/support/no_sigpipe.hpp"
 
@@ -51,8 +52,15 @@ static int password_of_key(char* to, int size, int, void* handle) {
   password.copy(to, password.size());
   return static_cast<int>(password.size());
 }
-static void on_log(mosquitto*, void* client, int level, const char* text) {
-  if (level == MOSQ_LOG_ERR) of(client).trouble = text;
+/// The library says which check failed here only; afterwards its session of TLS is gone.
+static void on_log(mosquitto* handle, void* client, int level, const char* text) {
+  if (level != MOSQ_LOG_ERR) return;
+  MqttClient& to = of(client);
+  to.trouble = text;
+  if (!to.verifies || to.distrust != 0) return;
+  // It compares the name itself.
+  const bool is_other_name = std::string_view(text).find("host name verification failed") != std::string_view::npos;
+  to.distrust = is_other_name ? other_host_name : verify_result_of(::mosquitto_ssl_get(handle));
 }
 }
 
@@ -86,9 +94,27 @@ MqttClient::~MqttClient() {
 }
 
 std::string MqttClient::reason(int status) const {
+  if (status == MOSQ_ERR_TLS && distrust != 0) return "certificate verify failed: " + text_of_verify_result(distrust);
   std::string text = status == MOSQ_ERR_ERRNO ? std::generic_category().message(errno) : ::mosquitto_strerror(status);
   while (text.ends_with('.')) text.pop_back();
   return trouble.empty() ? text : text + " (" + trouble + ")";
+}
+
+Error MqttClient::failure(int status, bool is_connected) const {
+  Error error{Errc::disconnected, is_connected ? "lost the connection" : "cannot connect", "", reason(status),
+              "it is connected to again"};
+  if (status == MOSQ_ERR_TLS && distrust != 0) {
+    error.code = Errc::not_permitted;
+    error.advice = advice_on_certificate(distrust, "host");
+  } else if (status == MOSQ_ERR_TLS && !is_connected) {
+    error.advice =
+        "does the broker speak TLS at this port? It may also want a client certificate (`tls.certificate`), or not "
+        "trust "
+        "that";
+  } else if (status == MOSQ_ERR_CONN_LOST && !is_connected && !is_encrypted) {
+    error.advice = "it is connected to again; if this port is one of TLS, set `tls`";
+  }
+  return error;
 }
 
 std::uint16_t port_of(const MqttBroker& broker) noexcept {
@@ -129,6 +155,8 @@ int connect_client(MqttClient& client, const MqttBroker& broker, const MqttOptio
   if (done == MOSQ_ERR_SUCCESS && broker.tls) {
     const TlsConfig& tls = *broker.tls;
     client.key_password = tls.key_password;
+    client.is_encrypted = true;
+    client.verifies = tls.verify;
     if (tls.ca_file.empty()) ::mosquitto_int_option(handle, MOSQ_OPT_TLS_USE_OS_CERTS, 1);
     if (!tls.ca_file.empty() || !tls.certificate.empty())
       done = ::mosquitto_tls_set(handle, or_null(tls.ca_file), tls.ca_file.empty() ? "/etc/ssl/certs" : nullptr,
@@ -243,7 +271,7 @@ class MqttConnecting final : public LaneJob {
     try {
       const NoSigpipe guard;
       status = connect_client(*client, broker_, options_, is_v5_);
-      if (status != MOSQ_ERR_SUCCESS) why = client->reason(status);
+      if (status != MOSQ_ERR_SUCCESS) why = client->failure(status, false);
     } catch (...) {
       status = MOSQ_ERR_NOMEM;
     }
@@ -256,7 +284,7 @@ class MqttConnecting final : public LaneJob {
 
   std::shared_ptr<MqttClient> client;
   int status = MOSQ_ERR_SUCCESS;
-  std::string why;
+  Error why;
 
  private:
   const MqttBroker broker_;  // copies: the job may outlive its owner
@@ -303,7 +331,7 @@ void MqttConnection::connecting_ended(MqttConnecting& job, LaneJob::Outcome outc
   if (outcome == LaneJob::Outcome::cancelled) return;
   if (outcome == LaneJob::Outcome::given_up)
     return fail(Errc::timed_out, "cannot connect", "no connection in " + to_string(broker_.connect_timeout));
-  if (job.status != MOSQ_ERR_SUCCESS) return fail(Errc::disconnected, "cannot connect", job.why);
+  if (job.status != MOSQ_ERR_SUCCESS) return fail(std::move(job.why));
   client_ = std::move(job.client);
   // A descriptor of our own: the library closes its as it likes, and a watched one must not be closed.
   const int fd = ::fcntl(::mosquitto_socket(client_->handle), F_DUPFD_CLOEXEC, 3);
@@ -393,9 +421,10 @@ bool MqttConnection::take_answer(int status) {
     return try_older();
   if (!is_connected_ && broker_.version == MqttVersion::newest) is_v5_ = true;
   const auto goodbye = std::exchange(client_->goodbye, {});
-  const std::string why = goodbye && *goodbye >= 0x80 ? ::mosquitto_reason_string(*goodbye) : client_->reason(status);
+  Error error = client_->failure(status, is_connected_);
+  if (goodbye && *goodbye >= 0x80) error.why = ::mosquitto_reason_string(*goodbye);
   if (is_connected_) has_tried_older_ = false;
-  fail(Errc::disconnected, is_connected_ ? "lost the connection" : "cannot connect", why);
+  fail(std::move(error));
   return false;
 }
 
@@ -407,8 +436,13 @@ bool MqttConnection::try_older() {
 }
 
 void MqttConnection::fail(Errc code, const char* failed, std::string why, const char* advice) {
+  fail({code, failed, "", std::move(why), advice});
+}
+
+void MqttConnection::fail(Error error) {
+  error.where = peer();
   drop();
-  lost({code, failed, peer(), std::move(why), advice});
+  lost(error);
 }
 
 void MqttConnection::drop() {

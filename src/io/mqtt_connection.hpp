@@ -34,6 +34,9 @@ struct MqttClient {
   std::vector<Message> messages;               // that came; the first `arrived` of them, the others keep their memory
   std::size_t arrived = 0;
   std::string trouble;  // what the library says of it
+  bool is_encrypted = false;
+  bool verifies = false;  // the broker's certificate
+  long distrust = 0;      // what is wrong with that: X509_V_ERR_...
   std::string key_password;
 
   MqttClient() = default;
@@ -41,6 +44,8 @@ struct MqttClient {
   MqttClient& operator=(const MqttClient&) = delete;
   ~MqttClient();
   std::string reason(int status) const;
+  /// Why there is no connection, after a call of the library that failed.
+  Error failure(int status, bool is_connected) const;
 };
 
 /// How the broker is to take it.
@@ -109,6 +114,8 @@ class MqttConnection : public std::enable_shared_from_this<MqttConnection> {
   /// Calls the library for whatever there is to do, and takes what came of it. Answers bring new parcels: then again.
   void work();
   void fail(Errc code, const char* failed, std::string why, const char* advice = "it is connected to again");
+  /// `where` is filled in.
+  void fail(Error error);
   void drop();
   /// With a word of goodbye.
   void leave();

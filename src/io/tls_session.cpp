@@ -18,7 +18,7 @@ std::string advice_on_certificate(long verified, const std::string& key) {
       return "the server's certificate is over: have it renewed there; or this machine's clock is wrong (`date`)";
     case 9:  // ..._CERT_NOT_YET_VALID
       return "the server's certificate is not valid yet: most probably this machine's clock is wrong (`date`)";
-    case 62:  // ..._HOSTNAME_MISMATCH
+    case other_host_name:
     case 64:  // ..._IP_ADDRESS_MISMATCH
       return "the server's certificate is for another name: use that name in `" + key +
              "`, or have the certificate made for this one";
@@ -62,6 +62,11 @@ struct Deleter {
 };
 
 }  // namespace
+
+long verify_result_of(void* ssl) noexcept {
+  return ssl == nullptr ? X509_V_OK : SSL_get_verify_result(static_cast<const SSL*>(ssl));
+}
+std::string text_of_verify_result(long verified) { return X509_verify_cert_error_string(verified); }
 
 bool has_tls() noexcept { return true; }
 
@@ -151,7 +156,7 @@ TlsSession::State TlsSession::failed(int result) {
   const std::string reason = last_reason();
   const long verified = SSL_get_verify_result(ssl);
   if (context_->impl_->is_verified && verified != X509_V_OK) {
-    error_ = {Errc::not_permitted, "cannot trust the server", "", X509_verify_cert_error_string(verified),
+    error_ = {Errc::not_permitted, "cannot trust the server", "", text_of_verify_result(verified),
               advice_on_certificate(verified, "host")};
   } else {
     error_ = {Errc::io_failed, "the encrypted connection failed", "",
@@ -213,6 +218,9 @@ void TlsSession::sent(std::size_t bytes) {
 }
 
 #else
+
+long verify_result_of(void*) noexcept { return 0; }
+std::string text_of_verify_result(long) { return "it is not trusted"; }
 
 bool has_tls() noexcept { return false; }
 

@@ -15,6 +15,13 @@ namespace rtdata::detail {
 /// the parameter that has the server's name.
 std::string advice_on_certificate(long verified, const std::string& key);
 
+/// What OpenSSL has found wrong with the peer's certificate in a session that another library keeps (`ssl`: its SSL*);
+/// 0: nothing, or this library was built without OpenSSL.
+long verify_result_of(void* ssl) noexcept;
+/// For people.
+std::string text_of_verify_result(long verified);
+constexpr long other_host_name = 62;  // X509_V_ERR_HOSTNAME_MISMATCH
+
 /// Whether this library was built with OpenSSL.
 bool has_tls() noexcept;
 

@@ -483,6 +483,58 @@ TEST_SUITE("sinks") {
     }
   }
 
+  TEST_CASE("US-32 with TLS it is told which check of the broker's certificate failed, and what to do") {
+    NEEDS_BROKER();
+    NEEDS_PROGRAM(openssl);
+    const Certificates& certificates = Certificates::all();
+    const struct {
+      const char* certificate;
+      bool knows_authority;
+      const char *why, *advice;
+    } cases[] = {{"expired", true, "certificate has expired", "have it renewed"},
+                 {"self", true, "self-signed certificate", "nobody vouches for the server's certificate but itself"},
+                 {"right", false, "unable to get local issuer certificate", "does not trust who has signed"},
+                 {"other", true, "hostname mismatch", "for another name: use that name in `host`"}};
+    for (const auto& one : cases) {
+      CAPTURE(one.certificate);
+      const auto files = certificates.of(one.certificate);
+      Broker broker("allow_anonymous true\ncertfile " + files[0] + "\nkeyfile " + files[1] + "\n");
+      Bench bench;
+      MqttSink sink(
+          bench.loop,
+          bench.to(broker.port(), {.tls = TlsConfig{.ca_file = one.knows_authority ? certificates / "ca.pem" : ""}}));
+      bench.publish(3);
+      CHECK(bench.wait_for([&] { return sink.health() == Health::faulted && !bench.errors.empty(); }));
+      REQUIRE_FALSE(bench.errors.empty());
+      CHECK(bench.has_error("certificate verify failed"));
+      CHECK_MESSAGE(bench.has_error(one.why), bench.errors.front());
+      CHECK_MESSAGE(bench.has_error(one.advice), bench.errors.front());
+      CHECK(sink.counts().queued == 3);
+    }
+  }
+
+  TEST_CASE("US-32 TLS at a port that speaks none, and none at one of TLS: each is told") {
+    NEEDS_BROKER();
+    NEEDS_PROGRAM(openssl);
+    const auto files = Certificates::all().of("right");
+    for (const bool is_encrypted : {true, false}) {
+      CAPTURE(is_encrypted);
+      const std::string more = is_encrypted ? "certfile " + files[0] + "\nkeyfile " + files[1] + "\n" : "";
+      Broker broker("allow_anonymous true\n" + more);
+      MqttConfig config;
+      if (!is_encrypted) config.tls = TlsConfig{};
+      Bench bench;
+      MqttSink sink(bench.loop, bench.to(broker.port(), config));
+      bench.publish(3);
+      CHECK(bench.wait_for([&] { return sink.health() == Health::faulted && !bench.errors.empty(); }));
+      REQUIRE_FALSE(bench.errors.empty());
+      CHECK_MESSAGE(bench.has_error(is_encrypted ? "if this port is one of TLS, set `tls`"
+                                                 : "does the broker speak TLS at this port?"),
+                    bench.errors.front());
+      CHECK(sink.counts().queued == 3);
+    }
+  }
+
   TEST_CASE("US-32 with TLS this machine proves who it is where the broker asks for it, with a password on its key") {
     NEEDS_BROKER();
     NEEDS_PROGRAM(openssl);

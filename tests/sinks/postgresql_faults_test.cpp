@@ -7,6 +7,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <csignal>
 #include <thread>
 #include <utility>
 
@@ -15,6 +16,7 @@
 #include "rtdata/sinks/postgresql.hpp"
 #include "rtdata/sinks/postgresql_recording.hpp"
 #include "sensors/fake_gpsd.hpp"
+#include "sinks/certificates.hpp"
 #include "sinks/postgresql_server.hpp"
 #include "sinks/recordings.hpp"
 
@@ -44,6 +46,7 @@ struct Node {
   void publish(int number, const std::string& topic = "plant/number") {
     for (int i = 0; i < number; ++i) loop.topic<Number>(topic).publish({++count});
   }
+  std::string last_error() const { return errors.empty() ? "" : errors.back(); }
   std::vector<std::string> errors;
   std::int64_t count = 0;
   Loop loop{Loop::Manual{}};
@@ -175,6 +178,78 @@ TEST_SUITE("sinks") {
       CHECK(server.number(database, "SELECT count(DISTINCT (run, origin, sequence)) FROM \"plant/number\"") == 200);
       CHECK(verify_server({.url = server.url(database)}).or_throw().exit_code() == 0);
     }
+  }
+
+  TEST_CASE("FW-4 a server without TLS where the configuration asks for it is a mistake that is told at once") {
+    SERVER_OR_SKIP(server);
+    const std::string database = server.make_database();
+    const recordings::Folder folder;
+    Line line(server);  // a server behind a socket of the file system has no TLS
+    std::string url = line.url(database);
+    url.replace(url.find("sslmode=disable"), 15, "sslmode=require");
+    {
+      Node node(folder / "run.db", {.url = url, .timeout = 5s});
+      node.publish(20);
+      node.loop.advance(3s);
+      CHECK(node.sink.health() == Health::faulted);
+      REQUIRE_FALSE(node.errors.empty());
+      CHECK_MESSAGE(node.errors.front().find("server does not support SSL") != std::string::npos, node.errors.front());
+      CHECK_MESSAGE(node.last_error().find("`ssl = on`") != std::string::npos, node.last_error());
+      CHECK_MESSAGE(node.last_error().find("`sslmode` in `url`") != std::string::npos, node.last_error());
+      CHECK(node.last_error().find("until the server is there") == std::string::npos);
+      CHECK(node.sink.counts().queued == 20);
+      node.loop.close(2s);
+    }
+    Node right(folder / "run.db", {.url = line.url(database), .timeout = 5s});
+    right.loop.advance(5s);
+    CHECK(right.loop.close(5s) == 0);
+    CHECK(server.number(database, "SELECT count(*) FROM \"plant/number\"") == 20);
+  }
+
+  TEST_CASE("FW-4 TLS of a server: a certificate that is over, of itself, for another name: each says what to change") {
+    SERVER_OR_SKIP(server);
+    NEEDS_PROGRAM(sinks::openssl);
+    const std::string database = server.make_database();
+    const sinks::Certificates& certificates = sinks::Certificates::all();
+    const std::string ca = certificates / "ca.pem";
+    const struct {
+      const char *certificate, *mode;
+      std::string authority;
+      const char *why, *advice;
+    } cases[] = {{"right", "verify-full", ca, "", ""},
+                 {"right", "verify-full", certificates / "none.pem", "does not exist", "`sslrootcert`"},
+                 {"expired", "verify-ca", ca, "certificate verify failed", "`date`"},
+                 {"self", "verify-ca", ca, "certificate verify failed", "`sslrootcert`"},
+                 {"other", "verify-full", ca, "does not match host name", "use the name"},
+                 {"other", "verify-ca", ca, "", ""}};
+    std::int64_t stored = 0;
+    for (const auto& one : cases) {
+      CAPTURE(one.certificate);
+      CAPTURE(one.mode);
+      const std::string port = std::to_string(FakeGpsd().port());  // free again
+      server.start_with_tls(port, certificates / (std::string(one.certificate) + ".pem"),
+                            certificates / (std::string(one.certificate) + ".key"));
+      const recordings::Folder folder;
+      Node node(folder / "run.db", {.url = "postgresql://rt@127.0.0.1:" + port + "/" + database +
+                                           "?sslmode=" + one.mode + "&sslrootcert=" + one.authority,
+                                    .timeout = 10s});
+      node.publish(10);
+      node.loop.advance(3s);
+      if (std::string(one.why).empty()) {
+        CHECK_MESSAGE(node.sink.health() == Health::ok, node.last_error());
+        CHECK(node.sink.counts().stored == 10);
+        stored += 10;
+      } else {
+        CHECK(node.sink.health() == Health::faulted);
+        CHECK_MESSAGE(node.last_error().find(one.why) != std::string::npos, node.last_error());
+        CHECK_MESSAGE(node.last_error().find(one.advice) != std::string::npos, node.last_error());
+        CHECK(node.sink.counts().queued == 10);
+      }
+      node.loop.close(2s);
+    }
+    server.stop(SIGINT);
+    server.start();
+    CHECK(server.number(database, "SELECT count(*) FROM \"plant/number\"") == stored);
   }
 
   TEST_CASE("FW-4 a table that is divided by time, as TimescaleDB does it, takes the rows and proves to be whole") {

@@ -113,10 +113,31 @@ pid_t PostgresqlServer::spawn(const std::vector<std::string>& arguments) const {
   ::_exit(127);
 }
 
-void PostgresqlServer::start() {
+void PostgresqlServer::start() { start({"listen_addresses="}); }
+
+void PostgresqlServer::start_with_tls(const std::string& port, const std::string& certificate, const std::string& key) {
+  stop(SIGINT);
+  const std::string own = folder_ + "/server.key";  // which the server wants to be of its user alone
+  std::filesystem::copy_file(key, own, std::filesystem::copy_options::overwrite_existing);
+  std::filesystem::permissions(own, std::filesystem::perms::owner_read);
+  std::filesystem::copy_file(certificate, folder_ + "/server.pem", std::filesystem::copy_options::overwrite_existing);
+  if (::getuid() == 0 &&
+      (::chown(own.c_str(), user_, group_) != 0 || ::chown((folder_ + "/server.pem").c_str(), user_, group_) != 0))
+    throw std::runtime_error("cannot chown");
+  start({"listen_addresses=127.0.0.1", "port=" + port, "ssl=on", "ssl_cert_file=" + folder_ + "/server.pem",
+         "ssl_key_file=" + own});
+}
+
+void PostgresqlServer::start(const std::vector<std::string>& settings) {
   if (is_running()) return;
-  pid_ = spawn({programs_ + "/postgres", "-D", folder_ + "/data", "-k", folder_, "-c", "listen_addresses=", "-c",
-                "fsync=off", "-c", "shared_buffers=16MB"});
+  std::vector<std::string> arguments{programs_ + "/postgres", "-D", folder_ + "/data", "-k", folder_};
+  port_ = "5432";
+  for (const std::string& setting : settings) {
+    if (setting.starts_with("port=")) port_ = setting.substr(5);
+    arguments.insert(arguments.end(), {"-c", setting});
+  }
+  for (const char* setting : {"fsync=off", "shared_buffers=16MB"}) arguments.insert(arguments.end(), {"-c", setting});
+  pid_ = spawn(arguments);
   for (int i = 0; i < 3000; ++i) {
     if (PQping(url("postgres").c_str()) == PQPING_OK) return;
     if (::waitpid(pid_, nullptr, WNOHANG) == pid_) break;
@@ -156,7 +177,7 @@ void PostgresqlServer::thaw() {
 }
 
 std::string PostgresqlServer::url(const std::string& database) const {
-  return "postgresql://rt@/" + database + "?host=" + folder_;
+  return "postgresql://rt@/" + database + "?host=" + folder_ + "&port=" + port_;
 }
 
 std::string PostgresqlServer::make_database(const std::string& options) {

@@ -5,6 +5,7 @@
 
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "sinks/sink_kinds.hpp"
 
@@ -23,6 +24,8 @@ class PostgresqlServer {
   PostgresqlServer& operator=(const PostgresqlServer&) = delete;
 
   void start();
+  /// Anew, with TLS at a port of this machine until the next start: with the certificate and the key of these files.
+  void start_with_tls(const std::string& port, const std::string& certificate, const std::string& key);
   /// By a signal: SIGQUIT at once, as a crash; SIGINT in order.
   void stop(int signal);
   bool is_running() const noexcept { return pid_ > 0; }
@@ -44,12 +47,14 @@ class PostgresqlServer {
 
  private:
   PostgresqlServer(std::string programs, uid_t user, gid_t group);
+  void start(const std::vector<std::string>& settings);
   pid_t spawn(const std::vector<std::string>& arguments) const;
 
   std::string programs_, folder_;
   uid_t user_;
   gid_t group_;
   pid_t pid_ = -1;
+  std::string port_ = "5432";  // that its socket is named after
   int databases_ = 0;
 };
 

@@ -6,6 +6,7 @@
 #include <optional>
 
 #include "app/core/amounts.hpp"
+#include "app/run/peer_form.hpp"
 #include "sinks/sqlite/recording_file.hpp"
 
 namespace rtdata::app {
@@ -82,12 +83,11 @@ std::optional<ConfigItem> recorded_sink(const Recording& recording, const std::s
 /// The key by which the peers of the two differ; empty: by none that is known. What is secret is not compared.
 std::string different_key(const ConfigItem& before, const ConfigItem& now) {
   for (const char* key : peer_keys) {
-    const std::string was = text_of(before, key), is = text_of(now, key);
     const bool is_hidden = [&] {
       const ConfigItem* const child = before.find(key);
-      return (child != nullptr && child->is_object()) || was.find("(secret)") != std::string::npos;
+      return (child != nullptr && child->is_object()) || text_of(before, key).find("(secret)") != std::string::npos;
     }();
-    if (!is_hidden && was != is) return key;
+    if (!is_hidden && peer_form(before, key) != peer_form(now, key)) return key;
   }
   return "";
 }

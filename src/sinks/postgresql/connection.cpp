@@ -10,6 +10,7 @@
 #include <utility>
 
 #include "data/hidden.hpp"
+#include "sinks/postgresql/meanings.hpp"
 
 namespace rtdata::postgresql {
 namespace {
@@ -59,37 +60,6 @@ std::string take_state(std::string& text) {
   }
   if (const auto place = text.find("; LOCATION:"); place != std::string::npos) text.erase(place);
   return state;
-}
-
-struct Meaning {
-  const char* state;  // or its beginning
-  Errc code;
-  const char* advice;
-};
-constexpr Meaning meanings[] = {
-    {"28", Errc::not_permitted, "check `user` and `password`, or pg_hba.conf of the server"},
-    {"3D000", Errc::not_found, "check `database`, or make it: createdb"},
-    {"42501", Errc::not_permitted, "grant the user CREATE and USAGE on the schema, and INSERT on the tables"},
-    {"25006", Errc::not_permitted, "the server is read only (a standby?): name one that can be written to"},
-    {"53100", Errc::storage_full, "make room on the server; events wait until then"},
-    {"53300", Errc::busy, "the server has too many clients: raise max_connections"},
-    {"55P03", Errc::busy, "another client holds a lock on the table: see pg_locks on the server"},
-    {"57014", Errc::timed_out, "the server is too slow for `timeout`"},
-    {"57P", Errc::disconnected, "it is tried again"},
-    {"08", Errc::disconnected, "it is tried again"},
-    {"23505", Errc::busy,
-     "rows are there that rtdata_position does not know: was it changed, or is it of another time?"},
-    {"22012", Errc::busy, "another program has sent events of this run meanwhile: the position is read again"},
-    {"42P01", Errc::description_differs, "a table was dropped or renamed; it is looked for again"},
-    {"42703", Errc::description_differs, "a column was dropped or renamed; give the table back its columns"},
-    {"42804", Errc::description_differs, "a column has another type; give the table back its columns"},
-};
-
-Meaning meaning_of(std::string_view state) {
-  for (const Meaning& one : meanings) {
-    if (state.starts_with(one.state)) return one;
-  }
-  return {"", Errc::io_failed, ""};
 }
 
 std::string milliseconds(Duration duration) {
@@ -206,10 +176,8 @@ Result<Connection> Connection::open(const Address& address) {
     if (PQstatus(connection) == CONNECTION_BAD || status == PGRES_POLLING_FAILED) {
       std::string why = one_line(PQerrorMessage(connection));
       const std::string state = take_state(why);
-      const Meaning meaning = meaning_of(state);
-      const bool is_away = state.empty();
-      return refuse({is_away ? Errc::disconnected : meaning.code, "cannot connect", made.where_, std::move(why),
-                     is_away ? "events wait until the server is there" : meaning.advice});
+      const Meaning meaning = state.empty() ? meaning_of_text(why) : meaning_of(state);
+      return refuse({meaning.code, "cannot connect", made.where_, std::move(why), meaning.advice});
     }
     if (auto ready = made.wait(status == PGRES_POLLING_READING ? POLLIN : POLLOUT, until); !ready) {
       Error error = std::move(ready).error();

@@ -381,8 +381,10 @@ Result<void> Download::copy_rows(const Run& run, const Topic& topic) {
       position->table = topic.table;
     }
     if (!table) {
-      auto made = sqlite::TopicTable::prepare(database_, *slots.back(), run.run, escaped, ranges);
+      sqlite::NewUtcViews views;
+      auto made = sqlite::TopicTable::prepare(database_, *slots.back(), run.run, escaped, ranges, views);
       if (!made) return std::move(made).error();
+      if (auto viewed = views.make(database_); !viewed) return viewed;
       table.emplace(std::move(*made));
     }
     const auto sequence = load_big<std::uint64_t>(reply.text(0, 4).data());

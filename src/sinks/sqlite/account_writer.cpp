@@ -76,7 +76,8 @@ Result<void> AccountWriter::prepare(Database& database, std::int64_t run, const 
 
 Result<void> AccountWriter::write_slots(const Batch& batch, const TopicTables& tables) {
   // Each origin has its place in the ledger before it has rows: sealing finds its live counts by the slot.
-  for (std::uint32_t i = known_slots_; i < batch.slots(); ++i) {
+  slots_in_transaction_ = static_cast<std::uint32_t>(batch.slots());  // the loop adds more meanwhile
+  for (std::uint32_t i = known_slots_; i < slots_in_transaction_; ++i) {
     const SlotInfo& slot = batch.slot(i);
     slot_.bind(1, run_).bind(2, slot.topic).bind(3, slot.origin).bind(4, std::int64_t{i});
     slot_.bind(5, last_row_of(slot, tables));
@@ -234,7 +235,6 @@ Result<void> AccountWriter::write_gap(std::uint32_t number, const SlotInfo& slot
 }
 
 void AccountWriter::committed(const Batch& batch) noexcept {
-  known_slots_ = static_cast<std::uint32_t>(batch.slots());
   if (batch.account() != nullptr) grown_gaps_.swap(next_gaps_);
 }
 

@@ -16,8 +16,8 @@ namespace rtdata::sqlite {
 
 using TopicTables = std::vector<std::unique_ptr<TopicTable>>;  // by topic number; null: it has none yet
 
-/// All but `prepare`, `committed` and `close` belong into a transaction, of which the caller says when it has
-/// committed; of one that is rolled back nothing is left here.
+/// All but `prepare`, `slots_committed`, `committed` and `close` belong into a transaction, of which the caller says
+/// when it has committed; of one that is rolled back nothing is left here.
 class AccountWriter {
  public:
   /// The statements, as far as they are not there. `database` outlives them, see `close`.
@@ -27,6 +27,9 @@ class AccountWriter {
   Result<void> write(const Batch& batch, const Account& account, const TopicTables& tables);
   /// How many texts of a batch were no UTF-8.
   Result<void> write_escaped(const Batch& batch, const detail::EscapedTexts& escaped);
+  /// What `write_slots` has written is committed; of the batch, more may follow.
+  void slots_committed() noexcept { known_slots_ = slots_in_transaction_; }
+  /// All of the batch is.
   void committed(const Batch& batch) noexcept;
   /// Lets go of the database.
   void close() noexcept;
@@ -51,8 +54,9 @@ class AccountWriter {
   // Gaps under way that the recording has, by slot: when they began, and their rows.
   using GrownGaps = std::unordered_map<std::uint32_t, std::pair<Time, std::int64_t>>;
   GrownGaps grown_gaps_;
-  GrownGaps next_gaps_;            // as the transaction under way leaves them
-  std::uint32_t known_slots_ = 0;  // those that are in the ledger
+  GrownGaps next_gaps_;                     // as the transaction under way leaves them
+  std::uint32_t known_slots_ = 0;           // those that are in the ledger
+  std::uint32_t slots_in_transaction_ = 0;  // the same, once the transaction under way is committed
 };
 
 }  // namespace rtdata::sqlite

@@ -13,6 +13,7 @@ constexpr std::size_t batch_bytes = std::size_t{1} << 20;
 constexpr std::uint64_t account_events = 5000;
 constexpr Duration account_interval = std::chrono::seconds{30};
 constexpr Duration account_interval_of_card = std::chrono::seconds{60};
+constexpr std::size_t most_new_tables = 200;  // in a transaction: SQLite takes the longer for each, the more there are
 
 }  // namespace
 
@@ -134,33 +135,53 @@ Result<void> SqliteWriter::write(Batch& batch) {
     return Error{Errc::closed, "recording has ended", config_.path, "the file was deleted or moved",
                  "leave it where it is while it is recorded into; start again"};
   }
-  // Before the batch, not after it: what fails here must not make it come again when it is stored already.
+  auto next = batch.begin();
+  // The batch comes again, after a part of it was stored.
+  for (std::size_t row = 0; row < stored_rows_; ++row, ++next) {
+    const Record record = *next;
+    if (const auto refused = untaken_.find(record.info->topic_number); refused != untaken_.end())
+      batch.refuse_topic(record, refused->second);
+  }
+  do {
+    if (auto done = write_part(batch, next); !done) return done;
+  } while (next != batch.end());
+  stored_rows_ = 0;
+  account_.committed(batch);
+  if (batch.account() != nullptr) now_ = std::max(now_, batch.account()->at);
+  // It is stored: whatever happens from here on, it must not come again.
+  try {
+    look_at_space();
+    if (batch.account() != nullptr && !has_told_of_live_file_ && live_.lacks_room()) tell_of_live_file(live_.no_room());
+  } catch (...) {  // no memory for a warning
+  }
+  return {};
+}
+
+Result<void> SqliteWriter::write_part(Batch& batch, Batch::Iterator& next) {
+  // Before the rows, not after them: what fails here must not make them come again when they are stored already.
   if (auto done = tend_log(); !done) return done;
   escaped_.begin_batch();
   const auto undo = [&]() noexcept {
     roll_back();
     tables_.clear();  // what was made in the transaction is gone with it
   };
-  Result<void> done;
+  Result<std::size_t> rows = std::size_t{0};
   try {
-    done = store(batch);
+    rows = store(batch, next);
   } catch (...) {  // no memory
     undo();
     throw;
   }
-  if (!done) {
+  if (!rows) {
     undo();
-    return done;
+    return std::move(rows).error();
   }
   committed();
-  account_.committed(batch);
-  if (batch.account() != nullptr) now_ = std::max(now_, batch.account()->at);
-  rows_in_last_ = batch.size();
-  // It is stored: whatever happens from here on, it must not come again.
+  account_.slots_committed();
+  stored_rows_ += *rows;
+  rows_in_last_ = *rows;
   try {
     escaped_.end_batch(batch);
-    look_at_space();
-    if (batch.account() != nullptr && !has_told_of_live_file_ && live_.lacks_room()) tell_of_live_file(live_.no_room());
   } catch (...) {  // no memory for a warning
   }
   return {};
@@ -185,27 +206,33 @@ void SqliteWriter::roll_back() noexcept {
   pruner_.close();
 }
 
-Result<void> SqliteWriter::store(Batch& batch) {
+Result<std::size_t> SqliteWriter::store(Batch& batch, Batch::Iterator& next) {
+  std::size_t rows = 0;
   auto done = begin_transaction();
   if (done) done = positions_->write_begins(database_);
   // Before the rows, so that new ones take the pages of the old ones within one transaction.
   if (done && pruner_.has_limits()) done = pruner_.make_room(database_, ranges_, now_);
   if (done) done = account_.write_slots(batch, tables_);
-  if (done) done = write_rows(batch);
+  if (done) done = write_rows(batch, next, rows);
   if (done) done = account_.write_escaped(batch, escaped_);
-  if (done && batch.account() != nullptr) done = account_.write(batch, *batch.account(), tables_);
-  if (done) done = write_checksums(batch.account());
+  const Account* const account = next != batch.end() ? nullptr : batch.account();  // with the last of its rows
+  if (done && account != nullptr) done = account_.write(batch, *account, tables_);
+  if (done) done = write_checksums(account);
   if (done) done = positions_->write(database_);
   if (done) stage();
   if (done) done = commit();
-  return done;
+  if (!done) return std::move(done).error();
+  return rows;
 }
 
-Result<void> SqliteWriter::write_rows(Batch& batch) {
-  for (const Record& record : batch) {
+Result<void> SqliteWriter::write_rows(Batch& batch, Batch::Iterator& next, std::size_t& rows) {
+  std::size_t made = 0;
+  for (; next != batch.end(); ++next, ++rows) {
+    const Record record = *next;
     const std::uint32_t number = record.info->topic_number;
     TopicTable* table = number < tables_.size() ? tables_[number].get() : nullptr;
     if (table == nullptr) [[unlikely]] {
+      if (made == most_new_tables) break;
       auto found = table_of(record);
       if (!found) return std::move(found).error();
       table = *found;
@@ -213,6 +240,7 @@ Result<void> SqliteWriter::write_rows(Batch& batch) {
         batch.refuse_topic(record, untaken_.at(number));
         continue;
       }
+      ++made;
     }
     if (auto inserted = table->insert(record); !inserted) return inserted;
   }
@@ -220,14 +248,14 @@ Result<void> SqliteWriter::write_rows(Batch& batch) {
     if (table == nullptr) continue;
     if (auto flushed = table->flush(); !flushed) return flushed;
   }
-  return {};
+  return new_views_.make(database_);
 }
 
 Result<TopicTable*> SqliteWriter::table_of(const Record& record) {
   const std::uint32_t number = record.info->topic_number;
   if (untaken_.contains(number)) return nullptr;
   if (auto done = database_.execute("SAVEPOINT topic"); !done) return std::move(done).error();
-  auto table = TopicTable::prepare(database_, *record.info, run_, escaped_, ranges_);
+  auto table = TopicTable::prepare(database_, *record.info, run_, escaped_, ranges_, new_views_);
   // What SQLite itself refuses (there is something else of that name) stays so; all else may get better.
   const bool is_refused = !table && (sqlite3_errcode(database_.raw()) == SQLITE_ERROR ||
                                      table.error().code == Errc::bad_description);
@@ -278,6 +306,7 @@ void SqliteWriter::committed() {
 }
 
 void SqliteWriter::rolled_back() {
+  new_views_.clear();
   positions_->rolled_back();
   ranges_.rolled_back(live_);
   sums_.rolled_back();

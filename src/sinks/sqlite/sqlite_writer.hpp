@@ -69,11 +69,15 @@ class SqliteWriter final : public RecordingWriter {
   Result<void> configure();
   Result<void> make_schema();
   Result<void> begin_run(const std::string& uuid);
-  Result<void> write_rows(Batch& batch);
+  /// Up to the end of the batch, or until enough new tables are made; the views of these too.
+  Result<void> write_rows(Batch& batch, Batch::Iterator& next, std::size_t& rows);
   /// The topic's table; null when it can never be made: then `untaken_` has the reason.
   Result<TopicTable*> table_of(const Record& record);
-  /// In one transaction.
-  Result<void> store(Batch& batch);
+  /// What can be stored of the batch in one transaction, from `next` on, which is moved: all of it, with its account,
+  /// or the rows until enough new tables are made.
+  Result<void> write_part(Batch& batch, Batch::Iterator& next);
+  /// The transaction of it. Returns how many rows it has.
+  Result<std::size_t> store(Batch& batch, Batch::Iterator& next);
   /// The file is no longer at its path.
   bool has_moved();
   /// The log was truncated from outside before all of it was in the file.
@@ -117,6 +121,7 @@ class SqliteWriter final : public RecordingWriter {
   std::vector<std::string> remarks_;
   detail::EscapedTexts escaped_;
   TopicTables tables_;
+  NewUtcViews new_views_;
   std::map<std::uint32_t, Error> untaken_;  // topics whose tables cannot be made
   Statement begin_;
   Statement commit_;
@@ -135,6 +140,7 @@ class SqliteWriter final : public RecordingWriter {
   int log_pages_ = 0;           // after the last transaction
   std::int64_t log_bytes_ = 0;  // of its file, as this writer left it
   std::size_t rows_in_last_ = 0;
+  std::size_t stored_rows_ = 0;  // of the batch under way, in parts before this one
   int page_bytes_ = 4096;
   bool has_told_of_live_file_ = false;
   bool is_closed_ = false;

@@ -5,7 +5,6 @@
 #include <cstring>
 
 #include "rtdata/data/value.hpp"
-#include "sinks/sqlite/utc_line.hpp"
 
 namespace rtdata::sqlite {
 namespace {
@@ -162,7 +161,7 @@ Result<void> check_columns(std::string_view topic, const Description& descriptio
 }
 
 Result<TopicTable> TopicTable::prepare(Database& database, const SlotInfo& slot, std::int64_t run,
-                                       detail::EscapedTexts& escaped, ValueRanges& ranges) {
+                                       detail::EscapedTexts& escaped, ValueRanges& ranges, NewUtcViews& views) {
   const Description& description = *slot.description;
   if (auto fits = check_columns(slot.topic, description); !fits) return std::move(fits).error();
   auto known = database.prepare(
@@ -188,7 +187,8 @@ Result<TopicTable> TopicTable::prepare(Database& database, const SlotInfo& slot,
   }
   known->reset();
   const std::string json = description.to_json();
-  if (name.empty()) {
+  const bool is_new = name.empty();
+  if (is_new) {
     version = last_version + 1;
     name = table_name(slot.topic, version);
     if (auto made = make_table(database, name, description); !made) return std::move(made).error();
@@ -197,7 +197,6 @@ Result<TopicTable> TopicTable::prepare(Database& database, const SlotInfo& slot,
     if (!insert) return std::move(insert).error();
     insert->bind(1, slot.topic).bind(2, version).bind(3, name).bind(4, json).bind(5, run);
     if (auto done = insert->run(); !done) return std::move(done).error();
-    if (auto made = make_utc_view(database, name, description); !made) return std::move(made).error();
   } else if (!widen.empty()) {
     if (auto added = add_columns(database, name, **Description::from_json(widen), description); !added)
       return std::move(added).error();
@@ -243,6 +242,7 @@ Result<TopicTable> TopicTable::prepare(Database& database, const SlotInfo& slot,
   auto last = database.integer("SELECT max(rowid) FROM " + quoted(name));
   if (!last) return std::move(last).error();
   table.last_rowid_ = *last;
+  if (is_new) views.add(name, description);
   return table;
 }
 

@@ -11,6 +11,7 @@
 #include "sinks/core/escaped_texts.hpp"
 #include "sinks/sqlite/checksum.hpp"
 #include "sinks/sqlite/database.hpp"
+#include "sinks/sqlite/utc_line.hpp"
 #include "sinks/sqlite/value_ranges.hpp"
 
 namespace rtdata::sqlite {
@@ -23,9 +24,9 @@ class TopicTable {
   /// Within a transaction. Finds the table that this description fits; one whose fields are the first part of it gets
   /// the further columns; otherwise a new table is made. Errors: those of the database, bad-name.
   /// Texts that are no UTF-8 are counted in `escaped`, and the checksum of each row goes to `ranges`;
-  /// both outlive the table.
+  /// both outlive the table. The view of a new table is left in `views`, to be made within the same transaction.
   static Result<TopicTable> prepare(Database& database, const SlotInfo& slot, std::int64_t run,
-                                    detail::EscapedTexts& escaped, ValueRanges& ranges);
+                                    detail::EscapedTexts& escaped, ValueRanges& ranges, NewUtcViews& views);
 
   /// Inserts the record, at the latest with `flush`: its payload must live until then.
   Result<void> insert(const Record& record);

@@ -235,12 +235,13 @@ std::string iso8601_sql(const std::string& ns) {
          ") / 1000000000, 'unixepoch') || printf('.%09dZ', " + fraction + ")";
 }
 
-}  // namespace
+constexpr std::size_t few_views = 16;  // that SQLite makes one by one
 
-Result<void> make_utc_view(Database& database, const std::string& table, const Description& description) {
-  const std::string view = quoted(table + "~utc");
-  std::string sql = "DROP VIEW IF EXISTS " + view + "; CREATE VIEW " + view +
-                    " AS SELECT run, time, origin, sequence, " + iso8601_sql("\"~\"") + " AS utc, \"~\" AS utc_ns";
+std::string utc_view_of(const std::string& table) { return table + "~utc"; }
+
+std::string create_utc_view(const std::string& table, const Description& description) {
+  std::string sql = "CREATE VIEW " + quoted(utc_view_of(table)) + " AS SELECT run, time, origin, sequence, " +
+                    iso8601_sql("\"~\"") + " AS utc, \"~\" AS utc_ns";
   for (const Leaf& leaf : description.leaves()) {
     std::string lower = leaf.path;
     std::transform(lower.begin(), lower.end(), lower.begin(),
@@ -248,8 +249,57 @@ Result<void> make_utc_view(Database& database, const std::string& table, const D
     sql += ", " + quoted(leaf.path);
     if (lower == "utc" || lower == "utc_ns") sql += " AS " + quoted(leaf.path + "~");
   }
-  return database.execute(sql + " FROM (SELECT t.*, " + utc_of("t.time", "t.run") + " AS \"~\" FROM " + quoted(table) +
-                          " t)");
+  return sql + " FROM (SELECT t.*, " + utc_of("t.time", "t.run") + " AS \"~\" FROM " + quoted(table) + " t)";
+}
+
+Result<void> replace_view(Database& database, const std::string& name, const std::string& sql) {
+  return database.execute("DROP VIEW IF EXISTS " + quoted(name) + "; " + sql);
+}
+
+}  // namespace
+
+Result<void> make_utc_view(Database& database, const std::string& table, const Description& description) {
+  return replace_view(database, utc_view_of(table), create_utc_view(table, description));
+}
+
+void NewUtcViews::add(const std::string& table, const Description& description) {
+  views_.push_back({utc_view_of(table), create_utc_view(table, description)});
+}
+
+Result<void> NewUtcViews::make(Database& database) {
+  if (views_.size() > few_views) {
+    auto entered = enter(database);
+    if (!entered) return std::move(entered).error();
+    if (*entered) views_.clear();
+  }
+  for (const View& view : views_)
+    if (auto made = replace_view(database, view.name, view.sql); !made) return made;
+  views_.clear();
+  return {};
+}
+
+/// As SQLite itself does it, of all at once: a row each in its table of the schema, which is then read anew. It parses
+/// each of them before, without running it, so that none is entered that it would refuse.
+Result<bool> NewUtcViews::enter(Database& database) {
+  for (const View& view : views_)
+    if (auto parsed = database.prepare(view.sql); !parsed) return false;  // it says why when it makes it
+  if (auto begun = database.execute("PRAGMA writable_schema=ON"); !begun) return std::move(begun).error();
+  auto row = database.prepare(
+      "INSERT INTO sqlite_schema(type, name, tbl_name, rootpage, sql) VALUES('view',?1,?1,0,?2)");
+  Result<void> done;
+  const bool is_permitted = bool(row);
+  if (is_permitted) {
+    for (const View& view : views_) {
+      row->bind(1, view.name).bind(2, view.sql);
+      done = row->run();
+      if (!done) break;
+    }
+    *row = Statement();
+  }
+  auto read = database.execute("PRAGMA writable_schema=RESET");
+  if (!done) return std::move(done).error();
+  if (!read) return std::move(read).error();
+  return is_permitted;
 }
 
 std::string run_view() {

@@ -1,6 +1,9 @@
 // The table rtdata_utc: the UTC line of each boot, which the views apply. All of it can be computed from rtdata_clock.
 #pragma once
 
+#include <string>
+#include <vector>
+
 #include "rtdata/sinks/recording.hpp"
 #include "sinks/sqlite/database.hpp"
 
@@ -20,6 +23,24 @@ Result<void> write_utc_lines(Database& database);
 
 /// Makes the view with UTC of a topic's table anew: "room/climate~utc" for "room/climate".
 Result<void> make_utc_view(Database& database, const std::string& table, const Description& description);
+
+/// Views of new tables, made together at the end of a transaction. A CREATE VIEW goes through all tables and views that
+/// there are: of thousands of topics in one batch, most of the time would be spent so.
+class NewUtcViews {
+ public:
+  void add(const std::string& table, const Description& description);
+  Result<void> make(Database& database);
+  /// The transaction was given up.
+  void clear() noexcept { views_.clear(); }
+
+ private:
+  struct View {
+    std::string name, sql;
+  };
+  /// False: this connection does not permit it, and nothing was changed.
+  Result<bool> enter(Database& database);
+  std::vector<View> views_;
+};
 
 /// View of the runs with UTC.
 std::string run_view();
