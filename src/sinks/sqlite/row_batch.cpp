@@ -52,8 +52,9 @@ Result<sqlite::Statement> RowBatch::query(const RecordingFile& file, const Recor
   auto in_order = lies_in_order(file, topic, selection);
   if (!in_order) return std::move(in_order).error();
   const std::string table = sqlite::quoted(topic.table) + " t", rows = row_conditions(selection);
-  // Only a row that is wanted is taken, and when its turn has come: SQLite would choose another order for two conditions
-  // side by side, and sorts what was computed before. It sorts first where a limit, though it is none, follows.
+  // Only a row that is wanted is taken, and when its turn has come: SQLite would choose another order for two
+  // conditions side by side, and sorts what was computed before. It sorts first where a limit, though it is none,
+  // follows.
   auto statement = file.prepare(*in_order ? "SELECT 1 FROM " + table + " WHERE CASE WHEN " + rows + " THEN " +
                                                 calls(topic, selection) + " END ORDER BY t.rowid"
                                           : "SELECT 1 FROM (SELECT * FROM " + table + " WHERE " + rows +
