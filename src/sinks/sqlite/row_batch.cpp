@@ -83,16 +83,15 @@ Result<bool> RowBatch::fill(sqlite::Statement& statement) {
 }
 
 void RowBatch::take(sqlite3_context* context, int count, sqlite3_value** arguments) noexcept {
-  auto* const batch = count > first_argument ? static_cast<RowBatch*>(sqlite3_value_pointer(arguments[batch_argument],
-                                                                                            pointer_type))
-                                             : nullptr;
+  auto* const batch = count > first_argument
+                          ? static_cast<RowBatch*>(sqlite3_value_pointer(arguments[batch_argument], pointer_type))
+                          : nullptr;
   if (batch == nullptr) return sqlite3_result_error(context, "rtdata_take is not for use in SQL", -1);
   try {
     const auto first = static_cast<std::size_t>(sqlite3_value_int64(arguments[column_argument]));
-    sqlite3_result_int(context,
-                       batch->take(first, {arguments + first_argument, static_cast<std::size_t>(count - first_argument)})
-                           ? 1
-                           : 0);
+    sqlite3_result_int(
+        context,
+        batch->take(first, {arguments + first_argument, static_cast<std::size_t>(count - first_argument)}) ? 1 : 0);
   } catch (...) {  // nothing in it throws but for want of memory
     sqlite3_result_error_nomem(context);
   }
