@@ -130,7 +130,7 @@ struct Run {
       CHECK(there == names[kind]);
     }
     for (const auto& [name, device] : devices) {
-      if (model.contains(name)) continue;
+      if (model.contains(name) || device.did.empty()) continue;  // one that was planned alone was not opened
       CHECK(device.value == 0.0);
       CHECK(device.did.back() == "gone");
     }
@@ -194,7 +194,7 @@ struct Run {
     }
     system.reset();
     loop.close();
-    for (const auto& [name, device] : devices) CHECK(device.value == 0.0);
+    for (const auto& [name, device] : devices) CHECK((device.did.empty() || device.value == 0.0));
     CHECK(recordings::verified(path).verdict() == Verdict::balanced);
   }
 
