@@ -86,6 +86,13 @@ void initialize_tls() {
   if (listening >= 0) ::close(listening);
 }
 
+/// The peer has closed it, or reset it, and nothing of it is unread.
+bool has_ended(int socket) noexcept {
+  char byte = 0;
+  const ssize_t got = ::recv(socket, &byte, 1, MSG_PEEK | MSG_DONTWAIT);
+  return got == 0 || (got < 0 && errno != EAGAIN && errno != EWOULDBLOCK && errno != EINTR);
+}
+
 }  // namespace
 
 MqttClient::~MqttClient() {
@@ -106,12 +113,12 @@ Error MqttClient::failure(int status, bool is_connected) const {
   if (status == MOSQ_ERR_TLS && distrust != 0) {
     error.code = Errc::not_permitted;
     error.advice = advice_on_certificate(distrust, "host");
-  } else if (status == MOSQ_ERR_TLS && !is_connected) {
+  } else if ((status == MOSQ_ERR_TLS || (status == MOSQ_ERR_CONN_LOST && is_encrypted)) && !is_connected) {
     error.advice =
         "does the broker speak TLS at this port? It may also want a client certificate (`tls.certificate`), or not "
         "trust "
         "that";
-  } else if (status == MOSQ_ERR_CONN_LOST && !is_connected && !is_encrypted) {
+  } else if (status == MOSQ_ERR_CONN_LOST && !is_connected) {
     error.advice = "it is connected to again; if this port is one of TLS, set `tls`";
   }
   return error;
@@ -380,6 +387,9 @@ int MqttConnection::call_library(std::size_t& left) {
   // Writing comes first: what is read now may have to wait for its answers (`holds_answers`), which `take` says.
   if (may_write() && ::mosquitto_want_write(client_->handle)) status = ::mosquitto_loop_write(client_->handle, 1);
   if (status == MOSQ_ERR_SUCCESS && is_readable_ && may_read()) status = read_some(left);
+  // Of a connection that is reset during the handshake of TLS, the library tells nothing.
+  const bool is_shaking_hands = broker_.tls && !is_connected_ && !client_->answer;
+  if (status == MOSQ_ERR_SUCCESS && is_shaking_hands && has_ended(fd_)) status = MOSQ_ERR_CONN_LOST;
   if (status == MOSQ_ERR_SUCCESS) status = ::mosquitto_loop_misc(client_->handle);
   if (status == MOSQ_ERR_SUCCESS && is_connected_) status = give(left);
   return status;
