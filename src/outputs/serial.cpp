@@ -60,6 +60,10 @@ Unsent& unsent() {
 
 void SerialActuatorConfig::check(const SerialActuatorConfig& config, const ConfigItem& item, Problems& problems) {
   detail::check_words(config.words, item, problems);
+  if (detail::has_value_mark(config.text)) return;
+  const ConfigItem* const text = item.find("text");
+  problems.add((text != nullptr ? *text : item)
+                   .problem("bad-value", "each value would send the same text: write {value} where it belongs"));
 }
 
 SerialActuator::~SerialActuator() {

@@ -30,9 +30,16 @@ inline std::string set_text(std::string pattern, double value, const std::map<st
 
 inline bool has_value_mark(std::string_view pattern) { return pattern.find("{value}") != pattern.npos; }
 
-/// A key that no value is written as would never be used.
+/// A key that no value is written as would never be used; a word of two values says neither.
 inline void check_words(const std::map<std::string, std::string>& words, const ConfigItem& item, Problems& problems) {
+  std::map<std::string, std::string> values;  // by word
   for (const auto& [key, word] : words) {
+    if (const auto [other, is_new] = values.try_emplace(word, key); !is_new) {
+      const ConfigItem* const twice = item.find("words");
+      problems.add((twice != nullptr ? *twice : item)
+                       .problem("bad-value", other->second + " and " + key + " are both written \"" + word +
+                                                 "\": the device could not tell them apart"));
+    }
     double value = 0;
     const auto [end, failed] = std::from_chars(key.data(), key.data() + key.size(), value);
     const bool is_number = failed == std::errc{} && end == key.data() + key.size();

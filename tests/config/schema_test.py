@@ -27,6 +27,7 @@ except ImportError:
 BEYOND_A_SCHEMA = [
     "already, at", "writes .* already", "this is the configuration", "would write one file",  # between two items
     "carries .* of sensor", "differs in case only", "cannot record", "there is no tier",
+    "each value would send", "could not tell them apart",  # texts of outputs
     "is out of range",  # of durations and rates, which are texts
     "is finer than a nanosecond", "longer than 292 years", "18 digits", "rate of zero", "period of zero", "faster than 1 GHz",
     "more digits than the type", "for a duration", "3.4e38",

@@ -123,6 +123,15 @@ TEST_SUITE("outputs") {
     CHECK(is_refused(serial(OutputGuard::most_bytes), "more than 64 KiB of settings"));
   }
 
+  TEST_CASE("US-35 check refuses a text that is the same for each value, and two values with one word") {
+    const std::string serial = R"({"name": "s", "type": "serial", "device": "/dev/ttyX", )";
+    for (const char* text : {"on\\n", "{Value}\\n", ""})
+      CHECK(is_refused(serial + R"("text": ")" + text + "\"}", "each value would send the same text"));
+    CHECK(is_refused(serial + R"("words": {"0": "a", "0.5": "b", "1": "a"}})",
+                     "0 and 1 are both written \"a\": the device could not tell them apart"));
+    CHECK(problems_of(serial + R"("words": {"0": "a", "1": "b"}})").empty());
+  }
+
   TEST_CASE("US-35 US-41 check finds the mistakes of machines that set outputs") {
     const auto is_refused_with = [](const std::string& states, const std::string& more, const std::string& why) {
       const std::string text = "{" + std::string(load) + R"(, "tiers": {"fast": {}},
