@@ -18,18 +18,21 @@ using namespace rtdata::test;
 
 namespace {
 
-/// Two of each kind of trouble; or as many as "FIRST COUNT" in RTDATA_TEST_SEEDS says. Of those that stay on the pad
-/// for two hours there are fewer.
+enum class Stays { once, in_soak };
+
+/// One of each kind of trouble; or as many as "FIRST COUNT" in RTDATA_TEST_SEEDS says. Of those that stay on the pad
+/// for two hours, which take the longest, there are fewer.
 template <class Fly>
-void check_hard_flights(const Fly& fly) {
+void check_hard_flights(Stays stays, const Fly& fly) {
   std::uint32_t first = 1;
-  std::uint32_t count = 2;
+  std::uint32_t count = 1;
   if (const char* const wanted = std::getenv("RTDATA_TEST_SEEDS")) std::istringstream(wanted) >> first >> count;
+  const std::uint32_t few_stay = stays == Stays::in_soak && count == 1 ? 0 : 1 + count / 20;
   int flown = 0;
   int wrong = 0;
   for (std::size_t i = 0; i < static_cast<std::size_t>(Trouble::count); ++i) {
     const auto trouble = static_cast<Trouble>(i);
-    const std::uint32_t few = trouble == Trouble::stays ? 1 + count / 20 : count;
+    const std::uint32_t few = trouble == Trouble::stays ? few_stay : count;
     int wrong_here = 0;
     for (std::uint32_t seed = first; seed < first + few; ++seed) {
       const HardFlight flight = hard_flight(trouble, seed);
@@ -38,10 +41,10 @@ void check_hard_flights(const Fly& fly) {
       ++flown;
       if (mistake != "") ++wrong_here;
     }
-    if (count > 2) MESSAGE(name_of(trouble) << ": " << few << " flown, " << wrong_here << " decided wrongly");
+    if (count > 1) MESSAGE(name_of(trouble) << ": " << few << " flown, " << wrong_here << " decided wrongly");
     wrong += wrong_here;
   }
-  CHECK(flown == (static_cast<int>(Trouble::count) - 1) * static_cast<int>(count) + 1 + static_cast<int>(count / 20));
+  CHECK(flown == (static_cast<int>(Trouble::count) - 1) * static_cast<int>(count) + static_cast<int>(few_stay));
   CHECK(wrong == 0);
 }
 
@@ -55,11 +58,11 @@ TEST_SUITE("app") {
   TEST_CASE("US-41 rocket: flights that are hard to decide") {
     if (!rtdata::Expression::available()) return;
     const JsonRocket rocket(in_source("examples/rocket/rocket.json"));
-    check_hard_flights([&](const HardFlight& flight) { return rocket.fly(flight); });
+    check_hard_flights(Stays::once, [&](const HardFlight& flight) { return rocket.fly(flight); });
   }
 
   TEST_CASE("US-40 US-39 rocket in C++: flights that are hard to decide") {
-    check_hard_flights([](const HardFlight& flight) { return fly_in_cpp(flight); });
+    check_hard_flights(Stays::in_soak, [](const HardFlight& flight) { return fly_in_cpp(flight); });
   }
 
   TEST_CASE("rocket: what is wrong with a decision is seen") {
