@@ -101,7 +101,10 @@ TEST_SUITE("sinks") {
     }
     sqlite3* database = nullptr;
     REQUIRE(sqlite3_open(path.c_str(), &database) == SQLITE_OK);
-    REQUIRE(sqlite3_exec(database, "CREATE VIEW \"b\" AS SELECT 1 AS x", nullptr, nullptr, nullptr) == SQLITE_OK);
+    std::string statement = R"(CREATE VIEW "b" AS SELECT 1 AS x)";
+    SUBCASE("there is something else of its name") {}
+    SUBCASE("there is a table of its view's name") { statement = R"(CREATE TABLE "B~utc"(x))"; }
+    REQUIRE(sqlite3_exec(database, statement.c_str(), nullptr, nullptr, nullptr) == SQLITE_OK);
     sqlite3_close(database);
     {
       Loop loop{Loop::Manual{}};

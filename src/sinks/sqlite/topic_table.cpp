@@ -191,6 +191,7 @@ Result<TopicTable> TopicTable::prepare(Database& database, const SlotInfo& slot,
   if (is_new) {
     version = last_version + 1;
     name = table_name(slot.topic, version);
+    if (auto may = NewUtcViews::look_for_room(database, name); !may) return std::move(may).error();
     if (auto made = make_table(database, name, description); !made) return std::move(made).error();
     auto insert = database.prepare(
         "INSERT INTO rtdata_topic(topic, version, table_name, description, first_run) VALUES(?,?,?,?,?)");

@@ -262,6 +262,15 @@ Result<void> make_utc_view(Database& database, const std::string& table, const D
   return replace_view(database, utc_view_of(table), create_utc_view(table, description));
 }
 
+Result<void> NewUtcViews::look_for_room(const Database& database, const std::string& table) {
+  const std::string view = utc_view_of(table);
+  // Found in memory, where a query would go through the whole schema.
+  if (sqlite3_table_column_metadata(database.raw(), "main", view.c_str(), nullptr, nullptr, nullptr, nullptr, nullptr,
+                                    nullptr) != SQLITE_OK)
+    return {};
+  return Error{Errc::bad_description, "cannot make a view", view, "there is a table of that name", ""};
+}
+
 void NewUtcViews::add(const std::string& table, const Description& description) {
   views_.push_back({utc_view_of(table), create_utc_view(table, description)});
 }

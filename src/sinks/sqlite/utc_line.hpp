@@ -28,6 +28,8 @@ Result<void> make_utc_view(Database& database, const std::string& table, const D
 /// there are: of thousands of topics in one batch, most of the time would be spent so.
 class NewUtcViews {
  public:
+  /// Before the table is made. Errors: bad-description, when somebody has made a table of the view's name.
+  static Result<void> look_for_room(const Database& database, const std::string& table);
   void add(const std::string& table, const Description& description);
   Result<void> make(Database& database);
   /// The transaction was given up.
