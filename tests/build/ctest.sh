@@ -4,6 +4,8 @@
 # "unstable", and is to be mended; the output has why it failed at first.
 # What a sanitizer finds is a failure however seldom it is seen.
 set -u
+TSAN_OPTIONS="suppressions=$(cd "$(dirname "$0")" && pwd)/tsan.suppressions${TSAN_OPTIONS:+:$TSAN_OPTIONS}"
+export TSAN_OPTIONS
 ctest -j "$(($(nproc) + 1))" --output-on-failure "$@" && exit 0
 failed=$(sed 's/^[0-9]*://' Testing/Temporary/LastTestsFailed.log | tr '\n' ' ')
 if grep -q 'Sanitizer' Testing/Temporary/LastTest.log; then exit 1; fi
