@@ -239,6 +239,24 @@ TEST_CASE("CSV straight from the columns is that of the codec") {
   }
 }
 
+TEST_CASE("a blob in a number's column is damage in every format, and the rows before it come") {
+  const Folder folder;
+  const std::string path = make(folder);
+  sql(path, "UPDATE \"room/climate\" SET temperature = x'0102' WHERE sequence = 20");
+  const auto recording = Recording::open(path).or_throw();
+  for (const char* format : {"csv", "jsonl"}) {
+    CAPTURE(format);
+    std::ostringstream out;
+    const auto count = export_rows(recording, {.format = format, .filter = {.topic = "room/climate"}}, out);
+    REQUIRE_FALSE(count);
+    CHECK(count.error().id() == "damaged");
+    CHECK(count.error().where.find("sequence 20") != std::string::npos);
+    const auto lines = lines_of(out.str());
+    REQUIRE(lines.size() == (std::string_view(format) == "csv" ? 20 : 19));
+    CHECK(lines.back().find("19") != std::string::npos);
+  }
+}
+
 TEST_CASE("raw bytes of rows that do not fit the format are left out one by one, and told") {
   const Folder folder;
   const std::string path = make(folder);

@@ -5,11 +5,13 @@
 
 #include <algorithm>
 #include <array>
+#include <bit>
 #include <cstring>
 #include <nlohmann/json.hpp>
 #include <sstream>
 
 #include "app/core/recording_commands.hpp"
+#include "rtdata/sinks/export.hpp"
 #include "rtdata/sinks/verify.hpp"
 #include "sinks/recordings.hpp"
 
@@ -241,6 +243,23 @@ TEST_CASE("FW-5 what cannot be read is refused with a clear error") {
   CHECK(refusal(scribbled).id() == "damaged");
 }
 
+TEST_CASE("FW-5 a file whose program was ended while it made it is not read as it lies there") {
+  const Folder folder;
+  {
+    auto database = sqlite::Database::open(folder / "a.db", sqlite::Database::Mode::write).or_throw();
+    const auto set = [&](const char* sql) { database.execute(sql).or_throw(); };
+    set("PRAGMA cache_size = 2; CREATE TABLE t(x); BEGIN");
+    set("WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 500) INSERT INTO t SELECT "
+        "hex(randomblob(500)) FROM n");
+    for (const char* part : {"", "-journal"})
+      std::filesystem::copy_file(folder / "a.db" + part, folder / "killed.db" + part);
+    set("COMMIT");
+  }
+  const Error error = refusal(folder / "killed.db");
+  CHECK(error.id() == "not-a-recording");
+  CHECK_MESSAGE(error.why.find("it was being made when its program ended") != std::string::npos, error.text());
+}
+
 TEST_CASE("FW-5 a file that may not be read says so") {
   const Folder folder;
   const std::string path = make(folder);
@@ -318,6 +337,30 @@ TEST_CASE("FW-5 a damaged row among many is named, and those before and after it
 
 namespace {
 
+/// Cuts off what follows the first part of the row that ends in this value: a page that cannot be read.
+void break_end_of_row(const std::string& path, double last) {
+  sql(path, "PRAGMA wal_checkpoint(TRUNCATE)");
+  const auto page_size = static_cast<std::size_t>(number(path, "PRAGMA page_size"));
+  std::ifstream file(path, std::ios::binary);
+  std::string bytes{std::istreambuf_iterator<char>(file), {}};
+  const auto big_endian = [](auto number) {
+    std::string text;
+    for (std::size_t i = sizeof number; i-- > 0;) text += static_cast<char>(number >> (8 * i));
+    return text;
+  };
+  const std::size_t at = bytes.find(big_endian(std::bit_cast<std::uint64_t>(last)));
+  REQUIRE(at != std::string::npos);
+  const std::string page = big_endian(static_cast<std::uint32_t>(at / page_size + 1));
+  // The page before it in the row's chain begins with its number.
+  for (std::size_t begin = 0; begin < bytes.size(); begin += page_size) {
+    if (bytes.compare(begin, page.size(), page) != 0) continue;
+    bytes.replace(begin, page.size(), big_endian(std::uint32_t{0x7fffffff}));
+    std::ofstream(path, std::ios::binary) << bytes;
+    return;
+  }
+  FAIL("the row has no second page");
+}
+
 /// Of more fields than SQLite passes to a function.
 struct Wide {
   std::array<double, 250> values{};
@@ -361,6 +404,47 @@ TEST_CASE("FW-5 rows of hundreds of fields come back equal") {
   REQUIRE_FALSE(bad);
   CHECK(bad.error().where.find("sequence 70, field name") != std::string::npos);
   CHECK(rows.next().or_throw()->header().sequence == 71);
+}
+
+TEST_CASE("FW-5 a row whose end cannot be read is no row, and what lies before it comes in every format") {
+  const Folder folder;
+  const std::string path = folder / "wide.db";
+  {
+    Loop loop{Loop::Manual{}};
+    SqliteSink sink(loop, {.path = path, .profile = SqliteProfile::card});
+    Feed<Wide> feed(loop, {.name = "many", .topic = "many"});
+    for (std::size_t i = 0; i < 100; ++i) {
+      Wide wide;
+      for (std::size_t k = 0; k < wide.values.size(); ++k) wide.values[k] = static_cast<double>(1000 * i + k) + 0.25;
+      feed.publish(wide);
+      loop.advance(10ms);
+    }
+    feed.close();
+    loop.close();
+  }
+  break_end_of_row(path, 49'000 + 249 + 0.25);  // the last value of row 50
+  const auto check_error = [](const Error& error) {
+    CHECK(error.id() == "damaged");
+    CHECK_MESSAGE(error.where.find("topic many, behind run 1, sequence 49") != std::string::npos, error.where);
+  };
+  const auto recording = Recording::open(path).or_throw();
+  auto rows = recording.rows({.topic = "many"}).or_throw();
+  for (std::uint64_t sequence = 1; sequence < 50; ++sequence)
+    REQUIRE(rows.next().or_throw()->header().sequence == sequence);
+  const auto bad = rows.next();
+  REQUIRE_FALSE(bad);
+  check_error(bad.error());
+  for (const char* format : {"csv", "jsonl"}) {
+    CAPTURE(format);
+    std::ostringstream out;
+    const auto count = export_rows(recording, {.format = format, .filter = {.topic = "many"}}, out);
+    REQUIRE_FALSE(count);
+    check_error(count.error());
+    const std::string text = out.str();
+    CHECK(std::count(text.begin(), text.end(), '\n') == (std::string_view(format) == "csv" ? 50 : 49));
+    CHECK(text.find("48249.25") != std::string::npos);
+    CHECK(text.find('\0') == std::string::npos);
+  }
 }
 
 TEST_CASE("FW-5 recorded times get the UTC of the last clock of the run") {

@@ -185,8 +185,8 @@ void kill_at_random(const Kind& kind) {
   const unsigned long count = wanted != nullptr ? std::strtoul(rest, nullptr, 10) : 6;
   // On a slow machine none of so many may live until its first rows are stored: then more follow, which live longer.
   const auto has_rows = [&] {
-    return std::filesystem::exists(path) &&
-           recordings::number(path, "SELECT count(*) FROM sqlite_master WHERE name = 'plant/pulse'") > 0;
+    const auto recording = Recording::open(path);
+    return recording && !recording->topics().or_throw().empty();
   };
   useconds_t longer = 0;
   for (unsigned long seed = first; seed < first + count || (longer < 20'000'000 && !has_rows()); ++seed) {

@@ -104,6 +104,7 @@ TEST_SUITE("sinks") {
     std::string statement = R"(CREATE VIEW "b" AS SELECT 1 AS x)";
     SUBCASE("there is something else of its name") {}
     SUBCASE("there is a table of its view's name") { statement = R"(CREATE TABLE "B~utc"(x))"; }
+    SUBCASE("there is an index of its view's name") { statement = R"(CREATE INDEX "B~utc" ON rtdata_run(run))"; }
     REQUIRE(sqlite3_exec(database, statement.c_str(), nullptr, nullptr, nullptr) == SQLITE_OK);
     sqlite3_close(database);
     {

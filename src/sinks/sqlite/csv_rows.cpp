@@ -144,11 +144,11 @@ char* CsvRows::put_row(char* to, Time time, std::string& out) {
     }
     switch (column.kind) {
       case Kind::f64:
-        if (type == SQLITE_TEXT) return nullptr;
+        if (type != SQLITE_FLOAT && type != SQLITE_INTEGER) return nullptr;
         to = put_number(to, sqlite3_value_double(value));
         break;
       case Kind::f32:
-        if (type == SQLITE_TEXT) return nullptr;
+        if (type != SQLITE_FLOAT && type != SQLITE_INTEGER) return nullptr;
         to = put_number(to, static_cast<float>(sqlite3_value_double(value)));
         break;
       case Kind::u64:
@@ -210,13 +210,17 @@ char* CsvRows::put_row(char* to, Time time, std::string& out) {
 Result<std::uint64_t> CsvRows::append(std::string& out, std::size_t enough) {
   std::uint64_t rows = 0;
   std::size_t used = out.size();
+  const auto failed = [&](Error error) {
+    out.resize(used);
+    return error;
+  };
   while (!has_ended_ && used < enough && (filter_.limit == 0 || given_ < filter_.limit)) {
     auto more = statement_.step();
-    if (!more) return std::move(more).error();
+    if (!more) return failed(behind_row(*recording_->file(), topic_, run_, last_sequence_, std::move(more).error()));
     has_ended_ = !*more;  // another step would begin anew
     if (has_ended_) break;
     if (const std::int64_t run = statement_.integer(run_column); run != run_) {
-      if (auto begun = begin_run(run); !begun) return std::move(begun).error();
+      if (auto begun = begin_run(run); !begun) return failed(std::move(begun).error());
     }
     Time time = from_nanoseconds(statement_.integer(time_column));
     if (is_utc_) time = line_.utc(time);
@@ -225,10 +229,11 @@ Result<std::uint64_t> CsvRows::append(std::string& out, std::size_t enough) {
       used = static_cast<std::size_t>(end - out.data());
     } else {
       out.resize(used);
-      if (auto done = append_by_codec(out, time); !done) return std::move(done).error();
+      if (auto done = append_by_codec(out, time); !done) return failed(std::move(done).error());
       used = out.size();
     }
     last_time_ = time;
+    last_sequence_ = static_cast<std::uint64_t>(statement_.integer(sequence_column));
     ++rows;
     ++given_;
   }

@@ -19,6 +19,7 @@ class CsvRows {
   static Result<CsvRows> make(const Recording& recording, RecordedTopic topic, const ExportConfig& config);
 
   /// Appends rows to `out` until it has `enough` bytes or no row is left. Returns the number of rows; 0 at the end.
+  /// With an error `out` has the rows before it.
   Result<std::uint64_t> append(std::string& out, std::size_t enough);
   /// Of the row that was appended last.
   Time last_time() const noexcept { return last_time_; }
@@ -49,6 +50,7 @@ class CsvRows {
   UtcLine line_{{}};
   std::uint64_t given_ = 0;  // rows appended so far
   Time last_time_{};
+  std::uint64_t last_sequence_ = 0;
   bool has_ended_ = false;
   std::size_t longest_ = 0;  // bytes of the longest row, without its texts
   std::vector<std::byte> payload_, bytes_;

@@ -100,11 +100,14 @@ Result<ExportCount> write_csv(const Recording& recording, const ExportConfig& co
   std::string text = csv_head(config, topic.description.get());
   for (std::uint64_t added = 1; added > 0;) {
     auto more = rows->append(text, flush_bytes);
-    if (!more) return std::move(more).error();
-    added = *more;
-    count.rows += added;
     if (auto done = put(out, text, path); !done) return std::move(done).error();
     text.clear();
+    if (!more) {
+      out.flush();
+      return std::move(more).error();
+    }
+    added = *more;
+    count.rows += added;
     if (added > 0) tell(config, before, count.rows, rows->last_time());
   }
   if (!out.flush()) return cannot_write(path);
@@ -134,7 +137,11 @@ Result<ExportCount> write_rows(const Recording& recording, const ExportConfig& c
   const Description* headed = nullptr;
   while (filter.limit == 0 || count.rows + count.refused < filter.limit) {
     auto row = rows->next();
-    if (!row) return std::move(row).error();
+    if (!row) {  // what came before it is good
+      if (auto done = flush(); !done) return std::move(done).error();
+      out.flush();
+      return std::move(row).error();
+    }
     if (*row == nullptr) break;
     const RecordedRow& given = **row;
     if (version != 0 && given.topic().version != version) continue;

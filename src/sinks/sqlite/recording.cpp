@@ -71,8 +71,11 @@ Error no_recording(const std::string& path, std::string why) {
   return {Errc::not_a_recording, doing, path, std::move(why), "name a file that `rtdata run` or a SqliteSink wrote"};
 }
 
-/// SQLite reads a file in WAL mode in a folder that cannot be written only when it is opened as immutable.
-bool is_at_rest(const std::string& path) { return ::access((path + "-wal").c_str(), F_OK) != 0; }
+/// SQLite reads a file in WAL mode in a folder that cannot be written only when it is opened as immutable; then it
+/// looks at no log or journal beside it.
+bool is_at_rest(const std::string& path) {
+  return ::access((path + "-wal").c_str(), F_OK) != 0 && ::access((path + "-journal").c_str(), F_OK) != 0;
+}
 
 Result<Database> open_file(const std::string& path) {
   struct stat status {};
@@ -86,6 +89,10 @@ Result<Database> open_file(const std::string& path) {
   auto opened = Database::open(path, Database::Mode::read);
   if (!opened) return opened;
   auto application = opened->integer("PRAGMA application_id");
+  if (!application && sqlite3_extended_errcode(opened->raw()) == SQLITE_READONLY_ROLLBACK) {
+    return no_recording(path,
+                        "it was being made when its program ended, and nothing is in it: the next run makes it anew");
+  }
   const int code = sqlite3_errcode(opened->raw()) & 0xff;
   if (!application && (code == SQLITE_CANTOPEN || code == SQLITE_READONLY) && is_at_rest(path)) {
     opened = Database::open(path, Database::Mode::read_at_rest);

@@ -70,6 +70,10 @@ Result<UtcLine> utc_line_of(const RecordingFile& file, std::int64_t run);
 Error at_row(const RecordingFile& file, const RecordedTopic& topic, std::int64_t run, std::string_view origin,
              std::uint64_t sequence, Error error);
 
+/// An error behind the row of this sequence, the last that could be read; 0: none could.
+Error behind_row(const RecordingFile& file, const RecordedTopic& topic, std::int64_t run, std::uint64_t sequence,
+                 Error error);
+
 /// Reads the columns of a topic's rows into payloads.
 class RowReader {
  public:

@@ -133,6 +133,13 @@ Result<sqlite::Statement> rows_in_order(const RecordingFile& file, const Recorde
   return statement;
 }
 
+Error behind_row(const RecordingFile& file, const RecordedTopic& topic, std::int64_t run, std::uint64_t sequence,
+                 Error error) {
+  error.where = file.database.path() + ", topic " + topic.topic;
+  if (sequence > 0) error.where += ", behind run " + std::to_string(run) + ", sequence " + std::to_string(sequence);
+  return error;
+}
+
 Error at_row(const RecordingFile& file, const RecordedTopic& topic, std::int64_t run, std::string_view origin,
              std::uint64_t sequence, Error error) {
   error.where = file.database.path() + ", topic " + topic.topic + ", run " + std::to_string(run) + ", origin " +
@@ -146,8 +153,12 @@ namespace {
 
 class TableCursor final : public RowCursor {
  public:
-  TableCursor(const RecordingFile& file, RecordedTopic topic, sqlite::Statement statement, std::int64_t first_escaped)
-      : file_(file), topic_(std::move(topic)), batch_(topic_, first_escaped), statement_(std::move(statement)) {
+  TableCursor(const RecordingFile& file, RecordedTopic topic, sqlite::Statement statement, std::int64_t first_escaped,
+              std::size_t most_bytes)
+      : file_(file),
+        topic_(std::move(topic)),
+        batch_(topic_, first_escaped, most_bytes),
+        statement_(std::move(statement)) {
     batch_.bind_to(statement_);
   }
 
@@ -155,7 +166,8 @@ class TableCursor final : public RowCursor {
     if (next_ == batch_.size()) {
       next_ = 0;
       auto more = batch_.fill(statement_);
-      if (!more || !*more) return more;
+      if (!more) return behind_row(file_, topic_, run, last_sequence_, std::move(more).error());
+      if (!*more) return false;
     }
     const RowBatch::Row& next = batch_[next_++];
     const std::int64_t last_run = std::exchange(run, next.run);
@@ -166,6 +178,7 @@ class TableCursor final : public RowCursor {
                      "it is before that of the row before it, of the same origin", "see `rtdata verify`"});
     }
     is_first_ = false;
+    last_sequence_ = next.sequence;
     return true;
   }
 
@@ -181,7 +194,8 @@ class TableCursor final : public RowCursor {
   const RecordingFile& file_;
   const RecordedTopic topic_;
   RowBatch batch_;
-  std::size_t next_ = 0;  // in the batch
+  std::size_t next_ = 0;             // in the batch
+  std::uint64_t last_sequence_ = 0;  // of the row before it
   sqlite::Statement statement_;
   bool is_first_ = true;
 };
@@ -225,14 +239,20 @@ class GapCursor final : public RowCursor {
 
 }  // namespace
 
+namespace {
+// Of rows that are read ahead.
+constexpr std::size_t most_batch_bytes = std::size_t{64} << 10, most_bytes_of_all = std::size_t{4} << 20;
+}  // namespace
+
 Result<std::unique_ptr<RowCursor>> make_table_cursor(const RecordingFile& file, RecordedTopic topic,
-                                                     const Selection& selection) {
+                                                     const Selection& selection, std::size_t topics) {
   auto statement = RowBatch::query(file, topic, selection);
   if (!statement) return std::move(statement).error();
   auto first = file.first_run_with_escapes();
   if (!first) return std::move(first).error();
   return std::unique_ptr<RowCursor>(
-      std::make_unique<TableCursor>(file, std::move(topic), *std::move(statement), *first));
+      std::make_unique<TableCursor>(file, std::move(topic), *std::move(statement), *first,
+                                    std::min(most_batch_bytes, most_bytes_of_all / std::max<std::size_t>(topics, 1))));
 }
 
 Result<std::unique_ptr<RowCursor>> make_gap_cursor(const RecordingFile& file, const Selection& selection) {
@@ -326,9 +346,10 @@ Result<std::unique_ptr<detail::RowsMerge>> merged(const Recording& recording, co
   }
   auto all = recording.topics();
   if (!all) return std::move(all).error();
+  std::erase_if(*all, [&](const RecordedTopic& topic) { return !topic_matches(filter.topic, topic.topic); });
   for (RecordedTopic& topic : *all) {
-    if (!topic_matches(filter.topic, topic.topic)) continue;
-    if (auto added = add(make(*merge->file, std::move(topic), *selection)); !added) return std::move(added).error();
+    if (auto added = add(make(*merge->file, std::move(topic), *selection, all->size())); !added)
+      return std::move(added).error();
   }
   return merge;
 }
@@ -346,7 +367,7 @@ Result<Rows> Recording::steps(const RowFilter& filter, Duration step) const {
     return Error{Errc::bad_argument, "cannot select steps", "step " + to_string(step), "it is not above 0",
                  "give the length of a step, such as 1 s"};
   }
-  auto merge = merged(*this, filter, [&](const auto&, RecordedTopic topic, const detail::Selection& selection) {
+  auto merge = merged(*this, filter, [&](const auto&, RecordedTopic topic, const detail::Selection& selection, std::size_t) {
     return detail::make_step_cursor(*this, std::move(topic), selection, step);
   });
   if (!merge) return std::move(merge).error();

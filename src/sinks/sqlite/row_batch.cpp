@@ -12,7 +12,6 @@ constexpr const char* pointer_type = "rtdata row batch";
 constexpr int batch_argument = 0, column_argument = 1, first_argument = 2;
 constexpr std::size_t most_columns = 100;  // in a call; SQLite passes up to 127 values
 constexpr std::size_t most_rows = 64;
-constexpr std::size_t most_bytes = std::size_t{64} << 10;
 
 /// Calls that take all columns of a row called t.
 std::string calls(const RecordedTopic& topic, const Selection& selection) {
@@ -30,7 +29,7 @@ std::string calls(const RecordedTopic& topic, const Selection& selection) {
 
 }  // namespace
 
-RowBatch::RowBatch(const RecordedTopic& topic, std::int64_t first_run_with_escapes)
+RowBatch::RowBatch(const RecordedTopic& topic, std::int64_t first_run_with_escapes, std::size_t most_bytes)
     : reader_(topic),
       columns_(fixed_columns + topic.description->leaves().size()),
       payload_bytes_(topic.description->size()),
@@ -76,7 +75,10 @@ Result<bool> RowBatch::fill(sqlite::Statement& statement) {
   if (!has_ended_) {
     auto more = statement.step();
     has_ended_ = !more || !*more;
-    if (!more) failed_ = std::move(more).error();
+    if (!more) {
+      failed_ = std::move(more).error();
+      if (!rows_.empty() && !is_row_whole_) rows_.pop_back();  // the rest of it cannot be read
+    }
   }
   if (rows_.empty() && failed_) return *failed_;
   return !rows_.empty();
@@ -89,6 +91,8 @@ void RowBatch::take(sqlite3_context* context, int count, sqlite3_value** argumen
   if (batch == nullptr) return sqlite3_result_error(context, "rtdata_take is not for use in SQL", -1);
   try {
     const auto first = static_cast<std::size_t>(sqlite3_value_int64(arguments[column_argument]));
+    // It reads on when the batch is full only if it takes rows for another reason than to give them.
+    if (first == 0 && !batch->has_room()) return sqlite3_result_error(context, "the rows come out of turn", -1);
     sqlite3_result_int(
         context,
         batch->take(first, {arguments + first_argument, static_cast<std::size_t>(count - first_argument)}) ? 1 : 0);
@@ -105,6 +109,7 @@ void RowBatch::begin_row(std::span<sqlite3_value*> fixed) {
   rows_.push_back({sqlite3_value_int64(fixed[run_column]), sqlite3_value_int64(fixed[time_column]),
                    static_cast<std::uint64_t>(sqlite3_value_int64(fixed[sequence_column])),
                    static_cast<std::uint32_t>(origins_.size() - 1), false});
+  is_row_whole_ = false;
   std::memset(payloads_.data() + (rows_.size() - 1) * payload_bytes_, 0, payload_bytes_);
 }
 
@@ -126,7 +131,8 @@ bool RowBatch::take(std::size_t first, std::span<sqlite3_value*> columns) {
       error_ = std::move(read).error();
     }
   }
-  return is_last && (row.is_damaged || rows_.size() == most_rows_);
+  is_row_whole_ = is_last;
+  return is_last && (row.is_damaged || !has_room());
 }
 
 }  // namespace rtdata::detail

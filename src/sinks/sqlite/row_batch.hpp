@@ -28,7 +28,8 @@ class RowBatch {
   /// So that queries on this connection may call the function.
   static Result<void> provide(const sqlite::Database& database);
 
-  RowBatch(const RecordedTopic& topic, std::int64_t first_run_with_escapes);
+  /// `most_bytes`: of the payloads that it keeps; at least one row.
+  RowBatch(const RecordedTopic& topic, std::int64_t first_run_with_escapes, std::size_t most_bytes);
   RowBatch(const RowBatch&) = delete;
   RowBatch& operator=(const RowBatch&) = delete;
 
@@ -51,6 +52,7 @@ class RowBatch {
   static void take(sqlite3_context* context, int count, sqlite3_value** arguments) noexcept;
   /// Columns of a row, the first of which is this one: all of them in turn. True: the batch is to be read now.
   bool take(std::size_t first, std::span<sqlite3_value*> columns);
+  bool has_room() const noexcept { return rows_.size() < most_rows_; }
   void begin_row(std::span<sqlite3_value*> fixed);
 
   const RowReader reader_;
@@ -61,6 +63,7 @@ class RowBatch {
   std::vector<Row> rows_;
   std::vector<std::byte> payloads_;
   std::vector<std::string> origins_;
+  bool is_row_whole_ = true;     // the last one was taken up to its last column
   std::optional<Error> error_;   // of the last row
   std::optional<Error> failed_;  // of the database, behind the last row
   bool has_ended_ = false;

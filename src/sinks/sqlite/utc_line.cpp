@@ -265,10 +265,15 @@ Result<void> make_utc_view(Database& database, const std::string& table, const D
 Result<void> NewUtcViews::look_for_room(const Database& database, const std::string& table) {
   const std::string view = utc_view_of(table);
   // Found in memory, where a query would go through the whole schema.
-  if (sqlite3_table_column_metadata(database.raw(), "main", view.c_str(), nullptr, nullptr, nullptr, nullptr, nullptr,
-                                    nullptr) != SQLITE_OK)
-    return {};
-  return Error{Errc::bad_description, "cannot make a view", view, "there is a table of that name", ""};
+  const bool is_table = sqlite3_table_column_metadata(database.raw(), "main", view.c_str(), nullptr, nullptr, nullptr,
+                                                      nullptr, nullptr, nullptr) == SQLITE_OK;
+  auto index = database.prepare("PRAGMA main.index_info(" + quoted(view) + ")");
+  if (!index) return std::move(index).error();
+  auto is_index = index->step();
+  if (!is_index) return std::move(is_index).error();
+  if (!is_table && !*is_index) return {};
+  return Error{Errc::bad_description, "cannot make a view", view,
+               "there is " + std::string(is_table ? "a table" : "an index") + " of that name", ""};
 }
 
 void NewUtcViews::add(const std::string& table, const Description& description) {
