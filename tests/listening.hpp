@@ -26,7 +26,7 @@ inline bool is_listening(std::uint16_t port) {
 
 /// Waits for a server, another program, that has just been started: 20 s at most.
 inline bool comes_to_listen(std::uint16_t port) {
-  const auto end = std::chrono::steady_clock::now() + std::chrono::seconds{20};
+  const auto end = std::chrono::steady_clock::now() + std::chrono::seconds{60};
   while (!is_listening(port)) {
     if (std::chrono::steady_clock::now() > end) return false;
     std::this_thread::sleep_for(std::chrono::milliseconds{2});

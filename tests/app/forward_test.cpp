@@ -276,7 +276,7 @@ TEST_SUITE("app") {
     folder.write("node.json", configuration);
     for (int kill = 0; kill < 4; ++kill) {
       Process run(folder, program, {"run", "node.json", "--quiet"});
-      for (int i = 0; i < 500 && !folder.has("copy.jsonl"); ++i)
+      for (int i = 0; i < 3000 && !folder.has("copy.jsonl"); ++i)
         std::this_thread::sleep_for(std::chrono::milliseconds{10});
       std::this_thread::sleep_for(std::chrono::milliseconds{37 * (kill + 1)});
       run.signal(SIGKILL);

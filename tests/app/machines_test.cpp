@@ -133,7 +133,7 @@ TEST_SUITE("app") {
       Process run(folder, built("rtdata"), {"run", "rig.json"});
       REQUIRE(run.wait_for("running rig"));
       // As soon as the change is in the file, which is long before the second in which others are stored.
-      for (int i = 0; i < 500 && changes_in(folder, "run.db", "m").to.size() < 2; ++i) {
+      for (int i = 0; i < 3000 && changes_in(folder, "run.db", "m").to.size() < 2; ++i) {
         std::this_thread::sleep_for(std::chrono::milliseconds{20});
       }
       run.signal(SIGKILL);
@@ -193,7 +193,7 @@ TEST_SUITE("app") {
     folder.write("rig.json", rig(""));
     Process run(folder, built("rtdata"), {"run", "rig.json"});
     REQUIRE(run.wait_for("running rig"));
-    for (int i = 0; i < 500 && changes_in(folder, "run.db", "m").to.size() < 2; ++i)
+    for (int i = 0; i < 3000 && changes_in(folder, "run.db", "m").to.size() < 2; ++i)
       std::this_thread::sleep_for(std::chrono::milliseconds{20});
     folder.write("rig.json", rig(R"(, "max_age": "5 s")"));
     run.signal(SIGHUP);

@@ -158,12 +158,12 @@ TEST_SUITE("app") {
     const rtdata::test::RuntimeFolder runtime;
     const Folder folder;
     const std::string program = built("rtdata");
-    const auto text = [](const char* file) {
+    const auto text = [](const char* file, const char* close_deadline) {
       return R"({"sensors": [{"name": "l", "type": "host", "quantity": "load", "rate": "50 Hz"}], "sinks": [
         {"type": "sqlite", "name": "db", "path": ")" +
-             std::string(file) + R"(", "close_deadline": "500 ms"}]})";
+             std::string(file) + R"(", "close_deadline": ")" + close_deadline + R"("}]})";
     };
-    folder.write("rig.json", text("first.db"));
+    folder.write("rig.json", text("first.db", "500 ms"));
     Process run(folder, program, {"run", "rig.json"});
     REQUIRE(run.wait_for("running rig"));
     const auto reload = [&](const std::vector<std::string>& words, int status) {
@@ -175,7 +175,7 @@ TEST_SUITE("app") {
       auto other = rtdata::sqlite::Database::open(folder.path() + "/first.db", rtdata::sqlite::Database::Mode::write)
                        .or_throw();
       other.execute("BEGIN IMMEDIATE").or_throw();
-      folder.write("rig.json", text("second.db"));
+      folder.write("rig.json", text("second.db", "30 s"));
       CHECK(has(reload({}, 1), "`rtdata ctl reload give-up db`"));
       CHECK(has(reload({"give-up", "db"}, 0), "sink db: restarted (path)"));
       REQUIRE(run.wait_for("sink db: lost "));
@@ -210,7 +210,7 @@ TEST_SUITE("app") {
     const auto reload = [&](const std::vector<std::string>& words, int status) {
       return reloaded(folder, program, words, status);
     };
-    for (int i = 0; i < 1000; ++i) {  // until something waits for the peer that is not there
+    for (int i = 0; i < 6000; ++i) {  // until something waits for the peer that is not there
       std::this_thread::sleep_for(std::chrono::milliseconds{10});
       if (const auto opened = rtdata::Recording::open(folder.path() + "/first.db"); opened && opened->topics())
         if (const auto all = opened->backlogs(); all && !all->empty() && all->front().events > 10) break;
@@ -285,7 +285,7 @@ while True:
 )");
     Process peer(folder, "/usr/bin/env", {"python3", "peer.py"});
     std::string port;
-    for (int i = 0; i < 1000 && port.empty(); ++i) {
+    for (int i = 0; i < 6000 && port.empty(); ++i) {
       std::this_thread::sleep_for(std::chrono::milliseconds{10});
       port = folder.read("port");
     }

@@ -113,7 +113,7 @@ TEST_SUITE("contract") {
       loop.post([&] { go_on.set(); });
     });
     for (int i = 0; i < 100; ++i) topic.publish({1});
-    Timer limit(loop, 20s, [&] { loop.stop(); });
+    Timer limit(loop, 60s, [&] { loop.stop(); });
     loop.run();
     CHECK(lost == 0);
     CHECK(told.rows == 500);

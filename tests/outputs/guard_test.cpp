@@ -34,7 +34,7 @@ using namespace std::chrono_literals;
 
 namespace {
 
-constexpr auto patience = 20s;
+constexpr auto patience = 60s;
 
 /// Writes each value as a line of a file, which any process can read. While there is a file PATH.mute it takes nothing,
 /// and each try is a line of PATH.tries. One with "slow" in its path takes its time, one with "locked" is for one

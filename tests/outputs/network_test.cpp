@@ -218,7 +218,7 @@ class Reader {
     REQUIRE(::mosquitto_connect(client_, "127.0.0.1", port, 60) == MOSQ_ERR_SUCCESS);
     for (int i = 0; i < 50; ++i) ::mosquitto_loop(client_, 10, 1);
     ::mosquitto_subscribe(client_, nullptr, "#", 2);
-    for (int i = 0; i < 1000 && !is_subscribed_; ++i) ::mosquitto_loop(client_, 10, 1);
+    for (int i = 0; i < 6000 && !is_subscribed_; ++i) ::mosquitto_loop(client_, 10, 1);
     REQUIRE(is_subscribed_);
   }
   Reader(const Reader&) = delete;
@@ -349,7 +349,7 @@ TEST_SUITE("outputs") {
     OutputLog log(loop, "pump");
     Output pump(loop, {.name = "pump"}, {}, "pump");
     const auto turn_until = [&](const std::function<bool()>& condition) {
-      for (int i = 0; i < 2000 && !condition(); ++i) loop.run_for(10ms);
+      for (int i = 0; i < 6000 && !condition(); ++i) loop.run_for(10ms);
       return condition();
     };
     pump.set(1).or_throw();

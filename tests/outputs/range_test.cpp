@@ -208,7 +208,7 @@ TEST_SUITE("outputs") {
     };
     const std::string duty = chips.path() + "/pwmchip0/pwm0/duty_cycle";
     CHECK(ctl("0.5", 0) == "output fan is being set to 0.5\n");
-    for (int i = 0; i < 500 && text_of(duty) != "500000"; ++i) std::this_thread::sleep_for(10ms);
+    for (int i = 0; i < 6000 && text_of(duty) != "500000"; ++i) std::this_thread::sleep_for(10ms);
     const auto refuses = [&](const std::string& value, const std::string& why) {
       const std::string answer = ctl(value, 1);
       CAPTURE(answer);

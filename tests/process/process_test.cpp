@@ -606,7 +606,7 @@ TEST_SUITE("process") {
       values.push_back(std::get<double>(event.value(*event.description().find("volts"))));
       if (values.back() == 40) loop.stop();
     });
-    Timer limit(loop, 10s, [&] { loop.stop(); });
+    Timer limit(loop, 60s, [&] { loop.stop(); });
     REQUIRE(pty.send("1\n1.4\n1.6\n9\n2\n4\n") > 0);
     loop.run();
     CHECK(values == std::vector<double>{10, 16, 20, 40});  // after the 9 the delta begins anew

@@ -169,7 +169,7 @@ void compare_with_gpspipe(const std::vector<std::string>& names, std::size_t mos
   GpsSensor sensor(loop, {.name = "gps"}, {.host = "127.0.0.1", .port = port, .retry_longest = 200ms});
   // gpsfake leaves its receivers out, and says nothing, when it comes between the two calls with which gpsd opens the
   // socket for them: then it begins anew.
-  Ticker again(loop, {.period = 10s, .phase = 10s}, [&](const Tick&) {
+  Ticker again(loop, {.period = 30s, .phase = 30s}, [&](const Tick&) {
     if (seen.empty()) feed();
   });
   loop.run();

@@ -119,7 +119,7 @@ struct Stage {
             .retry_longest = 4ms};
   }
   void until(const std::function<bool()>& is_so) {
-    Timer limit(loop, 10s, [&] { loop.stop(); });
+    Timer limit(loop, 60s, [&] { loop.stop(); });
     bool done = false;
     Ticker look(loop, 1ms, [&](const Tick&) {
       done = is_so();

@@ -228,7 +228,7 @@ struct Stage {
   }
   void until(const std::function<bool()>& is_so) {
     bool done = false;
-    Timer limit(loop, 20s, [&] { loop.stop(); });
+    Timer limit(loop, 60s, [&] { loop.stop(); });
     Ticker look(loop, 1ms, [&](const Tick&) {
       done = is_so();
       if (done) loop.stop();

@@ -91,7 +91,7 @@ struct Hearing {
     bool is_done = false;
     Ticker look(loop, 5ms, [&](const Tick& tick) {
       is_done = done();
-      if (is_done || tick.index > 4000) loop.stop();
+      if (is_done || tick.index > 12000) loop.stop();
     });
     loop.run();
     return is_done;

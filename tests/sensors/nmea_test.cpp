@@ -351,7 +351,7 @@ TEST_CASE("US-13 US-14 a serial line with format nmea publishes fixes, counts wh
   gps.on_error([&](const ErrorReport& report) { errors.emplace_back(report.error.id()); });
   const auto until = [&](const std::function<bool()>& is_so) {
     bool done = false;
-    Timer limit(loop, 10s, [&] { loop.stop(); });
+    Timer limit(loop, 60s, [&] { loop.stop(); });
     Ticker look(loop, 1ms, [&](const Tick&) {
       done = is_so();
       if (done) loop.stop();

@@ -527,7 +527,7 @@ struct Stage {
   }
   /// Runs until it is so; a failed check after 10 s.
   void until(const std::function<bool()>& is_so) {
-    Timer limit(loop, 10s, [&] { loop.stop(); });
+    Timer limit(loop, 60s, [&] { loop.stop(); });
     bool done = false;
     Ticker look(loop, 1ms, [&](const Tick&) {
       fake.speak();

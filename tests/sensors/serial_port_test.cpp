@@ -188,7 +188,7 @@ TEST_CASE("US-13 NFR-1 a silent device on a real port holds its lane alone; an u
   bool is_silent = true;
   const auto until = [&](const std::function<bool()>& is_so) {
     bool done = false;
-    Timer limit(loop, 10s, [&] { loop.stop(); });
+    Timer limit(loop, 60s, [&] { loop.stop(); });
     Ticker look(loop, 1ms, [&](const Tick&) {
       char bytes[64];
       while (line.pty.master() >= 0 && ::read(line.pty.master(), bytes, sizeof bytes) > 0) {

@@ -8,6 +8,7 @@
 #include <filesystem>
 #include <functional>
 #include <iterator>
+#include <utility>
 
 namespace sinks {
 
@@ -15,8 +16,11 @@ namespace sinks {
 /// has just gone: those are waited for, if they end at all.
 inline pid_t fork_without_threads() {
   constexpr int most_threads = 2;  // this one, and a sanitizer's
+  std::ptrdiff_t before = 0;
   for (int i = 0; i < 500; ++i) {
-    if (std::distance(std::filesystem::directory_iterator("/proc/self/task"), {}) <= most_threads) break;
+    const auto threads = std::distance(std::filesystem::directory_iterator("/proc/self/task"), {});
+    if (threads <= most_threads) break;
+    if (std::exchange(before, threads) > threads) i = 0;
     ::usleep(1000);
   }
   return ::fork();

@@ -90,7 +90,7 @@ struct Bench {
     bool is_done = false;
     Ticker look(loop, 10ms, [&](const Tick& tick) {
       is_done = done();
-      if (is_done || tick.index > 2000) loop.stop();
+      if (is_done || tick.index > 6000) loop.stop();
     });
     loop.run();
     return is_done;
@@ -193,7 +193,7 @@ TEST_SUITE("sinks") {
     CHECK(bench.wait_for([&] { return listener.hear(), listener.messages.size() == 5; }));
     feed.publish({6});
     CHECK(bench.loop.close(5s) == 0);
-    for (int i = 0; i < 500 && listener.messages.size() < 7; ++i) {
+    for (int i = 0; i < 6000 && listener.messages.size() < 7; ++i) {
       listener.hear();
       std::this_thread::sleep_for(10ms);  // the broker is another program
     }

@@ -367,9 +367,10 @@ Result<Rows> Recording::steps(const RowFilter& filter, Duration step) const {
     return Error{Errc::bad_argument, "cannot select steps", "step " + to_string(step), "it is not above 0",
                  "give the length of a step, such as 1 s"};
   }
-  auto merge = merged(*this, filter, [&](const auto&, RecordedTopic topic, const detail::Selection& selection, std::size_t) {
-    return detail::make_step_cursor(*this, std::move(topic), selection, step);
-  });
+  auto merge = merged(*this, filter,
+                      [&](const auto&, RecordedTopic topic, const detail::Selection& selection, std::size_t) {
+                        return detail::make_step_cursor(*this, std::move(topic), selection, step);
+                      });
   if (!merge) return std::move(merge).error();
   return Rows(*std::move(merge));
 }
