@@ -51,7 +51,7 @@ bool is_named(const std::filesystem::path& task, std::string_view wanted) {
 }
 
 /// Whether the guard of a program that has ended still tries to set the output with these settings safe.
-bool is_ending_elsewhere(const std::string& what) {
+bool is_ending_elsewhere(const std::string& what) noexcept try {
   const std::string wanted = name_of_ending(what);
   std::error_code ignored;
   for (const auto& process : std::filesystem::directory_iterator("/proc", ignored)) {
@@ -60,14 +60,15 @@ bool is_ending_elsewhere(const std::string& what) {
       if (is_named(task.path(), wanted)) return true;
   }
   return false;
+} catch (const std::exception&) {  // no memory: nobody knows of one
+  return false;
 }
 
-/// An error that passes, as of a device that is away: the guard of an output that has ended has it for moments.
-/// `was_ending`: this one had such an output when it began to take the device.
-Error passing(Error error, bool was_ending, const std::string& what) noexcept {
+/// Of a device that the guard of an output that has ended has for moments: an error that passes, as of a device that is
+/// away.
+Error passing(Error error) noexcept {
   if (error.code != make_error_code(Errc::busy) && error.code != make_error_code(Errc::timed_out)) return error;
   try {
-    if (!was_ending && !is_ending_elsewhere(what)) return error;
     error.code = make_error_code(Errc::disconnected);
     error.why += "; the guard of what had it before still tries to set it safe";
     error.advice = "leave that guard alone: it ends after 10 s, and this output is tried again each second";
@@ -149,14 +150,15 @@ class Keeper {
     const std::optional<double> value = order.has_value != 0 ? std::optional(order.value) : std::nullopt;
     if (order.kind == GuardOrder::set && (has_tripped_ || is_retrying_) && value != safe_)
       return answer(Error{Errc::not_permitted, "cannot set the output", "", "its guard has set it safe", "arm it"});
-    const bool was_ending = ending > 0;
+    // Asked before: the device may be free, and who tried may have ended, when it is taken.
+    const bool was_ending = !is_open_ && (ending > 0 || is_ending_elsewhere(what_));
     const Result<void> done = order.kind == GuardOrder::finish && !value ? Result<void>() : held_.put(value);
     // What a device has that did not take its value is not known: the safe one is set when the time is over.
     is_open_ = is_open_ || done.has_value();
     is_safe_ = done.has_value() ? value == safe_ : false;
     is_retrying_ = is_retrying_ && !is_safe_;
     if (order.kind == GuardOrder::finish) return finish(done);
-    answer(done || is_open_ ? done : passing(done.error(), was_ending, what_));
+    answer(done || !was_ending ? done : passing(done.error()));
   }
   void finish(const Result<void>& done) noexcept {
     is_over_ = true;
@@ -186,9 +188,8 @@ class Keeper {
     const auto last = SteadyClock::now() + longest_after_end;
     for (;;) {
       const Result<void> done = held_.put(safe_);
-      // Who has it now has set it safe when it took it.
-      const bool is_busy = !done && done.error().code == make_error_code(Errc::busy);
-      if (!done && !is_busy && SteadyClock::now() < last) {
+      // Also when somebody else has it: the guard of the next run does so while it tries in vain.
+      if (!done && SteadyClock::now() < last) {
         std::this_thread::sleep_for(retry_period);
         continue;
       }

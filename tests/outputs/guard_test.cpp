@@ -349,6 +349,33 @@ TEST_SUITE("outputs") {
     CHECK(b.errors.size() == 1);
   }
 
+  TEST_CASE("US-35 guard: that of a killed program goes on when somebody else has the device for a while") {
+    ScratchDirectory directory;
+    const std::string path = directory.file("locked"), tries = path + ".tries";
+    {
+      Program program(path);
+      wait_for(path, "set 1.0");
+      std::ofstream(path + ".mute").flush();
+    }
+    while (lines_of(tries).size() < 2) std::this_thread::sleep_for(1ms);
+    const int lock = ::open((path + ".lock").c_str(), O_RDWR | O_CLOEXEC);
+    while (::flock(lock, LOCK_EX | LOCK_NB) != 0) std::this_thread::sleep_for(1ms);  // between two of its tries
+    std::this_thread::sleep_for(1s);
+    const std::size_t before = lines_of(tries).size();
+    ::close(lock);
+    const auto began = std::chrono::steady_clock::now();
+    while (lines_of(tries).size() == before && std::chrono::steady_clock::now() - began < patience)
+      std::this_thread::sleep_for(1ms);
+    CHECK(lines_of(tries).size() > before);
+    std::filesystem::remove(path + ".mute");
+    const auto is_safe = [&] {
+      const auto lines = lines_of(path);
+      return lines.size() > 2 && lines[lines.size() - 2] == "open 0.0" && lines.back() == "gone";
+    };
+    while (!is_safe() && std::chrono::steady_clock::now() - began < patience) std::this_thread::sleep_for(1ms);
+    CHECK(is_safe());
+  }
+
   TEST_CASE("US-35 guard: an output that ended unsafe is remembered, and one that is made anew takes its device over") {
     ScratchDirectory directory;
     Bench b({}, directory.file("locked"));
