@@ -260,6 +260,38 @@ TEST_CASE("US-26 verify names what was deleted, added or changed in the rows") {
             "1 row of run 7, which is not in the list of runs"));
 }
 
+TEST_CASE("US-26 verify notices that a whole run is missing, but not that the newest are") {
+  const Folder folder;
+  const std::string path = folder / "run.db";
+  for (int run = 1; run <= 5; ++run) make(folder);
+  REQUIRE_MESSAGE(verified(path).exit_code() == 0, verified(path).text());
+  CHECK(number(path, "SELECT count(*) FROM rtdata_run") == 5);
+  const auto without = [&](const std::string& runs) {
+    const std::string changed = folder / "changed.db";
+    std::filesystem::copy_file(path, changed, std::filesystem::copy_options::overwrite_existing);
+    auto database = sqlite::Database::open(changed, sqlite::Database::Mode::write).or_throw();
+    std::vector<std::string> tables;
+    auto query = database
+                     .prepare(
+                         "SELECT m.name FROM sqlite_schema m, pragma_table_info(m.name) c WHERE m.type = 'table' "
+                         "AND c.name = 'run'")
+                     .or_throw();
+    while (query.step().or_throw()) tables.emplace_back(query.text(0));
+    CHECK(tables.size() > 10);
+    query = {};
+    for (const std::string& table : tables)
+      database.execute("DELETE FROM " + sqlite::quoted(table) + " WHERE run IN (" + runs + ")").or_throw();
+    database = {};
+    return problems_of(verified(changed));
+  };
+  CHECK(without("3") == "Run 3 is not there, and not among the runs that rtdata_deleted counts.\n");
+  CHECK(without("1, 2, 4") ==
+        "Runs 1 to 2 are not there, and not among the runs that rtdata_deleted counts.\n"
+        "Run 4 is not there, and not among the runs that rtdata_deleted counts.\n");
+  CHECK(without("4, 5") == "");
+  CHECK(has(without("1, 2, 3, 4, 5"), "room/climate: it came with run 1, which is newer than all that are there."));
+}
+
 TEST_CASE("US-26 verify notices every edited count of the ledger, the schedule and the gaps") {
   for (const char* column : {"scheduled", "taken", "missed", "failed", "in_flight", "published", "repeated", "filtered",
                              "offered", "stored", "dropped_newest", "dropped_oldest", "dropped_refused",
