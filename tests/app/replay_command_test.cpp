@@ -207,6 +207,51 @@ TEST_CASE("FW-5 US-34 replay: several runs of a boot whose clock was set while i
   CHECK(utc_of(folder.path() + "/third.db") == utc);
 }
 
+TEST_CASE("FW-5 replay: with --from, at any speed, nobody waits for the time before") {
+  const Folder folder;
+  const std::string path = folder.path() + "/run.db";
+  const auto record = [&](Duration pause) {
+    Loop loop{Loop::Manual{}};
+    SqliteSink sink(loop, {.path = path});
+    Feed<Warmth> room(loop, {.name = "room"});
+    room.publish({1});
+    loop.advance(pause);
+    for (double warmth = 2; warmth < 5; ++warmth) {
+      loop.advance(50ms);
+      room.publish({warmth});
+    }
+    loop.advance(1s);
+    CHECK(loop.close() == 0);
+  };
+  record(24h * 365);
+  record(10ms);
+  const Time second_event = *Recording::open(path).or_throw().runs().or_throw()[0].ended - 1s - 100ms;
+  folder.write("part.json", R"({"sinks": [{"type": "sqlite", "path": "part.db"}]})");
+  // A replay that waits for a year is ended by the test's own limit of time.
+  for (const char* speed : {"1", "3", "max"}) {
+    CAPTURE(speed);
+    std::filesystem::remove(folder.path() + "/part.db");
+    Process part(
+        folder, program,
+        {"replay", "run.db", "part.json", "--run", "1", "--from", to_iso8601(second_event + 10ms), "--speed", speed});
+    CHECK(part.end() == 0);
+    const auto copy = Recording::open(folder.path() + "/part.db").or_throw();
+    std::vector<double> given;
+    auto events = copy.events<Warmth>("room").or_throw();
+    while (const auto* event = events.next().or_throw()) given.push_back((*event)->temperature);
+    CHECK(given == std::vector<double>{3, 4});
+    const auto runs = copy.runs().or_throw();
+    CHECK(runs.size() == 1);
+    CHECK(runs[0].started <= second_event + 10ms);
+    CHECK(runs[0].started > second_event - 2s);
+    const auto report = verify(copy).or_throw();
+    CHECK_MESSAGE(report.verdict() == Verdict::balanced, report.text());
+  }
+  Process before(folder, program, {"replay", "run.db", "--run", "2", "--from", "1980-01-01T00:00:00Z"});
+  CHECK(before.end() == 0);
+  CHECK(before.err.find("has ended: 4 events") != std::string::npos);
+}
+
 TEST_CASE("FW-5 replay: to the terminal, chosen; and what is wrong has a status") {
   const Folder folder;
   const std::string path = recorded(folder);

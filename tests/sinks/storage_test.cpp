@@ -350,6 +350,10 @@ TEST_SUITE("sinks") {
         CHECK(offered == 1000);
         CHECK(number(path, "SELECT count(*) FROM a WHERE run = 1") == 1000);  // the data is all there
       }
+      sql(path, "UPDATE rtdata_deleted SET runs = runs - 1 WHERE topic = ''");  // as if one more were missing
+      CHECK(
+          problems_of(verified(path)).find("rtdata_deleted counts " + std::to_string(starts - runs) + " runs from ") !=
+          std::string::npos);
     }
   }
 

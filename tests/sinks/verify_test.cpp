@@ -9,6 +9,7 @@
 #include "app/core/recording_commands.hpp"
 #include "loop/lane_sensor.hpp"
 #include "sinks/recordings.hpp"
+#include "sinks/sqlite/positions.hpp"
 
 using namespace rtdata;
 using namespace recordings;
@@ -43,6 +44,70 @@ TEST_CASE("US-26 a column or a view that is damaged is found") {
             "room/climate: the table has no column \"temperature\"."));
   CHECK(has(after("DROP VIEW rtdata_run_utc; CREATE VIEW rtdata_run_utc AS SELECT rum FROM rtdata_run"),
             "The view rtdata_run_utc is damaged: no such column: rum."));
+  const auto exchanged = [](const std::string& a, const std::string& b) {
+    const std::string rename = "ALTER TABLE \"room/climate\" RENAME COLUMN ";
+    return rename + a + " TO z;" + rename + b + " TO " + a + ";" + rename + "z TO " + b;
+  };
+  CHECK(after(exchanged("temperature", "humidity")) ==
+        "room/climate: column 5 of the table is \"humidity\", where \"temperature\" was recorded: names of columns "
+        "were exchanged.\n");
+  CHECK(has(after("DROP VIEW \"room/climate~utc\"; " + exchanged("time", "sequence")),
+            "column 2 of the table is \"sequence\", where \"time\" was"));
+}
+
+TEST_CASE("US-26 a position of a sender that is of nothing recorded is found") {
+  const auto position = [](const std::string& table, int run, const std::string& origin, const std::string& sequence) {
+    return std::string(sqlite::position_schema) + "INSERT INTO rtdata_position VALUES('peer', '', 0, 0, '#', 0, 'h');" +
+           "INSERT INTO rtdata_position VALUES('peer', '" + table + "', 7, " + std::to_string(run) + ", '" + origin +
+           "', " + sequence + ", 'h')";
+  };
+  const std::string last = "(SELECT last_sequence FROM rtdata_ledger WHERE origin = 'room')";
+  const Folder folder;
+  const std::string path = make(folder);
+  sql(path, position("room/climate", 1, "room", last));
+  CHECK_MESSAGE(verified(path).exit_code() == 0, verified(path).text());
+  sql(path, "UPDATE rtdata_position SET run = 0, origin = '', sequence = 0");  // before the first row
+  CHECK(verified(path).exit_code() == 0);
+  CHECK(has(after(position("room/climate", 1, "room", last + " + 1")),
+            "rtdata_position: sink peer has table \"room/climate\" up to sequence "));
+  CHECK(has(after(position("room/climate", 1, "rom", "1")), "of origin rom in run 1, which was never recorded."));
+  CHECK(has(after(position("room/climate", 2, "room", "1")), "of origin room in run 2, which was never recorded."));
+  CHECK(has(after(position("room/climat", 1, "room", "1")), "sink peer has table \"room/climat\" up to sequence 1 "));
+}
+
+namespace {
+
+struct Narrow {
+  double b = 0;
+  RTDATA_FIELDS(Narrow, (b, "m"))
+};
+struct Wide {
+  double a = 0, b = 0;
+  RTDATA_FIELDS(Wide, (a, "m"), (b, "m"))
+};
+
+}  // namespace
+
+TEST_CASE("US-26 a column that a later run added before others is no damage, whether its rows are there or pruned") {
+  const Folder folder;
+  const std::string path = folder / "run.db";
+  const auto record = [&](auto payload, int events, std::uint64_t max_bytes) {
+    Loop loop{Loop::Manual{}};
+    SqliteSink sink(loop, {.path = path, .max_bytes = max_bytes});
+    Feed<decltype(payload)> feed(loop, {.name = "feed", .topic = "a"});
+    for (int i = 0; i < events; ++i) {
+      feed.publish(payload);
+      if (i % 100 == 0) loop.advance(1s);
+    }
+    CHECK(loop.close() == 0);
+  };
+  record(Narrow{1}, 300, 0);
+  record(Wide{2, 3}, 300, 0);
+  CHECK(verified(path).exit_code() == 0);
+  record(Wide{2, 3}, 200'000, SqliteConfig::least_max_bytes);
+  CHECK(number(path, "SELECT min(run) FROM a") == 3);
+  CHECK(verified(path).exit_code() == 0);
+  CHECK(number(path, "SELECT cid FROM pragma_table_info('a') WHERE name = 'a'") == 5);
 }
 
 TEST_CASE(
@@ -258,6 +323,38 @@ TEST_CASE("US-26 verify names what was deleted, added or changed in the rows") {
             "origin rooms: 1 row, but the ledger does not know it"));
   CHECK(has(after("UPDATE \"room/climate\" SET run = 7 WHERE sequence = 500"),
             "1 row of run 7, which is not in the list of runs"));
+}
+
+TEST_CASE("US-26 verify notices that a whole run is missing, but not that the newest are") {
+  const Folder folder;
+  const std::string path = folder / "run.db";
+  for (int run = 1; run <= 5; ++run) make(folder);
+  REQUIRE_MESSAGE(verified(path).exit_code() == 0, verified(path).text());
+  CHECK(number(path, "SELECT count(*) FROM rtdata_run") == 5);
+  const auto without = [&](const std::string& runs) {
+    const std::string changed = folder / "changed.db";
+    std::filesystem::copy_file(path, changed, std::filesystem::copy_options::overwrite_existing);
+    auto database = sqlite::Database::open(changed, sqlite::Database::Mode::write).or_throw();
+    std::vector<std::string> tables;
+    auto query = database
+                     .prepare(
+                         "SELECT m.name FROM sqlite_schema m, pragma_table_info(m.name) c WHERE m.type = 'table' "
+                         "AND c.name = 'run'")
+                     .or_throw();
+    while (query.step().or_throw()) tables.emplace_back(query.text(0));
+    CHECK(tables.size() > 10);
+    query = {};
+    for (const std::string& table : tables)
+      database.execute("DELETE FROM " + sqlite::quoted(table) + " WHERE run IN (" + runs + ")").or_throw();
+    database = {};
+    return problems_of(verified(changed));
+  };
+  CHECK(without("3") == "Run 3 is not there, and not among the runs that rtdata_deleted counts.\n");
+  CHECK(without("1, 2, 4") ==
+        "Runs 1 to 2 are not there, and not among the runs that rtdata_deleted counts.\n"
+        "Run 4 is not there, and not among the runs that rtdata_deleted counts.\n");
+  CHECK(without("4, 5") == "");
+  CHECK(has(without("1, 2, 3, 4, 5"), "room/climate: it came with run 1, which is newer than all that are there."));
 }
 
 TEST_CASE("US-26 verify notices every edited count of the ledger, the schedule and the gaps") {

@@ -3,6 +3,7 @@
 
 #include <sys/stat.h>
 
+#include <algorithm>
 #include <atomic>
 #include <iostream>
 #include <memory>
@@ -23,6 +24,7 @@
 #include "rtdata/loop/topic.hpp"
 #include "rtdata/sinks/console.hpp"
 #include "rtdata/sinks/recording.hpp"
+#include "sinks/sqlite/replay_choice.hpp"
 
 namespace rtdata::app {
 namespace {
@@ -125,10 +127,10 @@ class RunClock final : public SystemClock {
   Duration offset_{0};
 };
 
-/// For a run in virtual time: both its lines begin as those of the run that was recorded.
-ManualClock clock_of(const RunInfo& run) {
-  const Duration since_boot = detail::difference(run.clock_offset, run.started.time_since_epoch());
-  if (since_boot <= Duration{0} || since_boot == Duration::max()) return ManualClock(run.started);
+/// For a run in virtual time: both its lines go on as those of the run that was recorded did at `begin`.
+ManualClock clock_of(const RunInfo& run, Time begin) {
+  const Duration since_boot = detail::difference(run.clock_offset, begin.time_since_epoch());
+  if (since_boot <= Duration{0} || since_boot == Duration::max()) return ManualClock(begin);
   ManualClock clock(Time{run.clock_offset});
   clock.pass(since_boot);
   return clock;
@@ -202,9 +204,13 @@ class ReplayRun {
 
  private:
   void give(const Recording& recording, const RunInfo& run, const SystemPlan* plan) {
+    ReplayConfig config = options_.config;
+    config.run = run.run;
     // Its line is that of the run, so that whoever asks for the time gets that at which it was recorded.
-    ManualClock clock = clock_of(run);
-    RunClock real_clock(run.started - std::chrono::seconds{1});  // while sinks are opened time passes
+    const Time asked = detail::beginning_of(recording, run, config).or_throw();
+    const Time begin = std::clamp(asked, run.started, std::max(run.started, run.ended.value_or(asked)));
+    ManualClock clock = clock_of(run, begin);
+    RunClock real_clock(begin - std::chrono::seconds{1});  // while sinks are opened time passes
     Runtime::Config runtime_config = plan != nullptr ? plan->runtime_config() : Runtime::Config{};
     runtime_config.clock = options_.is_virtual ? static_cast<Clock*>(&clock) : &real_clock;
     if (runtime_config.name.empty() || plan == nullptr) runtime_config.name = run.name;
@@ -230,13 +236,11 @@ class ReplayRun {
       console.emplace(loop, ConsoleConfig{});
     }
     give_clock(recording, run, loop);
-    const Time utc = recording.utc_line(run.run).or_throw().utc(run.started);
-    if (const Duration moved = utc - run.started; std::chrono::abs(moved) > std::chrono::milliseconds{1}) {
+    const Time utc = recording.utc_line(run.run).or_throw().utc(begin);
+    if (const Duration moved = utc - begin; std::chrono::abs(moved) > std::chrono::milliseconds{1}) {
       clock.set_realtime(clock.realtime() + moved);
       real_clock.set_realtime(real_clock.realtime() + moved);
     }
-    ReplayConfig config = options_.config;
-    config.run = run.run;
     std::optional<Error> failed;
     Replay replay(loop, config);
     bool is_done = false;

@@ -24,6 +24,7 @@
 #include "sinks/sqlite/topic_table.hpp"
 #include "sinks/sqlite/utc_line.hpp"
 #include "sinks/sqlite/value_ranges.hpp"
+#include "sinks/sqlite/verify_run.hpp"
 
 namespace rtdata {
 namespace postgresql {
@@ -622,7 +623,7 @@ Result<ServerRecording> download(const PostgresqlConfig& config) {
 Result<VerifyReport> verify_server(const PostgresqlConfig& config) {
   auto server = download(config);
   if (!server) return std::move(server).error();
-  auto report = verify(server->recording);
+  auto report = detail::verify_contents(server->recording);
   if (!report) return report;
   report->path = shown_url(config.url);
   for (const auto& [number, problem] : server->problems)

@@ -59,6 +59,19 @@ Result<RunInfo> chosen_run(const Recording& recording, const ReplayConfig& confi
                numbers.empty() ? "" : "its runs are " + numbers};
 }
 
+Result<Time> beginning_of(const Recording& recording, const RunInfo& run, const ReplayConfig& config) {
+  auto from = given_time("from", config.from);
+  if (!from) return std::move(from).error();
+  if (!*from) return run.started;
+  Time time = (*from)->time;
+  if ((*from)->line == RowFilter::Times::utc) {
+    auto line = recording.utc_line(run.run);
+    if (!line) return std::move(line).error();
+    time = line->recorded(time);
+  }
+  return std::max(run.started, time);
+}
+
 Result<std::vector<RecordedTopic>> chosen_topics(const Recording& recording, const ReplayConfig& config,
                                                  std::int64_t run) {
   for (const std::string& pattern : config.topics) {

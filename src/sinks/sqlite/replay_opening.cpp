@@ -31,11 +31,7 @@ ReplayNode::ReplayNode(LoopCore& loop, ReplayConfig config)
   Recording recording = Recording::open(config_.file).or_throw();
   run_ = chosen_run(recording, config_).or_throw();
   filter.run = run_.run;
-  base_ = run_.started;
-  if (from) {
-    base_ = from->line == RowFilter::Times::utc ? recording.utc_line(run_.run).or_throw().recorded(from->time)
-                                                : from->time;
-  }
+  base_ = beginning_of(recording, run_, config_).or_throw();
   last_given_ = base_;
   const Time time_now = loop.runtime.event_now();
   is_aligned_ = config_.speed == 1 && base_ >= time_now && base_ - time_now <= std::chrono::seconds{10};

@@ -243,8 +243,10 @@ std::string_view name_of(Verdict verdict) noexcept {
   }
 }
 
-Result<VerifyReport> verify(const Recording& recording) {
-  auto snapshot = detail::Snapshot::take(recording.file());
+namespace detail {
+
+Result<VerifyReport> verify_contents(const Recording& recording) {
+  auto snapshot = Snapshot::take(recording.file());
   if (!snapshot) return std::move(snapshot).error();
   auto checked = recording.file()->prepare("PRAGMA quick_check(1)");
   if (!checked) return std::move(checked).error();
@@ -255,28 +257,28 @@ Result<VerifyReport> verify(const Recording& recording) {
   report.path = recording.path();
   auto infos = recording.runs();
   if (!infos) return std::move(infos).error();
-  std::map<std::int64_t, detail::OriginMap> rows;
-  std::map<std::int64_t, detail::OfRun> accounts;
+  std::map<std::int64_t, OriginMap> rows;
+  std::map<std::int64_t, OfRun> accounts;
   for (RunInfo& info : *infos) {
     const bool has_ticks = info.state == RunState::closed && info.format >= sqlite::first_version_of_own_data_account;
-    auto loaded = detail::OfRun::load(recording, info.run);
+    auto loaded = OfRun::load(recording, info.run);
     if (!loaded) return std::move(loaded).error();
-    const detail::OfRun& of_run = accounts.emplace(info.run, std::move(*loaded)).first->second;
-    detail::OriginMap& origins = rows[info.run];
+    const OfRun& of_run = accounts.emplace(info.run, std::move(*loaded)).first->second;
+    OriginMap& origins = rows[info.run];
     const bool is_ended = info.state != RunState::recording;
     for (const LedgerEntry& entry : of_run.ledger) {
-      detail::OriginRows& origin = origins[detail::origin_key(entry.topic, entry.origin)];
+      OriginRows& origin = origins[origin_key(entry.topic, entry.origin)];
       origin.topic = entry.topic;
       origin.origin = entry.origin;
       origin.run = info.run;
       if (!is_ended) origin.account_ends = entry.rows_up_to;
       constexpr Duration tolerance = std::chrono::milliseconds{1};  // events at one time are put 1 ns apart
-      origin.earliest = to_nanoseconds(detail::later(info.started, -tolerance));
-      origin.may_begin_early = !detail::is_account_known(info);
-      if (is_ended && info.ended) origin.latest = to_nanoseconds(detail::later(*info.ended, tolerance));
+      origin.earliest = to_nanoseconds(later(info.started, -tolerance));
+      origin.may_begin_early = !is_account_known(info);
+      if (is_ended && info.ended) origin.latest = to_nanoseconds(later(*info.ended, tolerance));
       origin.is_first_carried = entry.carried != 0;
-      if (has_ticks && detail::TickCheck::is_held(entry)) {
-        const std::string key = detail::origin_key(entry.topic, entry.origin);
+      if (has_ticks && TickCheck::is_held(entry)) {
+        const std::string key = origin_key(entry.topic, entry.origin);
         origin.ticks.emplace(entry, of_run.segments(key), of_run.gaps_in(key));
       }
     }
@@ -285,10 +287,10 @@ Result<VerifyReport> verify(const Recording& recording) {
   }
   auto topics = recording.topics();
   if (!topics) return std::move(topics).error();
-  auto checksums = detail::Checksums::load(*recording.file());
+  auto checksums = Checksums::load(*recording.file());
   if (!checksums) return std::move(checksums).error();
   for (const RecordedTopic& topic : *topics) {
-    if (auto scanned = detail::scan_rows(*recording.file(), topic, rows, *checksums, report.problems); !scanned)
+    if (auto scanned = scan_rows(*recording.file(), topic, rows, *checksums, report.problems); !scanned)
       return std::move(scanned).error();
   }
   auto version = recording.file()->version();
@@ -313,18 +315,25 @@ Result<VerifyReport> verify(const Recording& recording) {
   for (const RunReport& run : report.runs) numbers.push_back(run.info.run);
   if (auto scanned = checksums->scan_accounts(*recording.file(), numbers, report.problems); !scanned)
     return std::move(scanned).error();
-  if (auto looked = detail::check_layout(*recording.file(), *version, *topics, report.problems); !looked)
+  if (auto looked = check_layout(*recording.file(), *version, *topics, report.problems); !looked)
     return std::move(looked).error();
-  detail::check_formats(report.runs, *version, report.problems);
-  if (*version >= sqlite::first_version_with_checksums)
-    detail::check_topics(*checksums, *topics, numbers, report.problems);
+  check_formats(report.runs, *version, report.problems);
+  if (*version >= sqlite::first_version_with_checksums) check_topics(*checksums, *topics, numbers, report.problems);
   auto deleted = recording.deleted_runs();
   if (!deleted) return std::move(deleted).error();
-  detail::verify_deleted(std::move(*deleted), report);
+  verify_deleted(std::move(*deleted), report);
   for (RunReport& run : report.runs) {
-    if (auto done = detail::verify_run(accounts.at(run.info.run), rows[run.info.run], *checksums, run); !done)
+    if (auto done = verify_run(accounts.at(run.info.run), rows[run.info.run], *checksums, run); !done)
       return std::move(done).error();
   }
+  return report;
+}
+
+}  // namespace detail
+
+Result<VerifyReport> verify(const Recording& recording) {
+  auto report = detail::verify_contents(recording);
+  if (report) detail::check_run_numbers(*report);
   return report;
 }
 

@@ -1,4 +1,5 @@
 // The part of verify that looks at what is left of runs that were deleted: sums.
+#include <algorithm>
 #include <map>
 #include <set>
 
@@ -46,6 +47,38 @@ void verify_deleted(DeletedRuns runs, VerifyReport& report) {
                                 " that were deleted missed or lost at their end: they were not closed");
   }
   deleted.runs = std::move(runs);
+}
+
+void check_run_numbers(VerifyReport& report) {
+  const DeletedRuns none, &deleted = report.deleted ? report.deleted->runs : none;
+  const std::int64_t first_deleted = std::max<std::int64_t>(deleted.first_run, 1), last_deleted = deleted.last_run;
+  std::uint64_t missing = 0;  // of those from the first to the last that was deleted
+  std::size_t told = 0;
+  const auto tell = [&](std::int64_t first, std::int64_t last) {
+    if (first > last || told++ >= Findings::most_sentences) return;
+    const std::string runs = first == last ? "Run " + std::to_string(first) + " is"
+                                           : "Runs " + std::to_string(first) + " to " + std::to_string(last) + " are";
+    report.problems.push_back(runs + " not there, and not among the runs that rtdata_deleted counts.");
+  };
+  const auto miss = [&](std::int64_t first, std::int64_t last) {
+    if (first > last) return;
+    if (deleted.runs == 0 || first > last_deleted || last < first_deleted) return tell(first, last);
+    tell(first, first_deleted - 1);
+    missing += static_cast<std::uint64_t>(std::min(last, last_deleted) - std::max(first, first_deleted)) + 1;
+    if (last > last_deleted) tell(last_deleted + 1, last);
+  };
+  std::int64_t newest = 0;
+  for (const RunReport& run : report.runs) {
+    if (run.info.run <= newest) continue;
+    miss(newest + 1, run.info.run - 1);
+    newest = run.info.run;
+  }
+  if (deleted.runs == 0) return;
+  if (newest < last_deleted) miss(newest + 1, last_deleted);
+  if (missing == deleted.runs) return;
+  report.problems.push_back("rtdata_deleted counts " + plural(deleted.runs, "run") + " from " +
+                            std::to_string(first_deleted) + " to " + std::to_string(last_deleted) + ", of which " +
+                            plural(missing, "run") + (missing == 1 ? " is" : " are") + " not there.");
 }
 
 }  // namespace rtdata::detail

@@ -11,8 +11,23 @@ namespace rtdata::detail {
 
 namespace {
 
+constexpr std::size_t fixed_columns = 4;  // run, time, origin, sequence
+
+/// A run with more fields adds its columns at the end, wherever the fields are. That none has done so is known when the
+/// run that made the table has all of its rows, and all are as wide as the table is.
+Result<bool> is_as_made(const RecordingFile& file, const RecordedTopic& topic, std::size_t columns) {
+  auto query = file.prepare(
+      "SELECT (SELECT min(columns) FROM rtdata_checksum WHERE table_name = ?1 AND run = ?3) = ?4 AND "
+      "(SELECT sum(pruned) FROM rtdata_ledger WHERE topic = ?2 AND run = ?3) = 0");
+  if (!query) return std::move(query).error();
+  query->bind(1, topic.table).bind(2, topic.topic).bind(3, topic.first_run);
+  query->bind(4, static_cast<std::int64_t>(columns));
+  if (auto row = query->step(); !row) return std::move(row).error();
+  return query->integer(0) != 0;
+}
+
 /// Rows are hashed by position: that each value is under its name stands in the columns alone.
-Result<void> check_columns_of(const RecordingFile& file, const RecordedTopic& topic,
+Result<void> check_columns_of(const RecordingFile& file, std::int64_t version, const RecordedTopic& topic,
                               std::vector<std::string>& problems) {
   auto columns = sqlite::columns_of(file.database, topic.table);
   if (!columns) return std::move(columns).error();
@@ -27,7 +42,44 @@ Result<void> check_columns_of(const RecordingFile& file, const RecordedTopic& to
   for (const std::string& column : wanted) {
     if (!there.contains(column)) problems.push_back(topic.topic + ": the table has no column \"" + column + "\".");
   }
+  if (there != described || columns->size() != wanted.size()) return {};
+  bool is_in_order = false;
+  if (version >= sqlite::first_version_with_checksums) {
+    auto as_made = is_as_made(file, topic, columns->size());
+    if (!as_made) return std::move(as_made).error();
+    is_in_order = *as_made;
+  }
+  const std::size_t held = is_in_order ? wanted.size() : fixed_columns;
+  for (std::size_t i = 0; i < held; ++i) {
+    if ((*columns)[i] == wanted[i]) continue;
+    problems.push_back(topic.topic + ": column " + std::to_string(i + 1) + " of the table is \"" + (*columns)[i] +
+                       "\", where \"" + wanted[i] + "\" was recorded: names of columns were exchanged.");
+    break;
+  }
   return {};
+}
+
+/// How far senders are: of tables and runs that are there, and not beyond what a run that was closed has.
+Result<void> check_positions(const RecordingFile& file, std::vector<std::string>& problems) {
+  auto has_table = file.database.integer("SELECT count(*) FROM sqlite_schema WHERE name = 'rtdata_position'");
+  if (!has_table) return std::move(has_table).error();
+  if (*has_table == 0) return {};
+  auto query = file.prepare(
+      "SELECT p.sink, p.table_name, p.run, p.origin, p.sequence FROM rtdata_position p "
+      "LEFT JOIN rtdata_topic t ON t.table_name = p.table_name LEFT JOIN rtdata_run r ON r.run = p.run "
+      "WHERE p.table_name <> '' AND (t.topic IS NULL OR p.run > (SELECT max(run) FROM rtdata_run) OR "
+      "(r.state = 'closed' AND NOT EXISTS(SELECT 1 FROM rtdata_ledger l WHERE l.run = p.run AND l.topic = t.topic AND "
+      "l.origin = p.origin AND l.last_sequence >= p.sequence)))");
+  if (!query) return std::move(query).error();
+  for (;;) {
+    auto row = query->step();
+    if (!row) return std::move(row).error();
+    if (!*row) return {};
+    problems.push_back("rtdata_position: sink " + std::string(query->text(0)) + " has table \"" +
+                       std::string(query->text(1)) + "\" up to sequence " + std::to_string(query->integer(4)) +
+                       " of origin " + std::string(query->text(3)) + " in run " + std::to_string(query->integer(2)) +
+                       ", which was never recorded.");
+  }
 }
 
 }  // namespace
@@ -54,7 +106,8 @@ Result<void> check_layout(const RecordingFile& file, std::int64_t version, const
     }
   }
   for (const RecordedTopic& topic : topics)
-    if (auto checked = check_columns_of(file, topic, problems); !checked) return checked;
+    if (auto checked = check_columns_of(file, version, topic, problems); !checked) return checked;
+  if (auto checked = check_positions(file, problems); !checked) return checked;
   if (version < 1)
     problems.push_back("The file says that its format is " + std::to_string(version) + ": there is none.");
   if (version != sqlite::schema_version) return {};  // those of an older one come when it is recorded into

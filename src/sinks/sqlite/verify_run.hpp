@@ -116,6 +116,12 @@ TopicLoss loss_of(const LedgerEntry& entry, const Outages& outages);
 /// Fills the report's part of the runs that were deleted, if there are any, and holds their sums to the equations.
 void verify_deleted(DeletedRuns runs, VerifyReport& report);
 
+/// Runs of a recording are numbered from 1: each has to be there, or among those that were deleted.
+void check_run_numbers(VerifyReport& report);
+
+/// As `verify`, but for the numbers of the runs: a server's have holes.
+Result<VerifyReport> verify_contents(const Recording& recording);
+
 /// The largest losses first; an outage counts as more than a number.
 void most_first(std::vector<TopicLoss>& losses);
 

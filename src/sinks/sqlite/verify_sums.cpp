@@ -174,6 +174,11 @@ void check_topics(const Checksums& checksums, const std::vector<RecordedTopic>& 
     }
   }
   const auto has_run = [&](std::int64_t run) { return std::binary_search(runs.begin(), runs.end(), run); };
+  for (const RecordedTopic& topic : topics) {
+    if (topic.first_run > (runs.empty() ? 0 : runs.back()))
+      problems.push_back(topic.topic + ": it came with run " + std::to_string(topic.first_run) +
+                         ", which is newer than all that are there.");
+  }
   for (const auto& [table, of_runs] : checksums.values) {
     const bool is_there = std::any_of(topics.begin(), topics.end(),
                                       [&name = table](const RecordedTopic& topic) { return topic.table == name; });
