@@ -348,6 +348,8 @@ TEST_SUITE("config") {
 #ifdef RTDATA_WITH_MQTT
         {sinks(R"({"type": "mqtt", "host": "127.0.0.1", "topic": "x/{nosuch}"})"), "there is no {nosuch}"},
         {sinks(R"({"type": "mqtt", "host": "127.0.0.1", "client_id": "a\u0001b"})"), "it has a control character"},
+        {sinks(R"({"type": "mqtt", "host": "127.0.0.1", "client_id": ")" + std::string(65536, 'c') + "\"}"),
+         "it has 65536 bytes: a text of MQTT has at most 65535"},
         {sinks(R"({"type": "mqtt", "host": "127.0.0.1", "password": "secret"})"),
          "there is no `user` of whom it could be"},
         {R"({"sensors": [{"name": "s", "type": "mqtt", "host": "127.0.0.1", "client_id": "a\u0000b",
@@ -402,6 +404,13 @@ TEST_SUITE("config") {
          "\"x.db-wal\" is a file that the sink at "},
         {R"({"log": {"file": "hard2"}, "sensors": [)" + load + R"(], "sinks": [{"type": "file", "path": "hard1"}]})",
          "two writers on one file destroy it"},
+#ifdef RTDATA_WITH_POSTGRESQL
+        {sinks(R"({"type": "postgresql", "url": "postgresql://127.0.0.1/b?gssencmode=zz"})"), "gssencmode"},
+        {sinks(R"({"type": "postgresql", "url": "postgresql://127.0.0.1/b?target_session_attrs=zz"})"),
+         "target_session_attrs"},
+        {sinks(R"({"type": "postgresql", "url": "postgresql://127.0.0.1/b?keepalives=zz"})"),
+         "`keepalives` is a whole number, not \"zz\""},
+#endif
         // Paths that are none.
         {sinks(R"({"type": "sqlite", "path": ":memory:"})"), "to SQLite this is no path of a file"},
         {sinks(R"({"type": "sqlite", "path": "file:x.db?mode=memory"})"), "to SQLite this is no path of a file"},
