@@ -199,10 +199,14 @@ std::string obstacle_of_topic(const std::string& topic) {
 
 std::vector<std::pair<const char*, std::string>> mistakes_of_client(const MqttBroker& broker) {
   std::vector<std::pair<const char*, std::string>> mistakes;
+  constexpr std::size_t longest_text = 65535;  // MQTT 3.1.1 section 1.5.3, MQTT 5 section 1.5.4
   const auto is_control = [](char c) { return static_cast<unsigned char>(c) < ' ' || c == 0x7f; };
   for (const auto& [key, text] : {std::pair{"client_id", &broker.client_id}, std::pair{"user", &broker.user}}) {
     if (std::any_of(text->begin(), text->end(), is_control))
       mistakes.emplace_back(key, "it has a control character, which brokers do not take");
+    if (text->size() > longest_text)
+      mistakes.emplace_back(key, "it has " + std::to_string(text->size()) + " bytes: a text of MQTT has at most " +
+                                     std::to_string(longest_text));
   }
   if (broker.password.find('\0') != std::string::npos)
     mistakes.emplace_back("password", "it has a NUL byte, at which it would end");

@@ -302,6 +302,15 @@ struct Expression::Program {
     }
   }
 
+  void refuse_division_by_zero(const ExpressionTree& tree, std::size_t at) {
+    const ExpressionNode& node = tree.nodes[at];
+    const std::size_t divisor = node.children[1];
+    if (has_names[divisor] || !is_plain_below(tree, divisor)) return;
+    const ExpressionNode& by = tree.nodes[divisor];
+    const double value = by.type == ExpressionNode::Type::number ? by.number : constant(tree, divisor);
+    if (value == 0) refuse(node.column, "this is a division by zero, whatever the values are");
+  }
+
   std::size_t add_formula(const ExpressionTree& tree, std::size_t at) {
     Formula formula = formula_of(tree, at, Constants::computed);
     formulas.push_back(std::move(formula));
@@ -349,6 +358,7 @@ struct Expression::Program {
     if (!is_plain(node)) return write_input(places[at]);
     if (constants == Constants::computed && !has_names[at] && is_plain_below(tree, at))
       return write_number(constant(tree, at));
+    if (constants == Constants::computed && node.text == "/") refuse_division_by_zero(tree, at);
     if (node.text == "/" && formula.division_column == 0)
       formula.division_column = static_cast<std::uint32_t>(node.column);
     out += node.type == Type::function ? node.text + "(" : "(";

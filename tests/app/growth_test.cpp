@@ -99,6 +99,23 @@ TEST_SUITE("app") {
     CHECK(warned(with(R"("type": "ads1x15", "model": "ads1115", "data_rate": 128, "rate": "50 Hz")")) != "");
   }
 
+  TEST_CASE("a recording that is closed at once loses what came last, which is a warning") {
+    const InFolder here;
+    const auto warned = [](const std::string& sink) {
+      SystemPlan plan = plan_system(standard_registry(), parse_config(R"({"sensors": [
+        {"name": "m", "type": "host", "quantity": "memory", "rate": "1 Hz"}], "sinks": [)" +
+                                                                      sink + "]}"));
+      REQUIRE_MESSAGE(plan.good(), plan.report());
+      warn_of_losses(plan);
+      return plan.warnings.empty() ? std::string() : plan.warnings[0].path + " " + plan.warnings[0].message;
+    };
+    CHECK(warned(R"({"type": "sqlite", "path": "a.db", "batch_time": "2 s", "close_deadline": "0 s"})") ==
+          "sinks[0].close_deadline the end of the run does not wait until what came last is stored: what came within "
+          "its `batch_time`, 2 s, is lost; give it some seconds, or leave `close_deadline` out");
+    CHECK(warned(R"({"type": "sqlite", "path": "a.db", "close_deadline": "1 ms"})") == "");
+    CHECK(warned(R"({"type": "sqlite", "path": "a.db"})") == "");
+  }
+
   TEST_CASE("a sensor without a schedule and without silence is noted, since nobody notices when it goes quiet") {
     const InFolder here;
     const Registry registry = standard_registry();

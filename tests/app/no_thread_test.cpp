@@ -44,6 +44,7 @@ TEST_SUITE("app") {
       CHECK(is_told);
       CHECK(says("ulimit -u"));
       CHECK(says("TasksMax="));
+      CHECK(says("ulimit -v"));
       const bool is_of_sink = says("cannot store");
       without_sink += is_of_sink ? 1 : 0;
       if (is_of_sink) CHECK(run.err.find(" events") != std::string::npos);  // that were lost, or wait

@@ -109,6 +109,19 @@ TEST_SUITE("app") {
     }
   }
 
+  TEST_CASE("US-9 a SIGPIPE does not end a run, which stores what it has") {
+    const Folder folder;
+    folder.write("rig.json", R"({"sensors": [{"name": "l", "type": "host", "quantity": "load", "rate": "50 Hz"}],
+      "sinks": [{"type": "sqlite", "path": "run.db"}]})");
+    Process run(folder, program, {"run", "rig.json"});
+    REQUIRE(run.wait_for("running rig"));
+    run.signal(SIGPIPE);
+    run.signal(SIGTERM);
+    CHECK(run.end() == 0);
+    CHECK(run.out.find("ledger balances") != std::string::npos);
+    CHECK(run.out.find("dropped by") == std::string::npos);
+  }
+
   TEST_CASE("US-9 a second signal ends at once and says what was lost") {
     const Folder folder;
     folder.write("bench.json", R"({

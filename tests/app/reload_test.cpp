@@ -381,6 +381,114 @@ while True:
     CHECK(states == "aba");
   }
 
+  TEST_CASE("US-5 a reload to a file that another process writes is refused as a whole, and check says so before") {
+    const rtdata::test::RuntimeFolder runtime;
+    const Folder folder;
+    const std::string program = built("rtdata");
+    const auto text = [](const std::string& sink) {
+      return R"({"sensors": [{"name": "l", "type": "host", "quantity": "load", "rate": "50 Hz"}], "sinks": [)" + sink +
+             "]}";
+    };
+    const auto recording = [&](const char* file) {
+      return text(R"({"type": "sqlite", "path": ")" + std::string(file) + R"("})");
+    };
+    const auto lines = [&](const char* file) {
+      return text(R"({"type": "file", "path": ")" + std::string(file) + R"(", "format": "csv"})");
+    };
+    folder.write("other.json", text(R"({"type": "sqlite", "path": "other.db"},
+      {"type": "file", "path": "other-{topic}.csv", "format": "csv"})"));
+    folder.write("rig.json", recording("own.db"));
+    folder.write("now.json", recording("own.db"));
+    Process other(folder, program, {"run", "other.json"});
+    REQUIRE(other.wait_for("running other"));
+    Process run(folder, program, {"run", "rig.json"});
+    REQUIRE(run.wait_for("running rig"));
+    const auto reload = [&](int status) {
+      Process ctl(folder, program, {"ctl", "rig", "reload"});
+      CHECK_MESSAGE(ctl.end() == status, ctl.err);
+      return ctl.out + ctl.err;
+    };
+    for (const char* file : {"other.db", "other-l.csv"}) {
+      CAPTURE(file);
+      const bool is_recording = std::string(file) == "other.db";
+      folder.write("rig.json", is_recording ? recording(file) : lines(file));
+      const std::string said = reload(1);
+      CHECK_MESSAGE(has(said, "nothing was changed: sink " + std::string(file) + ": cannot record into"), said);
+      CHECK(has(said, is_recording ? " records into it" : " writes it"));
+      CHECK_FALSE(has(said, "sink own.db: removed"));
+      Process check(folder, program, {"check", "rig.json", "--against", "now.json"});
+      CHECK(check.end() == 1);
+      CHECK(has(check.out, std::string("sink ") + file + ": refused: cannot record into"));
+    }
+    folder.write("rig.json", lines("other-{topic}.csv"));  // the topic's file, which the path does not say
+    CHECK(has(reload(1), "nothing was changed: sink other-{topic}.csv: cannot record into"));
+    // What it has itself, or has just closed, is no obstacle.
+    for (const char* file : {"next.db", "own.db", "next.db", "own.db"}) {
+      folder.write("rig.json", recording(file));
+      CHECK(has(reload(0), "rig.json is applied"));
+    }
+    other.signal(SIGTERM);
+    CHECK(other.end() == 0);
+    folder.write("rig.json", recording("other.db"));
+    CHECK(has(reload(0), "sink other.db: added"));
+    run.signal(SIGTERM);
+    CHECK(run.end() == 0);
+    CHECK_FALSE(has(run.out, "dropped by"));
+    for (const char* file : {"own.db", "next.db", "other.db"}) {
+      Process verify(folder, program, {"verify", file});
+      CHECK(verify.end() == 0);
+      CHECK(has(verify.out, "balanced"));
+    }
+  }
+
+  TEST_CASE("US-5 a reload tells which sink could not open its file") {
+    const rtdata::test::RuntimeFolder runtime;
+    const Folder folder;
+    const std::string program = built("rtdata");
+    const auto text = [](const std::string& file) {
+      return R"({"sensors": [{"name": "l", "type": "host", "quantity": "load", "rate": "50 Hz"}], "sinks": [
+        {"type": "sqlite", "path": ")" +
+             file + R"(", "close_deadline": "100 ms"}]})";
+    };
+    folder.write("rig.json", text("first.db"));
+    Process run(folder, program, {"run", "rig.json"});
+    REQUIRE(run.wait_for("running rig"));
+    auto other = rtdata::sqlite::Database::open(folder.path() + "/second.db", rtdata::sqlite::Database::Mode::write)
+                     .or_throw();
+    other.execute("BEGIN IMMEDIATE").or_throw();  // no program that records, and so without its lock
+    folder.write("rig.json", text("second.db"));
+    const std::string said = reloaded(folder, program, {}, 0);
+    CHECK_MESSAGE(has(said, "sink second.db stores nothing yet"), said);
+    CHECK(has(said, "sink second.db: added"));
+    other.execute("ROLLBACK").or_throw();
+    run.signal(SIGTERM);
+    run.end();
+    CHECK(has(run.out, "ledger balances"));
+  }
+
+  TEST_CASE("US-5 a reload leaves the locks alone by which SQLite knows that a recording is open") {
+    const Folder folder;
+    const std::string program = built("rtdata");
+    folder.write("rig.json", R"({"sensors": [{"name": "l", "type": "host", "quantity": "load", "rate": "50 Hz"}],
+      "sinks": [{"type": "sqlite", "path": "run.db"}]})");
+    Process run(folder, program, {"run", "rig.json"});
+    REQUIRE(run.wait_for("running rig"));
+    run.signal(SIGHUP);
+    REQUIRE(run.wait_for("rig.json is applied"));
+    {
+      // The last one that closes a database removes its log: another program must see that this is not the last.
+      const auto reader = rtdata::sqlite::Database::open(folder.path() + "/run.db",
+                                                         rtdata::sqlite::Database::Mode::write)
+                              .or_throw();
+      CHECK(reader.integer("SELECT count(*) FROM rtdata_run").or_throw() == 1);
+    }
+    CHECK(folder.has("run.db-wal"));
+    run.signal(SIGTERM);
+    CHECK(run.end() == 0);
+    Process verify(folder, program, {"verify", "run.db"});
+    CHECK(verify.end() == 0);
+  }
+
   TEST_CASE("US-5 check says what becomes of each part of a running system") {
     const Folder folder;
     folder.write("now.json", rig("100 Hz", ""));

@@ -278,6 +278,12 @@ TEST_SUITE("config") {
     folder.write("text.txt",
                  "no recording, and long enough that it cannot be the beginning of one: one hundred bytes and more");
     folder.write("other.csv", "time,origin,sequence,speed\n");
+    folder.write("short.txt", "x,y\n1,2\n");
+    folder.write("recorded.db", std::string("SQLite format 3\0", 16) + std::string(84, '\0'));
+    folder.write("recorded-a.csv", folder.read("recorded.db"));
+    folder.write("open.db", "a database that is open has a log beside it");
+    folder.write("open.db-wal", "");
+    std::filesystem::create_symlink("/nope/x", folder.path() + "/dangling");
     const std::string load = R"({"name": "a", "type": "host", "quantity": "load", "rate": "1 Hz"})";
     const auto serial = [](const std::string& more) {
       return R"({"sensors": [{"name": "a", "type": "serial", "device": "/dev/null", "fields": [{"name": "x", "type": "int32"}])" +
@@ -348,6 +354,8 @@ TEST_SUITE("config") {
 #ifdef RTDATA_WITH_MQTT
         {sinks(R"({"type": "mqtt", "host": "127.0.0.1", "topic": "x/{nosuch}"})"), "there is no {nosuch}"},
         {sinks(R"({"type": "mqtt", "host": "127.0.0.1", "client_id": "a\u0001b"})"), "it has a control character"},
+        {sinks(R"({"type": "mqtt", "host": "127.0.0.1", "client_id": ")" + std::string(65536, 'c') + "\"}"),
+         "it has 65536 bytes: a text of MQTT has at most 65535"},
         {sinks(R"({"type": "mqtt", "host": "127.0.0.1", "password": "secret"})"),
          "there is no `user` of whom it could be"},
         {R"({"sensors": [{"name": "s", "type": "mqtt", "host": "127.0.0.1", "client_id": "a\u0000b",
@@ -365,6 +373,18 @@ TEST_SUITE("config") {
         {sinks(R"({"type": "sqlite", "path": "/dev/null"})"), "\"/dev/null\" is no regular file"},
         {sinks(R"({"type": "file", "path": "x.csv", "from": "beginning"})"), "it has no effect without `through`"},
         {sinks(R"({"type": "sqlite", "path": "text.txt"})"), "it is no SQLite file"},
+        {sinks(R"({"type": "file", "path": "recorded.db"})"), "it is a recording, or another SQLite database"},
+        {sinks(R"({"type": "file", "path": "recorded.db", "format": "csv"})"), "it is a recording, or another SQLite"},
+        {sinks(R"({"type": "file", "path": "recorded-{topic}.csv", "format": "csv"})"),
+         "it is a recording, or another SQLite database"},
+        {sinks(R"({"type": "file", "path": "recorded-{topic}.csv"})"), "it is a recording, or another SQLite database"},
+        {sinks(R"({"type": "file", "path": "open.db"})"), "it is a recording, or another SQLite database"},
+        {sinks(R"({"type": "file", "path": "short.txt", "format": "cbor"})"), "what it holds is no cbor"},
+        {sinks(R"({"type": "file", "path": "text.txt", "format": "cbor"})"), "what it holds is no cbor"},
+        {sinks(R"({"type": "file", "path": "text.txt", "format": "raw"})"), "what it holds is no raw"},
+        {sinks(R"({"type": "sqlite", "path": "dangling"})"),
+         "there is no folder \"/nope\", to which \"dangling\" is a symbolic link: make it first"},
+        {sinks(R"({"type": "file", "path": "dangling"})"), "there is no folder \"/nope\", to which \"dangling\" is"},
         {sinks(R"({"type": "file", "path": "{topic}/x.csv"})"), "a placeholder stands in the name of a folder"},
         {sinks(R"({"type": "file", "path": "other.csv", "format": "csv"})"),
          "its header is \"time,origin,sequence,speed\""},
@@ -402,6 +422,13 @@ TEST_SUITE("config") {
          "\"x.db-wal\" is a file that the sink at "},
         {R"({"log": {"file": "hard2"}, "sensors": [)" + load + R"(], "sinks": [{"type": "file", "path": "hard1"}]})",
          "two writers on one file destroy it"},
+#ifdef RTDATA_WITH_POSTGRESQL
+        {sinks(R"({"type": "postgresql", "url": "postgresql://127.0.0.1/b?gssencmode=zz"})"), "gssencmode"},
+        {sinks(R"({"type": "postgresql", "url": "postgresql://127.0.0.1/b?target_session_attrs=zz"})"),
+         "target_session_attrs"},
+        {sinks(R"({"type": "postgresql", "url": "postgresql://127.0.0.1/b?keepalives=zz"})"),
+         "`keepalives` is a whole number, not \"zz\""},
+#endif
         // Paths that are none.
         {sinks(R"({"type": "sqlite", "path": ":memory:"})"), "to SQLite this is no path of a file"},
         {sinks(R"({"type": "sqlite", "path": "file:x.db?mode=memory"})"), "to SQLite this is no path of a file"},

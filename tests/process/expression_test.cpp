@@ -183,6 +183,11 @@ TEST_CASE("what is wrong whatever the values are is a mistake") {
   CHECK(mistake_in("x > 0 ? x : 1 / 0").column == 15);
   CHECK(mistake_in("x + 1 / (1 / 0)").column == 7);
   CHECK(mistake_in("1 / 0 > x").column == 3);
+  CHECK(mistake_in("x/0").why == "this is a division by zero, whatever the values are");
+  CHECK(mistake_in("2 + x / 0").column == 7);
+  CHECK(mistake_in("1 + (x - 1) / (2 - 2)").column == 13);
+  CHECK(mistake_in("highest(x / -0.0)").column == 11);
+  CHECK_FALSE(Expression::check("x / (x - 1) + 0 / x", {"x"}));
   CHECK(mistake_in("x + sqrt(-1)").why.find("no number") != std::string::npos);
   CHECK(mistake_in("x + 10 ^ 400").why.find("too large") != std::string::npos);
   CHECK(mistake_in("x + ln(0)").why.find("logarithm of 0") != std::string::npos);

@@ -512,6 +512,26 @@ TEST_SUITE("sinks") {
       for (const char* port : {"99999", "0", "1,70000"}) refused("localhost/b?port=" + std::string(port));
       const PostgresqlSink good(loop, {.url = "postgresql://localhost,::1/b?port=1,65535&sslmode=require"});
     }
+    SUBCASE("options that libpq refuses") {
+      Loop loop{Loop::Manual{}};
+      const auto refused = [&](const std::string& options, const char* why) {
+        CAPTURE(options);
+        CHECK_THROWS_WITH_AS(PostgresqlSink(loop, {.url = "postgresql://127.0.0.1/b?" + options}),
+                             doctest::Contains(why), SetupError);
+      };
+      refused("target_session_attrs=zz", "target_session_attrs");
+      refused("gssencmode=zz", "gssencmode");
+      refused("channel_binding=zz", "channel_binding");
+      refused("ssl_min_protocol_version=zz", "ssl_min_protocol_version");
+      refused("ssl_min_protocol_version=TLSv1.3&ssl_max_protocol_version=TLSv1.2",
+              "invalid SSL protocol version range");
+      for (const char* keyword :
+           {"keepalives", "keepalives_idle", "keepalives_interval", "keepalives_count", "tcp_user_timeout"})
+        refused(std::string(keyword) + "=1x", "is a whole number, not \"1x\"");
+      const PostgresqlSink good(
+          loop, {.url = "postgresql://a@db.example:5433,/tmp/b?target_session_attrs=read-write&keepalives_idle=5&"
+                        "gssencmode=disable&channel_binding=prefer&ssl_min_protocol_version=TLSv1.2&sslmode=require"});
+    }
   }
 
   TEST_CASE("NFR-1 a server that stands still: each call ends in time, closing too, and everything comes later") {

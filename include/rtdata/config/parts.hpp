@@ -112,6 +112,10 @@ struct StoredTopics {
   /// Whether it makes, renames or removes `other` beside `file`, which it writes; both paths absolute. Empty: it has
   /// the files that it writes and no others.
   std::function<bool(const std::string& file, const std::string& other)> is_companion_file = {};
+  /// Whether one of the files that it writes, which may be there or not, can be opened and locked now. Makes and
+  /// changes nothing. Any thread; blocks on the disk. busy: another process writes it. Empty: not known before it is
+  /// made.
+  std::function<Result<void>(const std::string& file)> check_openable = {};
 
   bool wants(std::string_view topic) const noexcept;
 };

@@ -313,9 +313,10 @@ class Registry {
   /// made. A function `file_of_topic(const C&, std::string_view)` there says which file a topic's events go to, where
   /// `path` does not: then two sinks on one are found too. A function `is_companion_file(const C&, const std::string&
   /// file, const std::string& other)` there says which files go with one that it writes, such as a log or a lock: then
-  /// they are no other sink's. A function `batch_time(const C&)` there says after which time such a sink stores, where
-  /// its SinkConfig does not. A C with a member `sending` (sender.hpp) or a static `is_sender` has its peer across a
-  /// network.
+  /// they are no other sink's. A function `check_openable(const C&, const std::string& file)` there says whether such a
+  /// file can be opened and locked now: a reload that would begin one which cannot is refused. A function
+  /// `batch_time(const C&)` there says after which time such a sink stores, where its SinkConfig does not. A C with a
+  /// member `sending` (sender.hpp) or a static `is_sender` has its peer across a network.
   template <Configurable C, class Path, class Make>
   void add_sink(const std::string& type, std::string doc, Path path, Make make) {
     static_assert(
@@ -346,6 +347,8 @@ class Registry {
         stores.is_companion_file = [config](const std::string& file, const std::string& other) {
           return is_companion_file(config, file, other);
         };
+      if constexpr (requires(const std::string& file) { check_openable(config, file); })
+        stores.check_openable = [config](const std::string& file) { return check_openable(config, file); };
       plan.make = [make, named](Loop& loop, const Parts& parts) {
         return PartObject::made_by<Sink>([&] { return config_detail::call_factory(make, parts, loop, named); });
       };

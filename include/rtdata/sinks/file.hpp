@@ -108,6 +108,10 @@ std::string file_of_topic(const FileConfig& config, std::string_view topic);
 /// Whether `other` goes with `file`, one of the sink's: FILE.half, and those before it when it is rotated.
 bool is_companion_file(const FileConfig& config, const std::string& file, const std::string& other);
 
+/// Whether the sink can begin now to write `file`, which may be there or not, and no other process writes it. Makes and
+/// changes nothing. Any thread; blocks on the disk. Errors: not_permitted, busy, bad_argument, as of the constructor.
+Result<void> check_openable(const FileConfig& config, const std::string& file);
+
 class FileSink : public Sink {
  public:
   FileSink() noexcept = default;

@@ -67,6 +67,11 @@ bool is_companion_file(const SqliteConfig& config, const std::string& file, cons
 /// not-a-recording, newer-version.
 Result<void> check_recordable(const std::string& path);
 
+/// Whether a sink can begin now to record into `file`: it is recordable, and no other process records into it. Makes
+/// and changes nothing. Any thread; blocks on the disk. Errors: those of `check_recordable`; busy (another process
+/// records into it), not-permitted (its lock cannot be made).
+Result<void> check_openable(const SqliteConfig& config, const std::string& file);
+
 class SqliteSink : public Sink {
  public:
   SqliteSink() noexcept = default;

@@ -5,6 +5,7 @@
 #include "app/run/growth.hpp"
 #include "app/run/left_backlogs.hpp"
 #include "app/run/log_file.hpp"
+#include "app/run/new_files.hpp"
 #include "app/run/reload.hpp"
 #include "rtdata/config/change.hpp"
 #include "rtdata/config/secret.hpp"
@@ -27,10 +28,16 @@ int compare(const Registry& registry, const SystemPlan& plan, const std::string&
     for (PartChange& part : change.all)
       if (part.object.starts_with("output ")) part = {part.object, Fate::refused, std::string(no_guard)};
   }
-  std::cout << "in the place of " << against << ", in a system that runs:\n"
-            << (change.is_empty() ? "nothing changes\n" : hide_secrets(change.text(), plan.secrets)) << std::flush;
   std::vector<const PartPlan*> parts;
   for (const PartPlan& part : now.parts) parts.push_back(&part);
+  for (const NewFile& written : new_files(parts, plan, change)) {
+    const std::string why = obstacle_to_write(written);
+    if (why.empty()) continue;
+    for (PartChange& part : change.all)
+      if (part.object == written.object) part = {part.object, Fate::refused, why};
+  }
+  std::cout << "in the place of " << against << ", in a system that runs:\n"
+            << (change.is_empty() ? "nothing changes\n" : hide_secrets(change.text(), plan.secrets)) << std::flush;
   for (const std::string& recording : recordings_left(parts, plan))
     for (const std::string& line : left_behind(recording, plan, file))
       std::cout << "warning: " << hide_secrets(line, plan.secrets) << std::endl;

@@ -74,6 +74,16 @@ std::string only_in_memory(const SystemPlan& plan) {
 
 void warn_of_losses(SystemPlan& plan) {
   for (const PartPlan& part : plan.parts) {
+    if (part.stores && part.stores->is_recording && part.stores->close_deadline <= Duration{0}) {
+      const ConfigItem* const deadline = part.item.find("close_deadline");
+      plan.warnings.add(
+          (deadline != nullptr ? *deadline : part.item)
+              .problem("loses-data",
+                       "the end of the run does not wait until what came last is stored: what came within "
+                       "its `batch_time`, " +
+                           to_string(part.stores->batch_time) +
+                           ", is lost; give it some seconds, or leave `close_deadline` out"));
+    }
     if (!part.publishes || !part.publishes->load || part.publishes->load->period <= Duration{0}) continue;
     const Sampling& sampling = part.publishes->sampling;
     const Duration period = part.publishes->load->period;

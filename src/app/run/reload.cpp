@@ -9,6 +9,7 @@
 #include "app/run/growth.hpp"
 #include "app/run/left_backlogs.hpp"
 #include "app/run/log_file.hpp"
+#include "app/run/new_files.hpp"
 
 namespace rtdata::app {
 namespace {
@@ -127,6 +128,47 @@ struct Reload::Look final : detail::LaneJob {
   bool has_failed_ = false;
 };
 
+/// Looks whether new files can be written.
+struct Reload::NewFilesLook final : detail::LaneJob {
+  NewFilesLook(Reload& reload, const std::shared_ptr<Change>& change, std::vector<NewFile> files)
+      : reload_(reload), change_(change), files_(std::move(files)) {}
+  void run() noexcept override try {
+    for (const NewFile& file : files_)
+      if (std::string why = obstacle_to_write(file); !why.empty()) obstacles_.push_back(file.object + ": " + why);
+  } catch (...) {  // no memory: as if it had not come back
+    has_failed_ = true;
+  }
+  void done(Outcome outcome) override {
+    const auto change = change_.lock();
+    if (change == nullptr || outcome == Outcome::cancelled) return;
+    change->obstacles = outcome == Outcome::finished && !has_failed_ ? std::move(obstacles_) : not_known(files_);
+    change->is_looking = false;
+    if (!change->obstacles.empty() || change->waits_for.empty()) reload_.then(change_, &Reload::stop_waiting);
+  }
+  static std::vector<std::string> not_known(const std::vector<NewFile>& files) {
+    std::vector<std::string> lines;
+    for (const NewFile& file : files)
+      lines.push_back(file.object + ": whether " + file.path + " can be written could not be found out in " +
+                      to_string(storing_patience));
+    return lines;
+  }
+
+ private:
+  Reload& reload_;
+  const Weak change_;
+  const std::vector<NewFile> files_;  // their functions are those of the plan, and hold what they use
+  std::vector<std::string> obstacles_;
+  bool has_failed_ = false;
+};
+
+void Reload::look_at_new_files(const std::shared_ptr<Change>& change) {
+  std::vector<NewFile> files = new_files(system_.parts().plans(), change->read->plan, change->steps->changes());
+  if (files.empty()) return;
+  std::vector<std::string> not_known = NewFilesLook::not_known(files);
+  change->is_looking = lane_.submit(std::make_shared<NewFilesLook>(*this, change, std::move(files)), storing_patience);
+  if (!change->is_looking) change->obstacles = std::move(not_known);
+}
+
 std::string Reload::obstacle_to_give_up(const Change& change) const {
   const std::set<std::string> closing = closing_sinks(change, false);
   for (const std::string& name : change.given_up) {
@@ -185,14 +227,17 @@ void Reload::begin(const std::shared_ptr<Change>& change) {
   change->waits_for = closing_sinks(*change, false);
   for (const std::string& name : change->given_up) change->waits_for.erase(name);
   const Weak weak = change;
-  if (change->waits_for.empty()) return then(weak, &Reload::go_on);
   change->is_waiting = true;
+  look_at_new_files(change);
+  if (!change->is_looking && (!change->obstacles.empty() || change->waits_for.empty()))
+    return then(weak, &Reload::stop_waiting);
   change->patience = Timer(loop_, storing_patience, [this, weak] { then(weak, &Reload::stop_waiting); });
   for (const std::string& name : std::set<std::string>(change->waits_for)) {
     system_.sink(name).sync([this, name, weak] {
       const auto still = weak.lock();
       if (still == nullptr || still->waits_for.erase(name) == 0) return;
-      if (still->waits_for.empty()) then(weak, &Reload::stop_waiting);  // not from within the sink
+      // Not from within the sink.
+      if (still->waits_for.empty() && !still->is_looking) then(weak, &Reload::stop_waiting);
     });
   }
 }
@@ -200,6 +245,14 @@ void Reload::begin(const std::shared_ptr<Change>& change) {
 void Reload::stop_waiting(const std::shared_ptr<Change>& change) {
   if (!std::exchange(change->is_waiting, false)) return;  // both are there in one turn
   change->patience = {};
+  if (change->is_looking) {  // the lane gives the look up at the same time
+    for (const NewFile& file : new_files(system_.parts().plans(), change->read->plan, change->steps->changes()))
+      change->obstacles.push_back(NewFilesLook::not_known({file}).front());
+  }
+  if (!change->obstacles.empty()) {
+    for (std::size_t i = 0; i + 1 < change->obstacles.size(); ++i) add(*change, LogLevel::error, change->obstacles[i]);
+    return refuse(*change, change->obstacles.back());
+  }
   std::string stuck;
   for (const std::string& name : closing_sinks(*change, true))
     if (change->waits_for.contains(name)) stuck += (stuck.empty() ? "" : " ") + name;
@@ -232,6 +285,39 @@ void Reload::go_on(const std::shared_ptr<Change>& change) {
 
 void Reload::be_applied(const std::shared_ptr<Change>& change) {
   run_.applied(change->read->plan);
+  std::set<std::string> made;
+  for (const PartChange& part : change->steps->changes().all)
+    if (part.fate == Fate::restarted || part.fate == Fate::added) made.insert(part.object);
+  change->waits_for.clear();
+  for (const PartPlan* plan : system_.parts().plans())
+    if (plan->stores && plan->stores->check_openable && made.contains(plan->object()))
+      change->waits_for.insert(plan->name);
+  const Weak weak = change;
+  if (change->waits_for.empty()) return then(weak, &Reload::look_at_left);
+  change->is_waiting = true;
+  change->patience = Timer(loop_, opening_patience, [this, weak] { then(weak, &Reload::tell_unopened); });
+  for (const std::string& name : std::set<std::string>(change->waits_for)) {
+    system_.sink(name).sync([this, name, weak] {
+      const auto still = weak.lock();
+      if (still == nullptr || still->waits_for.erase(name) == 0) return;
+      if (still->waits_for.empty()) then(weak, &Reload::tell_unopened);  // not from within the sink
+    });
+  }
+}
+
+void Reload::tell_unopened(const std::shared_ptr<Change>& change) {
+  if (!std::exchange(change->is_waiting, false)) return;  // both are there in one turn
+  change->patience = {};
+  for (const std::string& name : change->waits_for) {
+    const SinkStatus sink = system_.sink(name).status();
+    add(*change, LogLevel::warning,
+        "sink " + name + " stores nothing yet" +
+            (sink.reason.empty() ? ", " + to_string(opening_patience) + " after it was made" : ": " + sink.reason));
+  }
+  look_at_left(change);
+}
+
+void Reload::look_at_left(const std::shared_ptr<Change>& change) {
   if (change->left.empty()) return then(change, &Reload::tell_parts);
   if (lane_.submit(std::make_shared<Look>(*this, change))) return;
   change->waiting = Look::not_known(change->left);

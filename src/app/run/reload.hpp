@@ -48,6 +48,7 @@ class Reload {
         run_(std::move(run)),
         lane_(loop.core(), "reload", looking_patience) {}
 
+  static constexpr Duration opening_patience = std::chrono::milliseconds{500};  // so does this
   /// Reads and checks the file again. Any thread but the loop's: so nothing waits for it.
   std::shared_ptr<const NextPlan> read_again() const;
   /// `why`: what asked for it, for messages. A recording that the change closes stores first what it has, while the
@@ -69,7 +70,9 @@ class Reload {
     std::set<std::string> given_up = {};
     std::unique_ptr<StepwiseChange> steps = {};
     bool is_waiting = false;
-    std::set<std::string> waits_for = {};  // sinks that store what they have
+    bool is_looking = false;                  // whether files that it begins can be written
+    std::vector<std::string> obstacles = {};  // to that, a line each
+    std::set<std::string> waits_for = {};     // sinks that store what they have; then those that open their files
     Timer patience = {};
     std::vector<std::string> left = {};     // files of recordings that it closes for good
     std::vector<std::string> waiting = {};  // what waits in those, a line each
@@ -87,6 +90,8 @@ class Reload {
   /// The sinks that the change closes, by name. `recordings_alone`: without those that send over a network.
   std::set<std::string> closing_sinks(const Change& change, bool recordings_alone) const;
   void begin(const std::shared_ptr<Change>& change);
+  /// Whether the files that it begins can be written: asked on the lane, while closing sinks store what they have.
+  void look_at_new_files(const std::shared_ptr<Change>& change);
   /// What waits, in a turn of its own.
   void begin_next();
   /// What comes next, in a turn of its own. Not when this change is concluded.
@@ -94,11 +99,15 @@ class Reload {
   void stop_waiting(const std::shared_ptr<Change>& change);
   void go_on(const std::shared_ptr<Change>& change);
   void be_applied(const std::shared_ptr<Change>& change);
+  /// Tells which sinks that it has made could not open their files.
+  void tell_unopened(const std::shared_ptr<Change>& change);
+  void look_at_left(const std::shared_ptr<Change>& change);
   /// Tells what waits in the recordings that it has closed for good.
   void tell_left(const std::shared_ptr<Change>& change);
   void tell_parts(const std::shared_ptr<Change>& change);
 
   struct Look;
+  struct NewFilesLook;
 
   Loop& loop_;
   System& system_;
@@ -109,7 +118,7 @@ class Reload {
   std::shared_ptr<Change> under_way_;  // null: none
   std::shared_ptr<Change> next_;       // that waits for it
   std::uint64_t not_stored_ = 0;
-  detail::Lane lane_;  // that looks into recordings, on whatever disks they are
+  detail::Lane lane_;  // that looks at files and into recordings, on whatever disks they are
 };
 
 }  // namespace rtdata::app

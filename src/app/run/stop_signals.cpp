@@ -31,6 +31,7 @@ struct StopSignals::State {
   sigset_t taken{};
   sigset_t mask_before{};
   int any_taken = 0;  // one of them; 0: all are ignored
+  struct sigaction pipe_before {};
   const bool had_terminal = has_terminal();
   std::atomic<bool> is_over{false};
   std::thread thread;
@@ -94,6 +95,9 @@ struct StopSignals::State {
 };
 
 StopSignals::StopSignals() : state_(std::make_unique<State>()) {
+  struct sigaction ignore {};
+  ignore.sa_handler = SIG_IGN;
+  ::sigaction(SIGPIPE, &ignore, &state_->pipe_before);
   ::sigemptyset(&state_->taken);
   for (const int signal : {SIGINT, SIGTERM, SIGHUP}) {
     struct sigaction now {};
@@ -113,6 +117,7 @@ StopSignals::StopSignals() : state_(std::make_unique<State>()) {
 }
 
 StopSignals::~StopSignals() {
+  ::sigaction(SIGPIPE, &state_->pipe_before, nullptr);
   if (state_->any_taken == 0) return;
   // It waits without a descriptor, which the system may refuse: a signal of its own wakes it.
   state_->is_over = true;

@@ -12,7 +12,8 @@
 namespace rtdata::app {
 
 /// While it lives, the three signals are taken by a thread of its own, so that they are seen also when the loop is
-/// held. Those that are ignored stay so. Make it before any other thread: they inherit that the signals are blocked.
+/// held. Those that are ignored stay so. SIGPIPE is ignored: a write to who has gone fails, and ends no run. Make it
+/// before any other thread: they inherit that the signals are blocked.
 class StopSignals {
  public:
   StopSignals();

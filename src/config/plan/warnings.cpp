@@ -13,6 +13,7 @@
 #include <filesystem>
 #include <system_error>
 
+#include "config/plan/written_file.hpp"
 #include "config/read/mistakes.hpp"
 #include "data/ucum.hpp"
 #include "rtdata/config/secret.hpp"
@@ -153,10 +154,16 @@ struct CheckFiles {
     if (is_there) return;
     if (has_placeholder(parameter, folder))
       return refuse("a placeholder stands in the name of a folder; put it into the file's name");
+    struct stat link {};
+    const bool is_link = ::lstat(path.c_str(), &link) == 0;  // to what is not there: that is made
+    const std::string made_in = is_link ? std::filesystem::path(FileIdentity(path).target()).parent_path().string()
+                                        : folder;
     struct stat about_folder {};
-    if (::stat(folder.c_str(), &about_folder) != 0 || !S_ISDIR(about_folder.st_mode))
-      return refuse("there is no folder " + (is_secret ? "for the file" : "\"" + folder + "\"") + ": make it first");
-    if (::faccessat(AT_FDCWD, folder.c_str(), W_OK | X_OK, AT_EACCESS) != 0)
+    if (::stat(made_in.c_str(), &about_folder) != 0 || !S_ISDIR(about_folder.st_mode))
+      return refuse("there is no folder " + (is_secret ? "for the file" : "\"" + made_in + "\"") +
+                    (is_link ? ", to which " + shown + " is a symbolic link" : "") + ": make it first");
+    if (is_of_kernel(made_in)) return refuse("in the folder of " + shown + " the kernel lets no file be made");
+    if (::faccessat(AT_FDCWD, made_in.c_str(), W_OK | X_OK, AT_EACCESS) != 0)
       refuse("in the folder of " + shown + " nothing can be written: " + std::generic_category().message(errno));
   }
   void no_effect(const ParameterInfo&, const ConfigItem&, const std::string&) const {}

@@ -19,6 +19,8 @@ class FileIdentity {
  public:
   explicit FileIdentity(const std::string& path);
 
+  /// Where it is or would be made: absolute, all links followed.
+  const std::string& target() const noexcept { return target_; }
   /// Also through symbolic links, of which what they lead to need not be there, and hard links.
   bool is_same(const FileIdentity& other) const noexcept;
   /// Whether this is one of the files that go with `main`, by a function as StoredTopics::is_companion_file.

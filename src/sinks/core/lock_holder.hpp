@@ -1,12 +1,17 @@
 // The process that has locked a file.
 #pragma once
 
+#include <sys/file.h>
 #include <sys/stat.h>
 #include <sys/sysmacros.h>
+#include <unistd.h>
 
+#include <cerrno>
 #include <cstdio>
 #include <fstream>
 #include <string>
+
+#include "rtdata/data/error.hpp"
 
 namespace rtdata::detail {
 
@@ -23,6 +28,20 @@ inline std::string lock_holder(const struct stat& file) {
     if (kind == "FLOCK" && place == wanted && pid != "0") return "process " + pid;  // 0: of another pid namespace
   }
   return "another process";
+}
+
+/// The process that has locked (flock) this open file, when it is another one than this; empty: none has. Locks
+/// nothing.
+inline Result<std::string> other_lock_holder(int fd, const std::string& path) {
+  struct stat about {};
+  if (::fstat(fd, &about) != 0) return system_error(errno, "cannot look at the file", path, "");
+  if (::flock(fd, LOCK_SH | LOCK_NB) == 0) {
+    ::flock(fd, LOCK_UN);
+    return std::string();
+  }
+  if (errno != EWOULDBLOCK) return system_error(errno, "cannot lock the file", path, "");
+  std::string holder = lock_holder(about);
+  return holder == "process " + std::to_string(::getpid()) ? std::string() : holder;
 }
 
 }  // namespace rtdata::detail

@@ -317,6 +317,7 @@ std::vector<Error> refused_topics(const FileConfig& config, std::span<const Topi
     if (!is_pattern && header.empty()) continue;
     const std::string path = path_of(config.path, topic.name);
     Result<void> taken = take_path(topic_by_path, config.path, path, topic.name);
+    if (taken && is_pattern) taken = OutputFile::check_content(path, **codec);
     if (taken && !header.empty()) taken = OutputFile::check_header(path, header);
     if (!taken) refused.push_back(std::move(taken).error());
   }
@@ -330,7 +331,17 @@ bool is_companion_file(const FileConfig& config, const std::string& file, const 
          (config.rotate.is_on() && Rotation::is_numbered(file, other));
 }
 
+Result<void> check_openable(const FileConfig&, const std::string& file) { return OutputFile::check_openable(file); }
+
 void check_config(const FileConfig& config, const ConfigItem& item, Problems& problems) {
+  const auto codec = CodecRegistry::standard().make(codec_name(config, CodecRegistry::standard()));
+  const bool is_pattern = config.path.find(topic_mark) != std::string::npos;  // see `refused_topics`
+  if (const auto fits = codec && !is_pattern ? OutputFile::check_content(config.path, **codec) : Result<void>{};
+      !fits) {
+    const ConfigItem* path = item.find("path");
+    const Error& error = fits.error();
+    problems.add((path != nullptr ? *path : item).problem("cannot-record", error.why + "; " + error.advice));
+  }
   const std::string wrong = Rotation::mistake(config);
   if (wrong.empty()) return;
   const ConfigItem* at = item.find(config.keep != 0 ? "keep" : "rotate");

@@ -27,6 +27,34 @@ bool is_by_lines(const Codec& codec) {
   return codec.first_event(lines) == lines.size();
 }
 
+/// Nearly any bytes are items of CBOR: an event is one that begins so.
+bool is_another_cbor(const Codec& codec, std::span<const std::byte> begin) {
+  if (codec.name() != "cbor" || begin.empty()) return false;
+  constexpr std::string_view key("\x65topic");  // the first one of a map of 5, or of 6
+  const auto head = static_cast<unsigned>(begin[0]);
+  const std::string_view rest(reinterpret_cast<const char*>(begin.data()) + 1, std::min(begin.size() - 1, key.size()));
+  return (head != 0xa5 && head != 0xa6) || !key.starts_with(rest);
+}
+
+/// Whether a file that begins so, with half an event or more, is of this format.
+bool is_of_format(const Codec& codec, std::vector<std::byte> begin) {
+  if (is_another_cbor(codec, begin)) return false;
+  begin.resize(begin.size() + window_bytes);
+  for (const char end : {'\n', '"', '\n'})
+    begin.push_back(static_cast<std::byte>(end));  // of a row, and of an open quote
+  return codec.first_event(begin) != 0;
+}
+
+Error no_such_format(const std::string& path, const Codec& codec) {
+  return {Errc::damaged, "cannot append to", path, "what it holds is no " + std::string(codec.name()),
+          "check `format`, or choose another path"};
+}
+
+Error database_there(const std::string& path) {
+  return {Errc::bad_argument, "cannot record into", path, "it is a recording, or another SQLite database",
+          "choose another path"};
+}
+
 /// What would be taken for half an event, and cut off.
 bool is_database(int fd) {
   constexpr std::string_view magic("SQLite format 3\0", 16);
@@ -51,6 +79,23 @@ Result<void> compare_header(int fd, const std::string& path, const std::string& 
   return Error{Errc::description_differs, "cannot append to", path,
                "its header is \"" + there + "\", not \"" + header.substr(0, header.find('\n')) + "\"",
                "choose another path"};
+}
+
+Error cannot_open(int reason, const std::string& path) {
+  if (reason == EISDIR)
+    return {Errc::bad_argument, "cannot open the file", path, "it is a directory", "give the name of a file in it"};
+  const char* advice = "";
+  if (reason == ENOENT) advice = "make its directory first";
+  if (reason == EACCES || reason == EPERM || reason == EROFS) advice = "choose a place where this user may write";
+  return system_error(reason, "cannot open the file", path, advice);
+}
+
+Error no_regular_file(const std::string& path) {
+  return {Errc::bad_argument, "cannot record into", path, "it is no regular file", "give the path of a file"};
+}
+
+Error held(const std::string& path, const std::string& holder) {
+  return {Errc::busy, "cannot record into", path, holder + " writes it", "stop that one, or choose another path"};
 }
 
 /// Where the disk of the file's folder is mounted; empty: at the root, or not to be found out.
@@ -104,31 +149,19 @@ Result<void> OutputFile::open(const std::string& path, mode_t permissions) {
   }
   // Non-blocking for the sake of a pipe without a reader, which is refused below.
   fd_ = ::open(path.c_str(), O_RDWR | O_APPEND | O_CREAT | O_CLOEXEC | O_NOCTTY | O_NONBLOCK, permissions);
-  if (fd_ < 0) {
-    const int reason = errno;
-    Error error = failed(reason, "cannot open the file");
-    if (reason == ENOENT) error.advice = "make its directory first";
-    if (reason == EACCES || reason == EPERM || reason == EROFS)
-      error.advice = "choose a place where this user may write";
-    if (reason == EISDIR)
-      error = {Errc::bad_argument, "cannot open the file", path, "it is a directory", "give the name of a file in it"};
-    return error;
-  }
+  if (fd_ < 0) return cannot_open(errno, path);
   struct stat about {};
   Result<void> result;
   if (::fstat(fd_, &about) != 0) {
     result = failed(errno, "cannot look at the file");
   } else if (!S_ISREG(about.st_mode)) {
-    result = Error{Errc::bad_argument, "cannot record into", path, "it is no regular file", "give the path of a file"};
+    result = no_regular_file(path);
   } else if (::flock(fd_, LOCK_EX | LOCK_NB) != 0) {
     const int reason = errno;
-    result = reason == EWOULDBLOCK ? Error{Errc::busy, "cannot record into", path, lock_holder(about) + " writes it",
-                                           "stop that one, or choose another path"}
-                                   : failed(reason, "cannot lock the file");
+    result = reason == EWOULDBLOCK ? held(path, lock_holder(about)) : failed(reason, "cannot lock the file");
   }
   if (result && is_database(fd_)) {
-    result = Error{Errc::bad_argument, "cannot record into", path, "it is a recording, or another SQLite database",
-                   "choose another path"};
+    result = database_there(path);
   }
   if (result && mounted_at_.empty()) mounted_at_ = mount_point_of(path);
   if (!result) close();
@@ -150,6 +183,7 @@ Result<void> OutputFile::repair(Codec& codec, std::string& what) {
     const ssize_t got = ::pread(fd_, tail.data() + kept, window_bytes, at);
     if (got < 0) return failed(errno, "cannot read the file");
     tail.resize(kept + static_cast<std::size_t>(got));
+    if (at == 0 && is_another_cbor(codec, tail)) return no_such_format(path_, codec);
     if (got == 0) break;
     at += got;
     std::size_t used = 0;
@@ -158,14 +192,7 @@ Result<void> OutputFile::repair(Codec& codec, std::string& what) {
     if (tail.size() > 2 * window_bytes) break;
   }
   if (tail.empty()) return {};
-  std::vector<std::byte> whole = tail;
-  whole.resize(tail.size() + window_bytes);
-  for (const char end : {'\n', '"', '\n'})
-    whole.push_back(static_cast<std::byte>(end));  // of a row, and of an open quote
-  if (tail.size() > 2 * window_bytes || codec.first_event(whole) == 0) {
-    return Error{Errc::damaged, "cannot append to", path_, "what it holds is no " + std::string(codec.name()),
-                 "check `format`, or choose another path"};
-  }
+  if (tail.size() > 2 * window_bytes || !is_of_format(codec, tail)) return no_such_format(path_, codec);
   what = half_moved(tail.size());
   return move_aside(tail);
 }
@@ -225,6 +252,42 @@ Result<void> OutputFile::check_header(const std::string& path, const std::string
   Result<void> same = has_content ? compare_header(fd, path, header) : Result<void>{};
   ::close(fd);
   return same;
+}
+
+Result<void> OutputFile::check_content(const std::string& path, const Codec& codec) {
+  struct stat about {};
+  if (::stat(path.c_str(), &about) != 0 || !S_ISREG(about.st_mode) || about.st_size == 0) return {};
+  // The log of one that is open: to open and close that here would drop the locks that SQLite has on it in this
+  // process.
+  struct stat log {};
+  std::error_code failed;
+  const std::string real = std::filesystem::canonical(path, failed).string();
+  if (::stat((real + "-wal").c_str(), &log) == 0) return database_there(path);
+  OutputFile file;
+  file.path_ = path;
+  file.fd_ = ::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NOCTTY | O_NONBLOCK);
+  if (file.fd_ < 0) return {};  // opening it reports what is wrong
+  if (is_database(file.fd_)) return database_there(path);
+  if (is_by_lines(codec)) return {};
+  std::vector<std::byte> begin(static_cast<std::size_t>(std::min<off_t>(about.st_size, window_bytes)));
+  const ssize_t got = ::pread(file.fd_, begin.data(), begin.size(), 0);
+  if (got <= 0) return {};
+  begin.resize(static_cast<std::size_t>(got));
+  if (!is_of_format(codec, std::move(begin))) return no_such_format(path, codec);
+  return {};
+}
+
+Result<void> OutputFile::check_openable(const std::string& path) {
+  OutputFile file;
+  file.fd_ = ::open(path.c_str(), O_RDWR | O_APPEND | O_CLOEXEC | O_NOCTTY | O_NONBLOCK);
+  if (file.fd_ < 0 && errno == ENOENT) return {};  // it will be made
+  if (file.fd_ < 0) return cannot_open(errno, path);
+  struct stat about {};
+  if (::fstat(file.fd_, &about) == 0 && !S_ISREG(about.st_mode)) return no_regular_file(path);
+  auto holder = other_lock_holder(file.fd_, path);
+  if (!holder) return std::move(holder).error();
+  if (holder->empty()) return {};
+  return held(path, *holder);
 }
 
 void OutputFile::begin_batch() {

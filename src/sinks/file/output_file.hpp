@@ -31,6 +31,12 @@ class OutputFile {
   Result<void> begin(const std::string& header);
   /// Whether a file of this path, if there is one, can go on with this header. Opens it for reading only.
   static Result<void> check_header(const std::string& path, const std::string& header);
+  /// Whether what is in a file of this path, if there is one, can be added to in this format: it is no database, and of
+  /// a format of bytes its beginning is one of such. Opens it for reading only, and not a database that is open.
+  static Result<void> check_content(const std::string& path, const Codec& codec);
+  /// Whether a file of this path can be opened and locked now, but for what this process itself has locked. Makes and
+  /// changes nothing.
+  static Result<void> check_openable(const std::string& path);
   bool is_open() const noexcept { return fd_ >= 0; }
   bool has_begun() const noexcept { return has_begun_; }
   const std::string& path() const noexcept { return path_; }

@@ -62,6 +62,48 @@ std::string take_state(std::string& text) {
   return state;
 }
 
+/// What libpq says, before it connects, of a connection with these options, but for the place of the server and who
+/// connects. It has no call that checks them alone: in place of a host it is given a path that is too long for a
+/// socket, at which it stops before it makes one. So it always says something.
+std::string said_before_connecting(const PQconninfoOption* options) {
+  const std::string no_place = "/" + std::string(300, 'x');
+  std::vector<const char*> keywords{"host", "user", "password"};
+  std::vector<const char*> values{no_place.c_str(), "x", "x"};
+  constexpr std::string_view left_out[] = {"host", "hostaddr", "port", "user", "password", "passfile", "dbname"};
+  for (; options != nullptr && options->keyword != nullptr; ++options) {
+    if (options->val == nullptr ||
+        std::find(std::begin(left_out), std::end(left_out), options->keyword) != std::end(left_out))
+      continue;
+    keywords.push_back(options->keyword);
+    values.push_back(options->val);
+  }
+  keywords.push_back(nullptr);
+  values.push_back(nullptr);
+  struct Finish {
+    void operator()(PGconn* connection) const noexcept { PQfinish(connection); }
+  };
+  const std::unique_ptr<PGconn, Finish> connection(PQconnectStartParams(keywords.data(), values.data(), 0));
+  return connection == nullptr ? "" : one_line(PQerrorMessage(connection.get()));
+}
+
+/// What libpq refuses of the options, whatever the server is; empty: nothing.
+std::string refused_option(const Options& options) {
+  for (const char* keyword :
+       {"keepalives", "keepalives_idle", "keepalives_interval", "keepalives_count", "tcp_user_timeout"}) {
+    const std::string_view value = value_of(options, keyword);  // libpq reads it when it has a socket
+    int number = 0;
+    const auto read = std::from_chars(value.data(), value.data() + value.size(), number);
+    if (!value.empty() && (read.ec != std::errc{} || read.ptr != value.data() + value.size()))
+      return "`" + std::string(keyword) + "` is a whole number, not \"" + std::string(value) + "\"";
+  }
+  // These may say where the server is, and it would be connected to.
+  if (*value_of(options, "service") != '\0' || std::getenv("PGSERVICE") != nullptr ||
+      std::getenv("PGHOSTADDR") != nullptr)
+    return "";
+  std::string said = said_before_connecting(options.get());
+  return said == said_before_connecting(nullptr) ? "" : said;
+}
+
 std::string milliseconds(Duration duration) {
   return std::to_string(
       std::max<std::int64_t>(std::chrono::duration_cast<std::chrono::milliseconds>(duration).count(), 1));
@@ -107,6 +149,9 @@ Result<UrlParts> look_at_url(const std::string& url) {
     is_more = end != std::string_view::npos;
     if (is_more) ports.remove_prefix(end + 1);
   }
+  if (std::string refused = refused_option(options); !refused.empty())
+    return Error{Errc::bad_argument, "cannot connect", "`url`", std::move(refused),
+                 "see \"Parameter Key Words\" in the manual of libpq"};
   parts.password = value_of(options, "password");
   parts.has_password = !parts.password.empty();
   return parts;

@@ -15,6 +15,7 @@ namespace rtdata::sqlite {
 namespace {
 
 constexpr std::size_t longest_note = 4096;
+constexpr int lock_flags = O_RDWR | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK | O_NOCTTY;
 
 /// The permissions of a recording's lock file: whoever may write the recording may read and write it.
 mode_t lock_mode(mode_t recording) noexcept {
@@ -47,6 +48,16 @@ Error failed(int reason, const std::string& path) {
   return error;
 }
 
+Error no_lock_file(const std::string& path) {
+  return {Errc::not_permitted, "cannot lock the recording", path, "it is no regular file", "remove it"};
+}
+
+Error held(const std::string& recording, const std::string& holder, const char* advice) {
+  return {Errc::busy, "cannot record into", recording, holder + " records into it", advice};
+}
+
+constexpr const char* to_stop_other = "stop that one, or record into another file";
+
 std::string first_line_of(int fd) {
   std::array<char, longest_note> text{};
   const ssize_t got = ::pread(fd, text.data(), text.size(), 0);
@@ -64,20 +75,18 @@ Result<RecordingLock> RecordingLock::take(const std::string& recording) {
   RecordingLock made;
   made.path_ = recording + "-lock";
   for (;;) {
-    made.fd_ = ::open(made.path_.c_str(), O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK | O_NOCTTY, mode);
+    made.fd_ = ::open(made.path_.c_str(), lock_flags | O_CREAT, mode);
     if (made.fd_ < 0) return failed(errno, made.path_);
     struct stat locked {};
     if (::fstat(made.fd_, &locked) != 0) return failed(errno, made.path_);
-    if (!S_ISREG(locked.st_mode)) {
-      return Error{Errc::not_permitted, "cannot lock the recording", made.path_, "it is no regular file", "remove it"};
-    }
+    if (!S_ISREG(locked.st_mode)) return no_lock_file(made.path_);
     if (::flock(made.fd_, LOCK_EX | LOCK_NB) != 0) {
       if (errno != EWOULDBLOCK) return failed(errno, made.path_);
       const std::string holder = detail::lock_holder(locked);
       const bool is_own = holder == "process " + std::to_string(::getpid());
-      return Error{Errc::busy, "cannot record into", recording, holder + " records into it",
-                   is_own ? "this program itself has it open, or closes it still; record into another file"
-                          : "stop that one, or record into another file"};
+      return held(
+          recording, holder,
+          is_own ? "this program itself has it open, or closes it still; record into another file" : to_stop_other);
     }
     struct stat there {};
     if (::lstat(made.path_.c_str(), &there) == 0 && locked.st_ino == there.st_ino && locked.st_dev == there.st_dev) {
@@ -92,6 +101,29 @@ Result<RecordingLock> RecordingLock::take(const std::string& recording) {
   }
   made.noted_ = first_line_of(made.fd_);
   return made;
+}
+
+Result<void> RecordingLock::check_free(const std::string& recording) {
+  const std::string path = recording + "-lock";
+  struct Descriptor {
+    const int fd;
+    ~Descriptor() {
+      if (fd >= 0) ::close(fd);
+    }
+  } const lock{::open(path.c_str(), lock_flags)};
+  struct stat about {};
+  if (lock.fd < 0 && errno != ENOENT) return failed(errno, path);
+  if (lock.fd < 0) {
+    const std::string folder = recording.substr(0, recording.rfind('/') + 1);
+    if (::faccessat(AT_FDCWD, folder.empty() ? "." : folder.c_str(), W_OK | X_OK, AT_EACCESS) != 0)
+      return failed(errno, path);
+    return {};
+  }
+  if (::fstat(lock.fd, &about) == 0 && !S_ISREG(about.st_mode)) return no_lock_file(path);
+  auto holder = detail::other_lock_holder(lock.fd, path);
+  if (!holder) return std::move(holder).error();
+  if (holder->empty()) return {};
+  return held(recording, *holder, to_stop_other);
 }
 
 RecordingLock::RecordingLock(RecordingLock&& other) noexcept

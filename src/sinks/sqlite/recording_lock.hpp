@@ -17,6 +17,8 @@ class RecordingLock {
   /// Locks the recording, which exists. `recording` is its real path, without symbolic links, so that all of its names
   /// have one lock. Errors: busy, naming the pid of the process that records into it; not-permitted.
   static Result<RecordingLock> take(const std::string& recording);
+  /// Whether `take` would do, but for what this process itself has locked. Makes and locks nothing. Errors: of `take`.
+  static Result<void> check_free(const std::string& recording);
   RecordingLock(RecordingLock&& other) noexcept;
   RecordingLock& operator=(RecordingLock&& other) noexcept;
   /// Unlocks. The file stays unless `remove` was called.

@@ -1,4 +1,3 @@
-#include <fcntl.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
@@ -11,6 +10,7 @@
 
 #include "loop/runtime/runtime_core.hpp"
 #include "rtdata/sinks/sqlite.hpp"
+#include "sinks/sqlite/recording_lock.hpp"
 #include "sinks/sqlite/schema.hpp"
 #include "sinks/sqlite/sqlite_writer.hpp"
 #include "sinks/sqlite/topic_table.hpp"
@@ -39,6 +39,15 @@ std::unique_ptr<Writer> make_writer(Loop& loop, const SqliteConfig& config) {
 }  // namespace
 
 namespace sqlite {
+
+/// The first bytes of a file. By SQLite: a process that opens and closes a database itself drops the locks (fcntl) by
+/// which SQLite, in the same process, has it open.
+static bool read_head(const std::string& path, void* head, int size) {
+  const auto database = Database::open(path, Database::Mode::read);
+  sqlite3_file* file = nullptr;
+  return database && sqlite3_file_control(database->raw(), "main", SQLITE_FCNTL_FILE_POINTER, &file) == SQLITE_OK &&
+         file != nullptr && file->pMethods != nullptr && file->pMethods->xRead(file, head, size, 0) == SQLITE_OK;
+}
 
 Result<void> check_path(const std::string& path) {
   constexpr std::string_view longest_ending = "-journal";
@@ -90,13 +99,10 @@ Result<void> check_recordable(const std::string& path) {
   if (auto is_path = sqlite::check_path(path); !is_path) return is_path;
   constexpr std::string_view magic("SQLite format 3\0", 16);
   std::array<unsigned char, 100> head{};
-  const int fd = ::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NOCTTY | O_NONBLOCK);
-  if (fd < 0) return {};  // opening it reports what is wrong
   struct stat about {};
-  const bool is_file = ::fstat(fd, &about) == 0 && S_ISREG(about.st_mode);
-  const ssize_t got = is_file ? ::pread(fd, head.data(), head.size(), 0) : 0;
-  ::close(fd);
-  if (got <= 0) return {};
+  if (::stat(path.c_str(), &about) != 0 || !S_ISREG(about.st_mode) || about.st_size == 0) return {};  // opening tells
+  const auto got = std::min(about.st_size, static_cast<off_t>(head.size()));
+  if (!sqlite::read_head(path, head.data(), static_cast<int>(got))) return {};
   const auto number_at = [&](std::size_t at) {
     std::uint32_t number = 0;
     for (std::size_t i = 0; i < 4; ++i) number = number << 8 | head[at + i];
@@ -105,7 +111,7 @@ Result<void> check_recordable(const std::string& path) {
   const auto refuse = [&](Errc code, std::string why, const char* advice) {
     return Error{code, "cannot record into", path, std::move(why), advice};
   };
-  if (got < static_cast<ssize_t>(head.size()) || std::memcmp(head.data(), magic.data(), magic.size()) != 0)
+  if (got < static_cast<off_t>(head.size()) || std::memcmp(head.data(), magic.data(), magic.size()) != 0)
     return refuse(Errc::not_a_recording, "it is no SQLite file", "choose another path");
   struct stat log {};
   if (::stat((path + "-wal").c_str(), &log) == 0 && log.st_size > 0) return {};  // what holds is in there
@@ -120,6 +126,14 @@ Result<void> check_recordable(const std::string& path) {
                       std::to_string(sqlite::schema_version) + ")",
                   "update rt-data, or choose another path");
   return {};
+}
+
+Result<void> check_openable(const SqliteConfig&, const std::string& file) {
+  if (auto recordable = check_recordable(file); !recordable) return recordable;
+  std::error_code failed;
+  const std::filesystem::path real = std::filesystem::canonical(file, failed);
+  if (failed) return {};  // there is none, or opening it tells
+  return sqlite::RecordingLock::check_free(real.string());
 }
 
 SqliteSink::SqliteSink(Loop& loop, SqliteConfig config) : Sink(loop, named(config), make_writer(loop, config)) {}
