@@ -100,6 +100,8 @@ Result<void> check(const std::vector<Field>& fields, std::size_t size, const std
                             "rename the field, for example to device_" + std::string(taken));
         }
       }
+      if (lower_case(field.name) == "_rowid_")
+        return not_usable(place, "SQLite has that name for the number of a row", "rename the field");
     }
     if (field.count == 0 || (!field.is_array && field.count != 1)) {
       return not_usable(place, "an array needs at least one element", "give it a count");

@@ -58,6 +58,18 @@ TEST_SUITE("app") {
           "2026-03-01T12:00:00.020000000Z,imu,3,nan,,0,1e+300\n");
   }
 
+  TEST_CASE("FW-5 import: a heading that each event has, or SQLite, gets another name") {
+    const Folder folder;
+    folder.write("names.csv", "t,Run,TIME,RowId,_RowId_\n0,1,2,3,4\n1,5,6,2,7\n");
+    Process import(folder, program, {"import", "names.csv", "--time", "t"});
+    CHECK_MESSAGE(import.end() == 0, import.err);
+    check_verifies(folder, "names.db");
+    Process rows(folder, program, {"export", "names.db"});
+    CHECK(rows.end() == 0);
+    CHECK(rows.out ==
+          "time,origin,sequence,Run_,TIME_,RowId,_RowId__\n0,names,1,1,2,3,4\n1000000000,names,2,5,6,2,7\n");
+  }
+
   TEST_CASE("FW-5 import: times are kept to the nanosecond, arrays are arrays, and names that clash are numbered") {
     const Folder folder;
     folder.write("x.csv",

@@ -35,7 +35,7 @@ BEYOND_A_SCHEMA = [
     "no variable", "cannot read the secret", "is empty",
     "a name has 1 to 200", "is no topic name", "topics that begin with",  # lengths, and names that stand for topics
     "it does not say which device", "has no width", "no field has a name", "among the fields", "is there twice",
-    "every event has a", "only a float or double", "a field of JSON has no name", "need more than 4 KiB",
+    "every event has a", "SQLite has that name", "only a float or double", "a field of JSON has no name", "need more than 4 KiB",
     "or 0 for no limit",  # a least value, or none
     "there is no format", "without `rotate` there is one", "needs a `priority`", "a priority goes with", "give `cpu` or `cpus`",
     "already at",  # a key that is there twice

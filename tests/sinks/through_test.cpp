@@ -4,11 +4,13 @@
 #include <filesystem>
 #include <map>
 #include <numeric>
+#include <sstream>
 
 #include "rtdata/loop/account.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/sensors/feed.hpp"
 #include "rtdata/sensors/sensor.hpp"
+#include "rtdata/sinks/export.hpp"
 #include "rtdata/sinks/sender.hpp"
 #include "sinks/core/row_feed.hpp"
 #include "sinks/sqlite/sqlite_writer.hpp"
@@ -25,6 +27,12 @@ using recordings::sql;
 namespace {
 
 Verdict verdict_of(const std::string& path) { return verify(Recording::open(path).or_throw()).or_throw().verdict(); }
+
+struct Falling {
+  std::int64_t ROWID = 0;
+  double oid = 0;
+  RTDATA_FIELDS(Falling, (ROWID), (oid))
+};
 
 }  // namespace
 
@@ -756,6 +764,38 @@ TEST_SUITE("sinks") {
       CHECK(has(run.log, is_older_copy ? "or it is an older copy" : "goes on after the event that was sent last"));
       CHECK(peer->events.size() == (is_older_copy ? 60 + 10 + 3 : 60 + 3));
     }
+  }
+
+  TEST_CASE("a field has a name that SQL has for the numbers of rows: rows keep their order, limits and account") {
+    Folder folder;
+    auto peer = std::make_shared<ScriptedPeer::Script>();
+    const std::string path = folder / "run.db";
+    Run run(path, peer, {.name = "peer"}, {.path = "", .max_age = 10s});
+    constexpr std::uint64_t count = 300;
+    for (std::uint64_t i = 1; i <= count; ++i) {
+      run.loop.topic<Falling>("falling").publish({static_cast<std::int64_t>(1000 - i), static_cast<double>(i % 7)});
+      run.loop.advance(100ms);
+    }
+    run.loop.advance(1s);
+    CHECK(peer->events.size() == count);
+    CHECK(count_all_once(*peer) == count);
+    CHECK(run.loop.close(5s) == 0);
+    recordings::check_balanced(path);
+    const Recording recording = Recording::open(path).or_throw();
+    auto rows = recording.rows({.topic = "falling"}).or_throw();
+    std::uint64_t last = 0;
+    while (const RecordedRow* row = rows.next().or_throw()) {
+      const Falling* const value = row->event().as<Falling>();
+      REQUIRE(value != nullptr);
+      CHECK(value->ROWID == static_cast<std::int64_t>(1000 - row->header().sequence));
+      if (last != 0) CHECK(row->header().sequence == last + 1);
+      if (last == 0) CHECK(row->header().sequence > 100);  // those before are too old
+      last = row->header().sequence;
+    }
+    CHECK(last == count);
+    std::ostringstream csv;
+    CHECK(export_rows(recording, {.filter = {.topic = "falling", .limit = 3}}, csv).or_throw().rows == 3);
+    CHECK(csv.str().find("time,origin,sequence,ROWID,oid\n") == 0);
   }
 
   TEST_CASE("rows that got other numbers before the first was sent are found, too") {

@@ -124,7 +124,7 @@ Result<bool> RunCopy::is_done_with(std::string_view topic, std::string_view orig
     if (!*row) return true;
     if (tables->is_null(1)) return false;
     auto left = database_.prepare("SELECT 1 FROM " + sqlite::quoted(tables->text(0)) +
-                                  " WHERE rowid > ? AND run = ? AND origin = ? LIMIT 1");
+                                  " WHERE _rowid_ > ? AND run = ? AND origin = ? LIMIT 1");
     if (!left) return std::move(left).error();
     left->bind(1, tables->integer(1)).bind(2, local_).bind(3, origin);
     auto is_left = left->step();

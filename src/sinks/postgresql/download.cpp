@@ -522,8 +522,8 @@ Result<void> Download::copy_account(const Run& run) {
     if (!names) return std::move(names).error();
     std::int64_t last = 0;
     for (const std::string& name : *names) {
-      auto rowid = database_.prepare("SELECT rowid FROM " + sqlite::quoted(name) +
-                                     " WHERE run = ? AND origin = ? ORDER BY rowid LIMIT 1 OFFSET ?");
+      auto rowid = database_.prepare("SELECT _rowid_ FROM " + sqlite::quoted(name) +
+                                     " WHERE run = ? AND origin = ? ORDER BY _rowid_ LIMIT 1 OFFSET ?");
       if (!rowid) return std::move(rowid).error();
       rowid->bind(1, run.run).bind(2, entry.origin).bind(3, std::max<std::int64_t>(entry.rows - 1, 0));
       auto row = rowid->step();

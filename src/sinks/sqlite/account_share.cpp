@@ -32,21 +32,21 @@ constexpr Table all_tables[] = {
      "t.first", "t.last",
      "UPDATE rtdata_gap SET kind = 'joined', reason = iif(rtdata_gap.reason = b.reason, b.reason, 'several'), "
      "last = max(rtdata_gap.last, b.last), count = coalesce(rtdata_gap.count, 1) + coalesce(b.count, 1) "
-     "FROM (SELECT reason, last, count FROM rtdata_gap WHERE rowid = ?2) b WHERE rtdata_gap.rowid = ?1"},
+     "FROM (SELECT reason, last, count FROM rtdata_gap WHERE _rowid_ = ?2) b WHERE rtdata_gap._rowid_ = ?1"},
     {"rtdata_error", "run, object, id", "length(object) + length(id) + length(text)", "0", "t.time", "t.time",
      "UPDATE rtdata_error SET text = b.text, last = max(rtdata_error.time, rtdata_error.last, b.time, b.last), "
      "count = rtdata_error.count + b.count "
-     "FROM (SELECT text, time, last, count FROM rtdata_error WHERE rowid = ?2) b WHERE rtdata_error.rowid = ?1"},
+     "FROM (SELECT text, time, last, count FROM rtdata_error WHERE _rowid_ = ?2) b WHERE rtdata_error._rowid_ = ?1"},
     {"rtdata_health", "run, kind, name", "length(kind) + length(name) + length(state) + length(reason)", "0", "t.time",
      "t.time",
      "UPDATE rtdata_health SET state = b.state, reason = b.reason, "
      "last = max(rtdata_health.time, rtdata_health.last, b.time, b.last), count = rtdata_health.count + b.count "
-     "FROM (SELECT state, reason, time, last, count FROM rtdata_health WHERE rowid = ?2) b "
-     "WHERE rtdata_health.rowid = ?1"},
+     "FROM (SELECT state, reason, time, last, count FROM rtdata_health WHERE _rowid_ = ?2) b "
+     "WHERE rtdata_health._rowid_ = ?1"},
     {"rtdata_configuration", "run, object", "length(object) + length(text)", "0", "t.time", "t.time",
      "UPDATE rtdata_configuration SET time = b.time, text = b.text, count = rtdata_configuration.count + b.count "
-     "FROM (SELECT time, text, count FROM rtdata_configuration WHERE rowid = ?2) b "
-     "WHERE rtdata_configuration.rowid = ?1"},
+     "FROM (SELECT time, text, count FROM rtdata_configuration WHERE _rowid_ = ?2) b "
+     "WHERE rtdata_configuration._rowid_ = ?1"},
 };
 
 /// An object's rows in one table.
@@ -59,7 +59,7 @@ struct Object {
 
 /// The bytes of all of a table's rows; `objects`: gets those that have rows to be joined.
 Result<std::int64_t> look_at(Database& database, const Table& table, std::vector<Object>& objects) {
-  const std::string query = std::string("SELECT max(rowid), count(*), sum(40 + ") + table.texts + ") FROM " +
+  const std::string query = std::string("SELECT max(_rowid_), count(*), sum(40 + ") + table.texts + ") FROM " +
                             table.name + " GROUP BY " + table.object;
   auto object = database.prepare(query);
   if (!object) return std::move(object).error();
@@ -86,10 +86,10 @@ Result<std::size_t> join(Database& database, const Object& object) {
       same += (same.empty() ? "" : " AND ") + std::string("t.") + column + " = o." + column;
       rest = comma == std::string::npos ? "" : rest.substr(comma + 2);
     }
-    auto rows = database.prepare(std::string("SELECT t.rowid, ") + table.stretch + ", " + table.begin + ", " +
+    auto rows = database.prepare(std::string("SELECT t._rowid_, ") + table.stretch + ", " + table.begin + ", " +
                                  table.end + " FROM " + table.name + " t, " + table.name +
-                                 " o WHERE o.rowid = ?1 AND " + same + " ORDER BY " + table.begin +
-                                 ", t.rowid LIMIT ?2");
+                                 " o WHERE o._rowid_ = ?1 AND " + same + " ORDER BY " + table.begin +
+                                 ", t._rowid_ LIMIT ?2");
     if (!rows) return std::move(rows).error();
     rows->bind(1, object.any_row).bind(2, std::min<std::int64_t>(object.rows / 2, 2 * most_pairs));
     struct {
@@ -114,7 +114,7 @@ Result<std::size_t> join(Database& database, const Object& object) {
   }
   auto grow = database.prepare(table.join);
   if (!grow) return std::move(grow).error();
-  auto remove = database.prepare(std::string("DELETE FROM ") + table.name + " WHERE rowid = ?");
+  auto remove = database.prepare(std::string("DELETE FROM ") + table.name + " WHERE _rowid_ = ?");
   if (!remove) return std::move(remove).error();
   for (const auto& [first, second] : pairs) {
     grow->bind(1, first).bind(2, second);
@@ -133,7 +133,7 @@ Result<void> AccountShare::hold(Database& database) {
   std::int64_t added = 0;
   for (std::size_t i = 0; i < tables; ++i) {
     if (!newest_[i]) {
-      auto made = database.prepare(std::string("SELECT max(rowid) FROM ") + all_tables[i].name);
+      auto made = database.prepare(std::string("SELECT max(_rowid_) FROM ") + all_tables[i].name);
       if (!made) return std::move(made).error();
       newest_[i] = std::move(*made);
     }

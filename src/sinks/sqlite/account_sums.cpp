@@ -119,7 +119,7 @@ Result<void> AccountSums::write_changes(Database& database) {
       if (sum == RowSum{}) continue;
       if (!query) {
         auto made = database.prepare(
-            "SELECT rowid, rows, sum FROM rtdata_checksum WHERE run = ? AND table_name = ? AND origin = ''");
+            "SELECT _rowid_, rows, sum FROM rtdata_checksum WHERE run = ? AND table_name = ? AND origin = ''");
         if (!made) return std::move(made).error();
         query = std::move(*made);
       }
@@ -133,7 +133,7 @@ Result<void> AccountSums::write_changes(Database& database) {
       if (rowid == 0) continue;  // of a format without checksums
       add(now, sum);
       if (!update) {
-        auto made = database.prepare("UPDATE rtdata_checksum SET rows = ?, sum = ? WHERE rowid = ?");
+        auto made = database.prepare("UPDATE rtdata_checksum SET rows = ?, sum = ? WHERE _rowid_ = ?");
         if (!made) return std::move(made).error();
         update = std::move(*made);
       }

@@ -58,7 +58,7 @@ Result<void> AccountWriter::prepare(Database& database, std::int64_t run, const 
       {gap_, "INSERT INTO rtdata_gap(run, topic, origin, kind, reason, first, last, count) VALUES(?,?,?,?,?,?,?,?)"},
       {grown_gap_,
        "UPDATE rtdata_gap SET run = ?, topic = ?, origin = ?, kind = ?, reason = ?, first = ?, last = ?, count = ? "
-       "WHERE rowid = ?9 AND run = ?1 AND topic = ?2 AND origin = ?3 AND first = ?10"},
+       "WHERE _rowid_ = ?9 AND run = ?1 AND topic = ?2 AND origin = ?3 AND first = ?10"},
       {clock_, "INSERT INTO rtdata_clock(run, monotonic, realtime, source, occasion, accuracy) VALUES(?,?,?,?,?,?)"},
       {error_, "INSERT INTO rtdata_error(run, time, object, id, text, count, last) VALUES(?,?,?,?,?,?,?)"},
       {health_, "INSERT INTO rtdata_health(run, time, kind, name, state, reason, count, last) VALUES(?,?,?,?,?,?,?,?)"},
@@ -217,7 +217,7 @@ Result<void> AccountWriter::write_gap(std::uint32_t number, const SlotInfo& slot
     if (auto done = run_with(grown_gap_); !done) return done;
     if (sqlite3_changes(database_->raw()) == 0) {  // VACUUM has given it another number
       auto row = database_->prepare(
-          "SELECT rowid FROM rtdata_gap WHERE run = ? AND topic = ? AND origin = ? AND first = ?");
+          "SELECT _rowid_ FROM rtdata_gap WHERE run = ? AND topic = ? AND origin = ? AND first = ?");
       if (!row) return std::move(row).error();
       row->bind(1, run_).bind(2, slot.topic).bind(3, slot.origin).bind(4, to_nanoseconds(before));
       auto found = row->step();

@@ -57,8 +57,8 @@ std::vector<Stored> with_other_tables(std::vector<Stored> stored, const std::vec
 Result<std::int64_t> row_of(const detail::RecordingFile& file, const std::string& table, const Position& position) {
   if (position.row == 0) return std::int64_t{0};
   const std::string from = " FROM " + quoted(table) + " WHERE run = ?2 AND origin = ?3 AND sequence = ?4";
-  auto query = file.prepare("SELECT coalesce((SELECT rowid" + from + " AND rowid = ?1), (SELECT rowid" + from +
-                            "), (SELECT ?1 WHERE (SELECT min(rowid) FROM " + quoted(table) + ") > ?1), 0)");
+  auto query = file.prepare("SELECT coalesce((SELECT _rowid_" + from + " AND _rowid_ = ?1), (SELECT _rowid_" + from +
+                            "), (SELECT ?1 WHERE (SELECT min(_rowid_) FROM " + quoted(table) + ") > ?1), 0)");
   if (!query) return std::move(query).error();
   query->bind(1, position.row).bind(2, position.run).bind(3, position.origin).bind(4, position.sequence);
   auto row = query->step();
@@ -107,13 +107,13 @@ Result<std::vector<RecordedBacklog>> Recording::backlogs() const {
       if (topic.table != one.table) continue;
       auto after = row_of(*file_, one.table, one.position);
       if (!after) return std::move(after).error();
-      const std::string rows = " FROM " + quoted(one.table) + " WHERE rowid > " + std::to_string(*after);
+      const std::string rows = " FROM " + quoted(one.table) + " WHERE _rowid_ > " + std::to_string(*after);
       auto waits = number("SELECT count(*)" + rows);
       if (!waits) return std::move(waits).error();
       if (*waits == 0) continue;
       backlog.events += static_cast<std::uint64_t>(*waits);
       backlog.bytes += static_cast<std::uint64_t>(*waits) * topic.description->size();
-      auto oldest = file_->prepare("SELECT run, time" + rows + " ORDER BY rowid LIMIT 1");
+      auto oldest = file_->prepare("SELECT run, time" + rows + " ORDER BY _rowid_ LIMIT 1");
       if (!oldest) return std::move(oldest).error();
       auto row = oldest->step();
       if (!row) return std::move(row).error();

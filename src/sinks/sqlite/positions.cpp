@@ -149,11 +149,11 @@ Result<void> Positions::write_begin(Database& database, const std::string& name,
     if (!topic) return std::move(topic).error();
     if (!*topic) return {};
     if (!has_topic(sink.topics, topics->text(0)) || has_topic(topics_before, topics->text(0))) continue;
-    const std::string table(topics->text(1)), rows = " FROM " + quoted(table) + " ORDER BY rowid";
-    auto begin = database.prepare(
-        "INSERT OR IGNORE INTO rtdata_position SELECT ?1, ?2, * FROM (SELECT " +
-        (sink.at_beginning ? "rowid - 1, 0, '', 0, ?3" + rows : "rowid, run, origin, sequence, ?3" + rows + " DESC") +
-        " LIMIT 1)");
+    const std::string table(topics->text(1)), rows = " FROM " + quoted(table) + " ORDER BY _rowid_";
+    auto begin = database.prepare("INSERT OR IGNORE INTO rtdata_position SELECT ?1, ?2, * FROM (SELECT " +
+                                  (sink.at_beginning ? "_rowid_ - 1, 0, '', 0, ?3" + rows
+                                                     : "_rowid_, run, origin, sequence, ?3" + rows + " DESC") +
+                                  " LIMIT 1)");
     if (!begin) return std::move(begin).error();
     begin->bind(1, name).bind(2, table).bind(3, host);
     if (auto done = begin->run(); !done) return done;

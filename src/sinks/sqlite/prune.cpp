@@ -81,15 +81,16 @@ Result<void> Pruner::find_tables(Database& database, std::int64_t now) {
       table.name = query->text(1);
       const std::string name = rtdata::sqlite::quoted(table.name);
       const std::pair<Statement*, std::string> all[] = {
-          {&table.first, "SELECT rowid, time, run FROM " + name + " ORDER BY rowid LIMIT 1"},
-          {&table.last, "SELECT max(rowid) FROM " + name},
-          {&table.at, "SELECT time, run FROM " + name + " WHERE rowid >= ? ORDER BY rowid LIMIT 1"},
+          {&table.first, "SELECT _rowid_, time, run FROM " + name + " ORDER BY _rowid_ LIMIT 1"},
+          {&table.last, "SELECT max(_rowid_) FROM " + name},
+          {&table.at, "SELECT time, run FROM " + name + " WHERE _rowid_ >= ? ORDER BY _rowid_ LIMIT 1"},
           // Up to the first that is not older, whatever comes after it: a clock may have been wrong in a later run.
           {&table.up_to,
-           "SELECT min(CASE WHEN time >= ?2 OR run <> ?3 THEN rowid - 1 END), max(rowid) FROM (SELECT rowid, time, run "
+           "SELECT min(CASE WHEN time >= ?2 OR run <> ?3 THEN _rowid_ - 1 END), max(_rowid_) FROM (SELECT _rowid_, "
+           "time, run "
            "FROM " +
-               name + " ORDER BY rowid LIMIT ?1)"},
-          {&table.remove, "DELETE FROM " + name + " WHERE rowid <= ?"},
+               name + " ORDER BY _rowid_ LIMIT ?1)"},
+          {&table.remove, "DELETE FROM " + name + " WHERE _rowid_ <= ?"},
       };
       for (const auto& [statement, sql] : all) {
         auto made = database.prepare(sql);

@@ -258,8 +258,8 @@ Result<std::vector<LedgerEntry>> Recording::ledger(std::int64_t run) const {
 Result<std::vector<RecordedGap>> Recording::gaps(std::int64_t run) const {
   return all<RecordedGap>(
       *file_,
-      "SELECT topic, origin, kind, reason, first, last, count FROM rtdata_gap WHERE run = ? ORDER BY first, rowid", run,
-      [](const Statement& row) {
+      "SELECT topic, origin, kind, reason, first, last, count FROM rtdata_gap WHERE run = ? ORDER BY first, _rowid_",
+      run, [](const Statement& row) {
         return RecordedGap{string_of(row, 0), string_of(row, 1), string_of(row, 2), string_of(row, 3),
                            time_of(row, 4),   time_of(row, 5),   count_of(row, 6)};
       });
@@ -321,7 +321,7 @@ Result<std::vector<RecordedHealth>> Recording::health(std::int64_t run) const {
   const std::string joined = *version < 5 ? "1, time" : "count, max(last, time)";
   return all<RecordedHealth>(
       *file_,
-      "SELECT time, kind, name, state, reason, " + joined + " FROM rtdata_health WHERE run = ? ORDER BY time, rowid",
+      "SELECT time, kind, name, state, reason, " + joined + " FROM rtdata_health WHERE run = ? ORDER BY time, _rowid_",
       run, [](const Statement& row) {
         return RecordedHealth{time_of(row, 0),   string_of(row, 1), string_of(row, 2), string_of(row, 3),
                               string_of(row, 4), count_of(row, 5),  time_of(row, 6)};
@@ -344,7 +344,7 @@ Result<std::vector<RecordedConfiguration>> Recording::configurations(std::int64_
   if (!version) return std::move(version).error();
   if (*version < sqlite::first_version_of_configurations) return std::vector<RecordedConfiguration>{};
   return all<RecordedConfiguration>(
-      *file_, "SELECT time, object, text, count FROM rtdata_configuration WHERE run = ? ORDER BY time, rowid", run,
+      *file_, "SELECT time, object, text, count FROM rtdata_configuration WHERE run = ? ORDER BY time, _rowid_", run,
       [](const Statement& row) {
         return RecordedConfiguration{time_of(row, 0), string_of(row, 1), string_of(row, 2), count_of(row, 3)};
       });
@@ -355,8 +355,9 @@ Result<std::vector<RecordedError>> Recording::errors(std::int64_t run) const {
   if (!version) return std::move(version).error();
   const std::string last = *version < 5 ? "time" : "max(last, time)";
   return all<RecordedError>(
-      *file_, "SELECT time, object, id, text, count, " + last + " FROM rtdata_error WHERE run = ? ORDER BY time, rowid",
-      run, [](const Statement& row) {
+      *file_,
+      "SELECT time, object, id, text, count, " + last + " FROM rtdata_error WHERE run = ? ORDER BY time, _rowid_", run,
+      [](const Statement& row) {
         return RecordedError{time_of(row, 0),   string_of(row, 1), string_of(row, 2),
                              string_of(row, 3), count_of(row, 4),  time_of(row, 5)};
       });

@@ -98,7 +98,7 @@ Result<bool> has_one_origin(const RecordingFile& file, const RecordedTopic& topi
 /// unless several origins share the table and one of them measures long.
 Result<bool> has_order(const RecordingFile& file, const RecordedTopic& topic, const Selection& selection) {
   auto statement = file.prepare("SELECT t.run, t.time FROM " + sqlite::quoted(topic.table) + " t WHERE " +
-                                row_conditions(selection) + " ORDER BY t.rowid");
+                                row_conditions(selection) + " ORDER BY t._rowid_");
   if (!statement) return std::move(statement).error();
   bind_conditions(*statement, selection);
   std::int64_t run = INT64_MIN, time = INT64_MIN;
@@ -128,7 +128,7 @@ Result<sqlite::Statement> rows_in_order(const RecordingFile& file, const Recorde
   const char* const run = selection.filter.run ? ":run" : "t.run";
   auto statement = file.prepare("SELECT " + std::string(run) + ", t.time, t.origin, t.sequence" + columns + " FROM " +
                                 sqlite::quoted(topic.table) + " t WHERE " + row_conditions(selection) +
-                                (*in_order ? " ORDER BY t.rowid" : " ORDER BY t.run, t.time, t.rowid"));
+                                (*in_order ? " ORDER BY t._rowid_" : " ORDER BY t.run, t.time, t._rowid_"));
   if (statement) bind_conditions(*statement, selection);
   return statement;
 }
@@ -259,7 +259,7 @@ Result<std::unique_ptr<RowCursor>> make_gap_cursor(const RecordingFile& file, co
   auto statement = file.prepare(
       "SELECT t.run, t.topic, t.origin, t.kind, t.reason, t.first, t.last, t.count"
       " FROM rtdata_gap t WHERE " +
-      conditions(selection, "t.last", "t.first") + " ORDER BY t.run, t.first, t.rowid");
+      conditions(selection, "t.last", "t.first") + " ORDER BY t.run, t.first, t._rowid_");
   if (!statement) return std::move(statement).error();
   bind_conditions(*statement, selection);
   return std::unique_ptr<RowCursor>(std::make_unique<GapCursor>(selection.filter.topic, *std::move(statement)));

@@ -55,9 +55,9 @@ Result<sqlite::Statement> RowBatch::query(const RecordingFile& file, const Recor
   // conditions side by side, and sorts what was computed before. It sorts first where a limit, though it is none,
   // follows.
   auto statement = file.prepare(*in_order ? "SELECT 1 FROM " + table + " WHERE CASE WHEN " + rows + " THEN " +
-                                                calls(topic, selection) + " END ORDER BY t.rowid"
+                                                calls(topic, selection) + " END ORDER BY t._rowid_"
                                           : "SELECT 1 FROM (SELECT * FROM " + table + " WHERE " + rows +
-                                                " ORDER BY t.run, t.time, t.rowid LIMIT -1) t WHERE " +
+                                                " ORDER BY t.run, t.time, t._rowid_ LIMIT -1) t WHERE " +
                                                 calls(topic, selection));
   if (statement) bind_conditions(*statement, selection);
   return statement;

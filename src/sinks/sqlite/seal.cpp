@@ -64,8 +64,8 @@ Result<void> add_later_rows(Database& database, const std::string& table, std::i
   auto before = rows_before(database, table, run);  // of an origin without an account, `above` is of no run
   if (!before) return std::move(before).error();
   above = std::max(above, *before);
-  auto query = database.prepare("SELECT rowid, origin, sequence, time FROM " + quoted(table) +
-                                " WHERE rowid > ? AND run = ?");
+  auto query = database.prepare("SELECT _rowid_, origin, sequence, time FROM " + quoted(table) +
+                                " WHERE _rowid_ > ? AND run = ?");
   if (!query) return std::move(query).error();
   query->bind(1, above).bind(2, run);
   for (;;) {
@@ -91,7 +91,7 @@ Result<void> add_pruned_rows(Database& database, const std::vector<std::string>&
     auto before = rows_before(database, table, run);
     if (!before) return std::move(before).error();
     auto query = database.prepare("SELECT origin, count(*) FROM " + quoted(table) +
-                                  " WHERE rowid > ? AND run = ? GROUP BY origin");
+                                  " WHERE _rowid_ > ? AND run = ? GROUP BY origin");
     if (!query) return std::move(query).error();
     query->bind(1, *before).bind(2, run);
     for (;;) {

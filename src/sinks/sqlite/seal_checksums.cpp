@@ -57,7 +57,7 @@ Result<std::map<std::string, RunTable>> tables_of(Database& database, std::int64
     auto before = rows_before(database, table.name, run);
     if (!before) return std::move(before).error();
     table.rows_before = *before;
-    auto rows = database.prepare("SELECT 1 FROM " + quoted(table.name) + " WHERE rowid > ? AND run = ? LIMIT 1");
+    auto rows = database.prepare("SELECT 1 FROM " + quoted(table.name) + " WHERE _rowid_ > ? AND run = ? LIMIT 1");
     if (!rows) return std::move(rows).error();
     rows->bind(1, table.rows_before).bind(2, run);
     auto is_any = rows->step();
@@ -81,7 +81,7 @@ Result<bool> was_committed(Database& database, std::int64_t run, const Origin& o
   const auto has_row = [&](std::uint64_t sequence) -> Result<bool> {
     auto row = database.prepare(
         "SELECT 1 FROM " + quoted(origin.table) +
-        " WHERE rowid > ? AND run = ? AND origin = ? AND sequence = ? ORDER BY rowid DESC LIMIT 1");
+        " WHERE _rowid_ > ? AND run = ? AND origin = ? AND sequence = ? ORDER BY _rowid_ DESC LIMIT 1");
     if (!row) return std::move(row).error();
     row->bind(1, origin.rows_before).bind(2, run).bind(3, origin.name);
     row->bind(4, static_cast<std::int64_t>(sequence));
@@ -111,7 +111,7 @@ Result<LiveRange> range_of(Database& database, std::int64_t run, const Origin& o
 /// The sequence of the last row of an origin that is there; 0: none.
 Result<std::uint64_t> last_row(Database& database, std::int64_t run, const Origin& origin) {
   auto row = database.prepare("SELECT sequence FROM " + quoted(origin.table) +
-                              " WHERE rowid > ? AND run = ? AND origin = ? ORDER BY rowid DESC LIMIT 1");
+                              " WHERE _rowid_ > ? AND run = ? AND origin = ? ORDER BY _rowid_ DESC LIMIT 1");
   if (!row) return std::move(row).error();
   row->bind(1, origin.rows_before).bind(2, run).bind(3, origin.name);
   auto is_row = row->step();
@@ -140,9 +140,10 @@ Result<void> add_lines(Database& database, std::int64_t run, std::vector<Origin>
 }  // namespace
 
 Result<std::int64_t> rows_before(const Database& database, const std::string& table, std::int64_t run) {
-  auto last = database.integer("SELECT max(rowid) FROM " + quoted(table));
+  auto last = database.integer("SELECT max(_rowid_) FROM " + quoted(table));
   if (!last) return last;
-  auto next = database.prepare("SELECT rowid, run FROM " + quoted(table) + " WHERE rowid >= ? ORDER BY rowid LIMIT 1");
+  auto next = database.prepare("SELECT _rowid_, run FROM " + quoted(table) +
+                               " WHERE _rowid_ >= ? ORDER BY _rowid_ LIMIT 1");
   if (!next) return std::move(next).error();
   // Runs follow each other: halves what may be the end of the one before.
   std::int64_t before = 0;

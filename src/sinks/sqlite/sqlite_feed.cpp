@@ -92,7 +92,7 @@ Result<void> SqliteFeed::look() {
   topics_before_.clear();
   has_looked_ = true;
   if (config_.times == detail::RowFeedConfig::Times::utc) {
-    auto pairs = recording_->file()->database.integer("SELECT coalesce(max(rowid), 0) FROM rtdata_clock");
+    auto pairs = recording_->file()->database.integer("SELECT coalesce(max(_rowid_), 0) FROM rtdata_clock");
     if (!pairs) return std::move(pairs).error();
     if (std::exchange(clock_pairs_, *pairs) != *pairs) {
       for (auto& [number, run] : runs_) run.utc.reset();
@@ -167,13 +167,13 @@ Result<void> SqliteFeed::add(RecordedTopic topic) {
   table.topic = std::move(topic);
   table.reader.emplace(table.topic);
   const detail::RecordingFile& file = *recording_->file();
-  auto next = file.prepare("SELECT t.rowid, t.run, t.time, t.origin, t.sequence" + table.reader->columns() + " FROM " +
-                           quoted(table.topic.table) + " t WHERE t.rowid > ? ORDER BY t.rowid LIMIT ?");
+  auto next = file.prepare("SELECT t._rowid_, t.run, t.time, t.origin, t.sequence" + table.reader->columns() +
+                           " FROM " + quoted(table.topic.table) + " t WHERE t._rowid_ > ? ORDER BY t._rowid_ LIMIT ?");
   if (!next) return undo(std::move(next).error());
   table.next = std::move(*next);
   const std::string name = quoted(table.topic.table);  // apart, each is found in the index alone
-  auto ends = file.prepare("SELECT coalesce((SELECT min(rowid) FROM " + name + "), 1), " +
-                           "coalesce((SELECT max(rowid) FROM " + name + "), 0)");
+  auto ends = file.prepare("SELECT coalesce((SELECT min(_rowid_) FROM " + name + "), 1), " +
+                           "coalesce((SELECT max(_rowid_) FROM " + name + "), 0)");
   if (!ends) return undo(std::move(ends).error());
   table.ends = std::move(*ends);
   auto position = position_in(table);
@@ -228,8 +228,8 @@ Result<Position> SqliteFeed::position_in(const Table& table) {
 }
 
 Result<Position> SqliteFeed::end_of(const Table& table) {
-  auto last = recording_->file()->prepare("SELECT rowid, run, origin, sequence FROM " + quoted(table.topic.table) +
-                                          " ORDER BY rowid DESC LIMIT 1");
+  auto last = recording_->file()->prepare("SELECT _rowid_, run, origin, sequence FROM " + quoted(table.topic.table) +
+                                          " ORDER BY _rowid_ DESC LIMIT 1");
   if (!last) return std::move(last).error();
   auto row = last->step();
   if (!row) return std::move(row).error();
@@ -241,12 +241,12 @@ Result<Position> SqliteFeed::position_now(const Table& table, Position position)
   if (position.row == 0) return position;
   const std::string name = quoted(table.topic.table);
   constexpr const char* is_key = " AND run = :run AND origin = :origin AND sequence = :sequence";
-  auto same = number("SELECT count(*) FROM " + name + " WHERE rowid = :row" + is_key, position);
+  auto same = number("SELECT count(*) FROM " + name + " WHERE _rowid_ = :row" + is_key, position);
   if (!same) return std::move(same).error();
   if (*same != 0) return position;
-  auto first = number("SELECT coalesce(min(rowid), 0) FROM " + name, position);
+  auto first = number("SELECT coalesce(min(_rowid_), 0) FROM " + name, position);
   if (!first) return std::move(first).error();
-  auto elsewhere = number("SELECT rowid FROM " + name + " WHERE 1" + is_key, position);
+  auto elsewhere = number("SELECT _rowid_ FROM " + name + " WHERE 1" + is_key, position);
   if (!elsewhere) return std::move(elsewhere).error();
   const std::string of = "topic " + table.topic.topic + ": ";
   if (*elsewhere != 0) {
@@ -268,7 +268,7 @@ Result<Position> SqliteFeed::position_now(const Table& table, Position position)
 }
 
 Result<Position> SqliteFeed::beginning_of(const Table& table) {
-  auto first = number("SELECT coalesce(min(rowid), 1) FROM " + quoted(table.topic.table), {});
+  auto first = number("SELECT coalesce(min(_rowid_), 1) FROM " + quoted(table.topic.table), {});
   if (!first) return std::move(first).error();
   return Position{*first - 1, 0, {}, 0};
 }

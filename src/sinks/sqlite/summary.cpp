@@ -83,8 +83,8 @@ struct TopicTimes {
 };
 
 Result<void> scan(const detail::RecordingFile& file, const RecordedTopic& topic, std::int64_t run, TopicTimes& into) {
-  auto statement = file.prepare("SELECT t.time, t.origin, t.rowid FROM " + sqlite::quoted(topic.table) +
-                                " t WHERE t.run = ? ORDER BY t.rowid");
+  auto statement = file.prepare("SELECT t.time, t.origin, t._rowid_ FROM " + sqlite::quoted(topic.table) +
+                                " t WHERE t.run = ? ORDER BY t._rowid_");
   if (!statement) return std::move(statement).error();
   statement->bind(1, run);
   OriginTimes* current = nullptr;

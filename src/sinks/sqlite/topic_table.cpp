@@ -240,7 +240,7 @@ Result<TopicTable> TopicTable::prepare(Database& database, const SlotInfo& slot,
   if (auto made = prepare_rows(table.one_, 1); !made) return std::move(made).error();
   if (auto made = prepare_rows(table.many_, most_rows); !made) return std::move(made).error();
   table.pending_.reserve(most_rows);
-  auto last = database.integer("SELECT max(rowid) FROM " + quoted(name));
+  auto last = database.integer("SELECT max(_rowid_) FROM " + quoted(name));
   if (!last) return std::move(last).error();
   table.last_rowid_ = *last;
   if (is_new) views.add(name, description);

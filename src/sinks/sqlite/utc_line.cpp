@@ -138,7 +138,7 @@ Result<std::vector<RecordedClock>> clock_pairs(const Database& database, const s
   auto query = database.prepare(std::string("SELECT c.monotonic, c.realtime, ") +
                                 (*version < 2 ? "'system', NULL, c.source" : "c.source, c.accuracy, c.occasion") +
                                 " FROM rtdata_run r JOIN rtdata_clock c ON c.run = r.run WHERE " + condition +
-                                " ORDER BY c.monotonic, c.rowid");
+                                " ORDER BY c.monotonic, c._rowid_");
   if (!query) return std::move(query).error();
   std::vector<RecordedClock> pairs;
   for (;;) {

@@ -132,8 +132,8 @@ using Deletions = std::map<std::pair<std::int64_t, std::string>, Deletion>;
 
 Result<void> load_ranges(Database& database, const std::string& table, Deletions& deletions) {
   auto query = database.prepare(
-      "SELECT rowid, run, origin, first_sequence, last_sequence, columns, rows, sum FROM rtdata_checksum WHERE "
-      "table_name = ? ORDER BY rowid");
+      "SELECT _rowid_, run, origin, first_sequence, last_sequence, columns, rows, sum FROM rtdata_checksum WHERE "
+      "table_name = ? ORDER BY _rowid_");
   if (!query) return std::move(query).error();
   query->bind(1, table);
   for (;;) {
@@ -153,9 +153,9 @@ Result<void> load_ranges(Database& database, const std::string& table, Deletions
 }
 
 Result<void> store_ranges(Database& database, const Deletions& deletions) {
-  auto remove = database.prepare("DELETE FROM rtdata_checksum WHERE rowid = ?");
+  auto remove = database.prepare("DELETE FROM rtdata_checksum WHERE _rowid_ = ?");
   if (!remove) return std::move(remove).error();
-  auto update = database.prepare("UPDATE rtdata_checksum SET rows = ?, sum = ? WHERE rowid = ?");
+  auto update = database.prepare("UPDATE rtdata_checksum SET rows = ?, sum = ? WHERE _rowid_ = ?");
   if (!update) return std::move(update).error();
   for (const auto& [key, deletion] : deletions) {
     for (const StoredRange& range : deletion.ranges) {
@@ -200,7 +200,7 @@ Result<std::vector<DeletedRows>> sums_before_delete(Database& database, const st
                                                     ValueRanges& open) {
   Deletions deletions;
   {
-    auto query = database.prepare("SELECT DISTINCT run, origin FROM " + quoted(table) + " WHERE rowid <= ?");
+    auto query = database.prepare("SELECT DISTINCT run, origin FROM " + quoted(table) + " WHERE _rowid_ <= ?");
     if (!query) return std::move(query).error();
     query->bind(1, up_to);
     for (;;) {
@@ -211,7 +211,7 @@ Result<std::vector<DeletedRows>> sums_before_delete(Database& database, const st
     }
   }
   if (auto loaded = load_ranges(database, table, deletions); !loaded) return std::move(loaded).error();
-  auto rows = database.prepare("SELECT t.* FROM " + quoted(table) + " t WHERE rowid <= ? ORDER BY rowid");
+  auto rows = database.prepare("SELECT t.* FROM " + quoted(table) + " t WHERE _rowid_ <= ? ORDER BY _rowid_");
   if (!rows) return std::move(rows).error();
   rows->bind(1, up_to);
   RowHash hash;

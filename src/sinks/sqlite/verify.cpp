@@ -91,9 +91,9 @@ void OriginRows::add(std::int64_t rowid, std::int64_t time, std::uint64_t sequen
 Result<void> scan_rows(const RecordingFile& file, const RecordedTopic& topic, std::map<std::int64_t, OriginMap>& runs,
                        Checksums& checksums, std::vector<std::string>& problems) {
   const bool has_checksums = checksums.values.contains(topic.table);
-  auto statement = file.prepare(std::string("SELECT t.rowid, ") +
+  auto statement = file.prepare(std::string("SELECT t._rowid_, ") +
                                 (has_checksums ? "t.*" : "t.run, t.time, t.origin, t.sequence") + " FROM " +
-                                sqlite::quoted(topic.table) + " t ORDER BY t.rowid");
+                                sqlite::quoted(topic.table) + " t ORDER BY t._rowid_");
   if (!statement) return std::move(statement).error();
   if (has_checksums) checksums.check_widths(topic.table, sqlite3_column_count(statement->raw()) - 1);
   struct Origin {
