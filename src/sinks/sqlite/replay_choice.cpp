@@ -100,7 +100,8 @@ Result<std::vector<RecordedTopic>> chosen_topics(const Recording& recording, con
     if (!is_wanted || !*row || rows->integer(0) == 0) continue;
     if (topic.description->size() > max_payload_size) {
       return Error{Errc::bad_description, "cannot replay", config.file + ", topic " + topic.topic,
-                   "its events have " + std::to_string(topic.description->size()) + " bytes", "4096 at most"};
+                   "its events have " + std::to_string(topic.description->size()) + " bytes, 4096 at most",
+                   "choose the other topics"};
     }
     chosen.push_back(std::move(topic));
   }
