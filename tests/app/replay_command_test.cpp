@@ -12,6 +12,7 @@
 #include "rtdata/sinks/sqlite.hpp"
 #include "rtdata/sinks/verify.hpp"
 #include "sinks/http_bench.hpp"
+#include "sinks/sqlite/database.hpp"
 
 using namespace rtdata;
 using namespace rtdata::literals;
@@ -205,6 +206,27 @@ TEST_CASE("FW-5 US-34 replay: several runs of a boot whose clock was set while i
   for (std::int64_t run = 1; run <= 3; ++run)
     CHECK(of_copy.clock(run).or_throw().size() == recording.clock(run).or_throw().size());
   CHECK(utc_of(folder.path() + "/third.db") == utc);
+}
+
+TEST_CASE("FW-5 US-34 replay: all pairs of clocks of a long boot come along") {
+  const Folder folder;
+  const std::string path = recorded(folder);
+  {
+    auto database = sqlite::Database::open(path, sqlite::Database::Mode::write).or_throw();
+    database
+        .execute(
+            "INSERT INTO rtdata_clock(run, monotonic, realtime, source, occasion, accuracy) WITH RECURSIVE n(i) AS "
+            "(SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 5000) SELECT run, monotonic + i, realtime + i, "
+            "'gps', 'regular', i FROM rtdata_clock, n WHERE run = 1 AND occasion = 'start'")
+        .or_throw();
+  }
+  folder.write("again.json", R"({"sinks": [{"type": "sqlite", "path": "again.db"}]})");
+  Process again(folder, program, {"replay", "run.db", "again.json", "--speed", "max", "--run", "1"});
+  CHECK(again.end() == 0);
+  const auto copy = Recording::open(folder.path() + "/again.db").or_throw();
+  std::size_t pairs = 0;
+  for (const RecordedClock& pair : copy.clock(1).or_throw()) pairs += pair.source == "gps" ? 1 : 0;
+  CHECK(pairs == 5000);
 }
 
 TEST_CASE("FW-5 replay: with --from, at any speed, nobody waits for the time before") {

@@ -42,7 +42,10 @@ struct Mixed {
 };
 
 double number_in(const RecordedRow& row, std::string_view path) {
-  return std::get<double>(row.event().value(path).or_throw());
+  const Value value = row.event().value(path).or_throw();
+  if (const auto* integer = std::get_if<std::int64_t>(&value)) return static_cast<double>(*integer);
+  if (const auto* integer = std::get_if<std::uint64_t>(&value)) return static_cast<double>(*integer);
+  return std::get<double>(value);
 }
 std::uint64_t count_in(const RecordedRow& row, std::string_view path) {
   return std::get<std::uint64_t>(row.event().value(path).or_throw());
@@ -241,6 +244,75 @@ TEST_CASE("FW-5 several origins of one topic come in order of time, also when th
   REQUIRE_FALSE(damaged);
   CHECK(damaged.error().id() == "damaged");
   CHECK(damaged.error().text().find("origin a, sequence 5, time") != std::string::npos);
+}
+
+namespace {
+
+struct Wide {
+  std::int64_t counter = 0;
+  std::uint64_t large = 0;
+  double value = 0;
+  float small = 0;
+  bool is_on = false;
+  RTDATA_FIELDS(Wide, (counter), (large), (value), (small), (is_on))
+};
+
+}  // namespace
+
+TEST_CASE("FW-5 steps: the least and the largest are values that were there, and a mean lies between them") {
+  const Folder folder;
+  const std::string path = folder / "run.db";
+  constexpr std::int64_t beyond = (1LL << 53) + 1;  // no double is this number
+  constexpr std::int64_t least = std::numeric_limits<std::int64_t>::min(), most = -(least + 1);
+  constexpr double huge = std::numeric_limits<double>::max(), infinite = std::numeric_limits<double>::infinity();
+  {
+    Loop loop{Loop::Manual{}};
+    SqliteSink sink(loop, {.path = path});
+    Feed<Wide> feed(loop, {.name = "t"});
+    Time time{1'800'000'000s};
+    const auto publish = [&](const Wide& event) { feed.publish(event, time += 1ms); };
+    publish({beyond, 5, huge, 0.1F, true});
+    publish({beyond + 2, ~std::uint64_t{0}, huge, 0.3F, true});
+    publish({beyond + 4, ~std::uint64_t{0} - 1, huge, 0.2F, true});
+    time = Time{1'800'000'001s};
+    publish({least, 1, -huge, 0, false});
+    publish({least, 0, -huge, 0, false});
+    publish({least + 3, 2, huge, 0, true});
+    publish({most, 1, 0, 0, false});
+    time = Time{1'800'000'002s};
+    publish({-5, 0, infinite, 0, false});
+    publish({-6, 0, 1, 0, false});
+    CHECK(loop.close() == 0);
+  }
+  auto steps = Recording::open(path).or_throw().steps({.topic = "t"}, 1s).or_throw();
+  const RecordedRow* row = steps.next().or_throw();
+  REQUIRE(row != nullptr);
+  const auto value = [&](std::string_view path_of) { return row->event().value(path_of).or_throw(); };
+  CHECK(value("counter.min") == Value{beyond});
+  CHECK(value("counter.max") == Value{beyond + 4});
+  CHECK(std::abs(number_in(*row, "counter.mean") - 0x1p53) <= 4);  // doubles are 2 apart there
+  CHECK(value("large.min") == Value{std::uint64_t{5}});
+  CHECK(value("large.max") == Value{~std::uint64_t{0}});
+  CHECK(value("large.mean") == Value{0x1p65 / 3});
+  CHECK(value("value.min") == Value{huge});
+  CHECK(value("value.mean") == Value{huge});
+  CHECK(value("small.max") == Value{double{0.3F}});
+  CHECK(row->topic().description->find("small.max")->kind == Kind::f32);
+  CHECK(value("is_on.min") == Value{std::uint64_t{1}});
+  row = steps.next().or_throw();
+  REQUIRE(row != nullptr);
+  CHECK(value("counter.min") == Value{least});
+  CHECK(value("counter.max") == Value{most});
+  CHECK(value("counter.mean") == Value{-0x1p62});
+  CHECK(value("large.mean") == Value{1.0});
+  CHECK(value("value.min") == Value{-huge});
+  CHECK(value("value.max") == Value{huge});
+  CHECK(value("value.mean") == Value{-huge / 4});
+  CHECK(value("is_on.mean") == Value{0.25});
+  row = steps.next().or_throw();
+  REQUIRE(row != nullptr);
+  CHECK(value("counter.mean") == Value{-5.5});
+  CHECK(value("value.mean") == Value{infinite});
 }
 
 TEST_CASE("FW-5 steps: count, least, largest and mean of each number, of each origin") {

@@ -364,8 +364,9 @@ class Recording {
   /// Reduced: for each origin and each step in which it has events a row, whose time is the beginning of the step, a
   /// multiple of its length since the epoch; its sequence counts the steps of the origin. Its description has the field
   /// "events", and for each number and bool of the topic a record of `count`, `min`, `max` and `mean`, of the values
-  /// that are there and not NaN (the last three absent when there are none). Steps without events have no row: with
-  /// `Gaps::in_place` the gaps tell why. Reads each event once. Errors: bad-name, bad-argument (a step below 1 ns).
+  /// that are there and not NaN (the last three absent when there are none): `min` and `max` in the number's own kind,
+  /// of a bool as u8, `mean` a double. Steps without events have no row: with `Gaps::in_place` the gaps tell why. Reads
+  /// each event once. Errors: bad-name, bad-argument (a step below 1 ns).
   Result<Rows> steps(const RowFilter& filter, Duration step) const;
 
   /// For the other parts of this library.

@@ -7,6 +7,7 @@
 #include <string_view>
 
 #include "app/inspect/import_time.hpp"
+#include "data/lower_case.hpp"
 #include "data/number_text.hpp"
 
 namespace rtdata::app {
@@ -51,18 +52,12 @@ std::size_t array_size(std::span<const ImportColumn> columns) {
   return size;
 }
 
-/// Names of which only the case of letters differs are one in a recording.
-std::string without_case(std::string name) {
-  for (char& c : name) c = c >= 'A' && c <= 'Z' ? static_cast<char>(c - 'A' + 'a') : c;
-  return name;
-}
-
 /// The name, or with a number after it, as no column has it.
 std::string free_name(const std::string& name, const std::vector<ImportColumn>& columns) {
   std::string free = name;
   const auto is_taken = [&](const ImportColumn& column) {
-    const std::string other = without_case(column.name);
-    return other == without_case(free) || other.starts_with(without_case(free) + "[");
+    const std::string other = detail::lower_case(column.name);
+    return other == detail::lower_case(free) || other.starts_with(detail::lower_case(free) + "[");
   };
   for (int i = 2; std::any_of(columns.begin(), columns.end(), is_taken); ++i) free = name + "_" + std::to_string(i);
   return free;
@@ -101,7 +96,7 @@ std::string ImportColumn::type() const {
 void name_columns(std::vector<ImportColumn>& columns) {
   std::set<std::string> all, twice;
   const auto tail = [](const std::string& text) { return text.substr(text.rfind('.') + 1); };
-  const auto key = [&](const std::string& text) { return without_case(tail(text)); };
+  const auto key = [&](const std::string& text) { return detail::lower_case(tail(text)); };
   for (ImportColumn& column : columns) {
     std::string text = column.heading;
     std::size_t index = 0;
@@ -123,7 +118,8 @@ void name_columns(std::vector<ImportColumn>& columns) {
     if (!twice.contains(key(column.name))) column.name = tail(column.name);
     make_name(column.name);
     const std::string name = column.name;
-    for (int i = 2; !names.insert(without_case(column.name)).second; ++i) column.name = name + "_" + std::to_string(i);
+    for (int i = 2; !names.insert(detail::lower_case(column.name)).second; ++i)
+      column.name = name + "_" + std::to_string(i);
   }
 }
 

@@ -16,7 +16,7 @@ namespace rtdata::detail {
 class SinkNotes {
  public:
   static constexpr std::size_t most_segments = 16384;
-  static constexpr std::size_t most_clock_pairs = 1024;
+  static constexpr std::size_t most_clock_pairs = 16384;  // a replay gives those of a whole boot at once
   static constexpr std::size_t most_health_changes = 1024;
   static constexpr std::size_t most_configurations = 1024;
   static constexpr std::size_t most_configuration_bytes = std::size_t{16} << 20;

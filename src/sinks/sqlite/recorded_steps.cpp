@@ -5,6 +5,7 @@
 #include <numeric>
 #include <set>
 
+#include "data/lower_case.hpp"
 #include "sinks/sqlite/rows_merge.hpp"
 
 namespace rtdata::detail {
@@ -14,45 +15,85 @@ bool is_number(Kind kind) noexcept {
   return kind != Kind::text && kind != Kind::character && kind != Kind::enumeration && kind != Kind::record;
 }
 
-/// What a number becomes.
-struct Statistics {
-  std::uint64_t count = 0;
+bool is_float(Kind kind) noexcept { return kind == Kind::f64 || kind == Kind::f32; }
+
+/// What a field becomes of which there are floating-point numbers: its sum stays finite as long as they are.
+struct Reals {
   double min = std::numeric_limits<double>::infinity();
   double max = -std::numeric_limits<double>::infinity();
-  double sum = 0;
+  double sum = 0;  // times `scale`
+  double scale = 1;
 
   void add(double value) noexcept {
-    ++count;
-    sum += value;
+    if (!std::isfinite(sum + value * scale)) [[unlikely]] {
+      constexpr double small = 0x1p-64;  // more values than a step can have
+      if (scale == 1) sum *= small;
+      scale = small;
+    }
+    sum += value * scale;
     min = value < min ? value : min;
     max = value > max ? value : max;
   }
+  double mean(std::uint64_t count) const noexcept { return sum / static_cast<double>(count) / scale; }
 };
 
-Result<std::shared_ptr<const Description>> statistics_of(const std::string& unit) {
+/// What a field becomes of which there are integers. Those of 64 bits without a sign are kept with the first bit turned
+/// over, so that one order holds for all.
+struct Integers {
+  std::int64_t min = std::numeric_limits<std::int64_t>::max();
+  std::int64_t max = std::numeric_limits<std::int64_t>::min();
+  std::uint64_t low = 0;  // the sum is high * 2^64 + low
+  std::int64_t high = 0;
+
+  static std::int64_t turned(std::int64_t value) noexcept { return value ^ std::numeric_limits<std::int64_t>::min(); }
+
+  void add(std::int64_t value, bool is_unsigned) noexcept {
+    const auto bits = static_cast<std::uint64_t>(value);
+    low += bits;
+    high += (low < bits ? 1 : 0) - (value < 0 && !is_unsigned ? 1 : 0);
+    const std::int64_t kept = is_unsigned ? turned(value) : value;
+    min = std::min(min, kept);
+    max = std::max(max, kept);
+  }
+  static Value value(std::int64_t kept, bool is_unsigned) {
+    return is_unsigned ? Value{static_cast<std::uint64_t>(turned(kept))} : Value{kept};
+  }
+  double mean(std::uint64_t count) const noexcept {
+    const bool is_negative = high < 0;  // then its opposite is added up: the two parts have one sign
+    const std::uint64_t units = is_negative ? 0 - low : low;
+    const std::int64_t twos = is_negative ? -high - (low != 0 ? 1 : 0) : high;
+    const double sum = std::ldexp(static_cast<double>(twos), 64) + static_cast<double>(units);
+    return (is_negative ? -sum : sum) / static_cast<double>(count);
+  }
+};
+
+struct Statistics {
+  std::uint64_t count = 0;
+  Reals reals;
+  Integers integers;
+};
+
+Result<std::shared_ptr<const Description>> statistics_of(const Field& field) {
   constexpr auto optional = DescriptionBuilder::Presence::optional;
+  const Kind kind = field.kind == Kind::boolean ? Kind::u8 : field.kind;
   return DescriptionBuilder("statistics")
       .field("count", Kind::u64)
-      .field("min", Kind::f64, unit, optional)
-      .field("max", Kind::f64, unit, optional)
-      .field("mean", Kind::f64, unit, optional)
+      .field("min", kind, field.unit, optional)
+      .field("max", kind, field.unit, optional)
+      .field("mean", Kind::f64, field.unit, optional)
       .build();
 }
 
-/// Of one record: as SQLite compares names, without the case of the letters of ASCII.
+/// Of one record.
 class Names {
  public:
   /// The name, or with `_` behind it until no other has it.
   std::string free(std::string name) {
-    while (!taken_.insert(lower(name)).second) name += '_';
+    while (!taken_.insert(lower_case(name)).second) name += '_';
     return name;
   }
 
  private:
-  static std::string lower(std::string name) {
-    for (char& c : name) c = c >= 'A' && c <= 'Z' ? static_cast<char>(c - 'A' + 'a') : c;
-    return name;
-  }
   std::set<std::string> taken_;
 };
 
@@ -96,7 +137,7 @@ Result<bool> add_fields(DescriptionBuilder& builder, const std::vector<Field>& f
 
 Result<std::shared_ptr<const Description>> steps_of(const Field& field) {
   std::shared_ptr<const Description> none;
-  if (field.kind != Kind::record) return is_number(field.kind) ? statistics_of(field.unit) : none;
+  if (field.kind != Kind::record) return is_number(field.kind) ? statistics_of(field) : none;
   DescriptionBuilder nested(field.name);
   auto has_any = add_fields(nested, field.fields);
   if (!has_any) return std::move(has_any).error();
@@ -140,15 +181,19 @@ class StepCursor final : public RowCursor {
     std::fill(payload, payload + out_.description->size(), std::byte{0});
     const auto& leaves = out_.description->leaves();
     (void)write(leaves[0], payload, Value{origin.events});
-    std::size_t at = 1;
-    for (const Statistics& of : origin.statistics) {
-      (void)write(leaves[at], payload, Value{of.count});
-      if (of.count != 0) {
-        (void)write(leaves[at + 1], payload, Value{of.min});
-        (void)write(leaves[at + 2], payload, Value{of.max});
-        (void)write(leaves[at + 3], payload, Value{of.sum / static_cast<double>(of.count)});
+    for (std::size_t i = 0; i < kinds_.size(); ++i) {
+      const Statistics& of = origin.statistics[i];
+      const Leaf* const to = &leaves[1 + 4 * i];
+      (void)write(to[0], payload, Value{of.count});
+      if (of.count == 0) continue;
+      const bool is_unsigned = kinds_[i] == Kind::u64;
+      const bool has_reals = is_float(kinds_[i]);
+      const Value least = has_reals ? Value{of.reals.min} : Integers::value(of.integers.min, is_unsigned);
+      const Value most = has_reals ? Value{of.reals.max} : Integers::value(of.integers.max, is_unsigned);
+      for (const auto& done : {write(to[1], payload, least), write(to[2], payload, most)}) {
+        if (!done) return done;
       }
-      at += 4;
+      (void)write(to[3], payload, Value{has_reals ? of.reals.mean(of.count) : of.integers.mean(of.count)});
     }
     return {};
   }
@@ -231,14 +276,15 @@ class StepCursor final : public RowCursor {
     for (std::size_t i = 0; i < kinds_.size(); ++i) {
       sqlite3_value* const value = sqlite3_column_value(row, fixed_columns + static_cast<int>(i));
       const int type = sqlite3_value_type(value);
-      const bool is_float = kinds_[i] == Kind::f64 || kinds_[i] == Kind::f32;
-      if (type == SQLITE_FLOAT && is_float) {
-        origin.statistics[i].add(sqlite3_value_double(value));
+      const bool has_reals = is_float(kinds_[i]);
+      Statistics& of = origin.statistics[i];
+      if (has_reals && (type == SQLITE_FLOAT || type == SQLITE_INTEGER)) {
+        ++of.count;
+        of.reals.add(sqlite3_value_double(value));
       } else if (type == SQLITE_INTEGER) {
-        const std::int64_t number = sqlite3_value_int64(value);
-        origin.statistics[i].add(kinds_[i] == Kind::u64 ? static_cast<double>(static_cast<std::uint64_t>(number))
-                                                        : static_cast<double>(number));
-      } else if (type != SQLITE_NULL && !(type == SQLITE_TEXT && is_float)) {
+        ++of.count;
+        of.integers.add(sqlite3_value_int64(value), kinds_[i] == Kind::u64);
+      } else if (type != SQLITE_NULL && !(type == SQLITE_TEXT && has_reals)) {
         return at_row(*file_, topic_, run_of_step_, origin.name,
                       static_cast<std::uint64_t>(statement_.integer(sequence_column)),
                       {Errc::damaged, "cannot read a row", "field " + leaves_[i]->path,
