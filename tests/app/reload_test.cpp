@@ -177,7 +177,7 @@ TEST_SUITE("app") {
       other.execute("BEGIN IMMEDIATE").or_throw();
       folder.write("rig.json", text("second.db", "30 s"));
       CHECK(has(reload({}, 1), "`rtdata ctl reload give-up db`"));
-      CHECK(has(reload({"give-up", "db"}, 0), "sink db: restarted (path)"));
+      CHECK(has(reload({"give-up", "db"}, 0), "sink db: restarted (path, close_deadline)"));
       REQUIRE(run.wait_for("sink db: lost "));
     }
     run.signal(SIGTERM);
@@ -393,7 +393,7 @@ while True:
       return text(R"({"type": "sqlite", "path": ")" + std::string(file) + R"("})");
     };
     const auto lines = [&](const char* file) {
-      return text(R"({"type": "file", "path": ")" + std::string(file) + R"(", "format": "csv"})");
+      return text(R"({"type": "file", "path": ")" + std::string(file) + R"(", "format": "csv", "topics": ["l"]})");
     };
     folder.write("other.json", text(R"({"type": "sqlite", "path": "other.db"},
       {"type": "file", "path": "other-{topic}.csv", "format": "csv"})"));
@@ -403,6 +403,10 @@ while True:
     REQUIRE(other.wait_for("running other"));
     Process run(folder, program, {"run", "rig.json"});
     REQUIRE(run.wait_for("running rig"));
+    // Made with the first batch.
+    for (int looks = 0; looks < 6000 && !folder.has("other-l.csv"); ++looks)
+      std::this_thread::sleep_for(std::chrono::milliseconds{10});
+    REQUIRE(folder.has("other-l.csv"));
     const auto reload = [&](int status) {
       Process ctl(folder, program, {"ctl", "rig", "reload"});
       CHECK_MESSAGE(ctl.end() == status, ctl.err);
