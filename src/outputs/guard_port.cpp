@@ -10,20 +10,26 @@
 #include "loop/core/loop_core.hpp"
 #include "outputs/guard_link.hpp"
 #include "outputs/port.hpp"
+#include "rtdata/loop/timer.hpp"
 #include "rtdata/loop/watch.hpp"
 
 namespace rtdata::detail {
 namespace {
 
 constexpr const char* cannot_set = "cannot set the output";
-constexpr auto longest_wait = std::chrono::seconds{5};
 constexpr int beat_ms = 10;
 
 class GuardPort final : public OutputPort {
  public:
   GuardPort(Loop& loop, const std::string& name, std::shared_ptr<OutputGuard::Link> link, const std::string& guarded,
             double safe, Listener& listener)
-      : link_(std::move(link)), guarded_(guarded), safe_(safe), listener_(listener), loop_(loop), name_(name) {
+      : link_(std::move(link)),
+        guarded_(guarded),
+        safe_(safe),
+        listener_(listener),
+        loop_(loop),
+        name_(name),
+        patience_(loop, {.name = name}, [this] { tell(no_answer()); }) {
     introduce().or_throw();
   }
   ~GuardPort() override {
@@ -36,18 +42,30 @@ class GuardPort final : public OutputPort {
       if (const auto known = introduce(); !known) return known;
     return exchange({GuardOrder::open, value ? 1U : 0U, value.value_or(0)});
   }
+  Result<void> begin_open(std::optional<double> value) override {
+    late_trip_.reset();
+    if (Result<void> sent = send({GuardOrder::open, value ? 1U : 0U, value.value_or(0)}); !sent) return sent;
+    patience_.start(longest_wait);
+    return {};
+  }
   Result<void> set(double value) override { return send({GuardOrder::set, 1U, value}); }
   /// Afterwards the guard knows the output no more.
   Result<void> finish(std::optional<double> value) override {
-    Result<void> result = exchange({GuardOrder::finish, value ? 1U : 0U, value.value_or(0)});
-    if (value) link_->note(name_, result.has_value());
-    const int socket = close();
-    if (socket < 0) return result;
-    if (result || !value)
-      ::close(socket);
-    else
-      link_->await_end(loop_, name_, socket);
-    return result;
+    wants_safe_ = value.has_value();
+    return finished(exchange({GuardOrder::finish, value ? 1U : 0U, value.value_or(0)}));
+  }
+  Result<void> begin_finish(std::optional<double> value) override {
+    wants_safe_ = value.has_value();
+    if (Result<void> sent = send({GuardOrder::finish, value ? 1U : 0U, value.value_or(0)}); !sent)
+      return finished(std::move(sent));
+    is_finishing_ = true;
+    patience_.start(longest_wait);
+    return {};
+  }
+  Result<void> wait_for_end() override {
+    patience_.stop();
+    is_finishing_ = false;
+    return finished(await());
   }
   std::optional<Result<void>> late_trip() const override { return late_trip_; }
   void beat(MonotonicTime until) noexcept override {
@@ -80,6 +98,25 @@ class GuardPort final : public OutputPort {
     link_->release(slot_);
     return std::exchange(socket_, -1);
   }
+  Result<void> finished(Result<void> result) {
+    if (wants_safe_) link_->note(name_, result.has_value());
+    const int socket = close();
+    if (socket < 0) return result;
+    if (result || !wants_safe_)
+      ::close(socket);
+    else
+      link_->await_end(loop_, name_, socket);
+    return result;
+  }
+  /// What came of the last order.
+  void tell(Result<void> result) {
+    patience_.stop();
+    if (std::exchange(is_finishing_, false)) result = finished(std::move(result));
+    listener_.answered(std::move(result));  // the last use of this object
+  }
+  static Error no_answer() {
+    return {Errc::timed_out, cannot_set, "", "its guard does not answer", "look at the device"};
+  }
   static Error ended() {
     return {Errc::disconnected, cannot_set, "", "its guard has ended", "start the program again"};
   }
@@ -93,9 +130,12 @@ class GuardPort final : public OutputPort {
       return Error{Errc::backlog, cannot_set, "", "its guard takes no more orders", "look at the device"};
     return ended();
   }
-  /// Waits for the answer to this order, while the loop's other outputs are held.
   Result<void> exchange(const GuardOrder& order) {
     if (const Result<void> sent = send(order); !sent) return sent;
+    return await();
+  }
+  /// Waits for the answer to the last order, while the loop's other outputs are held.
+  Result<void> await() {
     const auto until = std::chrono::steady_clock::now() + longest_wait;
     while (std::chrono::steady_clock::now() < until) {
       pollfd one{socket_, POLLIN, 0};
@@ -111,7 +151,7 @@ class GuardPort final : public OutputPort {
       if (answer.kind != GuardAnswer::answered || --unanswered_ > 0) continue;
       return answer.result();
     }
-    return Error{Errc::timed_out, cannot_set, "", "its guard does not answer", "look at the device"};
+    return no_answer();
   }
 
   void receive() {
@@ -120,12 +160,14 @@ class GuardPort final : public OutputPort {
     if (got < 0 && (errno == EAGAIN || errno == EINTR)) return;
     if (got != sizeof answer) {
       watch_.close();
+      if (is_finishing_) return tell(ended());
       return listener_.lost(ended());  // the last use of this object
     }
     if (answer.kind == GuardAnswer::tripped) return listener_.tripped(answer.result());
     if (answer.kind == GuardAnswer::vanished) return listener_.vanished(answer.result().error());
+    if (answer.kind != GuardAnswer::answered) return;
     --unanswered_;
-    listener_.answered(answer.result());
+    if (!is_finishing_ || unanswered_ == 0) tell(answer.result());
   }
 
   const std::shared_ptr<OutputGuard::Link> link_;
@@ -137,8 +179,11 @@ class GuardPort final : public OutputPort {
   std::uint32_t slot_ = 0;
   int socket_ = -1;
   int unanswered_ = 0;
+  bool wants_safe_ = false;    // at its end
+  bool is_finishing_ = false;  // and the loop turns meanwhile
   std::optional<Result<void>> late_trip_;
   FdWatch watch_;
+  Timer patience_;
 };
 
 }  // namespace

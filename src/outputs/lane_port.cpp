@@ -1,5 +1,6 @@
 // An output's device in this program, set on a lane of its own.
 #include <exception>
+#include <optional>
 #include <utility>
 
 #include "loop/core/loop_core.hpp"
@@ -67,60 +68,96 @@ class LanePort final : public OutputPort {
   }
 
   Result<void> open(std::optional<double> value) override { return hangs_ ? hanging() : held_->put(value); }
-  Result<void> set(double value) override {
-    if (hangs_) return hanging();
-    auto job = std::make_shared<Job>();
-    job->port = this;
-    job->held = held_;
-    job->value = value;
-    job_ = job;
-    if (lane_.submit(std::move(job))) return {};
-    job_ = nullptr;
-    return hanging();
-  }
+  Result<void> begin_open(std::optional<double> value) override { return submit(value, longest_wait, false); }
+  Result<void> set(double value) override { return submit(value, longest_set, false); }
   Result<void> finish(std::optional<double> value) override {
-    is_finishing_ = true;
-    if (job_ != nullptr) lane_.wait(longest_set);
+    is_waiting_ = true;
+    if (job_ != nullptr) lane_.wait(limit_);
+    is_waiting_ = false;
     if (job_ != nullptr || hangs_) return hanging();
     Result<void> result;
     if (value) result = held_->put(value);
     held_->give_back();
-    is_finishing_ = false;
     return result;
+  }
+  Result<void> begin_finish(std::optional<double> value) override {
+    if (job_ == nullptr) return submit(value, longest_wait, true);
+    end_ = End{value};  // after what is under way
+    return {};
+  }
+  Result<void> wait_for_end() override {
+    is_waiting_ = true;
+    const bool follows = end_.has_value();
+    lane_.wait(limit_);
+    if (follows && job_ != nullptr) lane_.wait(longest_wait);
+    is_waiting_ = false;
+    return job_ != nullptr || end_ ? hanging() : std::move(answer_);
   }
 
  private:
   struct Job final : LaneJob {
-    void run() noexcept override { result = held->put(value); }
+    void run() noexcept override {
+      if (value || !is_last) result = held->put(value);
+      if (is_last) held->give_back();
+    }
     void done(Outcome outcome) override {
       if (port != nullptr) port->done(outcome, std::move(result));
     }
     LanePort* port = nullptr;  // null: it has gone
     std::shared_ptr<HeldActuator> held;
-    double value = 0;
+    std::optional<double> value;
+    bool is_last = false;  // then the device is given back
     Result<void> result;
   };
+  struct End {
+    std::optional<double> value;
+  };
+
+  Result<void> submit(std::optional<double> value, Duration limit, bool is_last) {
+    if (hangs_) return hanging();
+    limit_ = limit;
+    auto job = std::make_shared<Job>();
+    job->port = this;
+    job->held = held_;
+    job->value = value;
+    job->is_last = is_last;
+    job_ = job;
+    if (lane_.submit(std::move(job), limit)) return {};
+    job_ = nullptr;
+    return hanging();
+  }
 
   void done(LaneJob::Outcome outcome, Result<void> result) {
     job_.reset();
     hangs_ = outcome == LaneJob::Outcome::given_up;  // its thread may use the device at any later time
-    if (is_finishing_) return;
     if (outcome == LaneJob::Outcome::cancelled)
       result = Error{Errc::closed, "cannot set the output", name_, "it ends", ""};
-    listener_.answered(hangs_ ? hanging() : std::move(result));
+    const std::optional<End> end = std::exchange(end_, std::nullopt);
+    if (end && outcome == LaneJob::Outcome::finished) {
+      result = submit(end->value, longest_wait, true);
+      if (result) return;
+    }
+    if (hangs_) result = hanging();
+    if (is_waiting_)
+      answer_ = std::move(result);
+    else
+      listener_.answered(std::move(result));
   }
   Error hanging() const {
     return {Errc::timed_out, "cannot set the output", name_,
-            "its device did not return within " + to_string(longest_set) + ", and nothing else can use it meanwhile",
+            "its device did not return within " + to_string(limit_) + ", and nothing else can use it meanwhile",
             "look at the device, and start the program again"};
   }
 
   const std::string name_;
   Listener& listener_;
   const std::shared_ptr<HeldActuator> held_;
-  std::shared_ptr<Job> job_;  // under way
+  std::shared_ptr<Job> job_;      // under way
+  Duration limit_ = longest_set;  // of that
   bool hangs_ = false;
-  bool is_finishing_ = false;
+  std::optional<End> end_;   // to come after that
+  bool is_waiting_ = false;  // on the loop, for the answer
+  Result<void> answer_;
   Lane lane_;
 };
 

@@ -18,6 +18,7 @@ namespace {
 
 constexpr const char* cannot_set = "cannot set the output";
 constexpr Duration retry_period = std::chrono::seconds{1};
+constexpr Duration slow_start = std::chrono::seconds{1};
 constexpr Duration answer_limit = std::chrono::seconds{3};  // longer than a lane's
 
 /// Why the configuration cannot work; empty: it can.
@@ -53,7 +54,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   }
 
   /// Apart, since it may fail.
-  void begin(OutputGuard* guard, const std::string& guarded) {
+  void begin(OutputGuard* guard, const std::string& guarded, Output::Takes takes) {
     if (const std::string why = range_.refusal(config_.safe); !why.empty())
       throw SetupError({Errc::out_of_range, "cannot make the output", name(), "`safe`: " + why, ""});
     Loop& loop = this->loop()->face;
@@ -62,8 +63,12 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     if (input_)
       subscriptions_ = input_->subscribe(
           loop, name(), [this](std::size_t topic, const EventView& event) { take(topic, event, event.time()); });
-    take_device();
-    recall();
+    if (takes == Output::Takes::later) {
+      begin_taking();
+    } else {
+      take_device(config_.armed == Arming::at_start);
+      recall();
+    }
     if (!port_->is_guarded()) {
       this->loop()->runtime.log(LogLevel::info, name(),
                                 "no guard holds it: nothing sets its safe value when this program hangs or crashes");
@@ -74,7 +79,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   }
 
   Result<void> set(double value, std::string_view by) {
-    if (!is_held_) return refusal(Errc::closed, "it is stopped", "");
+    if (!is_held_ && !is_left_) return stopped();
     if (!std::isfinite(value)) return refusal(Errc::bad_argument, "the value is no finite number", "");
     if (input_)
       return refusal(Errc::bad_argument, "it follows the topic \"" + config_.on + "\"", "disarm it to hold it safe");
@@ -86,6 +91,12 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     if (!is_armed_) {
       record(order, {}, "it is disarmed");
       return refusal(Errc::not_permitted, "it is disarmed", "arm it first");
+    }
+    if (is_left_) {
+      had_ = value;
+      last_set_ = now();
+      record(order, {}, given_back);
+      return refusal(Errc::busy, given_back, "after a reload, set it again");
     }
     if (is_failing_ && !is_busy_) {  // while its safe value is on its way, the order follows that
       record(order, {}, "the device has failed");
@@ -100,7 +111,8 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   }
 
   Result<void> arm(std::string_view by) {
-    if (!is_held_) return refusal(Errc::closed, "it is stopped", "");
+    if (is_left_) return refusal(Errc::busy, given_back, "after a reload, arm it then");
+    if (!is_held_) return stopped();
     if (is_lost_) return refusal(Errc::disconnected, "its guard has ended: it stays safe", "start the program again");
     if (is_armed_) return {};
     beat();
@@ -115,9 +127,13 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   }
 
   Result<void> disarm(std::string_view by) {
-    if (!is_held_) return refusal(Errc::closed, "it is stopped", "");
+    if (!is_held_ && !is_left_) return stopped();
     if (!is_armed_) return {};
     is_armed_ = false;
+    if (is_left_) {
+      record({config_.safe, OutputCause::disarm, fitting<48>(by), now()}, value_, is_ending_ ? given_back : "");
+      return {};
+    }
     end_lease();
     be_safe(OutputCause::disarm, by);
     settle();
@@ -129,6 +145,31 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     if (told_armed_ == is_armed_) return loop()->post(std::move(done));
     waiting_.push_back(std::move(done));
   }
+  void when_taken(Callback<void(Result<void>)> done) {
+    when_taken_.push_back(std::move(done));
+    if (!is_taking_) tell_taken();
+  }
+  void finish(Callback<void()> done) {
+    ended_.push_back(std::move(done));
+    if (is_ending_) return;
+    if (!is_held_) return tell_ended();
+    had_ = value_;
+    is_left_ = true;
+    is_ending_ = true;
+    end_orders();
+    if (const Result<void> begun = port_->begin_finish(first_value()); !begun) be_ended(begun);
+  }
+  void take_back() {
+    if (is_ending_) be_ended(port_->wait_for_end());
+    if (!std::exchange(is_left_, false)) return;
+    take_device(is_armed_);
+    recall();
+    if (is_armed_ && !input_ && had_ && !is_over_lease()) (void)set(*had_, "reload");
+  }
+  std::optional<double> held_value() const noexcept {
+    if (!is_left_) return value_;
+    return is_over_lease() ? std::nullopt : had_;
+  }
   bool has_ended_unsafe() const noexcept { return has_ended_unsafe_; }
   bool is_safe() const noexcept { return !is_busy_ && value_ && *value_ == config_.safe; }
   std::optional<double> value() const noexcept { return value_; }
@@ -137,7 +178,8 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   void start() override {
     if (is_running() || !is_open()) return;
     FeedNode::start();
-    take_device();
+    is_left_ = false;
+    take_device(config_.armed == Arming::at_start);
     recall();
   }
   void stop() override {
@@ -158,12 +200,15 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     bool is_repeat = false;  // of the value that is on its way: it is only needed when the device does not take that
   };
 
+  static constexpr const char* given_back = "its device is being given back";
+
   std::string name() const { return "output " + origin_.name; }
   std::string object_name() const override { return name(); }
   MonotonicTime now() const { return loop()->now(); }
   Error refusal(Errc code, std::string why, std::string advice) const {
     return {code, cannot_set, name(), std::move(why), std::move(advice)};
   }
+  Error stopped() const { return refusal(Errc::closed, "it is stopped", ""); }
   Error placed(Error error) const {
     error.where = error.where.empty() ? name() : name() + ", " + error.where;
     return error;
@@ -171,17 +216,23 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
 
   // ---- The device
 
-  void take_device() {
+  std::optional<double> first_value() const { return config_.keep ? std::nullopt : std::optional(config_.safe); }
+  void take_device(bool is_armed) {
     beat();
     value_.reset();
     const MonotonicTime began = now();
-    const Result<void> opened = port_->open(config_.keep ? std::nullopt : std::optional(config_.safe));
-    // What is away may come: the other errors are for who has configured it.
-    if (!opened && opened.error().code != Errc::disconnected) throw SetupError(placed(opened.error()));
+    const Result<void> opened = port_->open(first_value());
+    if (!opened && !is_away(opened)) throw SetupError(placed(opened.error()));
+    is_armed_ = is_armed && !is_lost_;
+    be_held(began, opened);
+    follow_input();
+  }
+  /// It may come: the other errors are for who has configured it.
+  static bool is_away(const Result<void>& opened) { return opened.error().code == Errc::disconnected; }
+  void be_held(MonotonicTime began, const Result<void>& opened) {
     is_held_ = true;
     has_ended_unsafe_ = false;
     is_failing_ = !opened;
-    is_armed_ = config_.armed == Arming::at_start && !is_lost_;
     if (opened && !config_.keep) value_ = config_.safe;
     record({config_.safe, OutputCause::start, {}, began}, value_,
            !opened        ? opened.error().why
@@ -191,40 +242,93 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
       complain(placed(opened.error()), Health::faulted);
       if (is_open() && is_held_ && is_failing_) retry_.start(retry_period);
     }
+  }
+  void follow_input() {
     last_input_ = now();
     if (!input_) return;
     input_->begin(now());
     stale_.start(config_.max_age);
   }
 
-  void give_back() noexcept {
-    if (!is_held_) return;
-    is_held_ = false;
-    stale_.stop();
-    lease_.stop();
-    retry_.stop();
+  /// The device is taken while the loop turns, as a value that is on its way.
+  void begin_taking() {
+    beat();
+    is_held_ = true;
+    is_taking_ = true;
+    is_busy_ = true;
+    is_armed_ = config_.armed == Arming::at_start && !is_lost_;
+    busy_ = {config_.keep ? std::nan("") : config_.safe, OutputCause::start, {}, now()};
+    follow_input();
+    if (const Result<void> begun = port_->begin_open(first_value()); !begun) return be_taken(begun);
+    patience_.start(slow_start);
+  }
+  void be_taken(const Result<void>& opened) {
+    is_taking_ = false;
+    is_busy_ = false;
     patience_.stop();
-    const Order order{config_.safe, OutputCause::stop, {}, now()};
+    const bool is_taken = opened || is_away(opened);
+    if (is_taken) {
+      be_held(busy_.asked, opened);
+    } else {
+      taken_ = placed(opened.error());
+      is_held_ = false;
+      for (Timer* timer : {&stale_, &lease_, &retry_}) timer->stop();
+    }
+    tell_taken();
+    if (!is_open()) return;
+    if (is_taken && opened) {
+      settle();
+      recall();
+      go_on();
+    } else if (next_) {
+      record(*std::exchange(next_, std::nullopt), {}, "the device failed");
+    }
+  }
+  void tell_taken() {
+    for (Callback<void(Result<void>)>& done : std::exchange(when_taken_, {}))
+      loop()->post([done = std::move(done), result = taken_]() mutable { done(std::move(result)); });
+  }
+  void give_back() noexcept {
     try {
-      if (is_busy_) record(busy_, {}, "it ends");
-      if (next_) record(*next_, {}, "it ends");
-      const Result<void> done = port_->finish(config_.keep ? std::nullopt : std::optional(config_.safe));
-      if (const auto trip = port_->late_trip()) tell_trip(*trip);
-      if (!done) {
-        has_ended_unsafe_ = !config_.keep;
-        value_.reset();
-        record(order, {}, done.error().why);
-        complain(placed(done.error()), Health::faulted);
-      } else {
-        value_ = config_.keep ? value_ : std::optional(config_.safe);
-        record(order, value_, config_.keep ? "it keeps what it has" : "");
-      }
+      if (is_ending_) return be_ended(port_->wait_for_end());
+      if (!is_held_) return;
+      end_orders();
+      be_given_back(port_->finish(first_value()));
     } catch (const std::exception& thrown) {
       loop()->runtime.log(LogLevel::error, name(), thrown.what());
     }
-    is_busy_ = false;
-    next_.reset();
   }
+  /// Nothing is asked for any more.
+  void end_orders() {
+    is_held_ = false;
+    for (Timer* timer : {&stale_, &lease_, &retry_, &patience_}) timer->stop();
+    if (std::exchange(is_taking_, false)) busy_.value = config_.safe;
+    stop_order_ = {config_.safe, OutputCause::stop, {}, now()};
+    if (std::exchange(is_busy_, false)) record(busy_, {}, "it ends");
+    if (next_) record(*std::exchange(next_, std::nullopt), {}, "it ends");
+  }
+  void be_given_back(const Result<void>& done) {
+    if (const auto trip = port_->late_trip()) tell_trip(*trip);
+    if (!done) {
+      has_ended_unsafe_ = !config_.keep;
+      value_.reset();
+      record(stop_order_, {}, done.error().why);
+      complain(placed(done.error()), Health::faulted);
+    } else {
+      value_ = config_.keep ? value_ : std::optional(config_.safe);
+      record(stop_order_, value_, config_.keep ? "it keeps what it has" : "");
+    }
+  }
+  /// What `finish` began.
+  void be_ended(const Result<void>& done) {
+    is_ending_ = false;
+    be_given_back(done);
+    if (is_open()) tell_ended();
+  }
+  void tell_ended() {
+    for (Callback<void()>& done : std::exchange(ended_, {})) loop()->post(std::move(done));
+  }
+  bool is_over_lease() const noexcept { return config_.lease > Duration{0} && now() - last_set_ >= config_.lease; }
 
   /// Asks for the value, or notes that there is nothing to do.
   void request(const Order& order) {
@@ -268,6 +372,8 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
 
   void answered(Result<void> result) override {
     Call call(*this);
+    if (is_ending_) return be_ended(result);
+    if (is_taking_) return be_taken(result);
     if (!std::exchange(is_busy_, false)) return;
     if (!result) return failed(placed(result.error()));
     value_ = busy_.value;
@@ -315,6 +421,11 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   void miss_answer() {
     Call call(*this);
     if (!is_busy_ || !is_held_) return;
+    if (is_taking_)
+      return complain({Errc::timed_out, "the output cannot be set yet", name(),
+                       "its device has not answered for " + to_string(slow_start),
+                       "what it is to be set to waits; look at the device"},
+                      Health::degraded);
     value_.reset();
     complain({Errc::timed_out, cannot_set, name(),
               "there is no answer after " + to_string(answer_limit) + (is_guarded() ? " from the guard" : ""),
@@ -394,6 +505,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   void lost(const Error& error) override {
     Call call(*this);
     if (!is_held_ || is_lost_) return;
+    if (is_taking_) be_taken(error);
     is_lost_ = true;
     is_armed_ = false;
     end_lease();
@@ -496,6 +608,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     give_back();
     subscriptions_.clear();
     waiting_.clear();
+    when_taken_.clear();
     for (Timer* timer : {&stale_, &lease_, &retry_, &patience_}) timer->close();
     beat_.close();
     FeedNode::on_close();
@@ -513,9 +626,17 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   std::optional<double> value_;  // that the device has
   Order busy_;                   // on its way, if there is one
   std::optional<Order> next_;
+  Order stop_order_;
+  std::vector<Callback<void(Result<void>)>> when_taken_;
+  Result<void> taken_;                     // an error: it could not be taken
+  std::vector<Callback<void()>> ended_;    // when what `finish` began is over
+  std::optional<double> had_;              // when `finish` was called, or asked for since
   std::vector<Callback<void()>> waiting_;  // for an event that says whether it is armed
   MonotonicTime last_set_{}, last_input_{}, last_beat_{}, turning_since_{};
   bool is_held_ = false;
+  bool is_taking_ = false;  // and the loop turns meanwhile
+  bool is_left_ = false;    // `finish` was called, and it was not taken back
+  bool is_ending_ = false;  // and that is not over
   bool is_busy_ = false;
   bool is_armed_ = false;
   bool told_armed_ = false;  // by the last event
@@ -544,13 +665,13 @@ void check_output_names(const OutputConfig& config,
   if (!config.on.empty()) check_derived_names(detail::derived_of(config), payload_of, item, problems);
 }
 
-Output::Output(Loop& loop, OutputConfig config, MakeActuator make, std::string guarded) {
+Output::Output(Loop& loop, OutputConfig config, MakeActuator make, std::string guarded, Takes takes) {
   if (const std::string why = refusal_of(config); !why.empty())
     throw SetupError({Errc::bad_argument, "cannot make the output", config.name, why, ""});
   OutputGuard* const guard = loop.runtime().config().guard;
   auto* const node = new detail::OutputNode(loop, std::move(config), std::move(make));
   *this = Output(node);
-  node->begin(guard, guarded);
+  node->begin(guard, guarded, takes);
 }
 
 namespace {
@@ -597,6 +718,27 @@ void Output::when_told(Callback<void()> done) {
     output.when_told(std::move(done));
     return 0;
   });
+}
+void Output::when_taken(Callback<void(Result<void>)> done) {
+  with(node(), 0, [&](detail::OutputNode& output) {
+    output.when_taken(std::move(done));
+    return 0;
+  });
+}
+void Output::finish(Callback<void()> done) {
+  with(node(), 0, [&](detail::OutputNode& output) {
+    output.finish(std::move(done));
+    return 0;
+  });
+}
+void Output::take_back() {
+  with(node(), 0, [](detail::OutputNode& output) {
+    output.take_back();
+    return 0;
+  });
+}
+std::optional<double> Output::held_value() const noexcept {
+  return with(node(), std::optional<double>{}, [](const detail::OutputNode& output) { return output.held_value(); });
 }
 bool Output::has_ended_unsafe() const noexcept {
   return with(node(), false, [](const detail::OutputNode& output) { return output.has_ended_unsafe(); });

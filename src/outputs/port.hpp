@@ -5,6 +5,7 @@
 #include <optional>
 #include <string>
 
+#include "rtdata/data/time.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/outputs/output.hpp"
 
@@ -33,9 +34,11 @@ class HeldActuator {
 /// Owner: the output; thread: its loop's.
 class OutputPort {
  public:
+  static constexpr Duration longest_wait = std::chrono::seconds{5};  // for a device to be taken or given back
   class Listener {
    public:
-    /// The value of the last `set` is there, or is not. May destroy the port.
+    /// The value of the last `set` is there, or is not; or what `begin_open` or `begin_finish` began is over. May
+    /// destroy the port.
     virtual void answered(Result<void> result) = 0;
     /// The guard has set the safe value, or tries to until the device takes it. It takes no other until `arm`.
     virtual void tripped(const Result<void>& done) = 0;
@@ -50,11 +53,18 @@ class OutputPort {
   virtual ~OutputPort() = default;
   /// Waits.
   virtual Result<void> open(std::optional<double> value) = 0;
+  /// The same without waiting: what comes of it is `answered`, within `longest_wait`. An error: it is over already.
+  virtual Result<void> begin_open(std::optional<double> value) = 0;
   /// Not before the last one is answered, which it is unless this returns an error.
   virtual Result<void> set(double value) = 0;
   /// Waits, also for a value that is under way, whose answer never comes; then the device is given back.
   virtual Result<void> finish(std::optional<double> value) = 0;
-  /// What `tripped` would have said, had its turn come before `finish`. None: the guard has not tripped since.
+  /// The same without waiting, also for a value that is under way: what comes of it is `answered`, within
+  /// `longest_wait` once that value is there. An error: it is over already.
+  virtual Result<void> begin_finish(std::optional<double> value) = 0;
+  /// Waits for what `begin_finish` began, which is then not `answered`.
+  virtual Result<void> wait_for_end() = 0;
+  /// What `tripped` would have said, had its turn come before the end. None: the guard has not tripped since.
   virtual std::optional<Result<void>> late_trip() const { return {}; }
   /// The loop turns: the guard is to wait until then.
   virtual void beat(MonotonicTime) noexcept {}

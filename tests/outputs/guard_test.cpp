@@ -37,8 +37,8 @@ namespace {
 constexpr auto patience = 60s;
 
 /// Writes each value as a line of a file, which any process can read. While there is a file PATH.mute it takes nothing,
-/// and each try is a line of PATH.tries. One with "slow" in its path takes its time, one with "locked" is for one
-/// process, and slow when it is mute.
+/// and each try is a line of PATH.tries. While there is PATH.sluggish a value takes half a second. One with "slow" in
+/// its path takes its time, one with "locked" is for one process, and slow when it is mute.
 class FileActuator final : public Actuator {
  public:
   explicit FileActuator(std::string path) : path_(std::move(path)) {}
@@ -63,6 +63,7 @@ class FileActuator final : public Actuator {
     if (value == 9) return Error{Errc::io_failed, "cannot set", path_, "9 is too much", ""};
     if (value == 13) ::abort();
     if (is_mute()) return mute();
+    if (::access((path_ + ".sluggish").c_str(), F_OK) == 0) std::this_thread::sleep_for(500ms);
     write("set " + std::to_string(value).substr(0, 3));
     return {};
   }
@@ -106,9 +107,22 @@ Duration wait_for(const std::string& path, const std::string& line) {
   }
 }
 
+/// All its threads.
+void wait_until_stopped(pid_t process) {
+  const auto is_stopped = [&] {
+    for (const auto& task : std::filesystem::directory_iterator("/proc/" + std::to_string(process) + "/task")) {
+      std::ifstream file(task.path() / "stat");
+      std::string line;
+      if (!std::getline(file, line) || line.find(") T ") == std::string::npos) return false;
+    }
+    return true;
+  };
+  while (!is_stopped()) std::this_thread::sleep_for(1ms);
+}
+
 /// A program of its own, with an output that it sets to 1, and then does what it is told.
 struct Program {
-  enum class Does { turns, hangs, crashes, ends };
+  enum class Does { turns, hangs, crashes, ends, is_killed_while_it_gives_back };
   explicit Program(const std::string& path, Does does = Does::turns) {
     process = ::fork();
     if (process != 0) return;
@@ -124,6 +138,10 @@ struct Program {
         if (does == Does::hangs) std::this_thread::sleep_for(1min);
         if (does == Does::crashes) ::raise(SIGSEGV);
         if (does == Does::ends) ::_exit(0);  // without any destructor
+        if (does == Does::is_killed_while_it_gives_back) output.finish([] {});
+      });
+      const Timer end(loop, 500ms, [&] {
+        if (does == Does::is_killed_while_it_gives_back) ::raise(SIGKILL);
       });
       loop.run_for(1min);
     }
@@ -568,6 +586,79 @@ TEST_SUITE("outputs") {
     b.loop.run_for(2s);
     CHECK(b.output.value() == 1);
     CHECK(b.causes == Lines{"start", "set"});
+  }
+
+  TEST_CASE(
+      "US-35 guard: a slow device is given back while the loop turns, and one is taken; others keep their values") {
+    OutputConfig config;
+    config.watchdog = 200ms;
+    Bench b(config);
+    const std::string other_path = b.directory.file("other");
+    Output other(b.loop, {.name = "other", .watchdog = 200ms}, {}, other_path);
+    for (Output* output : {&b.output, &other}) output->set(1).or_throw();
+    CHECK(b.turn_until([&] { return b.output.value() == 1 && other.value() == 1; }));
+    std::ofstream(b.path + ".sluggish") << "";
+    bool is_done = false, is_taken = false;
+    int turns = 0;  // while the device is being given back
+    const Ticker ticker(b.loop, 10ms, [&](const Tick&) { turns += is_done ? 0 : 1; });
+    b.output.finish([&] { is_done = true; });
+    CHECK_FALSE(b.output.value() == 0);
+    CHECK(b.turn_until([&] { return is_done; }));
+    CHECK(turns > 0);
+    CHECK(lines_of(b.path) == Lines{"open 0.0", "set 1.0", "set 0.0", "gone"});
+    CHECK_FALSE(b.output.has_ended_unsafe());
+    CHECK(b.guard.ended_unsafe().empty());
+
+    const std::string slow_path = b.directory.file("slow");
+    Output slow(b.loop, {.name = "slow"}, {}, slow_path, Output::Takes::later);
+    CHECK(slow.set(1).has_value());
+    slow.when_taken([&](Result<void> result) { is_taken = result.has_value(); });
+    CHECK(lines_of(slow_path).empty());
+    CHECK(b.turn_until([&] { return slow.value() == 1; }));
+    CHECK(is_taken);
+    CHECK(lines_of(slow_path) == Lines{"open 0.0", "set 1.0"});
+
+    const std::string refused_path = b.directory.file("refused");
+    Output refused(b.loop, {.name = "refused"}, {}, refused_path, Output::Takes::later);
+    std::string why;
+    refused.when_taken([&](Result<void> result) { why = result ? "taken" : result.error().why; });
+    CHECK(b.turn_until([&] { return !why.empty(); }));
+    CHECK(why == "somebody has it");
+    CHECK(refused.set(1).error().code == Errc::closed);
+    refused.close();
+
+    CHECK(other.is_armed());
+    CHECK(other.value() == 1);
+    CHECK(lines_of(other_path) == Lines{"open 0.0", "set 1.0"});
+    CHECK(b.count("watchdog") == 0);
+  }
+
+  TEST_CASE("US-35 guard: a program that is killed while it gives a slow device back leaves that safe") {
+    ScratchDirectory directory;
+    const std::string path = directory.file("device");
+    std::ofstream(path + ".sluggish") << "";
+    const Program program(path, Program::Does::is_killed_while_it_gives_back);
+    wait_for(path, "gone");
+    CHECK(lines_of(path) == Lines{"open 0.0", "set 1.0", "set 0.0", "gone"});
+  }
+
+  TEST_CASE(
+      "US-35 guard: one that does not answer when a device is given back is told, and what comes of it later, too") {
+    Bench b;
+    b.output.set(1).or_throw();
+    CHECK(b.turn_until([&] { return b.output.value() == 1; }));
+    ::kill(b.guard.process(), SIGSTOP);
+    wait_until_stopped(b.guard.process());
+    bool is_done = false;
+    b.output.finish([&] { is_done = true; });
+    CHECK(b.turn_until([&] { return is_done; }));
+    CHECK(b.errors == Lines{"its guard does not answer"});
+    CHECK(b.output.has_ended_unsafe());
+    CHECK(b.guard.ended_unsafe() == Lines{"output o"});
+    ::kill(b.guard.process(), SIGCONT);
+    wait_for(b.path, "gone");
+    CHECK(b.turn_until([&] { return b.guard.ended_unsafe().empty(); }));
+    CHECK(lines_of(b.path) == Lines{"open 0.0", "set 1.0", "set 0.0", "gone"});
   }
 
   TEST_CASE("US-35 guard: an output keeps its value while the loop waits for the device of another") {

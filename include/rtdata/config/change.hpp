@@ -67,9 +67,10 @@ struct PlanChange {
 PlanChange plan_change(const SystemPlan& now, const SystemPlan& next);
 
 /// Does what System::apply does, a part of it at a time, so that a turn of the loop can come between two steps. In this
-/// order: sensors are added that need nothing of what the change closes; then all that is closed, made anew and changed
-/// live, in one step; then sensors are removed whose name and place nothing else has taken. A change that closes
-/// nothing adds parts of all kinds in the first of these.
+/// order: sensors are added that need nothing of what the change closes; then the outputs that end are set safe and
+/// give back their devices, while the loop turns; then all that is closed, made anew and changed live, in one step;
+/// then the outputs that were made take their devices, while the loop turns; then sensors are removed whose name and
+/// place nothing else has taken. A change that closes nothing adds parts of all kinds in the first of these.
 ///
 /// Owner: the user, as a value that stays where it is; gone before the system. `next` must outlive it. Meanwhile no
 /// part may be added to the system or removed from it, and no other plan applied. When it goes before its last step,
@@ -88,8 +89,10 @@ class StepwiseChange {
   const PlanChange& changes() const noexcept;
   /// Goes on until `budget` has passed by the loop's clock, with a single part if that is at once; returns whether
   /// there is more to do. Throws as System::apply, in the step by which all is as it was before; then there is no more
-  /// to do.
+  /// to do. With an endless budget from the first step on it waits for devices itself.
   bool step(Duration budget);
+  /// A device is slow: the next step does nothing until the loops have turned. Call it again in some milliseconds.
+  bool is_waiting() const noexcept;
   /// All parts of the plan are there, and none of them can fail any more: what is left is to close what is removed.
   bool is_applied() const noexcept;
 

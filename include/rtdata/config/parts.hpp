@@ -156,6 +156,19 @@ struct PartPlan {
   /// before it is made: a machine goes on in its state. Empty: as `make`.
   std::function<Make(const PartObject& before)> make_again = {};
 
+  /// Of one that was made without waiting for its device (Parts::takes_devices_later): calls `done` on the part's loop,
+  /// in a later turn, when that has come to an end. Empty: making it waits.
+  std::function<void(const PartObject& part, std::function<void(Result<void>)> done)> when_made = {};
+  /// What closing it waits for, such as a slow device, and what a change of the plan therefore does before, while the
+  /// loop turns. Empty: nothing.
+  struct Ending {
+    /// Begins; `done` is called on the part's loop, in a later turn.
+    std::function<void(const PartObject& part, std::function<void()> done)> begin;
+    /// It is not closed after all, since the change has failed. May throw SetupError.
+    std::function<void(const PartObject& part)> take_back;
+  };
+  std::optional<Ending> ending = {};
+
   /// The keys of the item that can change while the part runs, each with the function that applies the new value, which
   /// is the one in the plan that the function is taken from. A change of any other key makes the part anew. A function
   /// may throw SetupError: then that of the old plan is called, which applies the old value again.
@@ -198,6 +211,8 @@ class Parts {
   }
   /// In the order in which they were made.
   std::vector<std::string> names(std::string_view kind) const;
+  /// What is made is not to wait for its device, since the loop shall turn meanwhile; `PartPlan::when_made` tells.
+  bool takes_devices_later() const noexcept { return takes_devices_later_; }
   /// The plans of all parts, in that order. Valid until the system changes.
   std::vector<const PartPlan*> plans() const;
 
@@ -216,6 +231,7 @@ class Parts {
 
   std::vector<std::unique_ptr<Part>> made_;
   std::map<std::pair<std::string, std::string>, Part*> by_name_;
+  bool takes_devices_later_ = false;
 };
 
 }  // namespace rtdata

@@ -141,6 +141,8 @@ PublishedTopic published_topic(const std::string& name, const std::string& topic
 /// A reload leaves an output disarmed that is, and does not touch one that somebody has armed by command. `made`: what
 /// makes it.
 void keep_arming(PartPlan& plan, const OutputConfig& config, std::function<PartPlan::Make(Arming armed)> made);
+/// A change of the configuration does not hold the loop until its device is taken or given back.
+void let_the_loop_turn(PartPlan& plan);
 
 /// The name of a sink: as it is given, or its path, or its type.
 std::string sink_name(const std::string& type, const std::string& path, const SinkConfig& config);
@@ -400,15 +402,18 @@ class Registry {
       ConfigItem guarded = write_config(all.own);
       guarded.set("type", type);
       const auto made = [make, all, guarded = guarded.to_json()](Arming armed) -> PartPlan::Make {
-        return [make, all, guarded, armed](Loop& loop, const Parts&) {
+        return [make, all, guarded, armed](Loop& loop, const Parts& parts) {
+          const auto takes = parts.takes_devices_later() ? Output::Takes::later : Output::Takes::at_once;
           const auto make_actuator = [make, own = all.own]() -> std::unique_ptr<Actuator> { return make(own); };
           OutputConfig config = all.common;
           config.armed = armed;
-          return PartObject::made_by<Output>([&] { return Output(loop, std::move(config), make_actuator, guarded); });
+          return PartObject::made_by<Output>(
+              [&] { return Output(loop, std::move(config), make_actuator, guarded, takes); });
         };
       };
       plan.make = made(all.common.armed);
       config_detail::keep_arming(plan, all.common, made);
+      config_detail::let_the_loop_turn(plan);
     };
     add_type<All>("output", type, std::move(doc), plan_part, std::move(page));
     actuators_.add<C>(type, {}, [make](const C& config) -> std::unique_ptr<Actuator> { return make(config); });

@@ -127,6 +127,9 @@ class System {
   /// SetupError, what making a part threw: then all is as it was, but that what was closed is made anew; what cannot
   /// be, is gone, and named in the error.
   PlanChange apply(const SystemPlan& next);
+  /// Sets all outputs safe, and gives their devices back, while the loops turn; calls `done` in a later turn of this
+  /// loop, when each has done so or has failed to. Then they are to be closed, which waits for nothing more.
+  void finish_outputs(Callback<void()> done);
   /// Events that sinks had queued which `apply` closed, and could not send in their time.
   std::uint64_t lost_in_changes() const noexcept { return finishing_->lost; }
 

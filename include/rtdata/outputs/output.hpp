@@ -168,23 +168,39 @@ void check_output_values(const OutputConfig& config, const OutputRange& range, c
 
 class Output : public AnySensor {
  public:
+  enum class Takes : std::uint8_t { at_once, later };
   Output() noexcept = default;
   /// Takes the device, and waits for that. `guarded`: what the runtime's guard makes its Actuator of (guard.hpp);
   /// empty, or without a guard: this program holds the device itself, as `make` makes it. What `make` makes also says
   /// which values it takes (`Actuator::range`); where `make` is empty, the device refuses the others itself.
   /// SetupError: a name or topic that is taken; bad-argument for a configuration that cannot work; out-of-range for a
   /// safe value that the device does not take; ExpressionError; what the device says.
-  Output(Loop& loop, OutputConfig config, MakeActuator make, std::string guarded = {});
+  /// `later`: does not wait for the device, which `when_taken` tells of; what it is set to meanwhile follows the safe
+  /// value.
+  Output(Loop& loop, OutputConfig config, MakeActuator make, std::string guarded = {}, Takes takes = Takes::at_once);
+  /// Calls `done` on its loop, in a later turn, when the device has its safe value or is away (disconnected: that is no
+  /// error here), within 5 s. An error: it has no device, and is to be closed.
+  void when_taken(Callback<void(Result<void>)> done);
 
   /// `by`: who asks, for the event. Errors: bad-argument (not finite; it follows a topic), out-of-range (the device
   /// takes no such value), not-permitted (it is disarmed), io-failed (the device does not even take its safe value),
-  /// closed: it keeps what it has. What the device says comes later, as an event.
+  /// busy (after `finish`), closed: it keeps what it has. What the device says comes later, as an event.
   Result<void> set(double value, std::string_view by = "program");
-  /// From the next value on. When it is armed: nothing. Errors: closed; disconnected (the guard has ended: it stays
-  /// safe until the program is started again).
+  /// From the next value on. When it is armed: nothing. Errors: busy (after `finish`); closed; disconnected (the guard
+  /// has ended: it stays safe until the program is started again).
   Result<void> arm(std::string_view by);
   /// Sets its safe value. When it is disarmed: nothing. Errors: closed.
   Result<void> disarm(std::string_view by);
+
+  /// Sets the safe value and gives the device back, as closing does, but does not wait for that: calls `done` on its
+  /// loop, in a later turn, within 5 s unless a value was on its way. From the call on it takes no value. Then it is to
+  /// be closed, which waits for nothing more; closing it before waits for the rest. For changes of a configuration.
+  void finish(Callback<void()> done);
+  /// After `finish`: it is not closed after all. Takes the device again, and waits for that; armed as it was, with the
+  /// value of `held_value`. SetupError: as the constructor.
+  void take_back();
+  /// As `value`; after `finish`, what the device had then, or was asked to have since, while the lease of that lasts.
+  std::optional<double> held_value() const noexcept;
 
   bool is_armed() const noexcept;
   /// Calls `done` on its loop, in a later turn, when the last event of its topic says whether it is armed: at once, or

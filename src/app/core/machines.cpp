@@ -60,12 +60,13 @@ class OutputSetter {
     loop_.core().call_there([&] { result = function(); });
     return std::move(*result);
   }
-  /// What outputs have by the machine: of a value that somebody else set, or whose lease is over, nothing.
+  /// What outputs have by the machine, or had before a reload gave their devices back: of a value that somebody else
+  /// set, or whose lease is over, nothing.
   std::vector<fsm::OutputValue> held() const {
     std::vector<fsm::OutputValue> all;
     for (const fsm::OutputValue& one : set_) {
       const Output& output = *outputs_.at(one.output);
-      if (output.is_armed() && output.value() == one.value) all.push_back(one);
+      if (output.is_armed() && output.held_value() == one.value) all.push_back(one);
     }
     return all;
   }
@@ -101,7 +102,7 @@ class OutputSetter {
   void set(Output& output, const fsm::OutputValue& one) {
     std::erase_if(set_, [&](const fsm::OutputValue& other) { return other.output == one.output; });
     const Result<void> done = output.set(one.value, by_);
-    if (done) set_.push_back(one);
+    if (done || done.error().code == Errc::busy) set_.push_back(one);  // busy: the one in its place gets it
     tell(one.output, "set", done);
   }
   void tell(const std::string& output, const char* what, const Result<void>& done) const {

@@ -14,6 +14,7 @@
 namespace rtdata::app {
 namespace {
 
+constexpr Duration device_look = std::chrono::milliseconds{5};
 constexpr Duration storing_patience = std::chrono::milliseconds{2500};  // less than whoever asked for it waits
 constexpr std::size_t most_told = 100;                                  // mistakes: telling them takes the loop's time
 constexpr Duration step_time = std::chrono::milliseconds{2};            // of a turn
@@ -280,7 +281,16 @@ void Reload::go_on(const std::shared_ptr<Change>& change) {
   // Of a sink that was closed before it could store what it had: they are lost, as at the end of the program.
   not_stored_ += refused_by_sinks(loop_.runtime()) - refused_before;
   if (!failed.empty()) return conclude(*change, LogLevel::error, "not applied: " + failed, id);
+  if (change->steps->is_waiting()) {
+    change->patience = Timer(loop_, device_look, [this, weak = Weak(change)] { then(weak, &Reload::look_again); });
+    return;
+  }
   then(change, is_more ? &Reload::go_on : &Reload::be_applied);
+}
+
+void Reload::look_again(const std::shared_ptr<Change>& change) {
+  if (!run_.is_ending()) return go_on(change);
+  conclude(*change, LogLevel::warning, "not finished: a device is slow, and the program ends");
 }
 
 void Reload::be_applied(const std::shared_ptr<Change>& change) {

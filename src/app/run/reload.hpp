@@ -98,6 +98,8 @@ class Reload {
   void then(const Weak& change, void (Reload::*step)(const std::shared_ptr<Change>&));
   void stop_waiting(const std::shared_ptr<Change>& change);
   void go_on(const std::shared_ptr<Change>& change);
+  /// While a device is slow.
+  void look_again(const std::shared_ptr<Change>& change);
   void be_applied(const std::shared_ptr<Change>& change);
   /// Tells which sinks that it has made could not open their files.
   void tell_unopened(const std::shared_ptr<Change>& change);

@@ -31,8 +31,9 @@ namespace rtdata::app {
 namespace {
 
 constexpr Duration redraw_period = std::chrono::milliseconds{500};
-constexpr Duration answer_patience = std::chrono::seconds{4};  // less than that of the control socket
-constexpr Duration line_period = std::chrono::seconds{10};     // in a pipe, and for the service manager
+constexpr Duration longest_to_be_safe = std::chrono::seconds{12};  // of a slow device
+constexpr Duration answer_patience = std::chrono::seconds{4};      // less than that of the control socket
+constexpr Duration line_period = std::chrono::seconds{10};         // in a pipe, and for the service manager
 
 /// One run, from the file to the exit status. Members in the order in which they may go.
 class Run {
@@ -132,6 +133,7 @@ class Run {
       (void)service.tell("STOPPING=1\nSTATUS=storing what is queued");
       is_closing_ = true;
       desk.end();
+      set_safe(loop, system);
       ticker.set_period(redraw_period);
       not_stored_ += reload.not_stored();  // what its sinks still send is among what closing counts
       not_stored_ += loop.close(close_deadline_);
@@ -233,6 +235,13 @@ class Run {
                  (where.empty() ? "a callback" : where);
     }
     return hanging;
+  }
+
+  /// All outputs at once, while the loop turns, so that none waits for the device of another.
+  static void set_safe(Loop& loop, System& system) {
+    if (system.parts().names("output").empty()) return;
+    system.finish_outputs([&loop] { loop.stop(); });
+    loop.run_for(longest_to_be_safe);
   }
 
   /// The end of a program of which a thread does not end: what it uses cannot be destroyed.

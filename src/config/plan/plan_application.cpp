@@ -61,6 +61,13 @@ class Taken {
 
 }  // namespace
 
+Error error_at(const PartPlan& plan, Error error) {
+  std::string where = plan.item.place().text();
+  where += (where.empty() ? "" : ": ") + plan.object();
+  error.where = error.where.empty() ? where : where + ": " + error.where;
+  return error;
+}
+
 PlanApplication::PlanApplication(System& system, const SystemPlan& next, std::set<std::string> given_up)
     : system_(system),
       next_(next),
@@ -70,6 +77,13 @@ PlanApplication::PlanApplication(System& system, const SystemPlan& next, std::se
 
 bool PlanApplication::step(Duration budget) {
   const MonotonicTime end = detail::later(system_.loop_.now(), budget);
+  may_wait_ = budget != Duration::max();
+  is_waiting_ = false;
+  struct TakesLater {
+    explicit TakesLater(bool& flag_, bool is_so) : flag(flag_) { flag = is_so; }
+    ~TakesLater() { flag = false; }
+    bool& flag;
+  } const takes_later(system_.parts_.takes_devices_later_, may_wait_);
   while (stage_ != Stage::done) {
     switch (stage_) {
       case Stage::beginning:
@@ -78,8 +92,14 @@ bool PlanApplication::step(Duration budget) {
       case Stage::adding:
         add_one();
         break;
+      case Stage::releasing:
+        release();
+        break;
       case Stage::replacing:
         replace();
+        break;
+      case Stage::taking:
+        take();
         break;
       case Stage::finishing:
         finish_one();
@@ -90,7 +110,7 @@ bool PlanApplication::step(Duration budget) {
       case Stage::done:
         break;
     }
-    if (system_.loop_.now() >= end) break;
+    if (is_waiting_ || system_.loop_.now() >= end) break;
   }
   if (stage_ == Stage::done && failure_ != nullptr) std::rethrow_exception(std::exchange(failure_, nullptr));
   return stage_ != Stage::done;
@@ -178,7 +198,7 @@ void PlanApplication::take_text() {
 
 void PlanApplication::add_one() {
   if (place_ == ahead_.size()) {
-    stage_ = Stage::replacing;
+    stage_ = may_wait_ && !closes_nothing_ ? Stage::releasing : Stage::replacing;
     return;
   }
   PlannedChange& planned = *ahead_[place_++];
@@ -193,6 +213,31 @@ void PlanApplication::add_one() {
   }
   made_ahead_ = made_.size();
   planned.change.fate = Fate::unchanged;  // from here on
+}
+
+void PlanApplication::release() {
+  if (releasing_ == nullptr) {
+    releasing_ = std::make_shared<std::size_t>(0);
+    try {
+      refuse_held();
+      for (const PlannedChange& planned : compared_.parts) {
+        if (planned.now == nullptr || !planned.now->ending || !ends(planned.change.fate)) continue;
+        released_.push_back(planned.now);
+        ++*releasing_;
+        const auto done = [&loop = system_.loop_, left = std::weak_ptr(releasing_)] {
+          loop.post([left] {
+            if (const auto still = left.lock()) --*still;
+          });
+        };
+        planned.now->ending->begin(system_.parts_.part_named(planned.now->kind, planned.now->name).object, done);
+      }
+    } catch (...) {
+      fail(std::current_exception());
+      return;
+    }
+  }
+  is_waiting_ = may_wait_ && *releasing_ != 0;
+  if (!is_waiting_) stage_ = Stage::replacing;
 }
 
 /// Also what has begun to hold while sensors were added.
@@ -217,6 +262,13 @@ void PlanApplication::replace() {
     fail(std::current_exception());
     return;
   }
+  stage_ = Stage::taking;
+}
+
+void PlanApplication::take() {
+  is_waiting_ = taking_->left != 0 && !taking_->failed;
+  if (is_waiting_) return;
+  if (taking_->failed) return fail(std::make_exception_ptr(SetupError(*std::move(taking_->failed))));
   settle();
   before_ = nullptr;
   place_ = 0;
@@ -263,6 +315,7 @@ void PlanApplication::close() {
     const auto fate = fates.find(plan);  // none of what was added ahead
     return fate == fates.end() || !ends(fate->second);
   });
+  released_.clear();  // `back_` makes them again
   closed_.reserve(ending.size());
   for (const PartPlan* plan : ending) closed_.push_back(*plan);
   // What stores waits for what it has queued, and goes first, unless another part uses it: sensors keep their schedules
@@ -337,6 +390,17 @@ void PlanApplication::make_part(const PartPlan& plan, PartPlan::Make make) {
   system_.make(std::move(part));
   Parts::Part& made = system_.parts_.part_named(plan.kind, plan.name);
   made.plan.make = plan.make;
+  if (plan.when_made && system_.parts_.takes_devices_later()) {
+    ++taking_->left;
+    plan.when_made(made.object, [&loop = system_.loop_, weak = std::weak_ptr(taking_), &plan](Result<void> result) {
+      loop.post([weak, &plan, result = std::move(result)] {
+        const auto taking = weak.lock();  // with which the plan is there
+        if (taking == nullptr) return;
+        --taking->left;
+        if (!result && !taking->failed) taking->failed = error_at(plan, result.error());
+      });
+    });
+  }
   if (!stopped_.contains(plan.object())) return;
   made.object.as<AnySensor>()->stop();
   system_.loop_.runtime().core().log(LogLevel::warning, plan.object(),
@@ -404,6 +468,7 @@ void PlanApplication::settle() {
 }
 
 void PlanApplication::fail(std::exception_ptr why) {
+  system_.parts_.takes_devices_later_ = false;
   // Before a recording begins anew with it.
   if (before_ != nullptr) system_.loop_.runtime().core().configurations.restore(std::move(*before_));
   before_ = nullptr;
@@ -439,13 +504,22 @@ std::string PlanApplication::bring_back() {
     sinks.erase(found);
   }
   std::string gone;
-  for (PartPlan& plan : closed_) {
-    std::string object = plan.object();
+  const auto note_gone = [&](const PartPlan& plan, const SetupError& failed) {
+    gone += (gone.empty() ? "" : "; ") + plan.object() + " (" + failed.what() + ")";
+  };
+  for (const PartPlan* plan : released_) {
     try {
-      make_part(plan, std::move(back_[object]));
+      plan->ending->take_back(system_.parts_.part_named(plan->kind, plan->name).object);
+    } catch (const SetupError& failed) {
+      note_gone(*plan, failed);
+    }
+  }
+  for (PartPlan& plan : closed_) {
+    try {
+      make_part(plan, std::move(back_[plan.object()]));
       report_absence(plan);
     } catch (const SetupError& failed) {
-      gone += (gone.empty() ? "" : "; ") + object + " (" + failed.what() + ")";
+      note_gone(plan, failed);
     }
   }
   return gone;

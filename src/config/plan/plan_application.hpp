@@ -5,6 +5,7 @@
 #include <functional>
 #include <map>
 #include <memory>
+#include <optional>
 #include <set>
 #include <string>
 #include <utility>
@@ -15,9 +16,13 @@
 
 namespace rtdata::config_detail {
 
+/// Of making a part, with where its item is.
+Error error_at(const PartPlan& plan, Error error);
+
 /// Does what was compared, or undoes what it has done, in steps of which each leaves a system that can run: adds what
-/// can be there beside the parts of before; in one step closes, makes and changes what replaces something; then closes
-/// what can wait for it. On the main loop's thread.
+/// can be there beside the parts of before; gives back the devices of those that end; in one step closes, makes and
+/// changes what replaces something; waits for the devices of what is made; then closes what can wait for it. On the
+/// main loop's thread.
 class PlanApplication {
  public:
   /// Compares. `next` must outlive it.
@@ -28,9 +33,11 @@ class PlanApplication {
   /// nothing was changed; what making or changing a part threw, when the parts are those of before again.
   bool step(Duration budget);
   bool is_applied() const noexcept { return is_applied_; }
+  /// The next step does nothing until the loops have turned, since a device is slow.
+  bool is_waiting() const noexcept { return is_waiting_; }
 
  private:
-  enum class Stage { beginning, adding, replacing, finishing, undoing, done };
+  enum class Stage { beginning, adding, releasing, replacing, taking, finishing, undoing, done };
 
   void refuse() const;
   void refuse_held() const;
@@ -40,7 +47,11 @@ class PlanApplication {
   /// Recordings keep the text of the next plan from here on.
   void take_text();
   void add_one();
+  /// Of parts that end, what closing them would wait for.
+  void release();
   void replace();
+  /// What is made has its devices.
+  void take();
   void finish_one();
   void undo_one();
 
@@ -73,6 +84,8 @@ class PlanApplication {
   const PlanChange all_;
   Stage stage_ = Stage::beginning;
   bool is_applied_ = false;
+  bool may_wait_ = false;  // the loop turns between two steps
+  bool is_waiting_ = false;
   bool closes_nothing_ = false;
   std::vector<PlannedChange*> ahead_;                      // what is added before anything is closed
   std::vector<const PartPlan*> later_;                     // what is closed after all is made
@@ -86,7 +99,14 @@ class PlanApplication {
   std::vector<PartPlan> closed_;                           // in the order in which they were made
   std::vector<const Parts::Part*> ending_;                 // recordings that are closed while the loop turns
   std::vector<std::pair<std::string, std::string>> made_;  // kind and name
-  std::size_t made_ahead_ = 0;                             // of these, from the first one
+  std::vector<const PartPlan*> released_;                  // as far as they are not closed
+  std::shared_ptr<std::size_t> releasing_;                 // how many of these are not ready; null: none was begun
+  struct Taking {
+    std::size_t left = 0;  // parts whose devices are being taken
+    std::optional<Error> failed = {};
+  };
+  std::shared_ptr<Taking> taking_ = std::make_shared<Taking>();
+  std::size_t made_ahead_ = 0;  // of these, from the first one
   using Live = std::function<void(const PartObject& part)>;
   std::vector<std::pair<Parts::Part*, const Live*>> changed_;  // with what changes it back
   std::exception_ptr failure_;

@@ -45,6 +45,14 @@ void config_detail::keep_arming(PartPlan& plan, const OutputConfig& config,
                }};
 }
 
+void config_detail::let_the_loop_turn(PartPlan& plan) {
+  plan.when_made = [](const PartObject& part, std::function<void(Result<void>)> done) {
+    part.as<Output>()->when_taken(std::move(done));
+  };
+  plan.ending = {[](const PartObject& part, std::function<void()> done) { part.as<Output>()->finish(std::move(done)); },
+                 [](const PartObject& part) { part.as<Output>()->take_back(); }};
+}
+
 PublishedTopic config_detail::published_topic(const std::string& name, const std::string& topic,
                                               Result<std::shared_ptr<const Description>> description,
                                               const Processing& processing) {

@@ -19,11 +19,7 @@ PartObject made_at(const PartPlan& plan, const Make& make) {
   try {
     return make();
   } catch (const SetupError& error) {
-    Error placed = error.error();
-    std::string where = plan.item.place().text();
-    where += (where.empty() ? "" : ": ") + plan.object();
-    placed.where = placed.where.empty() ? where : where + ": " + placed.where;
-    throw SetupError(std::move(placed));
+    throw SetupError(config_detail::error_at(plan, error.error()));
   }
 }
 
@@ -149,6 +145,25 @@ PlanChange System::apply(const SystemPlan& next) {
   return change.changes();
 }
 
+void System::finish_outputs(Callback<void()> done) {
+  struct All {
+    std::size_t left = 1;
+    Callback<void()> done;
+    void one_done() {
+      if (--left == 0) done();
+    }
+  };
+  const auto all = std::make_shared<All>();
+  all->done = std::move(done);
+  const auto one_done = [&loop = loop_, all] { loop.post([all] { all->one_done(); }); };
+  for (const auto& part : parts_.made_) {
+    if (!part->plan.ending) continue;
+    ++all->left;
+    part->plan.ending->begin(part->object, one_done);
+  }
+  one_done();
+}
+
 StepwiseChange::StepwiseChange(System& system, const SystemPlan& next, std::set<std::string> given_up)
     : application_(std::make_unique<config_detail::PlanApplication>(system, next, std::move(given_up))) {}
 StepwiseChange::~StepwiseChange() = default;
@@ -156,6 +171,8 @@ StepwiseChange::~StepwiseChange() = default;
 const PlanChange& StepwiseChange::changes() const noexcept { return application_->changes(); }
 
 bool StepwiseChange::step(Duration budget) { return application_->step(budget); }
+
+bool StepwiseChange::is_waiting() const noexcept { return application_->is_waiting(); }
 
 bool StepwiseChange::is_applied() const noexcept { return application_->is_applied(); }
 
