@@ -1,6 +1,6 @@
 // The rocket in C++, flown from a recording of its sensors as fast as it goes: example_rocket [FLIGHT.db
 // [DECISIONS.db]]. On board, a sensor takes
-// the place of the replay, and an rtdata::Output that of the line which is printed.
+// the place of the replay, and an rtdata::Output with a lease that of each line which is printed.
 #include "rocket.hpp"
 
 #include <chrono>
@@ -24,7 +24,7 @@ int main(int argc, char** argv) {
         std::printf("%8.2f s  %s: %s\n", rocket::seconds(change.time.time_since_epoch()),
                     std::string(change->to).c_str(), std::string(change->cause).c_str());
       });
-  rocket::Rocket rocket(loop, [](bool is_on) { std::puts(is_on ? "  charge on" : "  charge off"); });
+  rocket::Rocket rocket(loop, {.drogue = [] { std::puts("  drogue"); }, .backup = [] { std::puts("  backup"); }});
   rtdata::Replay replay(loop, {.file = flight_of, .topics = {"rocket"}});
   while (!replay.is_done()) loop.advance(std::chrono::seconds{1});
   return rocket.machine().state() == "landed" ? 0 : 1;

@@ -35,8 +35,8 @@ struct Readings {
 
 inline double seconds(rtdata::Duration duration) { return std::chrono::duration<double>(duration).count(); }
 
-// Rows of the last so many seconds.
-template <std::size_t size>
+// Rows of the last so many seconds. Of a sensor that is faster than they have room for, some are left out: of a second
+// 1023 are kept, of 8 seconds 127 each.
 class Window {
  public:
   struct Row {
@@ -46,6 +46,7 @@ class Window {
   explicit Window(rtdata::Duration length) : length_(length) {}
   void take(rtdata::Time time, double value) {
     if (count_ > 0 && time - back(0).time > 500ms) count_ = 0;  // a gap, of which nothing is known
+    if (count_ > 0 && time - back(0).time < length_ / (size - 1)) return;
     at_ = (at_ + 1) % size;
     rows_[at_] = {time, value};
     if (count_ < size) ++count_;
@@ -56,6 +57,7 @@ class Window {
   rtdata::Duration length() const { return length_; }
 
  private:
+  static constexpr std::size_t size = 1024;
   const rtdata::Duration length_;
   std::array<Row, size> rows_{};
   std::size_t at_ = 0, count_ = 0;
@@ -86,7 +88,7 @@ class Climb {
   double now() const { return now_; }
 
  private:
-  Window<4096> rows_;  // 8 s at 500 Hz
+  Window rows_;
   double mean_ = 0, now_ = 0;
 };
 
@@ -94,7 +96,9 @@ class Climb {
 class Felt {
  public:
   void take(rtdata::Time time, double acceleration) {
-    const double passed = rows_.count() > 0 ? seconds(time - rows_.back(0).time) : 0;
+    const double passed = has_felt_ ? seconds(time - at_) : 0;
+    has_felt_ = true;
+    at_ = time;
     // What it shows too much while it lies still and nearly upright.
     if (!was_thrown_ && std::abs(acceleration - 1) < 0.4) {
       rested_ = std::min(rested_ + passed, 20.0);
@@ -106,6 +110,7 @@ class Felt {
     if (was_thrown_) top_ = std::max(top_, speed());
   }
   bool was_thrown() const { return was_thrown_; }
+  bool is_silent(rtdata::Time now) const { return !has_felt_ || now - at_ > 1s; }
   double speed() const { return speed_ - before_; }  // m/s, since it was thrown
   double top() const { return top_; }                // the highest of them
   double gained() const {                            // m/s, in the last 2 s; 0 where there is a gap in them
@@ -115,8 +120,9 @@ class Felt {
   }
 
  private:
-  Window<1024> rows_{2s};  // at 500 Hz
-  bool was_thrown_ = false;
+  Window rows_{2s};
+  rtdata::Time at_{};
+  bool has_felt_ = false, was_thrown_ = false;
   double speed_ = 0, before_ = 0, top_ = 0, bias_ = 0, rested_ = 0;
 };
 
@@ -138,19 +144,22 @@ class Sensors {
     now_ = time;
     if (std::isfinite(readings.acceleration)) felt_.take(time, readings.acceleration);
     if (std::isfinite(readings.altitude)) take_altitude(readings.altitude);
-    best_ = std::max({best_, felt_.gained(), climb().is_whole() ? least() : 0});
+    best_felt_ = std::max(best_felt_, felt_.gained());
+    best_ = std::max({best_, best_felt_, climb().is_whole() ? least() : 0});
   }
   // From now on.
-  void begin_boost() { best_ = 0; }
+  void begin_boost() { best_ = best_felt_ = 0; }
   void begin_descent() { fastest_ = 0; }
 
   const Felt& felt() const { return felt_; }
+  bool is_silent() const { return felt_.is_silent(now_); }  // the accelerometer is
   const Climb& climb() const { return is_quiet() ? quick_ : slow_; }
   bool is_quiet() const { return noise_ < 3; }
   // There is no gap in the window, and the height changes.
   bool is_ready() const { return climb().is_whole() && unchanged() < 500ms; }
   double least() const { return climb().mean() - noise_; }  // m/s, what noise may add left out
   double best() const { return best_; }                     // m/s, that it surely had, by one sensor or the other
+  double best_felt() const { return best_felt_; }           // by the accelerometer alone
   double sink() const { return -long_.mean(); }
   bool is_sink_known() const { return long_.is_whole() && now_ - spoke_ < 1s; }
   double fastest() const { return fastest_; }  // m/s, up or down in the descent, by the barometer
@@ -161,8 +170,8 @@ class Sensors {
   bool is_smooth() const { return !was_fast_ || above_5_ - above_50_ > 1s; }
   // From 10 m/s to nothing takes 1 s in free fall.
   bool is_free() const { return is_quiet() && was_above_10_ && now_ - above_10_ > 700ms; }
-  // Less than a third of what it was: by what was felt, it may be at its apogee.
-  bool is_slow() const { return !felt_.was_thrown() || felt_.speed() < felt_.top() / 3; }
+  // Less than a third of what it was: by what was felt, it may be at its apogee. So it may when nothing is felt.
+  bool is_slow() const { return !felt_.was_thrown() || is_silent() || felt_.speed() < felt_.top() / 3; }
   bool falls() const { return is_ready() && climb().mean() < -10; }
   // Over the lowest that it was for 20 s, which is the pad.
   bool is_near_ground() const { return has_ground_ && altitude_ < ground_ + 30; }
@@ -208,7 +217,7 @@ class Sensors {
 
   Climb quick_{1s}, slow_{4s}, long_{8s};
   Felt felt_;
-  double noise_ = 0, best_ = 0, fastest_ = 0;
+  double noise_ = 0, best_ = 0, best_felt_ = 0, fastest_ = 0;
   rtdata::Time now_, changed_, moved_, up_, above_5_, above_10_, above_50_, whole_, spoke_;
   bool was_fast_ = false, was_above_10_ = false, has_ground_ = false;
   double last_ = 0, last_but_one_ = 0, altitude_ = 0, step_ = 0, since_change_ = 0, smoothed_ = 0, ground_ = 0;
@@ -225,24 +234,33 @@ class Boost : public fsm::State {
   Sensors& sensors_;
 };
 
-// The charge is on while the machine is in this state.
-class Apogee : public fsm::State {
- public:
-  explicit Apogee(std::function<void(bool)> charge) : charge_(std::move(charge)) {}
-  void arrive(const fsm::Moment&) override { charge_(true); }
-  void leave(const fsm::Moment&) override { charge_(false); }
-
- private:
-  const std::function<void(bool)> charge_;
+// Each sets an output, whose lease of 2 s ends it.
+struct Charges {
+  std::function<void()> drogue, backup;
 };
 
+class Apogee : public fsm::State {
+ public:
+  explicit Apogee(std::function<void()> drogue) : drogue_(std::move(drogue)) {}
+  void arrive(const fsm::Moment&) override { drogue_(); }
+
+ private:
+  const std::function<void()> drogue_;
+};
+
+// It sets the drogue once more, which is on for 2.5 s then.
 class Descent : public fsm::State {
  public:
-  explicit Descent(Sensors& sensors) : sensors_(sensors) {}
-  void arrive(const fsm::Moment&) override { sensors_.begin_descent(); }
+  Descent(Sensors& sensors, Charges charges) : sensors_(sensors), charges_(std::move(charges)) {}
+  void arrive(const fsm::Moment&) override {
+    sensors_.begin_descent();
+    charges_.drogue();
+    charges_.backup();
+  }
 
  private:
   Sensors& sensors_;
+  const Charges charges_;
 };
 
 // The machine stays in the boost while `check` says no.
@@ -257,8 +275,7 @@ class Coast : public fsm::State {
 
 class Rocket {
  public:
-  // `charge` sets the output of the parachute.
-  Rocket(rtdata::Loop& loop, std::function<void(bool)> charge)
+  Rocket(rtdata::Loop& loop, Charges charges)
       : sensors_(loop.time()),
         feed_(loop, {.name = "readings"}),
         flight_(loop, {.name = "flight", .start = "pad"}),
@@ -269,7 +286,7 @@ class Rocket {
       sensors_.take(event.time(), readings);
       feed_.publish(readings, event.time());
     });
-    add_states(std::move(charge));
+    add_states(std::move(charges));
     add_transitions();
     flight_.start();
   }
@@ -289,12 +306,12 @@ class Rocket {
         event.value(*leaf));
   }
 
-  void add_states(std::function<void(bool)> charge) {
+  void add_states(Charges charges) {
     flight_.add_state("pad");
     flight_.add_state("boost", std::make_unique<Boost>(sensors_));
     flight_.add_state("coast", std::make_unique<Coast>(sensors_));
-    flight_.add_state("apogee", std::make_unique<Apogee>(std::move(charge)));
-    flight_.add_state("descent", std::make_unique<Descent>(sensors_));
+    flight_.add_state("apogee", std::make_unique<Apogee>(charges.drogue));
+    flight_.add_state("descent", std::make_unique<Descent>(sensors_, std::move(charges)));
     flight_.add_state("landed", {.is_final = true});
   }
 
@@ -323,7 +340,7 @@ class Rocket {
          .cause = "it falls"});
     add({.from = "boost",
          .to = "pad",
-         .when = [&s] { return s.best() < 12 && s.still() > 5s; },
+         .when = [&s] { return s.best_felt() < 12 && s.still() > 5s; },
          .after = 5s,
          .cause = "it has not flown"});
     add({.from = "coast",
@@ -331,12 +348,13 @@ class Rocket {
          .when =
              [&s](const fsm::Moment& moment) {
                return s.is_ready() && s.climb().now() < 0 && s.is_smooth() && s.still() < 1s &&
-                      moment.in_state > s.climb().length() && s.felt().gained() <= 0 && (s.is_free() || s.is_slow());
+                      moment.in_state > s.climb().length() && (s.felt().gained() <= 0 || s.is_silent()) &&
+                      (s.is_free() || s.is_slow());
              },
          .cause = "apogee"});
     add({.from = "coast",
          .to = "apogee",
-         .when = [&s] { return s.felt().was_thrown() && s.felt().speed() < 0 && s.down() > 2500ms; },
+         .when = [&s] { return s.felt().was_thrown() && s.felt().speed() < 0 && !s.is_silent() && s.down() > 2500ms; },
          .hold = 1s,
          .after = 3s,
          .cause = "apogee, without a barometer"});
@@ -355,15 +373,25 @@ class Rocket {
          .when =
              [&s] {
                const bool sinks = (s.is_ready() && s.climb().mean() < -2) || s.down() > 2500ms;
-               return sinks && std::abs(s.felt().gained()) < 6 && s.felt().was_thrown() && s.is_slow();
+               return sinks && !s.is_silent() && std::abs(s.felt().gained()) < 6 && s.felt().was_thrown() &&
+                      s.is_slow();
              },
          .hold = 1s,
          .cause = "it hangs on something"});
     add({.from = "coast",
+         .to = "apogee",
+         .when =
+             [&s] {
+               return s.is_ready() && s.climb().mean() < -2 && (s.is_smooth() || s.down() > 3s) && s.is_silent() &&
+                      s.felt().was_thrown();
+             },
+         .hold = 1s,
+         .cause = "it sinks, and nothing is felt"});
+    add({.from = "coast",
          .to = "pad",
          .when = [&s] { return !s.felt().was_thrown() && s.still() > 5s; },
          .cause = "it has not flown"});
-    add({.from = "apogee", .to = "descent", .after = 2s, .cause = "the parachute is out"});
+    add({.from = "apogee", .to = "descent", .after = 500ms, .cause = "the parachute is out"});
     add({.from = "descent",
          .to = "landed",
          .when =

@@ -90,6 +90,11 @@ void check_output_values(const OutputConfig& config, const OutputRange& range, c
     check(1, at, "on is 1: ");
   } else if (config.pid) {
     const ConfigItem& at = child_or_self(item, "pid");
+    if (range.is_whole) {  // nearly each of its values would be refused
+      problems.add(at.problem("bad-value",
+                              "a `pid` gives fractions, and the device takes whole numbers alone: use `hysteresis`"));
+      return;
+    }
     check(config.pid->least, child_or_self(at, "least"), at.find("least") != nullptr ? "" : "`least` is 0: ");
     check(config.pid->most, child_or_self(at, "most"), at.find("most") != nullptr ? "" : "`most` is 1: ");
   } else if (const ConfigItem* const at = item.find("expression")) {

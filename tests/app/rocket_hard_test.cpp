@@ -49,7 +49,9 @@ void check_hard_flights(Stays stays, const Fly& fly) {
 }
 
 std::vector<Decision> fly_in_cpp(const Flight& flight) {
-  return flown(flight, [](rtdata::Loop& loop) { return std::make_unique<rocket::Rocket>(loop, [](bool) {}); });
+  return flown(flight, [](rtdata::Loop& loop) {
+    return std::make_unique<rocket::Rocket>(loop, rocket::Charges{[] {}, [] {}});
+  });
 }
 
 }  // namespace

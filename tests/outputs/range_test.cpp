@@ -41,17 +41,19 @@ struct Air {
   friend constexpr auto describe(type_tag<Air>) { return record("air", field("temperature", &Air::temperature)); }
 };
 
-/// A kind of one's own, which says what it takes: by its settings, whole numbers up to `most`.
+/// A kind of one's own, which says what it takes: by its settings, whole numbers or fractions up to `most`.
 struct StepsConfig {
   double most = 8;
+  bool is_whole = true;
   friend constexpr auto parameters(type_tag<StepsConfig>) {
-    return parameter_list(parameter("steps", &StepsConfig::most, "how many it has"));
+    return parameter_list(parameter("steps", &StepsConfig::most, "how many it has"),
+                          parameter("whole", &StepsConfig::is_whole, "it takes no fractions"));
   }
 };
 class Steps final : public Actuator {
  public:
   explicit Steps(StepsConfig config) : config_(config) {}
-  OutputRange range() const override { return {2, config_.most, true}; }
+  OutputRange range() const override { return {2, config_.most, config_.is_whole}; }
   Result<void> open(std::optional<double>) override { return {}; }
   Result<void> set(double) override { return {}; }
 
@@ -132,7 +134,18 @@ TEST_SUITE("outputs") {
     const std::string own = steps + R"(, "safe": 2, "on": "load", "expression": "minutes_1)";
     CHECK(count_of(problems_of(own + R"( > 2"}])")) == 2);  // of a condition 0 and 1
     CHECK(count_of(problems_of(own + R"(", "hysteresis": {"on": 2, "off": 1}}])")) == 2);
-    CHECK(count_of(problems_of(own + R"(", "pid": {"setpoint": 1, "kp": 1, "least": 0.5}}])")) == 2);  // `most` is 1
+    // `most` is 1.
+    CHECK(count_of(problems_of(own + R"(", "whole": false, "pid": {"setpoint": 1, "kp": 1, "least": 0.5}}])")) == 2);
+    const std::string
+        fractions = " a `pid` gives fractions, and the device takes whole numbers alone: use `hysteresis`";
+    CHECK(problems_of(own + R"(", "pid": {"setpoint": 1, "kp": 1, "least": 2, "most": 8}}])") == "2:105" + fractions);
+    CHECK(problems_of(own + R"(", "pid": {"setpoint": 1, "kp": 1, "least": 0.5}}])") == "2:105" + fractions);
+    if (standard_registry().outputs().find("gpio")) {
+      const std::string line = R"("outputs": [{"name": "fan", "type": "gpio", "line": 3, "on": "load", )";
+      CHECK(problems_of(line + R"("expression": "minutes_1", "pid": {"setpoint": 1, "kp": 1}}])") ==
+            "2:104" + fractions);
+      CHECK(problems_of(line + R"("expression": "minutes_1", "hysteresis": {"on": 2, "off": 1}}])").empty());
+    }
     const auto machine = [](const std::string& values) {
       return R"(,"machines": [{"name": "m", "start": "a", "states": [{"name": "a", "final": true, "set": [)" + values +
              "]}]}]";
