@@ -9,6 +9,7 @@
 #include <set>
 
 #include "data/field_layout.hpp"
+#include "data/lower_case.hpp"
 #include "data/nearest.hpp"
 #include "data/utf8.hpp"
 #include "rtdata/data/describe.hpp"
@@ -21,11 +22,6 @@ using namespace detail;
 namespace {
 
 constexpr std::size_t most_leaves = 65536;
-std::string lower_case(std::string_view text) {
-  std::string lower(text);
-  for (char& c : lower) c = detail::lower(c);
-  return lower;
-}
 
 bool fits(std::int64_t value, Kind base) {
   switch (base) {

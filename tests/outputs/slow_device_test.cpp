@@ -64,7 +64,9 @@ struct Bench {
         });
     registry.add_output<DeviceConfig>(
         "memory", "a device of memory", [this](const DeviceConfig& config) { return devices[config.device].make()(); },
-        [](PartPlan& part, const DeviceConfig& config) { part.place = {"memory", "device " + config.device, ""}; });
+        [](PartPlan& part, const DeviceConfig& config) {
+          part.place = {"memory", "device " + config.device, ""};
+        });
     system.emplace(loop, registry, planned(parts));
     loop.advance(0ms);
     loop.script_lane_duration(slow);
@@ -114,7 +116,8 @@ struct Bench {
 }  // namespace
 
 TEST_SUITE("outputs") {
-  TEST_CASE("US-35 US-5 a reload that removes a slow output gives its device back while the sensors of its loop go on") {
+  TEST_CASE(
+      "US-35 US-5 a reload that removes a slow output gives its device back while the sensors of its loop go on") {
     Bench bench(Bench::outputs(Bench::output("a", "A") + "," + Bench::output("b", "B")));
     bench.set("b", 1);
     CHECK(bench.did("B") == Lines{"open 0", "set 1"});
@@ -131,13 +134,13 @@ TEST_SUITE("outputs") {
     REQUIRE(refused);
     CHECK(refused->error().code == Errc::busy);
     CHECK(bench.log.lines ==
-          Lines{"start 0 done", "set 1 done",
-                "set 2 failed: its device is being given back", "stop 0 done"});
+          Lines{"start 0 done", "set 1 done", "set 2 failed: its device is being given back", "stop 0 done"});
     CHECK(bench.has_all_ticks());
     CHECK(bench.loop.runtime().balances());
   }
 
-  TEST_CASE("US-35 US-5 a slow output that a reload changes is safe before its device is taken again, also by another") {
+  TEST_CASE(
+      "US-35 US-5 a slow output that a reload changes is safe before its device is taken again, also by another") {
     Bench bench(Bench::outputs(Bench::output("a", "A") + "," + Bench::output("b", "B")));
     bench.set("a", 1);
     bench.set("b", 1);
@@ -269,14 +272,14 @@ TEST_SUITE("outputs") {
     }
   }
 
-  TEST_CASE("US-35 US-5 a slow device that a reload cannot take brings back what was before, and says where it stands") {
+  TEST_CASE(
+      "US-35 US-5 a slow device that a reload cannot take brings back what was before, and says where it stands") {
     for (const bool closes_something : {false, true}) {
       CAPTURE(closes_something);
       const std::string before = Bench::output("a", "A") + (closes_something ? "," + Bench::output("c", "C") : "");
       Bench bench(Bench::outputs(before));
       bench.devices["B"].fails = true;
-      const SystemPlan next =
-          bench.planned(Bench::outputs(Bench::output("a", "A") + ",\n" + Bench::output("b", "B")));
+      const SystemPlan next = bench.planned(Bench::outputs(Bench::output("a", "A") + ",\n" + Bench::output("b", "B")));
       CHECK_THROWS_WITH_AS(bench.apply(next), doctest::Contains("f.json:2:1: output b"), SetupError);
       CHECK_THROWS_WITH_AS(bench.apply(next), doctest::Contains("it is broken"), SetupError);
       CHECK(bench.system->parts().find<Output>("output", "b") == nullptr);

@@ -1,7 +1,5 @@
 #include "app/inspect/import_columns.hpp"
 
-#include <strings.h>
-
 #include <algorithm>
 #include <set>
 #include <string_view>
@@ -38,7 +36,7 @@ void make_name(std::string& text) {
     if ((c < 'a' || c > 'z') && (c < 'A' || c > 'Z') && (c < '0' || c > '9')) c = '_';
   if (text.empty() || (text[0] >= '0' && text[0] <= '9')) text.insert(0, "c");
   for (const char* taken : {"time", "origin", "sequence", "run", "_rowid_"})
-    if (::strcasecmp(text.c_str(), taken) == 0) text += "_";
+    if (detail::lower_case(text) == taken) text += "_";
 }
 
 /// How many columns from this one on are the elements of an array, all of them numbers; 0: it is none.
