@@ -244,22 +244,24 @@ SinkCounts SinkQueue::sum() const noexcept {
   for (std::uint32_t i = 0; i < slot_count(); ++i) {
     const Slot& s = slot(i);
     const std::uint64_t refused = stored(i).refused.load(std::memory_order_relaxed);
-    sum.offered += s.live->offered;
     sum.stored += stored(i).stored.load(std::memory_order_relaxed);
+    sum.dropped[static_cast<std::size_t>(DropReason::refused)] += refused;
+    if (feed_ != nullptr) continue;
+    sum.offered += s.live->offered;
     sum.dropped[static_cast<std::size_t>(DropReason::queue_full_newest)] += s.dropped_newest;
     sum.dropped[static_cast<std::size_t>(DropReason::queue_full_oldest)] += s.dropped_oldest;
-    sum.dropped[static_cast<std::size_t>(DropReason::refused)] += refused;
+  }
+  if (feed_ != nullptr) {  // the lane fills the queue, and the recording knows what waits
+    const FeedCounts fed = feed_->counts();
+    sum.offered = fed.offered;
+    sum.queued = fed.backlog;
+    sum.dropped[static_cast<std::size_t>(DropReason::queue_full_oldest)] = fed.removed;
+    return sum;
   }
   for (const ChunkHeader& chunk : used_chunks()) {
     if ((chunk.ticket_and_state.load(std::memory_order_acquire) & 3) != ChunkHeader::free) sum.queued += chunk.rows;
   }
   sum.queued -= std::min(sum.queued, rows_settled_.load(std::memory_order_relaxed));
-  if (feed_ != nullptr) {
-    const FeedCounts fed = feed_->counts();
-    sum.offered = fed.offered;
-    sum.queued = fed.backlog;
-    sum.dropped[static_cast<std::size_t>(DropReason::queue_full_oldest)] += fed.removed;
-  }
   return sum;
 }
 
