@@ -26,6 +26,7 @@
 using namespace rtdata;
 using namespace std::chrono_literals;
 using outputs_test::Device;
+using outputs_test::DeviceConfig;
 using outputs_test::Terminal;
 using test::Folder;
 using test::Process;
@@ -34,13 +35,6 @@ namespace {
 
 using Lines = std::vector<std::string>;
 
-/// A device of memory, by its name.
-struct DeviceConfig {
-  std::string device;
-  friend constexpr auto parameters(type_tag<DeviceConfig>) {
-    return parameter_list(parameter("device", &DeviceConfig::device, "its name", required, TextIs::recorded));
-  }
-};
 struct Devices {
   std::map<std::string, Device> all;
   Registry registry = standard_registry();

@@ -6,6 +6,7 @@
 #include <string>
 #include <vector>
 
+#include "rtdata/data/parameter.hpp"
 #include "rtdata/outputs/output.hpp"
 
 namespace outputs_test {
@@ -54,6 +55,15 @@ struct Device {
     Device& device;
     bool is_open = false;
   };
+};
+
+/// Which one a configuration means.
+struct DeviceConfig {
+  std::string device;
+  friend constexpr auto parameters(rtdata::type_tag<DeviceConfig>) {
+    using namespace rtdata;
+    return parameter_list(parameter("device", &DeviceConfig::device, "its name", required, TextIs::recorded));
+  }
 };
 
 }  // namespace outputs_test

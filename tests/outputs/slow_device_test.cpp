@@ -21,6 +21,7 @@
 using namespace rtdata;
 using namespace std::chrono_literals;
 using outputs_test::Device;
+using outputs_test::DeviceConfig;
 using outputs_test::OutputLog;
 
 namespace {
@@ -36,12 +37,6 @@ struct NumberConfig {
   bool breaks = false;
   friend constexpr auto parameters(type_tag<NumberConfig>) {
     return parameter_list(parameter("breaks", &NumberConfig::breaks, "it cannot be made"));
-  }
-};
-struct DeviceConfig {
-  std::string device;
-  friend constexpr auto parameters(type_tag<DeviceConfig>) {
-    return parameter_list(parameter("device", &DeviceConfig::device, "its name", required, TextIs::recorded));
   }
 };
 
