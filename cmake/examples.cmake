@@ -18,7 +18,7 @@ function(rtdata_fresh_folder name)
   set_property(TEST example_${name} APPEND PROPERTY FIXTURES_REQUIRED folder_${name})
 endfunction()
 
-rtdata_sources(RTDATA_EXAMPLES examples/examples.sources)
+rtdata_sources(RTDATA_EXAMPLES examples/examples.sources SINGLY)
 set(example_source_dir ${CMAKE_CURRENT_SOURCE_DIR}/examples)
 foreach(source ${RTDATA_EXAMPLES})
   get_filename_component(name ${source} NAME_WE)

@@ -32,7 +32,6 @@ if(TARGET rtdata_mqtt)
   target_compile_definitions(rtdata_program PRIVATE RTDATA_WITH_MQTT)
   target_link_libraries(rtdata_program PRIVATE rtdata::mqtt)
 endif()
-set_property(SOURCE src/app/core/program.cpp APPEND PROPERTY COMPILE_DEFINITIONS RTDATA_VERSION="${PROJECT_VERSION}")
 
 add_executable(rtdata_main src/app/main.cpp)
 set_target_properties(rtdata_main PROPERTIES OUTPUT_NAME rtdata)

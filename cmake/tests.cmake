@@ -1,6 +1,6 @@
 # One test program, one doctest suite a folder; ctest runs each suite, or a part of it, in a process of its own.
 find_package(doctest REQUIRED)
-rtdata_sources(RTDATA_TEST_SOURCES tests/tests.sources)
+rtdata_sources(RTDATA_TEST_SOURCES tests/tests.sources SINGLY)
 add_library(rtdata_test_paths STATIC tests/paths.cpp)
 target_link_libraries(rtdata_test_paths PRIVATE rtdata_options)
 target_compile_definitions(rtdata_test_paths PRIVATE RTDATA_SOURCE_DIR="${CMAKE_CURRENT_SOURCE_DIR}"
@@ -23,7 +23,7 @@ endif()
 target_compile_definitions(rtdata_tests PRIVATE DOCTEST_CONFIG_USE_STD_HEADERS $<$<TARGET_EXISTS:rtdata_modbus>:RTDATA_WITH_MODBUS>
   $<$<TARGET_EXISTS:rtdata_http>:RTDATA_WITH_HTTP> $<$<BOOL:${openssl_FOUND}>:RTDATA_WITH_OPENSSL>)
 if(TARGET rtdata_postgresql AND TARGET rtdata_sqlite)
-  rtdata_sources(RTDATA_POSTGRESQL_TEST_SOURCES tests/postgresql_tests.sources)
+  rtdata_sources(RTDATA_POSTGRESQL_TEST_SOURCES tests/postgresql_tests.sources SINGLY)
   target_sources(rtdata_tests PRIVATE ${RTDATA_POSTGRESQL_TEST_SOURCES})
   target_link_libraries(rtdata_tests PRIVATE rtdata::postgresql PkgConfig::libpq)
 endif()
@@ -60,7 +60,7 @@ set_tests_properties(app sinks sensors PROPERTIES COST 100)
 
 # Run by script/test --all in the kernel bench, with real drivers.
 if(TARGET rtdata_sqlite AND RTDATA_PROGRAM)
-  rtdata_sources(RTDATA_KERNEL_TEST_SOURCES tests/kernel/kernel_tests.sources)
+  rtdata_sources(RTDATA_KERNEL_TEST_SOURCES tests/kernel/kernel_tests.sources SINGLY)
   add_executable(rtdata_kernel_tests ${RTDATA_KERNEL_TEST_SOURCES})
   target_link_libraries(rtdata_kernel_tests PRIVATE rtdata_options rtdata_test_options rtdata_test_paths rtdata::program doctest::doctest PkgConfig::sqlite3)
   target_include_directories(rtdata_kernel_tests PRIVATE tests src)
@@ -70,7 +70,7 @@ endif()
 
 # A program of their own, small enough to be built on another system with another libgpiod (tests/debian13/run.sh).
 if(TARGET rtdata_gpio)
-  rtdata_sources(RTDATA_KERNEL_GPIO_TEST_SOURCES tests/kernel/kernel_gpio_tests.sources)
+  rtdata_sources(RTDATA_KERNEL_GPIO_TEST_SOURCES tests/kernel/kernel_gpio_tests.sources SINGLY)
   add_executable(rtdata_kernel_gpio_tests ${RTDATA_KERNEL_GPIO_TEST_SOURCES})
   target_link_libraries(rtdata_kernel_gpio_tests PRIVATE rtdata_options rtdata_test_options rtdata::gpio doctest::doctest)
   target_include_directories(rtdata_kernel_gpio_tests PRIVATE tests src)

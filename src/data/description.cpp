@@ -59,7 +59,7 @@ bool same_shape(const Field& a, const Field& b) {
 /// Stands in headers, tables and JSON.
 bool is_good_text(std::string_view text) { return is_readable(text) && !needs_escape(text); }
 
-std::string list(const std::vector<EnumValue>& values) {
+std::string listed_values(const std::vector<EnumValue>& values) {
   std::string text;
   for (const auto& value : values) text += (text.empty() ? "" : ", ") + value.name + "=" + std::to_string(value.value);
   return text;
@@ -204,7 +204,8 @@ void compare(const std::vector<Field>& here, const std::vector<Field>& there, co
       lines.push_back(what + "unit " + unit(mine.unit) + " here, " + unit(other->unit) + " there");
     }
     if (mine.values != other->values) {
-      lines.push_back(what + "values " + list(mine.values) + " here, " + list(other->values) + " there");
+      lines.push_back(what + "values " + listed_values(mine.values) + " here, " + listed_values(other->values) +
+                      " there");
     }
     compare(mine.fields, other->fields, prefix + mine.name + ".", lines);
   }

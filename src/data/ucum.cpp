@@ -1,4 +1,5 @@
 #include "data/ucum.hpp"
+#include "data/lower_case.hpp"
 
 #include <algorithm>
 #include <array>
@@ -210,13 +211,6 @@ std::string replaced(std::string text, std::string_view what, std::string_view b
   return text;
 }
 
-std::string lower(std::string_view text) {
-  std::string result(text);
-  for (char& c : result)
-    if (c >= 'A' && c <= 'Z') c = static_cast<char>(c | 0x20);
-  return result;
-}
-
 }  // namespace
 
 bool is_ucum(std::string_view unit) noexcept {
@@ -240,11 +234,11 @@ std::string ucum_for(std::string_view unit) {
     same = replaced(std::move(same), what, by);
   }
   if (!same.empty() && same != unit && is_ucum(same)) return same;
-  const std::string wanted = lower(unit);
+  const std::string wanted = detail::lower_case(unit);
   for (const auto& [written, ucum] : meant)
     if (written == wanted) return std::string(ucum);
   for (const std::string_view symbol : metric)
-    if (lower(symbol) == wanted) return std::string(symbol);
+    if (detail::lower_case(symbol) == wanted) return std::string(symbol);
   // A quotient of such: degC/min.
   if (const auto slash = unit.rfind('/'); slash != std::string_view::npos && slash > 0) {
     const auto part = [](std::string_view text) { return is_ucum(text) ? std::string(text) : ucum_for(text); };

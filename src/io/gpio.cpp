@@ -27,7 +27,7 @@ bool ConfigValue<GpioLineName>::read(const ConfigItem& item, GpioLineName& out, 
 
 namespace {
 
-constexpr const char* cannot_use = "cannot use the GPIO line";
+constexpr const char* cannot_use_line = "cannot use the GPIO line";
 constexpr const char* list_advice = "`rtdata scan` lists the chips and their lines";
 
 struct Place {
@@ -46,7 +46,7 @@ bool is_named(const GpioChipInfo& chip, std::string_view name) {
   return name == chip.path || name == base_of(chip.path) || (!chip.label.empty() && name == chip.label);
 }
 
-std::string listed(const std::vector<GpioChipInfo>& chips) {
+std::string chips_listed(const std::vector<GpioChipInfo>& chips) {
   std::string text;
   for (const GpioChipInfo& chip : chips) {
     text += (text.empty() ? "" : ", ") + base_of(chip.path) + " (";
@@ -87,15 +87,15 @@ class Finder {
     for (const GpioChipInfo& one : chips_)
       if (chip_.empty() || is_named(one, chip_)) among.push_back(&one);
     if (among.empty())
-      return error(Errc::not_found, "there is no chip " + chip_ + ", but " + listed(chips_),
+      return error(Errc::not_found, "there is no chip " + chip_ + ", but " + chips_listed(chips_),
                    "set `chip` to one of these");
     if (among.size() > 1 && !chip_.empty())
-      return error(Errc::bad_argument, "several chips are called " + chip_ + ": " + listed(chips_),
+      return error(Errc::bad_argument, "several chips are called " + chip_ + ": " + chips_listed(chips_),
                    "set `chip` to the name of its file");
     for (const GpioChipInfo* one : among) {
       if (one->error_number == 0 || (among.size() > 1 && one->error_number != EACCES && one->error_number != EPERM))
         continue;
-      Error refused = system_error(one->error_number, cannot_use, where() + ", " + one->path);
+      Error refused = system_error(one->error_number, cannot_use_line, where() + ", " + one->path);
       if (refused.code == Errc::not_permitted)
         refused.advice = "become one of the group that may: `ls -l " + one->path +
                          "` shows it; `sudo usermod -aG gpio $USER`, then log in again";
@@ -108,11 +108,11 @@ class Finder {
  private:
   std::string where() const { return "line " + line_; }
   Error error(Errc code, std::string why, std::string advice) const {
-    return {code, cannot_use, where(), std::move(why), std::move(advice)};
+    return {code, cannot_use_line, where(), std::move(why), std::move(advice)};
   }
   Result<Place> by_number(unsigned number, const std::vector<const GpioChipInfo*>& among) const {
     if (among.size() > 1)
-      return error(Errc::bad_argument, "there are several chips, and each has its own numbers: " + listed(chips_),
+      return error(Errc::bad_argument, "there are several chips, and each has its own numbers: " + chips_listed(chips_),
                    "set `chip` to one of these, or name the line");
     const GpioChipInfo& chip = *among.front();
     if (number >= chip.lines.size())
@@ -140,7 +140,7 @@ class Finder {
     if (!found) {
       std::string hint = detail::suggestion(line_, names);
       return error(Errc::not_found,
-                   names.empty() ? "the lines have no names here: " + listed(chips_) : "no line has this name",
+                   names.empty() ? "the lines have no names here: " + chips_listed(chips_) : "no line has this name",
                    names.empty() ? "give its number, such as \"gpiochip0:17\"" : hint + "; " + list_advice);
     }
     if (is_ambiguous)
@@ -170,7 +170,7 @@ Error refusal_of(int error_number, GpioBackend& backend, const Place& place) {
       std::string who = place.line.consumer;
       for (const GpioChipInfo& chip : backend.chips())  // it may have been taken just now
         if (chip.path == place.path && place.number < chip.lines.size()) who = chip.lines[place.number].consumer;
-      return {Errc::busy, cannot_use, place.text(),
+      return {Errc::busy, cannot_use_line, place.text(),
               who.empty() ? "somebody has it, who gives no name" : "\"" + who + "\" has it",
               "end that, or use another line; a driver of the kernel is named in the device tree"};
     }
@@ -178,10 +178,10 @@ Error refusal_of(int error_number, GpioBackend& backend, const Place& place) {
     case ENXIO:
     case EOPNOTSUPP:
     case 524:  // ENOTSUPP, the kernel's own
-      return {Errc::bad_argument, cannot_use, place.text(), "its chip cannot do what is asked for",
+      return {Errc::bad_argument, cannot_use_line, place.text(), "its chip cannot do what is asked for",
               "a chip may lack resistors (`bias`), interrupts (edges), or reading of outputs"};
     default:
-      return detail::gpio_failure(error_number, cannot_use, place.text());
+      return detail::gpio_failure(error_number, cannot_use_line, place.text());
   }
 }
 

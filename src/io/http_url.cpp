@@ -7,6 +7,7 @@
 #include <memory>
 #include <optional>
 
+#include "data/lower_case.hpp"
 #include "rtdata/data/config_item.hpp"
 #include "rtdata/data/problem.hpp"
 
@@ -19,12 +20,6 @@ std::optional<std::string> part_of(CURLU* url, CURLUPart part, unsigned flags = 
   if (::curl_url_get(url, part, &text, flags) != CURLUE_OK) return std::nullopt;
   const std::unique_ptr<char, void (*)(void*)> owned(text, ::curl_free);
   return std::string(text);
-}
-
-std::string lower(std::string text) {
-  std::transform(text.begin(), text.end(), text.begin(),
-                 [](unsigned char c) { return static_cast<char>(c < 0x80 ? std::tolower(c) : c); });
-  return text;
 }
 
 /// Of RFC 9110: what the name of a header is made of.
@@ -50,7 +45,7 @@ std::string owner_of(const std::string& name) {
                {"expect", "it is set already"},
                {"idempotency-key", "it is set already"}};
   for (const auto& one : owned)
-    if (lower(name) == one.name) return one.why;
+    if (detail::lower_case(name) == one.name) return one.why;
   return "";
 }
 
@@ -72,7 +67,7 @@ Result<HttpUrl> parse_http_url(const std::string& text) {
   const std::size_t colon = text.find("://");
   if (colon == std::string::npos) return wrong("it has no scheme: begin it with http:// or https://");
   HttpUrl parsed;
-  parsed.scheme = lower(text.substr(0, colon));
+  parsed.scheme = detail::lower_case(text.substr(0, colon));
   if (parsed.scheme != "http" && parsed.scheme != "https")
     return wrong("the scheme is " + text.substr(0, colon) + ": http and https are known");
   if (text.find_first_of("/?#", colon + 3) == colon + 3 || text.size() == colon + 3) return wrong("it has no host");
@@ -80,7 +75,7 @@ Result<HttpUrl> parse_http_url(const std::string& text) {
   if (status == CURLUE_BAD_PORT_NUMBER) return wrong("the port is no number from 1 to 65535");
   const auto host = status == CURLUE_OK ? part_of(url.get(), CURLUPART_HOST) : std::nullopt;
   if (!host || host->empty()) return wrong("it is no URL such as https://collector.example:8443/ingest");
-  parsed.host = lower(*host);
+  parsed.host = detail::lower_case(*host);
   const std::string shown = parsed.host;
   if (parsed.host.starts_with('[') && parsed.host.ends_with(']')) parsed.host = parsed.host.substr(1, shown.size() - 2);
   const auto port = part_of(url.get(), CURLUPART_PORT, CURLU_DEFAULT_PORT);

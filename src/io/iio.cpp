@@ -13,6 +13,7 @@
 #include <memory>
 #include <utility>
 
+#include "data/listed.hpp"
 #include "data/nearest.hpp"
 #include "data/number_text.hpp"
 #include "io/kernel_file.hpp"
@@ -21,7 +22,7 @@ namespace rtdata {
 namespace {
 
 constexpr const char* cannot_find = "cannot find the IIO device";
-constexpr const char* cannot_use = "cannot use the IIO device";
+constexpr const char* cannot_use_device = "cannot use the IIO device";
 constexpr std::string_view devices = "/sys/bus/iio/devices";
 
 // The units of Documentation/ABI/testing/sysfs-bus-iio. Where that names none, there is none here.
@@ -73,12 +74,6 @@ bool is_rest(std::string_view rest) noexcept {
          });
 }
 
-std::string listed(const std::vector<std::string>& words) {
-  std::string text;
-  for (const std::string& word : words) text += (text.empty() ? "" : ", ") + word;
-  return text;
-}
-
 std::optional<unsigned> number_of_folder(std::string_view name) {
   constexpr std::string_view prefix = "iio:device";
   unsigned number = 0;
@@ -124,7 +119,7 @@ Result<IioDevice> IioDevice::find(const std::string& which, const std::string& r
   }
   if (found.empty()) {
     return Error{Errc::not_found, cannot_find, where,
-                 known.empty() ? "this machine has none" : "there are " + listed(known),
+                 known.empty() ? "this machine has none" : "there are " + detail::listed(known),
                  "`device` is a name, label, number or path; a driver makes it: `dmesg`, docs/iio.md"};
   }
   if (found.size() > 1) {
@@ -133,7 +128,7 @@ Result<IioDevice> IioDevice::find(const std::string& which, const std::string& r
     if (labelled == found.end()) {
       std::vector<std::string> alike;
       for (const IioDevice& one : found) alike.push_back(one.text());
-      return Error{Errc::bad_argument, cannot_find, where, "there are several: " + listed(alike),
+      return Error{Errc::bad_argument, cannot_find, where, "there are several: " + detail::listed(alike),
                    "name it by its number or label"};
     }
     return std::move(*labelled);
@@ -228,7 +223,7 @@ Result<IioChannel> IioDevice::channel_or_error(std::string_view name) const {
   for (const IioChannel& one : channels_) {
     if (one.name != "timestamp") known.push_back(one.name);
   }
-  return Error{Errc::not_found, cannot_use, text(), "it has no channel " + std::string(name),
+  return Error{Errc::not_found, cannot_use_device, text(), "it has no channel " + std::string(name),
                known.empty() ? "it has no inputs" : detail::suggestion(name, known)};
 }
 
@@ -241,7 +236,7 @@ bool IioDevice::has_attribute(const std::string& file) const {
 }
 
 Result<std::string> IioDevice::attribute(const std::string& file) const {
-  return detail::read_kernel_file(folder_ + "/" + file, cannot_use);
+  return detail::read_kernel_file(folder_ + "/" + file, cannot_use_device);
 }
 
 Result<double> IioDevice::number_of(const std::string& file) const {
@@ -249,14 +244,14 @@ Result<double> IioDevice::number_of(const std::string& file) const {
   if (!text) return text.error();
   double number = 0;
   if (detail::read_number(*text, number) != std::errc{} || !std::isfinite(number)) {
-    return Error{Errc::not_a_number, cannot_use, folder_ + "/" + file, "\"" + text->substr(0, 40) + "\" is no number",
-                 ""};
+    return Error{Errc::not_a_number, cannot_use_device, folder_ + "/" + file,
+                 "\"" + text->substr(0, 40) + "\" is no number", ""};
   }
   return number;
 }
 
 Result<void> IioDevice::set_attribute(const std::string& file, std::string_view text) const {
-  return detail::write_kernel_file(folder_ + "/" + file, text, cannot_use);
+  return detail::write_kernel_file(folder_ + "/" + file, text, cannot_use_device);
 }
 
 std::string IioDevice::file_of(const IioChannel& channel) const {
@@ -304,7 +299,7 @@ Result<IioConversion> IioDevice::scan_conversion(const IioChannel& channel) cons
 
 Result<double> IioDevice::read(const IioChannel& channel) const {
   if (!channel.is_readable) {
-    return Error{Errc::not_found, cannot_use, text(), "channel " + channel.name + " is in its buffer only", ""};
+    return Error{Errc::not_found, cannot_use_device, text(), "channel " + channel.name + " is in its buffer only", ""};
   }
   const auto conversion = this->conversion(channel);
   if (!conversion) return conversion.error();

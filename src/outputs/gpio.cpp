@@ -3,13 +3,13 @@
 namespace rtdata {
 namespace {
 
-constexpr const char* cannot_set = "cannot set the GPIO line";
+constexpr const char* cannot_set_gpio = "cannot set the GPIO line";
 
 }  // namespace
 
 Result<void> GpioActuator::open(std::optional<double> value) {
   if (const std::string why = range().refusal(value.value_or(0)); !why.empty())
-    return Error{Errc::out_of_range, cannot_set, "", why, ""};
+    return Error{Errc::out_of_range, cannot_set_gpio, "", why, ""};
   GpioOutput settings;
   settings.line = config_.line;
   settings.chip = config_.chip;
@@ -27,13 +27,13 @@ Result<void> GpioActuator::open(std::optional<double> value) {
 
 Result<void> GpioActuator::set(double value) {
   if (const std::string why = range().refusal(value); !why.empty())
-    return Error{Errc::out_of_range, cannot_set, "", why, ""};
+    return Error{Errc::out_of_range, cannot_set_gpio, "", why, ""};
   return line_.set(value == 1);
 }
 
 Result<void> GpioActuator::check() {
   if (line_.is_there()) return {};
-  return Error{Errc::disconnected, cannot_set, line_.place(), "the chip has gone", "plug it in again"};
+  return Error{Errc::disconnected, cannot_set_gpio, line_.place(), "the chip has gone", "plug it in again"};
 }
 
 }  // namespace rtdata

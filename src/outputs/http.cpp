@@ -14,7 +14,7 @@
 namespace rtdata {
 namespace {
 
-constexpr const char* cannot_set = "cannot set what is at the URL";
+constexpr const char* cannot_set_http = "cannot set what is at the URL";
 constexpr Duration spare = std::chrono::milliseconds{100};  // beyond libcurl's own limit
 
 /// With each word in place of the value, and with 0.
@@ -102,7 +102,8 @@ struct HttpActuator::Request {
       const detail::HttpJudgement judgement = detail::judge(detail::HttpAnswer{.status = number, .text = text},
                                                             url.origin);
       if (judgement.verdict == detail::HttpVerdict::taken) return {};
-      return Error{judgement.why.code, cannot_set, url.origin, judgement.why.why, "look at `url`, `method` and `text`"};
+      return Error{judgement.why.code, cannot_set_http, url.origin, judgement.why.why,
+                   "look at `url`, `method` and `text`"};
     }
     const detail::HttpUrl proxy = config.server.proxy.empty() ? detail::HttpUrl{}
                                                               : detail::parse_http_url(config.server.proxy).or_throw();
@@ -110,7 +111,7 @@ struct HttpActuator::Request {
     if (status == CURLE_OPERATION_TIMEDOUT) judgement.why.why = "it did not answer within " + to_string(config.timeout);
     // Whatever came in between: it may be there the next time.
     const bool is_away = judgement.verdict == detail::HttpVerdict::later && judgement.why.code != Errc::not_permitted;
-    return Error{is_away ? Errc::disconnected : judgement.why.code, cannot_set, judgement.why.where,
+    return Error{is_away ? Errc::disconnected : judgement.why.code, cannot_set_http, judgement.why.where,
                  detail::hidden(std::move(judgement.why.why), secrets), judgement.why.advice};
   }
 
@@ -131,7 +132,7 @@ struct HttpActuator::Request {
 HttpActuator::HttpActuator(HttpActuatorConfig config) : request_(std::make_shared<Request>(std::move(config))) {
   detail::need_curl();
   for (const detail::HttpMistake& mistake : mistakes_of(request_->config))
-    throw SetupError({Errc::bad_argument, cannot_set, mistake.key, mistake.message, ""});
+    throw SetupError({Errc::bad_argument, cannot_set_http, mistake.key, mistake.message, ""});
   request_->make();
 }
 
@@ -151,7 +152,7 @@ Result<void> HttpActuator::set(double value) {
     return request_->outcome();
   }
   thread.detach();
-  Error error{Errc::disconnected, cannot_set, request_->url.origin,
+  Error error{Errc::disconnected, cannot_set_http, request_->url.origin,
               "its name was not looked up within " + to_string(request_->config.timeout),
               "do the name servers answer? An address needs no looking up"};
   request_ = std::make_shared<Request>(request_->config);  // the thread has the other one

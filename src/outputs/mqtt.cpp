@@ -16,7 +16,7 @@
 namespace rtdata {
 namespace {
 
-constexpr const char* cannot_set = "cannot set by MQTT";
+constexpr const char* cannot_set_mqtt = "cannot set by MQTT";
 constexpr int longest_wait_ms = 100;  // of the library, for something to come
 constexpr Duration between_attempts = std::chrono::milliseconds{200};
 constexpr Duration goodbye_limit = std::chrono::milliseconds{300};
@@ -141,7 +141,7 @@ struct MqttActuator::Link {
   bool is_refused() const { return trouble.code == Errc::not_permitted; }
   Error failed(std::string why) const {
     const bool is_refusal = is_refused();
-    return {is_refusal ? Errc::not_permitted : Errc::disconnected, cannot_set,
+    return {is_refusal ? Errc::not_permitted : Errc::disconnected, cannot_set_mqtt,
             config.broker.host + " port " + std::to_string(detail::port_of(config.broker)), std::move(why),
             is_refusal ? "look at `user`, `password` and `client_id`, and at what the broker lets them do"
                        : "is the broker running, and does the network reach it?"};
@@ -176,7 +176,7 @@ struct MqttActuator::Link {
 
 MqttActuator::MqttActuator(MqttActuatorConfig config) : config_(std::move(config)) {
   for (const Mistake& mistake : mistakes_of(config_))
-    throw SetupError({Errc::bad_argument, cannot_set, mistake.key, mistake.why, ""});
+    throw SetupError({Errc::bad_argument, cannot_set_mqtt, mistake.key, mistake.why, ""});
 }
 
 MqttActuator::~MqttActuator() {

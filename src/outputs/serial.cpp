@@ -17,7 +17,7 @@
 namespace rtdata {
 namespace {
 
-constexpr const char* cannot_set = "cannot set what is on the serial line";
+constexpr const char* cannot_set_serial = "cannot set what is on the serial line";
 using Deadline = std::chrono::steady_clock::time_point;
 
 /// False: the time is over.
@@ -80,12 +80,13 @@ Result<void> SerialActuator::open(std::optional<double> value) {
 Result<void> SerialActuator::set(double value) {
   const Deadline until = std::chrono::steady_clock::now() + config_.timeout;
   const auto late = [&](std::string why) {
-    return Error{Errc::timed_out, cannot_set, config_.device, std::move(why), "look at the device and its settings"};
+    return Error{Errc::timed_out, cannot_set_serial, config_.device, std::move(why),
+                 "look at the device and its settings"};
   };
   const auto failed = [&] {
     if (errno == EIO || errno == ENXIO || errno == ENODEV)
-      return Error{Errc::disconnected, cannot_set, config_.device, "the device has gone", ""};
-    return system_error(errno, cannot_set, config_.device);
+      return Error{Errc::disconnected, cannot_set_serial, config_.device, "the device has gone", ""};
+    return system_error(errno, cannot_set_serial, config_.device);
   };
   ::tcflush(fd_, TCIFLUSH);
   const std::string before = unsent().take(config_.device);
@@ -108,7 +109,7 @@ Result<void> SerialActuator::set(double value) {
     if (!wait_for(fd_, POLLIN, until)) return late("it did not answer `" + config_.answer + "`");
     std::array<char, 256> buffer;
     const ssize_t size = ::read(fd_, buffer.data(), buffer.size());
-    if (size == 0) return Error{Errc::disconnected, cannot_set, config_.device, "the device has gone", ""};
+    if (size == 0) return Error{Errc::disconnected, cannot_set_serial, config_.device, "the device has gone", ""};
     if (size < 0 && errno != EAGAIN && errno != EINTR) return failed();
     if (size > 0) got.append(buffer.data(), static_cast<std::size_t>(size));
     if (got.size() > 65536) got.erase(0, got.size() - 4096);
@@ -119,7 +120,7 @@ Result<void> SerialActuator::set(double value) {
 Result<void> SerialActuator::check() {
   pollfd one{fd_, 0, 0};  // what is told without being asked for: that it was hung up
   if (::poll(&one, 1, 0) <= 0) return {};
-  return Error{Errc::disconnected, cannot_set, config_.device, "the device has gone", "plug it in again"};
+  return Error{Errc::disconnected, cannot_set_serial, config_.device, "the device has gone", "plug it in again"};
 }
 
 }  // namespace rtdata

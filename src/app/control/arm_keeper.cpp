@@ -10,7 +10,7 @@
 namespace rtdata::app {
 namespace {
 
-constexpr Duration patience = std::chrono::seconds{3};  // less than that of who commands
+constexpr Duration arm_patience = std::chrono::seconds{3};  // less than that of who commands
 
 }  // namespace
 
@@ -40,10 +40,10 @@ void ArmKeeper::keep(const std::string& output, const std::function<bool()>& act
   waiting->told = std::move(told);
   waiting->is_armed = system_.parts().get<Output>("output", output).is_armed();
   waiting_.push_back(waiting);
-  waiting->timer = Timer(loop_, patience, [this, waiting = waiting.get()] {
+  waiting->timer = Timer(loop_, arm_patience, [this, waiting = waiting.get()] {
     const auto found = std::find_if(waiting_.begin(), waiting_.end(),
                                     [&](const auto& one) { return one.get() == waiting; });
-    if (found != waiting_.end()) conclude(std::shared_ptr(*found), "after " + to_string(patience));
+    if (found != waiting_.end()) conclude(std::shared_ptr(*found), "after " + to_string(arm_patience));
   });
   look_at_event(waiting);
 }

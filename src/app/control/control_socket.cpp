@@ -21,7 +21,7 @@ namespace {
 
 constexpr Duration pause = std::chrono::milliseconds{20};
 constexpr int most_after_end = 8;  // lines of a client that has ended its side: there is no pause between them
-constexpr Duration patience = std::chrono::seconds{5};
+constexpr Duration client_patience = std::chrono::seconds{5};
 
 /// Set to an absolute path; of several, parted by ':', the first. Else empty.
 std::string folder_in(const char* variable) {
@@ -136,7 +136,7 @@ struct ControlSocket::Job final : detail::LaneJob {
 };
 
 ControlSocket::ControlSocket(Loop& loop, Answer answer, Gone gone)
-    : loop_(loop), answer_(std::move(answer)), gone_(std::move(gone)), lane_(loop.core(), "control", patience) {
+    : loop_(loop), answer_(std::move(answer)), gone_(std::move(gone)), lane_(loop.core(), "control", client_patience) {
   listen();
   try {
     look_for_clients();
@@ -342,7 +342,7 @@ bool ControlSocket::send(Client& client) {
     client.timer.start(pause);
   } else {
     client.watch.set_events(FdWatch::writable);
-    if (size > 0 || !client.timer.is_running()) client.timer.start(patience);
+    if (size > 0 || !client.timer.is_running()) client.timer.start(client_patience);
   }
   return true;
 }

@@ -12,7 +12,7 @@ namespace {
 
 constexpr Duration answer_limit = std::chrono::seconds{10};
 
-std::vector<std::string> verbs() {
+std::vector<std::string> known_verbs() {
   std::vector<std::string> all;
   for (const CommandHelp& one : command_help()) {
     const std::string words = one.words;
@@ -21,7 +21,7 @@ std::vector<std::string> verbs() {
   return all;
 }
 bool is_verb(const std::string& word) {
-  const std::vector<std::string> all = verbs();
+  const std::vector<std::string> all = known_verbs();
   return std::find(all.begin(), all.end(), word) != all.end();
 }
 
@@ -46,7 +46,7 @@ int ctl(const std::vector<std::string>& given) {
     words.erase(words.begin());
   }
   if (!is_verb(words[0])) {
-    const std::string nearest = nearest_name(words[0], verbs());
+    const std::string nearest = nearest_name(words[0], known_verbs());
     std::cerr << "rtdata: there is no command \"" << words[0] << "\"";
     if (!nearest.empty()) std::cerr << "; did you mean \"" << nearest << "\"?";
     std::cerr << "\n" << ctl_help() << std::flush;

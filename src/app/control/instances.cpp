@@ -17,8 +17,6 @@ using Found = FoundInstance;
 constexpr Duration search_limit = std::chrono::milliseconds{500};  // of all instances, when the one meant has answered
 constexpr Duration longest_search = std::chrono::seconds{3};       // when it has not
 
-std::string text_or_dash(const Json& value) { return value.is_string() ? value.get<std::string>() : "-"; }
-
 /// All are asked at once, and waited for together. `wanted`: see Found::matches.
 std::vector<Found> find_instances(const std::string& wanted) {
   std::vector<Found> all;

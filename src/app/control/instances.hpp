@@ -12,6 +12,10 @@ namespace rtdata::app {
 /// What is sent to an instance to hear how it stands.
 inline constexpr const char* status_request = R"({"request":"status"})";
 
+inline std::string text_or_dash(const nlohmann::ordered_json& value) {
+  return value.is_string() ? value.get<std::string>() : "-";
+}
+
 /// An answer that is a status; errors of the other side are errors.
 Result<nlohmann::ordered_json> status_of(const std::string& line);
 

@@ -17,7 +17,7 @@ constexpr const char* show_cursor = "\x1b[?25h";
 constexpr const char* clear_line = "\x1b[K";
 constexpr const char* clear_below = "\x1b[J";
 
-std::string short_value(const Value& value) {
+std::string shown_value(const Value& value) {
   if (const double* number = std::get_if<double>(&value)) {
     std::array<char, 32> text{};
     std::snprintf(text.data(), text.size(), "%.5g", *number);
@@ -82,7 +82,7 @@ std::string LiveView::value_text(const Last& last, std::size_t width) {
   std::string text;
   if (last.description == nullptr) return text;
   for (const Leaf& leaf : last.description->leaves()) {
-    std::string one = short_value(read(leaf, last.payload.data()));
+    std::string one = shown_value(read(leaf, last.payload.data()));
     if (!leaf.unit.empty() && leaf.unit != "1") one += " " + leaf.unit;
     if (!text.empty() && width_of(text) + 1 + width_of(one) > width) break;
     text += (text.empty() ? "" : " ") + one;

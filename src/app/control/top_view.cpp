@@ -5,6 +5,7 @@
 #include <cstdio>
 #include <nlohmann/json.hpp>
 
+#include "app/control/instances.hpp"
 #include "app/core/amounts.hpp"
 #include "app/core/table.hpp"
 #include "app/core/terminal_text.hpp"
@@ -17,7 +18,7 @@ namespace {
 using Json = nlohmann::ordered_json;
 using Lines = std::vector<std::string>;
 
-constexpr std::size_t most_callbacks = 5;
+constexpr std::size_t shown_callbacks = 5;
 constexpr std::size_t most_reason_lines = 3;
 
 std::string right(const std::string& text, std::size_t width) {
@@ -35,7 +36,6 @@ std::string left(std::string_view text, std::size_t width) {
 std::string time_text(const Json& ns) { return ns.is_number() ? detail::rounded_time(ns.get<double>()) : "-"; }
 std::string rate_text(const Json& hertz) { return hertz.is_number() ? frequency_text(hertz.get<double>()) : "-"; }
 std::string count_text(const Json& count) { return count.is_number() ? short_count(count.get<std::uint64_t>()) : "-"; }
-std::string text_or_dash(const Json& value) { return value.is_string() ? value.get<std::string>() : "-"; }
 
 /// What is not well of it, with the reason, on as many lines as that needs; nothing when it is well.
 void add_health(Lines& lines, const Json& of, std::size_t columns) {
@@ -225,7 +225,7 @@ Lines callbacks_of(const Json& status) {
     tail.push_back("callback                       loop         count     total       max");
     std::size_t shown = 0;
     for (const Json& callback : status.at("callbacks")) {
-      if (++shown > most_callbacks) break;
+      if (++shown > shown_callbacks) break;
       tail.push_back(left(text_or_dash(callback.at("name")), 30) + " " + left(text_or_dash(callback.at("loop")), 7) +
                      right(count_text(callback.at("count")), 10) + right(time_text(callback.at("total_ns")), 10) +
                      right(time_text(callback.at("max_ns")), 10));

@@ -195,11 +195,11 @@ std::vector<Finding> power(const MachineFiles& files) {
     return {{Severity::warning, "power", "the firmware's state cannot be read: \"" + *text + "\"",
              "nobody knows whether the supply is too weak", "vcgencmd get_throttled: 0x0 is good"}};
   std::vector<Finding> found;
-  const auto state = [&](int bit, const char* what, const char* cost, const char* advice) {
+  const auto state = [&](int bit, const char* what, const char* means, const char* advice) {
     const bool is_now = (*bits >> bit & 1) != 0, was = (*bits >> (bit + 16) & 1) != 0;
     if (is_now || was)
       found.push_back(
-          {Severity::warning, "power", std::string(what) + (is_now ? " now" : " since the start"), cost, advice});
+          {Severity::warning, "power", std::string(what) + (is_now ? " now" : " since the start"), means, advice});
   };
   state(0, "the supply's voltage was too low", supply_cost, supply_advice);
   state(1, "the frequency was limited", "the processors are slow", "see the supply and the temperature");

@@ -16,13 +16,6 @@ constexpr std::size_t most_runs = 100;  // that are looked at for the peer of a 
 /// The keys that say who the peer is.
 constexpr std::array peer_keys{"type", "url", "host", "port", "database", "path"};
 
-std::string text_of(const ConfigItem& item, std::string_view key) {
-  const ConfigItem* const child = item.find(key);
-  if (child == nullptr) return "";
-  const std::string* const text = child->as_string();
-  return text != nullptr ? *text : child->to_json(ConfigItem::Layout::one_line);
-}
-
 bool contains(const std::vector<std::string>& names, const std::string& name) {
   return std::find(names.begin(), names.end(), name) != names.end();
 }

@@ -1,11 +1,11 @@
 #include "app/run/peer_form.hpp"
+#include "data/lower_case.hpp"
 
 #include <algorithm>
 #include <filesystem>
 #include <vector>
 
 namespace rtdata::app {
-namespace {
 
 std::string text_of(const ConfigItem& item, std::string_view key) {
   const ConfigItem* const child = item.find(key);
@@ -14,11 +14,7 @@ std::string text_of(const ConfigItem& item, std::string_view key) {
   return text != nullptr ? *text : child->to_json(ConfigItem::Layout::one_line);
 }
 
-std::string lower(std::string text) {
-  for (char& c : text)
-    if (c >= 'A' && c <= 'Z') c = static_cast<char>(c - 'A' + 'a');
-  return text;
-}
+namespace {
 
 std::string_view usual_port(std::string_view scheme) {
   if (scheme == "http") return "80";
@@ -46,7 +42,7 @@ std::string places_of(std::string_view parameters) {
 std::string url_form(const std::string& url) {
   const std::size_t colon = url.find("://");
   if (colon == std::string::npos) return url;
-  std::string scheme = lower(url.substr(0, colon));
+  std::string scheme = detail::lower_case(url.substr(0, colon));
   if (scheme == "postgres") scheme = "postgresql";
   const std::size_t begin = colon + 3, end = std::min(url.find_first_of("/?#", begin), url.size());
   std::string place = url.substr(begin, end - begin), rest = url.substr(end);
@@ -55,7 +51,7 @@ std::string url_form(const std::string& url) {
     user = place.substr(0, at + 1);
     place.erase(0, at + 1);
   }
-  place = lower(place);
+  place = detail::lower_case(place);
   const std::string port = ":" + std::string(usual_port(scheme));
   if (place.ends_with(':')) {
     place.pop_back();
@@ -92,7 +88,7 @@ std::string peer_form(const ConfigItem& sink, std::string_view key) {
   if (key != "host") return text;
   const std::string type = text_of(sink, "type");
   const bool has_default = type == "mqtt" || type == "udp";
-  return text.empty() && has_default ? "localhost" : lower(text);
+  return text.empty() && has_default ? "localhost" : detail::lower_case(text);
 }
 
 }  // namespace rtdata::app

@@ -9,6 +9,7 @@
 #include <utility>
 
 #include "config/read/mistakes.hpp"
+#include "data/listed.hpp"
 
 namespace rtdata {
 namespace config_detail {
@@ -22,12 +23,6 @@ struct HashOfKey {
     return hash(key.first) * 31 + hash(key.second);
   }
 };
-
-std::string listed(const std::vector<std::string>& words) {
-  std::string text;
-  for (const std::string& word : words) text += (text.empty() ? "" : ", ") + word;
-  return text;
-}
 
 /// The keys whose values differ, in the order in which they are written.
 std::vector<std::string> differing_keys(const ConfigItem& now, const ConfigItem& next) {
@@ -75,7 +70,7 @@ PartChange compared(const PartPlan& now, const PartPlan& next) {
                          return next.live.contains(key) && now.live.contains(key);
                        });
   change.fate = is_live ? Fate::live : Fate::restarted;
-  change.why = keys.empty() ? "a secret" : listed(keys);
+  change.why = keys.empty() ? "a secret" : detail::listed(keys);
   return change;
 }
 
@@ -95,7 +90,7 @@ std::string obstacle(const PlannedChange& planned, const RunSoFar& run) {
   const Description* carries = run.carried(topic);
   if (carries == nullptr || carries->same_meaning(*part.publishes->description)) return "";
   return "the topic " + topic + " carries other values until the end of the run (" +
-         listed(carries->differences(*part.publishes->description)) + "); give it another topic";
+         detail::listed(carries->differences(*part.publishes->description)) + "); give it another topic";
 }
 
 /// Of a part that is to be made anew or removed.

@@ -8,6 +8,8 @@
 #include "config/plan/part_reader.hpp"
 #include "config/read/mistakes.hpp"
 #include "data/influx_name.hpp"
+#include "data/listed.hpp"
+#include "data/lower_case.hpp"
 #include "loop/support/name.hpp"
 #include "rtdata/loop/account.hpp"
 #include "rtdata/loop/health.hpp"
@@ -16,13 +18,6 @@
 
 namespace rtdata::config_detail {
 namespace {
-
-std::string lower(std::string_view text) {
-  std::string result(text);
-  for (char& c : result)
-    if (c >= 'A' && c <= 'Z') c = static_cast<char>(c | 0x20);
-  return result;
-}
 
 /// Where a part's topic is said: its `topic`, or else its `name`.
 const ConfigItem& topic_item(const PartPlan& part) {
@@ -40,12 +35,6 @@ Problem problem_of_name(const PartPlan& part, std::string id, std::string messag
 std::string place_of_name(const PartPlan& part) {
   const std::string place = problem_of_name(part, "", "").place.text();
   return place.empty() ? child_or_self(part.item, "name").path() : place;
-}
-
-std::string listed(const std::vector<std::string>& words) {
-  std::string text;
-  for (const std::string& word : words) text += (text.empty() ? "" : ", ") + word;
-  return text;
 }
 
 }  // namespace
@@ -150,7 +139,7 @@ void Neighbours::check_place(const PartPlan& part, const PartPlan::Place& taken,
 void Neighbours::check_topic(const PartPlan& part, Problems& problems) {
   const PublishedTopic& published = *part.publishes;
   if (!is_topic_name(published.topic)) return;
-  const auto [other_case, is_new_case] = topic_by_lower_case_.try_emplace(lower(published.topic), &part);
+  const auto [other_case, is_new_case] = topic_by_lower_case_.try_emplace(detail::lower_case(published.topic), &part);
   if (const PartPlan& other = *other_case->second; other.publishes->topic != published.topic) {
     problems.add(topic_item(part).problem("bad-name", "the topic \"" + published.topic +
                                                           "\" differs in case only from \"" + other.publishes->topic +
@@ -452,7 +441,7 @@ void Neighbours::check_uses(const PartPlan& part, Problems& problems) {
     }
     problems.add(use.item.problem("wrong-part", "the " + use.kind + " " + name + ", at " + place_of_name(*other) +
                                                     ", is of type " + other->type + "; this needs " +
-                                                    listed(use.types)));
+                                                    detail::listed(use.types)));
   }
 }
 

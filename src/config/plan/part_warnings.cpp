@@ -8,17 +8,11 @@
 #include <set>
 
 #include "config/read/mistakes.hpp"
+#include "data/lower_case.hpp"
 #include "rtdata/loop/topic.hpp"
 
 namespace rtdata::config_detail {
 namespace {
-
-std::string lower(std::string_view text) {
-  std::string result(text);
-  for (char& c : result)
-    if (c >= 'A' && c <= 'Z') c = static_cast<char>(c | 0x20);
-  return result;
-}
 
 /// Of each loop, by its tier ("": the main loop), the parts that are read on it.
 std::map<std::string, std::vector<const PartPlan*>> parts_by_loop(const std::vector<PartPlan>& parts) {
@@ -120,7 +114,7 @@ void warn_of_units(const std::vector<PartPlan>& parts, Problems& warnings) {
     for (const rtdata::Leaf& leaf : part.publishes->description->leaves()) {
       const bool is_coulomb = leaf.unit == "C";
       if (!is_coulomb && leaf.unit != "F") continue;
-      const std::string names = lower(part.name + " " + part.publishes->topic + " " + leaf.path);
+      const std::string names = detail::lower_case(part.name + " " + part.publishes->topic + " " + leaf.path);
       if (names.find("temp") == std::string::npos) continue;
       const ConfigItem* fields = child_of(part.item, "fields");
       warnings.add((fields != nullptr ? *fields : child_or_self(part.item, "unit"))

@@ -6,6 +6,7 @@
 
 #include "config/read/limits_text.hpp"
 #include "config/read/mistakes.hpp"
+#include "data/listed.hpp"
 #include "data/permissions.hpp"
 #include "loop/support/name.hpp"
 #include "rtdata/config/secret.hpp"
@@ -26,12 +27,6 @@ bool within(double value, const ParameterRules& rules) {
 std::string range_of(const ParameterRules& rules, ParameterType::Kind kind) {
   return range_text(rules.has_least ? std::optional(rules.least) : std::nullopt,
                     rules.has_most ? std::optional(rules.most) : std::nullopt, kind, rules.unit);
-}
-
-std::string listed(const std::vector<std::string>& names) {
-  std::string text;
-  for (const std::string& name : names) text += (text.empty() ? "" : ", ") + name;
-  return text;
 }
 
 /// Why the text breaks the rule of its kind; empty: it does not.
@@ -216,12 +211,12 @@ bool check_rate(const ConfigItem& item, Rate value, const ParameterRules& rules,
 int choose(const ConfigItem& item, const std::vector<std::string>& names, Problems& problems) {
   const std::string* text = item.as_string();
   if (text == nullptr) {
-    problems.add(item.problem("wrong-type", "expected one of " + listed(names) + ", got " + item.describe()));
+    problems.add(item.problem("wrong-type", "expected one of " + detail::listed(names) + ", got " + item.describe()));
     return -1;
   }
   const auto found = std::find(names.begin(), names.end(), *text);
   if (found != names.end()) return static_cast<int>(found - names.begin());
-  problems.add(item.problem("unknown-choice", "expected one of " + listed(names) + ", got " + item.describe(),
+  problems.add(item.problem("unknown-choice", "expected one of " + detail::listed(names) + ", got " + item.describe(),
                             nearest_name(*text, names)));
   return -1;
 }
@@ -255,7 +250,7 @@ bool check_keys(const ConfigItem& item, const std::vector<KnownKey>& known, Unkn
     if (!suggestion.empty()) meant.push_back(suggestion);
     if (suggestion.empty()) suggestion = nearest_name(child.key, names);
     std::string message = "unknown key";
-    if (suggestion.empty() && !names.empty()) message += "; known here are " + listed(names);
+    if (suggestion.empty() && !names.empty()) message += "; known here are " + detail::listed(names);
     Problem problem = child.item.problem("unknown-key", std::move(message), std::move(suggestion));
     problem.place = child.item.key_place();
     problems.add(std::move(problem));

@@ -10,7 +10,6 @@ namespace rtdata::detail {
 namespace {
 
 constexpr std::string_view still_reading = "still reading";
-constexpr std::string_view stopped = "stopped";
 
 /// Closes what a transaction holds, after the transaction itself when that is under way.
 class Closing final : public LaneJob {

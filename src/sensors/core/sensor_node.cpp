@@ -6,7 +6,6 @@ namespace rtdata::detail {
 namespace {
 
 constexpr std::string_view loop_held = "loop held";
-constexpr std::string_view stopped = "stopped";
 
 void check_rate(Rate rate, const std::string& name) {
   if (rate && rate.period() >= std::chrono::microseconds{1}) return;

@@ -11,6 +11,9 @@
 
 namespace rtdata::detail {
 
+/// Why a read that a stop ended is failed.
+inline constexpr std::string_view stopped = "stopped";
+
 class SensorNode final : public SourceNode, public RateMember {
  public:
   SensorNode(LoopCore& loop, const SensorConfig& config, PayloadType type, std::unique_ptr<SensorDevice> device);

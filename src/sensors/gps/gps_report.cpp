@@ -53,14 +53,14 @@ Error unusable(Errc code, std::string where, std::string why) {
 }
 
 /// Follows the parser through one object.
-class Handler {
+class ReportHandler {
  public:
   using number_integer_t = nlohmann::json::number_integer_t;
   using number_unsigned_t = nlohmann::json::number_unsigned_t;
   using number_float_t = nlohmann::json::number_float_t;
   using string_t = nlohmann::json::string_t;
   using binary_t = nlohmann::json::binary_t;
-  explicit Handler(GpsReport& report) : report_(report) {}
+  explicit ReportHandler(GpsReport& report) : report_(report) {}
 
   bool null() { return true; }  // no value
   bool boolean(bool is_true) {
@@ -147,7 +147,7 @@ class Handler {
   std::optional<Error> error_;
 };
 
-bool Handler::key(string_t& name) {
+bool ReportHandler::key(string_t& name) {
   target_ = Target::nothing;
   next_list_ = List::other;
   if (depth_ == 3) {
@@ -185,7 +185,7 @@ bool Handler::key(string_t& name) {
   return true;
 }
 
-bool Handler::take(double number) {
+bool ReportHandler::take(double number) {
   switch (target_) {
     case Target::number:
       if (number_->most > 0 && std::abs(number) > number_->most)
@@ -219,7 +219,7 @@ bool Handler::take(double number) {
   return depth_ != 0;
 }
 
-bool Handler::string(string_t& text) {
+bool ReportHandler::string(string_t& text) {
   switch (target_) {
     case Target::class_name: {
       const auto known = std::find_if(std::begin(classes), std::end(classes), [&](auto& c) { return c.name == text; });
@@ -253,7 +253,7 @@ bool Handler::string(string_t& text) {
   return depth_ != 0;
 }
 
-Result<void> Handler::end() {
+Result<void> ReportHandler::end() {
   using Kind = GpsReport::Kind;
   if (report_.kind == Kind::none) return unusable(Errc::bad_data, "", "it has no \"class\"");
   if (report_.kind == Kind::other) return {};
@@ -279,7 +279,7 @@ Result<void> read_report(std::string_view line, GpsReport& report) {
   report.devices.clear();
   report.is_deactivated = false;
   report.message.clear();
-  Handler handler(report);
+  ReportHandler handler(report);
   Result<void> done;
   if (nlohmann::json::sax_parse(line.data(), line.data() + line.size(), &handler)) {
     done = handler.end();

@@ -12,7 +12,7 @@
 namespace rtdata::detail {
 namespace {
 
-constexpr const char* cannot_read = "cannot read a chip of hwmon";
+constexpr const char* cannot_read_hwmon = "cannot read a chip of hwmon";
 
 struct Chip {
   std::string folder;  ///< below the root
@@ -25,7 +25,7 @@ std::string last_part(const std::string& path) { return path.substr(path.rfind('
 
 /// Empty: there is none.
 std::string text_of(const std::string& path) {
-  auto text = read_kernel_file(path, cannot_read);
+  auto text = read_kernel_file(path, cannot_read_hwmon);
   return text ? std::move(*text) : "";
 }
 
@@ -139,10 +139,12 @@ Result<HwmonInput> find_hwmon(const std::string& root, std::string_view prefix, 
   if (found.size() == 1) return std::move(found.front());
   const std::string where = root + "/sys/class/hwmon" + (device.empty() ? "" : ": " + device);
   if (found.empty()) {
-    return Error{Errc::not_found, cannot_read, where, all.empty() ? "this machine shows none" : "there are " + all,
+    return Error{Errc::not_found, cannot_read_hwmon, where,
+                 all.empty() ? "this machine shows none" : "there are " + all,
                  "load the driver of the chip (`sensors-detect`); `rtdata scan` lists what there is"};
   }
-  return Error{Errc::bad_argument, cannot_read, where, "there are several: " + alike, "set `device` to one of them"};
+  return Error{Errc::bad_argument, cannot_read_hwmon, where, "there are several: " + alike,
+               "set `device` to one of them"};
 }
 
 }  // namespace rtdata::detail

@@ -18,9 +18,9 @@
 namespace rtdata {
 namespace {
 
-constexpr const char* cannot_read = "cannot read the counter";
-constexpr const char* find_advice = "`rtdata scan` lists the counters; a driver makes them: `dmesg`, docs/iio.md";
-constexpr std::string_view folder = "/sys/bus/counter/devices";
+constexpr const char* cannot_read_counter = "cannot read the counter";
+constexpr const char* counter_advice = "`rtdata scan` lists the counters; a driver makes them: `dmesg`, docs/iio.md";
+constexpr std::string_view counter_folder = "/sys/bus/counter/devices";
 
 /// The number behind the prefix: 3 of "counter3"; none for anything else.
 std::optional<unsigned> number_behind(std::string_view prefix, std::string_view name) {
@@ -41,7 +41,7 @@ std::vector<std::string> numbered(const std::string& in, std::string_view prefix
 
 /// Empty: there is none, or it cannot be read.
 std::string text_of(const std::string& path) {
-  auto text = detail::read_kernel_file(path, cannot_read);
+  auto text = detail::read_kernel_file(path, cannot_read_counter);
   return text ? std::move(*text) : "";
 }
 
@@ -57,9 +57,9 @@ Result<std::string> find_one(const std::string& in, std::string_view prefix, con
   }
   if (found.size() == 1) return in + "/" + found.front();
   const std::string where = which.empty() ? in : in + ": " + which;
-  if (all.empty()) return Error{Errc::not_found, cannot_read, where, "this machine has none", find_advice};
-  if (found.empty()) return Error{Errc::not_found, cannot_read, where, "there are " + all, find_advice};
-  return Error{Errc::bad_argument, cannot_read, where, "there are several: " + all,
+  if (all.empty()) return Error{Errc::not_found, cannot_read_counter, where, "this machine has none", counter_advice};
+  if (found.empty()) return Error{Errc::not_found, cannot_read_counter, where, "there are " + all, counter_advice};
+  return Error{Errc::bad_argument, cannot_read_counter, where, "there are several: " + all,
                std::string("set `") + parameter + "` to the number of one"};
 }
 
@@ -74,7 +74,7 @@ struct FoundCounter {
 /// Switches it on when it is off.
 Result<void> enable(const std::string& file) {
   if (::access(file.c_str(), F_OK) != 0) return {};
-  const auto is_on = detail::read_kernel_file(file, cannot_read);
+  const auto is_on = detail::read_kernel_file(file, cannot_read_counter);
   if (!is_on) return is_on.error();
   if (*is_on != "0") return {};
   auto written = detail::write_kernel_file(file, "1", "cannot switch the counter on");
@@ -112,14 +112,14 @@ Result<FoundCounter> find(const EncoderConfig& config) {
   if (config.device.starts_with('/')) {
     device = config.root + config.device;
   } else {
-    auto one = find_one(config.root + std::string(folder), "counter", config.device, "device");
+    auto one = find_one(config.root + std::string(counter_folder), "counter", config.device, "device");
     if (!one) return one.error();
     device = std::move(*one);
   }
   auto count = find_one(device, "count", config.channel, "channel");
   if (!count) return count.error();
   FoundCounter found{std::move(*count)};
-  if (auto readable = detail::check_readable(found.folder + "/count", cannot_read, find_advice); !readable)
+  if (auto readable = detail::check_readable(found.folder + "/count", cannot_read_counter, counter_advice); !readable)
     return readable.error();
   if (auto chosen = choose_function(found.folder, config.function); !chosen) return chosen.error();
   if (auto enabled = enable(found.folder + "/enable"); !enabled) return enabled.error();
@@ -184,7 +184,7 @@ class EncoderDevice final : public detail::LaneDevice {
   Duration give_up_after() const override { return config_.timeout; }
   ReadTime read_time() const override { return rtdata::read_time(config_); }
   Error given_up_error() const override {
-    return {Errc::timed_out, cannot_read, found_.folder, "no answer within " + to_string(config_.timeout),
+    return {Errc::timed_out, cannot_read_counter, found_.folder, "no answer within " + to_string(config_.timeout),
             "look at the counter; `timeout` sets how long to wait"};
   }
 
@@ -193,9 +193,9 @@ class EncoderDevice final : public detail::LaneDevice {
     for (const detail::SysfsFile* file : {&read.count, static_cast<const detail::SysfsFile*>(read.direction.get())}) {
       if (file == nullptr || file->error_number() == 0) continue;
       if (file->error_number() == ENODEV)
-        return port.fail(
-            {Errc::disconnected, cannot_read, found_.folder, "the device has gone away", "it is looked for again"});
-      return port.fail(system_error(file->error_number(), cannot_read, file->path(), find_advice));
+        return port.fail({Errc::disconnected, cannot_read_counter, found_.folder, "the device has gone away",
+                          "it is looked for again"});
+      return port.fail(system_error(file->error_number(), cannot_read_counter, file->path(), counter_advice));
     }
     EncoderReading reading;
     std::uint64_t raw = 0;
@@ -208,14 +208,14 @@ class EncoderDevice final : public detail::LaneDevice {
       reading.direction = direction == "forward" ? EncoderDirection::forward : EncoderDirection::backward;
     }
     if (found_.ceiling && raw > *found_.ceiling) {
-      return port.fail({Errc::out_of_range, cannot_read, found_.folder,
+      return port.fail({Errc::out_of_range, cannot_read_counter, found_.folder,
                         "its count " + std::to_string(raw) + " is above the ceiling of when it was opened, " +
                             std::to_string(*found_.ceiling),
                         "somebody has set another ceiling: it is opened again"});
     }
     const std::int64_t before = found_.tracker.count();
     if (!found_.tracker.take(raw)) {
-      return port.fail({Errc::bad_data, cannot_read, found_.folder,
+      return port.fail({Errc::bad_data, cannot_read_counter, found_.folder,
                         "its count has gone back from " + std::to_string(before) + " to " + std::to_string(raw),
                         "another program has set it, or it wraps around: then set `bits`"});
     }
@@ -233,8 +233,8 @@ class EncoderDevice final : public detail::LaneDevice {
 
  private:
   static Error no_text_of(const detail::SysfsFile& file, const char* what) {
-    return {Errc::bad_data, cannot_read, file.path(), "\"" + std::string(file.text().substr(0, 40)) + "\" is " + what,
-            ""};
+    return {Errc::bad_data, cannot_read_counter, file.path(),
+            "\"" + std::string(file.text().substr(0, 40)) + "\" is " + what, ""};
   }
 
   const EncoderConfig config_;

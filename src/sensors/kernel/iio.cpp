@@ -14,7 +14,7 @@
 namespace rtdata {
 namespace {
 
-constexpr const char* cannot_read = "cannot read the IIO device";
+constexpr const char* cannot_read_iio = "cannot read the IIO device";
 constexpr const char* cannot_use = "cannot use this IIO sensor";
 
 std::string field_of(std::string channel) {
@@ -67,7 +67,7 @@ Result<Plan> find(const IioConfig& config) {
     const auto channel = device->channel_or_error(name);
     if (!channel) return channel.error();
     if (!channel->is_readable) {
-      return Error{Errc::not_found, cannot_read, device->text(), "channel " + name + " is in its buffer only",
+      return Error{Errc::not_found, cannot_read_iio, device->text(), "channel " + name + " is in its buffer only",
                    "type \"iio_buffer\" reads that"};
     }
     const auto conversion = device->conversion(*channel);
@@ -140,7 +140,7 @@ class IioPolled final : public detail::LaneDevice {
   Duration give_up_after() const override { return config_.timeout; }
   ReadTime read_time() const override { return rtdata::read_time(config_); }
   Error given_up_error() const override {
-    return {Errc::timed_out, cannot_read, plan_.device.empty() ? config_.device : plan_.device,
+    return {Errc::timed_out, cannot_read_iio, plan_.device.empty() ? config_.device : plan_.device,
             "no answer within " + to_string(config_.timeout),
             "look at the chip and its bus; `timeout` sets how long to wait"};
   }
@@ -155,7 +155,7 @@ class IioPolled final : public detail::LaneDevice {
         const std::size_t end = left == 1 ? rest.size() : std::min(rest.find(' '), rest.size());
         double code = 0;
         if (detail::read_number(rest.substr(0, end), code) != std::errc{} || !std::isfinite(code)) {
-          return port.unreadable({Errc::not_a_number, cannot_read, read.files[i]->path(),
+          return port.unreadable({Errc::not_a_number, cannot_read_iio, read.files[i]->path(),
                                   "\"" + std::string(rest.substr(0, 40)) + "\" is no number", ""});
         }
         rest = detail::trimmed(rest.substr(end));
@@ -169,15 +169,15 @@ class IioPolled final : public detail::LaneDevice {
  private:
   Error failure(const detail::SysfsFile& file, const std::string& holder) const {
     if (file.error_number() == EBUSY) {
-      return {Errc::busy, cannot_read, plan_.device,
+      return {Errc::busy, cannot_read_iio, plan_.device,
               holder.empty() ? "its buffer is on: another program has it" : holder + " has its buffer",
               holder == detail::this_program ? "list these channels in the sensor that takes its buffer"
                                              : "end that, or take the data from the buffer: type \"iio_buffer\""};
     }
     if (file.error_number() == ENODEV) {
-      return {Errc::disconnected, cannot_read, plan_.device, "the device has gone away", "it is looked for again"};
+      return {Errc::disconnected, cannot_read_iio, plan_.device, "the device has gone away", "it is looked for again"};
     }
-    return system_error(file.error_number(), cannot_read, file.path(),
+    return system_error(file.error_number(), cannot_read_iio, file.path(),
                         "look at the chip and its wires; `dmesg` may say more");
   }
 

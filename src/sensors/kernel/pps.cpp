@@ -12,7 +12,7 @@ namespace rtdata {
 namespace detail {
 namespace {
 
-constexpr const char* cannot_read = "cannot read the pulses";
+constexpr const char* cannot_read_pps = "cannot read the pulses";
 constexpr const char*
     find_advice = "`ls /sys/class/pps` lists the sources; an overlay or ldattach makes one (docs/iio.md)";
 constexpr std::string_view no_name = "`device` is a name such as pps0, or /dev/pps0";
@@ -62,8 +62,9 @@ class PpsNode final : public StreamNode {
   Result<PpsStamp> read() {
     file_.read();
     if (file_.error_number() == ENODEV)
-      return Error{Errc::disconnected, cannot_read, file_.path(), "the source has gone away", "it is tried again"};
-    if (file_.error_number() != 0) return system_error(file_.error_number(), cannot_read, file_.path(), find_advice);
+      return Error{Errc::disconnected, cannot_read_pps, file_.path(), "the source has gone away", "it is tried again"};
+    if (file_.error_number() != 0)
+      return system_error(file_.error_number(), cannot_read_pps, file_.path(), find_advice);
     auto stamp = parse_pps(file_.text());
     if (stamp) return stamp;
     Error error = std::move(stamp).error();

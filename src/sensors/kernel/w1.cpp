@@ -11,10 +11,10 @@
 namespace rtdata {
 namespace {
 
-constexpr const char* cannot_read = "cannot read the thermometer";
+constexpr const char* cannot_read_w1 = "cannot read the thermometer";
 constexpr const char*
-    find_advice = "`ls /sys/bus/w1/devices` lists those on the bus; the kernel finds new ones within 10 s";
-constexpr std::string_view folder = "/sys/bus/w1/devices";
+    w1_advice = "`ls /sys/bus/w1/devices` lists those on the bus; the kernel finds new ones within 10 s";
+constexpr std::string_view w1_folder = "/sys/bus/w1/devices";
 constexpr std::string_view no_path = "`device` is a name such as 28-000000c0ffee, no path";
 
 bool is_name(const std::string& device) {
@@ -24,7 +24,7 @@ bool is_name(const std::string& device) {
 /// A bus, with or without thermometers.
 bool is_there(const std::string& root) {
   std::error_code none;
-  return !std::filesystem::is_empty(root + std::string(folder), none) && !none;
+  return !std::filesystem::is_empty(root + std::string(w1_folder), none) && !none;
 }
 
 Result<std::string> file_of(const W1Config& config) {
@@ -34,15 +34,15 @@ Result<std::string> file_of(const W1Config& config) {
     if (all.size() != 1) {
       std::string names;
       for (const std::string& one : all) names += (names.empty() ? "there are " : ", ") + one;
-      return Error{all.empty() ? Errc::not_found : Errc::bad_argument, cannot_read, config.root + std::string(folder),
-                   all.empty() ? "there is no thermometer" : names,
+      return Error{all.empty() ? Errc::not_found : Errc::bad_argument, cannot_read_w1,
+                   config.root + std::string(w1_folder), all.empty() ? "there is no thermometer" : names,
                    !all.empty()            ? "set `device`"
-                   : is_there(config.root) ? find_advice
-                                           : detail::how_to_enable(folder)};
+                   : is_there(config.root) ? w1_advice
+                                           : detail::how_to_enable(w1_folder)};
     }
     device = all.front();
   }
-  return config.root + std::string(folder) + "/" + device + "/w1_slave";
+  return config.root + std::string(w1_folder) + "/" + device + "/w1_slave";
 }
 
 class W1Device final : public detail::LaneDevice {
@@ -50,7 +50,8 @@ class W1Device final : public detail::LaneDevice {
   explicit W1Device(W1Config config) : config_(std::move(config)) {}
 
   std::shared_ptr<detail::Transaction> make_opening() override {
-    return std::make_shared<detail::FindFile>([config = config_] { return file_of(config); }, cannot_read, find_advice);
+    return std::make_shared<detail::FindFile>([config = config_] { return file_of(config); }, cannot_read_w1,
+                                              w1_advice);
   }
   Result<void> take_opening(detail::Transaction& opening) override {
     const auto& path = static_cast<detail::FindFile&>(opening).path();
@@ -63,12 +64,12 @@ class W1Device final : public detail::LaneDevice {
   Duration give_up_after() const override { return config_.timeout; }
   ReadTime read_time() const override { return rtdata::read_time(config_); }
   Error given_up_error() const override {
-    return {Errc::timed_out, cannot_read, path_, "no answer within " + to_string(config_.timeout),
+    return {Errc::timed_out, cannot_read_w1, path_, "no answer within " + to_string(config_.timeout),
             "many on one bus with parasitic power take long; `timeout` sets how long to wait"};
   }
   detail::Sampled decode(detail::Transaction& transaction, detail::SamplePort& port) override {
     const detail::SysfsFile& file = static_cast<detail::ReadFile&>(transaction).file;
-    if (file.error_number() != 0) return port.fail(system_error(file.error_number(), cannot_read, path_, find_advice));
+    if (file.error_number() != 0) return port.fail(system_error(file.error_number(), cannot_read_w1, path_, w1_advice));
     const Result<double> degrees = parse_w1(file.text());
     if (!degrees) {
       Error error = degrees.error();
@@ -89,7 +90,7 @@ class W1Device final : public detail::LaneDevice {
 
 std::vector<std::string> available_w1(const std::string& root) {
   std::vector<std::string> found;
-  for (std::string& name : detail::names_in_folder(root + std::string(folder))) {
+  for (std::string& name : detail::names_in_folder(root + std::string(w1_folder))) {
     // The families that w1_therm serves.
     for (const std::string_view family : {"10-", "22-", "28-", "3b-", "42-"}) {
       if (!name.starts_with(family)) continue;

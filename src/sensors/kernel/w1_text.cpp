@@ -10,7 +10,7 @@
 namespace rtdata {
 namespace {
 
-constexpr const char* cannot_read = "cannot read the thermometer";
+constexpr const char* unreadable_w1 = "cannot read the thermometer";
 
 /// The nine bytes at the beginning of the text.
 std::optional<std::array<unsigned, 9>> scratchpad(std::string_view text) {
@@ -28,7 +28,7 @@ std::optional<std::array<unsigned, 9>> scratchpad(std::string_view text) {
 
 Result<double> parse_w1(std::string_view text) {
   const auto refused = [](Errc code, std::string why, const char* advice) {
-    return Error{code, cannot_read, "", std::move(why), advice};
+    return Error{code, unreadable_w1, "", std::move(why), advice};
   };
   if (detail::trimmed(text).empty())  // what the driver gives when nobody answers
     return refused(Errc::disconnected, "it does not answer", "look at its wires and its pull-up resistor");

@@ -18,7 +18,7 @@ namespace {
 using detail::TlsContext;
 using detail::TlsStream;
 
-constexpr const char* what = "cannot make tcp sink";
+constexpr const char* cannot_make_tcp = "cannot make tcp sink";
 constexpr std::size_t most_read = 4096;         // at once
 constexpr int most_reads = 16;                  // in a turn of the loop
 constexpr std::size_t most_written = 1U << 20;  // the same, in bytes
@@ -180,7 +180,7 @@ class Connection : public std::enable_shared_from_this<Connection> {
   void garbage(const std::string& got) {
     if (under_way_.empty()) has_trouble_ = true;  // it is told with the next parcel
     fail({Errc::bad_data, "cannot understand the peer", peer(), "it acknowledges " + got,
-          "`acknowledge` and what the peer answers must agree: docs/sending.md"});
+          "`acknowledge` and cannot_make_tcp the peer answers must agree: docs/sending.md"});
   }
 
   void acknowledge_first() {
@@ -265,16 +265,17 @@ TcpConfig named(TcpConfig config) {
 }
 
 std::unique_ptr<Sender> sender_of(const TcpConfig& config, const CodecRegistry& formats) {
-  detail::require_host(what, config.host, config.port);
+  detail::require_host(cannot_make_tcp, config.host, config.port);
   if (config.tls && !detail::has_tls())
-    throw SetupError({Errc::not_found, what, config.sink.name, "this library was built without OpenSSL",
+    throw SetupError({Errc::not_found, cannot_make_tcp, config.sink.name, "this library was built without OpenSSL",
                       "install libssl-dev and build it again, or leave `tls` out"});
   if (config.tls) {
     for (const TlsMistake& mistake : mistakes_of(*config.tls))
-      throw SetupError({Errc::bad_argument, what, "tls." + mistake.key, mistake.message, ""});
+      throw SetupError({Errc::bad_argument, cannot_make_tcp, "tls." + mistake.key, mistake.message, ""});
   }
-  auto codec = config.format == "raw" && config.sequence ? make_raw_codec({.sequence = RawConfig::Sequence::include})
-                                                         : detail::codec_to_send(what, config.format, formats);
+  auto codec = config.format == "raw" && config.sequence
+                   ? make_raw_codec({.sequence = RawConfig::Sequence::include})
+                   : detail::codec_to_send(cannot_make_tcp, config.format, formats);
   return std::make_unique<TcpSender>(named(config), std::move(codec));
 }
 

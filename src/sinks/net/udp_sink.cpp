@@ -25,7 +25,7 @@ namespace {
 
 using detail::HostLookup;
 
-constexpr const char* what = "cannot make udp sink";
+constexpr const char* cannot_make_udp = "cannot make udp sink";
 constexpr const char* fields_format = "fields";
 constexpr std::size_t most_at_once = 64;
 constexpr Duration name_age = std::chrono::seconds{60};  // then the name is looked up again
@@ -275,9 +275,9 @@ UdpConfig named(UdpConfig config) {
 }
 
 std::unique_ptr<Sender> sender_of(const UdpConfig& config, const CodecRegistry& formats) {
-  detail::require_host(what, config.host, config.port);
+  detail::require_host(cannot_make_udp, config.host, config.port);
   auto codec = config.format == fields_format ? std::unique_ptr<Codec>(std::make_unique<FieldsCodec>())
-                                              : detail::codec_to_send(what, config.format, formats);
+                                              : detail::codec_to_send(cannot_make_udp, config.format, formats);
   return std::make_unique<UdpSender>(named(config), std::move(codec));
 }
 

@@ -32,9 +32,9 @@ Result<std::unique_ptr<Codec>> codec_of(const ExportConfig& config, const CodecR
 
 std::string cell(const std::string& text) {
   if (text.find_first_of("\",\r\n") == std::string::npos) return text;
-  std::string quoted = "\"";
-  for (const char c : text) quoted.append(c == '"' ? 2 : 1, c);
-  return quoted + '"';
+  std::string in_quotes = "\"";
+  for (const char c : text) in_quotes.append(c == '"' ? 2 : 1, c);
+  return in_quotes + '"';
 }
 
 /// Of CSV: what the times are stands above them. `fields`: null when there are none.
