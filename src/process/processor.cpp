@@ -552,8 +552,9 @@ namespace {
 
 const char* name_of(FilterType type) noexcept {
   constexpr auto filter = parameters(type_tag<Filter>{});
-  for (const auto& choice : std::get<0>(filter.entries).choices)
-    if (choice.value == type) return choice.name.data();
+  const auto& choices = filter.entries[0].rules.choices;
+  for (std::size_t i = choices.first; i < choices.first + choices.count; ++i)
+    if (filter.words[i].value == static_cast<std::int64_t>(type)) return filter.words[i].text.data();
   return "";
 }
 

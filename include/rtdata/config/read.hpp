@@ -17,9 +17,16 @@
 /// Any thread.
 #pragma once
 
-#include <algorithm>
+#include <array>
+#include <chrono>
+#include <cstddef>
+#include <limits>
+#include <memory>
+#include <span>
 #include <string>
+#include <string_view>
 #include <tuple>
+#include <type_traits>
 #include <utility>
 #include <vector>
 
@@ -32,261 +39,251 @@ namespace rtdata {
 /// What to do with keys that no parameter has.
 enum class UnknownKeys { report, ignore };
 
+/// One table a Config, and one ValueKind a type of members, are all that is compiled for them: the code that reads,
+/// writes and lists what they hold is the same for all (src/config/read/parameter_table.cpp).
 namespace config_detail {
 
+/// The rules of a parameter, with their words.
+struct RulesOf {
+  const ParameterRules& rules;
+  const Word* words;
+  std::span<const Word> range(WordRange part) const { return {words + part.first, part.count}; }
+  std::span<const Word> choices() const { return range(rules.choices); }
+};
+
+/// The parameters of a Config.
+struct ParameterTable {
+  std::span<const ParameterEntry> entries;
+  const Word* words;
+  using Owner = void* (*)(void* config);
+  const Owner* owners;  ///< whose member each entry is: a base; null: all are of the Config
+  /// `check_config`; null: there is none.
+  void (*check)(const void* config, const ConfigItem& item, Problems& problems);
+  void* (*make)();  ///< a Config with its defaults
+  void (*destroy)(void* config);
+};
+using TableOf = const ParameterTable& (*)();
+
+struct ValueKind {
+  ParameterType::Kind kind = ParameterType::Kind::any;
+  /// False, with problems, if the item does not hold such a value.
+  bool (*read)(const ConfigItem& item, void* out, const RulesOf& rules, Problems& problems);
+  void (*write)(const void* value, const RulesOf& rules, ConfigItem& item);
+  const ValueKind& (*element)() = nullptr;  ///< of an optional, list or map
+  TableOf table = nullptr;                  ///< of an object
+  bool is_optional = false;
+  std::size_t length = 0;              ///< of a list; 0: any
+  std::span<const Word> choices = {};  ///< of an enumeration with a `describe`
+  bool has_least = false, has_most = false;
+  double least = 0, most = 0;
+  std::string_view pattern = {};  ///< of a text_or_integer
+};
+
+/// A Config with the table of its parameters.
+struct ConfigPart {
+  const ParameterTable* table;
+  void* config;
+};
+/// Reads an object into several Configs, as if they were one.
+bool read_object(std::span<const ConfigPart> parts, const ConfigItem& item, UnknownKeys unknown,
+                 const std::vector<std::string>& others, Problems& problems);
+void write_object(const ParameterTable& table, const void* config, ConfigItem& item);
+std::vector<ParameterInfo> list_parameters(const ParameterTable& table);
+std::shared_ptr<void> make_config(const ParameterTable& table);
+
+bool read_choice(const ConfigItem& item, std::span<const Word> choices, std::int64_t& out, Problems& problems);
+void write_choice(std::int64_t value, std::span<const Word> choices, ConfigItem& item);
+/// A text, or one of the choices if there are any.
+bool read_text(const ConfigItem& item, std::string& out, const RulesOf& rules, Problems& problems);
 bool check_number(const ConfigItem& item, double value, const ParameterRules& rules, Problems& problems);
 bool check_duration(const ConfigItem& item, Duration value, const ParameterRules& rules, Problems& problems);
 bool check_rate(const ConfigItem& item, Rate value, const ParameterRules& rules, Problems& problems);
-bool read_text(const ConfigItem& item, std::string& out, const ParameterRules& rules, Problems& problems);
-struct KnownKey {
-  std::string_view key;
-  std::string_view doc;
-  bool required;
-};
-/// Reports unknown and missing keys.
-bool check_keys(const ConfigItem& item, const std::vector<KnownKey>& known, UnknownKeys unknown, Problems& problems);
 
-template <class E, std::size_t N>
-std::vector<std::string> names_of(const std::array<ValueSpec<E>, N>& choices) {
-  std::vector<std::string> names;
-  for (const auto& choice : choices) names.emplace_back(choice.name);
-  return names;
-}
-template <std::size_t N>
-std::vector<std::string> names_of(const std::array<std::string_view, N>& choices) {
-  return {choices.begin(), choices.end()};
-}
+template <class T>
+inline constexpr std::span<const Word> choices_of = {};
+template <DescribedEnum T>
+inline constexpr auto choice_words = [] {
+  constexpr auto values = describe(type_tag<T>{}).values;
+  std::array<Word, values.size()> words{};
+  for (std::size_t i = 0; i < values.size(); ++i)
+    words[i] = {values[i].name, static_cast<std::int64_t>(values[i].value)};
+  return words;
+}();
+template <DescribedEnum T>
+inline constexpr std::span<const Word> choices_of<T> = choice_words<T>;
 
-/// The choices of a value: those of its parameter, or of its enumeration.
-template <class T, class Choices>
-constexpr auto choices_of(const Choices& choices) {
-  if constexpr (!std::is_same_v<Choices, NoChoices>)
-    return choices;
-  else if constexpr (DescribedEnum<T>)
-    return describe(type_tag<T>{}).values;
+template <class T, class Owner>
+void* owner_of(void* config) {
+  if constexpr (std::is_same_v<T, Owner>)
+    return config;
   else
-    return NoChoices{};
+    return std::addressof(static_cast<Owner&>(*static_cast<T*>(config)));
+}
+
+template <class T, class... Owners>
+inline constexpr std::array<ParameterTable::Owner, sizeof...(Owners)> owners_of{&owner_of<T, Owners>...};
+
+template <class T, std::size_t Words, class... Owners>
+constexpr ParameterTable make_table(const ParameterList<Words, Owners...>& list) {
+  ParameterTable table{{list.entries.data(), sizeof...(Owners)},
+                       list.words.data(),
+                       nullptr,
+                       nullptr,
+                       [] { return static_cast<void*>(new T{}); },
+                       [](void* config) { delete static_cast<T*>(config); }};
+  if constexpr (!(std::is_same_v<T, Owners> && ...)) table.owners = owners_of<T, Owners...>.data();
+  if constexpr (requires(const T& config, const ConfigItem& item, Problems& problems) {
+                  check_config(config, item, problems);
+                }) {
+    table.check = [](const void* config, const ConfigItem& item, Problems& problems) {
+      check_config(*static_cast<const T*>(config), item, problems);
+    };
+  }
+  return table;
+}
+template <class T>
+const ParameterTable& table_of() {
+  static const auto list = parameters(type_tag<T>{});
+  static const ParameterTable table = make_table<T>(list);
+  return table;
 }
 
 template <class T>
-bool read_object(const ConfigItem& item, T& out, UnknownKeys unknown, const std::vector<KnownKey>& others,
-                 Problems& problems);
-
-template <class T, class Choices>
-bool read_member(const ConfigItem& item, T& out, const ParameterRules& rules, const Choices& choices,
-                 Problems& problems) {
-  if constexpr (is_optional<T>) {
-    out.reset();
-    return item.is_null() || read_member(item, out.emplace(), rules, choices, problems);
-  } else if constexpr (is_std_array<T>) {
-    if (!check_is_array(item, problems) || !check_length(item, out.size(), problems)) return false;
-    bool good = true;
-    for (std::size_t i = 0; i < out.size(); ++i)
-      good = read_member(*item.find(i), out[i], rules, choices, problems) && good;
-    return good;
-  } else if constexpr (List<T>) {
-    out.clear();
-    bool good = check_is_array(item, problems);
-    for (const auto& child : item.children()) {
-      if (!item.is_array()) break;
-      typename T::value_type element{};
-      good = read_member(child.item, element, rules, choices, problems) && good;
-      out.push_back(std::move(element));
-    }
-    return good;
-  } else if constexpr (Map<T>) {
-    out.clear();
-    bool good = check_is_object(item, problems);
-    for (const auto& child : item.children()) {
-      if (!item.is_object()) break;
-      typename T::mapped_type value{};
-      good = read_member(child.item, value, rules, choices, problems) && good;
-      out.emplace(child.key, std::move(value));
-    }
-    return good;
-  } else if constexpr (Configurable<T>) {
-    return read_object(item, out, UnknownKeys::report, {}, problems);
-  } else if constexpr (!std::is_same_v<decltype(choices_of<T>(choices)), NoChoices>) {
-    const auto table = choices_of<T>(choices);
-    const int index = choose(item, names_of(table), problems);
-    if (index < 0) return false;
-    if constexpr (std::is_enum_v<T>)
-      out = table[static_cast<std::size_t>(index)].value;
-    else
-      out = table[static_cast<std::size_t>(index)];
-    return true;
-  } else {
-    static_assert(
-        !std::is_enum_v<T> || DescribedEnum<T>,
-        "rtdata: a parameter is an enumeration without names: give it a `describe`, or the parameter `choices`");
-    if constexpr (std::is_same_v<T, std::string>) return read_text(item, out, rules, problems);
-    if (!ConfigValue<T>::read(item, out, problems)) return false;
-    if constexpr (std::is_same_v<T, Rate>)
-      return check_rate(item, out, rules, problems);
-    else if constexpr (is_duration<T>)
-      return check_duration(item, std::chrono::duration_cast<Duration>(out), rules, problems);
-    else if constexpr (quantity_of<T>() == Quantity::number)
-      return check_number(item, static_cast<double>(out), rules, problems);
-    else
-      return true;
-  }
-}
-
-/// Calls `use(object, parameter)` for every parameter of T, those it includes as well, in order.
-template <class T, class Use>
-void for_each_parameter(T& object, const Use& use) {
-  const auto visit = [&]<class Entry>(const Entry& entry) {
-    if constexpr (requires { entry.key; })
-      use(object, entry);
-    else if constexpr (requires { entry.member; })
-      for_each_parameter(object.*entry.member, use);
-    else
-      [&]<class Base>(const IncludedBase<Base>&) {
-        if constexpr (std::is_const_v<T>)
-          for_each_parameter(static_cast<const Base&>(object), use);
-        else
-          for_each_parameter(static_cast<Base&>(object), use);
-      }(entry);
-  };
-  std::apply([&](const auto&... entry) { (visit(entry), ...); },
-             parameters(type_tag<std::remove_const_t<T>>{}).entries);
-}
-
-template <class T>
-bool read_object(const ConfigItem& item, T& out, UnknownKeys unknown, const std::vector<KnownKey>& others,
-                 Problems& problems) {
-  if (!check_is_object(item, problems)) return false;
-  std::vector<KnownKey> known = others;
-  for_each_parameter(out, [&](auto&, const auto& parameter) {
-    known.push_back({parameter.key, parameter.doc, parameter.rules.required});
-  });
-  bool good = check_keys(item, known, unknown, problems);
-  const auto children = item.children();
-  for_each_parameter(out, [&](auto& object, const auto& parameter) {
-    const auto child = std::find_if(children.begin(), children.end(),
-                                    [&](const auto& c) { return c.key == parameter.key; });
-    if (child == children.end()) return;
-    good = read_member(child->item, object.*parameter.member, parameter.rules, parameter.choices, problems) && good;
-  });
-  if constexpr (requires { check_config(std::as_const(out), item, problems); }) {
-    if (good) {
-      const std::size_t before = problems.size();
-      check_config(std::as_const(out), item, problems);
-      good = problems.size() == before;
-    }
-  }
-  return good;
-}
-
-template <class T, class Choices>
-void write_member(const T& value, const Choices& choices, ConfigItem& item) {
-  if constexpr (is_optional<T>) {
-    if (value)
-      write_member(*value, choices, item);
-    else
-      item.set_null();
-  } else if constexpr (is_std_array<T> || List<T>) {
-    item.set_item(ConfigItem::array());
-    for (const typename T::value_type& element : value) write_member(element, choices, item.push_back(nullptr));
-  } else if constexpr (Map<T>) {
-    item.set_item(ConfigItem::object());
-    for (const auto& [key, element] : value) {
-      item.set(key, nullptr);
-      write_member(element, choices, *item.find(key));
-    }
-  } else if constexpr (Configurable<T>) {
-    item.set_item(ConfigItem::object());
-    for_each_parameter(value, [&](const auto& object, const auto& parameter) {
-      ConfigItem child;
-      write_member(object.*parameter.member, parameter.choices, child);
-      if (!child.is_null()) item.set(parameter.key, child);
-    });
-  } else if constexpr (std::is_enum_v<T>) {
-    for (const auto& choice : choices_of<T>(choices))
-      if (choice.value == value) item.set(choice.name);
-  } else {
-    item.set(value);
-  }
-}
-
-template <class T>
-std::vector<ParameterInfo> list_parameters();
-
-template <class T, class Choices>
-ParameterType type_of(const ParameterRules& rules, const Choices& choices) {
-  using Kind = ParameterType::Kind;
-  ParameterType type;
-  if constexpr (is_optional<T>) {
-    type = type_of<typename T::value_type>(rules, choices);
-    type.nullable = true;
-  } else if constexpr (is_std_array<T> || List<T>) {
-    type.kind = Kind::list;
-    if constexpr (is_std_array<T>) type.length = std::tuple_size_v<T>;
-    type.element.push_back(type_of<typename T::value_type>(rules, choices));
-  } else if constexpr (Map<T>) {
-    type.kind = Kind::map;
-    type.element.push_back(type_of<typename T::mapped_type>(rules, choices));
-  } else if constexpr (Configurable<T>) {
-    type.kind = Kind::object;
-    type.members = list_parameters<T>();
-  } else if constexpr (!std::is_same_v<decltype(choices_of<T>(choices)), NoChoices>) {
-    type.kind = Kind::choice;
-    type.choices = names_of(choices_of<T>(choices));
-  } else {
-    if constexpr (std::is_same_v<T, bool>) type.kind = Kind::boolean;
-    if constexpr (std::is_same_v<T, char>) type.kind = Kind::character;
-    if constexpr (std::is_same_v<T, std::string>) type.kind = Kind::string;
-    if constexpr (std::is_same_v<T, Rate>) type.kind = Kind::rate;
-    if constexpr (std::is_floating_point_v<T>) type.kind = Kind::number;
-    if constexpr (is_duration<T>) type.kind = Kind::duration;
-    if constexpr (requires { ConfigValue<T>::accepts; }) {
-      constexpr TextOrNumber accepts = ConfigValue<T>::accepts;
-      type.kind = Kind::text_or_integer;
-      type.least = accepts.least;
-      type.most = accepts.most;
-      type.pattern = accepts.pattern;
-    }
-    if constexpr (Integer<T>) {
-      type.kind = Kind::integer;
-      if constexpr (sizeof(T) <= 4) {  // the limits of larger ones are of no use in a message
-        type.least = static_cast<double>(std::numeric_limits<T>::min());
-        type.most = static_cast<double>(std::numeric_limits<T>::max());
-      } else if constexpr (std::is_unsigned_v<T>) {
-        type.least = 0.0;
+struct ValueOf {
+  static bool read(const ConfigItem& item, void* out, const RulesOf& rules, Problems& problems) {
+    T& value = *static_cast<T*>(out);
+    if constexpr (is_optional<T>) {
+      value.reset();
+      return item.is_null() || ValueOf<typename T::value_type>::read(item, &value.emplace(), rules, problems);
+    } else if constexpr (is_std_array<T>) {
+      if (!check_is_array(item, problems) || !check_length(item, value.size(), problems)) return false;
+      bool good = true;
+      for (std::size_t i = 0; i < value.size(); ++i)
+        good = ValueOf<typename T::value_type>::read(*item.find(i), &value[i], rules, problems) && good;
+      return good;
+    } else if constexpr (List<T>) {
+      value.clear();
+      if (!check_is_array(item, problems)) return false;
+      bool good = true;
+      for (const ConfigChild& child : item.children()) {
+        typename T::value_type element{};
+        good = ValueOf<typename T::value_type>::read(child.item, &element, rules, problems) && good;
+        value.push_back(std::move(element));
       }
+      return good;
+    } else if constexpr (Map<T>) {
+      value.clear();
+      if (!check_is_object(item, problems)) return false;
+      bool good = true;
+      for (const ConfigChild& child : item.children()) {
+        typename T::mapped_type element{};
+        good = ValueOf<typename T::mapped_type>::read(child.item, &element, rules, problems) && good;
+        value.emplace(child.key, std::move(element));
+      }
+      return good;
+    } else if constexpr (Configurable<T>) {
+      const ConfigPart part{&table_of<T>(), out};
+      return read_object({&part, 1}, item, UnknownKeys::report, {}, problems);
+    } else if constexpr (std::is_enum_v<T>) {
+      std::int64_t chosen = 0;
+      const auto choices = rules.choices().empty() ? choices_of<T> : rules.choices();
+      if (!read_choice(item, choices, chosen, problems)) return false;
+      value = static_cast<T>(chosen);
+      return true;
+    } else if constexpr (std::is_same_v<T, std::string>) {
+      return read_text(item, value, rules, problems);
+    } else {
+      if (!ConfigValue<T>::read(item, value, problems)) return false;
+      if constexpr (std::is_same_v<T, Rate>)
+        return check_rate(item, value, rules.rules, problems);
+      else if constexpr (is_duration<T>)
+        return check_duration(item, std::chrono::duration_cast<Duration>(value), rules.rules, problems);
+      else if constexpr (quantity_of<T>() == Quantity::number)
+        return check_number(item, static_cast<double>(value), rules.rules, problems);
+      else
+        return true;
     }
-    type.not_zero = rules.not_zero;
-    type.may_be_negative = rules.negative;
-    if constexpr (std::is_same_v<T, std::string>) {
-      type.text = rules.text;
-      type.not_empty = rules.required;
-    }
-    if (rules.has_least) type.least = rules.least;
-    if (rules.has_most) type.most = rules.most;
   }
-  return type;
-}
+
+  static void write(const void* in, const RulesOf& rules, ConfigItem& item) {
+    const T& value = *static_cast<const T*>(in);
+    if constexpr (is_optional<T>) {
+      if (value)
+        ValueOf<typename T::value_type>::write(&*value, rules, item);
+      else
+        item.set_null();
+    } else if constexpr (is_std_array<T> || List<T>) {
+      item.set_item(ConfigItem::array());
+      for (const typename T::value_type& element : value)
+        ValueOf<typename T::value_type>::write(&element, rules, item.push_back(nullptr));
+    } else if constexpr (Map<T>) {
+      item.set_item(ConfigItem::object());
+      for (const auto& [key, element] : value) {
+        item.set(key, nullptr);
+        ValueOf<typename T::mapped_type>::write(&element, rules, *item.find(key));
+      }
+    } else if constexpr (Configurable<T>) {
+      write_object(table_of<T>(), in, item);
+    } else if constexpr (std::is_enum_v<T>) {
+      write_choice(static_cast<std::int64_t>(value), rules.choices().empty() ? choices_of<T> : rules.choices(), item);
+    } else {
+      item.set(value);
+    }
+  }
+
+  static constexpr ValueKind kind() {
+    using Kind = ParameterType::Kind;
+    ValueKind kind{Kind::any, &read, &write};
+    if constexpr (is_optional<T>) {
+      kind.is_optional = true;
+      kind.element = &value_kind<typename T::value_type>;
+    } else if constexpr (is_std_array<T> || List<T>) {
+      kind.kind = Kind::list;
+      if constexpr (is_std_array<T>) kind.length = std::tuple_size_v<T>;
+      kind.element = &value_kind<typename T::value_type>;
+    } else if constexpr (Map<T>) {
+      kind.kind = Kind::map;
+      kind.element = &value_kind<typename T::mapped_type>;
+    } else if constexpr (Configurable<T>) {
+      kind.kind = Kind::object;
+      kind.table = &table_of<T>;
+    } else if constexpr (std::is_enum_v<T>) {
+      kind.kind = Kind::choice;
+      kind.choices = choices_of<T>;
+    } else if constexpr (std::is_same_v<T, bool>) {
+      kind.kind = Kind::boolean;
+    } else if constexpr (std::is_same_v<T, char>) {
+      kind.kind = Kind::character;
+    } else if constexpr (std::is_same_v<T, std::string>) {
+      kind.kind = Kind::string;
+    } else if constexpr (std::is_same_v<T, Rate>) {
+      kind.kind = Kind::rate;
+    } else if constexpr (is_duration<T>) {
+      kind.kind = Kind::duration;
+    } else if constexpr (std::is_floating_point_v<T>) {
+      kind.kind = Kind::number;
+    } else if constexpr (Integer<T>) {
+      kind.kind = Kind::integer;
+      kind.has_most = sizeof(T) <= 4;  // the limits of larger ones are of no use in a message
+      kind.has_least = kind.has_most || std::is_unsigned_v<T>;
+      if (kind.has_least) kind.least = static_cast<double>(std::numeric_limits<T>::min());
+      if (kind.has_most) kind.most = static_cast<double>(std::numeric_limits<T>::max());
+    } else if constexpr (requires { ConfigValue<T>::accepts; }) {
+      constexpr TextOrNumber accepts = ConfigValue<T>::accepts;
+      kind.kind = Kind::text_or_integer;
+      kind.has_least = kind.has_most = true;
+      kind.least = accepts.least;
+      kind.most = accepts.most;
+      kind.pattern = accepts.pattern;
+    }
+    return kind;
+  }
+};
 
 template <class T>
-std::vector<ParameterInfo> list_parameters() {
-  std::vector<ParameterInfo> list;
-  const T defaults{};
-  for_each_parameter(defaults, [&](const auto& object, const auto& parameter) {
-    using Member = std::remove_cvref_t<decltype(object.*parameter.member)>;
-    ParameterInfo info;
-    info.key = parameter.key;
-    info.type = type_of<Member>(parameter.rules, parameter.choices);
-    info.unit = parameter.rules.unit;
-    info.required = parameter.rules.required;
-    info.only_with = parameter.rules.only_with;
-    info.names_part = parameter.rules.names_part;
-    for (const std::string_view name : parameter.rules.placeholders)
-      if (!name.empty()) info.placeholders.emplace_back(name);
-    info.doc = parameter.doc;
-    if (!info.required) write_member(object.*parameter.member, parameter.choices, info.default_value);
-    list.push_back(std::move(info));
-  });
-  return list;
+const ValueKind& value_kind() {
+  static constexpr ValueKind kind = ValueOf<T>::kind();
+  return kind;
 }
 
 }  // namespace config_detail
@@ -297,9 +294,8 @@ std::vector<ParameterInfo> list_parameters() {
 template <Configurable T>
 bool read_config(const ConfigItem& item, T& out, Problems& problems, UnknownKeys unknown = UnknownKeys::report,
                  const std::vector<std::string>& others = {}) {
-  std::vector<config_detail::KnownKey> known;
-  for (const std::string& key : others) known.push_back({key, "", false});
-  return config_detail::read_object(item, out, unknown, known, problems);
+  const config_detail::ConfigPart part{&config_detail::table_of<T>(), &out};
+  return config_detail::read_object({&part, 1}, item, unknown, others, problems);
 }
 
 /// The same as a value; throws ConfigError with every mistake.
@@ -315,14 +311,14 @@ T read_config(const ConfigItem& item) {
 template <Configurable T>
 ConfigItem write_config(const T& config) {
   ConfigItem item;
-  config_detail::write_member(config, config_detail::NoChoices{}, item);
+  config_detail::write_object(config_detail::table_of<T>(), &config, item);
   return item;
 }
 
 /// Every parameter of T, in the order of its declaration.
 template <Configurable T>
 std::vector<ParameterInfo> parameters_of() {
-  return config_detail::list_parameters<T>();
+  return config_detail::list_parameters(config_detail::table_of<T>());
 }
 
 /// The JSON Schema (draft-07) of T.

@@ -5,9 +5,7 @@
 ///     registry.add_sensor<AnalogConfig>(
 ///         "analog", "a sensor behind a converter of the kernel",
 ///         [](const AnalogConfig& config) { return analog_description(config.unit); },
-///         [](Loop& loop, const SensorConfig& common, const AnalogConfig& config) {
-///           return AnalogSensor(loop, common, config);
-///         });
+///         makes<AnalogSensor>);   // or a function (Loop&, const SensorConfig&, const AnalogConfig&)
 ///     registry.add_sink<LinesConfig>(
 ///         "lines", "one line an event", [](const LinesConfig& config) { return config.path; },
 ///         [](Loop& loop, const LinesConfig& config) {
@@ -34,9 +32,11 @@
 
 #include <concepts>
 #include <functional>
+#include <memory>
 #include <optional>
 #include <span>
 #include <string>
+#include <tuple>
 #include <type_traits>
 #include <utility>
 #include <vector>
@@ -85,39 +85,32 @@ struct Placement {
   }
 };
 
-/// A sensor type's own parameters behind those of all sensors, on one level.
-template <class Common, class Own>
-struct Joined {
-  Common common{};
-  Placement placement{};
-  Own own{};
-  friend constexpr auto parameters(type_tag<Joined>) {
-    return parameter_list(include_member(&Joined::common), include_member(&Joined::placement),
-                          include_member(&Joined::own));
-  }
-  friend void check_config(const Joined& joined, const ConfigItem& item, Problems& problems) {
-    if constexpr (requires { check_config(joined.common, item, problems); })
-      check_config(joined.common, item, problems);
-    if constexpr (requires { check_config(joined.own, item, problems); }) check_config(joined.own, item, problems);
-  }
+/// What sensors of a type have of their own, behind one interface: what is made of it is the same for all.
+class SensorType {
+ public:
+  virtual ~SensorType() = default;
+  virtual Result<std::shared_ptr<const Description>> describe(const void* own) const = 0;
+  virtual void complete(PartPlan& plan, const void* own) const = 0;
+  virtual std::optional<ReadTime> time_of_reading(const void* own) const = 0;
+  virtual Sampling sampling(const void* own) const = 0;
+  virtual PartObject make(Loop& loop, const void* common, const void* own, const Parts& parts) const = 0;
 };
-
-template <class C>
-std::optional<SensorLoad> load_of(const SensorConfig& common, const C& config) {
-  SensorLoad load{common.name, common.rate.period(), {}, {}};
-  if (common.start) load.phase = common.phase;
-  if constexpr (requires { ReadTime{read_time(config)}; }) load.time = read_time(config);
-  if (common.read_time) (load.time.lane.empty() ? load.time.on_loop : load.time.on_lane) = common.read_time;
-  return load;
-}
-template <class C>
-std::optional<SensorLoad> load_of(const FeedConfig& common, const C& config) {
-  if constexpr (requires { ReadTime{read_time(config)}; }) {
-    return SensorLoad{common.name, Duration{0}, {}, read_time(config)};
-  } else {
-    return std::nullopt;
-  }
-}
+/// The same of sinks.
+class SinkType {
+ public:
+  virtual ~SinkType() = default;
+  virtual SinkConfig& common(void* own) const = 0;
+  virtual std::string path(const void* own) const = 0;
+  virtual void complete(StoredTopics& stores, std::shared_ptr<const void> own) const = 0;
+  virtual PartObject make(Loop& loop, const void* own, const Parts& parts) const = 0;
+};
+/// The same of outputs.
+class OutputType {
+ public:
+  virtual ~OutputType() = default;
+  virtual void complete(PartPlan& plan, const void* own) const = 0;
+  virtual std::unique_ptr<Actuator> make(const void* own) const = 0;
+};
 
 /// What is known of a device's own pace. The functions are found beside the Config, or in the driver.
 template <class C>
@@ -133,19 +126,6 @@ Sampling sampling_of(const C& config) {
   }
   return sampling;
 }
-
-/// What the sensor publishes; an empty topic is as its name.
-PublishedTopic published_topic(const std::string& name, const std::string& topic,
-                               Result<std::shared_ptr<const Description>> description, const Processing& processing);
-
-/// A reload leaves an output disarmed that is, and does not touch one that somebody has armed by command. `made`: what
-/// makes it.
-void keep_arming(PartPlan& plan, const OutputConfig& config, std::function<PartPlan::Make(Arming armed)> made);
-/// A change of the configuration does not hold the loop until its device is taken or given back.
-void let_the_loop_turn(PartPlan& plan);
-
-/// The name of a sink: as it is given, or its path, or its type.
-std::string sink_name(const std::string& type, const std::string& path, const SinkConfig& config);
 
 /// Without empty lines before and after, which raw strings have.
 std::string trimmed_notes(std::string_view notes);
@@ -164,15 +144,92 @@ decltype(auto) call_factory(const Make& make, const Parts& parts, Arguments&... 
     return make(arguments...);
 }
 
+template <class Common, class C, class Describe, class Make, class Complete>
+class SensorTypeOf final : public SensorType {
+ public:
+  SensorTypeOf(Describe describe, Make make, Complete complete)
+      : describe_(std::move(describe)), make_(std::move(make)), complete_(std::move(complete)) {}
+  Result<std::shared_ptr<const Description>> describe(const void* own) const override { return describe_(of(own)); }
+  void complete(PartPlan& plan, const void* own) const override { complete_(plan, of(own)); }
+  std::optional<ReadTime> time_of_reading([[maybe_unused]] const void* own) const override {
+    if constexpr (requires(const C& config) { ReadTime{read_time(config)}; })
+      return read_time(of(own));
+    else
+      return std::nullopt;
+  }
+  Sampling sampling(const void* own) const override { return sampling_of(of(own)); }
+  PartObject make(Loop& loop, const void* common, const void* own, const Parts& parts) const override {
+    return PartObject::made_by<AnySensor>(
+        [&] { return call_factory(make_, parts, loop, *static_cast<const Common*>(common), of(own)); });
+  }
+
+ private:
+  static const C& of(const void* own) { return *static_cast<const C*>(own); }
+  Describe describe_;
+  Make make_;
+  Complete complete_;
+};
+
+template <class C, class Path, class Make>
+class SinkTypeOf final : public SinkType {
+ public:
+  SinkTypeOf(Path path, Make make) : path_(std::move(path)), make_(std::move(make)) {}
+  SinkConfig& common(void* own) const override { return static_cast<C*>(own)->sink; }
+  std::string path(const void* own) const override { return path_(of(own)); }
+  void complete(StoredTopics& stores, std::shared_ptr<const void> own) const override {
+    const auto shared = std::static_pointer_cast<const C>(std::move(own));
+    const C& config = *shared;
+    if constexpr (requires { batch_time(config); }) stores.batch_time = batch_time(config);
+    if constexpr (requires { C::is_recording; }) stores.is_recording = C::is_recording;
+    stores.is_sender = requires { config.sending; };
+    if constexpr (requires { C::is_sender; }) stores.is_sender = C::is_sender;
+    if constexpr (requires(std::span<const TopicToRecord> topics) { refused_topics(config, topics); }) {
+      stores.refused_topics = [shared](std::span<const TopicToRecord> topics) {
+        return refused_topics(*shared, topics);
+      };
+    }
+    if constexpr (requires(std::string_view topic) { file_of_topic(config, topic); })
+      stores.file_of_topic = [shared](std::string_view topic) { return file_of_topic(*shared, topic); };
+    if constexpr (requires(const std::string& file) { is_companion_file(config, file, file); })
+      stores.is_companion_file = [shared](const std::string& file, const std::string& other) {
+        return is_companion_file(*shared, file, other);
+      };
+    if constexpr (requires(const std::string& file) { check_openable(config, file); })
+      stores.check_openable = [shared](const std::string& file) { return check_openable(*shared, file); };
+  }
+  PartObject make(Loop& loop, const void* own, const Parts& parts) const override {
+    return PartObject::made_by<Sink>([&] { return call_factory(make_, parts, loop, of(own)); });
+  }
+
+ private:
+  static const C& of(const void* own) { return *static_cast<const C*>(own); }
+  Path path_;
+  Make make_;
+};
+
+template <class C, class Make, class Complete>
+class OutputTypeOf final : public OutputType {
+ public:
+  OutputTypeOf(Make make, Complete complete) : make_(std::move(make)), complete_(std::move(complete)) {}
+  void complete(PartPlan& plan, const void* own) const override { complete_(plan, *static_cast<const C*>(own)); }
+  std::unique_ptr<Actuator> make(const void* own) const override { return make_(*static_cast<const C*>(own)); }
+
+ private:
+  Make make_;
+  Complete complete_;
+};
+
 /// The parameter that names the bus of a driver, which may be of several types.
 template <class BusOf>
-constexpr NamesPart names_bus() {
+constexpr auto names_bus() {
   if constexpr (requires { BusOf::types; }) {
     return std::apply([](auto... types) { return names_part("bus", types...); }, BusOf::types);
   } else {
     return names_part("bus", BusOf::type);
   }
 }
+/// Reports what a driver says of its settings where they are written.
+void report_misfit(const Result<void>& good, const ConfigItem& item, Problems& problems);
 /// The bus as what the driver takes it for: its class, or a base of that.
 template <class BusOf>
 BusOf& bus_named(const Parts& parts, const std::string& name) {
@@ -201,14 +258,16 @@ struct DriverConfig {
   friend void check_config(const DriverConfig& config, const ConfigItem& item, Problems& problems) {
     if constexpr (requires { check_config(config.own, item, problems); }) check_config(config.own, item, problems);
     if constexpr (requires { check_config(config.place, item, problems); }) check_config(config.place, item, problems);
-    for (const Result<void>& good : {check_driver<D>(config.own), check_place<D>(config.own, config.place)}) {
-      if (good) continue;
-      const Error& error = good.error();
-      const ConfigItem* at = item.find(error.where);
-      problems.add((at != nullptr ? *at : item)
-                       .problem("bad-value", error.advice.empty() ? error.why : error.why + "; " + error.advice));
-    }
+    config_detail::report_misfit(check_driver<D>(config.own), item, problems);
+    config_detail::report_misfit(check_place<D>(config.own, config.place), item, problems);
   }
+};
+
+/// A factory of T, which is made of the loop and what is configured.
+template <class T>
+inline constexpr auto makes = [
+]<class... Arguments>(Arguments&... arguments) -> T requires std::is_constructible_v<T, Arguments&...> {
+  return T(arguments...);
 };
 
 /// For a type without parameters of its own.
@@ -235,26 +294,11 @@ class Registry {
                   "rtdata: a sensor type is made by (Loop&, const SensorConfig&, const Config&) or, without a "
                   "schedule, by (Loop&, const FeedConfig&, const Config&); const Parts& may follow");
     using Common = std::conditional_t<is_scheduled, SensorConfig, FeedConfig>;
-    using All = config_detail::Joined<Common, C>;
-    const auto plan_part = [describe, make, complete](PartPlan& plan, const All& all) {
-      complete(plan, all.own);
-      plan.name = all.common.name;
-      plan.publishes = config_detail::published_topic(plan.name, all.common.topic, describe(all.own),
-                                                      all.common.process);
-      plan.publishes->load = config_detail::load_of(all.common, all.own);
-      plan.publishes->sampling = config_detail::sampling_of(all.own);
-      plan.live["process"] = [process = all.common.process](const PartObject& part) {
-        part.as<AnySensor>()->set_processing(process);
-      };
-      if constexpr (is_scheduled) {
-        plan.live["rate"] = [rate = all.common.rate](const PartObject& part) { part.as<AnySensor>()->set_rate(rate); };
-      }
-      plan.make = [make, all](Loop& loop, const Parts& parts) {
-        return PartObject::made_by<AnySensor>(
-            [&] { return config_detail::call_factory(make, parts, loop, all.common, all.own); });
-      };
-    };
-    add_type<All>("sensor", type, std::move(doc), plan_part, std::move(page));
+    using Type = config_detail::SensorTypeOf<Common, C, Describe, Make, Complete>;
+    add_sensor_type(
+        is_scheduled, type, std::move(doc), &config_detail::table_of<C>,
+        std::unique_ptr<config_detail::SensorType>(new Type(std::move(describe), std::move(make), std::move(complete))),
+        std::move(page));
   }
 
   /// A driver (driver.hpp) that says its type and description itself.
@@ -324,37 +368,9 @@ class Registry {
     static_assert(
         requires(const C& config) { static_cast<const SinkConfig&>(config.sink); },
         "rtdata: the Config of a sink type has a member `sink`, a SinkConfig");
-    add_type<C>("sink", type, std::move(doc), [path, make](PartPlan& plan, const C& config) {
-      C named = config;
-      named.sink.name = plan.name = config_detail::sink_name(plan.type, path(config), config.sink);
-      StoredTopics& stores = plan.stores.emplace();
-      stores.path = path(config);
-      stores.topics = config.sink.topics;
-      stores.close_deadline = config.sink.close_deadline;
-      stores.through = config.sink.through;
-      stores.batch_time = config.sink.batch_time;
-      stores.queue_bytes = config.sink.queue_bytes;
-      if constexpr (requires { batch_time(config); }) stores.batch_time = batch_time(config);
-      if constexpr (requires { C::is_recording; }) stores.is_recording = C::is_recording;
-      stores.is_sender = requires { config.sending; };
-      if constexpr (requires { C::is_sender; }) stores.is_sender = C::is_sender;
-      if constexpr (requires(std::span<const TopicToRecord> topics) { refused_topics(config, topics); }) {
-        stores.refused_topics = [config](std::span<const TopicToRecord> topics) {
-          return refused_topics(config, topics);
-        };
-      }
-      if constexpr (requires(std::string_view topic) { file_of_topic(config, topic); })
-        stores.file_of_topic = [config](std::string_view topic) { return file_of_topic(config, topic); };
-      if constexpr (requires(const std::string& file) { is_companion_file(config, file, file); })
-        stores.is_companion_file = [config](const std::string& file, const std::string& other) {
-          return is_companion_file(config, file, other);
-        };
-      if constexpr (requires(const std::string& file) { check_openable(config, file); })
-        stores.check_openable = [config](const std::string& file) { return check_openable(config, file); };
-      plan.make = [make, named](Loop& loop, const Parts& parts) {
-        return PartObject::made_by<Sink>([&] { return config_detail::call_factory(make, parts, loop, named); });
-      };
-    });
+    using Type = config_detail::SinkTypeOf<C, Path, Make>;
+    add_sink_type(type, std::move(doc), &config_detail::table_of<C>,
+                  std::unique_ptr<config_detail::SinkType>(new Type(std::move(path), std::move(make))));
   }
 
   /// A function `Duration give_up_after(const C&)` beside the Config says after which time the bus gives up what a
@@ -366,7 +382,7 @@ class Registry {
   /// both).
   template <Configurable C, class Make>
   void add_bus(const std::string& type, std::string doc, Make make) {
-    add_type<C>("bus", type, std::move(doc), [make](PartPlan& plan, const C& config) {
+    add_part<C>("bus", type, std::move(doc), [make](PartPlan& plan, const C& config) {
       if constexpr (requires { std::string(config.device); }) plan.place = {"", config.device, ""};
       if constexpr (requires { Duration{give_up_after(config)}; }) plan.give_up_after = give_up_after(config);
       plan.make = [make, config, name = plan.name](Loop& loop, const Parts& parts) {
@@ -386,37 +402,10 @@ class Registry {
   }
   template <Configurable C, class Make, class Complete>
   void add_output(const std::string& type, std::string doc, Make make, Complete complete, TypePage page = {}) {
-    using All = config_detail::Joined<OutputConfig, C>;
-    const auto plan_part = [make, complete, type](PartPlan& plan, const All& all) {
-      complete(plan, all.own);
-      plan.name = all.common.name;
-      plan.publishes = config_detail::published_topic(plan.name, all.common.topic,
-                                                      Result(description_of<OutputChange>()), {});
-      const OutputRange range = range_of([&]() -> std::unique_ptr<Actuator> { return make(all.own); });
-      plan.refusal = [range](double value) { return range.refusal(value); };
-      plan.check_topics = [config = all.common, range](const PartPlan& part, const PartPlan::PayloadOf& payload_of,
-                                                       Problems& problems) {
-        check_output_values(config, range, part.item, problems);
-        check_output_names(config, payload_of, part.item, problems);
-      };
-      ConfigItem guarded = write_config(all.own);
-      guarded.set("type", type);
-      const auto made = [make, all, guarded = guarded.to_json()](Arming armed) -> PartPlan::Make {
-        return [make, all, guarded, armed](Loop& loop, const Parts& parts) {
-          const auto takes = parts.takes_devices_later() ? Output::Takes::later : Output::Takes::at_once;
-          const auto make_actuator = [make, own = all.own]() -> std::unique_ptr<Actuator> { return make(own); };
-          OutputConfig config = all.common;
-          config.armed = armed;
-          return PartObject::made_by<Output>(
-              [&] { return Output(loop, std::move(config), make_actuator, guarded, takes); });
-        };
-      };
-      plan.make = made(all.common.armed);
-      config_detail::keep_arming(plan, all.common, made);
-      config_detail::let_the_loop_turn(plan);
-    };
-    add_type<All>("output", type, std::move(doc), plan_part, std::move(page));
-    actuators_.add<C>(type, {}, [make](const C& config) -> std::unique_ptr<Actuator> { return make(config); });
+    using Type = config_detail::OutputTypeOf<C, Make, Complete>;
+    add_output_type(type, std::move(doc), &config_detail::table_of<C>,
+                    std::unique_ptr<config_detail::OutputType>(new Type(std::move(make), std::move(complete))),
+                    std::move(page));
   }
   /// For the guard (outputs/guard.hpp): the device of an output of a configuration. Throws ConfigError, and what `make`
   /// throws.
@@ -430,7 +419,10 @@ class Registry {
   template <Configurable C>
   void add_part(std::string_view kind, const std::string& type, std::string doc,
                 std::function<void(PartPlan&, const C&)> plan) {
-    add_type<C>(kind, type, std::move(doc), std::move(plan));
+    add_type(kind, type, std::move(doc), {&config_detail::table_of<C>},
+             [plan = std::move(plan)](PartPlan& part, const ConfigObjects& configs) {
+               plan(part, *static_cast<const C*>(configs[0].get()));
+             });
   }
 
   /// A type that this program lacks (TypeRegistryBase::leave_out).
@@ -453,19 +445,15 @@ class Registry {
   const TypeRegistryBase& types(std::string_view kind) const;
   /// SetupError (not-found).
   PartKind& kind_named(std::string_view name);
-  template <Configurable C>
+  using PlanOf = std::function<void(PartPlan&, const ConfigObjects&)>;
   void add_type(std::string_view kind, const std::string& type, std::string doc,
-                std::function<void(PartPlan&, const C&)> plan, TypePage page = {}) {
-    const auto make_plan = [kind = std::string(kind), type, plan](const std::string& name, const C& config) {
-      PartPlan made;
-      made.kind = kind;
-      made.type = type;
-      made.name = name;
-      plan(made, config);
-      return made;
-    };
-    kind_named(kind).types.template add<C>(type, std::move(doc), make_plan, std::move(page));
-  }
+                std::vector<config_detail::TableOf> configs, PlanOf plan, TypePage page = {});
+  void add_sensor_type(bool is_scheduled, const std::string& type, std::string doc, config_detail::TableOf own,
+                       std::shared_ptr<const config_detail::SensorType> made, TypePage page);
+  void add_sink_type(const std::string& type, std::string doc, config_detail::TableOf own,
+                     std::shared_ptr<const config_detail::SinkType> made);
+  void add_output_type(const std::string& type, std::string doc, config_detail::TableOf own,
+                       std::shared_ptr<const config_detail::OutputType> made, TypePage page);
 
   std::vector<PartKind> kinds_;
   TypeRegistry<std::unique_ptr<Actuator>> actuators_{"output"};  // the devices of its outputs alone

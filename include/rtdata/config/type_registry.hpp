@@ -19,6 +19,7 @@
 
 #include <cstddef>
 #include <functional>
+#include <memory>
 #include <optional>
 #include <string>
 #include <string_view>
@@ -28,6 +29,9 @@
 #include "rtdata/config/read.hpp"
 
 namespace rtdata {
+
+/// What an item was read into: a Config, or several that share the keys of one object.
+using ConfigObjects = std::vector<std::shared_ptr<void>>;
 
 /// What all registries share.
 class TypeRegistryBase {
@@ -47,6 +51,8 @@ class TypeRegistryBase {
   std::string type_named_by(const ConfigItem& item) const;
   /// The JSON Schema (draft-07) of an item of any type.
   std::string schema() const { return rtdata::schema(types(), "type", default_); }
+  /// Reads the item as the type it names and adds every mistake to `problems`. True when there is none.
+  bool check(const ConfigItem& item, Problems& problems) const;
 
  protected:
   static constexpr std::size_t none = static_cast<std::size_t>(-1);
@@ -58,23 +64,23 @@ class TypeRegistryBase {
   TypeRegistryBase(TypeRegistryBase&&) = default;
   TypeRegistryBase& operator=(TypeRegistryBase&&) = default;
 
-  using Parameters = std::vector<ParameterInfo> (*)();
-  /// `parameters` is called when they are asked for: making a part needs none.
-  void add_type(std::string type, std::string doc, Parameters parameters, TypePage page);
+  void add_type(std::string type, std::string doc, std::vector<config_detail::TableOf> configs, TypePage page);
   /// Which type the item names; `none`, with a problem, when it names none of these.
   std::size_t type_of(const ConfigItem& item, Problems& problems) const;
-  /// "type" and the common keys: known, but not the Config's.
-  std::vector<std::string> other_keys() const;
+  /// Reads the item as the type it names, which is `type`; `none`, with every problem, when it has mistakes.
+  std::size_t read(const ConfigItem& item, ConfigObjects& configs, Problems& problems) const;
   static Error placed(Error error, const ConfigItem& item);
 
  private:
   struct Type {
     std::string name;
     std::string doc;
-    Parameters parameters;
+    std::vector<config_detail::TableOf> configs;
     TypePage page;
   };
   TypeInfo info_of(const Type& type) const;
+  /// "type" and the common keys: known, but not the Config's.
+  std::vector<std::string> other_keys() const;
 
   std::string what_;
   std::string default_;  // empty: none
@@ -95,38 +101,29 @@ class TypeRegistry : public TypeRegistryBase {
   template <Configurable Config>
   void add(std::string type, std::string doc, std::function<Product(Context..., const Config&)> factory,
            TypePage page = {}) {
-    add_type(std::move(type), std::move(doc), &parameters_of<Config>, std::move(page));
-    const auto read = [](const ConfigItem& item, Config& config, const std::vector<std::string>& others,
-                         Problems& problems) {
-      return read_config(item, config, problems, UnknownKeys::report, others);
-    };
-    entries_.push_back(
-        {[read](const ConfigItem& item, const std::vector<std::string>& others, Problems& problems) {
-           Config config{};
-           return read(item, config, others, problems);
-         },
-         [read, factory = std::move(factory)](const ConfigItem& item, const std::vector<std::string>& others,
-                                              Context... context) -> Product {
-           Config config{};
-           Problems problems;
-           if (!read(item, config, others, problems)) throw ConfigError(std::move(problems));
-           return factory(std::forward<Context>(context)..., config);
-         }});
+    add(
+        std::move(type), std::move(doc), {&config_detail::table_of<Config>},
+        [factory = std::move(factory)](Context... context, const ConfigObjects& configs) -> Product {
+          return factory(std::forward<Context>(context)..., *static_cast<const Config*>(configs[0].get()));
+        },
+        std::move(page));
   }
-
-  /// Reads the item as the type it names and adds every mistake to `problems`. True when there is none.
-  bool check(const ConfigItem& item, Problems& problems) const {
-    const std::size_t index = type_of(item, problems);
-    return index != none && entries_[index].check(item, other_keys(), problems);
+  /// The same, of several Configs, whatever their types.
+  using Factory = std::function<Product(Context..., const ConfigObjects&)>;
+  void add(std::string type, std::string doc, std::vector<config_detail::TableOf> configs, Factory factory,
+           TypePage page = {}) {
+    add_type(std::move(type), std::move(doc), std::move(configs), std::move(page));
+    factories_.push_back(std::move(factory));
   }
 
   /// Makes what the item says. Throws ConfigError when it has mistakes, and SetupError what the factory threw.
   Product create(const ConfigItem& item, Context... context) const {
     Problems problems;
-    const std::size_t index = type_of(item, problems);
-    if (index == none) throw ConfigError(std::move(problems));
+    ConfigObjects configs;
+    const std::size_t type = read(item, configs, problems);
+    if (type == none) throw ConfigError(std::move(problems));
     try {
-      return entries_[index].create(item, other_keys(), std::forward<Context>(context)...);
+      return factories_[type](std::forward<Context>(context)..., configs);
     } catch (const ConfigError&) {
       throw;
     } catch (const SetupError& error) {
@@ -135,11 +132,7 @@ class TypeRegistry : public TypeRegistryBase {
   }
 
  private:
-  struct Entry {
-    std::function<bool(const ConfigItem&, const std::vector<std::string>&, Problems&)> check;
-    std::function<Product(const ConfigItem&, const std::vector<std::string>&, Context...)> create;
-  };
-  std::vector<Entry> entries_;
+  std::vector<Factory> factories_;
 };
 
 }  // namespace rtdata

@@ -35,11 +35,13 @@
 
 #include <array>
 #include <chrono>
+#include <cstddef>
 #include <cstdint>
+#include <memory>
 #include <string>
 #include <string_view>
-#include <tuple>
 #include <type_traits>
+#include <vector>
 
 #include "rtdata/data/config_value.hpp"
 #include "rtdata/data/describe.hpp"
@@ -64,58 +66,101 @@ enum class TextIs : std::uint8_t {
 
 /// The parameter means something only while another one, beside it, has one of these values.
 struct OnlyWith {
-  std::string_view key;  ///< empty: always
-  std::array<std::string_view, 12> values{};
+  std::string_view key = {};  ///< empty: always
+  std::vector<std::string_view> values = {};
 };
 
 /// The text is the name of another part of the configuration, which must be there.
 struct NamesPart {
-  std::string_view kind;                    ///< "bus", "tier", "sink" ...; empty: it names no part
-  std::array<std::string_view, 4> types{};  ///< that the part may be of; none: of any
+  std::string_view kind = {};                ///< "bus", "tier", "sink" ...; empty: it names no part
+  std::vector<std::string_view> types = {};  ///< that the part may be of; none: of any
+};
+
+namespace config_detail {
+
+struct ValueKind;
+/// How values of a type are read, written and described. Its definition is in read.hpp: where configurations are only
+/// declared, nothing is made of it.
+template <class T>
+const ValueKind& value_kind();
+
+/// A word of a rule, or a choice.
+struct Word {
+  std::string_view text;
+  std::int64_t value = 0;  ///< the enumerator, of a choice of an enumeration
+};
+/// Some of the words of a parameter.
+struct WordRange {
+  std::uint8_t first = 0;
+  std::uint8_t count = 0;
 };
 
 /// What a value must keep to, without its type.
 struct ParameterRules {
   bool required = false;  ///< a required text is not empty either
   bool not_zero = false;
-  TextIs text = TextIs::anything;
-  OnlyWith only_with;
-  NamesPart names_part;
-  std::array<std::string_view, 4> placeholders{};  ///< that may stand in the text, in braces
-  bool negative = false;                           ///< a duration may be
+  bool negative = false;  ///< a duration may be
   bool has_least = false;
   bool has_most = false;
-  double least = 0;  ///< numbers as they are, durations in ns, rates in Hz
+  TextIs text = TextIs::anything;
+  WordRange only_with_values, part_types, choices;
+  WordRange placeholders;  ///< that may stand in the text, in braces
+  double least = 0;        ///< numbers as they are, durations in ns, rates in Hz
   double most = 0;
   std::string_view unit;
+  std::string_view only_with;   ///< see OnlyWith
+  std::string_view names_part;  ///< see NamesPart
 };
 
-namespace config_detail {
+/// A parameter, or all of those of a base or member. What it is of is known to `kind` alone, so that one code reads all.
+struct ParameterEntry {
+  std::string_view key;
+  std::string_view doc;
+  const ValueKind& (*kind)() = nullptr;
+  const void* owner = nullptr;   ///< an object that was never made, and
+  const void* member = nullptr;  ///< where the member is in it
+  bool is_included = false;      ///< not the member is meant, but its parameters
+  std::uint16_t first_word = 0;  ///< among those of the list
+  ParameterRules rules;
+};
+
+/// Memory of a T that was never made, to ask where its members lie.
+template <class T>
+union Unmade {
+  char none;
+  T made;
+  constexpr Unmade() : none{} {}
+  constexpr ~Unmade() {}
+};
+template <class T>
+inline constinit Unmade<T> unmade{};
 
 struct Required {};
 struct MayBeNegative {};
 struct NotZero {};
+template <std::size_t N>
 struct Placeholders {
-  std::array<std::string_view, 4> names;
+  std::array<std::string_view, N> names;
+};
+template <std::size_t N>
+struct OnlyWithValues {
+  std::string_view key;
+  std::array<std::string_view, N> values;
+};
+template <std::size_t N>
+struct PartNamed {
+  std::string_view kind;
+  std::array<std::string_view, N> types;
 };
 struct Unit {
   std::string_view text;
 };
 enum class Quantity { number, duration, rate, none };
-struct Range {
-  Quantity quantity;
-  bool has_least, has_most;
-  double least, most;
-};
 /// Ranges carry their quantity in the type, so that a wrong one is found when compiling.
 template <Quantity Q>
-struct TypedRange : Range {};
-struct NoChoices {};
-template <class Base>
-struct IncludedBase {};
-template <class Owner, class Member>
-struct IncludedMember {
-  Member Owner::*member;
+struct Range {
+  bool has_least, has_most;
+  double least, most;
 };
 
 template <class T>
@@ -159,78 +204,115 @@ struct LeafOf<T> : LeafOf<typename T::mapped_type> {};
 template <class T>
 using Leaf = typename LeafOf<T>::type;
 
-template <class T>
-inline constexpr bool is_choices = false;
-template <class E, std::size_t N>
-inline constexpr bool is_choices<std::array<ValueSpec<E>, N>> = true;
+/// How many words an option brings.
+template <class Option>
+inline constexpr std::size_t words_in = 0;
 template <std::size_t N>
-inline constexpr bool is_choices<std::array<std::string_view, N>> = true;
+inline constexpr std::size_t words_in<Placeholders<N>> = N;
+template <std::size_t N>
+inline constexpr std::size_t words_in<OnlyWithValues<N>> = N;
+template <std::size_t N>
+inline constexpr std::size_t words_in<PartNamed<N>> = N;
+template <class Choice, std::size_t N>
+inline constexpr std::size_t words_in<std::array<Choice, N>> = N;
 
-template <class Leaf, class Option>
-constexpr void apply(ParameterRules& rules, const Option& option) {
-  if constexpr (std::is_same_v<Option, Required>) {
-    rules.required = true;
-  } else if constexpr (std::is_same_v<Option, MayBeNegative>) {
+template <class Option>
+inline constexpr bool is_choices = false;
+template <class Choice, std::size_t N>
+inline constexpr bool is_choices<std::array<Choice, N>> = true;
+
+/// Adds options to the rules of a parameter whose values, without optional and containers, are of type Leaf.
+template <class Leaf>
+struct RulesFor {
+  ParameterRules& rules;
+  Word* words;
+  std::uint8_t used = 0;
+
+  constexpr void add(Required) { rules.required = true; }
+  constexpr void add(MayBeNegative) {
     static_assert(is_duration<Leaf>, "rtdata: may_be_negative is for durations; bound a number with range or at_least");
     rules.negative = true;
-  } else if constexpr (std::is_same_v<Option, NotZero>) {
+  }
+  constexpr void add(NotZero) {
     static_assert(quantity_of<Leaf>() == Quantity::number, "rtdata: not_zero is for numbers");
     rules.not_zero = true;
-  } else if constexpr (std::is_same_v<Option, TextIs>) {
+  }
+  constexpr void add(TextIs is) {
     static_assert(std::is_same_v<Leaf, std::string>, "rtdata: TextIs is for texts");
-    rules.text = option;
-  } else if constexpr (std::is_same_v<Option, Placeholders>) {
-    static_assert(std::is_same_v<Leaf, std::string>, "rtdata: placeholders are for texts");
-    rules.placeholders = option.names;
-  } else if constexpr (std::is_same_v<Option, OnlyWith>) {
-    rules.only_with = option;
-  } else if constexpr (std::is_same_v<Option, NamesPart>) {
-    static_assert(std::is_same_v<Leaf, std::string>, "rtdata: names_part is for texts");
-    rules.names_part = option;
-    if (rules.text == TextIs::anything) rules.text = TextIs::recorded;  // a name is shown, and so no secret
-  } else if constexpr (std::is_same_v<Option, Unit>) {
+    rules.text = is;
+  }
+  constexpr void add(Unit unit) {
     static_assert(quantity_of<Leaf>() == Quantity::number,
                   "rtdata: a unit is for a number; durations and rates are written with theirs");
-    rules.unit = option.text;
-  } else if constexpr (std::is_base_of_v<Range, Option>) {
-    static_assert(std::is_same_v<Option, TypedRange<quantity_of<Leaf>()>>,
+    rules.unit = unit.text;
+  }
+  template <Quantity Q>
+  constexpr void add(const Range<Q>& range) {
+    static_assert(Q == quantity_of<Leaf>(),
                   "rtdata: the range of a parameter must be of its kind: numbers, durations or rates");
-    if (option.has_least) rules.least = option.least;
-    if (option.has_most) rules.most = option.most;
-    rules.has_least = rules.has_least || option.has_least;
-    rules.has_most = rules.has_most || option.has_most;
-  } else {
-    static_assert(is_choices<Option>,
+    if (range.has_least) rules.least = range.least;
+    if (range.has_most) rules.most = range.most;
+    rules.has_least = rules.has_least || range.has_least;
+    rules.has_most = rules.has_most || range.has_most;
+  }
+  template <std::size_t N>
+  constexpr void add(const Placeholders<N>& option) {
+    static_assert(std::is_same_v<Leaf, std::string>, "rtdata: placeholders are for texts");
+    rules.placeholders = add_words(option.names.data(), N);
+  }
+  template <std::size_t N>
+  constexpr void add(const OnlyWithValues<N>& option) {
+    rules.only_with = option.key;
+    rules.only_with_values = add_words(option.values.data(), N);
+  }
+  template <std::size_t N>
+  constexpr void add(const PartNamed<N>& option) {
+    static_assert(std::is_same_v<Leaf, std::string>, "rtdata: names_part is for texts");
+    rules.names_part = option.kind;
+    rules.part_types = add_words(option.types.data(), N);
+    if (rules.text == TextIs::anything) rules.text = TextIs::recorded;  // a name is shown, and so no secret
+  }
+  template <std::size_t N>
+  constexpr void add(const std::array<std::string_view, N>& choices) {
+    static_assert(std::is_same_v<Leaf, std::string>,
+                  "rtdata: choices of texts are for texts; an enumeration has choices(value(name, enumerator), ...)");
+    rules.choices = add_words(choices.data(), N);
+  }
+  template <class E, std::size_t N>
+  constexpr void add(const std::array<ValueSpec<E>, N>& choices) {
+    static_assert(std::is_same_v<Leaf, E>, "rtdata: the choices of a parameter must be of its enumeration");
+    rules.choices = {used, static_cast<std::uint8_t>(N)};
+    for (const ValueSpec<E>& choice : choices) words[used++] = {choice.name, static_cast<std::int64_t>(choice.value)};
+  }
+  template <class Other>
+  constexpr void add(const Other&) {
+    static_assert(always_false<Other>,
                   "rtdata: parameter(key, member, doc, ...) takes required, unit(...), range(...), "
                   "at_least(...), at_most(...), choices(...), may_be_negative, not_zero, TextIs::..., "
                   "placeholders(...), only_with(...) and names_part(...)");
   }
-}
 
-constexpr NoChoices choices_among() { return {}; }
-template <class First, class... Rest>
-constexpr auto choices_among(const First& first, const Rest&... rest) {
-  if constexpr (is_choices<First>)
-    return first;
-  else
-    return choices_among(rest...);
-}
+ private:
+  constexpr WordRange add_words(const std::string_view* texts, std::size_t count) {
+    const WordRange range{used, static_cast<std::uint8_t>(count)};
+    for (std::size_t i = 0; i < count; ++i) words[used++].text = texts[i];
+    return range;
+  }
+};
 
 }  // namespace config_detail
 
-/// One parameter. Made by `parameter`.
-template <class Owner, class Member, class Choices>
+/// A parameter of an Owner, or all of those of a base or member. Made by `parameter` and its like.
+template <class Owner, std::size_t Words>
 struct Parameter {
-  std::string_view key;
-  Member Owner::*member;
-  std::string_view doc;
-  ParameterRules rules;
-  Choices choices;
+  config_detail::ParameterEntry entry;
+  std::array<config_detail::Word, Words> words = {};
 };
 
-template <class... Entries>
+template <std::size_t Words, class... Owners>
 struct ParameterList {
-  std::tuple<Entries...> entries;
+  std::array<config_detail::ParameterEntry, sizeof...(Owners)> entries;
+  std::array<config_detail::Word, Words> words = {};
 };
 
 /// The key must be there; a text must not be empty.
@@ -241,20 +323,20 @@ inline constexpr config_detail::MayBeNegative may_be_negative{};
 inline constexpr config_detail::NotZero not_zero{};
 /// What may stand in the text in braces, such as {topic}; anything else in braces is a warning.
 template <class... Names>
-constexpr config_detail::Placeholders placeholders(Names... names) {
+constexpr config_detail::Placeholders<sizeof...(Names)> placeholders(Names... names) {
   return {{std::string_view(names)...}};
 }
 /// The parameter means something only while that of `key`, beside it, has one of these values ("true" and "false" for a
 /// boolean): elsewhere it is a warning.
 template <class... Values>
-constexpr OnlyWith only_with(std::string_view key, Values... values) {
+constexpr config_detail::OnlyWithValues<sizeof...(Values)> only_with(std::string_view key, Values... values) {
   return {key, {std::string_view(values)...}};
 }
 /// The text is the name of another part of the configuration: one of `kind` ("bus", "tier", "sensor", "sink" or
 /// "topic", which is what any part publishes), and, if they are given, of one of these types. A part that is not there,
 /// or is of another type, is a mistake; one that is there is made first and closed last.
 template <class... Types>
-constexpr NamesPart names_part(std::string_view kind, Types... types) {
+constexpr config_detail::PartNamed<sizeof...(Types)> names_part(std::string_view kind, Types... types) {
   return {kind, {std::string_view(types)...}};
 }
 /// The UCUM unit of a number, for people and schema; it is not written in the file.
@@ -262,22 +344,18 @@ constexpr config_detail::Unit unit(std::string_view text) { return {text}; }
 
 /// Both ends belong to it. Numbers, durations or rates, as the member.
 template <class T, class U>
-constexpr auto range(T least, U most) {
-  using config_detail::magnitude;
+constexpr config_detail::Range<config_detail::quantity_of<T>()> range(T least, U most) {
   static_assert(config_detail::quantity_of<T>() == config_detail::quantity_of<U>(),
                 "rtdata: both ends of a range are of one kind");
-  return config_detail::TypedRange<config_detail::quantity_of<T>()>{
-      {config_detail::quantity_of<T>(), true, true, magnitude(least), magnitude(most)}};
+  return {true, true, config_detail::magnitude(least), config_detail::magnitude(most)};
 }
 template <class T>
-constexpr auto at_least(T least) {
-  return config_detail::TypedRange<config_detail::quantity_of<T>()>{
-      {config_detail::quantity_of<T>(), true, false, config_detail::magnitude(least), 0}};
+constexpr config_detail::Range<config_detail::quantity_of<T>()> at_least(T least) {
+  return {true, false, config_detail::magnitude(least), 0};
 }
 template <class T>
-constexpr auto at_most(T most) {
-  return config_detail::TypedRange<config_detail::quantity_of<T>()>{
-      {config_detail::quantity_of<T>(), false, true, 0, config_detail::magnitude(most)}};
+constexpr config_detail::Range<config_detail::quantity_of<T>()> at_most(T most) {
+  return {false, true, 0, config_detail::magnitude(most)};
 }
 
 /// Names for an enumeration that has no `describe`: choices(value("none", Parity::none), ...).
@@ -297,31 +375,47 @@ constexpr std::array<std::string_view, 1 + sizeof...(More)> choices(std::string_
 /// `key` as in the file, `doc` a phrase in lower case without a full stop; both live as long as the program.
 template <class Owner, class Member, class... Options>
 constexpr auto parameter(std::string_view key, Member Owner::*member, std::string_view doc, const Options&... options) {
-  ParameterRules rules;
-  (config_detail::apply<config_detail::Leaf<Member>>(rules, options), ...);
-  auto choices = config_detail::choices_among(options...);
-  return Parameter<Owner, Member, decltype(choices)>{key, member, doc, rules, choices};
+  using namespace config_detail;
+  using Type = config_detail::Leaf<Member>;
+  static_assert(
+      !std::is_enum_v<Type> || DescribedEnum<Type> || (is_choices<Options> || ...),
+      "rtdata: a parameter is an enumeration without names: give it a `describe`, or the parameter `choices`");
+  Parameter<Owner, (words_in<Options> + ... + 0)> made{
+      {key, doc, &value_kind<Member>, &unmade<Owner>, &(unmade<Owner>.made.*member), false, 0, {}}};
+  [[maybe_unused]] RulesFor<Type> rules{made.entry.rules, made.words.data()};
+  (rules.add(options), ...);
+  return made;
 }
 
 /// All parameters of a base (or of anything that the Config converts to by reference).
 template <class Base>
-inline constexpr config_detail::IncludedBase<Base> include{};
+inline constexpr Parameter<Base, 0> include{
+    {{}, {}, &config_detail::value_kind<Base>, &config_detail::unmade<Base>, &config_detail::unmade<Base>, true, 0, {}}};
 /// All parameters of a member, as if they were the Config's own.
 template <class Owner, class Member>
-constexpr config_detail::IncludedMember<Owner, Member> include_member(Member Owner::*member) {
-  return {member};
+constexpr Parameter<Owner, 0> include_member(Member Owner::*member) {
+  using namespace config_detail;
+  return {{{}, {}, &value_kind<Member>, &unmade<Owner>, &(unmade<Owner>.made.*member), true, 0, {}}};
 }
 
-template <class... Entries>
-constexpr ParameterList<Entries...> parameter_list(Entries... entries) {
-  return {{entries...}};
+template <class... Owners, std::size_t... Words>
+constexpr ParameterList<(Words + ... + 0), Owners...> parameter_list(const Parameter<Owners, Words>&... parameters) {
+  ParameterList<(Words + ... + 0), Owners...> list{{parameters.entry...}};
+  std::uint16_t used = 0;
+  auto* entry = list.entries.data();
+  [[maybe_unused]] const auto add_words = [&](const config_detail::Word* words, std::size_t count) {
+    entry++->first_word = used;
+    for (std::size_t i = 0; i < count; ++i) list.words[used++] = words[i];
+  };
+  (add_words(parameters.words.data(), Words), ...);
+  return list;
 }
 
 namespace config_detail {
 template <class T>
 inline constexpr bool is_parameter_list = false;
-template <class... Entries>
-inline constexpr bool is_parameter_list<ParameterList<Entries...>> = true;
+template <std::size_t Words, class... Owners>
+inline constexpr bool is_parameter_list<ParameterList<Words, Owners...>> = true;
 }  // namespace config_detail
 
 /// A struct with `parameters`.

@@ -1,4 +1,5 @@
-// The shipped drivers, a file for each kind of bus: a chip is one line in it. Private to the program.
+// What `standard_registry` is made of, a file each. Of the drivers there is one for each kind of bus: a chip is one line
+// in it. Private to the program.
 #pragma once
 
 #include "rtdata/config/registry.hpp"
@@ -9,5 +10,11 @@ void add_register_drivers(Registry& registry);  ///< on I2C or SPI
 void add_i2c_drivers(Registry& registry);
 void add_spi_drivers(Registry& registry);
 void add_serial_drivers(Registry& registry);
+void add_device_sensors(Registry& registry);
+void add_topic_sensors(Registry& registry);  ///< made of other topics
+void add_line_sensors(Registry& registry);
+void add_recordings(Registry& registry);  ///< their sink, and their replay
+void add_shipped_sinks(Registry& registry);
+void add_shipped_outputs(Registry& registry);
 
 }  // namespace rtdata::app

@@ -48,8 +48,9 @@ using Parameters = std::vector<ParameterInfo>;
 /// What every sensor, or every sink, has.
 const Parameters& common_parameters() {
   static const Parameters common = [] {
-    Parameters all = parameters_of<config_detail::Joined<SensorConfig, NoParameters>>();
-    for (ParameterInfo& parameter : parameters_of<SinkConfig>()) all.push_back(std::move(parameter));
+    Parameters all = parameters_of<SensorConfig>();
+    for (const Parameters& more : {parameters_of<config_detail::Placement>(), parameters_of<SinkConfig>()})
+      all.insert(all.end(), more.begin(), more.end());
     return all;
   }();
   return common;

@@ -87,9 +87,7 @@ void check_from(const PartPlan& plan, Problems& problems) {
 void collect_uses(const std::vector<ParameterInfo>& parameters, const ConfigItem& item, std::vector<PartUse>& uses) {
   const auto add = [&](const NamesPart& names, const std::string& name, const ConfigItem& at) {
     if (name.empty()) return;
-    PartUse& use = uses.emplace_back(PartUse{std::string(names.kind), name, {}, at});
-    for (const std::string_view type : names.types)
-      if (!type.empty()) use.types.emplace_back(type);
+    uses.push_back({std::string(names.kind), name, {names.types.begin(), names.types.end()}, at});
   };
   for_each_text(parameters, item, [&](const ParameterInfo& parameter, const std::string& text, const ConfigItem& leaf) {
     if (!parameter.names_part.kind.empty()) add(parameter.names_part, text, leaf);

@@ -78,10 +78,8 @@ struct Warn {
   }
   void no_effect(const ParameterInfo& parameter, const ConfigItem& value, const std::string& is) const {
     std::string others;
-    for (const std::string_view wanted : parameter.only_with.values) {
-      if (wanted.empty()) continue;
+    for (const std::string_view wanted : parameter.only_with.values)
       others.append(others.empty() ? "" : ", ").append(wanted);
-    }
     const std::string key(parameter.only_with.key);
     Problem problem = value.problem("no-effect", "it means nothing with `" + key + "` " + is + ", only with " + others);
     problem.place = value.key_place();

@@ -6,6 +6,7 @@
 
 #include "config/read/limits_text.hpp"
 #include "config/read/mistakes.hpp"
+#include "config/read/parameter_table.hpp"
 #include "data/listed.hpp"
 #include "data/permissions.hpp"
 #include "loop/support/name.hpp"
@@ -152,7 +153,13 @@ const Elsewhere* place_elsewhere(std::string_view key, const std::vector<std::st
 
 }  // namespace
 
-bool read_text(const ConfigItem& item, std::string& out, const ParameterRules& rules, Problems& problems) {
+bool read_text(const ConfigItem& item, std::string& out, const RulesOf& parameter, Problems& problems) {
+  if (const auto choices = parameter.choices(); !choices.empty()) {
+    const int index = choose(item, names_among(choices), problems);
+    if (index >= 0) out = choices[static_cast<std::size_t>(index)].text;
+    return index >= 0;
+  }
+  const ParameterRules& rules = parameter.rules;
   if (is_secret_reference(item)) {
     if (rules.text == TextIs::permissions) {
       problems.add(item.problem("not-a-secret", "permissions are no secret: write them as they are"));
@@ -219,6 +226,17 @@ int choose(const ConfigItem& item, const std::vector<std::string>& names, Proble
   problems.add(item.problem("unknown-choice", "expected one of " + detail::listed(names) + ", got " + item.describe(),
                             nearest_name(*text, names)));
   return -1;
+}
+
+bool read_choice(const ConfigItem& item, std::span<const Word> choices, std::int64_t& out, Problems& problems) {
+  const int index = choose(item, names_among(choices), problems);
+  if (index >= 0) out = choices[static_cast<std::size_t>(index)].value;
+  return index >= 0;
+}
+
+void write_choice(std::int64_t value, std::span<const Word> choices, ConfigItem& item) {
+  for (const Word& choice : choices)
+    if (choice.value == value) item.set(choice.text);
 }
 
 bool check_keys(const ConfigItem& item, const std::vector<KnownKey>& known, UnknownKeys unknown, Problems& problems) {

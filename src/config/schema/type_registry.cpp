@@ -7,8 +7,10 @@ TypeRegistryBase::TypeRegistryBase(std::string what, std::vector<ParameterInfo> 
 
 TypeInfo TypeRegistryBase::info_of(const Type& type) const {
   TypeInfo info{type.name, type.doc, common_, type.page};
-  const std::vector<ParameterInfo> own = type.parameters();
-  info.parameters.insert(info.parameters.end(), own.begin(), own.end());
+  for (const config_detail::TableOf table : type.configs) {
+    const std::vector<ParameterInfo> own = config_detail::list_parameters(table());
+    info.parameters.insert(info.parameters.end(), own.begin(), own.end());
+  }
   return info;
 }
 
@@ -24,13 +26,14 @@ std::optional<TypeInfo> TypeRegistryBase::find(std::string_view name) const {
   return std::nullopt;
 }
 
-void TypeRegistryBase::add_type(std::string type, std::string doc, Parameters parameters, TypePage page) {
+void TypeRegistryBase::add_type(std::string type, std::string doc, std::vector<config_detail::TableOf> configs,
+                                TypePage page) {
   for (const Type& other : types_) {
     if (other.name == type)
       throw SetupError({Errc::bad_argument, "cannot add the " + what_ + " type \"" + type + "\"", "",
                         "there is one of this name already", "choose another name"});
   }
-  types_.push_back({std::move(type), std::move(doc), parameters, std::move(page)});
+  types_.push_back({std::move(type), std::move(doc), std::move(configs), std::move(page)});
 }
 
 void TypeRegistryBase::leave_out(std::string type, std::string why) {
@@ -93,6 +96,22 @@ std::size_t TypeRegistryBase::type_of(const ConfigItem& item, Problems& problems
   if (suggestion.empty()) message += listed.empty() ? "; there are none" : "; there are " + listed;
   problems.add(type->problem("unknown-type", std::move(message), std::move(suggestion)));
   return none;
+}
+
+std::size_t TypeRegistryBase::read(const ConfigItem& item, ConfigObjects& configs, Problems& problems) const {
+  const std::size_t type = type_of(item, problems);
+  if (type == none) return none;
+  std::vector<config_detail::ConfigPart> parts;
+  for (const config_detail::TableOf table : types_[type].configs) {
+    configs.push_back(config_detail::make_config(table()));
+    parts.push_back({&table(), configs.back().get()});
+  }
+  return config_detail::read_object(parts, item, UnknownKeys::report, other_keys(), problems) ? type : none;
+}
+
+bool TypeRegistryBase::check(const ConfigItem& item, Problems& problems) const {
+  ConfigObjects configs;
+  return read(item, configs, problems) != none;
 }
 
 std::string TypeRegistryBase::type_named_by(const ConfigItem& item) const {

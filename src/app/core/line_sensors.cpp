@@ -1,0 +1,19 @@
+#include "app/core/standard_drivers.hpp"
+#include "rtdata/sensors/serial_line.hpp"
+#include "rtdata/sensors/w1.hpp"
+
+namespace rtdata::app {
+
+void add_line_sensors(Registry& registry) {
+  registry.add_sensor<W1Config>(
+      "w1", "temperature of a DS18B20 or the like on 1-Wire",
+      [](const W1Config&) { return Result(description_of<W1Temperature>()); }, makes<W1Sensor>);
+  registry.add_sensor<SerialConfig>(
+      "serial", "a device that sends lines of CSV, JSON or NMEA over a serial line",
+      [](const SerialConfig& config) { return serial_description(config); }, makes<SerialLineSensor>,
+      [](PartPlan& plan, const SerialConfig& config) {
+        plan.place = {"", config.device, ""};
+      });
+}
+
+}  // namespace rtdata::app
