@@ -33,7 +33,7 @@ if(TARGET rtdata_sqlite)
   target_link_libraries(rtdata_bench PRIVATE rtdata::sqlite PkgConfig::sqlite3)
   target_compile_definitions(rtdata_bench PRIVATE RTDATA_BENCH_SQLITE RTDATA_BENCH_ROCKET="${CMAKE_CURRENT_SOURCE_DIR}/examples/rocket/rocket.json")
 
-  # Loads what the program loads.
+  # Loads what a program needs that records into SQLite and writes a log.
   add_executable(rtdata_bench_bare tests/bench/bare_program.cpp)
   target_link_libraries(rtdata_bench_bare PRIVATE rtdata_options PkgConfig::libuv PkgConfig::sqlite3)
   if(TARGET rtdata_program)

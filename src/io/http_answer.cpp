@@ -1,7 +1,5 @@
 #include "io/http_answer.hpp"
 
-#include <curl/curl.h>
-
 #include <algorithm>
 #include <cerrno>
 #include <iterator>
@@ -10,6 +8,7 @@
 
 #include "data/utf8.hpp"
 #include "io/http_url.hpp"
+#include "io/libcurl.hpp"
 #include "io/tls_session.hpp"
 
 namespace rtdata::detail {
@@ -166,7 +165,7 @@ HttpJudgement judge(const HttpFailure& failure, const std::string& origin, const
     error.advice = std::move(advice);
   };
   const auto mentions = [&](std::string_view part) { return failure.text.find(part) != std::string::npos; };
-  if (error.why.empty()) error.why = ::curl_easy_strerror(static_cast<CURLcode>(failure.code));
+  if (error.why.empty() && load_curl()) error.why = curl_easy_strerror(static_cast<CURLcode>(failure.code));
   if (failure.connect_status >= 400 && !proxy_origin.empty()) {
     const Status& status = status_of(failure.connect_status);
     error.where = origin + " by the proxy " + proxy_origin;

@@ -13,7 +13,7 @@ constexpr std::size_t most_answer = std::size_t{1} << 20;  // then it is no answ
 /// Where libcurl finds the authorities that this machine trusts. From the folder, OpenSSL reads what it needs; all of
 /// them in one file take it 50 ms to read.
 const char* folder_of_authorities() {
-  const curl_version_info_data* const about = ::curl_version_info(CURLVERSION_NOW);
+  const curl_version_info_data* const about = curl_version_info(CURLVERSION_NOW);
   const bool is_openssl = about->ssl_version != nullptr && std::strstr(about->ssl_version, "OpenSSL") != nullptr;
   return is_openssl && about->age >= CURLVERSION_SEVENTH ? about->capath : nullptr;
 }
@@ -105,18 +105,19 @@ std::string base64(const std::string& text) {
 }  // namespace
 
 void need_curl() {
-  static const CURLcode status = ::curl_global_init(CURL_GLOBAL_DEFAULT);
+  load_curl().or_throw();
+  static const CURLcode status = curl_global_init(CURL_GLOBAL_DEFAULT);
   if (status != CURLE_OK)
-    throw SetupError({Errc::io_failed, "cannot prepare libcurl", "", ::curl_easy_strerror(status), ""});
+    throw SetupError({Errc::io_failed, "cannot prepare libcurl", "", curl_easy_strerror(status), ""});
 }
 
 bool curl_may_raise_sigpipe() noexcept {
   constexpr unsigned without_signals = 0x075800;  // from 7.88 on, it writes with MSG_NOSIGNAL
-  return ::curl_version_info(CURLVERSION_NOW)->version_num < without_signals;
+  return curl_version_info(CURLVERSION_NOW)->version_num < without_signals;
 }
 
 void append(curl_slist*& list, const std::string& text) {
-  curl_slist* const longer = ::curl_slist_append(list, text.c_str());
+  curl_slist* const longer = curl_slist_append(list, text.c_str());
   if (longer == nullptr) throw std::bad_alloc();
   list = longer;
 }
@@ -139,7 +140,7 @@ std::vector<std::string> secrets_of(const HttpPeer& server) {
 }
 
 void set_server(CURL* easy, const HttpPeer& server, const HttpUrl& url) {
-  const auto set = [&](CURLoption option, auto value) { ::curl_easy_setopt(easy, option, value); };
+  const auto set = [&](CURLoption option, auto value) { curl_easy_setopt(easy, option, value); };
   set(CURLOPT_URL, server.url.c_str());
 #if LIBCURL_VERSION_NUM >= 0x075500
   set(CURLOPT_PROTOCOLS_STR, "http,https");
@@ -184,9 +185,9 @@ void set_server(CURL* easy, const HttpPeer& server, const HttpUrl& url) {
 HttpFailure failure_of(CURL* easy, CURLcode result, const char* text) {
   HttpFailure failure{.code = result, .text = text};
   long error_number = 0;
-  ::curl_easy_getinfo(easy, CURLINFO_SSL_VERIFYRESULT, &failure.verify_result);
-  ::curl_easy_getinfo(easy, CURLINFO_HTTP_CONNECTCODE, &failure.connect_status);
-  ::curl_easy_getinfo(easy, CURLINFO_OS_ERRNO, &error_number);
+  curl_easy_getinfo(easy, CURLINFO_SSL_VERIFYRESULT, &failure.verify_result);
+  curl_easy_getinfo(easy, CURLINFO_HTTP_CONNECTCODE, &failure.connect_status);
+  curl_easy_getinfo(easy, CURLINFO_OS_ERRNO, &error_number);
   failure.error_number = static_cast<int>(error_number);
   if (result == CURLE_WRITE_ERROR) failure.text = "the answer is longer than 1 MiB";
   return failure;

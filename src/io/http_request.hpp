@@ -1,8 +1,6 @@
 // What libcurl needs to know of a server, whoever asks it something.
 #pragma once
 
-#include <curl/curl.h>
-
 #include <optional>
 #include <string>
 #include <string_view>
@@ -10,11 +8,12 @@
 
 #include "io/http_answer.hpp"
 #include "io/http_url.hpp"
+#include "io/libcurl.hpp"
 #include "rtdata/io/http.hpp"
 
 namespace rtdata::detail {
 
-/// libcurl is ready for use by any thread; the first call prepares it. Throws SetupError.
+/// libcurl is ready for use by any thread; the first call loads and prepares it. Throws SetupError.
 void need_curl();
 
 /// What libcurl does may raise SIGPIPE where the connection is encrypted: before 7.88 with OpenSSL.

@@ -1,13 +1,12 @@
 #include "io/http_url.hpp"
 
-#include <curl/curl.h>
-
 #include <algorithm>
 #include <cctype>
 #include <memory>
 #include <optional>
 
 #include "data/lower_case.hpp"
+#include "io/libcurl.hpp"
 #include "rtdata/data/config_item.hpp"
 #include "rtdata/data/problem.hpp"
 
@@ -17,8 +16,8 @@ namespace {
 
 std::optional<std::string> part_of(CURLU* url, CURLUPart part, unsigned flags = 0) {
   char* text = nullptr;
-  if (::curl_url_get(url, part, &text, flags) != CURLUE_OK) return std::nullopt;
-  const std::unique_ptr<char, void (*)(void*)> owned(text, ::curl_free);
+  if (curl_url_get(url, part, &text, flags) != CURLUE_OK) return std::nullopt;
+  const std::unique_ptr<char, void (*)(void*)> owned(text, curl_free);
   return std::string(text);
 }
 
@@ -55,14 +54,17 @@ bool is_one_line(const std::string& text) {
   return std::none_of(text.begin(), text.end(), [](unsigned char c) { return (c < 0x20 && c != '\t') || c == 0x7f; });
 }
 
+Result<void> load_curl() { return libcurl.load(); }
+
 Result<HttpUrl> parse_http_url(const std::string& text) {
   const auto wrong = [](std::string why) { return Error{Errc::bad_argument, "cannot send", "", std::move(why), ""}; };
+  if (auto loaded = load_curl(); !loaded) return loaded.error();
   if (text.empty()) return wrong("there is no URL");
   if (!std::all_of(text.begin(), text.end(), [](unsigned char c) { return c > 0x20 && c < 0x7f; }))
     return wrong(
         "a URL has no blanks, no control characters and no letters but those of ASCII: write them as %20 and so "
         "on, a host's name in Punycode (xn--)");
-  const std::unique_ptr<CURLU, void (*)(CURLU*)> url(::curl_url(), ::curl_url_cleanup);
+  const std::unique_ptr<CURLU, void (*)(CURLU*)> url(curl_url(), curl_url_cleanup);
   if (url == nullptr) return wrong("there is no memory");
   const std::size_t colon = text.find("://");
   if (colon == std::string::npos) return wrong("it has no scheme: begin it with http:// or https://");
@@ -71,7 +73,7 @@ Result<HttpUrl> parse_http_url(const std::string& text) {
   if (parsed.scheme != "http" && parsed.scheme != "https")
     return wrong("the scheme is " + text.substr(0, colon) + ": http and https are known");
   if (text.find_first_of("/?#", colon + 3) == colon + 3 || text.size() == colon + 3) return wrong("it has no host");
-  const CURLUcode status = ::curl_url_set(url.get(), CURLUPART_URL, text.c_str(), CURLU_PATH_AS_IS);
+  const CURLUcode status = curl_url_set(url.get(), CURLUPART_URL, text.c_str(), CURLU_PATH_AS_IS);
   if (status == CURLUE_BAD_PORT_NUMBER) return wrong("the port is no number from 1 to 65535");
   const auto host = status == CURLUE_OK ? part_of(url.get(), CURLUPART_HOST) : std::nullopt;
   if (!host || host->empty()) return wrong("it is no URL such as https://collector.example:8443/ingest");

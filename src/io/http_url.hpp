@@ -28,7 +28,9 @@ struct HttpUrl {
     return scheme == other.scheme && host == other.host && port == other.port;
   }
 };
-/// Errors: bad_argument, whose `why` says what is wrong.
+/// libcurl can be used. Error: not-found.
+Result<void> load_curl();
+/// Errors: bad_argument, whose `why` says what is wrong; not-found (libcurl).
 Result<HttpUrl> parse_http_url(const std::string& text);
 
 struct HttpMistake {

@@ -3,7 +3,6 @@
 #include "rtdata/io/modbus.hpp"
 
 #include <fcntl.h>
-#include <modbus.h>
 #include <netdb.h>
 #include <netinet/in.h>
 #include <netinet/tcp.h>
@@ -17,6 +16,7 @@
 #include <cerrno>
 #include <mutex>
 
+#include "io/libmodbus.hpp"
 #include "io/tty.hpp"
 #include "rtdata/data/config_item.hpp"
 #include "rtdata/loop/lane.hpp"
@@ -99,6 +99,7 @@ Result<int> connect_to(const std::string& host, std::uint16_t port, Duration tim
 }  // namespace
 
 void check_config(const ModbusConfig& config, const ConfigItem& item, Problems& problems) {
+  if (!detail::add_not_installed(detail::libmodbus.load(), item, problems)) return;
   const Mistake mistake = mistake_in(config);
   if (mistake.why.empty()) return;
   const ConfigItem* at = item.find(mistake.key);
@@ -113,7 +114,7 @@ struct ModbusDevice::Core {
     Connection& operator=(const Connection&) = delete;
     Connection(modbus_t* context_, int fd_, bool is_tty_) : context(context_), fd(fd_), is_tty(is_tty_) {}
     ~Connection() {
-      ::modbus_free(context);  // leaves the descriptor open
+      modbus_free(context);  // leaves the descriptor open
       if (is_tty)
         detail::close_tty(fd);
       else
@@ -138,19 +139,19 @@ struct ModbusDevice::Core {
                                   : connect_to(config.host, config.port, config.answer_timeout);
     if (!fd) return fd.error();
     // What the line is set to is not libmodbus's affair: it opens nothing.
-    modbus_t* const context = is_rtu ? ::modbus_new_rtu(config.device.c_str(), 9600, 'N', 8, 1)
-                                     : ::modbus_new_tcp_pi(config.host.c_str(), std::to_string(config.port).c_str());
+    modbus_t* const context = is_rtu ? modbus_new_rtu(config.device.c_str(), 9600, 'N', 8, 1)
+                                     : modbus_new_tcp_pi(config.host.c_str(), std::to_string(config.port).c_str());
     if (context == nullptr || *fd >= FD_SETSIZE) {  // libmodbus waits by select(2)
       const int number = context == nullptr ? errno : EMFILE;
-      if (context != nullptr) ::modbus_free(context);
+      if (context != nullptr) modbus_free(context);
       is_rtu ? detail::close_tty(*fd) : static_cast<void>(::close(*fd));
       return system_error(number, cannot_connect, "bus " + bus, "this program has too many files open for libmodbus");
     }
-    ::modbus_set_socket(context, *fd);
+    modbus_set_socket(context, *fd);
     const auto us = std::chrono::duration_cast<std::chrono::microseconds>(config.answer_timeout).count();
     const auto seconds = static_cast<std::uint32_t>(us / 1'000'000), rest = static_cast<std::uint32_t>(us % 1'000'000);
-    ::modbus_set_response_timeout(context, seconds, rest);
-    ::modbus_set_byte_timeout(context, seconds, rest);
+    modbus_set_response_timeout(context, seconds, rest);
+    modbus_set_byte_timeout(context, seconds, rest);
     return std::make_shared<Connection>(context, *fd, is_rtu);
   }
 
@@ -268,8 +269,8 @@ Result<void> ModbusDevice::ask(Ask&& ask) {
         wait(connection.late_until - detail::lane_now());
       connection.late_unit = 0;
     }
-    ::modbus_set_slave(connection.context, static_cast<int>(unit_));
-    ::modbus_flush(connection.context);  // what came too late, or unasked
+    modbus_set_slave(connection.context, static_cast<int>(unit_));
+    modbus_flush(connection.context);  // what came too late, or unasked
     errno = 0;
     if (ask(connection.context) < 0) number = errno != 0 ? errno : EIO;
     connection.last_frame = detail::lane_now();
@@ -285,7 +286,7 @@ Result<void> ModbusDevice::ask(Ask&& ask) {
   }
   count(detail::lane_now() - began, use && number == 0);
   if (!use) return use.error();
-  return number == 0 ? Result<void>() : Result<void>(failure(number, ::modbus_strerror(number)));
+  return number == 0 ? Result<void>() : Result<void>(failure(number, modbus_strerror(number)));
 }
 
 Result<void> ModbusDevice::look_at() {
@@ -304,8 +305,8 @@ Result<void> ModbusDevice::read_registers(ModbusTable table, std::uint16_t first
                  "up to 125, of the holding or the input registers, up to address 65535");
   const int count = static_cast<int>(words.size());
   return ask([&](modbus_t* context) {
-    return is_holding ? ::modbus_read_registers(context, first, count, words.data())
-                      : ::modbus_read_input_registers(context, first, count, words.data());
+    return is_holding ? modbus_read_registers(context, first, count, words.data())
+                      : modbus_read_input_registers(context, first, count, words.data());
   });
 }
 
@@ -317,8 +318,8 @@ Result<void> ModbusDevice::read_bits(ModbusTable table, std::uint16_t first, std
                  "up to 2000, of the coils or the discrete inputs, up to address 65535");
   const int count = static_cast<int>(bits.size());
   return ask([&](modbus_t* context) {
-    return is_coil ? ::modbus_read_bits(context, first, count, bits.data())
-                   : ::modbus_read_input_bits(context, first, count, bits.data());
+    return is_coil ? modbus_read_bits(context, first, count, bits.data())
+                   : modbus_read_input_bits(context, first, count, bits.data());
   });
 }
 
@@ -327,19 +328,20 @@ Result<void> ModbusDevice::write_registers(std::uint16_t first, std::span<const 
     return error(Errc::bad_argument, "cannot write to the device",
                  "these are no registers that can be written at a time", "up to 123, up to address 65535");
   return ask([&](modbus_t* context) {
-    return words.size() == 1 ? ::modbus_write_register(context, first, words[0])
-                             : ::modbus_write_registers(context, first, static_cast<int>(words.size()), words.data());
+    return words.size() == 1 ? modbus_write_register(context, first, words[0])
+                             : modbus_write_registers(context, first, static_cast<int>(words.size()), words.data());
   });
 }
 
 Result<void> ModbusDevice::write_coil(std::uint16_t address, std::uint8_t bit) {
-  return ask([&](modbus_t* context) { return ::modbus_write_bit(context, address, bit != 0 ? 1 : 0); });
+  return ask([&](modbus_t* context) { return modbus_write_bit(context, address, bit != 0 ? 1 : 0); });
 }
 
 ModbusBus::ModbusBus(ModbusConfig config)
     : ModbusBus(config.device.empty() ? std::string(config.host) : std::string(config.device), config) {}
 
 ModbusBus::ModbusBus(std::string name, ModbusConfig config) : Bus(name, config.timeout) {
+  detail::libmodbus.load().or_throw();
   if (const Mistake mistake = mistake_in(config); !mistake.why.empty())
     throw SetupError({Errc::bad_argument, "cannot use this bus", "bus " + name, mistake.why, ""});
   if (const auto flags = detail::control_flags(config.serial); !flags) throw SetupError(flags.error());

@@ -47,7 +47,7 @@ static void on_message(mosquitto*, void* client, const mosquitto_message* messag
 }
 /// Without it, OpenSSL would ask at the terminal.
 static int password_of_key(char* to, int size, int, void* handle) {
-  const std::string& password = of(::mosquitto_userdata(static_cast<mosquitto*>(handle))).key_password;
+  const std::string& password = of(mosquitto_userdata(static_cast<mosquitto*>(handle))).key_password;
   if (password.size() > static_cast<std::size_t>(size)) return -1;
   password.copy(to, password.size());
   return static_cast<int>(password.size());
@@ -60,7 +60,7 @@ static void on_log(mosquitto* handle, void* client, int level, const char* text)
   if (!to.verifies || to.distrust != 0) return;
   // It compares the name itself.
   const bool is_other_name = std::string_view(text).find("host name verification failed") != std::string_view::npos;
-  to.distrust = is_other_name ? other_host_name : verify_result_of(::mosquitto_ssl_get(handle));
+  to.distrust = is_other_name ? other_host_name : verify_result_of(mosquitto_ssl_get(handle));
 }
 }
 
@@ -76,13 +76,13 @@ void initialize_tls() {
   address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
   socklen_t size = sizeof address;
   const auto generic = reinterpret_cast<sockaddr*>(&address);
-  mosquitto* const handle = ::mosquitto_new(nullptr, true, nullptr);
+  mosquitto* const handle = mosquitto_new(nullptr, true, nullptr);
   if (handle != nullptr && ::bind(listening, generic, size) == 0 && ::listen(listening, 1) == 0 &&
       ::getsockname(listening, generic, &size) == 0) {
-    ::mosquitto_int_option(handle, MOSQ_OPT_TLS_USE_OS_CERTS, 1);
-    ::mosquitto_connect(handle, "127.0.0.1", ntohs(address.sin_port), 60);
+    mosquitto_int_option(handle, MOSQ_OPT_TLS_USE_OS_CERTS, 1);
+    mosquitto_connect(handle, "127.0.0.1", ntohs(address.sin_port), 60);
   }
-  ::mosquitto_destroy(handle);
+  mosquitto_destroy(handle);
   if (listening >= 0) ::close(listening);
 }
 
@@ -97,12 +97,12 @@ bool has_ended(int socket) noexcept {
 
 MqttClient::~MqttClient() {
   const NoSigpipe guard;
-  if (handle != nullptr) ::mosquitto_destroy(handle);
+  if (handle != nullptr) mosquitto_destroy(handle);
 }
 
 std::string MqttClient::reason(int status) const {
   if (status == MOSQ_ERR_TLS && distrust != 0) return "certificate verify failed: " + text_of_verify_result(distrust);
-  std::string text = status == MOSQ_ERR_ERRNO ? std::generic_category().message(errno) : ::mosquitto_strerror(status);
+  std::string text = status == MOSQ_ERR_ERRNO ? std::generic_category().message(errno) : mosquitto_strerror(status);
   while (text.ends_with('.')) text.pop_back();
   return trouble.empty() ? text : text + " (" + trouble + ")";
 }
@@ -130,63 +130,63 @@ std::uint16_t port_of(const MqttBroker& broker) noexcept {
 
 int connect_client(MqttClient& client, const MqttBroker& broker, const MqttOptions& options, bool is_v5) {
   static std::once_flag once;
-  std::call_once(once, [] { ::mosquitto_lib_init(); });
+  std::call_once(once, [] { mosquitto_lib_init(); });
   static std::once_flag once_with_tls;
   if (broker.tls) std::call_once(once_with_tls, initialize_tls);
   errno = 0;
   const bool is_new_session = options.session <= Duration{0};
-  mosquitto* const handle = ::mosquitto_new(or_null(broker.client_id), is_new_session, &client);
+  mosquitto* const handle = mosquitto_new(or_null(broker.client_id), is_new_session, &client);
   if (handle == nullptr) return errno == ENOMEM ? MOSQ_ERR_NOMEM : MOSQ_ERR_INVAL;
   client.handle = handle;
-  ::mosquitto_connect_v5_callback_set(handle, on_connect);
-  ::mosquitto_disconnect_v5_callback_set(handle, on_disconnect);
-  ::mosquitto_publish_v5_callback_set(handle, on_publish);
-  ::mosquitto_subscribe_v5_callback_set(handle, on_subscribe);
-  ::mosquitto_message_v5_callback_set(handle, on_message);
-  ::mosquitto_log_callback_set(handle, on_log);
-  ::mosquitto_int_option(handle, MOSQ_OPT_PROTOCOL_VERSION, is_v5 ? MQTT_PROTOCOL_V5 : MQTT_PROTOCOL_V311);
+  mosquitto_connect_v5_callback_set(handle, on_connect);
+  mosquitto_disconnect_v5_callback_set(handle, on_disconnect);
+  mosquitto_publish_v5_callback_set(handle, on_publish);
+  mosquitto_subscribe_v5_callback_set(handle, on_subscribe);
+  mosquitto_message_v5_callback_set(handle, on_message);
+  mosquitto_log_callback_set(handle, on_log);
+  mosquitto_int_option(handle, MOSQ_OPT_PROTOCOL_VERSION, is_v5 ? MQTT_PROTOCOL_V5 : MQTT_PROTOCOL_V311);
   // A broker of version 5 says how many it takes; those of 3.1.1 get what they are used to, the library's 20.
-  if (is_v5 && options.most_sent != 0) ::mosquitto_int_option(handle, MOSQ_OPT_SEND_MAXIMUM, options.most_sent);
+  if (is_v5 && options.most_sent != 0) mosquitto_int_option(handle, MOSQ_OPT_SEND_MAXIMUM, options.most_sent);
   if (is_v5 && options.most_received != 0)
-    ::mosquitto_int_option(handle, MOSQ_OPT_RECEIVE_MAXIMUM, options.most_received);
-  ::mosquitto_int_option(handle, MOSQ_OPT_TCP_NODELAY, 1);
+    mosquitto_int_option(handle, MOSQ_OPT_RECEIVE_MAXIMUM, options.most_received);
+  mosquitto_int_option(handle, MOSQ_OPT_TCP_NODELAY, 1);
   // As for programs with threads, the library then queues its packets, and writes them when it is told to.
-  if (options.holds_answers) ::mosquitto_threaded_set(handle, true);
+  if (options.holds_answers) mosquitto_threaded_set(handle, true);
   int done = MOSQ_ERR_SUCCESS;
-  if (!broker.user.empty()) done = ::mosquitto_username_pw_set(handle, broker.user.c_str(), or_null(broker.password));
+  if (!broker.user.empty()) done = mosquitto_username_pw_set(handle, broker.user.c_str(), or_null(broker.password));
   if (done == MOSQ_ERR_SUCCESS && options.will) {
     const MqttOptions::Will& will = *options.will;
-    done = ::mosquitto_will_set(handle, will.topic.c_str(), static_cast<int>(will.message.size()), will.message.data(),
-                                will.qos, will.retain);
+    done = mosquitto_will_set(handle, will.topic.c_str(), static_cast<int>(will.message.size()), will.message.data(),
+                              will.qos, will.retain);
   }
   if (done == MOSQ_ERR_SUCCESS && broker.tls) {
     const TlsConfig& tls = *broker.tls;
     client.key_password = tls.key_password;
     client.is_encrypted = true;
     client.verifies = tls.verify;
-    if (tls.ca_file.empty()) ::mosquitto_int_option(handle, MOSQ_OPT_TLS_USE_OS_CERTS, 1);
+    if (tls.ca_file.empty()) mosquitto_int_option(handle, MOSQ_OPT_TLS_USE_OS_CERTS, 1);
     if (!tls.ca_file.empty() || !tls.certificate.empty())
-      done = ::mosquitto_tls_set(handle, or_null(tls.ca_file), tls.ca_file.empty() ? "/etc/ssl/certs" : nullptr,
-                                 or_null(tls.certificate), or_null(tls.key), password_of_key);
+      done = mosquitto_tls_set(handle, or_null(tls.ca_file), tls.ca_file.empty() ? "/etc/ssl/certs" : nullptr,
+                               or_null(tls.certificate), or_null(tls.key), password_of_key);
     if (done == MOSQ_ERR_INVAL) client.trouble = "a file of `tls` cannot be read";
     if (done == MOSQ_ERR_SUCCESS && !tls.verify) {
       constexpr int verify_none = 0;  // SSL_VERIFY_NONE
-      done = ::mosquitto_tls_opts_set(handle, verify_none, nullptr, nullptr);
+      done = mosquitto_tls_opts_set(handle, verify_none, nullptr, nullptr);
     }
   }
   if (done != MOSQ_ERR_SUCCESS) return done;
   mosquitto_property* properties = nullptr;
   if (is_v5 && !is_new_session) {
     const auto seconds = std::chrono::duration_cast<std::chrono::seconds>(options.session).count();
-    done = ::mosquitto_property_add_int32(&properties, MQTT_PROP_SESSION_EXPIRY_INTERVAL,
-                                          static_cast<std::uint32_t>(std::clamp<std::int64_t>(seconds, 1, UINT32_MAX)));
+    done = mosquitto_property_add_int32(&properties, MQTT_PROP_SESSION_EXPIRY_INTERVAL,
+                                        static_cast<std::uint32_t>(std::clamp<std::int64_t>(seconds, 1, UINT32_MAX)));
   }
   if (done == MOSQ_ERR_SUCCESS) {
     const auto keepalive = std::chrono::duration_cast<std::chrono::seconds>(broker.keepalive).count();
-    done = ::mosquitto_connect_bind_v5(handle, broker.host.c_str(), port_of(broker), static_cast<int>(keepalive),
-                                       nullptr, properties);
+    done = mosquitto_connect_bind_v5(handle, broker.host.c_str(), port_of(broker), static_cast<int>(keepalive), nullptr,
+                                     properties);
   }
-  ::mosquitto_property_free_all(&properties);
+  mosquitto_property_free_all(&properties);
   return done;
 }
 
@@ -263,7 +263,7 @@ bool may_be_older(int status) noexcept {
 }
 
 std::string refusal_of(int answer, bool is_v5) {
-  return is_v5 ? ::mosquitto_reason_string(answer) : ::mosquitto_connack_string(answer);
+  return is_v5 ? mosquitto_reason_string(answer) : mosquitto_connack_string(answer);
 }
 
 /// On a lane. The rest is done on the loop.
@@ -345,7 +345,7 @@ void MqttConnection::connecting_ended(MqttConnecting& job, LaneJob::Outcome outc
   if (job.status != MOSQ_ERR_SUCCESS) return fail(std::move(job.why));
   client_ = std::move(job.client);
   // A descriptor of our own: the library closes its as it likes, and a watched one must not be closed.
-  const int fd = ::fcntl(::mosquitto_socket(client_->handle), F_DUPFD_CLOEXEC, 3);
+  const int fd = ::fcntl(mosquitto_socket(client_->handle), F_DUPFD_CLOEXEC, 3);
   if (fd < 0) return fail(Errc::io_failed, "cannot connect", std::generic_category().message(errno));
   fd_ = fd;
   work();
@@ -353,7 +353,7 @@ void MqttConnection::connecting_ended(MqttConnecting& job, LaneJob::Outcome outc
 
 void MqttConnection::watch() {
   const unsigned wanted = (may_read() ? FdWatch::readable : 0U) |
-                          (may_write() && ::mosquitto_want_write(client_->handle) ? FdWatch::writable : 0U);
+                          (may_write() && mosquitto_want_write(client_->handle) ? FdWatch::writable : 0U);
   if (std::exchange(watched_, wanted) == wanted) return;
   if (wanted == 0) {
     watch_.close();
@@ -389,12 +389,12 @@ int MqttConnection::call_library(std::size_t& left) {
   errno = 0;
   int status = MOSQ_ERR_SUCCESS;
   // Writing comes first: what is read now may have to wait for its answers (`holds_answers`), which `take` says.
-  if (may_write() && ::mosquitto_want_write(client_->handle)) status = ::mosquitto_loop_write(client_->handle, 1);
+  if (may_write() && mosquitto_want_write(client_->handle)) status = mosquitto_loop_write(client_->handle, 1);
   if (status == MOSQ_ERR_SUCCESS && is_readable_ && may_read()) status = read_some(left);
   // Of a connection that is reset during the handshake of TLS, the library tells nothing.
   const bool is_shaking_hands = broker_.tls && !is_connected_ && !client_->answer;
   if (status == MOSQ_ERR_SUCCESS && is_shaking_hands && has_ended(fd_)) status = MOSQ_ERR_CONN_LOST;
-  if (status == MOSQ_ERR_SUCCESS) status = ::mosquitto_loop_misc(client_->handle);
+  if (status == MOSQ_ERR_SUCCESS) status = mosquitto_loop_misc(client_->handle);
   if (status == MOSQ_ERR_SUCCESS && is_connected_) status = give(left);
   return status;
 }
@@ -403,7 +403,7 @@ int MqttConnection::call_library(std::size_t& left) {
 int MqttConnection::read_some(std::size_t& left) {
   for (;;) {
     const std::size_t before = client_->arrived;
-    const int status = ::mosquitto_loop_read(client_->handle, 1);
+    const int status = mosquitto_loop_read(client_->handle, 1);
     const std::size_t got = client_->arrived - before;
     left -= std::min(left, got);
     if (status == MOSQ_ERR_SUCCESS && got != 0 && left != 0) continue;
@@ -418,7 +418,7 @@ bool MqttConnection::take_answer(int status) {
     if (*answer == 0) {
       is_connected_ = true;
       // It formats a line for each message, whatever becomes of it; from here on the errors are those of TLS, mostly.
-      if (!broker_.tls) ::mosquitto_log_callback_set(client_->handle, nullptr);
+      if (!broker_.tls) mosquitto_log_callback_set(client_->handle, nullptr);
       connected();
       if (client_ == nullptr) return false;
     } else {
@@ -436,7 +436,7 @@ bool MqttConnection::take_answer(int status) {
   if (!is_connected_ && broker_.version == MqttVersion::newest) is_v5_ = true;
   const auto goodbye = std::exchange(client_->goodbye, {});
   Error error = client_->failure(status, is_connected_);
-  if (goodbye && *goodbye >= 0x80) error.why = ::mosquitto_reason_string(*goodbye);
+  if (goodbye && *goodbye >= 0x80) error.why = mosquitto_reason_string(*goodbye);
   if (is_connected_) has_tried_older_ = false;
   fail(std::move(error));
   return false;
@@ -475,8 +475,8 @@ void MqttConnection::drop() {
 void MqttConnection::leave() {
   if (is_connected_) {
     const NoSigpipe guard;
-    ::mosquitto_disconnect_v5(client_->handle, MQTT_RC_NORMAL_DISCONNECTION, nullptr);
-    if (options_.holds_answers && may_write()) ::mosquitto_loop_write(client_->handle, 1);
+    mosquitto_disconnect_v5(client_->handle, MQTT_RC_NORMAL_DISCONNECTION, nullptr);
+    if (options_.holds_answers && may_write()) mosquitto_loop_write(client_->handle, 1);
   }
   drop();
 }

@@ -1,8 +1,6 @@
 // A connection to a broker of MQTT: libmosquitto on the loop. Connecting and looking up names happen on a lane.
 #pragma once
 
-#include <mosquitto.h>
-
 #include <cstddef>
 #include <cstdint>
 #include <functional>
@@ -13,6 +11,7 @@
 #include <utility>
 #include <vector>
 
+#include "io/libmosquitto.hpp"
 #include "rtdata/io/mqtt.hpp"
 #include "rtdata/loop/lane.hpp"
 #include "rtdata/loop/timer.hpp"

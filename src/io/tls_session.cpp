@@ -1,16 +1,16 @@
 #include "io/tls_session.hpp"
 
-#ifdef RTDATA_WITH_OPENSSL
-#include <openssl/err.h>
-#include <openssl/ssl.h>
-#include <openssl/x509v3.h>
-#endif
-
 #include <algorithm>
 #include <cstring>
 #include <utility>
 
+#ifdef RTDATA_WITH_OPENSSL
+#include "io/libssl.hpp"
+#endif
+
 namespace rtdata::detail {
+
+static constexpr const char* not_trusted = "it is not trusted";
 
 std::string advice_on_certificate(long verified, const std::string& key) {
   switch (verified) {
@@ -53,25 +53,24 @@ int password_of(char* to, int size, int, void* config) {
   return static_cast<int>(password.size());
 }
 
-template <auto Free>
 struct Deleter {
-  template <class T>
-  void operator()(T* object) const noexcept {
-    Free(object);
-  }
+  void operator()(SSL* session) const noexcept { SSL_free(session); }
+  void operator()(SSL_CTX* context) const noexcept { SSL_CTX_free(context); }
 };
 
 }  // namespace
 
 long verify_result_of(void* ssl) noexcept {
-  return ssl == nullptr ? X509_V_OK : SSL_get_verify_result(static_cast<const SSL*>(ssl));
+  return ssl == nullptr || !load_tls() ? X509_V_OK : SSL_get_verify_result(static_cast<const SSL*>(ssl));
 }
-std::string text_of_verify_result(long verified) { return X509_verify_cert_error_string(verified); }
+std::string text_of_verify_result(long verified) {
+  return load_tls() ? X509_verify_cert_error_string(verified) : not_trusted;
+}
 
-bool has_tls() noexcept { return true; }
+Result<void> load_tls() { return libssl.load(); }
 
 struct TlsContext::Impl {
-  std::unique_ptr<SSL_CTX, Deleter<SSL_CTX_free>> context;
+  std::unique_ptr<SSL_CTX, Deleter> context;
   bool is_verified = true;
 };
 
@@ -79,6 +78,7 @@ TlsContext::TlsContext(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
 TlsContext::~TlsContext() = default;
 
 Result<std::shared_ptr<const TlsContext>> TlsContext::load(const TlsConfig& config) {
+  if (auto loaded = load_tls(); !loaded) return loaded.error();
   ERR_clear_error();
   auto impl = std::make_unique<Impl>();
   impl->context.reset(SSL_CTX_new(TLS_client_method()));
@@ -113,7 +113,7 @@ Result<std::shared_ptr<const TlsContext>> TlsContext::load(const TlsConfig& conf
 }
 
 struct TlsSession::Impl {
-  std::unique_ptr<SSL, Deleter<SSL_free>> ssl;
+  std::unique_ptr<SSL, Deleter> ssl;
   BIO* in = nullptr;  // its own
   BIO* out = nullptr;
 };
@@ -220,18 +220,18 @@ void TlsSession::sent(std::size_t bytes) {
 #else
 
 long verify_result_of(void*) noexcept { return 0; }
-std::string text_of_verify_result(long) { return "it is not trusted"; }
+std::string text_of_verify_result(long) { return not_trusted; }
 
-bool has_tls() noexcept { return false; }
+Result<void> load_tls() {
+  return Error{Errc::not_found, "cannot encrypt", "", "this was built without OpenSSL",
+               "install libssl-dev and build it again, or leave `tls` out"};
+}
 
 struct TlsContext::Impl {};
 TlsContext::TlsContext(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
 TlsContext::~TlsContext() = default;
 
-Result<std::shared_ptr<const TlsContext>> TlsContext::load(const TlsConfig&) {
-  return Error{Errc::not_found, "cannot encrypt", "", "this library was built without OpenSSL",
-               "install libssl-dev and build it again, or leave `tls` out"};
-}
+Result<std::shared_ptr<const TlsContext>> TlsContext::load(const TlsConfig&) { return load_tls().error(); }
 
 struct TlsSession::Impl {};
 TlsSession::TlsSession(std::shared_ptr<const TlsContext> context, const std::string&) : context_(std::move(context)) {}

@@ -16,19 +16,19 @@ namespace rtdata::detail {
 std::string advice_on_certificate(long verified, const std::string& key);
 
 /// What OpenSSL has found wrong with the peer's certificate in a session that another library keeps (`ssl`: its SSL*);
-/// 0: nothing, or this library was built without OpenSSL.
+/// 0: nothing, or there is no OpenSSL.
 long verify_result_of(void* ssl) noexcept;
 /// For people.
 std::string text_of_verify_result(long verified);
 constexpr long other_host_name = 62;  // X509_V_ERR_HOSTNAME_MISMATCH
 
-/// Whether this library was built with OpenSSL.
-bool has_tls() noexcept;
+/// OpenSSL can be used. Errors: not-found (this was built without it, or it is not installed).
+Result<void> load_tls();
 
 /// Who is trusted, and our own certificate: read from files once, used by all connections of a peer.
 class TlsContext {
  public:
-  /// Reads the files, so it may block. Errors: not-found (built without OpenSSL), bad-data (a file that is not PEM, a
+  /// Reads the files, so it may block. Errors: those of load_tls, bad-data (a file that is not PEM, a
   /// key of another certificate, a wrong password).
   static Result<std::shared_ptr<const TlsContext>> load(const TlsConfig& config);
   ~TlsContext();

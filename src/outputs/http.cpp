@@ -53,17 +53,17 @@ struct HttpActuator::Request {
   Request& operator=(const Request&) = delete;
   ~Request() {
     const detail::NoSigpipe guard;
-    ::curl_easy_cleanup(easy);
-    ::curl_slist_free_all(headers);
+    curl_easy_cleanup(easy);
+    curl_slist_free_all(headers);
   }
 
   void make() {
-    easy = ::curl_easy_init();
+    easy = curl_easy_init();
     if (easy == nullptr) throw std::bad_alloc();
     url = detail::parse_http_url(servers_of(config).front().url).or_throw();
     secrets = detail::secrets_of(config.server);
     detail::append_headers(headers, config.server, config.method == HttpSetMethod::get ? "" : config.content_type);
-    const auto set = [&](CURLoption option, auto value) { ::curl_easy_setopt(easy, option, value); };
+    const auto set = [&](CURLoption option, auto value) { curl_easy_setopt(easy, option, value); };
     detail::set_server(easy, config.server, url);
     set(CURLOPT_NOSIGNAL, 1L);
     set(CURLOPT_HTTPHEADER, headers);
@@ -79,16 +79,16 @@ struct HttpActuator::Request {
     answered = {};
     error[0] = '\0';
     const std::string where = detail::set_text(config.server.url, value, config.words);
-    ::curl_easy_setopt(easy, CURLOPT_URL, where.c_str());  // copied
+    curl_easy_setopt(easy, CURLOPT_URL, where.c_str());  // copied
     if (config.method == HttpSetMethod::get) return;
     const std::string body = detail::set_text(config.text, value, config.words);
-    ::curl_easy_setopt(easy, CURLOPT_POSTFIELDSIZE, static_cast<long>(body.size()));
-    ::curl_easy_setopt(easy, CURLOPT_COPYPOSTFIELDS, body.c_str());
+    curl_easy_setopt(easy, CURLOPT_POSTFIELDSIZE, static_cast<long>(body.size()));
+    curl_easy_setopt(easy, CURLOPT_COPYPOSTFIELDS, body.c_str());
   }
   /// On a thread of its own.
   void run() noexcept {
     const detail::NoSigpipe guard;
-    const CURLcode result = ::curl_easy_perform(easy);
+    const CURLcode result = curl_easy_perform(easy);
     const std::lock_guard lock(mutex);
     status = result;
     is_done = true;
@@ -97,7 +97,7 @@ struct HttpActuator::Request {
   Result<void> outcome() {
     if (status == CURLE_OK) {
       long number = 0;
-      ::curl_easy_getinfo(easy, CURLINFO_RESPONSE_CODE, &number);
+      curl_easy_getinfo(easy, CURLINFO_RESPONSE_CODE, &number);
       const std::string text = detail::hidden(answered.text, secrets);
       const detail::HttpJudgement judgement = detail::judge(detail::HttpAnswer{.status = number, .text = text},
                                                             url.origin);
@@ -161,6 +161,7 @@ Result<void> HttpActuator::set(double value) {
 }
 
 void check_config(const HttpActuatorConfig& config, const ConfigItem& item, Problems& problems) {
+  if (!detail::add_not_installed(detail::load_curl(), item, problems)) return;
   detail::add_mistakes(mistakes_of(config), item, problems);
   detail::check_words(config.words, item, problems);
 }

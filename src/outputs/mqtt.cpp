@@ -77,7 +77,7 @@ struct MqttActuator::Link {
     int status = detail::connect_client(client, config.broker, options, is_v5);
     if (status != MOSQ_ERR_SUCCESS) return tell(Errc::disconnected, client.reason(status));
     while (status == MOSQ_ERR_SUCCESS) {
-      status = ::mosquitto_loop(client.handle, longest_wait_ms, 1);
+      status = mosquitto_loop(client.handle, longest_wait_ms, 1);
       const std::unique_lock lock(mutex);
       for (const auto& [number, reason] : client.published)
         if (number == awaited) result = reason;
@@ -92,7 +92,7 @@ struct MqttActuator::Link {
           status = MOSQ_ERR_CONN_REFUSED;
         }
       }
-      if (is_over && !::mosquitto_want_write(client.handle)) break;
+      if (is_over && !mosquitto_want_write(client.handle)) break;
       changed.notify_all();
     }
     const std::lock_guard lock(mutex);
@@ -119,15 +119,15 @@ struct MqttActuator::Link {
       return failed("there is no connection to the broker" + (trouble.why.empty() ? "" : ": " + trouble.why));
     if (handle == nullptr) return failed(trouble.why);
     trouble = {};
-    const int status = ::mosquitto_publish_v5(handle, &awaited, config.to.c_str(), static_cast<int>(text.size()),
-                                              text.data(), config.qos, config.retain, nullptr);
-    if (status != MOSQ_ERR_SUCCESS) return failed(::mosquitto_strerror(status));
+    const int status = mosquitto_publish_v5(handle, &awaited, config.to.c_str(), static_cast<int>(text.size()),
+                                            text.data(), config.qos, config.retain, nullptr);
+    if (status != MOSQ_ERR_SUCCESS) return failed(mosquitto_strerror(status));
     if (!changed.wait_until(lock, until, [this] { return result || handle == nullptr; }))
       return failed("the broker did not confirm it within " + to_string(config.timeout));
     if (!result) return failed("the connection was lost: " + trouble.why);
     if (*result >= 0x80) {
       trouble.code = Errc::not_permitted;
-      return failed("the broker refuses the message: " + std::string(::mosquitto_reason_string(*result)));
+      return failed("the broker refuses the message: " + std::string(mosquitto_reason_string(*result)));
     }
     is_lost = handle == nullptr;
     return {};
@@ -150,7 +150,7 @@ struct MqttActuator::Link {
   bool end() noexcept {
     std::unique_lock lock(mutex);
     is_over = true;
-    if (handle != nullptr) ::mosquitto_disconnect_v5(handle, MQTT_RC_NORMAL_DISCONNECTION, nullptr);
+    if (handle != nullptr) mosquitto_disconnect_v5(handle, MQTT_RC_NORMAL_DISCONNECTION, nullptr);
     changed.notify_all();
     return changed.wait_for(lock, goodbye_limit, [this] { return has_ended; });
   }
@@ -175,6 +175,7 @@ struct MqttActuator::Link {
 };
 
 MqttActuator::MqttActuator(MqttActuatorConfig config) : config_(std::move(config)) {
+  detail::libmosquitto.load().or_throw();
   for (const Mistake& mistake : mistakes_of(config_))
     throw SetupError({Errc::bad_argument, cannot_set_mqtt, mistake.key, mistake.why, ""});
 }
@@ -201,6 +202,7 @@ Result<void> MqttActuator::set(double value) {
 Result<void> MqttActuator::check() { return link_ != nullptr ? link_->check() : Result<void>(); }
 
 void check_config(const MqttActuatorConfig& config, const ConfigItem& item, Problems& problems) {
+  if (!detail::add_not_installed(detail::libmosquitto.load(), item, problems)) return;
   for (const Mistake& mistake : mistakes_of(config)) {
     const ConfigItem* const at = item.find(mistake.key);
     problems.add((at != nullptr ? *at : item).problem("bad-value", mistake.why));

@@ -112,7 +112,7 @@ struct ParameterRules {
   std::string_view names_part;  ///< see NamesPart
 };
 
-/// A parameter, or all of those of a base or member. What it is of is known to `kind` alone, so that one code reads all.
+/// A parameter, or all of those of a base or member. `kind` alone knows what it is of, so that one code reads all.
 struct ParameterEntry {
   std::string_view key;
   std::string_view doc;

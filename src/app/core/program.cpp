@@ -66,6 +66,72 @@ constexpr Command commands[] = {
 #endif
 };
 
+struct Part {
+  const char* name;
+  const char* library;
+  const char* package;
+  const char* version = nullptr;  // that it was built with; null: it was built without it
+};
+
+// clang-format off
+constexpr Part parts[] = {
+    {"SQLite", "SQLite", "libsqlite3-dev",
+#ifdef RTDATA_WITH_SQLITE
+     RTDATA_WITH_SQLITE
+#endif
+    },
+    {"GPIO", "libgpiod", "libgpiod-dev",
+#ifdef RTDATA_WITH_GPIO
+     RTDATA_WITH_GPIO
+#endif
+    },
+    {"Modbus", "libmodbus", "libmodbus-dev",
+#ifdef RTDATA_WITH_MODBUS
+     RTDATA_WITH_MODBUS
+#endif
+    },
+    {"PostgreSQL", "libpq", "libpq-dev",
+#ifdef RTDATA_WITH_POSTGRESQL
+     RTDATA_WITH_POSTGRESQL
+#endif
+    },
+    {"HTTP", "libcurl", "libcurl4-openssl-dev",
+#ifdef RTDATA_WITH_HTTP
+     RTDATA_WITH_HTTP
+#endif
+    },
+    {"MQTT", "libmosquitto", "libmosquitto-dev",
+#ifdef RTDATA_WITH_MQTT
+     RTDATA_WITH_MQTT
+#endif
+    },
+    {"TLS", "OpenSSL", "libssl-dev",
+#ifdef RTDATA_WITH_OPENSSL
+     RTDATA_WITH_OPENSSL
+#endif
+    },
+    {"expressions", "muParser", "libmuparser-dev",
+#ifdef RTDATA_WITH_MUPARSER
+     RTDATA_WITH_MUPARSER
+#endif
+    },
+};
+// clang-format on
+
+/// With the parts that there are, and those that were left out.
+std::string version_text() {
+  std::string text = "rtdata " RTDATA_VERSION;
+  for (const Part& part : parts) {
+    text.append("\n  ").append(part.name).append(": ");
+    if (part.version != nullptr) {
+      text.append(part.library).append(" ").append(part.version);
+    } else {
+      text.append("left out, built without ").append(part.library).append(" (").append(part.package).append(")");
+    }
+  }
+  return text;
+}
+
 /// What is wrong with a first argument that is no command.
 std::string wrong_command(const std::string& word) {
   std::vector<std::string> names;
@@ -99,7 +165,7 @@ std::string wrong_argument(const CLI::App& command) {
 
 int parse_and_run(const Registry& registry, int argc, char** argv) {
   CLI::App program{"rtdata acquires data from sensors into recordings, and accounts for every sample.", "rtdata"};
-  program.set_version_flag("--version", "rtdata " RTDATA_VERSION);
+  program.set_version_flag("--version", version_text);
   program.footer(examples);
   program.require_subcommand(1);
 

@@ -1,4 +1,4 @@
-// What `standard_registry` is made of, a file each. Of the drivers there is one for each kind of bus: a chip is one line
+// The parts of `standard_registry`, a file each. The drivers have one for each kind of bus: a chip is one line
 // in it. Private to the program.
 #pragma once
 

@@ -70,8 +70,8 @@ class Subscribing final : public MqttConnection {
     std::vector<char*> filters;
     for (const std::string& topic : config_.topics) filters.push_back(const_cast<char*>(topic.c_str()));
     const int options = is_v5() && config_.retained == MqttRetained::skip ? MQTT_SUB_OPT_SEND_RETAIN_NEVER : 0;
-    const int status = ::mosquitto_subscribe_multiple(handle(), nullptr, static_cast<int>(filters.size()),
-                                                      filters.data(), config_.qos, options, nullptr);
+    const int status = mosquitto_subscribe_multiple(handle(), nullptr, static_cast<int>(filters.size()), filters.data(),
+                                                    config_.qos, options, nullptr);
     if (status != MOSQ_ERR_SUCCESS) fail(Errc::disconnected, "cannot subscribe", client_->reason(status));
   }
   int give(std::size_t&) override { return MOSQ_ERR_SUCCESS; }
@@ -258,7 +258,7 @@ void Subscribing::take_granted(const std::vector<int>& granted) {
     if (granted[i] < 0x80) continue;
     ++number;
     refused += (refused.empty() ? "" : "; ") + config_.topics[i];
-    if (is_v5()) refused += std::string(" (") + ::mosquitto_reason_string(granted[i]) + ")";
+    if (is_v5()) refused += std::string(" (") + mosquitto_reason_string(granted[i]) + ")";
   }
   if (number == granted.size()) {
     drop();
@@ -289,7 +289,7 @@ std::string obstacle_of_filter(const std::string& filter) {
     rest = filter.substr(end + 1);
   }
   if (rest.empty()) return "it is empty";
-  if (filter.find('\0') != std::string::npos || ::mosquitto_sub_topic_check(rest.c_str()) != MOSQ_ERR_SUCCESS)
+  if (filter.find('\0') != std::string::npos || mosquitto_sub_topic_check(rest.c_str()) != MOSQ_ERR_SUCCESS)
     return "MQTT has no such topics: + stands for a whole level, # for all below, at the end";
   return "";
 }
@@ -349,6 +349,7 @@ Result<std::shared_ptr<const Description>> mqtt_description(const MqttSensorConf
 }
 
 void check_config(const MqttSensorConfig& config, const ConfigItem& item, Problems& problems) {
+  if (!detail::add_not_installed(detail::libmosquitto.load(), item, problems)) return;
   for (auto& [key, why] : detail::mistakes_of(config)) {
     const ConfigItem* at = item.find(key);
     problems.add((at != nullptr ? *at : item).problem("bad-value", std::move(why)));
@@ -358,6 +359,7 @@ void check_config(const MqttSensorConfig& config, const ConfigItem& item, Proble
 ReadTime read_time(const MqttSensorConfig&) { return {.on_loop = std::chrono::milliseconds{1}}; }
 
 MqttSensor::MqttSensor(Loop& loop, FeedConfig feed, MqttSensorConfig config) {
+  detail::libmosquitto.load().or_throw();
   const auto refuse = [&](Errc code, const std::string& why, const char* advice) {
     throw SetupError({code, "cannot use this broker", "sensor " + feed.name, why, advice});
   };

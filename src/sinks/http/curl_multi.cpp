@@ -11,22 +11,22 @@
 namespace rtdata::detail {
 
 CurlMulti::CurlMulti(Loop& loop, Config config, Done done)
-    : loop_(loop), config_(std::move(config)), done_(std::move(done)), multi_(::curl_multi_init()) {
+    : loop_(loop), config_(std::move(config)), done_(std::move(done)), multi_(curl_multi_init()) {
   if (multi_ == nullptr) throw std::bad_alloc();
   const long connections = static_cast<long>(config_.connections);
-  ::curl_multi_setopt(multi_, CURLMOPT_SOCKETFUNCTION, &CurlMulti::on_socket);
-  ::curl_multi_setopt(multi_, CURLMOPT_SOCKETDATA, this);
-  ::curl_multi_setopt(multi_, CURLMOPT_TIMERFUNCTION, &CurlMulti::on_timer);
-  ::curl_multi_setopt(multi_, CURLMOPT_TIMERDATA, this);
-  ::curl_multi_setopt(multi_, CURLMOPT_PIPELINING, static_cast<long>(CURLPIPE_MULTIPLEX));
-  ::curl_multi_setopt(multi_, CURLMOPT_MAX_HOST_CONNECTIONS, connections);
-  ::curl_multi_setopt(multi_, CURLMOPT_MAXCONNECTS, connections);
+  curl_multi_setopt(multi_, CURLMOPT_SOCKETFUNCTION, &CurlMulti::on_socket);
+  curl_multi_setopt(multi_, CURLMOPT_SOCKETDATA, this);
+  curl_multi_setopt(multi_, CURLMOPT_TIMERFUNCTION, &CurlMulti::on_timer);
+  curl_multi_setopt(multi_, CURLMOPT_TIMERDATA, this);
+  curl_multi_setopt(multi_, CURLMOPT_PIPELINING, static_cast<long>(CURLPIPE_MULTIPLEX));
+  curl_multi_setopt(multi_, CURLMOPT_MAX_HOST_CONNECTIONS, connections);
+  curl_multi_setopt(multi_, CURLMOPT_MAXCONNECTS, connections);
   timer_ = Timer(loop_, Timer::Config{config_.name}, [this] {
     const std::shared_ptr<bool> alive = is_alive_;
     act(CURL_SOCKET_TIMEOUT, 0);
     if (!*alive || running_ == 0) return;
     long left = -1;  // it does not ask again for what it has asked for already, and in virtual time may not be due yet
-    ::curl_multi_timeout(multi_, &left);
+    curl_multi_timeout(multi_, &left);
     timeout_ms_ = left == 0 ? 1 : left;
     arm();
   });
@@ -36,17 +36,17 @@ CurlMulti::~CurlMulti() {
   *is_alive_ = false;
   std::optional<NoSigpipe> guard;
   if (config_.keeps_sigpipe_away) guard.emplace();
-  ::curl_multi_cleanup(multi_);  // closes connections, for which it calls on_close_socket
+  curl_multi_cleanup(multi_);  // closes connections, for which it calls on_close_socket
 }
 
 void CurlMulti::prepare(CURL* easy) {
-  ::curl_easy_setopt(easy, CURLOPT_NOSIGNAL, 1L);
-  ::curl_easy_setopt(easy, CURLOPT_CLOSESOCKETFUNCTION, &CurlMulti::on_close_socket);
-  ::curl_easy_setopt(easy, CURLOPT_CLOSESOCKETDATA, this);
+  curl_easy_setopt(easy, CURLOPT_NOSIGNAL, 1L);
+  curl_easy_setopt(easy, CURLOPT_CLOSESOCKETFUNCTION, &CurlMulti::on_close_socket);
+  curl_easy_setopt(easy, CURLOPT_CLOSESOCKETDATA, this);
 }
 
 bool CurlMulti::add(CURL* easy) {
-  if (::curl_multi_add_handle(multi_, easy) != CURLM_OK) return false;
+  if (curl_multi_add_handle(multi_, easy) != CURLM_OK) return false;
   ++running_;
   if (!is_acting_) act(CURL_SOCKET_TIMEOUT, 0);  // begins at once, not when the timer has fired
   return true;
@@ -55,7 +55,7 @@ bool CurlMulti::add(CURL* easy) {
 void CurlMulti::remove(CURL* easy) noexcept {
   std::optional<NoSigpipe> guard;
   if (config_.keeps_sigpipe_away) guard.emplace();
-  ::curl_multi_remove_handle(multi_, easy);
+  curl_multi_remove_handle(multi_, easy);
 }
 
 int CurlMulti::on_socket(CURL*, curl_socket_t fd, int wants, void* self, void*) {
@@ -121,7 +121,7 @@ int CurlMulti::on_timer(CURLM*, long milliseconds, void* self) {
 void CurlMulti::act_once(curl_socket_t fd, int mask) {
   std::optional<NoSigpipe> guard;
   if (config_.keeps_sigpipe_away) guard.emplace();
-  ::curl_multi_socket_action(multi_, fd, mask, &running_);
+  curl_multi_socket_action(multi_, fd, mask, &running_);
 }
 
 void CurlMulti::act(curl_socket_t fd, int mask) {
@@ -131,7 +131,7 @@ void CurlMulti::act(curl_socket_t fd, int mask) {
   act_once(fd, mask);
   for (int round = 0; round < most_rounds; ++round) {
     int left = 0;
-    while (CURLMsg* const message = ::curl_multi_info_read(multi_, &left)) {
+    while (CURLMsg* const message = curl_multi_info_read(multi_, &left)) {
       if (message->msg != CURLMSG_DONE) continue;
       CURL* const easy = message->easy_handle;
       const CURLcode result = message->data.result;

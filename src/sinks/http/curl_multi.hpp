@@ -1,13 +1,12 @@
 // Transfers of libcurl on a loop, with its watches and timers.
 #pragma once
 
-#include <curl/curl.h>
-
 #include <functional>
 #include <memory>
 #include <string>
 #include <unordered_map>
 
+#include "io/libcurl.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/loop/watch.hpp"
 

@@ -2,7 +2,6 @@
 
 #include <arpa/inet.h>
 #include <netinet/in.h>
-#include <zlib.h>
 
 #include <algorithm>
 #include <cstdio>
@@ -10,6 +9,7 @@
 #include <limits>
 
 #include "data/hidden.hpp"
+#include "io/libz.hpp"
 #include "loop/core/loop_core.hpp"
 
 namespace rtdata::detail {
@@ -62,6 +62,7 @@ bool is_number(const std::string& host) {
 
 HttpUrl checked_url(const HttpConfig& config) {
   need_curl();
+  if (config.compression == HttpCompression::gzip) libz.load().or_throw();
   for (const HttpMistake& mistake : mistakes_of(config))
     throw SetupError({Errc::bad_argument, "cannot send by HTTP", mistake.key, mistake.message, ""});
   return parse_http_url(config.url).or_throw();
@@ -90,23 +91,23 @@ class HttpSender::GzipJob final : public LaneJob {
  public:
   GzipJob(HttpSender& sender, Request& request) : owner(&sender), request_(&request) {}
   ~GzipJob() override {
-    if (is_ready_) ::deflateEnd(&stream_);
+    if (is_ready_) deflateEnd(&stream_);
   }
   void run() noexcept override {
     constexpr int window_of_gzip = 15 + 16, memory = 8;
     try {
       is_good = false;
-      if (!is_ready_ && ::deflateInit2(&stream_, Z_DEFAULT_COMPRESSION, Z_DEFLATED, window_of_gzip, memory,
-                                       Z_DEFAULT_STRATEGY) != Z_OK)
+      if (!is_ready_ &&
+          deflateInit2(&stream_, Z_DEFAULT_COMPRESSION, Z_DEFLATED, window_of_gzip, memory, Z_DEFAULT_STRATEGY) != Z_OK)
         return;
-      if (std::exchange(is_ready_, true)) ::deflateReset(&stream_);
+      if (std::exchange(is_ready_, true)) deflateReset(&stream_);
       if (in.size() > std::numeric_limits<uInt>::max() / 2) return;
-      out.resize(::deflateBound(&stream_, static_cast<uLong>(in.size())));
+      out.resize(deflateBound(&stream_, static_cast<uLong>(in.size())));
       stream_.next_in = reinterpret_cast<Bytef*>(in.data());
       stream_.avail_in = static_cast<uInt>(in.size());
       stream_.next_out = reinterpret_cast<Bytef*>(out.data());
       stream_.avail_out = static_cast<uInt>(out.size());
-      is_good = ::deflate(&stream_, Z_FINISH) == Z_STREAM_END;
+      is_good = deflate(&stream_, Z_FINISH) == Z_STREAM_END;
       out.resize(out.size() - stream_.avail_out);
     } catch (...) {
       is_good = false;
@@ -128,7 +129,7 @@ struct HttpSender::Request {
   Request() = default;
   Request(const Request&) = delete;
   Request& operator=(const Request&) = delete;
-  ~Request() { ::curl_easy_cleanup(easy); }
+  ~Request() { curl_easy_cleanup(easy); }
 
   CURL* easy = nullptr;
   State state = State::idle;
@@ -180,7 +181,7 @@ HttpSender::HttpSender(HttpConfig config, std::unique_ptr<Codec> codec)
 
 HttpSender::~HttpSender() {
   end();
-  ::curl_slist_free_all(headers_);
+  curl_slist_free_all(headers_);
 }
 
 SendingConfig HttpSender::sending() const {
@@ -222,9 +223,9 @@ HttpSender::Request& HttpSender::free_request() {
 }
 
 void HttpSender::make_easy(Request& request) {
-  request.easy = ::curl_easy_init();
+  request.easy = curl_easy_init();
   if (request.easy == nullptr) throw std::bad_alloc();
-  const auto set = [&](CURLoption option, auto value) { ::curl_easy_setopt(request.easy, option, value); };
+  const auto set = [&](CURLoption option, auto value) { curl_easy_setopt(request.easy, option, value); };
   multi_->prepare(request.easy);
   set(CURLOPT_PRIVATE, &request);
   set_server(request.easy, server_, url_);
@@ -353,16 +354,16 @@ void HttpSender::transfer(Request& request) {
     request.addresses_number = addresses_number_;
     request.addresses = addresses_;
     request.resolve.data = request.addresses.data();
-    ::curl_easy_setopt(request.easy, CURLOPT_RESOLVE, &request.resolve);
+    curl_easy_setopt(request.easy, CURLOPT_RESOLVE, &request.resolve);
   } else if (request.resolve.data != nullptr) {  // libcurl keeps them
     request.resolve.data = nullptr;
-    ::curl_easy_setopt(request.easy, CURLOPT_RESOLVE, nullptr);
+    curl_easy_setopt(request.easy, CURLOPT_RESOLVE, nullptr);
   }
-  ::curl_easy_setopt(request.easy, CURLOPT_POSTFIELDS, request.bytes.data());
-  ::curl_easy_setopt(request.easy, CURLOPT_POSTFIELDSIZE_LARGE, static_cast<curl_off_t>(request.bytes.size()));
+  curl_easy_setopt(request.easy, CURLOPT_POSTFIELDS, request.bytes.data());
+  curl_easy_setopt(request.easy, CURLOPT_POSTFIELDSIZE_LARGE, static_cast<curl_off_t>(request.bytes.size()));
   if (request.redirects == 0 && request.has_own_url) {
     request.has_own_url = false;
-    ::curl_easy_setopt(request.easy, CURLOPT_URL, config_.url.c_str());
+    curl_easy_setopt(request.easy, CURLOPT_URL, config_.url.c_str());
   }
   request.answered.text.clear();
   request.answered.size = 0;
@@ -376,18 +377,18 @@ void HttpSender::transfer(Request& request) {
 
 void HttpSender::transferred(CURL* easy, CURLcode result) {
   char* owner = nullptr;
-  ::curl_easy_getinfo(easy, CURLINFO_PRIVATE, &owner);
+  curl_easy_getinfo(easy, CURLINFO_PRIVATE, &owner);
   Request& request = *reinterpret_cast<Request*>(owner);
   request.state = State::waiting;  // not libcurl's any more
   HttpAnswer answer;
-  ::curl_easy_getinfo(easy, CURLINFO_RESPONSE_CODE, &answer.status);
+  curl_easy_getinfo(easy, CURLINFO_RESPONSE_CODE, &answer.status);
   // A server that refuses a request may close the connection before it has read it.
   if (result == CURLE_OK || answer.status >= 400) {
     curl_off_t seconds = 0;
-    ::curl_easy_getinfo(easy, CURLINFO_RETRY_AFTER, &seconds);
+    curl_easy_getinfo(easy, CURLINFO_RETRY_AFTER, &seconds);
     answer.retry_after = std::chrono::seconds{std::min<curl_off_t>(seconds, 86400)};
     char* redirect = nullptr;
-    ::curl_easy_getinfo(easy, CURLINFO_REDIRECT_URL, &redirect);
+    curl_easy_getinfo(easy, CURLINFO_REDIRECT_URL, &redirect);
     if (redirect != nullptr) answer.redirect = redirect;
     // As a whole: the line that is shown may end within one.
     request.answered.text = hidden(std::move(request.answered.text), secrets_);
@@ -395,7 +396,7 @@ void HttpSender::transferred(CURL* easy, CURLcode result) {
     HttpJudgement judgement = judge(answer, url_.origin);
     if (judgement.verdict == HttpVerdict::elsewhere && ++request.redirects <= most_redirects) {
       request.has_own_url = true;
-      ::curl_easy_setopt(easy, CURLOPT_URL, answer.redirect.c_str());
+      curl_easy_setopt(easy, CURLOPT_URL, answer.redirect.c_str());
       return transfer(request);
     }
     if (judgement.verdict == HttpVerdict::elsewhere) {
@@ -491,7 +492,7 @@ void HttpSender::deadline() {
 bool HttpSender::has_connected(const Request& request) {
   curl_off_t connected = 0;
   return request.state == State::transferring &&
-         ::curl_easy_getinfo(request.easy, CURLINFO_CONNECT_TIME_T, &connected) == CURLE_OK && connected > 0;
+         curl_easy_getinfo(request.easy, CURLINFO_CONNECT_TIME_T, &connected) == CURLE_OK && connected > 0;
 }
 
 Error HttpSender::where_it_stands(const Request& request) const {
@@ -511,8 +512,7 @@ Error HttpSender::where_it_stands(const Request& request) const {
     error.why = "there was no connection" + limit;
     error.advice = "is the machine on, and does the network reach it? A firewall may swallow what is sent";
   } else if (url_.is_encrypted() &&
-             (::curl_easy_getinfo(request.easy, CURLINFO_APPCONNECT_TIME_T, &encrypted) != CURLE_OK ||
-              encrypted == 0)) {
+             (curl_easy_getinfo(request.easy, CURLINFO_APPCONNECT_TIME_T, &encrypted) != CURLE_OK || encrypted == 0)) {
     error.why = "the connection was not encrypted" + limit;
     error.advice = "does the server speak TLS at this port?";
   } else {

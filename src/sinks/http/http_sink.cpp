@@ -1,3 +1,4 @@
+#include "io/libz.hpp"
 #include "sinks/http/http_sender.hpp"
 
 namespace rtdata {
@@ -30,6 +31,8 @@ std::vector<HttpMistake> mistakes_of(const HttpConfig& config) {
 }  // namespace detail
 
 void check_config(const HttpConfig& config, const ConfigItem& item, Problems& problems) {
+  if (!detail::add_not_installed(detail::load_curl(), item, problems)) return;
+  if (config.compression == HttpCompression::gzip) detail::add_not_installed(detail::libz.load(), item, problems);
   detail::add_mistakes(detail::mistakes_of(config), item, problems);
 }
 

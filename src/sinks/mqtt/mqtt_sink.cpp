@@ -163,9 +163,9 @@ class Publishing final : public detail::MqttConnection {
         ++messages_;
         ++one.waiting;
         int number = 0;
-        const int status = ::mosquitto_publish_v5(handle(), &number, topic_of(one.parcel->rows()[row]).c_str(),
-                                                  static_cast<int>(bytes.size()), bytes.data(), config_.qos,
-                                                  config_.retain, nullptr);
+        const int status = mosquitto_publish_v5(handle(), &number, topic_of(one.parcel->rows()[row]).c_str(),
+                                                static_cast<int>(bytes.size()), bytes.data(), config_.qos,
+                                                config_.retain, nullptr);
         if (number != 0) last_number_ = number;
         if (status == MOSQ_ERR_SUCCESS && number == expected) continue;
         slot_of(expected) = {};
@@ -199,7 +199,7 @@ class Publishing final : public detail::MqttConnection {
       --of->waiting;
       const auto refusal = [&](const char* advice) {
         return Error{Errc::not_permitted, "the broker refuses the event", topic_of(of->parcel->rows()[ended.row]),
-                     ::mosquitto_reason_string(reason), advice};
+                     mosquitto_reason_string(reason), advice};
       };
       if (reason == MQTT_RC_NOT_AUTHORIZED) {
         if (!of->forbidden)
@@ -223,7 +223,7 @@ class Publishing final : public detail::MqttConnection {
            "the broker has confirmed an event that nobody was subscribed to: it is gone. Subscribe with a session that "
            "lasts, or "
            "set `wait_for_subscriber` or `retain`; how many there are is told at the end");
-    if (is_short_of_room) return fail(Errc::busy, "the broker takes no more", ::mosquitto_reason_string(why));
+    if (is_short_of_room) return fail(Errc::busy, "the broker takes no more", mosquitto_reason_string(why));
     if (is_unheard) return fail(Errc::busy, "nobody is subscribed", "events wait until somebody is");
     for (bool is_any = true; is_any && client_ == client;) {
       const auto done = std::find_if(under_way_.begin(), under_way_.end(),
@@ -381,6 +381,7 @@ std::string obstacle_of_pattern(const std::string& topic) {
 }
 
 std::unique_ptr<Sender> sender_of(const MqttConfig& config, const CodecRegistry& formats) {
+  detail::libmosquitto.load().or_throw();
   detail::require_host(what, config.host, detail::port_of(broker_of(config)));
   const auto require = [](const std::string& where, const std::string& why) {
     if (!why.empty()) throw SetupError({Errc::bad_argument, what, where, why, ""});
@@ -399,6 +400,7 @@ std::unique_ptr<Sender> sender_of(const MqttConfig& config, const CodecRegistry&
 }  // namespace
 
 void check_config(const MqttConfig& config, const ConfigItem& item, Problems& problems) {
+  if (!detail::add_not_installed(detail::libmosquitto.load(), item, problems)) return;
   detail::add_obstacle(detail::obstacle_of_host(config.host), "host", item, problems);
   detail::add_obstacle(detail::obstacle_of_format(config.format), "format", item, problems);
   for (auto& [key, why] : detail::mistakes_of_client(broker_of(config)))

@@ -8,6 +8,8 @@
 #include <utility>
 #include <vector>
 
+#include "io/loaded_library.hpp"
+#include "io/tls_session.hpp"
 #include "io/tls_stream.hpp"
 #include "rtdata/data/config_item.hpp"
 #include "sinks/core/peer_config.hpp"
@@ -266,10 +268,8 @@ TcpConfig named(TcpConfig config) {
 
 std::unique_ptr<Sender> sender_of(const TcpConfig& config, const CodecRegistry& formats) {
   detail::require_host(cannot_make_tcp, config.host, config.port);
-  if (config.tls && !detail::has_tls())
-    throw SetupError({Errc::not_found, cannot_make_tcp, config.sink.name, "this library was built without OpenSSL",
-                      "install libssl-dev and build it again, or leave `tls` out"});
   if (config.tls) {
+    detail::load_tls().or_throw();
     for (const TlsMistake& mistake : mistakes_of(*config.tls))
       throw SetupError({Errc::bad_argument, cannot_make_tcp, "tls." + mistake.key, mistake.message, ""});
   }
@@ -285,8 +285,8 @@ void check_config(const TcpConfig& config, const ConfigItem& item, Problems& pro
   detail::add_obstacle(detail::obstacle_of_host(config.host), "host", item, problems);
   detail::add_obstacle(detail::obstacle_of_format(config.format), "format", item, problems);
   if (!config.tls) return;
-  if (!detail::has_tls())
-    detail::add_obstacle("this program was built without OpenSSL, and encrypts nothing", "tls", item, problems);
+  const ConfigItem* const tls = item.find("tls");
+  detail::add_not_installed(detail::load_tls(), tls != nullptr ? *tls : item, problems);
   for (const TlsMistake& mistake : mistakes_of(*config.tls))
     detail::add_obstacle(mistake.key + ": " + mistake.message, "tls", item, problems);
 }

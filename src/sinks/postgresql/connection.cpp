@@ -121,6 +121,7 @@ std::string quoted_name(std::string_view name) {
 }
 
 Result<UrlParts> look_at_url(const std::string& url) {
+  if (auto loaded = detail::libpq.load(); !loaded) return loaded.error();
   UrlParts parts;
   if (url.empty()) return parts;
   char* why = nullptr;

@@ -2,8 +2,6 @@
 // thread-safe: one user at a time.
 #pragma once
 
-#include <libpq-fe.h>
-
 #include <chrono>
 #include <cstdint>
 #include <functional>
@@ -13,6 +11,7 @@
 #include <string_view>
 #include <vector>
 
+#include "io/libpq.hpp"
 #include "rtdata/data/error.hpp"
 #include "rtdata/data/time.hpp"
 
@@ -24,7 +23,7 @@ struct Address {
   Duration timeout = std::chrono::seconds{30};
 };
 
-/// Errors: bad_argument (libpq does not understand the URL). `has_password`: one is in the URL itself.
+/// Errors: not_found (libpq); bad_argument (libpq does not understand the URL). `has_password`: one is in the URL itself.
 struct UrlParts {
   bool has_password = false;
   std::string password = {};

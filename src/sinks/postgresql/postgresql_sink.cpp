@@ -1,3 +1,4 @@
+#include "io/libpq.hpp"
 #include "rtdata/data/config_item.hpp"
 #include "rtdata/sinks/postgresql.hpp"
 #include "sinks/postgresql/postgresql_writer.hpp"
@@ -20,6 +21,7 @@ std::unique_ptr<Writer> make_writer(const PostgresqlConfig& config) {
 }  // namespace
 
 void check_config(const PostgresqlConfig& config, const ConfigItem& item, Problems& problems) {
+  if (!detail::add_not_installed(detail::libpq.load(), item, problems)) return;
   const auto tell = [&](std::string message) {
     const ConfigItem* url = item.find("url");
     problems.add((url != nullptr ? *url : item).problem("bad-value", std::move(message)));

@@ -1,0 +1,28 @@
+// libcurl, loaded when it is first needed: loaded_library.hpp.
+#pragma once
+
+#include <curl/curl.h>
+
+#include "io/loaded_library.hpp"
+
+// clang-format off
+#define RTDATA_LIBCURL(of) \
+  of(curl_easy_cleanup) of(curl_easy_getinfo) of(curl_easy_init) of(curl_easy_perform) of(curl_easy_setopt) \
+  of(curl_easy_strerror) of(curl_free) of(curl_global_init) of(curl_multi_add_handle) of(curl_multi_cleanup) \
+  of(curl_multi_info_read) of(curl_multi_init) of(curl_multi_remove_handle) of(curl_multi_setopt) \
+  of(curl_multi_socket_action) of(curl_multi_timeout) of(curl_slist_append) of(curl_slist_free_all) of(curl_url) \
+  of(curl_url_cleanup) of(curl_url_get) of(curl_url_set) of(curl_version_info)
+// clang-format on
+
+namespace rtdata {
+
+RTDATA_LIBCURL(RTDATA_LOADED_FUNCTION)
+
+namespace detail {
+
+inline constexpr const char* libcurl_sonames[] = {"libcurl.so.4", "libcurl-gnutls.so.4"};
+inline constexpr LoadedLibrary::Function libcurl_functions[] = {RTDATA_LIBCURL(RTDATA_LOADED_NAME)};
+inline constinit LoadedLibrary libcurl{"type http", "libcurl", "libcurl4", libcurl_sonames, libcurl_functions};
+
+}  // namespace detail
+}  // namespace rtdata

@@ -1,0 +1,35 @@
+// libmosquitto, loaded when it is first needed: loaded_library.hpp.
+#pragma once
+
+#include <mosquitto.h>
+
+#include "io/loaded_library.hpp"
+
+// clang-format off
+#define RTDATA_LIBMOSQUITTO(of) \
+  of(mosquitto_connack_string) of(mosquitto_connect) of(mosquitto_connect_bind_v5) \
+  of(mosquitto_connect_v5_callback_set) of(mosquitto_destroy) of(mosquitto_disconnect_v5) \
+  of(mosquitto_disconnect_v5_callback_set) of(mosquitto_int_option) of(mosquitto_lib_init) \
+  of(mosquitto_log_callback_set) of(mosquitto_loop) of(mosquitto_loop_misc) of(mosquitto_loop_read) \
+  of(mosquitto_loop_write) of(mosquitto_message_v5_callback_set) of(mosquitto_new) \
+  of(mosquitto_property_add_int32) of(mosquitto_property_free_all) of(mosquitto_publish_v5) \
+  of(mosquitto_publish_v5_callback_set) of(mosquitto_reason_string) of(mosquitto_socket) of(mosquitto_ssl_get) \
+  of(mosquitto_strerror) of(mosquitto_sub_topic_check) of(mosquitto_subscribe_multiple) \
+  of(mosquitto_subscribe_v5_callback_set) of(mosquitto_threaded_set) of(mosquitto_tls_opts_set) \
+  of(mosquitto_tls_set) of(mosquitto_userdata) of(mosquitto_username_pw_set) of(mosquitto_want_write) \
+  of(mosquitto_will_set)
+// clang-format on
+
+namespace rtdata {
+
+RTDATA_LIBMOSQUITTO(RTDATA_LOADED_FUNCTION)
+
+namespace detail {
+
+inline constexpr const char* libmosquitto_sonames[] = {"libmosquitto.so.1"};
+inline constexpr LoadedLibrary::Function libmosquitto_functions[] = {RTDATA_LIBMOSQUITTO(RTDATA_LOADED_NAME)};
+inline constinit LoadedLibrary libmosquitto{"type mqtt", "libmosquitto", "libmosquitto1", libmosquitto_sonames,
+                                            libmosquitto_functions};
+
+}  // namespace detail
+}  // namespace rtdata
