@@ -66,7 +66,45 @@ TEST_SUITE("outputs") {
     Pid first({.setpoint = 20, .kp = 0.1, .kd = 1, .least = 0, .most = 10});
     CHECK(first.update(-1e308, at(0s)) == 10);
     for (int i = 1; i < 4; ++i) output = first.update(10, at(i * 100ms));
-    CHECK(output == doctest::Approx(10).epsilon(0.5));
+    CHECK(output == doctest::Approx(1));  // what the formula says: nothing would ever bring it back
+  }
+
+  TEST_CASE("US-35 Pid: without an integral its output is what the formula says, whatever the actuator had") {
+    for (double kd : {0.0, 0.5}) {
+      Pid p({.setpoint = 20, .kp = 0.1, .kd = kd, .least = 0, .most = 1});
+      CHECK(p.update(15, at(0s)) == 0.5);
+      p.follow(0);  // its safe value
+      CHECK(p.update(15, at(5s)) == 0.5);
+      CHECK(p.update(15, at(6s)) == 0.5);
+      p.set_gains(0.02, 0, kd);
+      CHECK(p.update(15, at(7s)) == doctest::Approx(0.1));
+      p.change({.setpoint = 25, .kp = 0.02, .kd = kd, .least = 0, .most = 1});
+      CHECK(p.update(15, at(8s)) == doctest::Approx(0.2));
+    }
+    Pid first({.setpoint = 20, .kp = 0.1, .least = 0, .most = 1});
+    first.follow(0);  // disarmed from the start
+    CHECK(first.update(15, at(0s)) == 0.5);
+    Pid had({.setpoint = 20, .kp = 0.1, .ki = 0.1, .least = 0, .most = 1});
+    for (int i = 0; i < 4; ++i) had.update(19, at(i * 1s));
+    had.set_gains(0.1, 0, 0);
+    CHECK(had.update(19, at(4s)) == doctest::Approx(0.1));
+  }
+
+  TEST_CASE("US-35 Pid: another set point makes no step, but at a limit the formula holds") {
+    const PidConfig config{.setpoint = 20, .kp = 0.1, .ki = 0.01, .least = 0, .most = 1};
+    PidConfig warmer = config;
+    warmer.setpoint = 25;
+    Pid pid(config);
+    for (int i = 0; i < 5; ++i) pid.update(18, at(i * 1s));
+    const double before = pid.output();
+    pid.change(warmer);
+    CHECK(pid.update(18, at(4s)) == doctest::Approx(before));
+    CHECK(pid.update(18, at(5s)) == doctest::Approx(before + 0.07));
+    CHECK(pid.setpoint() == 25);
+    Pid heats({.setpoint = 60, .kp = 0.1, .ki = 0.01, .least = 0, .most = 1});
+    CHECK(heats.update(20, at(0s)) == 1);
+    heats.change({.setpoint = 22, .kp = 0.1, .ki = 0.01, .least = 0, .most = 1});
+    CHECK(heats.update(20, at(0s)) == doctest::Approx(0.2));  // and does not heat until an integral is lost
   }
 
   TEST_CASE("US-35 Pid: the derivative's filter answers a step as a low pass of first order") {

@@ -9,13 +9,15 @@
 ///   - The derivative is that of the measured value, so that a change of the set point gives it no kick, behind a low
 ///     pass of first order with the time constant `derivative_filter`.
 ///   - Anti-windup: while the output is at a limit, the integral takes in nothing that would push it further.
-///   - Bumpless: `set_gains` changes nothing at that moment; `follow` says what the actuator really has (by hand, at
-///     its safe value), and the first `update` after it goes on from there.
+///   - Bumpless, where there is an integral (`ki` is not 0): `set_gains` and `change` change nothing at that moment;
+///     `follow` says what the actuator really has (by hand, at its safe value), and the first `update` after it goes on
+///     from there. The integral takes up the difference. A controller without one would keep that difference for ever:
+///     its output is always what the formula says.
 ///
 /// The time between two updates is that of their `time`, whatever the rate; one that is not after the last counts as no
 /// time. The first update has no integral and no derivative yet. A measured value that is not finite changes nothing:
 /// the last output is returned. One so large that the arithmetic overflows counts as such a one, and the next update
-/// goes on from the last output.
+/// goes on as after `follow`.
 ///
 /// A value; one thread at a time. Takes no memory, throws nothing. Form and anti-windup by clamping: K. J. Astrom,
 /// T. Hagglund, "Advanced PID Control", sections 3.2 to 3.5.
@@ -73,12 +75,15 @@ class Pid {
       const double filter = std::chrono::duration<double>(config_.derivative_filter).count();
       rate_ += ((measured - last_measured_) / seconds - rate_) * seconds / (filter + seconds);
     }
-    const double fast = config_.kp * error - config_.kd * rate_;
+    const double fast = fast_part(measured);
     if (!std::isfinite(fast) || !std::isfinite(rate_) || !std::isfinite(config_.ki * error * seconds)) {
       follow(output_);
       return output_;
     }
-    if (is_following_) {
+    if (config_.ki == 0) {
+      integral_ = 0;
+      is_following_ = false;
+    } else if (is_following_) {
       integral_ = output_ - fast;
       is_following_ = false;
     } else {
@@ -93,18 +98,32 @@ class Pid {
     return output_ = clamped(fast + integral_);
   }
   double output() const noexcept { return output_; }
+  const Config& config() const noexcept { return config_; }
 
   double setpoint() const noexcept { return config_.setpoint; }
+  /// From the next update on, as the formula says: a ramp or a profile that the proportional part follows.
   void set_setpoint(double setpoint) noexcept { config_.setpoint = setpoint; }
   /// From the next update on, without a jump.
   void set_gains(double kp, double ki, double kd) noexcept {
-    if (has_last_ && !is_following_)
-      integral_ += (config_.kp - kp) * (config_.setpoint - last_measured_) - (config_.kd - kd) * rate_;
-    config_.kp = kp;
-    config_.ki = ki;
-    config_.kd = kd;
+    Config next = config_;
+    next.kp = kp;
+    next.ki = ki;
+    next.kd = kd;
+    change(next);
   }
-  /// The actuator has this value, whatever was computed: the next update gives the same, and goes on from there.
+  /// Any other settings, the set point too, from the next update on without a jump. An output that is held at a limit
+  /// leaves it when the formula says so: nothing is put into the integral there that it would have to lose again.
+  void change(const Config& next) noexcept {
+    const double was = integral_;
+    const bool is_held = output_ <= config_.least || output_ >= config_.most;
+    if (has_last_ && !is_following_ && !is_held) integral_ += fast_part(last_measured_);
+    config_ = next;
+    if (has_last_ && !is_following_ && !is_held) integral_ -= fast_part(last_measured_);
+    if (!std::isfinite(integral_)) integral_ = was;
+    output_ = clamped(output_);
+  }
+  /// The actuator has this value, whatever was computed: with an integral the next update gives the same, and goes on
+  /// from there.
   void follow(double output) noexcept {
     output_ = clamped(output);
     is_following_ = true;
@@ -113,6 +132,9 @@ class Pid {
   }
 
  private:
+  double fast_part(double measured) const noexcept {
+    return config_.kp * (config_.setpoint - measured) - config_.kd * rate_;
+  }
   double clamped(double output) const noexcept { return std::clamp(output, config_.least, config_.most); }
 
   Config config_;
@@ -122,7 +144,7 @@ class Pid {
   Time last_time_{};
   double last_measured_ = 0;
   bool has_last_ = false;
-  bool is_following_ = false;  // the next update gives `output_`
+  bool is_following_ = false;  // with an integral the next update gives `output_`
 };
 
 }  // namespace rtdata
