@@ -10,7 +10,7 @@
   of(mosquitto_connack_string) of(mosquitto_connect) of(mosquitto_connect_bind_v5) \
   of(mosquitto_connect_v5_callback_set) of(mosquitto_destroy) of(mosquitto_disconnect_v5) \
   of(mosquitto_disconnect_v5_callback_set) of(mosquitto_int_option) of(mosquitto_lib_init) \
-  of(mosquitto_log_callback_set) of(mosquitto_loop) of(mosquitto_loop_misc) of(mosquitto_loop_read) \
+  of(mosquitto_log_callback_set) of(mosquitto_loop_misc) of(mosquitto_loop_read) \
   of(mosquitto_loop_write) of(mosquitto_message_v5_callback_set) of(mosquitto_new) \
   of(mosquitto_property_add_int32) of(mosquitto_property_free_all) of(mosquitto_publish_v5) \
   of(mosquitto_publish_v5_callback_set) of(mosquitto_reason_string) of(mosquitto_socket) of(mosquitto_ssl_get) \

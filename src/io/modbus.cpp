@@ -12,11 +12,15 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <array>
 #include <atomic>
 #include <cerrno>
 #include <mutex>
+#include <utility>
+#include <vector>
 
 #include "io/libmodbus.hpp"
+#include "io/modbus_tcp.hpp"
 #include "io/tty.hpp"
 #include "rtdata/data/config_item.hpp"
 #include "rtdata/loop/lane.hpp"
@@ -27,6 +31,7 @@ namespace {
 constexpr const char* cannot_ask = "cannot read the device";
 constexpr const char* cannot_connect = "cannot connect";
 constexpr unsigned last_unit = 247;
+constexpr int most_silences = 3;  // of a connection, one after the other: then a new one is made
 
 /// Why a bus cannot be made of it; empty: it can.
 struct Mistake {
@@ -44,8 +49,16 @@ Mistake mistake_in(const ModbusConfig& config) {
   if (config.answer_timeout >= config.timeout)
     return {"answer_timeout", "it is " + to_string(config.answer_timeout) + ", and a reading is given up after " +
                                   to_string(config.timeout) + ": make `timeout` longer"};
+  if (config.connect_delay > Duration{0} && config.host.empty())
+    return {"connect_delay", "only connections (`host`) are waited for; a serial line has none"};
+  if (config.connect_delay >= config.timeout - config.answer_timeout)
+    return {"connect_delay",
+            "with `answer_timeout` it is longer than `timeout`, after which a reading is given up: make "
+            "`timeout` longer"};
   return {};
 }
+
+constexpr auto take_nothing = [](const std::uint8_t*) {};
 
 /// Lets the lane's silences between two frames pass.
 Duration silence_between_frames(const SerialSettings& settings) {
@@ -106,6 +119,33 @@ void check_config(const ModbusConfig& config, const ConfigItem& item, Problems& 
   problems.add((at != nullptr ? *at : item).problem("bad-value", mistake.why));
 }
 
+/// A function, and what belongs to it.
+class ModbusDevice::Request {
+ public:
+  Request(std::uint8_t function, std::uint16_t first, std::size_t number) {
+    add(function);
+    add_word(first);
+    add_word(static_cast<std::uint16_t>(number));
+    answer_size_ = function <= 2 ? 2 + (number + 7) / 8 : function <= 4 ? 2 + 2 * number : size_;
+  }
+  void add(std::size_t byte) { bytes_[size_++] = static_cast<std::uint8_t>(byte); }
+  void add_word(std::uint16_t word) {
+    add(word >> 8);
+    add(word & 0xff);
+  }
+  std::span<const std::uint8_t> bytes() const noexcept { return {bytes_.data(), size_}; }
+  /// What is read has its length before it; what was written is said again.
+  bool is_answered_by(const std::vector<std::uint8_t>& answer) const noexcept {
+    if (answer.size() != answer_size_) return false;
+    return bytes_[0] <= 4 ? answer[1] == answer_size_ - 2 : std::equal(answer.begin(), answer.end(), bytes_.begin());
+  }
+
+ private:
+  std::array<std::uint8_t, MODBUS_MAX_PDU_LENGTH> bytes_{};
+  std::size_t size_ = 0;
+  std::size_t answer_size_ = 0;
+};
+
 /// Shared by the bus and its devices, which may hang and outlive it.
 struct ModbusDevice::Core {
   /// An open line or connection, with what libmodbus knows of it. Shared with a request that hangs.
@@ -114,19 +154,22 @@ struct ModbusDevice::Core {
     Connection& operator=(const Connection&) = delete;
     Connection(modbus_t* context_, int fd_, bool is_tty_) : context(context_), fd(fd_), is_tty(is_tty_) {}
     ~Connection() {
-      modbus_free(context);  // leaves the descriptor open
+      if (context != nullptr) modbus_free(context);  // leaves the descriptor open
       if (is_tty)
         detail::close_tty(fd);
       else
         ::close(fd);
     }
-    modbus_t* const context;
+    modbus_t* const context;  // null: of TCP
     const int fd;
+    detail::ModbusTcp tcp;
     const bool is_tty;
     unsigned late_unit = 0;             // of which an answer did not come in time; 0: of none
     MonotonicTime late_until{};         // it may still come
     std::atomic<bool> is_in_use{true};  // by who has made it, at first
     MonotonicTime last_frame{};         // when it ended
+    bool was_asked = false;
+    int silences = 0;  // of TCP: requests without an answer, one after the other
   };
   using Use = std::shared_ptr<Connection>;
 
@@ -138,13 +181,13 @@ struct ModbusDevice::Core {
     const Result<int> fd = is_rtu ? detail::open_tty(config.device, config.serial)
                                   : connect_to(config.host, config.port, config.answer_timeout);
     if (!fd) return fd.error();
+    if (!is_rtu) return std::make_shared<Connection>(nullptr, *fd, false);
     // What the line is set to is not libmodbus's affair: it opens nothing.
-    modbus_t* const context = is_rtu ? modbus_new_rtu(config.device.c_str(), 9600, 'N', 8, 1)
-                                     : modbus_new_tcp_pi(config.host.c_str(), std::to_string(config.port).c_str());
+    modbus_t* const context = modbus_new_rtu(config.device.c_str(), 9600, 'N', 8, 1);
     if (context == nullptr || *fd >= FD_SETSIZE) {  // libmodbus waits by select(2)
       const int number = context == nullptr ? errno : EMFILE;
       if (context != nullptr) modbus_free(context);
-      is_rtu ? detail::close_tty(*fd) : static_cast<void>(::close(*fd));
+      detail::close_tty(*fd);
       return system_error(number, cannot_connect, "bus " + bus, "this program has too many files open for libmodbus");
     }
     modbus_set_socket(context, *fd);
@@ -152,7 +195,7 @@ struct ModbusDevice::Core {
     const auto seconds = static_cast<std::uint32_t>(us / 1'000'000), rest = static_cast<std::uint32_t>(us % 1'000'000);
     modbus_set_response_timeout(context, seconds, rest);
     modbus_set_byte_timeout(context, seconds, rest);
-    return std::make_shared<Connection>(context, *fd, is_rtu);
+    return std::make_shared<Connection>(context, *fd, true);
   }
 
   /// The connection, for one request. A new one where there is none, or where a request that was given up hangs in it.
@@ -252,10 +295,43 @@ Error ModbusDevice::failure(int number, const char* libmodbus_text) const {
   }
 }
 
-/// `ask(context)` is a call of libmodbus: how many it has read or written; -1 with errno.
-template <class Ask>
-Result<void> ModbusDevice::ask(Ask&& ask) {
+/// Over TCP. Servers close connections that they think idle, and may do so while a request is on its way: then it is
+/// sent once more, by a new one.
+template <class Take>
+Result<void> ModbusDevice::ask_by_tcp(const Request& request, Take&& take) {
+  const MonotonicTime began = detail::lane_now();
+  for (;;) {
+    Result<Core::Use> use = core_->acquire();
+    if (use && (*use)->was_asked && detail::has_ended_modbus((*use)->fd)) {
+      core_->release(*use, false);
+      use = core_->acquire();
+    }
+    int number = ECONNREFUSED;
+    bool is_new = true;
+    if (use) {
+      Core::Connection& connection = **use;
+      is_new = !std::exchange(connection.was_asked, true);
+      if (is_new && core_->config.connect_delay > Duration{0}) wait(core_->config.connect_delay);
+      number = connection.tcp.ask(connection.fd, unit_, request.bytes(), core_->config.answer_timeout);
+      if (number == 0 && !request.is_answered_by(connection.tcp.answer())) number = EMBBADDATA;
+      if (number == 0) take(connection.tcp.answer().data());
+      connection.silences = number == ETIMEDOUT ? connection.silences + 1 : 0;
+      const bool is_exception = number > MODBUS_ENOBASE && number < EMBBADCRC;
+      core_->release(*use, number == 0 || is_exception || (number == ETIMEDOUT && connection.silences < most_silences));
+    }
+    if (!is_new && (number == ECONNRESET || number == EPIPE)) continue;
+    count(detail::lane_now() - began, number == 0);
+    if (!use) return use.error();
+    return number == 0 ? Result<void>() : Result<void>(failure(number, modbus_strerror(number)));
+  }
+}
+
+/// `ask(context)` is a call of libmodbus: how many it has read or written; -1 with errno. Over TCP `take` gets the
+/// answer to the same request.
+template <class Take, class Ask>
+Result<void> ModbusDevice::ask(const Request& request, Take&& take, Ask&& ask) {
   if (is_abandoned()) return error(Errc::closed, cannot_ask, "this reading was given up before");
+  if (!core_->config.host.empty()) return ask_by_tcp(request, take);
   const MonotonicTime began = detail::lane_now();
   const Result<Core::Use> use = core_->acquire();
   int number = 0;
@@ -279,10 +355,8 @@ Result<void> ModbusDevice::ask(Ask&& ask) {
       const Duration spare = (core_->config.timeout - core_->config.answer_timeout) / 2;
       connection.late_until = connection.last_frame + std::min(2 * core_->config.answer_timeout, spare);
     }
-    // After an answer that did not come, or was none, what comes next over TCP may be anything.
     const bool is_exception = number > MODBUS_ENOBASE && number < EMBBADCRC;
-    core_->release(*use,
-                   number == 0 || is_exception || (connection.is_tty && (number == ETIMEDOUT || number >= EMBBADCRC)));
+    core_->release(*use, number == 0 || is_exception || number == ETIMEDOUT || number >= EMBBADCRC);
   }
   count(detail::lane_now() - began, use && number == 0);
   if (!use) return use.error();
@@ -304,7 +378,11 @@ Result<void> ModbusDevice::read_registers(ModbusTable table, std::uint16_t first
     return error(Errc::bad_argument, cannot_ask, "these are no registers that can be read at a time",
                  "up to 125, of the holding or the input registers, up to address 65535");
   const int count = static_cast<int>(words.size());
-  return ask([&](modbus_t* context) {
+  const auto take = [&](const std::uint8_t* answer) {
+    for (std::size_t i = 0; i < words.size(); ++i)
+      words[i] = static_cast<std::uint16_t>(answer[2 + 2 * i] << 8 | answer[3 + 2 * i]);
+  };
+  return ask({is_holding ? std::uint8_t{3} : std::uint8_t{4}, first, words.size()}, take, [&](modbus_t* context) {
     return is_holding ? modbus_read_registers(context, first, count, words.data())
                       : modbus_read_input_registers(context, first, count, words.data());
   });
@@ -317,7 +395,10 @@ Result<void> ModbusDevice::read_bits(ModbusTable table, std::uint16_t first, std
     return error(Errc::bad_argument, cannot_ask, "these are no bits that can be read at a time",
                  "up to 2000, of the coils or the discrete inputs, up to address 65535");
   const int count = static_cast<int>(bits.size());
-  return ask([&](modbus_t* context) {
+  const auto take = [&](const std::uint8_t* answer) {
+    for (std::size_t i = 0; i < bits.size(); ++i) bits[i] = answer[2 + i / 8] >> (i % 8) & 1;
+  };
+  return ask({is_coil ? std::uint8_t{1} : std::uint8_t{2}, first, bits.size()}, take, [&](modbus_t* context) {
     return is_coil ? modbus_read_bits(context, first, count, bits.data())
                    : modbus_read_input_bits(context, first, count, bits.data());
   });
@@ -327,14 +408,20 @@ Result<void> ModbusDevice::write_registers(std::uint16_t first, std::span<const 
   if (words.empty() || words.size() > MODBUS_MAX_WRITE_REGISTERS || first + words.size() > 65536)
     return error(Errc::bad_argument, "cannot write to the device",
                  "these are no registers that can be written at a time", "up to 123, up to address 65535");
-  return ask([&](modbus_t* context) {
+  Request request(words.size() == 1 ? 6 : 16, first, words.size() == 1 ? words[0] : words.size());
+  if (words.size() > 1) {
+    request.add(2 * words.size());
+    for (const std::uint16_t word : words) request.add_word(word);
+  }
+  return ask(request, take_nothing, [&](modbus_t* context) {
     return words.size() == 1 ? modbus_write_register(context, first, words[0])
                              : modbus_write_registers(context, first, static_cast<int>(words.size()), words.data());
   });
 }
 
 Result<void> ModbusDevice::write_coil(std::uint16_t address, std::uint8_t bit) {
-  return ask([&](modbus_t* context) { return modbus_write_bit(context, address, bit != 0 ? 1 : 0); });
+  return ask({5, address, bit != 0 ? std::size_t{0xff00} : 0}, take_nothing,
+             [&](modbus_t* context) { return modbus_write_bit(context, address, bit != 0 ? 1 : 0); });
 }
 
 ModbusBus::ModbusBus(ModbusConfig config)

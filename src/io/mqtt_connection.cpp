@@ -150,8 +150,12 @@ int connect_client(MqttClient& client, const MqttBroker& broker, const MqttOptio
   if (is_v5 && options.most_received != 0)
     mosquitto_int_option(handle, MOSQ_OPT_RECEIVE_MAXIMUM, options.most_received);
   mosquitto_int_option(handle, MOSQ_OPT_TCP_NODELAY, 1);
-  // As for programs with threads, the library then queues its packets, and writes them when it is told to.
-  if (options.holds_answers) mosquitto_threaded_set(handle, true);
+  // As for programs with threads, the library then queues its packets, and writes them when it is told to only.
+  mosquitto_threaded_set(handle, true);
+  client.inlet = std::make_unique<MqttInlet>(
+      MqttInlet::Config{.expected = {.is_v5 = is_v5, .takes_messages = options.longest_message.has_value()},
+                        .longest_message = options.longest_message.value_or(0),
+                        .is_encrypted = broker.tls.has_value()});
   int done = MOSQ_ERR_SUCCESS;
   if (!broker.user.empty()) done = mosquitto_username_pw_set(handle, broker.user.c_str(), or_null(broker.password));
   if (done == MOSQ_ERR_SUCCESS && options.will) {
@@ -388,28 +392,27 @@ int MqttConnection::call_library(std::size_t& left) {
   if (broker_.tls) guard.emplace();  // without TLS the library writes without the signal
   errno = 0;
   int status = MOSQ_ERR_SUCCESS;
-  // Writing comes first: what is read now may have to wait for its answers (`holds_answers`), which `take` says.
-  if (may_write() && mosquitto_want_write(client_->handle)) status = mosquitto_loop_write(client_->handle, 1);
-  if (status == MOSQ_ERR_SUCCESS && is_readable_ && may_read()) status = read_some(left);
+  const auto write = [&] {
+    if (status == MOSQ_ERR_SUCCESS && may_write() && mosquitto_want_write(client_->handle))
+      status = mosquitto_loop_write(client_->handle, 1);
+  };
+  // Writing comes first: what is read now may have to wait for its answers, which `take` says.
+  write();
+  if (status == MOSQ_ERR_SUCCESS && is_readable_ && may_read()) {
+    bool is_empty = true;
+    status = client_->inlet->read(*client_, fd_, left, is_empty);
+    is_readable_ = status == MOSQ_ERR_SUCCESS && !is_empty;  // else the watch tells
+  }
   // Of a connection that is reset during the handshake of TLS, the library tells nothing.
   const bool is_shaking_hands = broker_.tls && !is_connected_ && !client_->answer;
   if (status == MOSQ_ERR_SUCCESS && is_shaking_hands && has_ended(fd_)) status = MOSQ_ERR_CONN_LOST;
   if (status == MOSQ_ERR_SUCCESS) status = mosquitto_loop_misc(client_->handle);
-  if (status == MOSQ_ERR_SUCCESS && is_connected_) status = give(left);
-  return status;
-}
-
-/// The library takes a packet a call, mostly.
-int MqttConnection::read_some(std::size_t& left) {
-  for (;;) {
-    const std::size_t before = client_->arrived;
-    const int status = mosquitto_loop_read(client_->handle, 1);
-    const std::size_t got = client_->arrived - before;
-    left -= std::min(left, got);
-    if (status == MOSQ_ERR_SUCCESS && got != 0 && left != 0) continue;
-    is_readable_ = status == MOSQ_ERR_SUCCESS && got != 0;  // else the watch tells
-    return status;
+  if (status == MOSQ_ERR_SUCCESS && is_connected_) {
+    const std::size_t before = left;
+    status = give(left);
+    if (left != before) write();
   }
+  return status;
 }
 
 /// False: the connection is over.
@@ -476,7 +479,7 @@ void MqttConnection::leave() {
   if (is_connected_) {
     const NoSigpipe guard;
     mosquitto_disconnect_v5(client_->handle, MQTT_RC_NORMAL_DISCONNECTION, nullptr);
-    if (options_.holds_answers && may_write()) mosquitto_loop_write(client_->handle, 1);
+    if (may_write()) mosquitto_loop_write(client_->handle, 1);
   }
   drop();
 }

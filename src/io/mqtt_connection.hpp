@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "io/libmosquitto.hpp"
+#include "io/mqtt_inlet.hpp"
 #include "rtdata/io/mqtt.hpp"
 #include "rtdata/loop/lane.hpp"
 #include "rtdata/loop/timer.hpp"
@@ -26,6 +27,7 @@ struct MqttClient {
     bool is_retained = false;
   };
   mosquitto* handle = nullptr;
+  std::unique_ptr<MqttInlet> inlet;            // by which it reads
   std::optional<int> answer;                   // of the broker to the connection
   std::optional<int> goodbye;                  // why the broker has ended it
   std::vector<std::pair<int, int>> published;  // number and reason
@@ -55,10 +57,10 @@ struct MqttOptions {
     bool retain = false;
   };
   std::optional<Will> will = {};
-  Duration session{0};         ///< the broker keeps what comes for it for so long after the connection; 0: not at all
-  int most_sent = 0;           ///< unanswered messages to the broker; 0: what the library is used to
-  int most_received = 0;       ///< the same, to us
-  bool holds_answers = false;  ///< answers to messages are written by `loop_write` only
+  Duration session{0};    ///< the broker keeps what comes for it for so long after the connection; 0: not at all
+  int most_sent = 0;      ///< unanswered messages to the broker; 0: what the library is used to
+  int most_received = 0;  ///< the same, to us
+  std::optional<std::size_t> longest_message = {};  ///< that it takes; none: it takes no messages
 };
 
 std::uint16_t port_of(const MqttBroker& broker) noexcept;
@@ -131,7 +133,6 @@ class MqttConnection : public std::enable_shared_from_this<MqttConnection> {
  private:
   void connecting_ended(MqttConnecting& job, LaneJob::Outcome outcome);
   int call_library(std::size_t& left);
-  int read_some(std::size_t& left);
   bool take_answer(int status);
   bool try_older();
   void watch();

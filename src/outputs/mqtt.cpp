@@ -1,8 +1,13 @@
 #include "rtdata/outputs/mqtt.hpp"
 
+#include <fcntl.h>
 #include <mqtt_protocol.h>
+#include <poll.h>
+#include <sys/eventfd.h>
+#include <unistd.h>
 
 #include <condition_variable>
+#include <limits>
 #include <mutex>
 #include <optional>
 #include <thread>
@@ -17,7 +22,7 @@ namespace rtdata {
 namespace {
 
 constexpr const char* cannot_set_mqtt = "cannot set by MQTT";
-constexpr int longest_wait_ms = 100;  // of the library, for something to come
+constexpr int longest_wait_ms = 100;  // for something to come
 constexpr Duration between_attempts = std::chrono::milliseconds{200};
 constexpr Duration goodbye_limit = std::chrono::milliseconds{300};
 
@@ -48,8 +53,13 @@ std::vector<Mistake> mistakes_of(const MqttActuatorConfig& config) {
 /// The connection, shared with its thread, which may outlive the actuator.
 struct MqttActuator::Link {
   Link(MqttActuatorConfig its_config, std::optional<double> safe) : config(std::move(its_config)) {
-    options.holds_answers = true;  // as programs with threads do: others than the library's thread publish
     if (safe) options.will = {config.to, detail::set_text(config.text, *safe, config.words), config.qos, config.retain};
+  }
+
+  Link(const Link&) = delete;
+  Link& operator=(const Link&) = delete;
+  ~Link() {
+    if (wake >= 0) ::close(wake);
   }
 
   // ---- the connection's thread
@@ -76,8 +86,10 @@ struct MqttActuator::Link {
     detail::MqttClient client;
     int status = detail::connect_client(client, config.broker, options, is_v5);
     if (status != MOSQ_ERR_SUCCESS) return tell(Errc::disconnected, client.reason(status));
+    const int socket = ::fcntl(mosquitto_socket(client.handle), F_DUPFD_CLOEXEC, 3);
+    if (socket < 0) return tell(Errc::io_failed, std::generic_category().message(errno));
     while (status == MOSQ_ERR_SUCCESS) {
-      status = mosquitto_loop(client.handle, longest_wait_ms, 1);
+      status = turn(client, socket);
       const std::unique_lock lock(mutex);
       for (const auto& [number, reason] : client.published)
         if (number == awaited) result = reason;
@@ -95,6 +107,7 @@ struct MqttActuator::Link {
       if (is_over && !mosquitto_want_write(client.handle)) break;
       changed.notify_all();
     }
+    ::close(socket);
     const std::lock_guard lock(mutex);
     if (handle == nullptr && is_v5 && config.broker.version == MqttVersion::newest && detail::may_be_older(status))
       is_v5 = false;
@@ -102,6 +115,25 @@ struct MqttActuator::Link {
     handle = nullptr;
     is_lost = true;
     changed.notify_all();
+  }
+  /// Has the library do what there is to do, and waits a little for that. The status is the library's.
+  int turn(detail::MqttClient& client, int socket) {
+    const auto wants_write = [&] { return mosquitto_want_write(client.handle); };
+    pollfd fds[2] = {{socket, static_cast<short>(POLLIN | (wants_write() ? POLLOUT : 0)), 0}, {wake, POLLIN, 0}};
+    ::poll(fds, std::size(fds), longest_wait_ms);
+    std::uint64_t times = 0;
+    if (fds[1].revents != 0 && ::read(wake, &times, sizeof times) < 0) times = 0;
+    errno = 0;
+    int status = wants_write() ? mosquitto_loop_write(client.handle, 1) : MOSQ_ERR_SUCCESS;
+    for (bool is_empty = fds[0].revents == 0; status == MOSQ_ERR_SUCCESS && !is_empty;) {
+      std::size_t most = std::numeric_limits<std::size_t>::max();
+      status = client.inlet->read(client, socket, most, is_empty);
+    }
+    return status == MOSQ_ERR_SUCCESS ? mosquitto_loop_misc(client.handle) : status;
+  }
+  void wake_up() noexcept {
+    constexpr std::uint64_t once = 1;
+    [[maybe_unused]] const ssize_t written = ::write(wake, &once, sizeof once);
   }
   void tell(Errc code, std::string why) {
     const std::lock_guard lock(mutex);
@@ -122,6 +154,7 @@ struct MqttActuator::Link {
     const int status = mosquitto_publish_v5(handle, &awaited, config.to.c_str(), static_cast<int>(text.size()),
                                             text.data(), config.qos, config.retain, nullptr);
     if (status != MOSQ_ERR_SUCCESS) return failed(mosquitto_strerror(status));
+    wake_up();
     if (!changed.wait_until(lock, until, [this] { return result || handle == nullptr; }))
       return failed("the broker did not confirm it within " + to_string(config.timeout));
     if (!result) return failed("the connection was lost: " + trouble.why);
@@ -151,6 +184,7 @@ struct MqttActuator::Link {
     std::unique_lock lock(mutex);
     is_over = true;
     if (handle != nullptr) mosquitto_disconnect_v5(handle, MQTT_RC_NORMAL_DISCONNECTION, nullptr);
+    wake_up();
     changed.notify_all();
     return changed.wait_for(lock, goodbye_limit, [this] { return has_ended; });
   }
@@ -161,7 +195,8 @@ struct MqttActuator::Link {
   };
   const MqttActuatorConfig config;
   detail::MqttOptions options;
-  std::thread thread;  // the actuator's
+  const int wake = ::eventfd(0, EFD_NONBLOCK | EFD_CLOEXEC);  // from waiting for the broker
+  std::thread thread;                                         // the actuator's
 
   std::mutex mutex;  // of what follows
   std::condition_variable changed;

@@ -6,7 +6,7 @@ seconds=${1:-20}
 out=build/fuzz
 mkdir -p "$out"
 # The whole library, that of recordings, and what else reads what others have written. libcurl is needed, and loaded.
-library="$(cat src/rtdata.sources src/rtdata_sqlite.sources) src/app/control/arm_keeper.cpp src/app/control/commands.cpp src/app/core/machine_resume.cpp src/app/core/machines.cpp src/app/inspect/import.cpp src/app/inspect/import_columns.cpp src/app/inspect/import_rows.cpp src/app/inspect/import_time.cpp src/io/http_answer.cpp src/io/http_url.cpp"
+library="$(cat src/rtdata.sources src/rtdata_sqlite.sources) src/app/control/arm_keeper.cpp src/app/control/commands.cpp src/app/core/machine_resume.cpp src/app/core/machines.cpp src/app/inspect/import.cpp src/app/inspect/import_columns.cpp src/app/inspect/import_rows.cpp src/app/inspect/import_time.cpp src/io/http_answer.cpp src/io/http_url.cpp src/io/mqtt_packet.cpp"
 # Without muParser, expressions are read and not evaluated.
 muparser=$(pkg-config --exists muparser && echo -lmuparser || true)
 cache=$(command -v ccache || true)

@@ -92,11 +92,15 @@ class Peer {
   }
   /// As a program that ends: nobody listens, and the connections are closed.
   void leave() {
-    for (const Connection& one : connections_) ::close(one.fd);
-    connections_.clear();
+    close_connections();
     ::close(std::exchange(listener_, -1));
   }
   void return_() { hear_again(listener_); }
+  /// All that there are; new ones come about.
+  void close_connections() {
+    for (const Connection& one : connections_) ::close(one.fd);
+    connections_.clear();
+  }
 
  private:
   struct Connection {

@@ -48,8 +48,9 @@ constexpr auto describe(type_tag<ModbusTable>) {
 struct ModbusConfig {
   std::string device = {};  ///< RTU: "/dev/serial/by-id/...", "/dev/ttyUSB0"; empty: TCP
   SerialSettings serial = {};
-  std::string host = {};                                     ///< TCP: a name or an address; empty: RTU
-  std::uint16_t port = 502;                                  ///< TCP
+  std::string host = {};      ///< TCP: a name or an address; empty: RTU
+  std::uint16_t port = 502;   ///< TCP
+  Duration connect_delay{0};  ///< TCP: between connecting and the first request, which some servers swallow
   Duration answer_timeout = std::chrono::milliseconds{500};  ///< a device that has not answered by then is silent
   Duration timeout = std::chrono::seconds{5};  ///< what a sensor does on the bus at a time; longer, it is given up
 
@@ -59,6 +60,9 @@ struct ModbusConfig {
         parameter("device", &ModbusConfig::device, "RTU: the serial device", TextIs::device),
         include_member(&ModbusConfig::serial), parameter("host", &ModbusConfig::host, "TCP: a name or an address"),
         parameter("port", &ModbusConfig::port, "TCP: the port", range(1, 65535)),
+        parameter("connect_delay", &ModbusConfig::connect_delay,
+                  "TCP: how long a server takes no requests after a connection was made",
+                  range(Duration{0}, Duration{1min})),
         parameter("answer_timeout", &ModbusConfig::answer_timeout, "an answer that is not complete by then is missed",
                   range(Duration{1ms}, Duration{10min})),
         parameter("timeout", &ModbusConfig::timeout, "a reading that takes the bus for longer is given up",
@@ -100,10 +104,13 @@ class ModbusDevice : public BusDevice {
  private:
   friend class ModbusBus;
   struct Core;
+  class Request;
   ModbusDevice(std::shared_ptr<Core> core, unsigned unit, std::shared_ptr<TransferCounter> counter)
       : BusDevice(std::move(counter)), core_(std::move(core)), unit_(unit) {}
-  template <class Ask>
-  Result<void> ask(Ask&& ask);
+  template <class Take, class Ask>
+  Result<void> ask(const Request& request, Take&& take, Ask&& ask);
+  template <class Take>
+  Result<void> ask_by_tcp(const Request& request, Take&& take);
   Error failure(int number, const char* libmodbus_text) const;
   std::shared_ptr<Core> core_;
   unsigned unit_;

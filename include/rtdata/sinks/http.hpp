@@ -11,6 +11,10 @@
 /// is faulted, says what to do, and tries again after `retry_longest`. Redirections by 307 and 308 within the same
 /// scheme, host and port are followed, others are such an answer.
 ///
+/// An answer of 200 to 299 that is cut off before its end is no answer: the request is sent again, three times. If that
+/// does not help, and the request itself was sent whole, its events count as delivered, which is told and counted; or
+/// it is sent again and again, as `cut_answer` says.
+///
 /// An event may arrive twice, when an answer gets lost. Its run, origin and sequence tell; so does the header
 /// Idempotency-Key, which is the same whenever the same events are sent again in one request. With a `window` above 1
 /// requests may overtake each other.
@@ -46,6 +50,12 @@ constexpr auto describe(type_tag<HttpCompression>) {
   return enumeration("compression", value("none", HttpCompression::none), value("gzip", HttpCompression::gzip));
 }
 
+/// What a request counts as whose answer, from 200 to 299, is cut off, time after time.
+enum class HttpCutAnswer { delivered, again };
+constexpr auto describe(type_tag<HttpCutAnswer>) {
+  return enumeration("cut_answer", value("delivered", HttpCutAnswer::delivered), value("again", HttpCutAnswer::again));
+}
+
 struct HttpConfig {
   std::string url;  ///< http:// or https://, without user and password
   HttpMethod method = HttpMethod::post;
@@ -59,6 +69,7 @@ struct HttpConfig {
   std::string password = {};
   HttpVersion http_version = HttpVersion::automatic;
   HttpCompression compression = HttpCompression::none;
+  HttpCutAnswer cut_answer = HttpCutAnswer::delivered;
   TlsConfig tls = {};      ///< of https
   std::string proxy = {};  ///< URL of an HTTP proxy; empty: none
   std::string proxy_user = {};
@@ -82,6 +93,10 @@ struct HttpConfig {
         parameter("http_version", &HttpConfig::http_version,
                   "auto: 2 where https and the peer have it, else 1.1; 2: also without encryption"),
         parameter("compression", &HttpConfig::compression, "of what is sent"),
+        parameter(
+            "cut_answer", &HttpConfig::cut_answer,
+            "what a request counts as that was sent whole, and whose answer of 200 to 299 was cut off four times: "
+            "delivered, or sent again and again"),
         parameter("tls", &HttpConfig::tls, "how https proves who is there"),
         parameter("proxy", &HttpConfig::proxy, "URL of an HTTP proxy; default: none, whatever the environment says"),
         parameter("proxy_user", &HttpConfig::proxy_user, "of the proxy"),

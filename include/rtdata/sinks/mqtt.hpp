@@ -82,7 +82,7 @@ struct MqttConfig {
                   range(0, 2)),
         parameter("retain", &MqttConfig::retain, "whether the broker keeps the last message for who comes later"),
         parameter("wait_for_subscriber", &MqttConfig::wait_for_subscriber,
-                  "an event that nobody is subscribed to waits until somebody is; version 5, qos 1 or 2"),
+                  "an event that nobody is subscribed to waits until somebody is; version 5, qos 1"),
         parameter("version", &MqttConfig::version, "of MQTT"),
         parameter("client_id", &MqttConfig::client_id, "its name at the broker; empty: the broker chooses"),
         parameter("user", &MqttConfig::user, "name at the broker"),

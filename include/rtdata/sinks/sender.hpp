@@ -102,7 +102,12 @@ class Answer {
   explicit operator bool() const noexcept;
   /// The peer has the parcel, but for the rows that it refused.
   void acknowledge();
-  /// Before `acknowledge`: the peer will never take this row. It is dropped, counted and reported.
+  /// The peer has so many of the rows, from the first one on, but for those that it refused. They count as delivered
+  /// now, whatever becomes of the others, and are not to be sent again.
+  void confirm(std::size_t rows);
+  /// Rows that were confirmed, also when the parcel was sent before: it is to be sent from there on.
+  std::size_t confirmed() const noexcept;
+  /// Before `acknowledge`, or its `confirm`: the peer will never take this row. It is dropped, counted and reported.
   void refuse(std::size_t row, Error why);
   /// The peer does not have it: it is sent again, after the time that the peer asked for, else after one that doubles
   /// from `retry_first` to `retry_longest`. Until then nothing is sent, and the sink is faulted with this reason.

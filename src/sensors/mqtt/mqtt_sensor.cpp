@@ -34,7 +34,7 @@ LineDecoder decoder_of(const MqttSensorConfig& config) {
 }
 
 MqttOptions options_of(const MqttSensorConfig& config) {
-  return {.session = config.session, .most_received = most_unanswered, .holds_answers = !config.stored_by.empty()};
+  return {.session = config.session, .most_received = most_unanswered, .longest_message = config.max_message};
 }
 
 /// Null: there is none.
@@ -247,7 +247,13 @@ class MqttNode final : public StreamNode {
 void Subscribing::take() {
   if (node_ == nullptr) return;
   const auto client = client_;
-  if (const auto granted = std::exchange(client->granted, {})) take_granted(*granted);
+  if (const auto granted = std::exchange(client->granted, {})) {
+    if (granted->size() != config_.topics.size())
+      return fail(Errc::bad_data, "cannot subscribe",
+                  "it answers to " + std::to_string(granted->size()) + " of " + std::to_string(config_.topics.size()) +
+                      " subscriptions");
+    take_granted(*granted);
+  }
   if (client_ == client && node_ != nullptr) node_->take_messages(*client);
 }
 

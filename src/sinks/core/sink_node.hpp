@@ -175,7 +175,8 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
 
   // ---- sending: sink_sending.cpp
   void begin_sending();
-  void parcel_settled(std::size_t parcel, std::span<const RefusedRow> refused) override;
+  void rows_settled(std::size_t parcel, std::size_t first, std::size_t last,
+                    std::span<const RefusedRow> refused) override;
   void all_settled() override;
   void sending_failed(const Error& error) override;
   void sender_threw(const Error& error) override;

@@ -221,8 +221,8 @@ class SinkQueue {
 
   // ---- loop, while the lane is idle and the batch is sent: sink_sending.cpp
   const std::vector<Parcel>& parcels() const noexcept { return parcels_; }
-  /// The next parcel, in order, is with the peer but for these rows.
-  void settle(std::size_t parcel, std::span<const RefusedRow> refused) noexcept;
+  /// The next rows, in order, from `first` up to and without `last` of that parcel, are with the peer but for these.
+  void settle(std::size_t parcel, std::size_t first, std::size_t last, std::span<const RefusedRow> refused) noexcept;
   /// All parcels are settled.
   void end_sending() noexcept;
   /// What was refused since the last call: how many, and the first reason.

@@ -63,12 +63,13 @@ Result<void> SinkQueue::encode() {
 
 // ---- loop
 
-void SinkQueue::settle(std::size_t number, std::span<const RefusedRow> refused) noexcept {
+void SinkQueue::settle(std::size_t number, std::size_t first, std::size_t last,
+                       std::span<const RefusedRow> refused) noexcept {
   const Parcel& parcel = parcels_[number];
   revision_.fetch_add(1, std::memory_order_acq_rel);
   const std::vector<Parcel::Row>& rows = parcel.rows_;
-  for (std::size_t begin = 0, end = 0; begin < rows.size(); begin = end) {
-    while (end < rows.size() && rows[end].slot == rows[begin].slot) ++end;
+  for (std::size_t begin = first, end = first; begin < last; begin = end) {
+    while (end < last && rows[end].slot == rows[begin].slot) ++end;
     SlotStored& slot = stored(rows[begin].slot);
     slot.in_batch -= static_cast<std::uint32_t>(end - begin);
     slot.stored.fetch_add(end - begin, std::memory_order_relaxed);
@@ -85,8 +86,8 @@ void SinkQueue::settle(std::size_t number, std::span<const RefusedRow> refused) 
     }
     ++refusals_;
   }
-  rows_settled_.fetch_add(parcel.rows_.size(), std::memory_order_relaxed);
-  if (feed_ != nullptr) feed_->settled(parcel.rows_.back().in_batch + 1);
+  rows_settled_.fetch_add(last - first, std::memory_order_relaxed);
+  if (feed_ != nullptr) feed_->settled(rows[last - 1].in_batch + 1);
   revision_.fetch_add(1, std::memory_order_acq_rel);
 }
 

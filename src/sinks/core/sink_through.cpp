@@ -120,8 +120,9 @@ void SinkNode::begin_sending() {
   transfer_->begin(queue_->parcels());
 }
 
-void SinkNode::parcel_settled(std::size_t parcel, std::span<const RefusedRow> refused) {
-  queue_->settle(parcel, refused);
+void SinkNode::rows_settled(std::size_t parcel, std::size_t first, std::size_t last,
+                            std::span<const RefusedRow> refused) {
+  queue_->settle(parcel, first, last, refused);
   note_backlog();
   if (recording_ != nullptr) recording_->are_positions_due_ = true;
   if (health_ == Health::ok || !fault_.empty() || transfer_->is_waiting()) return;

@@ -45,6 +45,15 @@ void Answer::acknowledge() {
   if (const auto transfer = transfer_.lock()) transfer->acknowledge(parcel_, std::exchange(transmission_, 0));
 }
 
+void Answer::confirm(std::size_t rows) {
+  if (const auto transfer = transfer_.lock()) transfer->confirm(parcel_, transmission_, rows);
+}
+
+std::size_t Answer::confirmed() const noexcept {
+  const auto transfer = transfer_.lock();
+  return transfer != nullptr ? transfer->confirmed(parcel_, transmission_) : 0;
+}
+
 void Answer::refuse(std::size_t row, Error why) {
   if (const auto transfer = transfer_.lock()) transfer->refuse(parcel_, transmission_, row, std::move(why));
 }
@@ -136,6 +145,20 @@ void Transfer::acknowledge(std::size_t parcel, std::uint64_t transmission) {
   go_on();
 }
 
+void Transfer::confirm(std::size_t parcel, std::uint64_t transmission, std::size_t rows) {
+  Entry* const entry = awaited(parcel, transmission);
+  if (entry == nullptr || rows <= entry->confirmed) return;
+  entry->confirmed = std::min(rows, parcels_[parcel].rows().size());
+  backoff_.reset();
+  const auto self = shared_from_this();
+  settle_some();  // and sends nothing: its sender may be about to say that the connection is lost
+}
+
+std::size_t Transfer::confirmed(std::size_t parcel, std::uint64_t transmission) noexcept {
+  const Entry* const entry = awaited(parcel, transmission);
+  return entry != nullptr ? entry->confirmed : 0;
+}
+
 void Transfer::refuse(std::size_t parcel, std::uint64_t transmission, std::size_t row, Error why) {
   Entry* const entry = awaited(parcel, transmission);
   if (entry == nullptr || row >= parcels_[parcel].rows().size()) return;
@@ -148,9 +171,7 @@ void Transfer::refuse(std::size_t parcel, std::uint64_t transmission, std::size_
 void Transfer::again(std::size_t parcel, std::uint64_t transmission, const Error& why, std::optional<Duration> after) {
   Entry* const entry = awaited(parcel, transmission);
   if (entry == nullptr) return;
-  entry->state = Entry::State::waiting;
-  entry->transmission = 0;
-  entry->refused.clear();
+  entry->wait();
   --under_way_;
   next_ = std::min(next_, parcel);
   wait_after(why, after);
@@ -193,8 +214,22 @@ void Transfer::go_on() {
 void Transfer::settle_some() {
   while (owner_ != nullptr && settled_ < entries_.size() && entries_[settled_].state == Entry::State::answered) {
     const std::size_t parcel = settled_++;
-    owner_->parcel_settled(parcel, entries_[parcel].refused);
+    settle_rows(parcel, parcels_[parcel].rows().size());
   }
+  if (owner_ != nullptr && settled_ < entries_.size()) settle_rows(settled_, entries_[settled_].confirmed);
+}
+
+void Transfer::settle_rows(std::size_t parcel, std::size_t last) {
+  Entry& entry = entries_[parcel];
+  if (last <= entry.settled) return;
+  const std::size_t first = std::exchange(entry.settled, last);
+  std::vector<RefusedRow> refused;
+  std::erase_if(entry.refused, [&](RefusedRow& row) {
+    if (row.row >= last) return false;
+    refused.push_back(std::move(row));
+    return true;
+  });
+  owner_->rows_settled(parcel, first, last, refused);
 }
 
 /// False: it threw, and is called again after a while.
@@ -268,9 +303,7 @@ void Transfer::left_unanswered(std::size_t parcel, std::uint64_t transmission) {
 void Transfer::give_up(const Error& why) {
   for (Entry& entry : entries_) {
     if (entry.state != Entry::State::sent) continue;
-    entry.state = Entry::State::waiting;
-    entry.transmission = 0;
-    entry.refused.clear();
+    entry.wait();
   }
   under_way_ = 0;
   next_ = settled_;

@@ -22,8 +22,9 @@ class Transfer : public std::enable_shared_from_this<Transfer> {
   /// What the sink hears. Each call may end the transfer, but not destroy it.
   class Owner {
    public:
-    /// Of the parcels in order, the next.
-    virtual void parcel_settled(std::size_t parcel, std::span<const RefusedRow> refused) = 0;
+    /// Of the parcels in order, the next rows: from `first` up to and without `last`.
+    virtual void rows_settled(std::size_t parcel, std::size_t first, std::size_t last,
+                              std::span<const RefusedRow> refused) = 0;
     virtual void all_settled() = 0;
     /// Nothing is sent for a while.
     virtual void sending_failed(const Error& error) = 0;
@@ -52,10 +53,20 @@ class Transfer : public std::enable_shared_from_this<Transfer> {
     enum class State { waiting, sent, answered } state = State::waiting;
     std::uint64_t transmission = 0;
     MonotonicTime deadline{};
+    std::size_t confirmed = 0;  // rows from the first one on, whatever becomes of the others
+    std::size_t settled = 0;    // of those
     std::vector<RefusedRow> refused;
+    /// It is sent again, but for what is confirmed.
+    void wait() noexcept {
+      state = State::waiting;
+      transmission = 0;
+      std::erase_if(refused, [this](const RefusedRow& row) { return row.row >= confirmed; });
+    }
   };
   Entry* awaited(std::size_t parcel, std::uint64_t transmission) noexcept;
   void acknowledge(std::size_t parcel, std::uint64_t transmission);
+  void confirm(std::size_t parcel, std::uint64_t transmission, std::size_t rows);
+  std::size_t confirmed(std::size_t parcel, std::uint64_t transmission) noexcept;
   void refuse(std::size_t parcel, std::uint64_t transmission, std::size_t row, Error why);
   void again(std::size_t parcel, std::uint64_t transmission, const Error& why, std::optional<Duration> after);
   /// Sends what may be sent, and settles what is answered.
@@ -66,6 +77,7 @@ class Transfer : public std::enable_shared_from_this<Transfer> {
   std::size_t due_before(std::size_t parcel) const noexcept;
   void send(std::size_t parcel);
   void settle_some();
+  void settle_rows(std::size_t parcel, std::size_t last);
   void wait_after(const Error& why, std::optional<Duration> after);
   void give_up(const Error& why);
   void timer_fired();

@@ -11,12 +11,14 @@
 #include "data/hidden.hpp"
 #include "io/libz.hpp"
 #include "loop/core/loop_core.hpp"
+#include "loop/runtime/runtime_core.hpp"
 
 namespace rtdata::detail {
 namespace {
 
 constexpr Duration name_age = std::chrono::seconds{60};  // then the name is looked up again
 constexpr int most_redirects = 3;
+constexpr int most_cut_answers = 4;  // to a request, until it counts as delivered
 constexpr Duration longest_compression = std::chrono::seconds{30};
 
 std::string type_of(const HttpConfig& config, const Codec& codec) {
@@ -406,10 +408,39 @@ void HttpSender::transferred(CURL* easy, CURLcode result) {
     request.redirects = 0;
     return take(request, std::move(judgement));
   }
+  if (is_cut_answer(request, result, answer.status)) {
+    request.has_answers = true;  // which is to be known the next time
+    if (++request.rest.cut_answers >= most_cut_answers && config_.cut_answer == HttpCutAnswer::delivered) {
+      count_cut_answer(request);
+      request.redirects = 0;
+      return take(request, {});
+    }
+  }
   const HttpFailure failure = failure_of(easy, result, request.error);
   if (result == CURLE_COULDNT_CONNECT) addresses_.clear();  // it may have moved
   request.redirects = 0;
   take(request, judge(failure, url_.origin, proxy_ ? proxy_->origin : ""));
+}
+
+/// The whole request had been sent, and the server says that it has taken it, in an answer that is not whole.
+bool HttpSender::is_cut_answer(const Request& request, CURLcode result, long status) const {
+  curl_off_t sent = 0;
+  curl_easy_getinfo(request.easy, CURLINFO_SIZE_UPLOAD_T, &sent);
+  const bool is_cut = result == CURLE_PARTIAL_FILE || result == CURLE_RECV_ERROR || result == CURLE_GOT_NOTHING ||
+                      result == CURLE_HTTP2_STREAM || result == CURLE_HTTP2;
+  return is_cut && status >= 200 && status < 300 && static_cast<std::size_t>(sent) == request.bytes.size();
+}
+
+void HttpSender::count_cut_answer(const Request& request) {
+  const Range range = request.rest.ranges.back();
+  const bool is_first = cut_ == 0;
+  cut_ += range.last - range.first;
+  if (!is_first) return;
+  loop_->core().runtime.log(
+      LogLevel::warning, "sink " + config_.sink.name,
+      url_.origin + " says that it has taken a request, and cut its answer off " + std::to_string(most_cut_answers) +
+          " times: the events count as delivered. Look into its log, or set `cut_answer`; how many there are is told "
+          "at the end");
 }
 
 void HttpSender::take(Request& request, HttpJudgement judgement) {
@@ -417,6 +448,7 @@ void HttpSender::take(Request& request, HttpJudgement judgement) {
   if (judgement.verdict == HttpVerdict::later || judgement.verdict == HttpVerdict::faulted)
     return give_up(request, std::move(judgement));
   request.has_answers = true;
+  request.rest.cut_answers = 0;
   request.rest.ranges.pop_back();
   if (judgement.verdict != HttpVerdict::taken) {
     if (range.last - range.first == 1) {
@@ -538,6 +570,10 @@ void HttpSender::cancel() {
 void HttpSender::end() {
   if (loop_ == nullptr) return;
   *is_alive_ = false;
+  if (cut_ > 0)
+    loop_->core().runtime.log(
+        LogLevel::warning, "sink " + config_.sink.name,
+        std::to_string(cut_) + " events count as delivered though the answer to them was cut off");
   for (const auto& request : requests_) {
     request->has_answers = false;
     stop(*request);

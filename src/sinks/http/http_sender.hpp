@@ -51,6 +51,7 @@ class HttpSender final : public Sender {
   struct Rest {
     std::vector<Range> ranges;  // the last is sent next
     Refusals refused;           // of what was sent
+    int cut_answers = 0;        // to the one that is sent, one after the other
   };
   enum class State { idle, compressing, waiting, transferring };  // waiting: for the name
   /// A request, which is used again and again.
@@ -64,6 +65,8 @@ class HttpSender final : public Sender {
   void look_up();
   void looked_up(const Result<std::vector<HostLookup::Address>>& found);
   void transferred(CURL* easy, CURLcode result);
+  bool is_cut_answer(const Request& request, CURLcode result, long status) const;
+  void count_cut_answer(const Request& request);
   void take(Request& request, HttpJudgement judgement);
   void complete(Request& request);
   void give_up(Request& request, HttpJudgement judgement);
@@ -94,6 +97,7 @@ class HttpSender final : public Sender {
   std::string addresses_;  // of the server, or of the proxy, for CURLOPT_RESOLVE; empty: not known
   std::uint64_t addresses_number_ = 0;
   MonotonicTime looked_up_at_{};
+  std::uint64_t cut_ = 0;  // events that count as delivered, though the answer was cut off
   std::shared_ptr<bool> is_alive_ = std::make_shared<bool>(true);
 };
 

@@ -366,6 +366,8 @@ MqttConfig named(MqttConfig config) {
 std::string obstacle_of_waiting(const MqttConfig& config) {
   if (!config.wait_for_subscriber) return {};
   if (config.qos == 0) return "with qos 0 the broker says nothing of an event: set qos 1";
+  // It says so in its first answer, of which the library tells nothing.
+  if (config.qos == 2) return "with qos 2 it is not known that nobody is subscribed: set qos 1";
   return config.version == MqttVersion::v311 ? "only version 5 of MQTT tells that nobody is subscribed" : "";
 }
 

@@ -44,7 +44,9 @@ class Connection : public std::enable_shared_from_this<Connection> {
   void send(const Parcel& parcel, Answer answer) {
     const auto self = shared_from_this();
     if (trouble_) return answer.again(*std::exchange(trouble_, {}), Duration{0});
-    under_way_.push_back({&parcel, std::move(answer)});
+    const std::size_t confirmed = answer.confirmed();
+    const std::size_t begin = confirmed == 0 ? 0 : parcel.rows()[confirmed - 1].end;
+    under_way_.push_back({&parcel, std::move(answer), begin, confirmed});
     if (stream_.is_open()) return write();
     if (!stream_.is_connecting()) stream_.connect(config_.host, config_.port, config_.connect_timeout, tls_);
   }
@@ -141,8 +143,11 @@ class Connection : public std::enable_shared_from_this<Connection> {
     if (left == 0) more_.start(Duration{0});
   }
 
-  /// Acknowledgements.
   void take(std::string_view bytes) {
+    take_acknowledgements(bytes);
+    if (!under_way_.empty() && stream_.is_open()) under_way_.front().answer.confirm(under_way_.front().confirmed);
+  }
+  void take_acknowledgements(std::string_view bytes) {
     while (!bytes.empty() && stream_.is_open()) {
       if (config_.acknowledge == Acknowledge::byte) {
         const char c = bytes.front();
@@ -205,6 +210,7 @@ class Connection : public std::enable_shared_from_this<Connection> {
     }
     auto ended = std::move(under_way_);
     under_way_.clear();
+    if (is_confirmed()) ended.front().answer.confirm(ended.front().confirmed);
     for (UnderWay& one : ended) one.answer.again(error);
   }
   void close() {
