@@ -1,5 +1,5 @@
-// The limit beside the program rtdata: opens the same database, fires one timer, prints when. Linked with what a program
-// needs that records into SQLite and writes a log: libuv, SQLite, spdlog.
+// The limit beside the program rtdata: opens the same database, fires one timer, prints when. Linked with what it takes
+// to record into SQLite and to write a log: libuv, SQLite, spdlog.
 #include <sqlite3.h>
 #include <uv.h>
 

@@ -1,10 +1,11 @@
 #!/bin/sh
-# Builds the program without any of its optional libraries, sees that it records, and that it names what it lacks.
+# Builds program and tests without any of the optional libraries, sees that it records, and that it names what it lacks.
 set -eu
 cd "$(dirname "$0")/../.."
 cmake -G Ninja -B build/least -DCMAKE_BUILD_TYPE=Debug -DCMAKE_CXX_FLAGS_DEBUG=-O0 -DRTDATA_WERROR=ON \
-    -DRTDATA_SQLITE=OFF -DRTDATA_GPIO=OFF -DRTDATA_MODBUS=OFF -DRTDATA_MUPARSER=OFF -DRTDATA_OPENSSL=OFF
-cmake --build build/least -j "$(nproc)" --target rtdata_main
+    -DRTDATA_SQLITE=OFF -DRTDATA_GPIO=OFF -DRTDATA_MODBUS=OFF -DRTDATA_POSTGRESQL=OFF -DRTDATA_HTTP=OFF -DRTDATA_MQTT=OFF \
+    -DRTDATA_MUPARSER=OFF -DRTDATA_OPENSSL=OFF -DRTDATA_TESTS=ON
+cmake --build build/least -j "$(nproc)" --target rtdata_main rtdata_tests
 program=$PWD/build/least/rtdata
 
 folder=$(mktemp -d)

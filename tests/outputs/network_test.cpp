@@ -42,7 +42,7 @@ Lines problems_of(const std::string& output) {
     lines.push_back(problem.text());
   return lines;
 }
-bool is_refused(const std::string& output, const std::string& why) {
+[[maybe_unused]] bool is_refused(const std::string& output, const std::string& why) {
   const Lines problems = problems_of(output);
   const bool is_so = problems.size() == 1 && problems[0].find(why) != std::string::npos;
   for (const std::string& problem : problems)

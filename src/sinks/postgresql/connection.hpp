@@ -23,7 +23,8 @@ struct Address {
   Duration timeout = std::chrono::seconds{30};
 };
 
-/// Errors: not_found (libpq); bad_argument (libpq does not understand the URL). `has_password`: one is in the URL itself.
+/// Errors: not_found (libpq is not there); bad_argument (it does not understand the URL). `has_password`: one is in the
+/// URL itself.
 struct UrlParts {
   bool has_password = false;
   std::string password = {};
