@@ -1,5 +1,5 @@
 # The benchmarks: `script/bench`.
-add_executable(rtdata_bench tests/bench/disk_bench.cpp tests/bench/encode_bench.cpp tests/bench/export_bench.cpp tests/bench/expression_bench.cpp
+add_executable(rtdata_bench EXCLUDE_FROM_ALL tests/bench/disk_bench.cpp tests/bench/encode_bench.cpp tests/bench/export_bench.cpp tests/bench/expression_bench.cpp
   tests/bench/filter_bench.cpp tests/bench/harness.cpp tests/bench/http_bench.cpp tests/bench/iio_bench.cpp tests/bench/lane_bench.cpp tests/bench/loop_bench.cpp tests/bench/machine_bench.cpp tests/bench/net_bench.cpp tests/bench/postgresql_bench.cpp tests/bench/program_bench.cpp tests/bench/publish_bench.cpp tests/bench/reaction_bench.cpp tests/bench/reload_bench.cpp tests/bench/retrieval_bench.cpp tests/bench/rocket_bench.cpp
   tests/bench/rt_bench.cpp tests/bench/sending_bench.cpp tests/bench/sink_bench.cpp tests/bench/verify_bench.cpp)
 target_link_libraries(rtdata_bench PRIVATE rtdata_options rtdata::rtdata PkgConfig::libuv)
@@ -34,7 +34,7 @@ if(TARGET rtdata_sqlite)
   target_compile_definitions(rtdata_bench PRIVATE RTDATA_BENCH_SQLITE RTDATA_BENCH_ROCKET="${CMAKE_CURRENT_SOURCE_DIR}/examples/rocket/rocket.json")
 
   # Loads what a program needs that records into SQLite and writes a log.
-  add_executable(rtdata_bench_bare tests/bench/bare_program.cpp)
+  add_executable(rtdata_bench_bare EXCLUDE_FROM_ALL tests/bench/bare_program.cpp)
   target_link_libraries(rtdata_bench_bare PRIVATE rtdata_options PkgConfig::libuv PkgConfig::sqlite3)
   if(TARGET rtdata_program)
     target_link_options(rtdata_bench_bare PRIVATE LINKER:--no-as-needed)

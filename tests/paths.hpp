@@ -9,6 +9,9 @@ namespace rtdata::test {
 /// The path of what the build made, such as "rtdata".
 std::string built(const std::string& name);
 
+/// The program.
+inline const std::string program = built("rtdata");
+
 /// A path in the source tree.
 std::string in_source(const std::string& path);
 

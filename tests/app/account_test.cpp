@@ -8,6 +8,7 @@
 #include "app/control/live_view.hpp"
 #include "app/core/table.hpp"
 #include "app/core/terminal_text.hpp"
+#include "has.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/sensors/sensor.hpp"
 #include "sinks/sink_kinds.hpp"
@@ -19,7 +20,7 @@ using namespace rtdata::literals;
 
 namespace {
 
-bool has(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
+using rtdata::test::has;
 
 }  // namespace
 

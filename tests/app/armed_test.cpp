@@ -9,6 +9,7 @@
 
 #include "app/process.hpp"
 #include "app/runtime_folder.hpp"
+#include "has.hpp"
 #include "outputs/terminal.hpp"
 #include "paths.hpp"
 #include "rtdata/process/expression.hpp"
@@ -22,7 +23,7 @@ using rtdata::test::Process;
 
 namespace {
 
-bool has(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
+using rtdata::test::has;
 
 /// A machine that arms its igniter on the pad and fires it in `fly`, which resumes.
 class Bench {

@@ -6,6 +6,7 @@
 #include <nlohmann/json.hpp>
 
 #include "app/process.hpp"
+#include "has.hpp"
 #include "paths.hpp"
 
 using rtdata::test::Folder;
@@ -13,9 +14,9 @@ using rtdata::test::Process;
 
 namespace {
 
-const std::string program = rtdata::test::built("rtdata");
+using rtdata::test::program;
 
-bool has(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
+using rtdata::test::has;
 
 }  // namespace
 

@@ -6,6 +6,7 @@
 #include "app/control/commands.hpp"
 #include "app/control/control_socket.hpp"
 #include "app/runtime_folder.hpp"
+#include "has.hpp"
 #include "paths.hpp"
 
 using rtdata::app::ControlClient;
@@ -18,9 +19,9 @@ using namespace std::chrono_literals;
 
 namespace {
 
-const std::string program = built("rtdata");
+using rtdata::test::program;
 
-bool has(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
+using rtdata::test::has;
 
 std::string rig(const std::string& rate) {
   return R"({"name": "rig", "sensors": [

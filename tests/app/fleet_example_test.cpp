@@ -26,7 +26,7 @@ using test::Process;
 
 namespace {
 
-const std::string program = test::built("rtdata");
+using rtdata::test::program;
 
 std::string replaced(std::string text, const std::string& mark, const std::string& by) {
   REQUIRE(text.find(mark) != std::string::npos);

@@ -16,6 +16,7 @@
 #include "app/process.hpp"
 #include "app/run/data_at_risk.hpp"
 #include "app/run/peer_form.hpp"
+#include "has.hpp"
 #include "paths.hpp"
 #include "rtdata/app/standard.hpp"
 #include "rtdata/sinks/recording.hpp"
@@ -26,7 +27,7 @@ using test::Process;
 
 namespace {
 
-const std::string program = test::built("rtdata");
+using rtdata::test::program;
 
 // The peer is a file: while somebody else has its lock, it cannot be written.
 constexpr const char* configuration = R"({
@@ -65,7 +66,7 @@ std::size_t rows_of(const std::string& path) {
   return count;
 }
 
-bool has(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
+using rtdata::test::has;
 
 }  // namespace
 

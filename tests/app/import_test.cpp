@@ -7,6 +7,7 @@
 #include <iterator>
 
 #include "app/process.hpp"
+#include "has.hpp"
 #include "paths.hpp"
 #include "rtdata/sinks/recording.hpp"
 
@@ -16,9 +17,9 @@ using test::Process;
 
 namespace {
 
-const std::string program = test::built("rtdata");
+using rtdata::test::program;
 
-bool has(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
+using rtdata::test::has;
 
 void check_verifies(const Folder& folder, const std::string& recording) {
   Process verify(folder, program, {"verify", recording});

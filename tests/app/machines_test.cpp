@@ -9,6 +9,7 @@
 
 #include "app/process.hpp"
 #include "app/runtime_folder.hpp"
+#include "has.hpp"
 #include "paths.hpp"
 #include "rtdata/process/expression.hpp"
 #include "sinks/sqlite/database.hpp"
@@ -19,7 +20,7 @@ using rtdata::test::Process;
 
 namespace {
 
-bool has(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
+using rtdata::test::has;
 
 struct Done {
   int status;

@@ -25,7 +25,7 @@ using test::Process;
 
 namespace {
 
-const std::string program = test::built("rtdata");
+using rtdata::test::program;
 
 std::string node_file(const std::string& name, std::uint16_t port) {
   return R"({

@@ -54,7 +54,7 @@ class Process {
  public:
   enum class Output { pipes, terminal, one_terminal };  // of 80 columns: standard output alone, or errors on it too
 
-  Process(const Folder& folder, const std::string& program, std::vector<std::string> arguments,
+  Process(const Folder& folder, const std::string& executable, std::vector<std::string> arguments,
           Output output = Output::pipes) {
     int out_child = -1;
     int err_child = -1;
@@ -81,7 +81,7 @@ class Process {
     ::posix_spawn_file_actions_adddup2(&actions, err_child, 2);
     ::posix_spawn_file_actions_addchdir_np(&actions, folder.path().c_str());
     std::vector<char*> argv;
-    arguments.insert(arguments.begin(), program);
+    arguments.insert(arguments.begin(), executable);
     // Where these tests run in an emulator of another processor, so does what they start: tests/arm/run.sh.
     if (const char* emulator = std::getenv("RTDATA_TEST_EMULATOR"); emulator != nullptr) {
       std::istringstream words(emulator);

@@ -12,6 +12,7 @@
 
 #include "app/control/control_socket.hpp"
 #include "app/runtime_folder.hpp"
+#include "has.hpp"
 #include "paths.hpp"
 #include "sinks/sqlite/database.hpp"
 
@@ -37,7 +38,7 @@ std::size_t count_of(const std::string& text, const std::string& part) {
   return count;
 }
 
-bool has(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
+using rtdata::test::has;
 
 }  // namespace
 

@@ -9,6 +9,7 @@
 
 #include "app/process.hpp"
 #include "app/runtime_folder.hpp"
+#include "has.hpp"
 #include "paths.hpp"
 #include "rtdata/process/expression.hpp"
 #include "rtdata/sinks/recording.hpp"
@@ -20,7 +21,7 @@ using rtdata::test::Process;
 
 namespace {
 
-bool has(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
+using rtdata::test::has;
 
 std::string rig(const std::string& rate, const std::string& more) {
   return R"({"buses": {"wire": {"type": "loopback"}}, "sensors": [
@@ -30,9 +31,9 @@ std::string rig(const std::string& rate, const std::string& more) {
 }
 
 /// What `rtdata ctl reload` with these words says, with this status.
-std::string reloaded(const Folder& folder, const std::string& program, std::vector<std::string> words, int status) {
+std::string reloaded(const Folder& folder, const std::string& asked, std::vector<std::string> words, int status) {
   words.insert(words.begin(), {"ctl", "reload"});
-  Process ctl(folder, program, words);
+  Process ctl(folder, asked, words);
   CHECK_MESSAGE(ctl.end() == status, ctl.err);
   return ctl.out + ctl.err;
 }

@@ -10,6 +10,7 @@
 
 #include "app/control/control_socket.hpp"
 #include "app/runtime_folder.hpp"
+#include "has.hpp"
 #include "paths.hpp"
 
 using rtdata::app::ControlClient;
@@ -22,7 +23,7 @@ namespace {
 
 const std::string program = rtdata::test::built("rtdata_test_program");
 
-bool has(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
+using rtdata::test::has;
 
 std::size_t count_of(const std::string& text, const std::string& part) {
   std::size_t count = 0;

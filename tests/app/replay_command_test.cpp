@@ -22,7 +22,7 @@ using rtdata::test::Process;
 
 namespace {
 
-const std::string program = test::built("rtdata");
+using rtdata::test::program;
 
 struct Warmth {
   double temperature = 0;

@@ -4,10 +4,12 @@
 
 #include <chrono>
 #include <cmath>
+#include <memory>
 #include <optional>
 #include <string>
 #include <vector>
 
+#include "../examples/rocket/rocket.hpp"
 #include "app/hard_flights.hpp"
 #include "rtdata/app/standard.hpp"
 #include "rtdata/config/system.hpp"
@@ -76,5 +78,12 @@ class JsonRocket {
   Registry registry_;
   SystemPlan plan_;
 };
+
+/// The decisions of the example in C++.
+inline std::vector<Decision> fly_in_cpp(const Flight& flight) {
+  return flown(flight, [](Loop& loop) {
+    return std::make_unique<rocket::Rocket>(loop, rocket::Charges{[] {}, [] {}});
+  });
+}
 
 }  // namespace rtdata::test

@@ -8,7 +8,6 @@
 #include <string>
 #include <vector>
 
-#include "../examples/rocket/rocket.hpp"
 #include "app/hard_flights.hpp"
 #include "app/rocket_flying.hpp"
 #include "paths.hpp"
@@ -46,12 +45,6 @@ void check_hard_flights(Stays stays, const Fly& fly) {
   }
   CHECK(flown == (static_cast<int>(Trouble::count) - 1) * static_cast<int>(count) + static_cast<int>(few_stay));
   CHECK(wrong == 0);
-}
-
-std::vector<Decision> fly_in_cpp(const Flight& flight) {
-  return flown(flight, [](rtdata::Loop& loop) {
-    return std::make_unique<rocket::Rocket>(loop, rocket::Charges{[] {}, [] {}});
-  });
 }
 
 }  // namespace

@@ -29,18 +29,12 @@ using namespace std::chrono_literals;
 namespace {
 
 using States = std::vector<std::string>;
-const States whole = {"pad", "boost", "coast", "apogee", "descent", "landed"};
+const States whole_flight = {"pad", "boost", "coast", "apogee", "descent", "landed"};
 
 std::vector<Decision> fly_in_json(const Flight& flight) {
   static const JsonRocket rocket(in_source("examples/rocket/rocket.json"));
   return rocket.fly(flight);
 }
-std::vector<Decision> fly_in_cpp(const Flight& flight) {
-  return flown(flight, [](Loop& loop) {
-    return std::make_unique<rocket::Rocket>(loop, rocket::Charges{[] {}, [] {}});
-  });
-}
-
 States states_of(const std::vector<Decision>& decisions) {
   States states;
   for (const Decision& one : decisions) states.push_back(one.to);
@@ -180,15 +174,15 @@ TEST_SUITE("app") {
       for (const double before : {2.0, 0.5, 0.2}) {
         Flight silent = accelerometer_silent(flight, flight.apogee - before, how);
         silent.name += ", silent " + std::to_string(before) + (how == Silence::absent ? " absent" : " nan");
-        for (const double at : check_same(silent, whole, 2)) {
+        for (const double at : check_same(silent, whole_flight, 2)) {
           const double off = at - flight.apogee;
           CHECK_MESSAGE((off > -1 && off < (before > 1.5 ? 0.5 : 2.5)), silent.name << " " << off);
         }
       }
-      for (const double at : check_same(accelerometer_silent(fast, fast.burnout + 1, how), whole, 1))
+      for (const double at : check_same(accelerometer_silent(fast, fast.burnout + 1, how), whole_flight, 1))
         CHECK(std::abs(at - fast.apogee) < 1);
       if (const auto real = real_flight())  // with a dip of 5 s
-        for (const double at : check_same(accelerometer_silent(*real, real->burnout + 1, how), whole, 1))
+        for (const double at : check_same(accelerometer_silent(*real, real->burnout + 1, how), whole_flight, 1))
           CHECK_MESSAGE(std::abs(at - real->apogee) < 1, at);
     }
   }
@@ -200,7 +194,7 @@ TEST_SUITE("app") {
     fast.pad = 5;
     Flight flight = simulated(fast);
     std::erase_if(flight.rows, [&](const FlightRow& row) { return row.time > flight.landing + 16; });
-    check_same(flight, whole, 0.5);
+    check_same(flight, whole_flight, 0.5);
   }
 
   TEST_CASE("rocket, as JSON and in C++: the drogue is on for 2.5 s from the apogee, the backup for 2 s") {
@@ -209,7 +203,7 @@ TEST_SUITE("app") {
     const auto check = [&](const auto& fly) {
       Charge drogue, backup;
       const std::vector<Decision> decisions = fly(drogue, backup);
-      REQUIRE(states_of(decisions) == whole);
+      REQUIRE(states_of(decisions) == whole_flight);
       for (const Charge* const charge : {&drogue, &backup}) {
         REQUIRE(charge->on.size() == 1);
         REQUIRE(charge->off.size() == 1);

@@ -5,6 +5,7 @@
 
 #include "app/control/control_socket.hpp"
 #include "app/runtime_folder.hpp"
+#include "has.hpp"
 #include "paths.hpp"
 
 using rtdata::app::ControlClient;
@@ -26,7 +27,7 @@ constexpr const char* rig = R"({
   "sinks": [ {"type": "discard"} ]
 })";
 
-bool has(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
+using rtdata::test::has;
 
 nlohmann::json ask(ControlClient& client) {
   auto answer = client.ask(R"({"request":"status"})", 30s);
@@ -130,7 +131,7 @@ TEST_SUITE("app") {
     CHECK(sensor["lateness_ns"]["p50"] <= sensor["lateness_ns"]["max"]);
     const nlohmann::json& gone = status["sensors"][1];
     CHECK(gone["failed"] > 0);
-    CHECK(has(gone["health"]["reason"], "/dev/missing_thing"));
+    CHECK(has(gone["health"]["reason"].get<std::string>(), "/dev/missing_thing"));
     CHECK(gone["value"].is_null());
     const nlohmann::json& sink = status["sinks"][0];
     CHECK(sink["offered"].get<std::uint64_t>() ==

@@ -1,18 +1,36 @@
 #!/bin/sh
-# Builds program and tests without any of the optional libraries, sees that it records, and that it names what it lacks.
+# Builds the program without each of the optional libraries, then program and tests without any of them; sees that it records, and
+# that it names what it lacks.
 set -eu
 cd "$(dirname "$0")/../.."
-cmake -G Ninja -B build/least -DCMAKE_BUILD_TYPE=Debug -DCMAKE_CXX_FLAGS_DEBUG=-O0 -DRTDATA_WERROR=ON \
-    -DRTDATA_SQLITE=OFF -DRTDATA_GPIO=OFF -DRTDATA_MODBUS=OFF -DRTDATA_POSTGRESQL=OFF -DRTDATA_HTTP=OFF -DRTDATA_MQTT=OFF \
-    -DRTDATA_MUPARSER=OFF -DRTDATA_OPENSSL=OFF -DRTDATA_TESTS=ON
-cmake --build build/least -j "$(nproc)" --target rtdata_main rtdata_tests
+refused() { echo "least.sh: $1" >&2; exit 1; }
+
+# build FOLDER OPTION... -- TARGET...
+build() {
+    folder=build/$1 options=""
+    shift
+    while [ "$1" != -- ]; do options="$options $1"; shift; done
+    shift
+    # shellcheck disable=SC2086
+    cmake -S . -G Ninja -B "$folder" -DCMAKE_BUILD_TYPE=Debug -DCMAKE_CXX_FLAGS_DEBUG=-O0 -DRTDATA_WERROR=ON -DRTDATA_TESTS=ON $options >/dev/null
+    cmake --build "$folder" -j "$(nproc)" --target "$@"
+}
+
+none=""
+for part in SQLITE GPIO MODBUS POSTGRESQL HTTP MQTT MUPARSER OPENSSL; do
+    none="$none -DRTDATA_$part=OFF"
+    build without -DRTDATA_$part=OFF -- rtdata_main
+    left_out=$(build/without/rtdata --version | grep -c 'left out')
+    [ "$left_out" -eq 1 ] || refused "without $part, --version says that $left_out parts are left out"
+    cmake -B build/without -DRTDATA_$part=ON >/dev/null
+done
+# shellcheck disable=SC2086
+build least $none -- rtdata_main rtdata_tests
 program=$PWD/build/least/rtdata
 
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
 cd "$folder"
-refused() { echo "least.sh: $1" >&2; exit 1; }
-
 cat >least.json <<'END'
 {"sensors": [{"name": "cpu", "type": "host", "quantity": "cpu", "rate": "100 Hz"}],
  "sinks": [{"type": "file", "path": "cpu.jsonl"}]}

@@ -1,6 +1,7 @@
 // Another configuration takes the place of that of a running system: what becomes of each part, and what recordings
 // keep.
 #include "rtdata/config/change.hpp"
+#include "has.hpp"
 
 #include <doctest/doctest.h>
 
@@ -100,7 +101,7 @@ struct Running {
   const Runtime& runtime = loop.runtime();
 };
 
-bool has(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
+using rtdata::test::has;
 
 const std::string counter = R"({"name": "a", "type": "tallied", "rate": "100 Hz"})";
 

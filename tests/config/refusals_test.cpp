@@ -9,6 +9,7 @@
 #include <optional>
 
 #include "app/process.hpp"
+#include "has.hpp"
 #include "paths.hpp"
 #include "rtdata/app/standard.hpp"
 #include "rtdata/config/system.hpp"
@@ -23,7 +24,7 @@ using test::Process;
 
 namespace {
 
-bool has(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
+using rtdata::test::has;
 
 /// An item of each type that is right; `FOLDER` stands for a directory of the test.
 const std::map<std::string, std::string> right_sensors{

@@ -1,5 +1,6 @@
 // Texts that are taken from the environment or from files, and shown nowhere.
 #include "rtdata/config/secret.hpp"
+#include "has.hpp"
 
 #include <doctest/doctest.h>
 #include <stdlib.h>
@@ -62,7 +63,7 @@ std::string with_sink(const std::string& more) {
          "}]}";
 }
 
-bool has(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
+using rtdata::test::has;
 
 }  // namespace
 

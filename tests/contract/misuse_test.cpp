@@ -16,6 +16,7 @@
 #include <vector>
 
 #include "contract/at_end.hpp"
+#include "has.hpp"
 #include "loop/virtual_time.hpp"
 #include "rtdata/loop/runtime.hpp"
 #include "rtdata/loop/tier.hpp"
@@ -58,7 +59,7 @@ std::string end_of(const std::function<void()>& program) {
   return "signal " + std::to_string(WIFSIGNALED(status) ? WTERMSIG(status) : 0) + ": " + said;
 }
 
-bool has(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
+using rtdata::test::has;
 
 /// Fails at the first opening if asked for, and lets a test do something in each of its calls.
 struct Device {

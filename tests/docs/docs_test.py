@@ -6,7 +6,7 @@ A comment on the line before a code block says what is done with it:
   <!-- test: run -->             its commands run, in one folder a page, with `rtdata` as the program and EXAMPLES
   <!-- test: python [MODULE...] -->  it runs in that folder, and prints something; skipped where a module is not installed
   <!-- test: file PATH -->       the file has it, word for word
-  <!-- test: fresh machine -->   tests/debian13/run.sh runs it, in the source tree, on a machine with nothing installed
+  <!-- test: fresh machine -->   tests/bare/run.sh runs it, in the source tree, on a machine with nothing installed
 Parts that need the program are skipped, and that is said, when it is not built. `--write-requirements` puts the tests
 that there are into the tables of docs/requirements.md, `--write-types` what the program says of its drivers into
 docs/chips.md.

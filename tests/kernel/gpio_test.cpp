@@ -9,6 +9,7 @@
 #include <string>
 #include <vector>
 
+#include "has.hpp"
 #include "kernel/gpio_bench.hpp"
 #include "rtdata/loop/runtime.hpp"
 #include "rtdata/loop/timer.hpp"
@@ -31,7 +32,7 @@ std::string refusal(const std::function<void()>& make) {
     return std::string(error.error().id()) + ": " + error.what();
   }
 }
-bool has(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
+using rtdata::test::has;
 
 /// Ends the loop when a test does not get where it is going.
 Timer limit(Loop& loop) {

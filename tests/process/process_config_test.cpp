@@ -2,6 +2,7 @@
 #include <doctest/doctest.h>
 
 #include "config/test_types.hpp"
+#include "has.hpp"
 #include "rtdata/app/standard.hpp"
 #include "rtdata/config/system.hpp"
 #include "rtdata/loop/topic.hpp"
@@ -30,7 +31,7 @@ std::string problem(const std::string& process) {
   return plan.problems.text();
 }
 
-bool has(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
+using rtdata::test::has;
 
 }  // namespace
 

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "data/payloads.hpp"
+#include "has.hpp"
 #include "rtdata/io/fake_i2c.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/loop/topic.hpp"
@@ -71,7 +72,7 @@ std::string mistake(const Processing& process) {
   return "";
 }
 
-bool has(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
+using rtdata::test::has;
 
 /// The same by hand, as simply as it can be: from all values since the filters began.
 struct ByHand {

@@ -106,14 +106,14 @@ class FakeMs5611 final : public I2cTransport {
   int resets = 0;
 };
 
-struct Bench {
+struct BarometerBench {
   std::shared_ptr<FakeI2c> wires = std::make_shared<FakeI2c>();
   I2cBus bus{"i2c1", wires, {.timeout = 200ms}};
   Loop loop{Loop::Manual{}};
   std::vector<std::string> errors;
   std::vector<BarometerReading> readings;
   Subscription heard;
-  Bench() {
+  BarometerBench() {
     be_quiet(loop);
     loop.on_error([this](const ErrorReport& report) { errors.push_back(report.error.text()); });
     heard = loop.subscribe<BarometerReading>("air",
@@ -260,7 +260,7 @@ TEST_SUITE("sensors") {
          {BarometerModel::bmp280, BarometerModel::bme280, BarometerModel::bmp388, BarometerModel::bmp390}) {
       CAPTURE(static_cast<int>(model));
       const bool is_new = model == BarometerModel::bmp388 || model == BarometerModel::bmp390;
-      Bench bench;
+      BarometerBench bench;
       FakeI2cChip& chip = bench.wires->chip(0x76);
       put_bosch(chip, model);
       int resets = 0;
@@ -294,7 +294,7 @@ TEST_SUITE("sensors") {
     for (const BarometerModel model : {BarometerModel::bmp280, BarometerModel::bme280, BarometerModel::bmp388}) {
       CAPTURE(static_cast<int>(model));
       const bool is_new = model == BarometerModel::bmp388;
-      Bench bench;
+      BarometerBench bench;
       FakeI2cChip& chip = bench.wires->chip(0x76);
       put_bosch(chip, model);
       BarometerSensor air(bench.loop, {.name = "air", .rate = 10_Hz, .faulted_after = 10}, bench.bus, Barometer::place,
@@ -341,7 +341,7 @@ TEST_SUITE("sensors") {
   TEST_CASE("US-27 trimming parameters of zeros or ones, and another barometer at the address, are refused") {
     for (const std::uint8_t all : {std::uint8_t{0x00}, std::uint8_t{0xff}}) {
       for (const BarometerModel model : {BarometerModel::bmp280, BarometerModel::bmp388}) {
-        Bench bench;
+        BarometerBench bench;
         FakeI2cChip& chip = bench.wires->chip(0x76);
         put_bosch(chip, model);
         std::array<std::uint8_t, 24> none;
@@ -366,14 +366,14 @@ TEST_SUITE("sensors") {
                            {BarometerModel::bmp390, BarometerModel::bmp388, "it seems to be a BMP390: set `model`"},
                            {BarometerModel::bmp388, BarometerModel::bme280, "it seems to be a BMP388: set `model`"},
                            {BarometerModel::bmp280, BarometerModel::ms5611, "it seems to be a BMP280: set `model`"}}) {
-      Bench bench;
+      BarometerBench bench;
       put_bosch(bench.wires->chip(0x76), mix.there);
       BarometerSensor air(bench.loop, {.name = "air", .rate = 10_Hz}, bench.bus, Barometer::place,
                           {.model = mix.wanted});
       CHECK(air.health() == Health::faulted);
       CHECK_MESSAGE(air.status().reason.find(mix.words) != std::string::npos, air.status().reason);
     }
-    Bench bench;
+    BarometerBench bench;
     bench.wires->chip(0x76).set(0xd0, {0x55});
     BarometerSensor air(bench.loop, {.name = "air", .rate = 10_Hz}, bench.bus);
     CHECK(air.status().reason.find("it seems to be a BMP180, which has no driver here") != std::string::npos);
@@ -447,7 +447,7 @@ TEST_SUITE("sensors") {
     CHECK(problems(R"("model": "ms5611", "temperature_oversampling": 16)")
               .find("16 is none of 256, 512, 1024, 2048, 4096, which the MS5611 has") != std::string::npos);
     CHECK(problems(R"("reference_pressure": 0)").find("reference_pressure") != std::string::npos);
-    Bench bench;
+    BarometerBench bench;
     CHECK_THROWS_AS(BarometerSensor(bench.loop, {.name = "b", .rate = 1_Hz}, bench.bus, Barometer::place,
                                     {.model = BarometerModel::bme280, .humidity_oversampling = 3}),
                     SetupError);

@@ -37,7 +37,7 @@ void put_example(FakeI2cChip& chip) {
   chip.set(0x39, {5, 0});
 }
 
-struct Bench {
+struct Bno055Bench {
   std::shared_ptr<FakeI2c> wires = std::make_shared<FakeI2c>();
   I2cBus bus{"i2c1", wires, {.timeout = 200ms}};
   FakeI2cChip& chip = wires->chip(0x28);
@@ -45,7 +45,7 @@ struct Bench {
   std::vector<std::string> errors;
   std::vector<OrientationReading> readings;
   Subscription heard;
-  Bench() {
+  Bno055Bench() {
     put_example(chip);
     be_quiet(loop);
     loop.on_error([this](const ErrorReport& report) { errors.push_back(report.error.text()); });
@@ -63,7 +63,7 @@ struct Bench {
 
 TEST_SUITE("sensors") {
   TEST_CASE("US-15 BNO055: its registers become a quaternion, radians, m/s2, tesla and calibration") {
-    Bench bench;
+    Bno055Bench bench;
     DriverSensor<Bno055> attitude(bench.loop, {.name = "attitude", .rate = 50_Hz}, bench.bus);
     bench.loop.advance(500ms);
     CHECK(bench.errors.empty());
@@ -102,7 +102,7 @@ TEST_SUITE("sensors") {
   }
 
   TEST_CASE("US-15 US-27 a BNO055 that starts, loses its settings, fails, or is another chip is told, and comes back") {
-    Bench bench;
+    Bno055Bench bench;
     bench.chip.set(0x39, {3, 0});  // starting
     DriverSensor<Bno055> attitude(bench.loop, {.name = "attitude", .rate = 20_Hz, .retry_longest = 1s}, bench.bus);
     bench.loop.advance(500ms);
@@ -155,7 +155,7 @@ TEST_SUITE("sensors") {
   TEST_CASE("US-15 whichever transfers of a BNO055 fail, the account balances and it goes on") {
     for (int at = 0; at < 60; ++at) {
       CAPTURE(at);
-      Bench bench;
+      Bno055Bench bench;
       bench.chip.set_duration(1ms);
       DriverSensor<Bno055> attitude(
           bench.loop, {.name = "attitude", .rate = 20_Hz, .retry_first = 10ms, .retry_longest = 10ms}, bench.bus);

@@ -37,8 +37,8 @@ struct Room {
   }
 
 /// A derived sensor and what it brings.
-struct Bench {
-  explicit Bench(DerivedConfig config) : loop(Loop::Manual{}) {
+struct DerivedBench {
+  explicit DerivedBench(DerivedConfig config) : loop(Loop::Manual{}) {
     be_quiet(loop);
     imu = Feed<Imu>(loop, {.name = "imu"});
     room = Feed<Room>(loop, {.name = "room", .topic = "room/climate"});
@@ -92,18 +92,20 @@ TEST_CASE("a derived sensor that is refused leaves nothing behind") {
 
 TEST_CASE("a derived topic has the time of what it is derived from, and several fields") {
   NEEDS_EXPRESSIONS();
-  Bench bench({.on = "imu",
-               .fields = {{"norm", "sqrt(x^2 + imu.y^2 + z^2)", "m/s2"}, {"good", "ok and norm_like < 5 or ok", ""}}});
+  DerivedBench bench(
+      {.on = "imu",
+       .fields = {{"norm", "sqrt(x^2 + imu.y^2 + z^2)", "m/s2"}, {"good", "ok and norm_like < 5 or ok", ""}}});
   // A field that is not there: each event is unreadable, and says so.
   bench.take({3, 4, 0});
-  CHECK(bench.errors == Bench::Texts{"the topic \"imu\" has no number `norm_like`"});
+  CHECK(bench.errors == DerivedBench::Texts{"the topic \"imu\" has no number `norm_like`"});
   CHECK(bench.sensor.counts().unreadable == 1);
 
-  Bench right({.on = "imu", .fields = {{"norm", "sqrt(x^2 + imu.y^2 + z^2)", "m/s2"}, {"good", "ok and z > -2", ""}}});
+  DerivedBench right(
+      {.on = "imu", .fields = {{"norm", "sqrt(x^2 + imu.y^2 + z^2)", "m/s2"}, {"good", "ok and z > -2", ""}}});
   right.take({3, 4, 0});
   const Time first = right.loop.time();
   right.take({0, 0, -7, {}, true});
-  CHECK(right.values == Bench::Texts{"5", "1", "7", "0"});
+  CHECK(right.values == DerivedBench::Texts{"5", "1", "7", "0"});
   CHECK(right.times == std::vector<Time>{first, first + 100ms});
   CHECK(right.sensor.counts().published == 2);
   CHECK(right.sensor.counts().received == 2);
@@ -112,11 +114,11 @@ TEST_CASE("a derived topic has the time of what it is derived from, and several 
 
 TEST_CASE("a field that waits is absent") {
   NEEDS_EXPRESSIONS();
-  Bench bench({.on = "imu", .fields = {{"rate", "rate(x)", ""}, {"warm", "heat + 1", ""}, {"x", "x", ""}}});
+  DerivedBench bench({.on = "imu", .fields = {{"rate", "rate(x)", ""}, {"warm", "heat + 1", ""}, {"x", "x", ""}}});
   bench.take({1, 0, 0, 20.0});
   bench.take({2, 0, 0, {}});
   bench.take({2, 0, 0, 21.5});
-  CHECK(bench.values == Bench::Texts{"absent", "21", "1", "10", "absent", "2", "0", "22.5", "2"});
+  CHECK(bench.values == DerivedBench::Texts{"absent", "21", "1", "10", "absent", "2", "0", "22.5", "2"});
   bench.sensor.stop();
   bench.take({9});
   bench.sensor.start();
@@ -127,17 +129,17 @@ TEST_CASE("a field that waits is absent") {
 
 TEST_CASE("a topic that never comes, comes late, stops: a gap, and nothing made up") {
   NEEDS_EXPRESSIONS();
-  Bench bench({.on = "imu", .with = {"room/climate"}, .age = 1s, .expression = "x + room.climate"});
+  DerivedBench bench({.on = "imu", .with = {"room/climate"}, .age = 1s, .expression = "x + room.climate"});
   bench.take({1});
   bench.take({1});
   CHECK(bench.values.empty());
-  CHECK(bench.errors == Bench::Texts{"the topic \"room/climate\" has brought nothing yet"});  // once
+  CHECK(bench.errors == DerivedBench::Texts{"the topic \"room/climate\" has brought nothing yet"});  // once
   CHECK(bench.sensor.health() == Health::faulted);
   bench.heat(20);
   CHECK(bench.values.empty());
   bench.take({1});
   bench.take({2}, 900ms);
-  CHECK(bench.values == Bench::Texts{"21", "22"});
+  CHECK(bench.values == DerivedBench::Texts{"21", "22"});
   CHECK(bench.sensor.health() == Health::ok);
   bench.take({2}, 100ms);
   CHECK(bench.values.size() == 2);
@@ -145,7 +147,7 @@ TEST_CASE("a topic that never comes, comes late, stops: a gap, and nothing made 
   CHECK(bench.sensor.health() == Health::faulted);
   bench.heat(21);
   bench.take({2});
-  CHECK(bench.values == Bench::Texts{"21", "22", "23"});
+  CHECK(bench.values == DerivedBench::Texts{"21", "22", "23"});
   const SensorCounts counts = bench.sensor.counts();
   CHECK(counts.received == 3);
   CHECK(counts.published == 3);
@@ -153,13 +155,13 @@ TEST_CASE("a topic that never comes, comes late, stops: a gap, and nothing made 
 
 TEST_CASE("a division by zero is unreadable, told with its column, and costs its own event only") {
   NEEDS_EXPRESSIONS();
-  Bench bench({.on = "imu", .expression = "highest(x) + 1 / x"});
+  DerivedBench bench({.on = "imu", .expression = "highest(x) + 1 / x"});
   bench.take({2});
   bench.take({0});
   CHECK(bench.sensor.health() == Health::degraded);
   bench.take({1});
-  CHECK(bench.values == Bench::Texts{"2.5", "3"});
-  CHECK(bench.errors == Bench::Texts{"division by zero, or the logarithm of 0, in column 16"});
+  CHECK(bench.values == DerivedBench::Texts{"2.5", "3"});
+  CHECK(bench.errors == DerivedBench::Texts{"division by zero, or the logarithm of 0, in column 16"});
   CHECK(bench.sensor.health() == Health::ok);
   const SensorCounts counts = bench.sensor.counts();
   CHECK(counts.received == 3);
@@ -169,7 +171,7 @@ TEST_CASE("a division by zero is unreadable, told with its column, and costs its
 
 TEST_CASE("derived from a derived one, and closed from a handler of it") {
   NEEDS_EXPRESSIONS();
-  Bench bench({.on = "imu", .expression = "x * 2"});
+  DerivedBench bench({.on = "imu", .expression = "x * 2"});
   DerivedSensor second(bench.loop, {.name = "second"}, {.on = "out", .expression = "out + 1"});
   std::vector<double> got;
   Subscription subscription = bench.loop.subscribe("second", [&](const EventView& event) {

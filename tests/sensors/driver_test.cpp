@@ -60,12 +60,12 @@ class Converting {
   Result<TemperatureReading> read(I2cDevice&) { return TemperatureReading{20}; }
 };
 
-struct Bench {
+struct DriverBench {
   std::shared_ptr<FakeI2c> wires = std::make_shared<FakeI2c>();
   I2cBus bus{"i2c1", wires, {.timeout = 100ms}};
   Loop loop{Loop::Manual{}};
   std::vector<std::string> errors;
-  Bench() {
+  DriverBench() {
     be_quiet(loop);
     loop.on_error([this](const ErrorReport& report) { errors.push_back(report.error.text()); });
   }
@@ -99,7 +99,7 @@ using Thermometer = DriverSensor<Lm75>;
 TEST_SUITE("sensors") {
   TEST_CASE(
       "US-11 a bus that gives up before the chip is ready, and a setting that the chip does not have, are refused") {
-    Bench bench;
+    DriverBench bench;
     const auto refusal = [&](Duration timeout, Barometer::Config config) -> std::string {
       I2cBus bus("quick", bench.wires, {.timeout = timeout});
       try {
@@ -162,7 +162,7 @@ TEST_SUITE("sensors") {
   }
 
   TEST_CASE("US-12 an SHT3x is started, waited for, read; one with wrong checksums is unreadable") {
-    Bench bench;
+    DriverBench bench;
     FakeI2cChip& chip = bench.wires->chip(0x44);
     const std::array<std::uint8_t, 2> word{0x66, 0x66};  // 25 degrees, 40 %
     chip.set(0x25, {0x66, 0x66, Sht::checksum(word), 0x66, 0x66, Sht::checksum(word)});
@@ -192,7 +192,7 @@ TEST_SUITE("sensors") {
   }
 
   TEST_CASE("US-12 US-27 an SHT4x, taken for an SHT3x, then as it is; unplugged and plugged in again") {
-    Bench bench;
+    DriverBench bench;
     FakeI2cChip& chip = bench.wires->chip(0x44);
     const std::array<std::uint8_t, 2> serial{0x12, 0x34}, temperature{0x66, 0x66}, humidity{0x72, 0xb0};
     chip.set(0x89, {serial[0], serial[1], Sht::checksum(serial)});
@@ -240,7 +240,7 @@ TEST_SUITE("sensors") {
     CHECK(Ina::decode(0, 0x7fff, config).error().code == Errc::out_of_range);
     CHECK(Ina::decode(0, 8000 << 3, {}).error().code == Errc::out_of_range);
 
-    Bench bench;
+    DriverBench bench;
     FakeI2cChip& chip = bench.wires->chip(0x40);
     chip.set_width(FakeI2cChip::Width::words);
     chip.set_word(1, 0x1f40);
@@ -291,7 +291,7 @@ TEST_SUITE("sensors") {
   }
 
   TEST_CASE("a barometer's event has the time of the start, and comes when the conversion is over") {
-    Bench bench;
+    DriverBench bench;
     put_example(bench.wires->chip(0x76));
     std::vector<Duration> heard_at, times;
     const auto begin = bench.loop.now();
@@ -315,7 +315,7 @@ TEST_SUITE("sensors") {
   }
 
   TEST_CASE("US-27 a chip of another identity, without settings, without an answer is told, and comes back") {
-    Bench bench;
+    DriverBench bench;
     FakeI2cChip& chip = bench.wires->chip(0x76);
     put_example(chip);
     chip.set(0xd0, {0x60});
@@ -349,7 +349,7 @@ TEST_SUITE("sensors") {
   }
 
   TEST_CASE("NFR-1 four barometers convert side by side on one bus") {
-    Bench bench;
+    DriverBench bench;
     std::vector<BarometerSensor> all;
     for (unsigned i = 0; i < 4; ++i) {
       put_example(bench.wires->chip(0x70 + i));
@@ -373,7 +373,7 @@ TEST_SUITE("sensors") {
     ScratchDirectory folder;
     const std::string path = folder.file("run.db");
     {
-      Bench bench;
+      DriverBench bench;
       SqliteSink sink(bench.loop, {.path = path, .sink = {.batch_time = 3ms}});  // accounts while ticks are kept, too
       std::vector<DriverSensor<SlowAdc>> all;
       for (unsigned i = 0; i < 4; ++i) {
@@ -406,7 +406,7 @@ TEST_SUITE("sensors") {
   }
 
   TEST_CASE("a tick that was kept is failed where the read before it makes the device faulted") {
-    Bench bench;
+    DriverBench bench;
     FakeI2cChip& chip = bench.wires->chip(0x48);
     DriverSensor<SlowAdc> adc(bench.loop, {.name = "adc", .rate = 125_Hz, .faulted_after = 1}, bench.bus,
                               I2cDevice::Place{0x48});
@@ -425,7 +425,7 @@ TEST_SUITE("sensors") {
   }
 
   TEST_CASE("NFR-1 a chip that hangs is given up, its readings alone; a dead one does not starve the bus") {
-    Bench bench;
+    DriverBench bench;
     put_lm75(*bench.wires, 0x48, 20.5);
     FakeI2cChip& slow = put_lm75(*bench.wires, 0x49, 21);
     auto other_wires = std::make_shared<FakeI2c>();
@@ -505,7 +505,7 @@ TEST_SUITE("sensors") {
   }
 
   TEST_CASE("US-12 a place on a bus is one sensor's, and an address has seven bits") {
-    Bench bench;
+    DriverBench bench;
     put_lm75(*bench.wires, 0x48, 20);
     Thermometer first(bench.loop, {.name = "a", .rate = 10_Hz}, bench.bus);
     CHECK_THROWS_WITH_AS(Thermometer(bench.loop, {.name = "b", .rate = 10_Hz}, bench.bus),

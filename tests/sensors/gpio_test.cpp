@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "has.hpp"
 #include "rtdata/app/standard.hpp"
 #include "rtdata/config/system.hpp"
 #include "rtdata/io/fake_gpio.hpp"
@@ -36,7 +37,7 @@ std::string refusal(const std::function<void()>& make) {
     return std::string(error.error().id()) + ": " + error.what();
   }
 }
-bool has(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
+using rtdata::test::has;
 
 /// Drives a line of gpiochip0 in the time of a manual loop.
 struct Wire {
@@ -48,8 +49,8 @@ struct Wire {
   void toggle() { set(!is_high); }
 };
 
-struct Bench {
-  explicit Bench(FakeGpio::Like like = FakeGpio::Like::libgpiod_2) : pins(board(like)) {
+struct GpioBench {
+  explicit GpioBench(FakeGpio::Like like = FakeGpio::Like::libgpiod_2) : pins(board(like)) {
     be_quiet(loop);
     loop.on_error([this](const ErrorReport& report) {
       if (report.error.code != Errc::held_too_long) errors.push_back(std::string(report.error.id()));
@@ -144,7 +145,7 @@ TEST_CASE("US-36 an output is set HIGH and LOW, and has its safe value at the en
 }
 
 TEST_CASE("US-36 edges come on the loop with the kernel's time, numbered, those that were dropped too") {
-  Bench bench;
+  GpioBench bench;
   std::vector<GpioEdge> seen;
   GpioEdges edges(
       bench.loop, {.line = 17}, [&](const GpioEdge& edge) { seen.push_back(edge); }, bench.pins);
@@ -173,7 +174,7 @@ TEST_CASE("US-36 edges come on the loop with the kernel's time, numbered, those 
 }
 
 TEST_CASE("US-36 without numbers, edges that may be lost are told: libgpiod 1") {
-  Bench bench(FakeGpio::Like::libgpiod_1);
+  GpioBench bench(FakeGpio::Like::libgpiod_1);
   std::uint64_t seen = 0;
   GpioEdges edges(
       bench.loop, {.line = 17, .edges = GpioEdgeKind::rising}, [&](const GpioEdge&) { ++seen; }, bench.pins);
@@ -191,7 +192,7 @@ TEST_CASE("US-36 without numbers, edges that may be lost are told: libgpiod 1") 
 }
 
 TEST_CASE("US-36 debounce without the kernel's help: a level counts when it has lasted, bounces are filtered") {
-  Bench bench(FakeGpio::Like::libgpiod_1);
+  GpioBench bench(FakeGpio::Like::libgpiod_1);
   std::vector<GpioEdge> seen;
   GpioEdges edges(
       bench.loop, {.line = 17, .edges = GpioEdgeKind::rising, .debounce = 10ms},
@@ -224,7 +225,7 @@ TEST_CASE("US-36 debounce without the kernel's help: a level counts when it has 
 
 TEST_CASE("US-36 a chip that goes away is told once, also where the kernel does not say so") {
   for (const bool hangs_up : {true, false}) {
-    Bench bench;
+    GpioBench bench;
     std::uint64_t calls = 0;
     GpioEdges edges(
         bench.loop, {.line = 17}, [&](const GpioEdge&) { ++calls; }, bench.pins);
@@ -245,7 +246,7 @@ TEST_CASE("US-36 a chip that goes away is told once, also where the kernel does 
 }
 
 TEST_CASE("US-36 NFR-1 edge: a burst of 10 000 is received or counted as lost, an unplugged chip is a gap") {
-  Bench bench;
+  GpioBench bench;
   EdgeSensor sensor(bench.loop, {.name = "door"}, {.input = {.line = "GPIO17"}, .retry_first = 100ms}, bench.pins);
   std::uint64_t heard = 0, last = 0;
   Time before{};
@@ -299,7 +300,7 @@ TEST_CASE("US-36 NFR-1 edge: a burst of 10 000 is received or counted as lost, a
 }
 
 TEST_CASE("US-36 edge: with libgpiod 1 lost is not detectable, and a full store is told; bounces are filtered") {
-  Bench bench(FakeGpio::Like::libgpiod_1);
+  GpioBench bench(FakeGpio::Like::libgpiod_1);
   EdgeSensor sensor(bench.loop, {.name = "door"}, {.input = {.line = "GPIO17"}}, bench.pins);
   for (int i = 0; i < 10'000; ++i) bench.wire.toggle();
   bench.loop.poll();
@@ -323,7 +324,7 @@ TEST_CASE("US-36 edge: with libgpiod 1 lost is not detectable, and a full store 
 }
 
 TEST_CASE("US-36 edge: absent at the start, silent, taken by another, and required") {
-  Bench bench;
+  GpioBench bench;
   bench.pins->occupy("gpiochip0", 17, "another");
   EdgeSensor sensor(bench.loop, {.name = "door"},
                     {.input = {.line = 17}, .silence = 10s, .retry_first = 1s, .retry_longest = 1s}, bench.pins);
@@ -348,7 +349,7 @@ TEST_CASE("US-36 edge: absent at the start, silent, taken by another, and requir
 }
 
 TEST_CASE("US-36 counter: number, frequency and what they stand for, from the kernel's times") {
-  Bench bench;
+  GpioBench bench;
   CounterSensor sensor(bench.loop, {.name = "flow", .rate = 1_Hz},
                        {.input = {.line = 17, .edges = GpioEdgeKind::rising},
                         .per_pulse = 0.5,
@@ -415,7 +416,7 @@ TEST_CASE("US-36 counter: number, frequency and what they stand for, from the ke
 }
 
 TEST_CASE("US-36 counter: with libgpiod 1 pulses that may be missing are told, and in the data") {
-  Bench bench(FakeGpio::Like::libgpiod_1);
+  GpioBench bench(FakeGpio::Like::libgpiod_1);
   CounterSensor sensor(bench.loop, {.name = "fan", .rate = 10_Hz}, {.input = {.line = 17}}, bench.pins);
   std::vector<CounterReading> readings;
   const auto heard = bench.loop.subscribe("fan",
@@ -430,7 +431,7 @@ TEST_CASE("US-36 counter: with libgpiod 1 pulses that may be missing are told, a
 }
 
 TEST_CASE("US-36 gpio: the levels of several lines at a rate, read on a lane, through an outage") {
-  Bench bench;
+  GpioBench bench;
   LevelsConfig config{
       .lines = {{.name = "front", .line = "GPIO17"}, {.name = "back", .line = "gpiochip0:3", .active_low = true}}};
   LevelsSensor sensor(bench.loop, {.name = "doors", .rate = 10_Hz, .retry_first = 100ms}, config, bench.pins);

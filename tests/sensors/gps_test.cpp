@@ -59,8 +59,8 @@ struct Seen {
 };
 
 /// A GPS sensor of a scripted server, in virtual time.
-struct Bench {
-  explicit Bench(GpsConfig config = {}, FakeGpsd::Family family = FakeGpsd::Family::ipv4, const char* host = nullptr)
+struct GpsBench {
+  explicit GpsBench(GpsConfig config = {}, FakeGpsd::Family family = FakeGpsd::Family::ipv4, const char* host = nullptr)
       : gpsd(family) {
     be_quiet(loop);
     loop.on_error([](const ErrorReport&) {});
@@ -261,7 +261,7 @@ TEST_CASE("US-14 a receiver's time is a source of the time of day once it is pla
 }
 
 TEST_CASE("US-14 a fix becomes an event, with the satellites that its receiver told of") {
-  Bench bench;
+  GpsBench bench;
   REQUIRE(bench.accept());
   bench.say(R"({"class":"VERSION","release":"3.22","rev":"3.22","proto_major":3,"proto_minor":14})"
             "\r\n");
@@ -292,7 +292,7 @@ TEST_CASE("US-14 a fix becomes an event, with the satellites that its receiver t
 TEST_CASE(
     "US-14 gpsd that is absent, killed or restarted is connected to again, with growing waits, and its time away is a "
     "gap") {
-  Bench bench;
+  GpsBench bench;
   REQUIRE(bench.accept());
   bench.say(fix_line("/dev/a", "2026-01-01T00:00:00.000Z", 1));
   bench.say(R"({"class":"TPV","device":"/dev/a","mo)");  // and it is killed within a line
@@ -330,7 +330,7 @@ TEST_CASE(
 }
 
 TEST_CASE("US-14 garbage and lines without end cost no other line anything") {
-  Bench bench;
+  GpsBench bench;
   REQUIRE(bench.accept());
   bench.say("\x16\x03\x01 garbage\n\n\r\n");
   CHECK(bench.sensor.health() == Health::degraded);
@@ -361,7 +361,7 @@ TEST_CASE("US-14 garbage and lines without end cost no other line anything") {
 }
 
 TEST_CASE("US-14 a receiver that is silent has a gap; gpsd that is silent too is taken for lost") {
-  Bench bench({.silence = 5s});
+  GpsBench bench({.silence = 5s});
   REQUIRE(bench.accept());
   bench.say(R"({"class":"DEVICES","devices":[{"class":"DEVICE","path":"/dev/a"}]})"
             "\n");
@@ -397,7 +397,7 @@ TEST_CASE("US-14 a receiver that is silent has a gap; gpsd that is silent too is
 }
 
 TEST_CASE("US-14 several receivers behind one gpsd are kept apart by device, or it is told that there are several") {
-  const auto talk = [](Bench& bench) {
+  const auto talk = [](GpsBench& bench) {
     REQUIRE(bench.accept());
     bench.say(R"({"class":"DEVICES","devices":[{"class":"DEVICE","path":"/dev/a"},{"class":"DEVICE","path":"/dev/b"}]})"
               "\n");
@@ -410,7 +410,7 @@ TEST_CASE("US-14 several receivers behind one gpsd are kept apart by device, or 
       bench.say(fix_line("/dev/a", time, 1) + fix_line("/dev/b", time, 2));
     }
   };
-  Bench one({.device = "/dev/b"});
+  GpsBench one({.device = "/dev/b"});
   talk(one);
   REQUIRE(one.seen.size() == 3);
   for (const Seen& seen : one.seen) {
@@ -422,7 +422,7 @@ TEST_CASE("US-14 several receivers behind one gpsd are kept apart by device, or 
   CHECK(one.errors.empty());
   CHECK(one.sensor.health() == Health::ok);
 
-  Bench both;
+  GpsBench both;
   talk(both);
   REQUIRE(both.seen.size() == 6);
   CHECK(both.seen[4].fix.device == "/dev/a");
@@ -434,7 +434,7 @@ TEST_CASE("US-14 several receivers behind one gpsd are kept apart by device, or 
                                      "each; here their reports come as one series");
   CHECK(both.sensor.health() == Health::degraded);
 
-  Bench none({.device = "/dev/c"});
+  GpsBench none({.device = "/dev/c"});
   talk(none);
   CHECK(none.seen.empty());
   CHECK(none.sensor.health() == Health::degraded);
@@ -442,7 +442,7 @@ TEST_CASE("US-14 several receivers behind one gpsd are kept apart by device, or 
 }
 
 TEST_CASE("US-14 what gpsd reports as an error is told") {
-  Bench bench;
+  GpsBench bench;
   REQUIRE(bench.accept());
   bench.say(R"({"class":"ERROR","message":"Can't activate it"})"
             "\n");
@@ -458,13 +458,13 @@ TEST_CASE("US-14 localhost is found by either of its addresses, and names by loo
       MESSAGE("skipped: this machine has no ::1");
       continue;
     }
-    Bench bench({}, family, "localhost");
+    GpsBench bench({}, family, "localhost");
     REQUIRE(bench.accept());
     bench.say(fix_line("/dev/a", "2026-01-01T00:00:00.000Z", 1));
     CHECK(bench.seen.size() == 1);
     CHECK(bench.errors.empty());
   }
-  Bench unknown({.retry_first = 1s}, FakeGpsd::Family::ipv4, "no-such-host.invalid");
+  GpsBench unknown({.retry_first = 1s}, FakeGpsd::Family::ipv4, "no-such-host.invalid");
   unknown.loop.advance(100ms);
   CHECK(unknown.sensor.health() == Health::faulted);
   CHECK(unknown.last_error() == "not-found");
@@ -472,7 +472,7 @@ TEST_CASE("US-14 localhost is found by either of its addresses, and names by loo
 
 TEST_CASE("US-14 the time of fixes is noted as a source of the time of day, that of old logs is not") {
   for (const bool is_recent : {true, false}) {
-    Bench bench;
+    GpsBench bench;
     REQUIRE(bench.accept());
     MonotonicTime last{};
     for (int i = 10; i < 30; ++i) {
@@ -496,7 +496,7 @@ TEST_CASE("US-14 the time of fixes is noted as a source of the time of day, that
 }
 
 TEST_CASE("US-14 a receiver whose time steps by more than a minute gives no time of day from then on, which is told") {
-  Bench bench;
+  GpsBench bench;
   REQUIRE(bench.accept());
   const auto report = [&](const char* hour, int second) {
     bench.say(R"({"class":"TPV","device":"/dev/a","mode":3,"ept":0.005,"time":"2026-03-01T)" + std::string(hour) +

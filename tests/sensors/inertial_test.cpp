@@ -187,8 +187,8 @@ constexpr Model models[] = {{ChipKind::lsm6ds3, ImuModel::lsm6ds3, 416, 0x6a, 68
                             {ChipKind::adxl, ImuModel::mpu6050, 400, 0x53, 32, "ADXL345"}};
 
 /// One of the models on a fake bus, with all that its samples say.
-struct Bench {
-  explicit Bench(const Model& model_, double chip_is_faster = 1)
+struct InertialBench {
+  explicit InertialBench(const Model& model_, double chip_is_faster = 1)
       : model(model_),
         fake(wires->chip(model_.address), model_.kind, Duration{std::llround(1e9 / model_.rate / chip_is_faster)}) {
     be_quiet(loop);
@@ -275,7 +275,7 @@ TEST_SUITE("sensors") {
       CAPTURE(std::string(model.name));
       for (const double faster : {1.0, 1.03, 0.97}) {
         CAPTURE(faster);
-        Bench bench(model, faster);
+        InertialBench bench(model, faster);
         AnySensor sensor = bench.make({.name = "s", .rate = 50_Hz});
         bench.loop.advance(4s);
         CHECK(bench.errors.empty());
@@ -301,7 +301,7 @@ TEST_SUITE("sensors") {
   TEST_CASE("US-11 US-15 on SPI each sample in the FIFO of each model is an event, and I2C is switched off") {
     for (const Model& model : models) {
       CAPTURE(model.name);
-      Bench bench(model);
+      InertialBench bench(model);
       const bool is_adxl = model.kind == ChipKind::adxl;
       auto wires = std::make_shared<FakeSpi>();
       bridge(*wires, 2, *bench.wires, model.address, {.spi_burst_bit = static_cast<std::uint8_t>(is_adxl ? 0x40 : 0)});
@@ -335,7 +335,7 @@ TEST_SUITE("sensors") {
         CAPTURE(faster);
         for (int outage = 2000; outage < 2020; outage += 3) {
           CAPTURE(outage);
-          Bench bench(model, faster);
+          InertialBench bench(model, faster);
           AnySensor sensor = bench.make({.name = "s", .rate = 50_Hz, .faulted_after = 10000});
           bench.loop.advance(5s);
           CHECK(sensor.counts().lost == 0);
@@ -359,7 +359,7 @@ TEST_SUITE("sensors") {
   TEST_CASE("US-15 a sensor that is read too seldom for its FIFO loses samples, and says how many and what to do") {
     for (const Model& model : models) {
       CAPTURE(std::string(model.name));
-      Bench bench(model);
+      InertialBench bench(model);
       AnySensor sensor = bench.make({.name = "s", .rate = Rate::from_period(model.capacity * 1ms * 4)});
       bench.loop.advance(30s);
       CHECK(sensor.counts().lost > 1000);
@@ -385,7 +385,7 @@ TEST_SUITE("sensors") {
       const int full = static_cast<int>(model.capacity * 1000 / model.rate);
       for (int period = full - 16; period <= full + 24; period += 2) {
         CAPTURE(period);
-        Bench bench(model);
+        InertialBench bench(model);
         bench.wires->chip(model.address).set_duration(model.kind == ChipKind::lsm9ds1 ? 500us : 1ms);
         AnySensor sensor = bench.make({.name = "s", .rate = 40_Hz, .faulted_after = 10000});
         bench.loop.advance(3s);
@@ -409,7 +409,7 @@ TEST_SUITE("sensors") {
     for (const Model& model : models) {
       if (model.kind == ChipKind::lsm6ds3) continue;  // each of its bytes would be one of another sample
       CAPTURE(std::string(model.name));
-      Bench bench(model, 1.02);
+      InertialBench bench(model, 1.02);
       AnySensor sensor = bench.make({.name = "s", .rate = 40_Hz});
       bench.loop.advance(3s);
       CHECK(sensor.counts().lost == 0);
@@ -430,7 +430,7 @@ TEST_SUITE("sensors") {
   TEST_CASE("US-15 settings that are lost are told and set again, and what was not sampled is counted") {
     for (const Model& model : models) {
       CAPTURE(std::string(model.name));
-      Bench bench(model);
+      InertialBench bench(model);
       AnySensor sensor = bench.make({.name = "s", .rate = 50_Hz});
       bench.loop.advance(2001ms);
       bench.fake.lose_power();
@@ -452,7 +452,7 @@ TEST_SUITE("sensors") {
       for (int at = 0; at < 40; ++at) {
         CAPTURE(at);
         for (const unsigned count : {1u, 4u}) {
-          Bench bench(model);
+          InertialBench bench(model);
           bench.wires->chip(model.address).set_duration(200us);
           AnySensor sensor = bench.make(
               {.name = "s", .rate = 50_Hz, .faulted_after = 100, .retry_first = 10ms, .retry_longest = 10ms});
@@ -475,7 +475,7 @@ TEST_SUITE("sensors") {
       CAPTURE(std::string(model.name));
       for (const int outage : {300, 2000, 7000}) {
         CAPTURE(outage);
-        Bench bench(model);
+        InertialBench bench(model);
         AnySensor sensor = bench.make({.name = "s", .rate = 50_Hz, .retry_first = 50ms, .retry_longest = 200ms});
         bench.loop.advance(2001ms);
         CHECK(sensor.counts().lost == 0);
@@ -506,7 +506,7 @@ TEST_SUITE("sensors") {
       "US-15 what a chip took until its sensor was stopped in a fault is lost; what it took when stopped is not") {
     for (const Model& model : models) {
       CAPTURE(std::string(model.name));
-      Bench bench(model);
+      InertialBench bench(model);
       AnySensor sensor = bench.make({.name = "s", .rate = 50_Hz});
       bench.loop.advance(2001ms);
       sensor.stop();
@@ -531,7 +531,7 @@ TEST_SUITE("sensors") {
   TEST_CASE("US-15 garbage, and tags with a wrong parity, are told, and never a sample") {
     for (const Model& model : models) {
       CAPTURE(std::string(model.name));
-      Bench bench(model);
+      InertialBench bench(model);
       AnySensor sensor = bench.make({.name = "s", .rate = 50_Hz});
       bench.loop.advance(1s);
       const std::size_t before = bench.numbers.size();
@@ -543,7 +543,7 @@ TEST_SUITE("sensors") {
       CHECK(!bench.errors.empty());
       CHECK(bench.loop.runtime().balances());
     }
-    Bench bench(models[1]);
+    InertialBench bench(models[1]);
     AnySensor sensor = bench.make({.name = "s", .rate = 50_Hz});
     bench.loop.advance(1s);
     const std::size_t before = bench.numbers.size();
@@ -569,7 +569,7 @@ TEST_SUITE("sensors") {
                                  {0.3, 0, "its angular velocity x changes by 0 rad/s, not by 2.617994 to 12.217305"}}) {
       CAPTURE(change.acceleration);
       CAPTURE(change.rate);
-      Bench bench(models[1]);
+      InertialBench bench(models[1]);
       FakeI2cChip& chip = bench.wires->chip(0x6a);
       std::uint16_t test = 0, tests = 0;
       std::size_t at = 0;
@@ -598,7 +598,7 @@ TEST_SUITE("sensors") {
   }
 
   TEST_CASE("US-15 NFR-6 other chips and settings that a model does not have are told with what there is") {
-    Bench bench(models[2]);
+    InertialBench bench(models[2]);
     DriverSensor<Imu> imu(bench.loop, {.name = "a", .rate = 50_Hz}, bench.bus, {0x6b}, {.model = ImuModel::lsm6dso});
     REQUIRE(!bench.errors.empty());
     CHECK(bench.errors[0].find("its identity is 0x68, that of an LSM6DSO is 0x6c: it seems to be an LSM9DS1: set "

@@ -92,7 +92,7 @@ struct SlowSensor : AnySensor {
 };
 
 /// A loop in virtual time on which 1 kHz is sampled, with what happens at 100 ms.
-struct Bench {
+struct LaneOpeningBench {
   Loop loop{Loop::Manual{}};
   std::shared_ptr<Seen> seen = std::make_shared<Seen>();
   Sensor<Number> fast{loop, {.name = "fast", .rate = 1_kHz}, [] { return Number{1}; }};
@@ -100,7 +100,7 @@ struct Bench {
   std::vector<std::string> errors;
   Timer timer;
 
-  Bench() {
+  LaneOpeningBench() {
     be_quiet(loop);
     loop.on_error(
         [this](const ErrorReport& report) { errors.push_back(std::string(report.object) + ": " + report.error.what); });
@@ -123,7 +123,7 @@ struct Bench {
 TEST_SUITE("sensors") {
   TEST_CASE(
       "NFR-1 US-7 a device whose opening takes a second is added while 1 kHz is sampled: no tick is missed or late") {
-    Bench bench;
+    LaneOpeningBench bench;
     bench.loop.script_lane_duration(1s);
     bench.at_100_ms([&] {
       bench.slow = SlowSensor(bench.loop, bench.seen);
@@ -145,7 +145,7 @@ TEST_SUITE("sensors") {
   }
 
   TEST_CASE("NFR-1 US-8 a device is stopped, closed or drained while it is opened") {
-    Bench bench;
+    LaneOpeningBench bench;
     bench.loop.script_lane_duration(1s);
     bench.at_100_ms([&] { bench.slow = SlowSensor(bench.loop, bench.seen); });
     bench.loop.advance(500ms);
@@ -185,7 +185,7 @@ TEST_SUITE("sensors") {
   }
 
   TEST_CASE("NFR-1 a device that cannot be opened while the loop runs is faulted, and opened again on its lane") {
-    Bench bench;
+    LaneOpeningBench bench;
     bench.seen->failing = 2;
     bench.loop.script_lane_duration(300ms);
     bench.at_100_ms(
@@ -206,7 +206,7 @@ TEST_SUITE("sensors") {
   }
 
   TEST_CASE("US-8 a sensor is closed by the one who is told that its opening cannot begin") {
-    Bench bench;
+    LaneOpeningBench bench;
     bench.slow = SlowSensor(bench.loop, bench.seen);
     bench.slow.stop();
     bench.seen->cannot_begin = true;
@@ -218,7 +218,7 @@ TEST_SUITE("sensors") {
   }
 
   TEST_CASE("NFR-1 an opening that hangs is given up") {
-    Bench bench;
+    LaneOpeningBench bench;
     bench.loop.script_lane_duration(1h);
     bench.at_100_ms([&] { bench.slow = SlowSensor(bench.loop, bench.seen, 200ms); });
     bench.loop.advance(350ms);
@@ -232,7 +232,7 @@ TEST_SUITE("sensors") {
   }
 
   TEST_CASE("a program knows at its start which devices are missing, and a required one throws at any time") {
-    Bench bench;
+    LaneOpeningBench bench;
     bench.seen->failing = 1;
     bench.loop.script_lane_duration(10ms);
     bench.slow = SlowSensor(bench.loop, bench.seen, 1s);

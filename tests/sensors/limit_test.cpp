@@ -33,8 +33,8 @@ constexpr LimitLevel low_low = LimitLevel::low_low, low = LimitLevel::low, norma
 Time at(Duration since) { return Time{std::chrono::hours{24 * 365}} + since; }
 
 /// A limit's sensor on a manual loop, and what it publishes.
-struct Bench {
-  explicit Bench(LimitConfig config) : loop(Loop::Manual{}) {
+struct LimitBench {
+  explicit LimitBench(LimitConfig config) : loop(Loop::Manual{}) {
     be_quiet(loop);
     tank = Feed<Tank>(loop, {.name = "tank"});
     config.on = "tank";
@@ -227,7 +227,7 @@ TEST_CASE("limits: settings that cannot work are refused, each with its reason")
 }
 
 TEST_CASE("a limit's topic: the first value, each change, and the time of both") {
-  Bench bench({.high = 100, .join = 0ms});
+  LimitBench bench({.high = 100, .join = 0ms});
   bench.take(50);
   REQUIRE(bench.alarms.size() == 1);
   CHECK(bench.alarms[0].level == normal);
@@ -256,7 +256,7 @@ TEST_CASE("a limit's topic: the first value, each change, and the time of both")
 }
 
 TEST_CASE("a flood of alarms is joined and counted, and a worse one is never late") {
-  Bench bench({.low = -100, .high = 100, .high_high = 200, .join = 1s});
+  LimitBench bench({.low = -100, .high = 100, .high_high = 200, .join = 1s});
   bench.take(0);
   CHECK(bench.levels() == std::vector{normal});
   bench.take(150, 10ms);
@@ -275,7 +275,7 @@ TEST_CASE("a flood of alarms is joined and counted, and a worse one is never lat
 }
 
 TEST_CASE("a topic that falls silent is an alarm, a gap and a fault, and told once") {
-  Bench bench({.high = 100, .silence = 2s});
+  LimitBench bench({.high = 100, .silence = 2s});
   bench.loop.advance(2s);
   CHECK(bench.levels() == std::vector{unknown});
   CHECK(bench.sensor.health() == Health::faulted);
@@ -300,7 +300,7 @@ TEST_CASE("a topic that falls silent is an alarm, a gap and a fault, and told on
 }
 
 TEST_CASE("a limit that is stopped is an alarm: unknown, for all that follow it") {
-  Bench bench({.high = 100, .silence = 0s});
+  LimitBench bench({.high = 100, .silence = 0s});
   bench.take(50);
   CHECK(bench.levels() == std::vector{normal});
   bench.sensor.stop();
@@ -323,7 +323,7 @@ TEST_CASE("a limit that is stopped is an alarm: unknown, for all that follow it"
   REQUIRE(bench.alarms.size() == 1);
   CHECK(bench.alarms[0].alarm == high);
   CHECK(bench.levels() == std::vector{unknown});
-  Bench silent({.high = 100, .silence = 0s});
+  LimitBench silent({.high = 100, .silence = 0s});
   silent.sensor.stop();
   silent.loop.advance(0ns);
   CHECK(silent.levels() == std::vector{unknown});
@@ -331,10 +331,10 @@ TEST_CASE("a limit that is stopped is an alarm: unknown, for all that follow it"
 
 TEST_CASE("a limit at the end of its run, or that is closed, publishes no alarm of its own: nothing has happened") {
   const recordings::Folder folder;
-  const auto events = [&](const std::string& name, const std::function<void(Bench&)>& end) {
+  const auto events = [&](const std::string& name, const std::function<void(LimitBench&)>& end) {
     const std::string path = folder / name;
     {
-      Bench bench({.high = 100, .silence = 0s});
+      LimitBench bench({.high = 100, .silence = 0s});
       const SqliteSink sink(bench.loop, {.path = path});
       bench.take(50);
       CHECK(bench.levels() == std::vector{normal});
@@ -344,20 +344,20 @@ TEST_CASE("a limit at the end of its run, or that is closed, publishes no alarm 
     }
     return recordings::number(path, "SELECT count(*) FROM alarm");
   };
-  CHECK(events("end.db", [](Bench&) {}) == 1);
-  CHECK(events("closed.db", [](Bench& bench) {
+  CHECK(events("end.db", [](LimitBench&) {}) == 1);
+  CHECK(events("closed.db", [](LimitBench& bench) {
           bench.sensor.close();
           bench.loop.advance(1s);
         }) == 1);
-  CHECK(events("stopped.db", [](Bench& bench) { bench.sensor.stop(); }) == 2);
+  CHECK(events("stopped.db", [](LimitBench& bench) { bench.sensor.stop(); }) == 2);
 }
 
 TEST_CASE("a change that a limit holds back to join it with others is published when it ends") {
   const recordings::Folder folder;
-  const auto last = [&](const std::string& name, const std::function<void(Bench&)>& end) {
+  const auto last = [&](const std::string& name, const std::function<void(LimitBench&)>& end) {
     const std::string path = folder / name;
     {
-      Bench bench({.high = 100, .silence = 0s, .join = 10s});
+      LimitBench bench({.high = 100, .silence = 0s, .join = 10s});
       const SqliteSink sink(bench.loop, {.path = path});
       for (const double pressure : {50, 150, 50, 50}) bench.take(pressure);
       CHECK(bench.levels() == std::vector{normal, high});
@@ -367,8 +367,8 @@ TEST_CASE("a change that a limit holds back to join it with others is published 
     CHECK(recordings::number(path, "SELECT count(*) FROM alarm") == 3);
     return recordings::number(path, "SELECT count(*) FROM alarm WHERE level = 'normal' AND sequence = 3");
   };
-  CHECK(last("end.db", [](Bench&) {}) == 1);
-  CHECK(last("closed.db", [](Bench& bench) { bench.sensor.close(); }) == 1);
+  CHECK(last("end.db", [](LimitBench&) {}) == 1);
+  CHECK(last("closed.db", [](LimitBench& bench) { bench.sensor.close(); }) == 1);
 }
 
 TEST_CASE("a limit of a topic without that number says so with each event") {

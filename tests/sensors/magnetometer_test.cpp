@@ -65,8 +65,8 @@ struct FakeMagnetometer {
   bool has_new = false, is_measuring = true;
 };
 
-struct Bench {
-  explicit Bench(MagnetometerModel model, unsigned address, Duration period = 10ms)
+struct MagnetometerBench {
+  explicit MagnetometerBench(MagnetometerModel model, unsigned address, Duration period = 10ms)
       : chip(wires->chip(address)), fake(chip, Magnetometer::Config{.model = model}.chip(), period) {
     be_quiet(loop);
     loop.on_error([this](const ErrorReport& report) { errors.push_back(report.error.text()); });
@@ -152,7 +152,7 @@ TEST_SUITE("sensors") {
   }
 
   TEST_CASE("US-15 a LIS3MDL is set up, brings each sample once, and sleeps at the end") {
-    Bench bench(MagnetometerModel::lis3mdl, 0x1c, 25ms);
+    MagnetometerBench bench(MagnetometerModel::lis3mdl, 0x1c, 25ms);
     DriverSensor<Magnetometer> compass(bench.loop, {.name = "compass", .rate = 100_Hz}, bench.bus, Magnetometer::place,
                                        {.sample_rate = 40, .field_range = 8});
     bench.fake.registers[0x28] = 0x5d;  // 3421: a gauss at 8 gauss
@@ -174,7 +174,7 @@ TEST_SUITE("sensors") {
   }
 
   TEST_CASE("US-15 an AK8963 is adjusted, an HMC5883L and a QMC5883L are set up as their data sheets say") {
-    Bench ak(MagnetometerModel::ak8963, 0x0c);
+    MagnetometerBench ak(MagnetometerModel::ak8963, 0x0c);
     ak.chip.set(0x10, {128, 0, 255});
     ak.fake.registers[0x03] = ak.fake.registers[0x05] = 100;
     DriverSensor<Magnetometer> adjusted(ak.loop, {.name = "compass", .rate = 50_Hz}, ak.bus, {.address = 0x0c},
@@ -187,7 +187,7 @@ TEST_SUITE("sensors") {
     CHECK(ak.fake.registers[0x0a] == 0x16);
     CHECK(ak.fake.writes == std::vector<std::uint16_t>{0x0a0f, 0x0a00, 0x0b01, 0x0a00, 0x0a16});
 
-    Bench hmc(MagnetometerModel::hmc5883l, 0x1e);
+    MagnetometerBench hmc(MagnetometerModel::hmc5883l, 0x1e);
     DriverSensor<Magnetometer> honeywell(hmc.loop, {.name = "compass", .rate = 50_Hz}, hmc.bus, {.address = 0x1e},
                                          {.model = MagnetometerModel::hmc5883l, .sample_rate = 30});
     hmc.loop.advance(500ms);
@@ -195,7 +195,7 @@ TEST_SUITE("sensors") {
     CHECK(hmc.readings.size() >= 24);
     CHECK(hmc.fake.writes == std::vector<std::uint16_t>{0x0074, 0x0120, 0x0200});
 
-    Bench qmc(MagnetometerModel::qmc5883l, 0x0d);
+    MagnetometerBench qmc(MagnetometerModel::qmc5883l, 0x0d);
     DriverSensor<Magnetometer> qst(qmc.loop, {.name = "compass", .rate = 50_Hz}, qmc.bus, {.address = 0x0d},
                                    {.model = MagnetometerModel::qmc5883l, .field_range = 8});
     qmc.loop.advance(500ms);
@@ -212,7 +212,7 @@ TEST_SUITE("sensors") {
       const MagnetometerModel model = chip.first;
       const unsigned address = chip.second;
       CAPTURE(static_cast<int>(model));
-      Bench bench(model, address);
+      MagnetometerBench bench(model, address);
       DriverSensor<Magnetometer> compass(bench.loop, {.name = "compass", .rate = 50_Hz, .retry_longest = 1s}, bench.bus,
                                          {.address = address}, {.model = model});
       bench.loop.advance(500ms);

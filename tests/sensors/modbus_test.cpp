@@ -22,6 +22,7 @@ TEST_CASE("US-42 Modbus is tested where libmodbus is") {
 #include <mutex>
 #include <thread>
 
+#include "has.hpp"
 #include "rtdata/app/standard.hpp"
 #include "rtdata/config/system.hpp"
 #include "rtdata/loop/timer.hpp"
@@ -35,7 +36,7 @@ using namespace rtdata::literals;
 
 namespace {
 
-bool has(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
+using rtdata::test::has;
 
 /// What a server has: holding register n is 1000 + n, input register n is 2000 + n; coil 3 and discrete input 5 are
 /// set.

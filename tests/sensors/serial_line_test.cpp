@@ -31,13 +31,13 @@ TEST_SUITE_BEGIN("sensors" * doctest::skip(!terminals_can_be_set_up()));
 namespace {
 
 /// A loop with a serial sensor at the end of a pty, and what comes out.
-struct Bench {
-  explicit Bench(SerialConfig config = {}) : pty(directory.file("tty")) {
+struct SerialLineBench {
+  explicit SerialLineBench(SerialConfig config = {}) : pty(directory.file("tty")) {
     be_quiet(loop);
     pty.plug_in();
     make(std::move(config));
   }
-  explicit Bench(std::nullptr_t) : pty(directory.file("tty")) { be_quiet(loop); }
+  explicit SerialLineBench(std::nullptr_t) : pty(directory.file("tty")) { be_quiet(loop); }
   void make(SerialConfig config) {
     config.device = pty.path();
     if (config.fields.empty()) config.fields = {{.name = "value"}};
@@ -310,7 +310,7 @@ TEST_CASE("US-17 fields and settings that cannot work are refused") {
 TEST_CASE("US-13 the line is raw, at any speed, and this program's alone") {
   for (const unsigned speed : {9600u, 115200u, 250000u, 74880u}) {
     CAPTURE(speed);
-    Bench bench({.serial = {.baud_rate = speed}});
+    SerialLineBench bench({.serial = {.baud_rate = speed}});
     const TerminalSettings settings = terminal_settings(bench.pty.device());
     CHECK(settings.output_speed == speed);
     CHECK(settings.input_speed == speed);
@@ -328,7 +328,7 @@ TEST_CASE("US-13 the line is raw, at any speed, and this program's alone") {
 }
 
 TEST_CASE("US-5 lines come out as events, the half line at the start does not") {
-  Bench bench;
+  SerialLineBench bench;
   bench.run("alf\n1.5\r\n\n# comment\n-2\n3", 2);
   CHECK(bench.events == Texts{"1.5", "-2"});
   bench.run("5\n", 3);
@@ -342,16 +342,16 @@ TEST_CASE("US-5 lines come out as events, the half line at the start does not") 
 }
 
 TEST_CASE("US-5 the first lines can be kept, or skipped as a heading") {
-  Bench keep({.first_line = FirstLine::keep});
+  SerialLineBench keep({.first_line = FirstLine::keep});
   keep.run("1\n2\n", 2);
   CHECK(keep.events == Texts{"1", "2"});
-  Bench skip({.skip_lines = 2, .first_line = FirstLine::keep});
+  SerialLineBench skip({.skip_lines = 2, .first_line = FirstLine::keep});
   skip.run("value\nvolts\n3\n", 1);
   CHECK(skip.events == Texts{"3"});
 }
 
 TEST_CASE("US-5 a byte order mark before the first line does not count") {
-  Bench bench({.first_line = FirstLine::keep});
+  SerialLineBench bench({.first_line = FirstLine::keep});
   bench.run(
       "\xef\xbb\xbf"
       "1\n2\n\xef\xbb\xbf"
@@ -362,7 +362,7 @@ TEST_CASE("US-5 a byte order mark before the first line does not count") {
 }
 
 TEST_CASE("US-5 bad lines are counted and reported, and cost no other line anything") {
-  Bench bench({.first_line = FirstLine::keep, .max_line = 64});
+  SerialLineBench bench({.first_line = FirstLine::keep, .max_line = 64});
   bench.run("1\ngarbage\n2\n1,2\n\xff\xfe\n1e999\n3\n" + std::string(65, '1') + "\n" + std::string(64, '0') + "\n", 9);
   CHECK(bench.events == Texts{"1", "2", "3", "0"});
   CHECK(bench.errors == Texts{"not-a-number", "bad-data", "not-a-number", "out-of-range", "does-not-fit"});
@@ -373,7 +373,7 @@ TEST_CASE("US-5 bad lines are counted and reported, and cost no other line anyth
 }
 
 TEST_CASE("US-5 a line of a megabyte is one error") {
-  Bench bench({.first_line = FirstLine::keep});
+  SerialLineBench bench({.first_line = FirstLine::keep});
   bench.run("1\n" + std::string(1 << 20, 'x') + "\n2\n", 3);
   CHECK(bench.events == Texts{"1", "2"});
   CHECK(bench.errors == Texts{"does-not-fit"});
@@ -382,9 +382,9 @@ TEST_CASE("US-5 a line of a megabyte is one error") {
 }
 
 TEST_CASE("US-5 the device's own numbers say what was lost") {
-  Bench bench({.fields = {{.name = "n", .type = Kind::u32}, {.name = "value"}},
-               .first_line = FirstLine::keep,
-               .sequence_field = "n"});
+  SerialLineBench bench({.fields = {{.name = "n", .type = Kind::u32}, {.name = "value"}},
+                         .first_line = FirstLine::keep,
+                         .sequence_field = "n"});
   bench.run("1,1\n2,2\n2,2\n6,6\n", 4);
   CHECK(bench.events == Texts{"1 1", "2 2", "6 6"});
   CHECK(bench.sensor.counts().lost == 3);
@@ -394,10 +394,10 @@ TEST_CASE("US-5 the device's own numbers say what was lost") {
 }
 
 TEST_CASE("US-5 a numbered line that cannot be used is unreadable, and not lost too") {
-  Bench bench({.fields = {{.name = "n", .type = Kind::u32}, {.name = "value"}},
-               .first_line = FirstLine::keep,
-               .max_line = 64,
-               .sequence_field = "n"});
+  SerialLineBench bench({.fields = {{.name = "n", .type = Kind::u32}, {.name = "value"}},
+                         .first_line = FirstLine::keep,
+                         .max_line = 64,
+                         .sequence_field = "n"});
   // 2 and 3 are no use; of 5 to 8 one came, too long; what came beside the numbers explains none that are missing
   // later.
   bench.run("1,1\n2,x\n3\n4,4\n6," + std::string(80, '6') + "\n9,9\nnoise\n10,10\n12,12\n", 9);
@@ -411,7 +411,7 @@ TEST_CASE("US-5 a numbered line that cannot be used is unreadable, and not lost 
 
 TEST_CASE("US-5 a device that ends no line, as at the wrong speed, is degraded, and recovers") {
   for (const FirstLine first : {FirstLine::discard, FirstLine::keep}) {
-    Bench bench({.first_line = first, .max_line = 64});
+    SerialLineBench bench({.first_line = first, .max_line = 64});
     bench.run(std::string(4096 + 2000, '\x7f'), [&] { return bench.sensor.health() == Health::degraded; });
     CHECK(bench.errors.size() == 1);
     CHECK(bench.sensor.counts().unreadable == 1);
@@ -424,7 +424,7 @@ TEST_CASE("US-5 a device that ends no line, as at the wrong speed, is degraded, 
 
 TEST_CASE("US-5 a device that never ended a line is told of at the end, though little came") {
   for (const FirstLine first : {FirstLine::discard, FirstLine::keep}) {
-    Bench bench({.first_line = first});
+    SerialLineBench bench({.first_line = first});
     std::size_t turns = 0;
     bench.run("\x7f\x7f\x7f\x7f", [&] { return ++turns > 20; });
     CHECK(bench.errors.empty());  // the rest of the line may still come
@@ -435,7 +435,7 @@ TEST_CASE("US-5 a device that never ended a line is told of at the end, though l
     CHECK(bench.sensor.counts().balances());
     CHECK(bench.loop.runtime().has_loss());
   }
-  Bench bench({.first_line = FirstLine::keep});  // half a line after others is none
+  SerialLineBench bench({.first_line = FirstLine::keep});  // half a line after others is none
   bench.run("1\n2", 1);
   bench.loop.close();
   CHECK(bench.errors.empty());
@@ -443,7 +443,7 @@ TEST_CASE("US-5 a device that never ended a line is told of at the end, though l
 
 TEST_CASE("US-5 a line unplugged, or silent for too long, has gaps in the recording") {
   ScratchDirectory folder;
-  Bench bench({.first_line = FirstLine::keep, .silence = 20ms});
+  SerialLineBench bench({.first_line = FirstLine::keep, .silence = 20ms});
   const std::string path = folder.file("run.db");
   {
     SqliteSink sink(bench.loop, {.path = path});
@@ -475,7 +475,7 @@ TEST_CASE("US-5 a line unplugged, or silent for too long, has gaps in the record
 }
 
 TEST_CASE("NFR-1 an unplugged line is faulted, and goes on when it is plugged in again") {
-  Bench bench({.first_line = FirstLine::keep});
+  SerialLineBench bench({.first_line = FirstLine::keep});
   for (int round = 1; round <= 3; ++round) {
     CAPTURE(round);
     bench.run("1\n2\n", static_cast<std::uint64_t>(2 * round));
@@ -525,7 +525,7 @@ TEST_CASE("lines that are not there are not tried in step, after delays that dou
 }
 
 TEST_CASE("US-7 a line that is not there at the start is opened when it is") {
-  Bench bench(nullptr);
+  SerialLineBench bench(nullptr);
   bench.make({.first_line = FirstLine::keep});
   CHECK(bench.sensor.health() == Health::faulted);
   bench.run("", [&] { return bench.errors.size() >= 2; });
@@ -536,7 +536,7 @@ TEST_CASE("US-7 a line that is not there at the start is opened when it is") {
 }
 
 TEST_CASE("US-9 stopping and closing from its own callbacks is possible, and nothing comes afterwards") {
-  Bench bench({.first_line = FirstLine::keep});
+  SerialLineBench bench({.first_line = FirstLine::keep});
   bench.sensor.on_error([&](const ErrorReport&) { bench.sensor.stop(); });
   bench.run("1\nx\n3\n", [&] { return !bench.sensor.is_running(); });
   bench.loop.poll();
@@ -597,12 +597,12 @@ TEST_CASE("US-5 every row of a real flight comes out of the line") {
   Texts rows;
   for (std::string line; std::getline(file, line); text += line + "\n") rows.push_back(line);
   rows.erase(rows.begin());  // the heading, thrown away as the half line that it could be
-  Bench bench({.serial = {.baud_rate = 115200},
-               .fields = {{.name = "stamp", .type = Kind::u64, .unit = "us"},
-                          {.name = "has_data", .type = Kind::boolean},
-                          {.name = "temperature", .unit = "Cel"},
-                          {.name = "altitude", .unit = "m"},
-                          {.name = "pressure", .unit = "hPa"}}});
+  SerialLineBench bench({.serial = {.baud_rate = 115200},
+                         .fields = {{.name = "stamp", .type = Kind::u64, .unit = "us"},
+                                    {.name = "has_data", .type = Kind::boolean},
+                                    {.name = "temperature", .unit = "Cel"},
+                                    {.name = "altitude", .unit = "m"},
+                                    {.name = "pressure", .unit = "hPa"}}});
   bench.run(text, rows.size());
   REQUIRE(bench.events.size() == rows.size());
   for (std::size_t i = 0; i < rows.size(); ++i) {

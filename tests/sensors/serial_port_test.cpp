@@ -1,4 +1,5 @@
 // Serial ports as buses: bytes and arrays on pseudo terminals, requests and answers of drivers on a fake.
+#include "has.hpp"
 #include "rtdata/io/serial.hpp"
 
 #include <doctest/doctest.h>
@@ -25,7 +26,7 @@ using namespace rtdata::literals;
 
 namespace {
 
-bool has(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
+using rtdata::test::has;
 
 std::string read_all(int fd, std::size_t size) {
   std::string text;
@@ -217,14 +218,14 @@ TEST_SUITE_END();
 
 namespace {
 
-struct Bench {
+struct SerialPortBench {
   std::shared_ptr<FakeSerial> wires = std::make_shared<FakeSerial>();
   SerialPort port{"meter", wires, {.answer_timeout = 50ms, .timeout = 1s}};
   Loop loop{Loop::Manual{}};
   std::vector<std::string> errors;
   std::vector<std::string> values;
   Subscription heard;
-  Bench() {
+  SerialPortBench() {
     be_quiet(loop);
     loop.on_error([this](const ErrorReport& report) {
       if (report.error.code != Errc::held_too_long) errors.push_back(report.error.text());
@@ -243,7 +244,7 @@ struct Bench {
 
 TEST_SUITE("sensors") {
   TEST_CASE("US-42 a query sends its request each tick and takes the answer's columns") {
-    Bench bench;
+    SerialPortBench bench;
     bench.wires->on_write(
         [](std::string_view request) { return request == "READ?\r\n" ? "+1.25E+00,V,7\r\n" : std::string(); });
     DriverSensor<Query> meter(bench.loop, {.name = "meter", .rate = 10_Hz}, bench.port, {},
@@ -261,7 +262,7 @@ TEST_SUITE("sensors") {
   }
 
   TEST_CASE("US-42 a query: hexadecimal requests, echoes, other ends, JSON") {
-    Bench bench;
+    SerialPortBench bench;
     bench.wires->on_write([](std::string_view request) {
       if (request == std::string_view("\x02M\r", 3)) return "echo\r" + std::string("12 g\r");
       return std::string("{\"air\":{\"t\":21.5}}\n");
@@ -282,7 +283,7 @@ TEST_SUITE("sensors") {
   }
 
   TEST_CASE("US-42 an answer that comes while the next sensor's is awaited is taken for nobody's") {
-    Bench bench;
+    SerialPortBench bench;
     bench.wires->on_write([](std::string_view request) { return request == "V?" ? "230\n" : "5\n"; });
     const Query::Config of_volts{.request = "V?", .fields = {{.name = "v"}}},
         of_current{.request = "C?", .fields = {{.name = "c"}}};
@@ -307,7 +308,7 @@ TEST_SUITE("sensors") {
   }
 
   TEST_CASE("US-42 a query that is answered too late, wrongly or not at all fails, and takes no answer for another's") {
-    Bench bench;
+    SerialPortBench bench;
     int asked = 0;
     bench.wires->on_write([&](std::string_view) { return std::to_string(++asked) + "\n"; });
     DriverSensor<Query> meter(bench.loop, {.name = "meter", .rate = 10_Hz, .faulted_after = 100}, bench.port, {},
@@ -357,7 +358,7 @@ TEST_SUITE("sensors") {
         CHECK(MhZ19::decode(wrong).error().code == Errc::bad_data);
       }
     }
-    Bench bench;
+    SerialPortBench bench;
     const auto good = answer(415);
     std::string text(reinterpret_cast<const char*>(good.data()), good.size());
     bench.wires->on_write(

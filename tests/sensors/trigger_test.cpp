@@ -44,8 +44,8 @@ std::vector<double> numbers(int first, int last) {
 }
 
 /// A feed of 1, 2, 3 and so on, one each 100 ms, with a trigger and what that passes on.
-struct Bench {
-  explicit Bench(TriggerConfig config) : loop(Loop::Manual{}) {
+struct TriggerBench {
+  explicit TriggerBench(TriggerConfig config) : loop(Loop::Manual{}) {
     be_quiet(loop);
     thrust = Feed<Thrust>(loop, {.name = "thrust"});
     button = Feed<Button>(loop, {.name = "button"});
@@ -98,7 +98,7 @@ TEST_SUITE_BEGIN("sensors");
 
 TEST_CASE("US-17 what came before the trigger is passed on, in order, each event once, and all is accounted for") {
   NEEDS_EXPRESSIONS();
-  Bench bench({.when = "button.pressed", .before = 1s});
+  TriggerBench bench({.when = "button.pressed", .before = 1s});
   bench.run(30);
   CHECK(bench.values.empty());
   bench.press(true);  // at the time of 30
@@ -132,17 +132,17 @@ TEST_CASE("US-17 what came before the trigger is passed on, in order, each event
 TEST_CASE(
     "US-17 the condition of a trigger may be of the events themselves, which then begin with the one that makes it") {
   NEEDS_EXPRESSIONS();
-  Bench bench({.when = "value >= 5 and value < 8"});
+  TriggerBench bench({.when = "value >= 5 and value < 8"});
   bench.run(10);
   CHECK(bench.values == numbers(5, 7));
-  Bench before({.when = "thrust.value >= 5 and thrust.value < 8", .before = 200ms});
+  TriggerBench before({.when = "thrust.value >= 5 and thrust.value < 8", .before = 200ms});
   before.run(10);
   CHECK(before.values == numbers(3, 7));
 }
 
 TEST_CASE("US-17 a ring that is longer than the run passes on everything") {
   NEEDS_EXPRESSIONS();
-  Bench bench({.when = "button.pressed", .before = 1h});
+  TriggerBench bench({.when = "button.pressed", .before = 1h});
   bench.run(50);
   bench.press(true);
   CHECK(bench.values == numbers(1, 50));
@@ -151,7 +151,7 @@ TEST_CASE("US-17 a ring that is longer than the run passes on everything") {
 
 TEST_CASE("US-17 what is in the ring at the end is filtered, and a start begins with an empty one") {
   NEEDS_EXPRESSIONS();
-  Bench bench({.when = "button.pressed", .before = 1s});
+  TriggerBench bench({.when = "button.pressed", .before = 1s});
   bench.run(25);
   CHECK(bench.counts().received == 14);  // the others are in the ring
   bench.trigger.stop();
@@ -173,7 +173,7 @@ TEST_CASE("US-17 many events are passed on in parts, before those that come mean
   NEEDS_EXPRESSIONS();
   for (const bool is_stopped : {false, true}) {
     CAPTURE(is_stopped);
-    Bench bench({.when = "button.pressed", .before = 1h});
+    TriggerBench bench({.when = "button.pressed", .before = 1h});
     bench.run(2500);
     bench.button.publish({true});
     bench.loop.poll();
@@ -189,7 +189,7 @@ TEST_CASE("US-17 many events are passed on in parts, before those that come mean
 
 TEST_CASE("US-17 a ring that is too small says so once, and how far back it goes; it costs the oldest only") {
   NEEDS_EXPRESSIONS();
-  Bench bench({.when = "button.pressed", .before = 10s, .events = 20, .age = 1h});
+  TriggerBench bench({.when = "button.pressed", .before = 10s, .events = 20, .age = 1h});
   bench.run(20);
   CHECK(bench.errors.empty());
   bench.run(30);
@@ -205,14 +205,14 @@ TEST_CASE("US-17 a ring that is too small says so once, and how far back it goes
   CHECK(bench.errors.size() == 1);
   CHECK(bench.loop.runtime().balances());
   // One that comes while the ring passes on its events is among them.
-  Bench small({.when = "value >= 10", .before = 10s, .events = 1});
+  TriggerBench small({.when = "value >= 10", .before = 10s, .events = 1});
   small.run(12);
   CHECK(small.values == numbers(10, 12));
 }
 
 TEST_CASE("a trigger that the handler of its report stops takes no further event, and starts with an empty ring") {
   NEEDS_EXPRESSIONS();
-  Bench bench({.when = "button.pressed", .before = 10s, .events = 5});
+  TriggerBench bench({.when = "button.pressed", .before = 10s, .events = 5});
   bench.trigger.on_error([&](const ErrorReport&) { bench.trigger.stop(); });
   bench.button.publish({false});
   bench.run(6);  // the ring is full with the sixth
@@ -229,7 +229,7 @@ TEST_CASE("a trigger that the handler of its report stops takes no further event
 
 TEST_CASE("US-17 a condition without a value holds nothing open, and is told") {
   NEEDS_EXPRESSIONS();
-  Bench bench({.when = "button.pressed", .before = 1s, .age = 2s});
+  TriggerBench bench({.when = "button.pressed", .before = 1s, .age = 2s});
   bench.run(10);
   CHECK(bench.errors.empty());  // it may still come
   bench.run(15);
@@ -244,14 +244,14 @@ TEST_CASE("US-17 a condition without a value holds nothing open, and is told") {
   REQUIRE(bench.errors.size() == 2);
   CHECK(bench.errors[1].find("has brought nothing for more than 2 s") != std::string::npos);
 
-  Bench failing({.when = "1 / (value - 3) > 0", .before = 0s});
+  TriggerBench failing({.when = "1 / (value - 3) > 0", .before = 0s});
   failing.run(5);
   CHECK(failing.values == numbers(4, 5));
   REQUIRE(failing.errors.size() == 1);
   CHECK(failing.errors[0].find("`when` fails: division by zero") == 0);
   CHECK(failing.trigger.health() == Health::ok);
 
-  Bench unknown({.when = "thrust.valeu > 1", .before = 0s});
+  TriggerBench unknown({.when = "thrust.valeu > 1", .before = 0s});
   unknown.run(5);
   REQUIRE(unknown.errors.size() == 1);
   CHECK(unknown.errors[0] == "`when` has no value: the topic \"thrust\" has no number `thrust.valeu`");

@@ -1,6 +1,7 @@
 // What answers of HTTP mean, and what is wrong with a configuration: without any network.
 #ifdef RTDATA_WITH_HTTP
 #include "io/http_answer.hpp"
+#include "has.hpp"
 
 #include <curl/curl.h>
 #include <doctest/doctest.h>
@@ -24,7 +25,7 @@ using detail::HttpVerdict;
 
 namespace {
 
-bool has(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
+using rtdata::test::has;
 
 HttpJudgement of(long status, Duration retry_after = Duration{0}, const std::string& redirect = "") {
   return detail::judge(HttpAnswer{status, "no\nreason", retry_after, redirect}, "https://collector.example");

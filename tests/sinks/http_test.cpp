@@ -1,6 +1,7 @@
 // The HTTP sink at real servers: one that misbehaves as it is told (http_server.py), and nginx (http_tls_test.cpp).
 #ifdef RTDATA_WITH_HTTP
 #include "rtdata/sinks/http.hpp"
+#include "has.hpp"
 
 #include <fcntl.h>
 #include <sys/socket.h>
@@ -21,7 +22,7 @@ using Json = HttpServer::Json;
 
 namespace {
 
-bool has(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
+using rtdata::test::has;
 
 /// How often each event came, by its key; the server took it each time.
 std::map<std::string, int> arrivals(const HttpServer& server) {

@@ -7,6 +7,7 @@
 
 #include <fstream>
 
+#include "has.hpp"
 #include "listening.hpp"
 #include "sinks/certificates.hpp"
 #include "sinks/http_bench.hpp"
@@ -20,7 +21,7 @@ namespace {
 
 const std::string nginx = "/usr/sbin/nginx";
 
-bool has(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
+using rtdata::test::has;
 
 /// A port of this machine that is free now.
 std::string free_port() {

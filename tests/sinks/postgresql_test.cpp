@@ -13,6 +13,7 @@
 #include <string>
 #include <vector>
 
+#include "has.hpp"
 #include "rtdata/sensors/feed.hpp"
 #include "rtdata/sinks/postgresql_recording.hpp"
 #include "sinks/killed.hpp"
@@ -99,7 +100,7 @@ class PostgresqlStore final : public sinks::Store {
 const bool is_added = PostgresqlServer::is_there() &&
                       sinks::add_sink_kind({"PostgreSQL", [] { return std::make_unique<PostgresqlStore>(); }});
 
-bool has(const std::string& text, std::string_view part) { return text.find(part) != std::string::npos; }
+using rtdata::test::has;
 
 /// One that records, and whose sink goes through the recording.
 struct Node {

@@ -26,6 +26,7 @@ print("listening", flush=True)
 def serve(raw):
     try:
         with context.wrap_socket(raw, server_side=True) as peer, open(folder / "received", "ab") as received:
+            received.write(b"\n")  # ends a line that the connection before was cut off in
             while data := peer.recv(65536):
                 received.write(data)
                 received.flush()

@@ -6,6 +6,7 @@
 #include <filesystem>
 #include <fstream>
 
+#include "has.hpp"
 #include "rtdata/app/standard.hpp"
 #include "rtdata/config/system.hpp"
 #include "rtdata/sinks/file.hpp"
@@ -30,7 +31,7 @@ std::string problems_of(const std::string& text) {
   return plan_system(standard_registry(), parse_config(text, "f.json")).problems.text();
 }
 
-bool has(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
+using rtdata::test::has;
 
 }  // namespace
 

@@ -109,6 +109,8 @@ class StatusSource {
     std::string callbacks_loop;
     std::vector<AskedTier> tiers;
   };
+  /// What is answered to a request that asks for no status.
+  static std::optional<std::string> refusal_of(std::string_view line);
   /// Rates are from `before` on, if there is one.
   static std::string text(const Snapshot& now, const Snapshot* before);
   std::shared_ptr<const Snapshot> take();

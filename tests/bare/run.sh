@@ -1,18 +1,22 @@
 #!/bin/sh
-# Debian 13 as a fresh machine: what script/bootstrap installs there, the README's commands, and the quick tests.
+# A Debian with nothing installed, as a fresh machine: the README's commands there, with what script/bootstrap installs and
+# nothing else, then script/demo and script/test.
 #
-#   tests/debian13/run.sh             all of it
-#   tests/debian13/run.sh COMMAND...  a command there, in the source tree
+#   tests/bare/run.sh bookworm|trixie [COMMAND...]     Debian 12 or 13; with a command, that one there, in the source tree
 #
-# The system is made by debootstrap, once (some minutes, 1 GB), and kept in ~/.cache/rt-data/debian13. The source tree is
-# seen there as /rt-data, and its build/ is build/debian13 here. Mounts are in a namespace of this script's processes: they
-# are gone with them, however these end. It needs to be root. Exit 77: this machine cannot have it.
+# The system is made by debootstrap, once (some minutes, 1 GB), and kept in ~/.cache/rt-data/NAME. The source tree is seen there
+# as /rt-data, and its build/ is build/NAME here. Mounts are in a namespace of this script's processes: they are gone with them,
+# however these end. It needs to be root. Exit 77: this machine cannot have it.
 set -eu
 cd "$(dirname "$0")/../.."
 tree=$PWD
-cache=${RTDATA_DEBIAN13_CACHE:-${XDG_CACHE_HOME:-$HOME/.cache}/rt-data/debian13}
+suite=${1:-}
+case $suite in
+bookworm | trixie) shift ;;
+*) echo "usage: tests/bare/run.sh bookworm|trixie [COMMAND...]" >&2; exit 2 ;;
+esac
+cache=${XDG_CACHE_HOME:-$HOME/.cache}/rt-data/$suite
 root=$cache/root
-suite=trixie
 
 cannot() {
     echo "skipped: $*"
@@ -20,8 +24,8 @@ cannot() {
 }
 
 # ------------------------------------------------------------------ outside --
-if [ "${RTDATA_DEBIAN13_INSIDE:-}" != "$tree" ]; then
-    [ "$(id -u)" -eq 0 ] || cannot "a Debian 13 to test in is made by root only"
+if [ "${RTDATA_BARE_INSIDE:-}" != "$tree" ]; then
+    [ "$(id -u)" -eq 0 ] || cannot "a Debian to test in is made by root only"
     for tool in debootstrap unshare chroot; do
         command -v "$tool" >/dev/null || cannot "there is no $tool (script/bootstrap --all installs it on Debian)"
     done
@@ -34,17 +38,17 @@ if [ "${RTDATA_DEBIAN13_INSIDE:-}" != "$tree" ]; then
         # shellcheck disable=SC2016 # apt's variables
         from=$(apt-get indextargets --format '$(ORIGIN) $(LABEL) $(REPO_URI)' 'Created-By: Packages' 2>/dev/null |
             sed -n 's/^Debian Debian //p' | head -n 1)
-        [ -n "$from" ] || cannot "apt here has no archive of Debian's to make a Debian 13 from"
+        [ -n "$from" ] || cannot "apt here has no archive of Debian's to make $suite from"
         rm -rf "$root"
         unshare --mount --propagation private debootstrap --variant=minbase "$suite" "$root" "$from" >"$cache/debootstrap.log" 2>&1 ||
-            cannot "debootstrap cannot make a Debian 13: $(tail -n 1 "$cache/debootstrap.log")"
+            cannot "debootstrap cannot make $suite: $(tail -n 1 "$cache/debootstrap.log")"
         # The archive is reached as here.
         apt-config dump | grep -E '^Acquire::(http|https|Check|Retries)' >"$root/etc/apt/apt.conf.d/90here" || true
         : >"$root/.made"
     fi
-    mkdir -p build/debian13
-    export RTDATA_DEBIAN13_INSIDE="$tree"
-    exec unshare --mount --propagation private "$0" "$@"
+    mkdir -p build/$suite
+    export RTDATA_BARE_INSIDE="$tree"
+    exec unshare --mount --propagation private "$0" "$suite" "$@"
 fi
 
 # --------------------------------------- within a mount namespace of its own --
@@ -53,7 +57,7 @@ rm -rf "$root"/tmp/*
 mount -t tmpfs tmpfs "$root/usr/local" # nothing is installed yet
 mount --bind "$tree" "$root/rt-data"
 mount -o remount,bind,ro "$root/rt-data"
-mount --bind "$tree/build/debian13" "$root/rt-data/build"
+mount --bind "$tree/build/$suite" "$root/rt-data/build"
 mount -t proc proc "$root/proc"
 mount --rbind /dev "$root/dev" # terminals and shared memory
 ccache_size=5G
@@ -70,7 +74,7 @@ fi
 # inside COMMAND...: a command there, in the source tree, with the environment of a fresh log-in.
 inside() {
     chroot "$root" env -i HOME=/root PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin LANG=C.UTF-8 \
-        CCACHE_DIR=/ccache CCACHE_MAXSIZE="$ccache_size" CMAKE_BUILD_TYPE=None \
+        CCACHE_DIR=/ccache CCACHE_MAXSIZE="$ccache_size" \
         sh -c 'cd /rt-data && exec "$@"' sh "$@"
 }
 
@@ -80,28 +84,29 @@ if [ $# -gt 0 ]; then
 fi
 
 if [ "$(cat "$root/.bootstrapped" 2>/dev/null)" != "$(cksum <script/bootstrap)" ]; then
-    inside script/bootstrap >build/debian13/bootstrap.log 2>&1 || {
-        cat build/debian13/bootstrap.log
+    inside script/bootstrap >build/$suite/bootstrap.log 2>&1 || {
+        cat build/$suite/bootstrap.log
         cannot "script/bootstrap could not install what is needed there"
     }
-    cat build/debian13/bootstrap.log
-    [ "$(wc -l <build/debian13/bootstrap.log)" -le 10 ] # what apt says is nobody's to read
+    cat build/$suite/bootstrap.log
+    [ "$(wc -l <build/$suite/bootstrap.log)" -le 10 ] # what apt says is nobody's to read
     # Not for users: ccache, since this is done again and again.
     inside apt-get install -y -qq --no-install-recommends ccache >/dev/null 2>&1 || true
     cksum <script/bootstrap >"$root/.bootstrapped"
 fi
 
-# The README's blocks marked "fresh machine", one after the other, in one shell. Optimized builds are for others to test:
-# CMAKE_BUILD_TYPE=None (above) takes the place of what is the default.
-sed -n '/^<!-- test: fresh machine -->$/,/^```$/p' README.md | sed '/^<!--/d; /^```/d' >build/debian13/readme.sh
-[ -s build/debian13/readme.sh ]
+# The README's blocks marked "fresh machine", one after the other, in one shell; what they built serves the two scripts.
+sed -n '/^<!-- test: fresh machine -->$/,/^```$/p' README.md | sed '/^<!--/d; /^```/d' >"build/$suite/readme.sh"
+[ -s "build/$suite/readme.sh" ]
 echo "== the README's commands"
 inside sh -euxc '. build/readme.sh'
-echo "== the tests, which users do not build"
-inside sh -euxc 'cmake -S . -B build/release -DRTDATA_TESTS=ON >/dev/null && cmake --build build/release --parallel'
-inside sh -euc 'cd build/release && exec ../../tests/build/ctest.sh --timeout 600 -LE slow'
+echo "== script/demo"
+inside script/demo
+echo "== script/test"
+inside script/test
 
 # Its libgpiod is another one than this machine's: with a kernel that has GPIO lines, the program runs in the bench by chroot.
+[ "$suite" = trixie ] || exit 0
 bench=tests/kernel/kernel-bench
 status=0
 $bench --setup || status=$?
