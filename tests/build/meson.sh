@@ -1,0 +1,8 @@
+#!/bin/sh
+# Builds with meson what users get.
+set -eu
+cd "$(dirname "$0")/../.."
+command -v meson >/dev/null || { echo "skipped: there is no meson (script/bootstrap --all installs it)"; exit 77; }
+meson setup --reconfigure build/meson >/dev/null 2>&1 || meson setup -Doptimization=0 -Dwerror=true build/meson
+meson compile -C build/meson
+grep -q '^ExecStart=/usr/local/bin/rtdata run ' build/meson/rtdata@.service
