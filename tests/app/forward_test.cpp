@@ -293,6 +293,42 @@ TEST_SUITE("app") {
     CHECK(lines.size() == rows_of(folder.path() + "/node.db"));
   }
 
+  TEST_CASE("US-32 of a recording that is damaged, neither forward nor run says that all is well") {
+    // What is kept of it: half of the file, or all of it with its first table's pages overwritten.
+    for (const bool is_cut : {true, false}) {
+      CAPTURE(is_cut);
+      const Folder folder;
+      folder.write("node.json", configuration);
+      {
+        const Away away(folder);
+        Process run(folder, program, {"run", "node.json", "--for", "400ms"});
+        REQUIRE(run.end() == 0);
+      }
+      const std::string path = folder.path() + "/node.db";
+      const auto size = std::filesystem::file_size(path);
+      REQUIRE(size > 40000);
+      if (is_cut) {
+        std::filesystem::resize_file(path, size / 2);
+      } else {
+        std::fstream file(path, std::ios::in | std::ios::out | std::ios::binary);
+        file.seekp(4096);
+        file << std::string(size - 4096, '\x5a');
+      }
+      std::filesystem::copy_file(path, folder.path() + "/kept.db");
+      {
+        Process forward(folder, program, {"forward", "node.db", "node.json"});
+        CHECK(forward.end() != 0);
+        CHECK_MESSAGE(!has(forward.out, "all is sent: "), (forward.out + forward.err));
+      }
+      std::filesystem::copy_file(folder.path() + "/kept.db", path, std::filesystem::copy_options::overwrite_existing);
+      {
+        Process run(folder, program, {"run", "node.json", "--for", "300ms"});
+        CHECK(run.end() != 0);
+        CHECK_MESSAGE(!has(run.out + run.err, "nothing lost: "), (run.out + run.err));
+      }
+    }
+  }
+
   TEST_CASE("forward says what it cannot do") {
     const Folder folder;
     folder.write("node.json", configuration);

@@ -297,6 +297,43 @@ TEST_CASE("FW-5 replay: to the terminal, chosen; and what is wrong has a status"
   CHECK(status({"run.db", "--speed", "max"}) == 2);
 }
 
+TEST_CASE(
+    "FW-5 replay: of a recording without a run, with fewer events than its account, or cut off, the status is not 0") {
+  const Folder folder;
+  record(folder, 60);
+  const std::string path = folder.path() + "/run.db";
+  const auto replayed = [&](const std::string& name) {
+    Process replay(folder, program, {"replay", name, "--speed", "max"});
+    const int status = replay.end();
+    return std::pair{status, replay.err};
+  };
+  REQUIRE(replayed("run.db").first == 0);
+  {
+    std::filesystem::copy_file(path, folder.path() + "/fewer.db");
+    const auto database = sqlite::Database::open(folder.path() + "/fewer.db", sqlite::Database::Mode::write).or_throw();
+    database.execute("DELETE FROM room WHERE _rowid_ > 500").or_throw();
+  }
+  const auto fewer = replayed("fewer.db");
+  CHECK(fewer.first == 1);
+  CHECK_MESSAGE(fewer.second.find("500 events are there, and its account says that 600 are") != std::string::npos,
+                fewer.second);
+  {
+    std::filesystem::copy_file(path, folder.path() + "/empty.db");
+    const auto database = sqlite::Database::open(folder.path() + "/empty.db", sqlite::Database::Mode::write).or_throw();
+    database.execute("DELETE FROM rtdata_run").or_throw();
+  }
+  const auto empty = replayed("empty.db");
+  CHECK(empty.first != 0);
+  CHECK_MESSAGE(empty.second.find("it has no run") != std::string::npos, empty.second);
+  const auto size = std::filesystem::file_size(path);
+  for (std::uintmax_t kept = 0; kept < size; kept += 4096) {
+    CAPTURE(kept);
+    std::filesystem::copy_file(path, folder.path() + "/cut.db", std::filesystem::copy_options::overwrite_existing);
+    std::filesystem::resize_file(folder.path() + "/cut.db", kept);
+    CHECK(replayed("cut.db").first != 0);
+  }
+}
+
 TEST_CASE("FW-5 replay: as fast as it goes, a peer has the time that it takes, and gets every event") {
   if (!sinks::is_program(sinks::python)) return;
   const Folder folder;

@@ -39,6 +39,8 @@ struct RunAccount {
   std::uint64_t waiting = 0;  ///< in recordings, to be sent
   Outages outages = {};
   std::vector<std::string> mute;  ///< sensors that never gave an event
+  /// Sinks that go through a recording and could not look into it, with the reason: what waits for them is not known.
+  std::vector<std::string> unknown_backlogs;
   /// Sensors without a schedule whose source numbers nothing: what it lost itself cannot be known.
   std::vector<std::string> not_detectable;
 };

@@ -163,17 +163,21 @@ class Forward {
     look.close();
     loop.close(std::chrono::seconds{10});
     std::uint64_t left = 0, sent = 0, refused = 0;
+    bool is_known = true;
     for (const SinkStatus& sink : runtime.sinks()) {
       if (std::find(senders.begin(), senders.end(), sink.name) == senders.end()) continue;
       std::cout << line(sink) << "\n";
       left += sink.counts.queued;
       sent += sink.counts.stored;
       refused += sink.counts.all_dropped();
+      is_known = is_known && sink.backlog.has_value();
     }
     left += tell_of_others(senders);
-    const bool is_all = left == 0 && refused == 0;
-    std::cout << (is_all ? "all is sent: " : "not all is sent: ") << sent << " events, " << refused << " dropped, "
-              << left << " wait" << std::endl;
+    const bool is_all = left == 0 && refused == 0 && is_known;
+    std::cout << (is_all     ? "all is sent: "
+                  : is_known ? "not all is sent: "
+                             : "it is not known what was to be sent: ")
+              << sent << " events, " << refused << " dropped, " << left << " wait" << std::endl;
     return is_all ? exit_good : exit_other;
   }
 

@@ -180,6 +180,10 @@ class ReplayRun {
                           "it has no run " + std::to_string(options_.config.run), "see `rtdata info`"});
       }
     }
+    if (runs.empty()) {
+      throw SetupError({Errc::not_found, "cannot replay", options_.config.file, "it has no run",
+                        "nothing was recorded into it, or it is damaged: see `rtdata verify`"});
+    }
     std::optional<SystemPlan> plan;
     if (!options_.configuration.empty()) {
       plan = takers_of(registry_, options_);

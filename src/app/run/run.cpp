@@ -159,6 +159,7 @@ class Run {
       paths_[part.name] = console_.without_secrets(part.stores->path);
       if (part.stores->path == "-") console_.leave_stdout();
       if (part.stores->is_recording) recordings_.insert(part.name);
+      if (!part.stores->through.empty()) followers_.insert(part.name);
       close_deadline_ = std::max(close_deadline_, part.stores->close_deadline);
     }
   }
@@ -370,12 +371,16 @@ class Run {
   /// `unknown`: what is not in the account; empty: it is complete.
   int report(Runtime& runtime, const std::string& unknown, const std::string& unsafe) {
     console_.tell_log_failure();
-    const RunAccount account = account_of(runtime);
+    RunAccount account = account_of(runtime);
+    for (const SinkStatus& sink : account.sinks)
+      if (followers_.contains(sink.name) && !sink.backlog)
+        account.unknown_backlogs.push_back("sink " + sink.name + (sink.reason.empty() ? "" : ": " + sink.reason));
     const bool balances = unknown.empty() && runtime.balances();
     const bool has_loss = runtime.has_loss();
     std::string said = verdict(account, {balances, has_loss, unknown, not_stored_});
     if (!unsafe.empty()) said += "; NOT known to be safe: " + unsafe;
-    const bool is_all_stored = not_stored_ == 0 && refused_by_recordings(runtime) == 0;
+    const bool is_all_stored = not_stored_ == 0 && refused_by_recordings(runtime) == 0 &&
+                               account.unknown_backlogs.empty();
     const LogLevel level = !balances || !is_all_stored || !unsafe.empty() ? LogLevel::error
                            : has_loss || !account.mute.empty()            ? LogLevel::warning
                                                                           : LogLevel::info;
@@ -403,6 +408,7 @@ class Run {
   Duration close_deadline_{0};
   std::map<std::string, std::string> paths_;  // of the sinks, also of those that were closed
   std::set<std::string> recordings_;          // of the sinks
+  std::set<std::string> followers_;           // that go through one of them
   bool is_storing_told_ = false;
   unsigned shows_while_closing_ = 0;
   std::uint64_t not_stored_ = 0;  // when a sink or all ended: they are lost

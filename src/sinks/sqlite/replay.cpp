@@ -159,6 +159,7 @@ void ReplayNode::count_holes(Origin& origin, std::uint64_t count, std::uint64_t 
 }
 
 void ReplayNode::give_event(Origin& origin, const ReplayPortion::Entry& entry) {
+  ++origin.given;
   OriginCore& core = *origin.core;
   const Time time = from_nanoseconds(entry.time);
   if (entry.sequence <= core.sequence || time <= core.last_time) {
@@ -261,7 +262,21 @@ void ReplayNode::end_account(Origin& origin, bool is_complete) noexcept {
   core.topic.tell_taps_of_change(core);
 }
 
-void ReplayNode::finish(const Result<void>& how) {
+Result<void> ReplayNode::look_whether_all_came() const {
+  for (const Origin& origin : origins_) {
+    if (!origin.ledger) continue;
+    const LedgerEntry& ledger = *origin.ledger;
+    if (origin.given + ledger.pruned >= ledger.stored) continue;
+    return Error{Errc::damaged, "cannot replay all of it", config_.file + ", origin " + ledger.origin,
+                 std::to_string(origin.given) + " events are there, and its account says that " +
+                     std::to_string(ledger.stored - ledger.pruned) + " are",
+                 "see `rtdata verify`"};
+  }
+  return {};
+}
+
+void ReplayNode::finish(const Result<void>& came) {
+  const Result<void> how = came ? look_whether_all_came() : came;
   give_health(INT64_MAX);
   for (Origin& origin : origins_) end_account(origin, how && counts_.refused == 0);
   is_done_ = true;

@@ -54,6 +54,7 @@ class ReplayNode final : public SensorEntry, public Deadline {
     OriginCore* core = nullptr;         // null: it cannot be replayed
     std::optional<LedgerEntry> ledger;  // whole, when its account is replayed
     std::vector<Segment> segments;      // then
+    std::uint64_t given = 0;            // events, and those that were refused
   };
 
   void choose_topics(const Recording& recording);
@@ -77,6 +78,8 @@ class ReplayNode final : public SensorEntry, public Deadline {
   void finish(const Result<void>& how);
   /// Nothing more is given.
   void halt() noexcept;
+  /// The end of a whole run, whose accounts say how many events there are.
+  Result<void> look_whether_all_came() const;
   void end_account(Origin& origin, bool is_complete) noexcept;
   void tell_end(bool is_complete);
 
