@@ -94,12 +94,12 @@ TEST_SUITE("app") {
     Process again(folder, program, {"export", "again.db"});
     CHECK(again.end() == 0);
     CHECK(has(again.out, "1795665132554291538,again,3,x,3,1.5,2,3,4,5\n"));
-    folder.write("ms.csv", "t,a\n1795665132554.2914375,1\n-0.5,2\n-1e3,3\n");
+    folder.write("ms.csv", "t,a\n-1e3,1\n-0.5,2\n1795665132554.2914375,3\n");
     Process other(folder, program, {"import", "ms.csv", "--time", "t", "--scale", "1ms"});
     CHECK(other.end() == 0);
     Process first(folder, program, {"export", "ms.db"});
     CHECK(first.end() == 0);
-    CHECK(has(first.out, "1795665132554291438,ms,1,1\n"));
+    CHECK(has(first.out, "1795665132554291438,ms,3,3\n"));
   }
 
   TEST_CASE("import: units of headings have brackets of their own") {
@@ -160,11 +160,79 @@ TEST_SUITE("app") {
       CHECK(entry.path().extension() == ".csv");
   }
 
-  TEST_CASE("FW-5 import: rows that do not follow in time are moved, which is said; absolute times; a second table") {
+  TEST_CASE("FW-5 import: rows that go back in time are refused, with the place; no time is invented") {
+    const Folder folder;
+    folder.write("newest.csv", "time,v\n2026-11-28T12:03:00Z,4\n2026-11-28T12:02:00Z,3\n2026-11-28T12:01:00Z,2\n");
+    Process import(folder, program, {"import", "newest.csv", "--time", "time"});
+    CHECK(import.end() == 1);
+    CHECK_MESSAGE(has(import.err,
+                      "newest.csv:3: \"2026-11-28T12:02:00Z\" in column time is before the time of the row "
+                      "above it: sort the rows by time"),
+                  import.err);
+    CHECK_FALSE(folder.has("newest.db"));
+  }
+
+  TEST_CASE("FW-5 import: commas before three digits may be thousands: nothing is guessed") {
+    const Folder folder;
+    folder.write("a.csv", "time [s];energy [W.h]\n0;987\n1;1,234\n2;12,500\n");
+    folder.write("b.csv", "time [s],energy [W.h]\n0,987\n1,\"1,234\"\n2,\"12,500\"\n");
+    folder.write("c.csv", "time [s];energy [W.h]\n0;0,250\n1;1,234\n2;12,500\n");
+    folder.write("d.csv", "time [s];energy [W.h]\n0;1,234\n1;12,500\n");
+    const auto import = [&](std::vector<std::string> arguments, int status) {
+      arguments.insert(arguments.begin(), "import");
+      Process run(folder, program, arguments);
+      CHECK(run.end() == status);
+      return run.out + run.err;
+    };
+    const std::string advice = "if they are thousands, take them out of the file (1,234 becomes 1234)";
+    CHECK(has(import({"a.csv", "--time", "time", "--separator", ";"}, 1), advice));
+    CHECK(has(import({"b.csv", "--time", "time"}, 1), advice));
+    const std::string decimals = import({"c.csv", "--time", "time", "--separator", ";"}, 1);
+    CHECK(has(decimals, "seem to have decimal commas"));
+    CHECK_FALSE(has(import({"d.csv", "--time", "time"}, 1), "--decimal ,"));
+    CHECK(has(import({"a.csv", "--time", "time", "--separator", ";", "--decimal", "."}, 0), "text of up to 6 bytes"));
+    CHECK(has(import({"c.csv", "--time", "time", "--separator", ";", "--decimal", ","}, 0), "energy, number"));
+  }
+
+  TEST_CASE("FW-5 import: blanks around a cell do not count, neither do those of a heading") {
+    const Folder folder;
+    folder.write("a.csv", "time, temp, hum\n2026-11-28T12:00:00Z, 21.5, 45\n2026-11-28T12:00:01Z, 21.6, 46\n");
+    folder.write("b.csv", "time;Temp ;Degree Days\n2026-08-02 15:30;12,5;0,250   \n2026-08-02 15:40;12,4;0,125   \n");
+    Process first(folder, program, {"import", "a.csv", "--time", "time"});
+    CHECK_MESSAGE(first.end() == 0, first.err);
+    CHECK(has(first.out, "temp: temp, number"));
+    CHECK(has(first.out, "hum: hum, integer"));
+    Process second(folder, program,
+                   {"import", "b.csv", "--time", "time", "--separator", ";", "--decimal", ",", "--zone", "Z"});
+    CHECK_MESSAGE(second.end() == 0, second.err);
+    CHECK(has(second.out, "Temp: Temp, number"));
+    CHECK(has(second.out, "Degree Days: Degree_Days, number"));
+  }
+
+  TEST_CASE("FW-5 import: 24:00 is the end of its day; a second 60 is said to be none") {
+    const Folder folder;
+    folder.write("day.csv", "time,temp\n2026-11-27 23:00,3.1\n2026-11-27 24:00,3.0\n2026-11-28 01:00,2.9\n");
+    Process import(folder, program, {"import", "day.csv", "--time", "time", "--zone", "Z"});
+    CHECK_MESSAGE(import.end() == 0, import.err);
+    Process rows(folder, program, {"export", "day.db", "--utc"});
+    CHECK(rows.end() == 0);
+    CHECK(has(rows.out, "2026-11-28T00:00:00.000000000Z,day,2,3\n"));
+    folder.write("sixty.csv", "time,v\n2026-11-28T12:00:00,1\n2026-11-28T12:00:60,2\n");
+    folder.write("late.csv", "time,v\n2026-11-28T24:01:00Z,1\n");
+    Process sixty(folder, program, {"import", "sixty.csv", "--time", "time", "--zone", "Z"});
+    CHECK(sixty.end() == 1);
+    CHECK_MESSAGE(has(sixty.err, "sixty.csv:3: \"2026-11-28T12:00:60\" in column time is no time: seconds go up to 59"),
+                  sixty.err);
+    Process late(folder, program, {"import", "late.csv", "--time", "time"});
+    CHECK(late.end() == 1);
+    CHECK_MESSAGE(has(late.err, "there is no such time of day"), late.err);
+  }
+
+  TEST_CASE("FW-5 import: rows of one time are moved, which is said; absolute times; a second table") {
     const Folder folder;
     folder.write(
         "a.csv",
-        "when,v\n2026-03-01T12:00:00Z,1\n2026-03-01T11:00:00Z,2\n2026-03-01T12:00:00Z,3\n2026-03-02T12:00:00Z,4\n");
+        "when,v\n2026-03-01T12:00:00Z,1\n2026-03-01T12:00:00Z,2\n2026-03-01T12:00:00Z,3\n2026-03-02T12:00:00Z,4\n");
     Process import(folder, program, {"import", "a.csv", "--time", "when", "--into", "all.db"});
     CHECK(import.end() == 0);
     CHECK(has(import.err, "2 rows were not later than the row before"));

@@ -54,7 +54,10 @@ std::string separator_advice(const ImportOptions& options, char said) {
                        shown_separator(best);
   const auto is_digit = [](char c) { return c >= '0' && c <= '9'; };
   for (std::size_t i = 1; best != ',' && options.decimal.empty() && i + 1 < row.size(); ++i) {
-    if (row[i] == ',' && is_digit(row[i - 1]) && is_digit(row[i + 1])) return advice + " --decimal ,";
+    if (row[i] != ',' || !is_digit(row[i - 1]) || !is_digit(row[i + 1])) continue;
+    const std::size_t before = row.find_last_of(std::string("\"") + best, i),
+                      end = row.find_first_of(std::string("\"\r") + best, i);
+    if (!may_have_thousands(row.substr(before + 1, end - before - 1))) return advice + " --decimal ,";
   }
   return advice;
 }
@@ -105,6 +108,7 @@ Result<Found> look_at(const ImportOptions& options, const ImportNotation& notati
   }
   found.time_column = static_cast<std::size_t>(at - headings.begin());
   name_columns(found.columns);
+  Time before{};  // of the row above
   for (;;) {
     auto row = table.next(cells);
     if (!row) return row.error();
@@ -122,7 +126,7 @@ Result<Found> look_at(const ImportOptions& options, const ImportNotation& notati
       without_start.start = Time{};
       const bool is_start = is_beyond && time_of(when, without_start);
       const bool has_comma = options.decimal.empty() && when.find(',') != std::string::npos &&
-                             is_number(when, ',', number);
+                             is_number(when, ',', number) && !may_have_thousands(when);
       const bool has_date = when.size() >= 10 && when[4] == '-' && when[7] == '-';
       return Error{Errc::bad_data, "cannot import", table.where(),
                    "\"" + detail::readable(when.substr(0, 64)) + "\" in column " + options.time_column + " is no time" +
@@ -135,7 +139,15 @@ Result<Found> look_at(const ImportOptions& options, const ImportNotation& notati
                    : has_date && !time.error().advice.empty() ? time.error().advice
                                                               : "a number, or a time as 2026-03-01T12:00:00Z"};
     }
-    if (found.rows++ == 0) found.first = found.last = *time;
+    if (found.rows++ == 0) found.first = found.last = before = *time;
+    if (*time < before)
+      return Error{Errc::bad_data, "cannot import", table.where(),
+                   "\"" + detail::readable(when.substr(0, 64)) + "\" in column " + options.time_column +
+                       " is before the time of the row above it",
+                   "sort the rows by time: a table with the newest row first is turned round by "
+                   "(head -n 1 " +
+                       options.file + "; tail -n +2 " + options.file + " | tac)"};
+    before = *time;
     found.first = std::min(found.first, *time);
     found.last = std::max(found.last, *time);
     for (std::size_t i = 0; i < cells.size(); ++i) {
@@ -152,6 +164,14 @@ Result<Found> look_at(const ImportOptions& options, const ImportNotation& notati
     if (options.decimal.empty() && column.seems_to_have_decimal_commas())
       return import_refused(options.file, "the numbers in column " + column.heading + " seem to have decimal commas",
                             "write --decimal , or, if they are texts, --decimal .");
+    if (options.decimal.empty() && column.seems_to_have_thousands())
+      return import_refused(
+          options.file,
+          "the numbers in column " + column.heading +
+              " have commas before three digits, which may be "
+              "thousands or decimals",
+          "if they are thousands, take them out of the file (1,234 becomes 1234); if they are decimals, "
+          "write --decimal , and if they are texts, --decimal .");
   }
   auto built = describe_columns(found.columns, found.time_column, options.file);
   if (!built) return built.error();

@@ -80,7 +80,10 @@ void ImportColumn::look_at(const detail::CsvCell& cell) {
   can_be_integer = can_be_integer && is_integer;
   can_be_number = can_be_number && is_number(cell.text, decimal, number);
   can_be_with_comma = can_be_with_comma && is_number(cell.text, ',', number);
-  has_comma = has_comma || cell.text.find(',') != std::string::npos;
+  const bool is_with_comma = cell.text.find(',') != std::string::npos;
+  has_comma = has_comma || is_with_comma;
+  can_be_thousands = can_be_thousands && (!is_with_comma || may_have_thousands(cell.text));
+  are_whole = are_whole && (is_with_comma ? may_have_thousands(cell.text) : is_number(cell.text, '.', number));
 }
 std::string ImportColumn::type() const {
   const std::string absent = has_empty ? ", may be absent" : "";

@@ -23,11 +23,18 @@ struct ImportColumn {
   bool can_be_integer = true, can_be_number = true, has_empty = false, has_any = false;
   bool has_large = false;
   bool can_be_with_comma = true, has_comma = false;  // a number with a decimal comma
+  bool can_be_thousands = true;                      // what has commas may have those of thousands
+  bool are_whole = true;                             // numbers without a fraction, or with commas as of thousands
   std::size_t longest = 1;
 
   /// Integers of which some would change as doubles stay texts.
   void look_at_all() { can_be_number = can_be_number && (can_be_integer || !has_large); }
-  bool seems_to_have_decimal_commas() const { return has_any && !can_be_number && can_be_with_comma && has_comma; }
+  bool seems_to_have_decimal_commas() const {
+    return has_any && !can_be_number && can_be_with_comma && has_comma && !can_be_thousands;
+  }
+  bool seems_to_have_thousands() const {
+    return has_any && !can_be_number && has_comma && can_be_thousands && are_whole;
+  }
   void look_at(const detail::CsvCell& cell);
   /// For people: "integer, may be absent".
   std::string type() const;

@@ -38,6 +38,12 @@ Result<bool> ImportRows::next(std::vector<detail::CsvCell>& cells) {
     if (!split)
       return Error{Errc::bad_data, "cannot import", where(), split.error().where + ": " + split.error().why, ""};
     cells = *std::move(split);
+    for (detail::CsvCell& cell : cells) {
+      if (cell.quoted) continue;
+      // Blanks around a cell do not count, as on a serial line.
+      cell.text.erase(0, std::min(cell.text.find_first_not_of(" \t"), cell.text.size()));
+      cell.text.erase(cell.text.find_last_not_of(" \t") + 1);
+    }
     return true;
   }
   if (in_.bad()) return Error{Errc::io_failed, "cannot read", path_, "", ""};

@@ -1,6 +1,7 @@
 #include "app/inspect/import_time.hpp"
 
 #include <algorithm>
+#include <chrono>
 #include <cmath>
 #include <optional>
 #include <string_view>
@@ -59,6 +60,19 @@ bool is_number(const std::string& text, char decimal, double& number) {
   return detail::read_number(usual, number) == std::errc{};
 }
 
+bool may_have_thousands(const std::string& text) {
+  const auto is_digit = [](char c) { return c >= '0' && c <= '9'; };
+  std::size_t at = text.starts_with('-') || text.starts_with('+') ? 1 : 0;
+  const std::size_t first = at;
+  while (at < text.size() && is_digit(text[at])) ++at;
+  if (at == first || at - first > 3 || text[first] == '0' || at == text.size()) return false;
+  for (; at < text.size(); at += 4) {
+    if (text[at] != ',' || at + 4 > text.size() || !std::all_of(&text[at + 1], &text[at + 1] + 3, is_digit))
+      return false;
+  }
+  return true;
+}
+
 /// By which this would be a time of these decades, since 1970: "; with --scale 1ns it is 2026-03-01". Empty: by none.
 std::string scale_of(double number) {
   for (const auto& [scale, name] : {std::pair{1, "1ns"}, {1'000, "1us"}, {1'000'000, "1ms"}}) {
@@ -80,13 +94,23 @@ Result<Time> time_of(const std::string& text, const ImportNotation& notation) {
     if (time) return *time;
     return import_refused("", text + " is no time that can be recorded", "look at --scale and --start");
   }
-  const auto time = parse_iso8601(text);
-  if (time) return time;
-  const auto with_zone = parse_iso8601(text + (notation.zone.empty() ? "Z" : notation.zone));
-  if (!with_zone) return time;
+  // The end of a day, as tables of weather have it.
+  constexpr std::size_t hour = 11;
+  const bool is_end_of_day = text.size() > hour && text.compare(hour, 5, "24:00") == 0 &&
+                             text.find_first_of("123456789", hour + 5) >= text.find_first_of("Zz+-", hour);
+  std::string usual = text;
+  if (is_end_of_day) usual.replace(hour, 2, "00");
+  const auto on_its_day = [&](const Result<Time>& time) -> Result<Time> {
+    const auto later = time && is_end_of_day ? later_than(*time, std::chrono::hours{24}) : std::nullopt;
+    return later ? Result<Time>(*later) : time;
+  };
+  const auto time = parse_iso8601(usual);
+  if (time) return on_its_day(time);
+  const auto with_zone = parse_iso8601(usual + (notation.zone.empty() ? "Z" : notation.zone));
+  if (!with_zone) return usual.find_first_of("Zz+", hour) == std::string::npos ? with_zone : time;
   if (notation.zone.empty())
     return import_refused("", "it says no time zone", "write --zone Z if it is UTC, or such as +01:00");
-  return with_zone;
+  return on_its_day(with_zone);
 }
 
 Error import_refused(std::string where, std::string why, std::string advice) {

@@ -20,7 +20,10 @@ struct ImportNotation {
 /// Whether the text is a number, and which.
 bool is_number(const std::string& text, char decimal, double& number);
 
-/// Of a cell of the column of time. Absolute ones are ISO 8601; numbers count `scale` from `start`. Errors:
+/// Whether its commas may as well be those of thousands: "1,234", "12,500,000"; not "0,250" nor "1,5".
+bool may_have_thousands(const std::string& text);
+
+/// Of a cell of the column of time. Absolute ones are ISO 8601, also 24:00 for the end of a day; numbers count `scale` from `start`. Errors:
 /// bad-argument, bad-data.
 Result<Time> time_of(const std::string& text, const ImportNotation& notation);
 
