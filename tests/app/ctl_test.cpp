@@ -99,7 +99,7 @@ TEST_SUITE("app") {
   TEST_CASE("garbage on the control socket is answered, many commands are all done, and nothing is lost") {
     const RuntimeFolder runtime;
     const Folder folder;
-    folder.write("rig.json", rig("100 Hz"));
+    folder.write("rig.json", rig("1 Hz"));
     Process run(folder, program, {"run", "rig.json"});
     REQUIRE(run.wait_for("running rig"));
     REQUIRE(running_instances().size() == 1);

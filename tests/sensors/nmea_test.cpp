@@ -139,22 +139,118 @@ TEST_SUITE("sensors") {
       }
     }
     for (const char* body :
-         {"GPGGA,250000.00,4804.1,N,01621.5,E,1,,,,,,,,", "GPGGA,092835.00,9104.1,N,01621.5,E,1,,,,,,,,",
-          "GPGGA,092835.00,4864.1,N,01621.5,E,1,,,,,,,,", "GPGGA,092835.00,4804.1,X,01621.5,E,1,,,,,,,,",
-          "GPGGA,092835.00,4804.1,N,18100.0,E,1,,,,,,,,", "GPGGA,092835.00,nan,N,01621.5,E,1,,,,,,,,",
-          "GPGGA,092835.00,4804.1,N,01621.5,E,x,,,,,,,,", "GPRMC,092835.00,A,4804.1,N,01621.5,E,1e999,,210615,,",
-          "GPRMC,092835.00,A,4804.1,N,01621.5,E,,,310215,,", "GPRMC,0928x5.00,A,4804.1,N,01621.5,E,,,210615,,",
-          "GPRMC,092835.00,A,-4804.1,N,01621.5,E,,,210615,,"}) {
+         {"GPGGA,250000.00,4804.1,N,01621.5,E,1,,,,,,,,", "GPGGA,092835.00,4804.1,N,01621.5,E,x,,,,,,,,",
+          "GPRMC,0928x5.00,A,4804.1,N,01621.5,E,,,210615,,"}) {
       Reader reader;
       reader.body(body);
       reader.finish();
       CHECK_MESSAGE(reader.errors.size() == 1, body);
       CHECK_MESSAGE(reader.got.empty(), body);
     }
+    // Another field that cannot be read is told, and costs itself only.
+    for (const char* body :
+         {"GPGGA,092835.00,9104.1,N,01621.5,E,1,07,,5.5,M,,,,", "GPGGA,092835.00,4864.1,N,01621.5,E,1,07,,5.5,M,,,,",
+          "GPGGA,092835.00,4804.1,X,01621.5,E,1,07,,5.5,M,,,,", "GPGGA,092835.00,4804.1,N,18100.0,E,1,07,,5.5,M,,,,",
+          "GPGGA,092835.00,nan,N,01621.5,E,1,07,,5.5,M,,,,", "GPGGA,092835.00,-4804.1,N,01621.5,E,1,07,,5.5,M,,,,"}) {
+      Reader reader;
+      reader.body(body);
+      reader.finish();
+      CHECK_MESSAGE(reader.errors.size() == 1, body);
+      REQUIRE_MESSAGE(reader.got.size() == 1, body);
+      CHECK_FALSE(reader.got[0].lat);
+      CHECK_FALSE(reader.got[0].lon);
+      CHECK(reader.got[0].satellites_used == 7);
+      CHECK(reader.got[0].alt_msl == 5.5);
+    }
+    for (const char* body :
+         {"GPRMC,092835.00,A,4804.1,N,01621.5,E,1e999,,210615,,", "GPRMC,092835.00,A,4804.1,N,01621.5,E,,,310215,,"}) {
+      Reader reader;
+      reader.body(body);
+      reader.finish();
+      CHECK_MESSAGE(reader.errors.size() == 1, body);
+      REQUIRE_MESSAGE(reader.got.size() == 1, body);
+      CHECK(reader.got[0].lat);
+      CHECK_FALSE(reader.got[0].speed);
+    }
     Reader reader;
     for (const char* text : {"", "$", "GPGGA", "$GPGGA,1,2", "$*00", "$GPGGA*", "\xb5\x62\x01"}) reader.line(text);
     CHECK(reader.errors.size() == 6);  // "$*00" is an empty sentence, and right
     CHECK(reader.got.empty());
+  }
+
+  TEST_CASE("US-14 NMEA: without a fix no position is looked at; a variation without a direction costs itself only") {
+    Reader reader;
+    reader.body("GPGGA,235946.005,8960.000000,N,00000.000000,E,0,0,,137.000,M,13.000,M,,");
+    reader.body("GPRMC,235946.005,V,8960.000000,N,00000.000000,E,0.000,0.00,050180,,,N");
+    reader.body("GPRMC,235947.005,A,4804.1,N,01621.5,E,1.0,2.0,050180,3,N");
+    reader.finish();
+    CHECK(reader.errors.empty());
+    REQUIRE(reader.got.size() == 2);
+    CHECK(reader.got[0].mode == 1);
+    CHECK(reader.got[0].gps_time);
+    CHECK_FALSE(reader.got[0].lat);
+    CHECK(reader.got[1].speed);
+    CHECK_FALSE(reader.got[1].mag_var);
+  }
+
+  TEST_CASE("US-14 NMEA: two talkers of one instant are one fix") {
+    Reader reader;
+    for (const char* const time : {"020935", "020936", "020937"}) {
+      const std::string t = time;
+      reader.body("GPGGA," + t + ".000,4404.1351,N,12118.8556,W,1,08,0.9,1123.9,M,-19.6,M,,0000");
+      reader.body("GLGGA," + t + ".000,4404.1351,N,12118.8556,W,1,02,0.9,1123.9,M,-19.6,M,,0000");
+      reader.body("GNRMC," + t + ".000,A,4404.1351,N,12118.8556,W,0.04,359.11,050219,,,A");
+    }
+    reader.finish();
+    CHECK(reader.errors.empty());
+    REQUIRE(reader.got.size() == 3);
+    for (const GpsFix& fix : reader.got) {
+      CHECK(fix.satellites_used == 10);
+      CHECK(fix.mode == 3);
+      CHECK(fix.gps_time);
+    }
+    Reader half;  // one of both has no fix
+    half.body("GLGGA,020935.000,,,,,0,00,,,M,0.0,M,,");
+    half.body("GPGGA,020935.000,4404.1351,N,12118.8556,W,1,08,0.9,1123.9,M,-19.6,M,,0000");
+    half.finish();
+    REQUIRE(half.got.size() == 1);
+    CHECK(half.got[0].lat);
+    CHECK(half.got[0].satellites_used == 8);
+  }
+
+  TEST_CASE("US-14 NMEA: satellites of several signals count once each") {
+    Reader reader;
+    for (int second = 0; second < 3; ++second) {
+      const std::string time = "12000" + std::to_string(second);
+      reader.body("GNRMC," + time + ".00,A,5200.0,N,00500.0,E,0.10,,281126,,,A,V");
+      reader.body("GNGGA," + time + ".00,5200.0,N,00500.0,E,1,12,0.80,10.0,M,45.0,M,,");
+      reader.body("GPGSV,2,1,05,02,10,010,30,05,20,020,31,07,30,030,32,09,40,040,33,1");
+      reader.body("GPGSV,2,2,05,13,50,050,34,1");
+      reader.body("GPGSV,1,1,02,05,20,020,25,09,40,040,26,8");
+      reader.body("GAGSV,1,1,02,03,21,021,30,08,22,022,30,7");
+      reader.body("GAGSV,1,1,02,01,03,200,,26,04,210,,0");
+    }
+    reader.finish();
+    CHECK(reader.errors.empty());
+    REQUIRE(reader.got.size() == 3);
+    for (const GpsFix& fix : reader.got) CHECK(fix.satellites_visible == 5 + 4);
+  }
+
+  TEST_CASE("US-14 NMEA: a leap second is an instant of its own, without a number") {
+    Reader reader;
+    const std::pair<const char*, const char*> instants[] = {
+        {"235959.00", "311216"}, {"235960.00", "311216"}, {"000000.00", "010117"}, {"000001.00", "010117"}};
+    for (const auto& [time, date] : instants) {
+      reader.body(std::string("GPGGA,") + time + ",5200.0,N,00500.0,E,1,08,1.0,10.0,M,45.0,M,,");
+      reader.body(std::string("GPRMC,") + time + ",A,5200.0,N,00500.0,E,0.0,," + date + ",,,A");
+    }
+    reader.finish();
+    CHECK(reader.errors.empty());
+    REQUIRE(reader.got.size() == 4);
+    CHECK(*reader.got[0].gps_time == 1'483'228'799'000'000'000);
+    CHECK_FALSE(reader.got[1].gps_time);
+    CHECK(reader.got[1].lat);
+    CHECK(*reader.got[2].gps_time == 1'483'228'800'000'000'000);
   }
 
   TEST_CASE("US-14 NMEA: a sentence that is lost costs its own values, and delays no other fix for good") {

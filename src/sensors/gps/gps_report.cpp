@@ -48,6 +48,15 @@ std::string shown(std::string_view text) {
   return shown + (text.size() > 60 ? "...\"" : "\"");
 }
 
+/// "2016-12-31T23:59:60.000Z".
+bool is_leap_second(std::string text) {
+  constexpr std::string_view end = "T23:59:60";
+  const std::size_t at = text.find(end);
+  if (at == std::string::npos) return false;
+  text.replace(at, end.size(), "T23:59:59");
+  return static_cast<bool>(parse_iso8601(text));
+}
+
 Error unusable(Errc code, std::string where, std::string why) {
   return {code, "cannot use a line of gpsd", std::move(where), std::move(why), "is it gpsd that serves this port?"};
 }
@@ -113,6 +122,7 @@ class ReportHandler {
     status,
     time,
     number,
+    altitude,
     satellites_all,
     satellites_used,
     satellite_used,
@@ -144,6 +154,7 @@ class ReportHandler {
   std::size_t listed_ = 0, used_ = 0;
   std::optional<std::uint16_t> all_told_, used_told_;
   std::optional<std::uint8_t> mode_;
+  std::optional<double> altitude_;
   std::optional<Error> error_;
 };
 
@@ -166,6 +177,7 @@ bool ReportHandler::key(string_t& name) {
       {"time", Target::time},           {"nSat", Target::satellites_all},
       {"path", Target::device},         {"uSat", Target::satellites_used},
       {"activated", Target::activated}, {"message", Target::message},
+      {"alt", Target::altitude},
   };
   for (const NumberKey& one : number_keys) {
     if (one.name != name) continue;
@@ -191,6 +203,9 @@ bool ReportHandler::take(double number) {
       if (number_->most > 0 && std::abs(number) > number_->most)
         refuse(Errc::out_of_range, "it is " + std::to_string(number));
       report_.fix.*(number_->member) = number;
+      break;
+    case Target::altitude:
+      altitude_ = number;
       break;
     case Target::mode:
       put_natural(mode_, number);
@@ -233,6 +248,8 @@ bool ReportHandler::string(string_t& text) {
     case Target::time:
       if (const Result<Time> time = parse_iso8601(text)) {
         report_.fix.gps_time = to_nanoseconds(*time);
+      } else if (is_leap_second(text)) {  // there is no number for it
+        report_.fix.gps_time.reset();
       } else {
         refuse(Errc::bad_data, shown(text) + " is no time");
       }
@@ -258,7 +275,11 @@ Result<void> ReportHandler::end() {
   if (report_.kind == Kind::none) return unusable(Errc::bad_data, "", "it has no \"class\"");
   if (report_.kind == Kind::other) return {};
   if (error_) return std::move(*error_);
-  if (report_.kind == Kind::fix) report_.fix.mode = mode_.value_or(std::uint8_t{0});
+  if (report_.kind == Kind::fix) {
+    report_.fix.mode = mode_.value_or(std::uint8_t{0});
+    // Before 3.20 gpsd had no other height; since then `alt` is what no two releases agree on.
+    if (!report_.fix.alt_msl && !report_.fix.alt_hae) report_.fix.alt_msl = altitude_;
+  }
   if (report_.kind == Kind::satellites) {
     const auto counted = [&](std::size_t count) -> std::optional<std::uint16_t> {
       return has_list_ ? std::optional(static_cast<std::uint16_t>(std::min<std::size_t>(count, 0xffff))) : std::nullopt;

@@ -5,6 +5,7 @@
 #include <charconv>
 #include <chrono>
 #include <cmath>
+#include <utility>
 
 #include "data/number_text.hpp"
 
@@ -15,6 +16,7 @@ constexpr const char* what = "cannot use a sentence";
 constexpr double knot = 1852.0 / 3600;  // m/s
 constexpr double kilometre_per_hour = 1 / 3.6;
 constexpr std::int64_t second = 1'000'000'000;
+constexpr std::int64_t day_length = 86400 * second;
 
 Error failure(Errc code, std::string_view sentence, std::string why) {
   std::string shown;
@@ -39,40 +41,49 @@ struct NmeaFixes::Columns {
   Error bad(std::size_t i, const std::string& why) const {
     return failure(Errc::bad_data, name, "\"" + std::string(at(i).substr(0, 20)) + "\" " + why);
   }
-  /// Nothing when the field is empty.
-  Result<std::optional<double>> number(std::size_t i) const {
-    const std::string_view word = at(i);
-    if (word.empty()) return std::optional<double>();
-    double value = 0;
-    if (read_number(word, value) != std::errc{} || !std::isfinite(value)) return bad(i, "is no number");
-    return std::optional<double>(value);
+  /// A field that cannot be read costs itself only: it is as if it were empty, and told.
+  mutable std::optional<Error> odd = {};
+  std::nullopt_t refuse(std::size_t i, const std::string& why) const {
+    if (!odd) odd = bad(i, why);
+    return std::nullopt;
   }
-  Result<std::optional<unsigned>> whole(std::size_t i, unsigned most) const {
+  std::optional<double> number(std::size_t i) const {
     const std::string_view word = at(i);
-    if (word.empty()) return std::optional<unsigned>();
+    if (word.empty()) return std::nullopt;
+    double value = 0;
+    if (read_number(word, value) != std::errc{} || !std::isfinite(value)) return refuse(i, "is no number");
+    return value;
+  }
+  std::optional<unsigned> whole(std::size_t i, unsigned most) const {
+    const std::string_view word = at(i);
+    if (word.empty()) return std::nullopt;
     unsigned value = 0;
     if (read_number(word, value) != std::errc{} || value > most)
-      return bad(i, "is not a number from 0 to " + std::to_string(most));
-    return std::optional<unsigned>(value);
+      return refuse(i, "is not a number from 0 to " + std::to_string(most));
+    return value;
   }
   /// "4804.14539" and the hemisphere after it: degrees and minutes.
-  Result<std::optional<double>> angle(std::size_t i, double most, char positive, char negative) const {
-    const auto value = number(i);
-    if (!value) return value.error();
-    if (!*value) return std::optional<double>();
+  std::optional<double> angle(std::size_t i, double most, char positive, char negative) const {
+    const std::optional<double> value = number(i);
+    if (!value) return std::nullopt;
     const std::string_view side = at(i + 1);
-    if (side.size() != 1 || (side[0] != positive && side[0] != negative)) return bad(i + 1, "is no hemisphere");
-    const double degrees = std::floor(**value / 100), minutes = **value - 100 * degrees;
+    if (side.size() != 1 || (side[0] != positive && side[0] != negative)) return refuse(i + 1, "is no hemisphere");
+    const double degrees = std::floor(*value / 100), minutes = *value - 100 * degrees;
     const double angle = degrees + minutes / 60;
-    if (**value < 0 || minutes >= 60 || angle > most) return bad(i, "is no angle");
-    return std::optional<double>(side[0] == positive ? angle : -angle);
+    if (*value < 0 || minutes >= 60 || angle > most) return refuse(i, "is no angle");
+    return side[0] == positive ? angle : -angle;
   }
+  /// Latitude and longitude, from column `i` on. Nothing: one of both is missing.
+  std::optional<std::pair<double, double>> position(std::size_t i) const {
+    const std::optional<double> lat = angle(i, 90, 'N', 'S'), lon = angle(i + 2, 180, 'E', 'W');
+    if (!lat || !lon) return std::nullopt;
+    return std::pair(*lat, *lon);
+  }
+  bool has_position(std::size_t i) const noexcept { return !at(i).empty() || !at(i + 2).empty(); }
   /// "092835.00": ns since midnight. A leap second is 23:59:60.
   Result<std::optional<std::int64_t>> time_of_day(std::size_t i) const {
     const std::string_view word = at(i);
     if (word.empty()) return std::optional<std::int64_t>();
-    const auto value = number(i);
-    if (!value) return value.error();
     const bool is_time = word.size() >= 6 &&
                          std::all_of(word.begin(), word.begin() + 6, [](char c) { return c >= '0' && c <= '9'; });
     if (!is_time || (word.size() > 6 && word[6] != '.')) return bad(i, "is no time");
@@ -87,19 +98,19 @@ struct NmeaFixes::Columns {
     return std::optional<std::int64_t>((pair(0) * 3600 + pair(2) * 60 + pair(4)) * second + fraction);
   }
   /// "210615": the day's beginning, ns since the Unix epoch. Years of two digits: 1980 to 2079.
-  Result<std::optional<std::int64_t>> date(std::size_t i) const {
+  std::optional<std::int64_t> date(std::size_t i) const {
     const std::string_view word = at(i);
-    if (word.empty()) return std::optional<std::int64_t>();
+    if (word.empty()) return std::nullopt;
     if (word.size() != 6 || !std::all_of(word.begin(), word.end(), [](char c) { return c >= '0' && c <= '9'; }))
-      return bad(i, "is no date");
+      return refuse(i, "is no date");
     const auto pair = [&](std::size_t at_) {
       return static_cast<unsigned>((word[at_] - '0') * 10 + (word[at_ + 1] - '0'));
     };
     const int year = static_cast<int>(pair(4)) + (pair(4) >= 80 ? 1900 : 2000);
     const std::chrono::year_month_day day{std::chrono::year(year), std::chrono::month(pair(2)),
                                           std::chrono::day(pair(0))};
-    if (!day.ok()) return bad(i, "is no date");
-    return std::optional<std::int64_t>(std::chrono::sys_days(day).time_since_epoch().count() * 86400 * second);
+    if (!day.ok()) return refuse(i, "is no date");
+    return std::chrono::sys_days(day).time_since_epoch().count() * day_length;
   }
 };
 
@@ -123,30 +134,25 @@ void NmeaFixes::reset() noexcept {
   visible_ = {};
 }
 
-// Each of these returns the first column that is wrong.
-#define RTDATA_NMEA_TAKE(name, expression)      \
-  const auto name##_read = expression;          \
-  if (!name##_read) return name##_read.error(); \
-  const auto name = *name##_read
-
 Result<void> NmeaFixes::read_gga(const Columns& columns, Draft& draft) const {
-  RTDATA_NMEA_TAKE(time, columns.time_of_day(1));
-  RTDATA_NMEA_TAKE(lat, columns.angle(2, 90, 'N', 'S'));
-  RTDATA_NMEA_TAKE(lon, columns.angle(4, 180, 'E', 'W'));
-  RTDATA_NMEA_TAKE(quality, columns.whole(6, 9));
-  RTDATA_NMEA_TAKE(used, columns.whole(7, 999));
-  RTDATA_NMEA_TAKE(altitude, columns.number(9));
-  RTDATA_NMEA_TAKE(geoid, columns.number(11));
-  if (time) draft.time_of_day = time;
+  const auto time = columns.time_of_day(1);
+  if (!time) return time.error();
+  const auto quality = columns.whole(6, 9);
+  const auto used = columns.whole(7, 999);
+  if (*time) draft.time_of_day = *time;
   draft.fix.satellites_used.reset();
   if (used) draft.fix.satellites_used = static_cast<std::uint16_t>(*used);
-  if (!quality) return lat || lon ? columns.bad(6, "is no quality of a fix") : Result<void>();  // it says nothing
-  if (*quality == 0) {
+  if (!quality)
+    return columns.has_position(2) ? columns.bad(6, "is no quality of a fix") : Result<void>();  // it says nothing
+  if (*quality == 0) {  // what stands for the position is none
     draft.is_void = true;
     return {};
   }
-  draft.fix.lat = lat;
-  draft.fix.lon = lon;
+  const auto altitude = columns.number(9), geoid = columns.number(11);
+  if (const auto position = columns.position(2)) {
+    draft.fix.lat = position->first;
+    draft.fix.lon = position->second;
+  }
   draft.fix.alt_msl = altitude;
   draft.fix.geoid_sep = geoid;
   if (altitude && geoid) draft.fix.alt_hae = *altitude + *geoid;
@@ -157,68 +163,97 @@ Result<void> NmeaFixes::read_gga(const Columns& columns, Draft& draft) const {
 }
 
 Result<void> NmeaFixes::read_rmc(const Columns& columns, Draft& draft) const {
-  RTDATA_NMEA_TAKE(time, columns.time_of_day(1));
-  RTDATA_NMEA_TAKE(lat, columns.angle(3, 90, 'N', 'S'));
-  RTDATA_NMEA_TAKE(lon, columns.angle(5, 180, 'E', 'W'));
-  RTDATA_NMEA_TAKE(speed, columns.number(7));
-  RTDATA_NMEA_TAKE(track, columns.number(8));
-  RTDATA_NMEA_TAKE(date, columns.date(9));
-  RTDATA_NMEA_TAKE(variation, columns.number(10));
-  const std::string_view side = columns.at(11);
-  if (variation && side != "E" && side != "W") return columns.bad(11, "is no direction");
-  if (time) draft.time_of_day = time;
+  const auto time = columns.time_of_day(1);
+  if (!time) return time.error();
+  const auto date = columns.date(9);
+  if (*time) draft.time_of_day = *time;
   draft.fix.gps_time.reset();
-  if (time && date) draft.fix.gps_time = *date + *time;
+  // There is no number for a leap second.
+  if (*time && date && **time < day_length) draft.fix.gps_time = *date + **time;
   const std::string_view status = columns.at(2);
-  if (status.empty() && !lat && !lon) return {};  // it says nothing
+  if (status.empty() && !columns.has_position(3)) return {};  // it says nothing
   if (status == "V") {
     draft.is_void = true;
     return {};
   }
   if (status != "A") return columns.bad(2, "is no status of a fix");
-  if (!draft.fix.lat || !draft.fix.lon) {  // GGA may have more digits
-    draft.fix.lat = lat;
-    draft.fix.lon = lon;
+  const auto position = columns.position(3);
+  if (position && (!draft.fix.lat || !draft.fix.lon)) {  // GGA may have more digits
+    draft.fix.lat = position->first;
+    draft.fix.lon = position->second;
   }
-  if (speed) draft.fix.speed = *speed * knot;
-  draft.fix.track = track;
-  if (variation) draft.fix.mag_var = side == "E" ? *variation : -*variation;
+  if (const auto speed = columns.number(7)) draft.fix.speed = *speed * knot;
+  draft.fix.track = columns.number(8);
+  const std::string_view side = columns.at(11);
+  // Some receivers leave out where the variation goes to.
+  if (const auto variation = columns.number(10); variation && (side == "E" || side == "W"))
+    draft.fix.mag_var = side == "E" ? *variation : -*variation;
   draft.has_rmc_velocity = true;
   return {};
 }
 
 Result<void> NmeaFixes::read_vtg(const Columns& columns, Draft& draft) const {
-  RTDATA_NMEA_TAKE(track, columns.number(1));
-  RTDATA_NMEA_TAKE(knots, columns.number(5));
-  RTDATA_NMEA_TAKE(kilometres, columns.number(7));
   if (draft.has_rmc_velocity || columns.at(9) == "N") return {};  // RMC's velocity comes with its time: it is preferred
-  if (track) draft.fix.track = track;
+  const auto knots = columns.number(5), kilometres = columns.number(7);
+  if (const auto track = columns.number(1)) draft.fix.track = track;
   if (knots) draft.fix.speed = *knots * knot;
   if (kilometres && !knots) draft.fix.speed = *kilometres * kilometre_per_hour;
   return {};
 }
 
 Result<void> NmeaFixes::read_gsa(const Columns& columns, Draft& draft) const {
-  RTDATA_NMEA_TAKE(mode, columns.whole(2, 3));
-  if (mode && *mode > 0)
+  if (const auto mode = columns.whole(2, 3); mode && *mode > 0)
     draft.gsa_mode = static_cast<std::uint8_t>(std::max<unsigned>(*mode, draft.gsa_mode.value_or(0)));
   return {};
 }
 
-Result<void> NmeaFixes::take_gsv(const Columns& columns) {
-  RTDATA_NMEA_TAKE(message, columns.whole(2, 99));
-  RTDATA_NMEA_TAKE(count, columns.whole(3, 999));
-  if (!message || *message != 1) return {};
-  const std::array<char, 2> talker{columns.name[0], columns.name[1]};
-  for (Visible& one : visible_) {
-    if (one.talker != talker && one.talker != std::array<char, 2>{}) continue;
-    one = {talker, static_cast<std::uint16_t>(count.value_or(0))};
-    break;
+/// What another talker says of the same instant: GLGGA beside GPGGA.
+Result<void> NmeaFixes::read_other_talker(const Columns& columns, Sentence sentence, Draft& draft) const {
+  Draft other;
+  const bool is_gga = sentence == Sentence::gga;
+  if (auto read = is_gga ? read_gga(columns, other) : read_rmc(columns, other); !read) return read;
+  if (other.is_void || !other.fix.lat) return {};
+  if (draft.is_void || !draft.fix.lat) {
+    other.gsa_mode = draft.gsa_mode;
+    if (!other.fix.gps_time) other.fix.gps_time = draft.fix.gps_time;
+    draft = other;
+  } else if (is_gga && draft.fix.satellites_used && other.fix.satellites_used) {
+    draft.fix.satellites_used = static_cast<std::uint16_t>(*draft.fix.satellites_used + *other.fix.satellites_used);
   }
   return {};
 }
 
-#undef RTDATA_NMEA_TAKE
+/// Satellites come once for each signal of theirs, and once more where none is received; since NMEA 4.10 the signal's
+/// number is behind them.
+Result<void> NmeaFixes::take_gsv(const Columns& columns) {
+  const auto message = columns.whole(2, 99);
+  const auto count = columns.whole(3, 999);
+  const std::array<char, 2> talker{columns.name[0], columns.name[1]};
+  const bool has_signal = columns.count > 4 && (columns.count - 4) % 4 == 1;
+  const std::string_view word = has_signal ? columns.at(columns.count - 1) : std::string_view();
+  const int digit = word.size() == 1 ? hex_digit(word[0]) : 0;
+  const auto signal = static_cast<std::uint16_t>(1u << std::max(digit, 0));
+  for (Visible& one : visible_) {
+    if (one.talker != talker && one.talker != std::array<char, 2>{}) continue;
+    one.talker = talker;
+    if (message && *message == 1) {
+      if ((one.signals & signal) != 0) {  // a new round
+        one.last_signals = one.signals;
+        one.last_count = one.count();
+        one.signals = 0;
+        one.told = 0;
+        one.numbers.reset();
+      }
+      one.signals = static_cast<std::uint16_t>(one.signals | signal);
+      one.told = std::max(one.told, static_cast<std::uint16_t>(count.value_or(0)));
+    }
+    for (std::size_t i = 4; i + (has_signal ? 1 : 0) < columns.count; i += 4)
+      if (const auto number = columns.whole(i, 999)) one.numbers.set(*number);
+    break;
+  }
+  if (columns.odd) return *columns.odd;
+  return {};
+}
 
 GpsFix NmeaFixes::completed() const {
   GpsFix fix = draft_.fix;
@@ -236,7 +271,8 @@ GpsFix NmeaFixes::completed() const {
   bool is_known = false;
   for (const Visible& one : visible_) {
     is_known = is_known || one.talker != std::array<char, 2>{};
-    visible += one.count;
+    // A round that has not all signals yet has not all satellites.
+    visible += (one.signals & one.last_signals) == one.last_signals ? one.count() : one.last_count;
   }
   if (is_known) fix.satellites_visible = static_cast<std::uint16_t>(visible);
   return fix;
@@ -296,15 +332,19 @@ Result<void> NmeaFixes::take(std::string_view line, Time time, const Publish& pu
 
   const bool has_time = step.sentence == Sentence::gga || step.sentence == Sentence::rmc;
   std::size_t place = static_cast<std::size_t>(step.sentence);
-  bool begins = !is_begun_;  // by one without a time: the rest of a fix whose beginning was not heard
+  const std::array<char, 2> talker{name[0], name[1]};
+  bool is_other_talker = false;  // of the same instant
+  bool begins = !is_begun_;      // by one without a time: the rest of a fix whose beginning was not heard
   if (has_time) {
     const auto said = columns.time_of_day(1);
     if (!said) return said.error();
-    begins = begins || is_without_time_ || seen_[place] > 0 ||
+    is_other_talker = seen_[place] > 0 && *said && *said == draft_.time_of_day && talker != talkers_[place];
+    begins = begins || is_without_time_ || (seen_[place] > 0 && !is_other_talker) ||
              (*said && draft_.time_of_day && *said != draft_.time_of_day);
   }
   Draft draft = begins ? Draft{} : draft_;
-  Result<void> read = step.sentence == Sentence::gga   ? read_gga(columns, draft)
+  Result<void> read = is_other_talker && !begins       ? read_other_talker(columns, step.sentence, draft)
+                      : step.sentence == Sentence::gga ? read_gga(columns, draft)
                       : step.sentence == Sentence::rmc ? read_rmc(columns, draft)
                       : step.sentence == Sentence::vtg ? read_vtg(columns, draft)
                                                        : read_gsa(columns, draft);
@@ -316,11 +356,14 @@ Result<void> NmeaFixes::take(std::string_view line, Time time, const Publish& pu
     is_without_time_ = !has_time;
     published_.reset();
   }
+  // The talker that is counted by: the first, or the first that has a fix.
+  if (seen_[place] == 0 || (!draft_.fix.lat && draft.fix.lat)) talkers_[place] = talker;
   draft_ = draft;
   step.number = ++seen_[place];
   last_ = step;
   time_ = time;
   if (ends_with_ == step && !published_) publish_now(publish);
+  if (columns.odd) return std::move(*columns.odd);
   return {};
 }
 

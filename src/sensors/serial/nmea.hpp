@@ -1,7 +1,9 @@
 // Sentences of NMEA 0183 to fixes.
 #pragma once
 
+#include <algorithm>
 #include <array>
+#include <bitset>
 #include <cstdint>
 #include <functional>
 #include <optional>
@@ -17,7 +19,7 @@ namespace rtdata::detail {
 /// Joins the sentences of one instant, which a receiver sends one after the other, to one fix.
 ///
 /// GGA and RMC carry the time: one whose time differs from the current fix's, or of a type that the fix already has,
-/// begins a new fix. VTG and GSA carry no time and belong to the current fix; before the first GGA or RMC they are a
+/// begins a new fix; not one of another talker (GL beside GP) with the same time. VTG and GSA carry no time and belong to the current fix; before the first GGA or RMC they are a
 /// fix of their own. A fix is complete with the sentence that ended the fixes before it, or else when the next one
 /// begins. What comes for it later all the same, since the receiver has changed its order, makes it be published once
 /// more when the next one begins. GSV gives the number of satellites in view, which all later fixes have.
@@ -27,7 +29,8 @@ class NmeaFixes {
 
   using Publish = std::function<void(const GpsFix& fix, Time time)>;
   /// Takes a line without its line end, which was read at `time`. Errors: bad-data (no sentence, a wrong checksum or
-  /// field), not-a-number, out-of-range; then nothing of the line is used.
+  /// time, quality or status), then nothing of the line is used; another field that cannot be read, which costs
+  /// itself only.
   Result<void> take(std::string_view line, Time time, const Publish& publish);
   /// Publishes the current fix, complete or not: called before the serial line is closed.
   void finish(const Publish& publish);
@@ -52,6 +55,7 @@ class NmeaFixes {
   Result<void> read_rmc(const Columns& columns, Draft& draft) const;
   Result<void> read_vtg(const Columns& columns, Draft& draft) const;
   Result<void> read_gsa(const Columns& columns, Draft& draft) const;
+  Result<void> read_other_talker(const Columns& columns, Sentence sentence, Draft& draft) const;
   Result<void> take_gsv(const Columns& columns);
   GpsFix completed() const;
   void publish_now(const Publish& publish);
@@ -63,20 +67,26 @@ class NmeaFixes {
     bool has_rmc_velocity = false;
     std::optional<std::uint8_t> gsa_mode;
   };
-  /// The number of satellites in view of one talker (constellation), from its GSV sentences.
+  /// The satellites in view of one talker (constellation), from its GSV sentences.
   struct Visible {
     std::array<char, 2> talker{};
-    std::uint16_t count = 0;
+    std::uint16_t signals = 0;  // of this round, a bit each
+    std::uint16_t told = 0;     // how many one signal has, at most
+    std::bitset<1000> numbers;
+    std::uint16_t last_signals = 0;  // of the round before
+    std::uint16_t last_count = 0;
+    std::uint16_t count() const noexcept { return std::max(told, static_cast<std::uint16_t>(numbers.count())); }
   };
 
   text<128> device_;
   Draft draft_;
-  std::array<unsigned, static_cast<std::size_t>(Sentence::count)> seen_{};  // in this fix, of each kind
-  std::optional<Step> ends_with_;                                           // the last sentence of the fix before
-  unsigned without_end_ = 0;                                                // fixes in a row that had no such sentence
-  std::optional<GpsFix> published_;                                         // the current fix, as it was published
-  Step last_{};                                                             // sentence of this fix
-  Time time_{};                                                             // at which that was read
+  std::array<unsigned, static_cast<std::size_t>(Sentence::count)> seen_{};                // in this fix, of each kind
+  std::array<std::array<char, 2>, static_cast<std::size_t>(Sentence::count)> talkers_{};  // of the first of each
+  std::optional<Step> ends_with_;    // the last sentence of the fix before
+  unsigned without_end_ = 0;         // fixes in a row that had no such sentence
+  std::optional<GpsFix> published_;  // the current fix, as it was published
+  Step last_{};                      // sentence of this fix
+  Time time_{};                      // at which that was read
   bool is_begun_ = false;
   bool is_without_time_ = false;  // this fix: it was begun by a sentence that carries none
   std::array<Visible, 8> visible_{};
