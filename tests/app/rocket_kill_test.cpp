@@ -22,6 +22,7 @@
 #include "paths.hpp"
 #include "rtdata/outputs/output.hpp"
 #include "rtdata/process/expression.hpp"
+#include "sanitized.hpp"
 
 using namespace rtdata::test;
 using namespace std::chrono_literals;
@@ -95,16 +96,7 @@ double seconds(Clock::duration duration) { return std::chrono::duration<double>(
 /// Twenty computers fly it, and each is killed at another moment, from just before liftoff until after the apogee.
 void fly_and_kill(const Flight& flight) {
   const RuntimeFolder runtime;
-  // Where the thread sanitizer makes programs ten times slower, so many would need more than the processor has.
-#if defined(__has_feature)
-#if __has_feature(thread_sanitizer)
-  constexpr int count = 5;
-#else
-  constexpr int count = 20;
-#endif
-#else
-  constexpr int count = 20;
-#endif
+  constexpr int count = sanitized ? 5 : 20;  // more would need more than the processor has
   const double first = flight.liftoff - 0.5;
   const double last = flight.apogee + 1.5;
   std::vector<std::unique_ptr<Computer>> computers;
