@@ -17,7 +17,7 @@ in_clone() {
     cmake -S . -B build/cmake -G Ninja -DCMAKE_BUILD_TYPE=Debug -DCMAKE_CXX_COMPILER=g++ -DRTDATA_PROGRAM=OFF -DRTDATA_TESTS=ON >configure.log
     meson setup build/meson >>configure.log
     ccache -z >/dev/null # what compilers are tried with does not count
-    cmake --build build/cmake --target CMakeFiles/rtdata.dir/units/rtdata_5.cpp.o CMakeFiles/rtdata_tests.dir/tests/data/time_test.cpp.o >build.log
+    cmake --build build/cmake --target CMakeFiles/rtdata.dir/units/rtdata_5.cpp.o CMakeFiles/rtdata_tests.dir/tests/sensors/tty_test.cpp.o >build.log
     ls build/cmake/CMakeFiles/rtdata_tests.dir/cmake_pch.hxx.gch >>build.log
     ninja -C build/meson librtdata.a.p/src_io_tty.cpp.o >>build.log
     cd "$OLDPWD"
