@@ -58,7 +58,7 @@ cmake --build --preset "$arch" -j "$(nproc)"
 cd "build/$arch"
 export RTDATA_TEST_EMULATOR="$(command -v $qemu) -L /usr/$triplet -E LD_LIBRARY_PATH=$root/usr/lib/$triplet"
 # What is not about real time, which an emulator does not have, and starts no other program.
-../../tests/build/ctest.sh --timeout 900 -R '^(data|loop|sensors|config|contract)$'
+../../tests/build/ctest.sh "$arch" --timeout 900 -R '^(data|loop|sensors|config|contract)$'
 
 # What the program records there, it and this machine's read alike.
 emulated() { $RTDATA_TEST_EMULATOR ../rtdata "$@"; }

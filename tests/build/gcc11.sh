@@ -4,7 +4,5 @@
 set -eu
 cd "$(dirname "$0")/../.."
 command -v g++-11 >/dev/null || { echo "skipped: there is no g++-11 (script/bootstrap --all installs it on Debian 12)"; exit 77; }
-cmake --preset g++-11
-cmake --build --preset g++-11 -j "$(nproc)"
-cd build/g++-11
-exec ../../tests/build/ctest.sh --timeout 600 -R '^(data|sensors|config|contract)$'
+tests/build/build.sh g++-11
+exec tests/build/ctest.sh g++-11 --timeout 600 -R '^(data|sensors|config|contract)$'
