@@ -1,5 +1,5 @@
-// Whether a sanitizer looks on, under which all takes several times as long: what is tried again and again with other seeds
-// is tried less often then.
+// Whether a sanitizer looks on, under which all takes several times as long: what is tried again and again with other
+// seeds is tried less often then.
 #pragma once
 
 namespace rtdata::test {

@@ -23,8 +23,8 @@ bool is_number(const std::string& text, char decimal, double& number);
 /// Whether its commas may as well be those of thousands: "1,234", "12,500,000"; not "0,250" nor "1,5".
 bool may_have_thousands(const std::string& text);
 
-/// Of a cell of the column of time. Absolute ones are ISO 8601, also 24:00 for the end of a day; numbers count `scale` from `start`. Errors:
-/// bad-argument, bad-data.
+/// Of a cell of the column of time. Absolute ones are ISO 8601, also 24:00 for the end of a day; numbers count `scale`
+/// from `start`. Errors: bad-argument, bad-data.
 Result<Time> time_of(const std::string& text, const ImportNotation& notation);
 
 /// By which this would be a time of these decades, since 1970: "; with --scale 1ns it is 2026-03-01". Empty: by none.
