@@ -19,11 +19,11 @@ namespace rtdata::detail {
 /// Joins the sentences of one instant, which a receiver sends one after the other, to one fix.
 ///
 /// GGA and RMC carry the time: one whose time differs from the current fix's, or of a type that the fix already has,
-/// begins a new fix; not one of another talker (GL beside GP) with the same time. VTG and GSA carry no time and belong
-/// to the current fix; before the first GGA or RMC they are a fix of their own. A fix is complete with the sentence that
-/// ended the fixes before it, or else when the next one begins. What comes for it later all the same, since the
-/// receiver has changed its order, makes it be published once more when the next one begins. GSV gives the number of satellites
-/// in view, which all later fixes have.
+/// begins a new fix; not one of another talker (GL beside GP) with the same time. VTG and GSA carry no time and
+/// belong to the current fix; before the first GGA or RMC they are a fix of their own. A fix is complete with the
+/// sentence that ended the fixes before it, or else when the next one begins. What comes for it later all the same,
+/// since the receiver has changed its order, makes it be published once more when the next one begins. GSV gives the
+/// number of satellites in view, which all later fixes have.
 class NmeaFixes {
  public:
   explicit NmeaFixes(std::string_view device);
