@@ -15,16 +15,4 @@ namespace rtdata::test {
 constexpr bool sanitized = RTDATA_TEST_SANITIZED;
 #undef RTDATA_TEST_SANITIZED
 
-/// The thread sanitizer, which delivers a signal when the program comes by, and not always.
-#if defined(__has_feature)
-#if __has_feature(thread_sanitizer)
-#define RTDATA_TEST_SANITIZED true
-#endif
-#endif
-#ifndef RTDATA_TEST_SANITIZED
-#define RTDATA_TEST_SANITIZED false
-#endif
-constexpr bool thread_sanitized = RTDATA_TEST_SANITIZED;
-#undef RTDATA_TEST_SANITIZED
-
 }  // namespace rtdata::test

@@ -14,7 +14,6 @@
 #include "app/runtime_folder.hpp"
 #include "has.hpp"
 #include "paths.hpp"
-#include "sanitized.hpp"
 #include "sinks/sqlite/database.hpp"
 
 using rtdata::app::ControlClient;
@@ -458,10 +457,6 @@ TEST_SUITE("app") {
   }
 
   TEST_CASE("NFR-7 a fatal signal is in the log file, behind the errors before it") {
-    if (rtdata::test::thread_sanitized) {
-      MESSAGE("skipped: the thread sanitizer does not always deliver a signal");
-      return;
-    }
     for (const int signal : {SIGSEGV, SIGABRT, SIGBUS}) {
       const Folder folder;
       folder.write("bench.json", R"({"sensors": [ {"name": "a", "type": "absent", "rate": "10 Hz"} ]})");
