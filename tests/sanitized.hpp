@@ -5,14 +5,22 @@
 namespace rtdata::test {
 
 #if defined(__has_feature)
-#if __has_feature(address_sanitizer) || __has_feature(thread_sanitizer)
-#define RTDATA_TEST_SANITIZED true
+#if __has_feature(thread_sanitizer)
+#define RTDATA_TEST_THREAD_SANITIZED true
+#endif
+#if __has_feature(address_sanitizer)
+#define RTDATA_TEST_ADDRESS_SANITIZED true
 #endif
 #endif
-#ifndef RTDATA_TEST_SANITIZED
-#define RTDATA_TEST_SANITIZED false
+#ifndef RTDATA_TEST_THREAD_SANITIZED
+#define RTDATA_TEST_THREAD_SANITIZED false
 #endif
-constexpr bool sanitized = RTDATA_TEST_SANITIZED;
-#undef RTDATA_TEST_SANITIZED
+#ifndef RTDATA_TEST_ADDRESS_SANITIZED
+#define RTDATA_TEST_ADDRESS_SANITIZED false
+#endif
+constexpr bool thread_sanitized = RTDATA_TEST_THREAD_SANITIZED;
+constexpr bool sanitized = thread_sanitized || RTDATA_TEST_ADDRESS_SANITIZED;
+#undef RTDATA_TEST_THREAD_SANITIZED
+#undef RTDATA_TEST_ADDRESS_SANITIZED
 
 }  // namespace rtdata::test

@@ -268,6 +268,9 @@ def check_handles(source):
 
 def check_requirements(source, rewrite):
     page, names = source / "docs/requirements.md", test_names(source)
+    for name in names:
+        if "`" in name and re.search(r"\b(?:US|NFR|FW)-\d", name):
+            problem("docs/requirements.md", f"a test that a row names has no ` in its name: {name!r}")
     lines = []
     for line in page.read_text().splitlines():
         match = re.match(r"\| ((?:US|NFR|FW)-[\d/]+) \| ([^|]*) \|(.*)\|$", line)

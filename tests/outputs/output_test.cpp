@@ -169,7 +169,7 @@ TEST_SUITE("outputs") {
     CHECK(b.output.value() == 0);
   }
 
-  TEST_CASE("US-35 an output is safe `max_age` after one of its topics fell silent, whatever the others bring") {
+  TEST_CASE("US-35 an output is safe max_age after one of its topics fell silent, whatever the others bring") {
     if (!Expression::available()) return;
     Bench b;
     Feed<Air> air(b.loop, {.name = "air"}), oven(b.loop, {.name = "oven"});

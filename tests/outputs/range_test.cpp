@@ -202,7 +202,7 @@ TEST_SUITE("outputs") {
     CHECK(output.health() == Health::ok);
   }
 
-  TEST_CASE("US-35 US-41 `ctl set` refuses a value that the output cannot have, with the reason") {
+  TEST_CASE("US-35 US-41 ctl set refuses a value that the output cannot have, with the reason") {
     const test::RuntimeFolder runtime;
     const test::Folder folder;
     ScratchDirectory chips;
