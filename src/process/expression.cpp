@@ -18,6 +18,7 @@
 #include "loop/support/deadline.hpp"
 #include "process/expression_tree.hpp"
 #include "process/time_window.hpp"
+#include "rtdata/data/instant.hpp"
 #include "rtdata/data/problem.hpp"
 
 namespace rtdata {
@@ -140,9 +141,13 @@ struct Expression::Program {
     bool has_value = false;
     bool has_result = false;
     bool was_true = false;
-    double last = 0;
+    bool has_before = false;
+    double last = 0;    // of the last instant
+    double before = 0;  // of the instant before that
     double result = 0;
+    double result_before = 0;
     Time last_time{};
+    Time time_before{};
   };
 
   Program(std::string_view the_text, std::vector<std::string> the_names) : text(the_text), names(std::move(the_names)) {
@@ -482,6 +487,14 @@ struct Expression::Program {
       memory.has_result = true;
     };
     const double last = std::exchange(memory.last, value);
+    const auto look_at_instant = [&] {
+      if (!is_first && time <= memory.last_time) return;  // a later value of the same one, which takes its place
+      memory.has_before = !is_first;
+      memory.before = last;
+      memory.time_before = memory.last_time;
+      memory.result_before = memory.has_result ? memory.result : 0;
+      memory.last_time = time;
+    };
     switch (memory.type) {
       case Type::highest:
         give(memory.has_result ? std::max(memory.result, value) : value);
@@ -493,13 +506,8 @@ struct Expression::Program {
         give(memory.window->take_mean(time, value));
         break;
       case Type::rate: {
-        const Duration passed = is_first ? Duration{0} : detail::span_between(memory.last_time, time);
-        if (passed > Duration{0}) give((value - last) / (static_cast<double>(passed.count()) * 1e-9));
-        if (!is_first && passed <= Duration{0}) {  // several at one time: the first of them stands for it
-          memory.last = last;
-          break;
-        }
-        memory.last_time = time;
+        look_at_instant();
+        if (memory.has_before) give((value - memory.before) / seconds_between(memory.time_before, memory.last_time));
         break;
       }
       case Type::rate_over: {
@@ -518,9 +526,9 @@ struct Expression::Program {
         break;
       }
       case Type::integral: {
-        const double before = is_first ? 0 : memory.result;
-        give(before + (is_first ? 0 : (last + value) / 2 * seconds_between(memory.last_time, time)));
-        memory.last_time = time;
+        look_at_instant();
+        const double seconds = memory.has_before ? seconds_between(memory.time_before, memory.last_time) : 0;
+        give(memory.result_before + (memory.before + value) / 2 * seconds);
         break;
       }
       case Type::age:  // needs no value: see `remember`
@@ -536,16 +544,17 @@ struct Expression::Program {
 
   ExpressionResult evaluate(Time time) noexcept {
     last_time = std::max(time, last_time);
+    if (instant == Time::min() || detail::span_between(instant, last_time) >= one_instant) instant = last_time;
     for (const Step& step : steps) {
       const Operation& operation = operations[step.operation];
       if (step.memory == no_memory) {
         evaluate(operation, values[step.place]);
       } else if (operation.type == Operation::Type::value) {
-        remember(memories[step.memory], step.place, values[operation.a], last_time);
+        remember(memories[step.memory], step.place, values[operation.a], instant);
       } else {
         Got argument;
         evaluate(operation, argument);
-        remember(memories[step.memory], step.place, argument, last_time);
+        remember(memories[step.memory], step.place, argument, instant);
       }
     }
     evaluate(operations[root], outcome);
@@ -560,11 +569,12 @@ struct Expression::Program {
     }
     ++event;  // no name is set with it
     for (Memory& memory : memories) {
-      memory.has_value = memory.has_result = memory.was_true = false;
+      memory.has_value = memory.has_result = memory.was_true = memory.has_before = false;
+      memory.before = memory.result_before = 0;
       if (memory.window != nullptr) memory.window->clear();
     }
     outcome = {};
-    last_time = Time::min();
+    last_time = instant = Time::min();
   }
 
   std::string name_of(std::size_t place) const {
@@ -620,6 +630,7 @@ struct Expression::Program {
   std::size_t root = 0;
   Got outcome;
   Time last_time = Time::min();
+  Time instant = Time::min();  // of the last event: the time of the first that is nearer to it than `one_instant`
   // While it is made, of each node of the tree.
   std::vector<std::size_t> places;
   std::vector<bool> has_names;

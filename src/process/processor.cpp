@@ -9,6 +9,7 @@
 #include "data/field_layout.hpp"
 #include "loop/support/deadline.hpp"
 #include "process/published.hpp"
+#include "rtdata/data/instant.hpp"
 #include "rtdata/data/value.hpp"
 #include "rtdata/process/processing_parameters.hpp"
 
@@ -214,7 +215,7 @@ void Processor::add_group(const std::vector<Item>& items) {
         group.decides = true;
         break;
       case FilterType::rate_of_change:
-        add_op(Step::rate, lanes);
+        add_op(Step::rate, 2 * lanes);  // of the last instant, and of the one before
         break;
     }
   }
@@ -236,6 +237,7 @@ Processor::Fate Processor::take(void*& payload, Time time, std::uint64_t breaks)
   if (breaks != breaks_ || time < last_time_) restart();
   breaks_ = breaks;
   last_time_ = time;
+  if (instant_ > time || span_between(instant_, time) >= one_instant) instant_ = time;
   const auto* const from = static_cast<const std::byte*>(payload);
   for (const Copy& copy : copies_) std::memcpy(out_ + copy.to, from + copy.from, copy.size);
   bool is_wanted = !decides_;
@@ -359,7 +361,7 @@ bool Processor::run(Group& group, const std::byte* payload, Time time, bool& is_
           if (std::abs(x[i] - b[i]) < a[i]) passes_[i] = 0;
         break;
       case Step::rate:
-        if (!put_rates(group, *op, time)) return false;
+        if (!put_rates(group, *op)) return false;
         break;
     }
   }
@@ -499,22 +501,28 @@ void Processor::take_means(std::size_t lanes, Op& op) noexcept {
     x[i] = (is_across ? since[i] + sums[op.at * lanes + i] : since[i]) / op.filled;
 }
 
-bool Processor::put_rates(const Group& group, Op& op, Time time) noexcept {
+/// Since the instant before, whose last value stands for it.
+bool Processor::put_rates(const Group& group, Op& op) noexcept {
   double* const last = numbers_.data() + op.first;
-  const bool is_first = op.filled == 0;
-  const Duration passed = is_first ? Duration{0} : span_between(op.last_time, time);
-  const bool is_known = passed > Duration{0};
+  double* const before = last + group.count;
+  const bool is_new = op.filled == 0 || instant_ > op.last_time;
+  const bool is_known = op.filled > (is_new ? 0U : 1U);
+  const double* const from = is_new ? last : before;
+  const Duration passed = is_known ? span_between(is_new ? op.last_time : op.time_before, instant_) : Duration{0};
   for (std::size_t i = 0; i < group.count; ++i) {
     std::byte* const at = out_ + lanes_[group.first + i].rate;
     if (group.rate_optional->set(at, is_known) == nullptr) continue;
-    const double rate = (x_[i] - last[i]) / (static_cast<double>(passed.count()) * 1e-9);
+    const double rate = (x_[i] - from[i]) / (static_cast<double>(passed.count()) * 1e-9);
     if (!std::isfinite(rate)) return fail(group, i, Failure::not_finite, x_[i]);
     std::memcpy(at, &rate, sizeof rate);
   }
-  if (!is_first && !is_known) return true;  // several at one time: the first of them stands for it
-  op.filled = 1;
+  if (is_new) {
+    std::copy_n(last, group.count, before);
+    op.time_before = op.last_time;
+    op.last_time = instant_;
+    op.filled = std::min(op.filled + 1, 2U);
+  }
   std::copy_n(x_.data(), group.count, last);
-  op.last_time = time;
   return true;
 }
 

@@ -55,6 +55,7 @@ class Processor {
     std::uint32_t at = 0;      // the place of the next one
     std::size_t first = 0;     // of its numbers
     Time last_time{};
+    Time time_before{};
     Duration time{0};
   };
   /// Values that go through the same steps, side by side: dispatching costs the group no more than one value. An
@@ -103,7 +104,7 @@ class Processor {
   bool check_bounds(const Group& group, const Op& op) noexcept;
   void take_medians(std::size_t lanes, Op& op) noexcept;
   void take_means(std::size_t lanes, Op& op) noexcept;
-  bool put_rates(const Group& group, Op& op, Time time) noexcept;
+  bool put_rates(const Group& group, Op& op) noexcept;
   bool put(const Group& group) noexcept;
 
   std::shared_ptr<const Description> source_;
@@ -120,7 +121,8 @@ class Processor {
   std::byte* out_ = nullptr;
   std::uint64_t breaks_ = 0;
   Time last_time_ = Time::min();
-  bool decides_ = false;  // a value may hold a sample back
+  Time instant_ = Time::min();  // of the sample: the time of the first that is nearer to it than `one_instant`
+  bool decides_ = false;        // a value may hold a sample back
   std::size_t failed_leaf_ = 0;
   Failure failure_{};
   double failed_value_ = 0;

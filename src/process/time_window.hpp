@@ -11,7 +11,7 @@
 namespace rtdata::detail {
 
 /// Values of the last so many nanoseconds. Those that come closer than a thousandth of that are one entry, so that it
-/// is bounded.
+/// is bounded. Times are those of instants: of values of the same time the last counts.
 class TimeWindow {
  public:
   explicit TimeWindow(Duration length)
@@ -19,8 +19,19 @@ class TimeWindow {
 
   /// The mean with this value in it.
   double take_mean(Time time, double value) noexcept {
-    while (first_ != end_ && span_between(time_at(first_), time) >= length_) drop_first();
-    if (first_ != end_ && span_between(time_at(end_ - 1), time) < spacing_) {
+    const bool is_same = end_ != 0 && time == newest_;
+    newest_ = time;
+    while (!is_same && first_ != end_ && span_between(time_at(first_), time) >= length_) drop_first();
+    if (is_same) {
+      values_[place(end_ - 1)] = entry_before_;
+      --counts_[place(end_ - 1)];
+      back_ = back_before_;
+      --back_count_;
+    }
+    back_before_ = back_;
+    entry_before_ = 0;
+    if (is_same || (first_ != end_ && span_between(time_at(end_ - 1), time) < spacing_)) {
+      entry_before_ = values_[place(end_ - 1)];
       values_[place(end_ - 1)] += value;
       ++counts_[place(end_ - 1)];
     } else {
@@ -40,13 +51,17 @@ class TimeWindow {
     if (has_one)
       rate = (value - values_[place(first_)]) /
              (static_cast<double>(span_between(time_at(first_), time).count()) * 1e-9);
-    if (first_ == end_ || span_between(time_at(end_ - 1), time) >= spacing_) push(time, value);
+    if (first_ == end_ || span_between(time_at(end_ - 1), time) >= spacing_) {
+      push(time, value);
+    } else if (time == time_at(end_ - 1)) {
+      values_[place(end_ - 1)] = value;
+    }
     return has_one;
   }
 
   void clear() noexcept {
     first_ = middle_ = end_ = 0;
-    back_ = 0;
+    back_ = back_before_ = entry_before_ = 0;
     back_count_ = 0;
   }
 
@@ -92,6 +107,9 @@ class TimeWindow {
   std::uint64_t end_ = 0;
   double back_ = 0;
   std::uint64_t back_count_ = 0;
+  Time newest_{};  // of the mean, and the sums without its newest value
+  double back_before_ = 0;
+  double entry_before_ = 0;
 };
 
 }  // namespace rtdata::detail

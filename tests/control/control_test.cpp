@@ -51,6 +51,15 @@ TEST_SUITE("outputs") {
     CHECK(d.update(std::numeric_limits<double>::infinity(), at(5s)) == 0);
   }
 
+  TEST_CASE("US-35 Pid: values 1 ns apart are one instant, of which the last counts") {
+    const PidConfig config{.setpoint = 10, .kp = 0.5, .ki = 2, .kd = 1, .least = -1000, .most = 1000};
+    Pid bundled(config), plain(config);
+    for (int i = 0; i < 20; ++i) {
+      for (int line = 0; line < 16; ++line) bundled.update(0.1 * i * i + line - 15, at(i * 16ms + Duration{line}));
+      CHECK(bundled.output() == doctest::Approx(plain.update(0.1 * i * i, at(i * 16ms))));
+    }
+  }
+
   TEST_CASE("US-35 Pid: a value so large that the arithmetic overflows costs only itself") {
     Pid pid({.setpoint = 20, .kp = 0.1, .ki = 0.01, .kd = 0.01, .least = 0, .most = 10});
     double output = 0;

@@ -359,7 +359,7 @@ TEST_SUITE("process") {
     bench.publish({2, 0, {}});
     bench.publish({1, 0, {}});
     CHECK(bench.events == std::vector<std::string>{"1 0 absent absent", "1.5 0 absent 50", "7 0 absent 550",
-                                                   "8 0 absent absent", "2 0 absent absent", "1 0 absent -100"});
+                                                   "8 0 absent 650", "2 0 absent absent", "1 0 absent -100"});
   }
 
   TEST_CASE("US-27 filters begin anew after a gap, a fault, a stop, an absent value and a change of the processing") {

@@ -15,9 +15,9 @@
 ///     its output is always what the formula says.
 ///
 /// The time between two updates is that of their `time`, whatever the rate; one that is not after the last counts as no
-/// time. The first update has no integral and no derivative yet. A measured value that is not finite changes nothing:
-/// the last output is returned. One so large that the arithmetic overflows counts as such a one, and the next update
-/// goes on as after `follow`.
+/// time, and of those nearer than `one_instant` the last counts. The first update has no integral and no derivative
+/// yet. A measured value that is not finite changes nothing: the last output is returned. One so large that the
+/// arithmetic overflows counts as such a one, and the next update goes on as after `follow`.
 ///
 /// A value; one thread at a time. Takes no memory, throws nothing. Form and anti-windup by clamping: K. J. Astrom,
 /// T. Hagglund, "Advanced PID Control", sections 3.2 to 3.5.
@@ -26,8 +26,10 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <optional>
 
 #include "rtdata/data/config_item.hpp"
+#include "rtdata/data/instant.hpp"
 #include "rtdata/data/parameter.hpp"
 #include "rtdata/data/time.hpp"
 
@@ -68,6 +70,12 @@ class Pid {
 
   double update(double measured, Time time) noexcept {
     if (!std::isfinite(measured)) return output_;
+    if (before_ && time >= before_->instant && time - before_->instant < one_instant) {
+      time = before_->instant;
+      take_back();
+    } else {
+      before_ = Before{time, output_, integral_, rate_, last_time_, last_measured_, has_last_, is_following_};
+    }
     const double error = config_.setpoint - measured;
     double seconds = 0;
     if (has_last_) seconds = std::max(std::chrono::duration<double>(time - last_time_).count(), 0.0);
@@ -121,6 +129,7 @@ class Pid {
     if (has_last_ && !is_following_ && !is_held) integral_ -= fast_part(last_measured_);
     if (!std::isfinite(integral_)) integral_ = was;
     output_ = clamped(output_);
+    before_.reset();
   }
   /// The actuator has this value, whatever was computed: with an integral the next update gives the same, and goes on
   /// from there.
@@ -129,9 +138,27 @@ class Pid {
     is_following_ = true;
     has_last_ = false;
     rate_ = 0;
+    before_.reset();
   }
 
  private:
+  /// What an instant began with: a later value of it takes the place of the one before.
+  struct Before {
+    Time instant{};
+    double output = 0, integral = 0, rate = 0;
+    Time last_time{};
+    double last_measured = 0;
+    bool has_last = false, is_following = false;
+  };
+  void take_back() noexcept {
+    output_ = before_->output;
+    integral_ = before_->integral;
+    rate_ = before_->rate;
+    last_time_ = before_->last_time;
+    last_measured_ = before_->last_measured;
+    has_last_ = before_->has_last;
+    is_following_ = before_->is_following;
+  }
   double fast_part(double measured) const noexcept {
     return config_.kp * (config_.setpoint - measured) - config_.kd * rate_;
   }
@@ -145,6 +172,7 @@ class Pid {
   double last_measured_ = 0;
   bool has_last_ = false;
   bool is_following_ = false;  // with an integral the next update gives `output_`
+  std::optional<Before> before_ = {};
 };
 
 }  // namespace rtdata
