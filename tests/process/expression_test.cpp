@@ -269,7 +269,7 @@ TEST_CASE("rate: the change a second since the value before, or over some second
   CHECK(many.take(100001, 10us).value == doctest::Approx(100000).epsilon(0.002));
 }
 
-TEST_CASE("US-28 lines that USB brings in bundles, 1 ns apart, are one instant: no rate of a ns") {
+TEST_CASE("lines that USB brings in bundles, 1 ns apart, are one instant: no rate of a ns") {
   NEEDS_EXPRESSIONS();
   // 1 kHz in bundles of 16 every 16 ms; p grows by 62.8 a second.
   Expression rate("rate(p)", {"p"}), over("rate(p, 0.1)", {"p"}), area("integral(p)", {"p"}), mean("mean(p, 1)", {"p"});
