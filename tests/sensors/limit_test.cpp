@@ -274,6 +274,55 @@ TEST_CASE("a flood of alarms is joined and counted, and a worse one is never lat
   CHECK(bench.sensor.counts().published == 4);
 }
 
+TEST_CASE("what is joined is published when `join` is over, whether an event comes or not") {
+  LimitBench bench({.high = 100, .silence = 0s, .join = 1s});
+  bench.take(0);
+  bench.take(150, 100ms);
+  CHECK(bench.levels() == std::vector{normal, high});
+  bench.take(0, 400ms);  // and then nothing for long: what follows the alarm is on until it is told
+  bench.loop.advance(599ms);
+  CHECK(bench.levels().empty());
+  const Time due = bench.loop.time() + 1ms;
+  Time told{};
+  const Subscription watch = bench.loop.subscribe<Alarm>("alarm",
+                                                         [&](const Event<Alarm>& event) { told = event.time; });
+  bench.loop.advance(1ms);
+  CHECK(told == due);
+  CHECK(bench.levels() == std::vector{normal});
+  bench.loop.advance(20s);
+  CHECK(bench.alarms.empty());
+  // It is worse than what was told last, though not than what was before that: `join` began anew.
+  bench.take(150, 100ms);
+  CHECK(bench.levels() == std::vector{high});
+  // What ends while it is held, by a worse one or an acknowledgement, is not told twice.
+  bench.take(0, 100ms);
+  bench.take(150, 100ms);
+  CHECK(bench.levels().empty());
+  CHECK(bench.sensor.acknowledge());
+  bench.loop.poll();
+  REQUIRE(bench.alarms.size() == 1);
+  CHECK(bench.alarms[0].joined == 1);
+  bench.alarms.clear();
+  bench.loop.advance(20s);
+  CHECK(bench.alarms.empty());
+  // Held when it is stopped: the unknown value is the last word.
+  bench.take(0, 100ms);
+  bench.take(150, 10ms);
+  bench.alarms.clear();
+  bench.take(0, 10ms);
+  bench.sensor.stop();
+  bench.loop.advance(20s);
+  CHECK(bench.levels() == std::vector{unknown});
+}
+
+TEST_CASE("a change from too high to too low is told at once, and so is the way back") {
+  LimitBench bench({.low = -100, .high = 100, .join = 10s});
+  for (const double pressure : {0, 150, -150, 150}) bench.take(pressure, 10ms);
+  CHECK(bench.levels() == std::vector{normal, high, low, high});
+  for (const double pressure : {0, -150}) bench.take(pressure, 10ms);
+  CHECK(bench.levels() == std::vector{low});
+}
+
 TEST_CASE("a topic that falls silent is an alarm, a gap and a fault, and told once") {
   LimitBench bench({.high = 100, .silence = 2s});
   bench.loop.advance(2s);
@@ -290,7 +339,7 @@ TEST_CASE("a topic that falls silent is an alarm, a gap and a fault, and told on
   CHECK(bench.levels() == std::vector{high});
   bench.take(0, 100ms);
   bench.loop.advance(2s);
-  CHECK(bench.levels() == std::vector{unknown});
+  CHECK(bench.levels() == std::vector{normal, unknown});
   bench.sensor.stop();
   bench.loop.advance(10s);
   CHECK(bench.alarms.empty());

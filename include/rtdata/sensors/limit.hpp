@@ -10,8 +10,9 @@
 /// since nobody watches any more; closing the limit and the end of its run publish nothing.
 ///
 /// A flood is joined: after an event, changes within `join` are held back and counted, unless the alarm is worse than
-/// what was published since; what has become of them is published once `join` is over. So a value that swings about a
-/// limit makes few events, and an alarm is never late.
+/// what was published since, or changes from too low to too high or back; what has become of them is published when
+/// `join` is over, whether an event comes then or not. So a value that swings about a limit makes few events, and an
+/// alarm is never late.
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's.
 #pragma once

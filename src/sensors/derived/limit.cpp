@@ -24,6 +24,13 @@ std::string no_such_number(const LimitConfig& config) {
   return "the topic \"" + config.on + "\" has no number `" + (config.field.empty() ? "value" : config.field) + "`";
 }
 
+/// One is too low, the other too high.
+bool are_opposite(LimitLevel a, LimitLevel b) {
+  const auto is_low = [](LimitLevel level) { return level == LimitLevel::low || level == LimitLevel::low_low; };
+  const auto is_high = [](LimitLevel level) { return level == LimitLevel::high || level == LimitLevel::high_high; };
+  return (is_low(a) && is_high(b)) || (is_high(a) && is_low(b));
+}
+
 }  // namespace
 
 namespace detail {
@@ -34,7 +41,8 @@ class LimitNode final : public FeedNode {
       : FeedNode(loop.core(), feed, payload_type<Alarm>()),
         config_(config),
         watch_(config.settings()),
-        silence_(loop, [this] { look_for_silence(); }) {
+        silence_(loop, [this] { look_for_silence(); }),
+        held_(loop, [this] { tell_held(); }) {
     set_numbered();  // it makes its events itself
   }
 
@@ -54,6 +62,7 @@ class LimitNode final : public FeedNode {
     if (!is_running()) return;
     Call call(*this);
     silence_.stop();
+    held_.stop();
     FeedNode::stop();
     const Time now = loop()->runtime.event_time(loop()->now());
     if (is_ending_) {
@@ -68,6 +77,7 @@ class LimitNode final : public FeedNode {
   void stop_schedule(MonotonicTime end) override {
     is_ending_ = true;
     silence_.stop();
+    held_.stop();
     FeedNode::stop_schedule(end);
   }
 
@@ -113,22 +123,34 @@ class LimitNode final : public FeedNode {
     consider(has_changed, event.time());
   }
 
-  /// Publishes what has changed, or joins it with what comes.
+  /// Publishes what has changed, or joins it with what comes while `join` lasts.
   void consider(bool has_changed, Time time) {
     if (has_changed) ++waiting_;
     if (waiting_ == 0 && has_published_) return;
-    const int now = severity(watch_.state().alarm);
-    const bool is_over = !has_published_ || span_between(published_, time) >= config_.join;
-    if (!is_over && now <= worst_) return;
-    worst_ = is_over ? now : std::max(worst_, now);
+    const LimitLevel alarm = watch_.state().alarm;
+    const Duration passed = has_published_ ? span_between(published_, time) : config_.join;
+    const bool is_over = passed >= config_.join;
+    if (!is_over && severity(alarm) <= worst_ && !are_opposite(alarm, told_)) {
+      if (!held_.is_running()) held_.start(config_.join - passed);
+      return;
+    }
+    worst_ = is_over ? severity(alarm) : std::max(worst_, severity(alarm));
     tell(time);
+  }
+  void tell_held() {
+    if (!is_running() || waiting_ == 0) return;
+    Call call(*this);
+    worst_ = severity(watch_.state().alarm);
+    tell(loop()->runtime.event_time(loop()->now()));
   }
 
   void tell(Time time) {
     const LimitState& state = watch_.state();
     Alarm alarm{state.level, state.alarm, state.alarm != LimitLevel::normal, state.acknowledged,
                 state.value, state.limit, waiting_ > 1 ? waiting_ - 1 : 0};
+    held_.stop();
     waiting_ = 0;
+    told_ = state.alarm;
     published_ = time;
     has_published_ = true;
     publish(&alarm, time);
@@ -152,6 +174,7 @@ class LimitNode final : public FeedNode {
     is_ending_ = true;
     subscription_.close();
     silence_.close();
+    held_.close();
     FeedNode::on_close();
   }
 
@@ -159,11 +182,13 @@ class LimitNode final : public FeedNode {
   LimitWatch watch_;
   Subscription subscription_;
   Timer silence_;
+  Timer held_;  // fires when `join` is over, while a change is held back
   MonotonicTime heard_{};
   std::uint64_t description_ = 0;  // of which the field is; 0: none yet
   const Leaf* field_ = nullptr;
-  std::uint32_t waiting_ = 0;  // changes that were not published
-  int worst_ = 0;              // of what was published since `join` began
+  std::uint32_t waiting_ = 0;             // changes that were not published
+  int worst_ = 0;                         // of what was published since `join` began
+  LimitLevel told_ = LimitLevel::normal;  // the alarm that was published last
   bool has_published_ = false;
   bool is_ending_ = false;  // it is closed, or the run's schedules have ended
   Time published_{};
