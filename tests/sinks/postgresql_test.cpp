@@ -1,22 +1,30 @@
 // Events into a real PostgreSQL server, and what becomes of them when it fails.
 #include <doctest/doctest.h>
 #include <libpq-fe.h>
+#include <poll.h>
 #include <sys/mount.h>
+#include <sys/socket.h>
+#include <sys/un.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include <atomic>
+#include <cerrno>
 #include <csignal>
 #include <filesystem>
 #include <fstream>
 #include <random>
 #include <sstream>
 #include <string>
+#include <thread>
+#include <utility>
 #include <vector>
 
 #include "has.hpp"
 #include "rtdata/sensors/feed.hpp"
 #include "rtdata/sinks/postgresql_recording.hpp"
 #include "sinks/killed.hpp"
+#include "sinks/postgresql/connection.hpp"
 #include "sinks/postgresql_server.hpp"
 #include "sinks/recordings.hpp"
 
@@ -101,6 +109,97 @@ const bool is_added = PostgresqlServer::is_there() &&
                       sinks::add_sink_kind({"PostgreSQL", [] { return std::make_unique<PostgresqlStore>(); }});
 
 using rtdata::test::has;
+
+/// A network between a sink and the server, of Unix sockets. It goes dark for a connection at the first COPY: nothing
+/// comes through any more, and neither side hears that it is over.
+class DarkNetwork {
+ public:
+  explicit DarkNetwork(const std::string& server) : server_(server + "/.s.PGSQL.5432") {
+    const std::string path = (folder_ / ".s.PGSQL.5432");
+    listener_ = ::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0);
+    const sockaddr_un at = address(path);
+    REQUIRE(::bind(listener_, reinterpret_cast<const sockaddr*>(&at), sizeof at) == 0);
+    REQUIRE(::listen(listener_, 8) == 0);
+    thread_ = std::thread([this] { run(); });
+  }
+  ~DarkNetwork() {
+    is_over_ = true;
+    thread_.join();
+    ::close(listener_);
+  }
+  DarkNetwork(const DarkNetwork&) = delete;
+  DarkNetwork& operator=(const DarkNetwork&) = delete;
+  std::string url(const std::string& database) const {
+    return "postgresql://rt@/" + database + "?host=" + (folder_ / "");
+  }
+  void go_dark_at_copy() { goes_dark_ = true; }
+  int dark() const { return dark_; }
+
+ private:
+  struct Pair {
+    int client, server;
+    bool is_dark;
+  };
+  static sockaddr_un address(const std::string& path) {
+    sockaddr_un at{};
+    at.sun_family = AF_UNIX;
+    path.copy(at.sun_path, sizeof at.sun_path - 1);
+    return at;
+  }
+  /// False: it has ended.
+  bool pass(Pair& pair, int from, int to) {
+    char buffer[1 << 16];
+    const ssize_t size = ::recv(from, buffer, sizeof buffer, MSG_DONTWAIT);
+    if (size < 0) return errno == EAGAIN;
+    if (size == 0) return false;
+    const std::string_view text(buffer, static_cast<std::size_t>(size));
+    if (::send(to, text.data(), text.size(), MSG_NOSIGNAL) != size) return false;
+    if (goes_dark_ && from == pair.client && text.find("COPY ") != text.npos) {
+      goes_dark_ = false;
+      pair.is_dark = true;
+      ++dark_;
+    }
+    return true;
+  }
+  void run() {
+    std::vector<Pair> pairs;
+    while (!is_over_) {
+      std::vector<pollfd> ready{{listener_, POLLIN, 0}};
+      for (const Pair& pair : pairs) {
+        ready.push_back({pair.is_dark ? -1 : pair.client, POLLIN, 0});
+        ready.push_back({pair.is_dark ? -1 : pair.server, POLLIN, 0});
+      }
+      ::poll(ready.data(), ready.size(), 20);
+      for (std::size_t i = 0; i < pairs.size(); ++i) {
+        Pair& pair = pairs[i];
+        bool goes_on = true;
+        if (ready[1 + 2 * i].revents != 0 && !pair.is_dark) goes_on = pass(pair, pair.client, pair.server);
+        if (goes_on && ready[2 + 2 * i].revents != 0 && !pair.is_dark) goes_on = pass(pair, pair.server, pair.client);
+        if (goes_on) continue;
+        ::close(std::exchange(pair.client, -1));
+        ::close(std::exchange(pair.server, -1));
+      }
+      std::erase_if(pairs, [](const Pair& pair) { return pair.client < 0; });
+      if (ready[0].revents == 0) continue;
+      const int client = ::accept4(listener_, nullptr, nullptr, SOCK_CLOEXEC);
+      const int server = ::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0);
+      const sockaddr_un at = address(server_);
+      ::connect(server, reinterpret_cast<const sockaddr*>(&at), sizeof at);
+      pairs.push_back({client, server, false});
+    }
+    for (const Pair& pair : pairs) {
+      ::close(pair.client);
+      ::close(pair.server);
+    }
+  }
+
+  recordings::Folder folder_;
+  std::string server_;
+  int listener_ = -1;
+  std::atomic<bool> is_over_ = false, goes_dark_ = false;
+  std::atomic<int> dark_ = 0;
+  std::thread thread_;
+};
 
 /// One that records, and whose sink goes through the recording.
 struct Node {
@@ -401,12 +500,12 @@ TEST_SUITE("sinks") {
                  "SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE datname = '" + database + "'");
     }
     SUBCASE("a lock held on the table") {
-      PGconn* const other = PQconnectdb(server.url(database).c_str());
-      PQclear(PQexec(other, "BEGIN; LOCK TABLE \"plant/number\" IN EXCLUSIVE MODE"));
+      PGconn* const other = ::PQconnectdb(server.url(database).c_str());
+      ::PQclear(PQexec(other, "BEGIN; LOCK TABLE \"plant/number\" IN EXCLUSIVE MODE"));
       program.loop.advance(2s);
       CHECK(program.told("holds a lock on the table"));
       CHECK(program.sink.health() == Health::faulted);
-      PQfinish(other);
+      ::PQfinish(other);
     }
     SUBCASE("the code of a full disk") {
       server.sql(database,
@@ -547,6 +646,49 @@ TEST_SUITE("sinks") {
     program.loop.advance(20s);
     program.loop.close();
     CHECK(check_once(server, database) == program.count);
+  }
+
+  TEST_CASE("NFR-1 a network that goes dark in a COPY: the server's session is ended by the next, and only that") {
+    SERVER_OR_SKIP(server);
+    const std::string database = server.make_database();
+    DarkNetwork network(server.folder());
+    Program program({.url = network.url(database), .timeout = 1s, .sink = {.name = "north"}});
+    Program other({.url = server.url(database), .timeout = 1s, .sink = {.name = "north"}});  // on another machine
+    program.loop.advance(3s);
+    other.loop.advance(3s);
+    const char* const sessions = "SELECT count(*) FROM pg_stat_activity WHERE application_name LIKE 'rtdata north %'";
+    CHECK(server.number(database, sessions) == 2);
+    network.go_dark_at_copy();
+    program.loop.advance(2s);
+    REQUIRE(network.dark() == 1);
+    CHECK(program.told("does not answer"));
+    program.loop.advance(20s);
+    CHECK(server.number(database, sessions) == 2);
+    CHECK(server.number(database,
+                        "SELECT count(*) FROM pg_stat_activity WHERE state = 'active' AND query LIKE "
+                        "'%COPY%' AND application_name LIKE 'rtdata north %'") == 0);
+    other.loop.advance(20s);
+    program.loop.close();
+    other.loop.close();
+    CHECK(other.all_errors().empty());
+    CHECK(check_once(server, database) == program.count + other.count);
+  }
+
+  TEST_CASE("NFR-1 what the server does when the network goes dark is asked for, where nobody has chosen it") {
+    SERVER_OR_SKIP(server);
+    const std::string database = server.make_database();
+    const auto connected = [&](const std::string& more) {
+      auto made = postgresql::Connection::open({.url = server.url(database) + more, .timeout = 7s});
+      REQUIRE(made);
+      auto reply = made->run(
+          "SELECT source || ' ' || coalesce(reset_val, '') FROM pg_settings WHERE name LIKE 'tcp_%' ORDER BY name");
+      REQUIRE(reply);
+      std::string all;
+      for (int row = 0; row < reply->rows(); ++row) all += std::string(reply->text(row, 0)) + "\n";
+      return all;
+    };
+    CHECK(connected("") == "session 0\nsession 0\nsession 0\nsession 0\n");
+    CHECK(connected("&options=-c%20tcp_keepalives_idle%3D77") == "session 0\nclient 77\nsession 0\nsession 0\n");
   }
 
   TEST_CASE("NFR-1 an older connection that was thought to be dead stores late: nothing is there twice") {

@@ -17,6 +17,9 @@ namespace {
 
 constexpr const char* what = "cannot use the server";
 
+/// Of TCP, on both sides: a peer that is gone is known after a minute. In seconds, and a number of tries.
+const std::string keepalive_idle = "30", keepalive_interval = "10", keepalive_count = "3";
+
 struct FreeOptions {
   void operator()(PQconninfoOption* options) const noexcept { PQconninfoFree(options); }
 };
@@ -176,17 +179,17 @@ Result<Connection> Connection::open(const Address& address) {
   const std::string port = address.port != 0 ? std::to_string(address.port) : "";
   const std::string patience = milliseconds(address.timeout);
   std::vector<const char*> keywords, values;
+  const std::string name = address.name.empty() ? "rtdata" : address.name;
   const auto set = [&](const char* keyword, const std::string& value) {
     if (value.empty()) return;
     keywords.push_back(keyword);
     values.push_back(value.c_str());
   };
   // Those before the URL are defaults, those after it hold.
-  const std::string name = "rtdata", idle = "30", interval = "10", count = "3";
   set("application_name", name);
-  set("keepalives_idle", idle);
-  set("keepalives_interval", interval);
-  set("keepalives_count", count);
+  set("keepalives_idle", keepalive_idle);
+  set("keepalives_interval", keepalive_interval);
+  set("keepalives_count", keepalive_count);
   set("tcp_user_timeout", patience);
   set("dbname", address.url);
   set("host", address.host);
@@ -249,6 +252,18 @@ Result<Connection> Connection::open(const Address& address) {
                     ";SET DateStyle=ISO;SET TimeZone='UTC';SET standard_conforming_strings=on;"
                     "SET extra_float_digits=1;SET default_transaction_isolation='read committed'";
   if (!address.schema.empty()) sql += ";SET search_path=" + quoted_name(address.schema) + ",pg_catalog";
+  // When the network goes dark the server keeps the session, with its locks, until its own TCP gives up: by default
+  // after two hours. What somebody has chosen is left alone, as is what an older server does not know.
+  sql += ";SELECT set_config(s.name, v.value, false) FROM pg_settings s JOIN (VALUES ('tcp_keepalives_idle', '" +
+         keepalive_idle + "'), ('tcp_keepalives_interval', '" + keepalive_interval + "'), ('tcp_keepalives_count', '" +
+         keepalive_count + "'), ('tcp_user_timeout', '" + patience +
+         "')) v(name, value) ON s.name = v.name WHERE s.source = 'default'";
+  // And where this very connection was the older one, it is not waited for.
+  if (!address.name.empty())
+    sql +=
+        ";SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE usename = current_user AND pid <> "
+        "pg_backend_pid() AND application_name = " +
+        made.literal(address.name);
   auto done = made.run(sql);
   if (!done) return std::move(done).error();
   return made;

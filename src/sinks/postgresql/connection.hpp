@@ -21,6 +21,9 @@ struct Address {
   std::string url = {}, host = {}, database = {}, user = {}, password = {}, schema = {};
   int port = 0;
   Duration timeout = std::chrono::seconds{30};
+  /// What the server calls its sessions. One that an earlier connection of this name left behind is ended, so that
+  /// nobody else may have the name.
+  std::string name = {};
 };
 
 /// Errors: not_found (libpq is not there); bad_argument (it does not understand the URL). `has_password`: one is in the

@@ -26,6 +26,9 @@ void check_config(const PostgresqlConfig& config, const ConfigItem& item, Proble
     const ConfigItem* url = item.find("url");
     problems.add((url != nullptr ? *url : item).problem("bad-value", std::move(message)));
   };
+  if (config.schema.starts_with("pg_"))
+    problems.add((item.find("schema") != nullptr ? *item.find("schema") : item)
+                     .problem("bad-value", "names that begin with pg_ are the server's own; choose another"));
   const auto parts = postgresql::look_at_url(config.url);
   if (!parts) return tell(parts.error().why + "; " + parts.error().advice);
   if (parts->has_password)

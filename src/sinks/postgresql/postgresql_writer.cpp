@@ -2,6 +2,9 @@
 
 #include <unistd.h>
 
+#include <cstdio>
+#include <random>
+
 #ifdef RTDATA_WITH_SQLITE
 #include "sinks/postgresql/account_copy.hpp"
 #endif
@@ -27,11 +30,23 @@ std::string key_of(std::string_view topic, std::string_view origin) {
 
 std::string number(std::uint64_t value) { return std::to_string(static_cast<std::int64_t>(value)); }
 
+/// What the server calls the sessions of this writer, and of no other, on whatever machine: a node may be a copy of
+/// another's disk, and processes of two containers may have one number.
+std::string session_name(const std::string& sink) {
+  std::random_device random;
+  char digits[17] = {};
+  std::snprintf(digits, sizeof digits, "%08x%08x", random(), random());
+  std::string name = "rtdata ";
+  for (const char c : sink.substr(0, 38)) name += c > ' ' && c <= '~' ? c : '?';  // as the server would have it
+  return name + " " + digits;
+}
+
 }  // namespace
 
 Address address_of(const PostgresqlConfig& config) {
-  return {config.url,      config.host,   config.database, config.user,
-          config.password, config.schema, config.port,     config.timeout};
+  return {config.url,  config.host,     config.database,
+          config.user, config.password, config.schema,
+          config.port, config.timeout,  session_name(config.sink.name)};
 }
 
 PostgresqlWriter::PostgresqlWriter(const PostgresqlConfig& config)
