@@ -194,7 +194,15 @@ bool check_is_array(const ConfigItem& item, Problems& problems) {
 }
 
 bool check_is_object(const ConfigItem& item, Problems& problems) {
-  return item.is_object() || wrong_type(item, "an object", problems);
+  if (item.is_object()) return true;
+  const std::string* const name = item.as_string();
+  // Of lists of fields, states, sensors: each has a name at least.
+  if (name == nullptr || !item.path().ends_with(']')) return wrong_type(item, "an object", problems);
+  constexpr std::string_view before = "the string ";
+  const std::string got = item.describe();
+  problems.add(item.problem(
+      "wrong-type", "expected an object, got " + got + "; write {\"name\": " + got.substr(before.size()) + "}"));
+  return false;
 }
 
 bool check_length(const ConfigItem& item, std::size_t length, Problems& problems) {

@@ -37,6 +37,12 @@ struct Quantity {
   bool is_number = false;
 };
 
+constexpr const char* decimal_comma = "its decimals come after a comma";
+constexpr const char* decimal_advice = "write a point, such as 2.5";
+bool has_decimal_comma(const Quantity& q) {
+  return q.fraction.empty() && q.unit.size() > 1 && q.unit[0] == ',' && q.unit[1] >= '0' && q.unit[1] <= '9';
+}
+
 Quantity take_apart(std::string_view text) {
   Quantity q;
   text = trim(text);
@@ -259,8 +265,9 @@ Result<Duration> parse_duration(std::string_view text) {
   }
   if (q.negative) return not_a_duration(text, Errc::out_of_range, "it is negative", "write one such as \"10 ms\"");
   if (q.unit.empty()) {
+    const std::string number(trim(text).substr(0, 20));
     return not_a_duration(text, Errc::bad_argument, "it has no unit",
-                          "write a unit, such as \"" + std::string(trim(text).substr(0, 20)) + " ms\"");
+                          "write a unit, such as \"" + number + " s\" or \"" + number + " ms\"");
   }
   for (const Unit& unit : units) {
     if (unit.name != q.unit) continue;
@@ -280,6 +287,7 @@ Result<Duration> parse_duration(std::string_view text) {
     if (!to_number(q.whole, whole) || !multiply(whole, unit.nanoseconds, part, result)) return too_long();
     return Duration{static_cast<std::int64_t>(result)};
   }
+  if (has_decimal_comma(q)) return not_a_duration(text, Errc::bad_argument, decimal_comma, decimal_advice);
   return not_a_duration(text, Errc::bad_argument, "the unit " + quoted(q.unit) + " is not known", known);
 }
 
@@ -344,6 +352,7 @@ Result<Rate> parse_rate(std::string_view text) {
   if (!period) {
     const Error& error = period.error();
     if (error.code == Errc::bad_argument) {
+      if (has_decimal_comma(q)) return not_a_rate(text, Errc::bad_argument, decimal_comma, decimal_advice);
       return not_a_rate(text, Errc::bad_argument, "the unit " + quoted(q.unit) + " is not known",
                         "the units are Hz, kHz, MHz, /s, /min, /h, or those of a period: ns, us, ms, s, min, h, d");
     }

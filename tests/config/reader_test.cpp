@@ -77,6 +77,11 @@ TEST_SUITE("config") {
     CHECK(mistake("{\"a\": }") == "1:7: expected a value, found '}'");
     CHECK(mistake("{a: 1}") == "1:2: expected a key in \"quotes\", found 'a'");
     CHECK(mistake("{\"s\": [{'a': 1}]}") == "1:9: s[0]: text needs double quotes (\"), not single ones");
+    CHECK(mistake("{\"a\": 1\n# my bench\n}") == "2:1: a comment begins with //, not with '#'");
+    CHECK(mistake("# my bench\n{}") == "1:1: a comment begins with //, not with '#'");
+    CHECK(mistake("{\u201cname\u201d: 1}") ==
+          "1:2: text needs plain double quotes (\"), not typographic ones: '\u201cname\u201d'");
+    CHECK(mistake("{\"name\": \u201ebench\u201c}").starts_with("1:10: text needs plain double quotes"));
     CHECK(mistake("[True]") == "1:2: expected a value, found 'True'; text needs \"quotes\" (did you mean \"true\"?)");
     CHECK(mistake("{\"a\": 10 ms}") == "1:10: expected ',' or '}', found 'ms'; is a comma missing before it?");
     CHECK(mistake("{\"a\": 10ms}") ==

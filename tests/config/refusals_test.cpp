@@ -211,6 +211,45 @@ void try_all(const TypeRegistryBase& types, const char* list, const std::map<std
 }  // namespace
 
 TEST_SUITE("config") {
+  TEST_CASE(
+      "check says what a beginner meant: a shell's ~, a port of Windows, a name alone, a comma, and warnings too") {
+    const Folder folder;
+    const auto said = [&](const std::string& text) {
+      folder.write("b.json", text);
+      Process check(folder, test::program, {"check", "b.json"});
+      CHECK(check.end() != 0);
+      return check.out;
+    };
+    const auto line = [](const std::string& more) {
+      return R"({"sensors": [{"name": "s", "type": "serial", "device": "/dev/ttyS0", "fields": [)"
+             R"({"name": "x"}])" +
+             more + "}]}";
+    };
+    ::setenv("HOME", "/home/ann", 1);
+    CHECK(has(said(R"({"sinks": [{"type": "sqlite", "path": "~/bench.db"}]})"),
+              "nobody expands here: write \"/home/ann/bench.db\""));
+    CHECK(has(said(R"({"sinks": [{"type": "file", "path": "~/bench.csv"}]})"), "write \"/home/ann/bench.csv\""));
+    for (const char* port : {"COM3", "com12"})
+      CHECK(has(said(R"({"buses": {"b": {"type": "serial", "device": ")" + std::string(port) + "\"}}}"),
+                "\"" + std::string(port) + "\" is a name of Windows; here a serial device is such as /dev/ttyUSB0"));
+    CHECK(has(said(R"({"sensors": [{"name": "s", "type": "serial", "device": "/dev/ttyS0", "fields": ["force"]}]})"),
+              "sensors[0].fields[0]: expected an object, got the string \"force\"; write {\"name\": \"force\"}"));
+    CHECK(has(said(line(R"(, "rate": "10 Hz")")), "a serial line takes what comes: it has no rate"));
+    CHECK(has(said(R"({"sensors": [{"name": "s", "type": "host", "quantity": "load", "rate": "2,5 Hz"}]})"),
+              "its decimals come after a comma; write a point"));
+    // A unit that is none is a warning, which is not held back until the mistake is mended.
+    const std::string both = said(R"({"sensors": [{"name": "s", "type": "serial", "device": "/dev/ttyS0", "fields": [)"
+                                  R"({"name": "x", "unit": "Bar"}], "rat": 1}]})");
+    CHECK(has(both, "unknown key"));
+    CHECK(has(both, "warning: "));
+    CHECK(has(both, "Bar"));
+    CHECK(has(both, "\n1 problem\n"));
+    folder.write("b.json", line(""));
+    Process check(folder, test::program, {"check", "b.json"});
+    CHECK(check.end() == 0);
+    CHECK(has(check.out, "`rtdata doctor` does that\n"));
+  }
+
   TEST_CASE("NFR-5 what check takes can be made: each parameter of each sensor with each of many odd values") {
     try_all(standard_registry().sensors(), "sensors", right_sensors);
   }

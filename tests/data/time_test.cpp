@@ -93,7 +93,9 @@ TEST_SUITE("data") {
   }
 
   TEST_CASE("wrong durations are refused with advice") {
-    CHECK(parse_duration("10").error().advice == "write a unit, such as \"10 ms\"");
+    CHECK(parse_duration("10").error().advice == "write a unit, such as \"10 s\" or \"10 ms\"");
+    CHECK(parse_duration("1,5 s").error().why == "its decimals come after a comma");
+    CHECK(parse_duration("1,5 s").error().advice == "write a point, such as 2.5");
     for (const char* text :
          {"", " ", "ms", "abc", "-1 s", "1. s", ".5 s", "1 sec", "1 S", "1e3 s", "0.1 ns", "1.0000000001 s",
           "9223372036854775808 ns", "300000 d", "99999999999999999999999 s", "1 s 2", "1,5 s", "nan s"}) {
@@ -134,6 +136,8 @@ TEST_SUITE("data") {
 
   TEST_CASE("wrong rates are refused with advice") {
     CHECK(parse_rate("10").error().advice == "write a unit, such as \"10 Hz\"");
+    CHECK(parse_rate("2,5 Hz").error().why == "its decimals come after a comma");
+    CHECK(parse_rate("every 2,5 s").error().why == "its decimals come after a comma");
     for (const char* text : {"", "Hz", "-1 Hz", "0 Hz", "0 ms", "1 hz", "1 bpm", "3 GHz", "0.00000000001 mHz",
                              "1234567890123456789 Hz", "1.2345678901234567890 Hz", "every 5 Hz", "every"}) {
       CAPTURE(text);

@@ -64,8 +64,8 @@ int check(const Registry& registry, const CheckOptions& options) {
   SystemPlan plan = plan_system(registry, load_config(options.file));
   check_log_file(log_file_of(plan, ""), plan);
   if (!plan.good()) {
-    std::cout << plan.report() << plan.problems.size() << (plan.problems.size() == 1 ? " problem" : " problems")
-              << std::endl;
+    std::cout << plan.report() << plan.document.report(plan.warnings, "warning: ") << plan.problems.size()
+              << (plan.problems.size() == 1 ? " problem" : " problems") << std::endl;
     return exit_configuration;
   }
   warn_of_growth(plan, growth_span);
@@ -87,6 +87,7 @@ int check(const Registry& registry, const CheckOptions& options) {
     std::cout << "note: " << hide_secrets(waiting, plan.secrets) << "\n";
   if (const std::string quiet = unnoticed_silence(registry, plan); !quiet.empty())
     std::cout << "note: " << quiet << "\n";
+  std::cout << "note: devices, the disk and the clock are not looked at here: `rtdata doctor` does that\n";
   const auto counted = [](std::size_t count, const char* what) {
     return std::to_string(count) + " " + what + (count == 1 ? "" : "s");
   };

@@ -80,6 +80,13 @@ Problem bad_word(const Token& token) {
                  nearest_name(token.text, {"true", "false", "null"}));
 }
 
+/// Such as a word processor or a web page makes of plain ones.
+bool has_typographic_quote(std::string_view text) {
+  for (const std::string_view quote : {"\u201c", "\u201d", "\u201e", "\u2018", "\u2019", "\u00ab", "\u00bb"})
+    if (text.starts_with(quote)) return true;
+  return false;
+}
+
 /// What is wrong with a token whatever stands around it; false when nothing is.
 bool broken_token(const JsonMistake& mistake, const TextScanner& before, const Token& token, Problem& out) {
   if (token.text.empty()) return false;
@@ -91,6 +98,10 @@ bool broken_token(const JsonMistake& mistake, const TextScanner& before, const T
                                       : "a '/' alone is no comment: write // or /* */");
   else if (token.text.front() == '\'')
     out = problem(token.position, "text needs double quotes (\"), not single ones");
+  else if (token.text.front() == '#')
+    out = problem(token.position, "a comment begins with //, not with '#'");
+  else if (has_typographic_quote(token.text))
+    out = problem(token.position, "text needs plain double quotes (\"), not typographic ones: " + shown(token));
   else
     return false;
   return true;

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <cstdlib>
 
 #include "config/read/limits_text.hpp"
 #include "config/read/mistakes.hpp"
@@ -31,6 +32,13 @@ std::string range_of(const ParameterRules& rules, ParameterType::Kind kind) {
 }
 
 /// Why the text breaks the rule of its kind; empty: it does not.
+/// COM3, com12
+bool is_windows_port(std::string_view text) {
+  if (text.size() < 4 || text.size() > 6) return false;
+  return (text[0] | 0x20) == 'c' && (text[1] | 0x20) == 'o' && (text[2] | 0x20) == 'm' &&
+         text.find_first_not_of("0123456789", 3) == std::string_view::npos;
+}
+
 std::string mistake_in(std::string_view text, TextIs is) {
   switch (is) {
     case TextIs::permissions:
@@ -62,6 +70,15 @@ std::string mistake_in(std::string_view text, TextIs is) {
       if (detail::has_control(text)) return "a path that is written has no control characters: it is shown as a name";
       [[fallthrough]];
     case TextIs::device:
+      if (text == "~" || text.starts_with("~/")) {
+        const char* const home = std::getenv("HOME");
+        return "~ is a word of the shell's, which nobody expands here: write \"" +
+               std::string(home != nullptr && *home == '/' ? home : "/home/pi") + std::string(text.substr(1)) + "\"";
+      }
+      if (is == TextIs::device && is_windows_port(text))
+        return "\"" + std::string(text) +
+               "\" is a name of Windows; here a serial device is such as /dev/ttyUSB0 or /dev/ttyACM0: `rtdata scan` "
+               "lists them";
       if (text.find('\0') != std::string_view::npos) return "a path has no NUL byte";
       return text.size() < 4096 ? "" : "a path has less than 4096 bytes";
   }
@@ -104,7 +121,8 @@ constexpr std::string_view as_rate = "how often it is read is its `rate`, such a
 constexpr std::string_view as_path = "the file is named by `path`";
 constexpr std::string_view as_line = "the GPIO line is named by `line`: its number, its name, or chip:line";
 constexpr std::string_view of_sensor = "it belongs to the sensor that is on this bus";
-constexpr std::array<Elsewhere, 34> elsewhere{{{"calibration", "process", in_process},
+constexpr std::array<Elsewhere, 35> elsewhere{{{"rate", "max_line", "a serial line takes what comes: it has no rate"},
+                                               {"calibration", "process", in_process},
                                                {"scale", "process", in_process},
                                                {"offset", "process", in_process},
                                                {"polynomial", "process", in_process},
