@@ -266,7 +266,11 @@ TEST_SUITE("sensors") {
     const ModbusField small{.name = "x", .type = Kind::i16, .scale = 0.1, .offset = 5};
     const std::array<std::uint16_t, 1> minus{0xff9c};
     CHECK(Modbus::decode(small, minus, WordOrder::abcd).or_throw() == doctest::Approx(-5));
-    CHECK(Modbus::decode(small, minus, WordOrder::dcba).or_throw() == doctest::Approx(-5));
+    const ModbusField one{.name = "x"};
+    const std::array<std::uint16_t, 1> low_first{0x3412};
+    CHECK(Modbus::decode(one, low_first, WordOrder::badc).or_throw() == 4660);
+    CHECK(Modbus::decode(one, low_first, WordOrder::dcba).or_throw() == 4660);
+    CHECK(Modbus::decode(one, low_first, WordOrder::cdab).or_throw() == 0x3412);
     const ModbusField large{.name = "x", .type = Kind::i64};
     const std::array<std::uint16_t, 4> all{0xffff, 0xffff, 0xffff, 0xfffe};
     CHECK(Modbus::decode(large, all, WordOrder::abcd).or_throw() == -2);

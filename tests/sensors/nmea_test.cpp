@@ -461,7 +461,7 @@ TEST_CASE("US-13 US-14 a serial line with format nmea publishes fixes, counts wh
     text += sentence(at(rmc, time)) + "\r\n";
     std::string broken = sentence(at(gga, time));
     if (second == 15) broken[20] ^= 1;
-    text += broken + "\r\n";
+    text += "\\s:mast,c:1796040000*00\\\\n:1*6e\\" + broken + "\r\n";
   }
   pty.send(text);
   until([&] { return got.size() == 10 && gps.counts().unreadable == 1; });  // the sixth waits for the seventh

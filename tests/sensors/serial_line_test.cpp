@@ -329,7 +329,7 @@ TEST_CASE("US-13 the line is raw, at any speed, and this program's alone") {
 
 TEST_CASE("US-5 lines come out as events, the half line at the start does not") {
   SerialLineBench bench;
-  bench.run("alf\n1.5\r\n\n# comment\n-2\n3", 2);
+  bench.run("alf\n1.5\r\r\n\n# comment\n-2\n3", 2);
   CHECK(bench.events == Texts{"1.5", "-2"});
   bench.run("5\n", 3);
   CHECK(bench.events == Texts{"1.5", "-2", "35"});
@@ -390,6 +390,52 @@ TEST_CASE("US-5 the device's own numbers say what was lost") {
   CHECK(bench.sensor.counts().lost == 3);
   CHECK(bench.sensor.counts().lost_is_known);
   CHECK(bench.sensor.counts().repeated == 1);
+  CHECK(bench.sensor.counts().balances());
+}
+
+TEST_CASE("US-5 a wrong digit in a number is one line that cannot be used, and nothing is lost") {
+  struct Case {
+    const char* what;
+    const char* lines;
+    Texts events;
+    std::uint64_t lost, unreadable;
+  };
+  const std::vector<Case> cases{
+      {"a digit is lost", "1149,1\n150,2\n1151,3\n1152,4\n", {"1149 1", "1151 3", "1152 4"}, 0, 1},
+      {"a digit is wrong", "1149,1\n9150,2\n1151,3\n", {"1149 1", "1151 3"}, 0, 1},
+      {"and lines are lost as well", "1149,1\n9150,2\n1155,3\n1156,4\n", {"1149 1", "1155 3", "1156 4"}, 4, 1},
+      {"two wrong ones", "1,1\n92,2\n83,3\n4,4\n5,5\n", {"1 1", "4 4", "5 5"}, 0, 2},
+      {"lines are lost", "1149,1\n1200,2\n1201,3\n", {"1149 1", "1200 2", "1201 3"}, 50, 0},
+      {"the device starts again", "1149,1\n1,2\n2,3\n", {"1149 1", "1 2", "2 3"}, 0, 0},
+      {"the jump comes last", "1149,1\n1200,2\n", {"1149 1", "1200 2"}, 50, 0},
+      {"it is said twice", "1149,1\n1200,2\n1200,2\n", {"1149 1", "1200 2"}, 50, 0},
+      {"unreadable ones beside it", "1,1\n3,x\n99,3\nx\n5,5\n", {"1 1", "5 5"}, 0, 3},
+  };
+  for (const Case& one : cases) {
+    CAPTURE(one.what);
+    SerialLineBench bench({.fields = {{.name = "n", .type = Kind::u32}, {.name = "value"}},
+                 .first_line = FirstLine::keep,
+                 .sequence_field = "n",
+                 .silence = 20ms});
+    const std::string_view lines = one.lines;
+    bench.run(lines, static_cast<std::uint64_t>(std::count(lines.begin(), lines.end(), '\n')));
+    CHECK(bench.events == one.events);
+    CHECK(bench.sensor.counts().lost == one.lost);
+    CHECK(bench.sensor.counts().unreadable == one.unreadable);
+    CHECK(bench.sensor.counts().balances());
+    CHECK(std::is_sorted(bench.times.begin(), bench.times.end()));
+  }
+}
+
+TEST_CASE("US-5 a numbered line that is held is published at a stop") {
+  SerialLineBench bench({.fields = {{.name = "n", .type = Kind::u32}}, .first_line = FirstLine::keep, .sequence_field = "n"});
+  bench.run("1\n", 1);
+  bench.pty.send("5\n");
+  bench.loop.run_for(50ms);
+  CHECK(bench.sensor.counts().received == 1);
+  bench.sensor.stop();
+  CHECK(bench.sensor.counts().received == 2);
+  CHECK(bench.sensor.counts().lost == 3);
   CHECK(bench.sensor.counts().balances());
 }
 

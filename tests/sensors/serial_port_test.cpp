@@ -350,6 +350,9 @@ TEST_SUITE("sensors") {
     };
     CHECK(MhZ19::decode(answer(608)).or_throw().co2 == 608);  // 0x02, 0x60
     CHECK(MhZ19::decode(answer(10000)).or_throw().co2 == 10000);
+    const auto none = MhZ19::decode(answer(0));
+    REQUIRE_FALSE(none);
+    CHECK(none.error().why == "it says 0 ppm, as while it warms up: no air has so little");
     CHECK(MhZ19::decode(answer(10001)).error().code == Errc::bad_data);
     for (std::size_t byte = 0; byte < 9; ++byte) {
       for (int bit = 0; bit < 8; ++bit) {

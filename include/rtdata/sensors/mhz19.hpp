@@ -4,8 +4,8 @@
 ///     rtdata::DriverSensor<rtdata::MhZ19> air(loop, {.name = "air", .rate = 0.5_Hz}, port);
 ///
 /// Each tick is a request of nine bytes and an answer of nine, with a checksum; what has a wrong one is unreadable, as
-/// is more than the 10000 ppm that it measures. It needs three minutes from being switched on (MH-Z19C: one), in which
-/// it does not say that its values are none.
+/// is more than the 10000 ppm that it measures, and 0 ppm, which it says while it warms up and which no air has. It
+/// needs three minutes from being switched on (MH-Z19C: one); other values of that time it does not mark.
 ///
 /// Source: Winsen, MH-Z19B User's Manual V1.6, "UART output", command 0x86 and checksum.
 ///
@@ -41,7 +41,7 @@ class MhZ19 {
       "It has no address: one on a line.\n"
       "It measures anew every 2 s at most: `\"rate\": \"0.2 Hz\"` is plenty. After switching on it needs 3 minutes, in "
       "which "
-      "its values are none.";
+      "its values are none: 0 ppm is unreadable, others it does not mark.";
   struct Config {
     friend constexpr auto parameters(type_tag<Config>) { return parameter_list(); }
   };
@@ -79,6 +79,7 @@ class MhZ19 {
     if (answer[8] != checksum(answer)) return refuse("the checksum of its answer is wrong");
     if (answer[0] != 0xff || answer[1] != 0x86) return refuse("this answers something else");
     const unsigned ppm = static_cast<unsigned>(answer[2]) << 8 | answer[3];
+    if (ppm == 0) return refuse("it says 0 ppm, as while it warms up: no air has so little");
     if (ppm > most) return refuse(std::to_string(ppm) + " ppm is outside of what it measures, 0 to 10000 ppm");
     return Co2Reading{static_cast<double>(ppm)};
   }

@@ -8,8 +8,8 @@
 /// - Each tick reads all fields: those that lie one behind the other in one request, others in one of their own; with
 ///   `gap`, those too between which there are so many registers that no field has. A request that fails fails the
 ///   reading.
-/// - Numbers of more than one register are put together in `word_order`, high word and high byte first ("abcd") unless
-///   it says otherwise.
+/// - Numbers are put together in `word_order`, high word and high byte first ("abcd") unless it says otherwise; where
+///   it has the low byte of a register first, that is so of numbers of one register, too.
 /// - A number with a `scale` or an `offset` is published as a double, raw * scale + offset; others as they are. Coils
 ///   and discrete inputs are bools.
 /// - `no_value` is the raw number by which the device says that there is none (0x8000, 65535 ...), of an integer with
@@ -82,13 +82,13 @@ class Modbus {
       "registers, 30001 `\"address\": 0` of the input registers. More: [modbus.md](modbus.md).";
   struct Config {
     std::vector<ModbusField> fields = {};
-    WordOrder word_order = WordOrder::abcd;  ///< of numbers of more than one register
+    WordOrder word_order = WordOrder::abcd;  ///< badc and dcba: also of numbers of one register
     unsigned gap = 0;                        ///< registers, or bits, that are read along though no field has them
     friend constexpr auto parameters(type_tag<Config>) {
       return parameter_list(
           parameter("fields", &Config::fields, "what is read", required),
           parameter("word_order", &Config::word_order,
-                    "the bytes of numbers of more than one register, the highest called a"),
+                    "the bytes of numbers, the highest of four called a; badc and dcba swap those of one register, too"),
           parameter("gap", &Config::gap, "addresses that may be read along though no field has them", range(0, 120)));
     }
     /// Checks that the fields can be read and described.

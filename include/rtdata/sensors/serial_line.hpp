@@ -24,6 +24,8 @@
 /// - `sequence_field` names an integer by which the device numbers its lines: jumps are counted as lost, less the lines
 ///   in between that came and could not be used; equal numbers as repeated (and not published). A number that goes back
 ///   is a restart of the device, unless it is the wrap of the field's type.
+///   A line whose number makes a jump is held until the next one, for `silence` or a second at most: when that takes
+///   the jump back, as after a wrong digit, the line is unreadable; else both are published with their own times.
 /// - A device that goes away makes the sensor faulted; it is opened again after `retry_first`, doubling to
 ///   `retry_longest`, by its path: /dev/serial/by-id/... finds it wherever it is plugged in again. Absent at the start:
 ///   the same, unless it is `required`. The time without it is a gap (disconnected).

@@ -126,7 +126,7 @@ std::vector<Modbus::Request> Modbus::requests(const Config& config) {
 
 std::uint64_t Modbus::bits_of(std::span<const std::uint16_t> words, WordOrder order) noexcept {
   const bool is_reversed = order == WordOrder::cdab || order == WordOrder::dcba;
-  const bool is_swapped = words.size() > 1 && (order == WordOrder::badc || order == WordOrder::dcba);
+  const bool is_swapped = order == WordOrder::badc || order == WordOrder::dcba;
   std::uint64_t bits = 0;
   for (std::size_t i = 0; i < words.size(); ++i) {
     const std::uint16_t word = words[is_reversed ? words.size() - 1 - i : i];

@@ -430,22 +430,39 @@ Result<void> LineDecoder::decode_json(std::string_view line) {
   return {};
 }
 
-LineDecoder::Step LineDecoder::step() noexcept {
-  if (sequence_ == nullptr) return {};
+std::uint64_t LineDecoder::number() const noexcept {
+  std::uint64_t number = 0;
+  std::memcpy(&number, reinterpret_cast<const std::byte*>(payload_.data()) + sequence_->offset,
+              sequence_->size);  // the machines we run on put the low byte first
+  return number;
+}
+
+std::optional<std::uint64_t> LineDecoder::steps_between(std::uint64_t from, std::uint64_t to) const noexcept {
   const unsigned bits = 8 * static_cast<unsigned>(sequence_->size);
   const std::uint64_t all = bits == 64 ? ~std::uint64_t{0} : (std::uint64_t{1} << bits) - 1;
-  std::uint64_t number = 0;
-  std::memcpy(&number, payload() + sequence_->offset,
-              sequence_->size);  // the machines we run on put the low byte first
-  const std::optional<std::uint64_t> last = std::exchange(last_, number);
-  if (!last) return {};
-  const std::uint64_t forward = (number - *last) & all;
-  if (forward == 0) return {true, 0};
+  const std::uint64_t forward = (to - from) & all;
   const bool is_signed = sequence_->kind <= Kind::i64;
-  const bool has_grown = is_signed ? forward <= all / 2 : number > *last;
+  const bool has_grown = is_signed ? forward <= all / 2 : to > from;
   // A number that goes back has wrapped when that is a small step, else the device has started again.
-  if (!has_grown && forward > all / 16) return {};
-  return {false, forward - 1};
+  if (forward != 0 && !has_grown && forward > all / 16) return std::nullopt;
+  return forward;
+}
+
+LineDecoder::Step LineDecoder::step() noexcept {
+  if (sequence_ == nullptr) return {};
+  before_ = std::exchange(last_, number());
+  if (!before_) return {};
+  const std::optional<std::uint64_t> steps = steps_between(*before_, *last_);
+  if (!steps) return {.goes_back = true};
+  if (*steps == 0) return {.is_repeated = true};
+  return {.lost = *steps - 1};
+}
+
+bool LineDecoder::takes_back() const noexcept {
+  if (sequence_ == nullptr || !before_ || !last_) return false;
+  const std::optional<std::uint64_t> from_before = steps_between(*before_, number());
+  const std::optional<std::uint64_t> from_last = steps_between(*last_, number());
+  return from_before && (!from_last || *from_before < *from_last);
 }
 
 }  // namespace detail

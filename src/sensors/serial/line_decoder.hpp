@@ -36,11 +36,17 @@ class LineDecoder {
   /// What the line's number says against the last one's.
   struct Step {
     bool is_repeated = false;
+    bool goes_back = false;  // as after a restart of the device
     std::uint64_t lost = 0;
   };
   bool has_sequence() const noexcept { return sequence_ != nullptr; }
   /// To be called for each good line.
   Step step() noexcept;
+  /// Before `step`: whether this line's number goes on from that before the last one, rather than from the last: the
+  /// last one's was wrong, then.
+  bool takes_back() const noexcept;
+  /// The last line's number does not count.
+  void drop_last() noexcept { last_ = before_; }
   /// The next line's number is the first.
   void forget_sequence() noexcept { last_.reset(); }
 
@@ -57,6 +63,9 @@ class LineDecoder {
   };
   Result<Column> next_column(std::size_t index, std::string_view& rest);
   Error failure(Errc code, std::size_t index, std::string why) const;
+  std::uint64_t number() const noexcept;
+  /// How far it is from one number to the other; nothing: that goes back.
+  std::optional<std::uint64_t> steps_between(std::uint64_t from, std::uint64_t to) const noexcept;
   bool is_given(std::size_t index) const noexcept { return is_given_[index]; }
 
   const AroundLine around_;
@@ -68,7 +77,8 @@ class LineDecoder {
   char separator_;
   std::string comment_;
   const Leaf* sequence_ = nullptr;
-  std::optional<std::uint64_t> last_;  // the bits of the number
+  std::optional<std::uint64_t> last_;    // the bits of the number
+  std::optional<std::uint64_t> before_;  // of the line before that
   std::vector<std::max_align_t> payload_;
   std::vector<bool> seen_;
   std::vector<bool> is_given_;

@@ -4,11 +4,14 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <cstddef>
 #include <cstring>
 #include <optional>
+#include <vector>
 
 #include "data/utf8.hpp"
 #include "io/tty.hpp"
+#include "rtdata/loop/timer.hpp"
 #include "rtdata/loop/watch.hpp"
 #include "sensors/core/stream_node.hpp"
 #include "sensors/serial/line_decoder.hpp"
@@ -35,6 +38,11 @@ class SerialLineNode final : public StreamNode {
     line_.reserve(config_.max_line + most_read);
     if (decoder_ != nullptr) {
       origin_.counts.lost_is_known = decoder_->has_sequence();
+      if (decoder_->has_sequence()) {
+        held_.size = decoder_->description()->size();
+        held_.storage.resize(held_.size / sizeof(std::max_align_t) + 1);
+        hold_ = Timer(loop.face, [this] { let_go(); });
+      }
     } else {
       fixes_ = std::make_unique<NmeaFixes>(config_.device);
     }
@@ -52,12 +60,14 @@ class SerialLineNode final : public StreamNode {
   }
   void stop() override {
     if (is_open()) {
+      let_go();
       finish_fix();
       tell_unended();
     }
     StreamNode::stop();
   }
   void stop_schedule(MonotonicTime end) override {
+    let_go();
     finish_fix();
     tell_unended();
     StreamNode::stop_schedule(end);
@@ -90,6 +100,14 @@ class SerialLineNode final : public StreamNode {
     watch_ = FdWatch(loop()->face, fd_, FdWatch::readable, object_name(),
                      [this](const FdEvent& event) { on_ready(event); });
   }
+  void on_close() noexcept override {
+    hold_.close();
+    if (std::exchange(held_.is_there, false)) {
+      origin_.counts.lost += held_.lost;
+      take_sample(held_.payload(), held_.time);
+    }
+    StreamNode::on_close();
+  }
   void close_stream() noexcept override {
     watch_.close();  // before the descriptor
     if (fd_ >= 0) close_tty(fd_);
@@ -108,7 +126,10 @@ class SerialLineNode final : public StreamNode {
       time_ = loop()->runtime.event_time(heard_at());
       take_lines(before);
     } else if (got == 0 || (error_number != EAGAIN && error_number != EINTR) || event.hung_up) {
+      const unsigned opening = openings_;
+      let_go();
       finish_fix();
+      if (fd_ < 0 || openings_ != opening) return;
       constexpr const char* what = "lost the serial line";
       constexpr const char* advice = "check the plug and the cable; it is opened again when it is back";
       lose(got == 0 || error_number == EIO || error_number == EAGAIN
@@ -173,7 +194,7 @@ class SerialLineNode final : public StreamNode {
   }
 
   void take_line(std::string_view line) {
-    if (!line.empty() && line.back() == '\r') line.remove_suffix(1);
+    while (!line.empty() && line.back() == '\r') line.remove_suffix(1);  // some send two of them
     if (lines_to_skip_ != 0) {
       --lines_to_skip_;
       return;
@@ -183,9 +204,16 @@ class SerialLineNode final : public StreamNode {
     if (decoder_->is_skipped(line)) return;
     const Result<void> decoded = decoder_->decode(line);
     if (!decoded) return fail_line(decoded.error());
+    if (held_.is_there) {
+      const unsigned opening = openings_;
+      decoder_->takes_back() ? refuse_held() : let_go();
+      if (fd_ < 0 || openings_ != opening) return;
+    }
     const LineDecoder::Step step = decoder_->step();
     // Of the numbers that are left out, those of lines which came and could not be used are not lost.
-    origin_.counts.lost += step.lost - std::min(step.lost, std::exchange(unusable_lines_, 0));
+    const std::uint64_t unusable = std::exchange(unusable_lines_, 0);
+    const std::uint64_t lost = step.lost - std::min(step.lost, unusable);
+    if (lost != 0 || step.goes_back) return hold(lost, unusable);
     if (step.is_repeated) {
       ++origin_.counts.received;
       ++origin_.counts.repeated;
@@ -195,7 +223,43 @@ class SerialLineNode final : public StreamNode {
     succeed();
   }
 
+  /// A line whose number has made a jump is kept until the next one says whether that was a wrong digit.
+  void hold(std::uint64_t lost, std::uint64_t unusable) {
+    constexpr Duration most_held = std::chrono::seconds{1};
+    held_.is_there = true;
+    held_.lost = lost;
+    held_.unusable = unusable;
+    held_.time = time_;
+    std::memcpy(held_.payload(), decoder_->payload(), held_.size);
+    hold_.start(config_.silence > Duration{0} ? std::min(config_.silence, most_held) : most_held);
+  }
+  /// The jump stands: what is between is lost.
+  void let_go() {
+    if (!std::exchange(held_.is_there, false)) return;
+    hold_.stop();
+    if (!is_running()) return;
+    Call call(*this);
+    origin_.counts.lost += held_.lost;
+    if (take_or_fail(held_.payload(), held_.time) && !is_silent()) succeed();
+  }
+  void refuse_held() {
+    held_.is_there = false;
+    hold_.stop();
+    decoder_->drop_last();
+    unusable_lines_ += held_.unusable;
+    fail_line({Errc::bad_data, "cannot use a line", config_.device,
+               "its number makes a jump that the next line takes back",
+               "a digit was lost or changed on the way: look at "
+               "the wires, and at who else writes to the line"});
+  }
+
   void take_sentence(std::string_view line) {
+    // Tag blocks of a multiplexer, "\\s:station,c:1796040000*00\\", say where it came from.
+    while (line.starts_with('\\')) {
+      const std::size_t end = line.find('\\', 1);
+      if (end == std::string_view::npos) break;
+      line.remove_prefix(end + 1);
+    }
     if (line.empty()) return;
     // What stands before the sentence, such as a maker's own bytes, makes no line of its own.
     const std::size_t begin = line.rfind('$');
@@ -252,6 +316,17 @@ class SerialLineNode final : public StreamNode {
   std::unique_ptr<NmeaFixes> fixes_;
   const NmeaFixes::Publish publish_fix_ = [this](const GpsFix& fix, Time time) { publish(fix, time); };
   std::optional<GpsFix> last_fix_;
+  struct Held {
+    bool is_there = false;
+    std::uint64_t lost = 0;
+    std::uint64_t unusable = 0;  // lines before it
+    Time time{};
+    std::vector<std::max_align_t> storage = {};
+    std::size_t size = 0;
+    std::byte* payload() noexcept { return reinterpret_cast<std::byte*>(storage.data()); }
+  };
+  Held held_;
+  Timer hold_;
   FdWatch watch_;
   int fd_ = -1;
   std::string line_;  // the bytes of the lines that are not complete, never more than max_line + most_read
