@@ -414,9 +414,9 @@ TEST_CASE("US-5 a wrong digit in a number is one line that cannot be used, and n
   for (const Case& one : cases) {
     CAPTURE(one.what);
     SerialLineBench bench({.fields = {{.name = "n", .type = Kind::u32}, {.name = "value"}},
-                 .first_line = FirstLine::keep,
-                 .sequence_field = "n",
-                 .silence = 20ms});
+                           .first_line = FirstLine::keep,
+                           .sequence_field = "n",
+                           .silence = 20ms});
     const std::string_view lines = one.lines;
     bench.run(lines, static_cast<std::uint64_t>(std::count(lines.begin(), lines.end(), '\n')));
     CHECK(bench.events == one.events);
@@ -428,7 +428,8 @@ TEST_CASE("US-5 a wrong digit in a number is one line that cannot be used, and n
 }
 
 TEST_CASE("US-5 a numbered line that is held is published at a stop") {
-  SerialLineBench bench({.fields = {{.name = "n", .type = Kind::u32}}, .first_line = FirstLine::keep, .sequence_field = "n"});
+  SerialLineBench bench(
+      {.fields = {{.name = "n", .type = Kind::u32}}, .first_line = FirstLine::keep, .sequence_field = "n"});
   bench.run("1\n", 1);
   bench.pty.send("5\n");
   bench.loop.run_for(50ms);

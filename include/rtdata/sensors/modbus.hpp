@@ -87,8 +87,9 @@ class Modbus {
     friend constexpr auto parameters(type_tag<Config>) {
       return parameter_list(
           parameter("fields", &Config::fields, "what is read", required),
-          parameter("word_order", &Config::word_order,
-                    "the bytes of numbers, the highest of four called a; badc and dcba swap those of one register, too"),
+          parameter(
+              "word_order", &Config::word_order,
+              "the bytes of numbers, the highest of four called a; badc and dcba swap those of one register, too"),
           parameter("gap", &Config::gap, "addresses that may be read along though no field has them", range(0, 120)));
     }
     /// Checks that the fields can be read and described.
