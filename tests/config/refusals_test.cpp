@@ -237,6 +237,10 @@ TEST_SUITE("config") {
     CHECK(has(said(line(R"(, "rate": "10 Hz")")), "a serial line takes what comes: it has no rate"));
     CHECK(has(said(R"({"sensors": [{"name": "s", "type": "host", "quantity": "load", "rate": "2,5 Hz"}]})"),
               "its decimals come after a comma; write a point"));
+    const std::string schema = said(
+        R"({"sinks": [{"type": "postgresql", "url": "postgresql://rt@db.example/plant", "schema": "pg_x"}]})");
+    if (!has(schema, "there is no sink type"))
+      CHECK(has(schema, "sinks[0].schema: names that begin with pg_ are the server's own; choose another"));
     // A unit that is none is a warning, which is not held back until the mistake is mended.
     const std::string both = said(R"({"sensors": [{"name": "s", "type": "serial", "device": "/dev/ttyS0", "fields": [)"
                                   R"({"name": "x", "unit": "Bar"}], "rat": 1}]})");
