@@ -249,8 +249,7 @@ class SerialLineNode final : public StreamNode {
     unusable_lines_ += held_.unusable;
     fail_line({Errc::bad_data, "cannot use a line", config_.device,
                "its number makes a jump that the next line takes back",
-               "a digit was lost or changed on the way: look at "
-               "the wires, and at who else writes to the line"});
+               "a digit was lost or changed on the way: look at the wires, and at who else writes to the line"});
   }
 
   void take_sentence(std::string_view line) {

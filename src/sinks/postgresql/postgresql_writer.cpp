@@ -41,16 +41,22 @@ std::string session_name(const std::string& sink) {
   return name + " " + digits;
 }
 
+Address with_session(Address address, const std::string& sink) {
+  address.name = session_name(sink);
+  return address;
+}
+
 }  // namespace
 
 Address address_of(const PostgresqlConfig& config) {
-  return {config.url,  config.host,     config.database,
-          config.user, config.password, config.schema,
-          config.port, config.timeout,  session_name(config.sink.name)};
+  return {config.url,      config.host,   config.database, config.user,
+          config.password, config.schema, config.port,     config.timeout};
 }
 
 PostgresqlWriter::PostgresqlWriter(const PostgresqlConfig& config)
-    : config_(config), address_(address_of(config)), machine_(config.machine.empty() ? host_name() : config.machine) {
+    : config_(config),
+      address_(with_session(address_of(config), config.sink.name)),
+      machine_(config.machine.empty() ? host_name() : config.machine) {
   auto parts = look_at_url(config.url);
   if (!parts) throw SetupError(std::move(parts).error());
   if (parts->has_password) {
