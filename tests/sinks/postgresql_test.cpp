@@ -484,6 +484,69 @@ TEST_SUITE("sinks") {
     }
   }
 
+  TEST_CASE("NFR-1 rows that a table's constraints refuse are left out one by one, told and counted; all others come") {
+    SERVER_OR_SKIP(server);
+    const std::string database = server.make_database();
+    Program program({.url = server.url(database)});
+    program.loop.advance(3s);
+    const std::int64_t before = server.number(database, "SELECT max(count) FROM \"plant/number\"");
+    std::string refuse, accept;
+    SUBCASE("a CHECK") {
+      refuse = "ALTER TABLE \"plant/number\" ADD CONSTRAINT seven CHECK (count % 7 <> 0) NOT VALID";
+      accept = "ALTER TABLE \"plant/number\" DROP CONSTRAINT seven";
+    }
+    SUBCASE("a trigger") {
+      refuse =
+          "CREATE FUNCTION seven() RETURNS trigger LANGUAGE plpgsql AS $$ BEGIN IF NEW.count % 7 = 0 THEN RAISE "
+          "EXCEPTION 'no sevens'; END IF; RETURN NEW; END $$;"
+          "CREATE TRIGGER seven BEFORE INSERT ON \"plant/number\" FOR EACH ROW EXECUTE FUNCTION seven()";
+      accept = "DROP TRIGGER seven ON \"plant/number\"";
+    }
+    SUBCASE("a computed column that cannot be computed") {
+      refuse =
+          "ALTER TABLE \"plant/number\" ADD COLUMN inverse bigint GENERATED ALWAYS AS (CASE WHEN sequence <= " +
+          std::to_string(before) + " THEN 0 ELSE 1 / (count % 7) END) STORED";
+      accept = "ALTER TABLE \"plant/number\" DROP COLUMN inverse";
+    }
+    if (refuse.empty()) return;
+    server.sql(database, refuse);
+    program.loop.advance(5s);
+    const std::int64_t until = server.number(database, "SELECT max(count) FROM \"plant/number\"");
+    const auto refused = static_cast<std::uint64_t>(until / 7 - before / 7);
+    REQUIRE(refused > 10);
+    CHECK(program.told("see the table's constraints"));
+    CHECK(program.sink.health() == Health::ok);
+    CHECK(program.sink.counts().all_dropped() == refused);
+    server.sql(database, accept);
+    program.loop.advance(2s);
+    program.loop.close();
+    CHECK(program.sink.counts().stored == static_cast<std::uint64_t>(program.count) - refused);
+    const std::int64_t rows = server.number(database, "SELECT count(*) FROM \"plant/number\"");
+    CHECK(rows == program.count - static_cast<std::int64_t>(refused));
+    CHECK(server.number(database, "SELECT sum(rows) FROM rtdata_position") == rows);
+    CHECK(server.number(database, "SELECT count(*) FROM \"plant/number\" WHERE count % 7 = 0 AND count > " +
+                                      std::to_string(before) + " AND count <= " + std::to_string(until)) == 0);
+  }
+
+  TEST_CASE("NFR-1 rows that the server refuses stay refused when its connection breaks before the others are there") {
+    SERVER_OR_SKIP(server);
+    const std::string database = server.make_database();
+    DarkNetwork network(server.folder());
+    Program program({.url = network.url(database), .timeout = 300ms});
+    program.loop.advance(1s);
+    server.sql(database, "ALTER TABLE \"plant/number\" ADD CONSTRAINT seven CHECK (count % 7 <> 0) NOT VALID");
+    const std::int64_t before = server.number(database, "SELECT max(count) FROM \"plant/number\"");
+    for (int i = 0; i < 4; ++i) {
+      network.go_dark_at_copy();
+      program.loop.advance(5s);
+    }
+    program.loop.close();
+    CHECK(network.dark() == 4);
+    const std::int64_t refused = program.count / 7 - before / 7;
+    CHECK(program.sink.counts().all_dropped() == static_cast<std::uint64_t>(refused));
+    CHECK(server.number(database, "SELECT count(*) FROM \"plant/number\"") == program.count - refused);
+  }
+
   TEST_CASE("NFR-1 a server that is read only, a lock, a full disk: told with what to do, and everything comes later") {
     SERVER_OR_SKIP(server);
     const std::string database = server.make_database();
@@ -771,6 +834,35 @@ TEST_SUITE("sinks") {
     CHECK(verify_server(config).error().id() == "newer-version");
     server.sql(database, "UPDATE rtdata_layout SET version = 1");
     CHECK(verify_server(config).or_throw().exit_code() == 0);
+  }
+
+  TEST_CASE("FW-4 verify counts rows that the server has refused as refused there, and all is balanced") {
+    SERVER_OR_SKIP(server);
+    const std::string database = server.make_database();
+    recordings::Folder folder;
+    const PostgresqlConfig config{.url = server.url(database), .machine = "node", .sink = {.through = "recording"}};
+    std::int64_t before = 0, count = 0;
+    {
+      Node node(folder / "run.db", config);
+      node.loop.advance(1s);
+      before = server.number(database, "SELECT max(count) FROM \"plant/number\"");
+      server.sql(database, "ALTER TABLE \"plant/number\" ADD CONSTRAINT seven CHECK (count % 7 <> 0) NOT VALID");
+      node.loop.advance(70s);
+      const VerifyReport meanwhile = verify_server(config).or_throw();
+      INFO(meanwhile.text());
+      CHECK(meanwhile.problems.empty());
+      CHECK(server.number(database, "SELECT count(*) FROM rtdata_run WHERE account_at IS NOT NULL") == 1);
+      node.loop.close();
+      count = node.count;
+    }
+    const VerifyReport served = verify_server(config).or_throw();
+    INFO(served.text());
+    REQUIRE(served.runs.size() == 1);
+    CHECK(served.runs[0].problems.empty());
+    CHECK(served.verdict() == Verdict::balanced);
+    const std::string refused = std::to_string(count / 7 - before / 7);
+    CHECK(server.sql(database, "SELECT dropped_refused FROM rtdata_ledger WHERE origin = 'pulse'") == refused);
+    CHECK(has(served.text(), "refused on storing " + refused));
   }
 
   TEST_CASE("FW-4 of events from memory verify says that no account came along") {

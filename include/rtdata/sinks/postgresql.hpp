@@ -13,8 +13,9 @@
 /// rows to it.
 ///
 /// The sink opens its connection with its first batch and makes it anew after every failure. What a server cannot do
-/// for now (it is away, full, read only, a table is locked or is not ours) is reported and tried again; nothing is
-/// refused. Passwords are in no report.
+/// for now (it is away, full, read only, a table is locked or is not ours) is reported and tried again. A row that a
+/// table's own constraint, trigger or computed column refuses is dropped as refused; the others are stored. Passwords
+/// are in no report.
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's; libpq is called on the sink's lane, and
 /// never waits longer than `timeout`. Errors of the constructor (SetupError): bad_argument (a URL that is none, a

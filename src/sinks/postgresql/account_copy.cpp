@@ -17,6 +17,8 @@ namespace {
 
 using sqlite::account_tables;
 
+constexpr const char* there_are_positions = "SELECT count(*) FROM sqlite_schema WHERE name = 'rtdata_position'";
+
 /// As COPY takes it: a line a row, tabs between the values.
 void append_text(std::string& out, std::string_view text) {
   for (const char c : text) {
@@ -88,6 +90,8 @@ class RunCopy {
 
  private:
   Result<bool> read_table(std::size_t table, const Positions& positions);
+  /// How many rows of the origin the server refused, as far as the recording remembers.
+  Result<std::uint64_t> refused(std::string_view topic, std::string_view origin) const;
   /// Whether the sink is done with all rows of the origin that are in the recording.
   Result<bool> is_done_with(std::string_view topic, std::string_view origin) const;
 
@@ -109,8 +113,22 @@ Result<bool> RunCopy::read(const Positions& positions) {
   return true;
 }
 
+Result<std::uint64_t> RunCopy::refused(std::string_view topic, std::string_view origin) const {
+  auto has_positions = database_.integer(there_are_positions);
+  if (!has_positions) return std::move(has_positions).error();
+  if (*has_positions == 0) return std::uint64_t{0};
+  auto count = database_.prepare(
+      "SELECT count(*) FROM rtdata_refused WHERE sink = ? AND topic = ? AND origin = ? AND run = (SELECT uuid FROM "
+      "rtdata_run WHERE run = ?)");
+  if (!count) return std::move(count).error();
+  count->bind(1, copy_.sink).bind(2, topic).bind(3, origin).bind(4, local_);
+  auto row = count->step();
+  if (!row) return std::move(row).error();
+  return static_cast<std::uint64_t>(count->integer(0));
+}
+
 Result<bool> RunCopy::is_done_with(std::string_view topic, std::string_view origin) const {
-  auto has_positions = database_.integer("SELECT count(*) FROM sqlite_schema WHERE name = 'rtdata_position'");
+  auto has_positions = database_.integer(there_are_positions);
   if (!has_positions || *has_positions == 0)
     return has_positions ? Result<bool>(false) : std::move(has_positions).error();
   auto tables = database_.prepare(
@@ -163,35 +181,44 @@ Result<bool> RunCopy::read_table(std::size_t table, const Positions& positions) 
       }
       if (!takes->second) continue;
     }
-    int replaced = -1;
-    std::int64_t replacement = 0;
+    std::map<int, std::int64_t> replaced;  // by column
     if (is_ledger) {
       // What the recording has deleted again is on the server if it was sent before. Rows are missing here when they
       // were deleted unsent, or when the sink was attached later: these are what the server calls pruned.
       const auto number = [&](const char* column) { return static_cast<std::uint64_t>(query->integer(at.at(column))); };
-      const auto found = positions.find(key_of(query->text(at.at("topic")), query->text(at.at("origin"))));
+      const std::string_view of_topic = query->text(at.at("topic")), of_origin = query->text(at.at("origin"));
+      const auto found = positions.find(key_of(of_topic, of_origin));
       const std::uint64_t stored = number("stored");
       const std::uint64_t here = found != positions.end() ? found->second.second : 0;
+      const std::uint64_t missing = stored - std::min(stored, here);
+      std::uint64_t refused_here = 0;
+      if (missing > 0) {
+        auto known = refused(of_topic, of_origin);
+        if (!known) return std::move(known).error();
+        refused_here = std::min(*known, missing);
+      }
       const std::uint64_t dropped = number("dropped_newest") + number("dropped_oldest") + number("dropped_refused") +
-                                    number("dropped_unsaved");
+                                    number("dropped_unsaved") + refused_here;
       const bool has_first = stored == 0 ||
                              (found != positions.end() && found->second.first <= number("first_sequence") + dropped);
       const bool is_whole = has_first && number("pruned") == 0;
-      if (here < stored && is_whole) return false;
-      if (here < stored && has_ended_) {
-        auto is_done = is_done_with(query->text(at.at("topic")), query->text(at.at("origin")));
+      if (missing > refused_here && is_whole && !has_ended_) return false;
+      if (missing > 0 && has_ended_) {
+        auto is_done = is_done_with(of_topic, of_origin);
         if (!is_done || !*is_done) return is_done;
+        if (is_whole) refused_here = missing;  // of the oldest the recording has forgotten the keys
       }
-      replaced = at.at("pruned");
-      replacement = is_whole ? 0 : static_cast<std::int64_t>(stored - std::min(stored, here));
+      replaced[at.at("stored")] = static_cast<std::int64_t>(stored - refused_here);
+      replaced[at.at("dropped_refused")] = static_cast<std::int64_t>(number("dropped_refused") + refused_here);
+      replaced[at.at("pruned")] = is_whole ? 0 : static_cast<std::int64_t>(missing - refused_here);
     }
     rows += std::to_string(run_);
     hash.begin();
     for (int column = 1; column < width; ++column) {
       rows += '\t';
-      if (column == replaced) {
-        rows += std::to_string(replacement);
-        hash.integer(replacement);
+      if (const auto other = replaced.find(column); other != replaced.end()) {
+        rows += std::to_string(other->second);
+        hash.integer(other->second);
       } else {
         append_value(rows, query->raw(), column);
         hash.column(query->raw(), column);

@@ -284,13 +284,17 @@ Error Connection::lost() {
 Error Connection::failed(const PGresult* result, std::string doing) {
   if (PQstatus(connection_.get()) == CONNECTION_BAD) return lost();
   const char* state = PQresultErrorField(result, PG_DIAG_SQLSTATE);
+  const char* constraint = PQresultErrorField(result, PG_DIAG_CONSTRAINT_NAME);
   const char* primary = PQresultErrorField(result, PG_DIAG_MESSAGE_PRIMARY);
   const char* more = PQresultErrorField(result, PG_DIAG_MESSAGE_DETAIL);
   const char* context = PQresultErrorField(result, PG_DIAG_CONTEXT);
   std::string why = one_line(primary != nullptr ? primary : PQerrorMessage(connection_.get()));
   if (more != nullptr) why += " (" + one_line(more) + ")";
-  if (context != nullptr && std::string_view(context).starts_with("COPY")) why += ", in " + one_line(context);
-  const Meaning meaning = meaning_of(state != nullptr ? state : "");
+  // The last line, where a trigger of the table has failed.
+  const bool is_in_copy = context != nullptr && one_line(context).find("COPY ") != std::string::npos;
+  if (is_in_copy) why += ", in " + one_line(context);
+  const bool is_of_row = state != nullptr && is_in_copy && refuses_row(state, constraint != nullptr ? constraint : "");
+  const Meaning meaning = is_of_row ? row_refused : meaning_of(state != nullptr ? state : "");
   if (state != nullptr) why += ", SQLSTATE " + std::string(state);
   return {meaning.code, std::move(doing), where_, detail::hidden(std::move(why), secrets_), meaning.advice};
 }

@@ -82,7 +82,7 @@ void PostgresqlWriter::forget() noexcept {
   slots_.clear();
   touched_.clear();
   tables_.clear();
-  waiting_bytes_ = 0;
+  waiting_bytes_ = waiting_rows_ = 0;
 }
 
 Result<std::int64_t> PostgresqlWriter::run_of(const std::string& uuid) {
@@ -126,50 +126,93 @@ Result<void> PostgresqlWriter::prepare(Slot& slot, const SlotInfo& info) {
 }
 
 Result<void> PostgresqlWriter::write(Batch& batch) {
-  Result<void> done;
-  try {
-    for (const Record& record : batch) {
-      if (record.slot >= slots_.size()) slots_.resize(record.slot + 1);
-      Slot& slot = slots_[record.slot];
-      if (slot.info != record.info) [[unlikely]] {
-        if (auto fits = check_columns(record.info->topic, *record.info->description); !fits) {
-          batch.refuse_topic(record, fits.error());
-          continue;
-        }
-        if (slot.is_touched) done = send();  // its place has gone to another
-        if (done) done = prepare(slots_[record.slot], *record.info);
-        if (!done) break;
-      }
-      Position& position = slot.pending;
-      if (position.is_there && record.header.sequence <= position.last) continue;  // the server has it
-      const std::size_t before = slot.table->rows().size();
-      position.sum += slot.table->append(record, slot.run);
-      if (!position.is_there) position.first = record.header.sequence;
-      position.is_there = true;
-      position.last = record.header.sequence;
-      ++position.rows;
-      if (!slot.is_touched) {
-        slot.is_touched = true;
-        touched_.push_back(record.slot);
-      }
-      waiting_bytes_ += slot.table->rows().size() - before;
-      if (waiting_bytes_ >= transaction_bytes) {
-        done = send();
-        if (!done) break;
-      }
+  for (;;) {
+    Result<void> done;
+    try {
+      done = store(batch);
+    } catch (...) {  // no memory
+      connection_.roll_back();
+      forget();
+      throw;
     }
-    if (done) done = send();
-  } catch (...) {  // no memory
+    if (done) break;
     connection_.roll_back();
-    forget();
-    throw;
+    const bool is_row = done.error().code == Errc::does_not_fit && connection_ && waiting_rows_ > 0;
+    if (!is_row) {
+      forget();
+      return done;
+    }
+    // One row of the transaction is not to be stored. Smaller ones, of what the server has not yet, tell which.
+    if (waiting_rows_ == 1) {
+      const std::uint32_t slot = touched_.front();
+      slots_[slot].refused_to = slots_[slot].pending.last;
+      refused_.emplace(std::pair(slot, slots_[slot].pending.last), std::move(done).error());
+    }
+    most_rows_ = std::max<std::size_t>(waiting_rows_ / 2, 1);
+    undo();
   }
-  if (!done) {
-    connection_.roll_back();
-    forget();
-    return done;
-  }
+  if (!refused_.empty() || has_unfit_topic_) refuse_rows(batch);
   return {};
+}
+
+Result<void> PostgresqlWriter::store(const Batch& batch) {
+  has_unfit_topic_ = false;
+  for (const Record& record : batch) {
+    if (record.slot >= slots_.size()) slots_.resize(record.slot + 1);
+    Slot& slot = slots_[record.slot];
+    if (slot.info != record.info) [[unlikely]] {
+      if (!check_columns(record.info->topic, *record.info->description)) {
+        has_unfit_topic_ = true;
+        continue;
+      }
+      if (slot.is_touched) {  // its place has gone to another
+        if (auto done = send(); !done) return done;
+      }
+      if (auto done = prepare(slots_[record.slot], *record.info); !done) return done;
+    }
+    Position& position = slot.pending;
+    if (position.is_there && record.header.sequence <= position.last) continue;  // the server has it
+    if (record.header.sequence <= slot.refused_to) continue;
+    if (!refused_.empty() && refused_.contains({record.slot, record.header.sequence})) [[unlikely]] continue;
+    const std::size_t before = slot.table->rows().size();
+    position.sum += slot.table->append(record, slot.run);
+    if (!position.is_there) position.first = record.header.sequence;
+    position.is_there = true;
+    position.last = record.header.sequence;
+    ++position.rows;
+    if (!slot.is_touched) {
+      slot.is_touched = true;
+      touched_.push_back(record.slot);
+    }
+    waiting_bytes_ += slot.table->rows().size() - before;
+    if (++waiting_rows_ < most_rows_ && waiting_bytes_ < transaction_bytes) continue;
+    if (auto done = send(); !done) return done;
+  }
+  return send();
+}
+
+void PostgresqlWriter::undo() {
+  for (const std::uint32_t number : touched_) {
+    slots_[number].pending = slots_[number].stored;
+    slots_[number].is_touched = false;
+  }
+  begin_transaction();
+}
+
+void PostgresqlWriter::begin_transaction() {
+  touched_.clear();
+  for (auto& [key, table] : tables_) table.begin();
+  waiting_bytes_ = waiting_rows_ = 0;
+}
+
+void PostgresqlWriter::refuse_rows(Batch& batch) {
+  for (const Record& record : batch) {
+    if (auto fits = check_columns(record.info->topic, *record.info->description); !fits)
+      batch.refuse_topic(record, fits.error());
+    else if (const auto why = refused_.find({record.slot, record.header.sequence}); why != refused_.end())
+      batch.refuse(record, why->second);
+  }
+  refused_.clear();
 }
 
 Result<void> PostgresqlWriter::send() {
@@ -191,9 +234,8 @@ Result<void> PostgresqlWriter::send() {
     slot.is_touched = false;
     positions_[slot.run][key_of(slot.info->topic, slot.info->origin)] = slot.stored;
   }
-  touched_.clear();
-  for (auto& [key, table] : tables_) table.begin();
-  waiting_bytes_ = 0;
+  begin_transaction();
+  if (most_rows_ != every_row) most_rows_ = most_rows_ <= every_row / 2 ? 2 * most_rows_ : every_row;
   return {};
 }
 

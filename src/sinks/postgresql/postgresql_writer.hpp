@@ -5,6 +5,7 @@
 #include <chrono>
 #include <cstdint>
 #include <functional>
+#include <limits>
 #include <map>
 #include <memory>
 #include <string>
@@ -40,8 +41,16 @@ class PostgresqlWriter final : public Writer {
     std::int64_t run = 0;
     ServerTable* table = nullptr;
     Position stored, pending;
+    std::uint64_t refused_to = 0;  // rows up to this sequence are stored or refused
     bool is_touched = false;
   };
+  /// Appends and sends all that the server has not. An error `does_not_fit` is of one row of the last transaction.
+  Result<void> store(const Batch& batch);
+  /// What was appended since the last transaction.
+  void undo();
+  void begin_transaction();
+  /// What `store` has left out.
+  void refuse_rows(Batch& batch);
   Result<void> prepare(Slot& slot, const SlotInfo& info);
   Result<std::int64_t> run_of(const std::string& uuid);
   /// All that was appended, in one transaction.
@@ -50,6 +59,7 @@ class PostgresqlWriter final : public Writer {
   /// After whatever failed: what the server has is asked for anew.
   void forget() noexcept;
 
+  static constexpr std::size_t every_row = std::numeric_limits<std::size_t>::max();
   const PostgresqlConfig config_;
   const Address address_;
   const std::string machine_;
@@ -59,7 +69,11 @@ class PostgresqlWriter final : public Writer {
   std::map<std::pair<std::string, std::uint64_t>, ServerTable> tables_;  // by topic and the serial of its description
   std::vector<Slot> slots_;
   std::vector<std::uint32_t> touched_;
-  std::size_t waiting_bytes_ = 0;
+  std::size_t waiting_bytes_ = 0, waiting_rows_ = 0;
+  /// Rows of the batch that the server will never store, by slot and sequence: the batch may come again.
+  std::map<std::pair<std::uint32_t, std::uint64_t>, Error> refused_;
+  bool has_unfit_topic_ = false;
+  std::size_t most_rows_ = every_row;  // of a transaction: fewer while one is looked for that the server refuses
 
   // with `through`: the account of the recording
   using Clock = std::chrono::steady_clock;

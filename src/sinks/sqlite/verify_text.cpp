@@ -69,7 +69,7 @@ std::string loss_text(const TopicLoss& loss) {
                     parts_of({{"lost by the source", loss.by_source},
                               {"unreadable", loss.unreadable},
                               {"dropped by the queue", loss.dropped_newest + loss.dropped_oldest},
-                              {"refused by the recording", loss.refused},
+                              {"refused on storing", loss.refused},
                               {"not saved", loss.not_saved}}) +
                     ")";
   }
