@@ -69,9 +69,8 @@ Meaning meaning_of(std::string_view state) noexcept {
 
 bool refuses_row(std::string_view state, std::string_view constraint) noexcept {
   if (state == "23505") return !constraint.ends_with("_pkey");  // the key that tables are made with: see above
-  // Class 22 are values that a computed column or a trigger cannot take, but that what is copied is of another form.
-  return state == "23514" || state == "23P01" || state == "P0001" ||
-         (state.starts_with("22") && !state.starts_with("22P"));
+  // Class 22: a value that a computed column or a trigger cannot take.
+  return state == "23514" || state == "23P01" || state == "P0001" || state.starts_with("22");
 }
 
 Meaning meaning_of_text(std::string_view why) noexcept {

@@ -126,7 +126,7 @@ Result<void> PostgresqlWriter::prepare(Slot& slot, const SlotInfo& info) {
 }
 
 Result<void> PostgresqlWriter::write(Batch& batch) {
-  for (;;) {
+  for (bool is_table_known = false;;) {
     Result<void> done;
     try {
       done = store(batch);
@@ -141,6 +141,10 @@ Result<void> PostgresqlWriter::write(Batch& batch) {
     if (!is_row) {
       forget();
       return done;
+    }
+    if (!std::exchange(is_table_known, true)) {  // or of every row, since a column has another type now
+      forget();
+      continue;
     }
     // One row of the transaction is not to be stored. Smaller ones, of what the server has not yet, tell which.
     if (waiting_rows_ == 1) {
