@@ -25,13 +25,13 @@ struct Function {
 constexpr std::size_t any_number = 64;
 constexpr auto functions = std::to_array<Function>({
     {"abs", "abs", 1, 1},          {"acos", "acos", 1, 1},   {"asin", "asin", 1, 1},
-    {"atan", "atan", 1, 1},        {"atan2", "atan2", 2, 2}, {"average", "avg", 1, any_number},
+    {"atan", "atan", 1, 1},        {"atan2", "atan2", 2, 2}, {"average", "avg", 2, any_number},
     {"ceil", "ceil", 1, 1},        {"cos", "cos", 1, 1},     {"cosh", "cosh", 1, 1},
     {"exp", "exp", 1, 1},          {"floor", "floor", 1, 1}, {"ln", "ln", 1, 1},
-    {"log10", "log10", 1, 1},      {"log2", "log2", 1, 1},   {"max", "max", 1, any_number},
-    {"min", "min", 1, any_number}, {"round", "round", 1, 1}, {"sign", "sign", 1, 1},
+    {"log10", "log10", 1, 1},      {"log2", "log2", 1, 1},   {"max", "max", 2, any_number},
+    {"min", "min", 2, any_number}, {"round", "round", 1, 1}, {"sign", "sign", 1, 1},
     {"sin", "sin", 1, 1},          {"sinh", "sinh", 1, 1},   {"sqrt", "sqrt", 1, 1},
-    {"sum", "sum", 1, any_number}, {"tan", "tan", 1, 1},     {"tanh", "tanh", 1, 1},
+    {"sum", "sum", 2, any_number}, {"tan", "tan", 1, 1},     {"tanh", "tanh", 1, 1},
 });
 
 struct MemoryFunction {
@@ -422,9 +422,13 @@ class Parser {
       fail_at(called_at, "`" + word + "` takes " + wanted + ", not " + std::to_string(given));
     };
     if (function != functions.end()) {
+      if (given == 1 && function->most == any_number)  // who writes so thinks of former values
+        fail_at(called_at, "`" + word +
+                               "` is of several values of one event; of one value over time there are highest, " +
+                               "lowest, mean and integral");
       if (given < function->least || given > function->most)
         refuse(function->most == any_number
-                   ? "1 argument or more, up to 64"
+                   ? "2 arguments or more, up to 64"
                    : std::to_string(function->least) + (function->least == 1 ? " argument" : " arguments"));
       node.text = std::string(function->in_library);
       return add(std::move(node));

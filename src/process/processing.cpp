@@ -55,7 +55,7 @@ struct Finder {
       else if (i > 0 && c.table[i][0] <= c.table[i - 1][0])
         add(place, "the table does not ascend here", "put the points in the order of their first numbers, each once");
     }
-    if (c.outside == OutsideTable::clamp && c.table.empty())
+    if (c.outside != OutsideTable::refuse && c.table.empty())
       add("calibration.outside", "there is no table outside of which a value could be",
           "leave it out, or add a `table`");
     look_at_bounds("calibration", c.least, c.most);

@@ -173,7 +173,7 @@ void Processor::add_group(const std::vector<Item>& items) {
     if (!c.table.empty()) {
       Op& op = add_op(Step::table, 2 * c.table.size() * lanes);
       op.count = static_cast<std::uint32_t>(c.table.size());
-      op.is_clamping = c.outside == OutsideTable::clamp;
+      op.outside = c.outside;
       double* to = numbers_.data() + op.first;  // of each value all x, then all y
       for (const Item& item : items) {
         for (const std::size_t part : {std::size_t{0}, std::size_t{1}})
@@ -417,8 +417,8 @@ bool Processor::look_up(const Group& group, Op& op) noexcept {
     const double* const xs = numbers_.data() + op.first + 2 * i * op.count;
     const double* const ys = xs + op.count;
     double& x = x_[i];
-    if (!(x >= xs[0] && x <= xs[op.count - 1])) {
-      if (!op.is_clamping) return fail(group, i, Failure::outside_table, x);
+    if (!(x >= xs[0] && x <= xs[op.count - 1]) && op.outside != OutsideTable::extend) {
+      if (op.outside == OutsideTable::refuse) return fail(group, i, Failure::outside_table, x);
       x = x < xs[0] ? ys[0] : ys[op.count - 1];
       continue;
     }
@@ -542,7 +542,7 @@ Error Processor::error(const std::string& sensor) const {
       break;
     case Failure::outside_table:
       error.why = value + " is outside the table of its calibration";
-      error.advice = "extend the table, or set `outside` to \"clamp\"";
+      error.advice = "extend the table, or set `outside`: \"extend\" goes on straight, \"clamp\" keeps the value of the end";
       break;
     case Failure::below:
       error.why = value + " is below " + bound + ", the least";
@@ -577,7 +577,7 @@ ConfigItem item_of(const Calibration& c) {
   if (c.offset != 0) item.set("offset", c.offset);
   if (!c.polynomial.empty()) item.set("polynomial", c.polynomial);
   if (!c.table.empty()) item.set("table", c.table);
-  if (c.outside == OutsideTable::clamp) item.set("outside", "clamp");
+  if (c.outside != OutsideTable::refuse) item.set("outside", c.outside == OutsideTable::clamp ? "clamp" : "extend");
   set_if(item, "least", c.least);
   set_if(item, "most", c.most);
   return item;

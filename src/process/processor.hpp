@@ -47,7 +47,7 @@ class Processor {
   /// One step of the values of a group, and what it remembers; numbers of each value lie side by side.
   struct Op {
     Step step = Step::scale;
-    bool is_clamping = false;  // of a table
+    OutsideTable outside = OutsideTable::refuse;
     Reference reference = Reference::none;
     bool is_absent = false;    // in this sample
     std::uint32_t count = 0;   // of coefficients, points, samples

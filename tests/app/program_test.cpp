@@ -638,6 +638,11 @@ TEST_SUITE("app") {
       CHECK_MESSAGE(has(found.out, says), found.out);
       CHECK(has(found.out, "  parameter "));
     }
+    Process arduino(folder, shipped, {"types", "arduino"});
+    CHECK(arduino.end() == 0);
+    CHECK(has(arduino.out, "arduino: type serial\n"));
+    Process can(folder, shipped, {"types", "can"});
+    CHECK(can.end() == 1);  // "can" as a verb is in many descriptions
     Process several(folder, shipped, {"types", "thermocouple"});
     CHECK(several.end() == 0);
     CHECK(has(several.out, "types for thermocouple\n  max31855 "));

@@ -141,7 +141,8 @@ TEST_CASE("each mistake has its column, a reason and what was meant") {
   shows("rate()", 1, "`rate` takes 1 argument, or 2: a value and seconds, not 0");
   shows("sin(x, 2)", 1, "`sin` takes 1 argument, not 2");
   shows("atan2(x)", 1, "`atan2` takes 2 arguments, not 1");
-  shows("max()", 1, "`max` takes 1 argument or more");
+  shows("max()", 1, "`max` takes 2 arguments or more");
+  shows("2 + max(x)", 5, "of one value over time there are highest");
   shows("highest(3)", 9, "has no name in it");
   shows("log(x)", 1, "write `ln` or `log10`");
   shows("if(x > 3, 1, 2)", 1, "there is no `if`");

@@ -94,7 +94,7 @@ struct ByHand {
       if (!c.table.empty()) {
         if (x < c.table.front()[0] || x > c.table.back()[0]) {
           if (c.outside == OutsideTable::refuse) return std::nullopt;
-          x = std::clamp(x, c.table.front()[0], c.table.back()[0]);
+          if (c.outside == OutsideTable::clamp) x = std::clamp(x, c.table.front()[0], c.table.back()[0]);
         }
         std::size_t i = 0;
         while (i + 2 < c.table.size() && x >= c.table[i + 1][0]) ++i;
@@ -167,7 +167,7 @@ FieldProcessing any_processing(Dice& dice) {
       double x = dice.number(-40, -20);
       for (unsigned i = dice.whole(2, 30); i > 0; --i)
         c.table.push_back({x += dice.number(0.1, 10), dice.number(-9, 9)});
-      c.outside = dice.whole(0, 1) == 0 ? OutsideTable::refuse : OutsideTable::clamp;
+      c.outside = static_cast<OutsideTable>(dice.whole(0, 2));
     }
     if (dice.whole(0, 3) == 0) c.most = dice.number(0, 20);
     what.calibration = c;

@@ -196,6 +196,22 @@ TEST_CASE("US-17 values as users write them, and cells without one") {
       SetupError);
 }
 
+TEST_CASE("a line that is separated by something else, or is a greeting, is answered with what to set") {
+  const auto advice = [](const detail::LineDecoder& decoder, std::string_view line) {
+    auto done = const_cast<detail::LineDecoder&>(decoder).decode(line);
+    REQUIRE_FALSE(done);
+    return done.error().text();
+  };
+  const detail::LineDecoder two({.fields = {{.name = "a"}, {.name = "b"}}});
+  CHECK(advice(two, "123.7;20.1").find("it seems to be separated by \";\": set `separator`") != std::string::npos);
+  CHECK(advice(two, "123.7 20.1").find("separated by blanks") != std::string::npos);
+  CHECK(advice(two, "123.7\t20.1").find("separated by tabs") != std::string::npos);
+  CHECK(advice(two, "1,2;3").find("separated") == std::string::npos);
+  const std::string greeting = advice(detail::LineDecoder({.fields = {{.name = "a"}}}), "HX711 ready");
+  CHECK(greeting.find("\"HX711 ready\" is no number") != std::string::npos);
+  CHECK(greeting.find("`skip_lines` or `comment`") != std::string::npos);
+}
+
 TEST_CASE("US-17 our own CSV comes back equal from a serial line") {
   std::vector<LineField> fields{
       {.name = "time", .type = Kind::i64},     {.name = "origin", .type = Kind::text},

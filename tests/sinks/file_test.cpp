@@ -139,6 +139,20 @@ TEST_SUITE("sinks") {
                            "/run-b-c.csv: the file holds topic b/c: give one of them a sink of its own");
   }
 
+  TEST_CASE("US-30 without a format a file is written as its name ends") {
+    CHECK(format_of({.path = "a/run.csv"}) == "csv");
+    CHECK(format_of({.path = "run-{topic}.cbor"}) == "cbor");
+    CHECK(format_of({.path = "run.jsonl"}) == "jsonl");
+    CHECK(format_of({.path = "csv"}) == "jsonl");
+    CHECK(format_of({.path = "run.csv", .format = "jsonl"}) == "jsonl");
+    Bench bench;
+    Loop loop{Loop::Manual{}};
+    FileSink sink(loop, {.path = bench.directory / "run.csv"});
+    loop.topic<Number>("a").publish({1});
+    sink.close();
+    CHECK(values(bench.directory / "run.csv", "csv") == std::vector<double>{1});
+  }
+
   TEST_CASE("US-30 mistakes are told by the constructor") {
     Bench bench;
     const std::string& directory = bench.directory.path;

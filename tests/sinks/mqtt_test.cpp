@@ -177,6 +177,7 @@ TEST_SUITE("sinks") {
     }));
     CHECK(bench.loop.close(2s) == 0);
     CHECK_THROWS_AS(MqttSink(bench.loop, {.qos = 0, .wait_for_subscriber = true}), SetupError);
+    CHECK_THROWS_AS(MqttSink(bench.loop, {.qos = 2, .wait_for_subscriber = true}), SetupError);
     CHECK_THROWS_AS(MqttSink(bench.loop, {.wait_for_subscriber = true, .version = MqttVersion::v311}), SetupError);
   }
 

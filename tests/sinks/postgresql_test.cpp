@@ -503,9 +503,8 @@ TEST_SUITE("sinks") {
       accept = "DROP TRIGGER seven ON \"plant/number\"";
     }
     SUBCASE("a computed column that cannot be computed") {
-      refuse =
-          "ALTER TABLE \"plant/number\" ADD COLUMN inverse bigint GENERATED ALWAYS AS (CASE WHEN sequence <= " +
-          std::to_string(before) + " THEN 0 ELSE 1 / (count % 7) END) STORED";
+      refuse = "ALTER TABLE \"plant/number\" ADD COLUMN inverse bigint GENERATED ALWAYS AS (CASE WHEN sequence <= " +
+               std::to_string(before) + " THEN 0 ELSE 1 / (count % 7) END) STORED";
       accept = "ALTER TABLE \"plant/number\" DROP COLUMN inverse";
     }
     if (refuse.empty()) return;

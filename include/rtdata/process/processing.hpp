@@ -42,6 +42,7 @@ namespace rtdata {
 enum class OutsideTable : std::uint8_t {
   refuse,  ///< the sample is unreadable
   clamp,   ///< the value of the nearest end
+  extend,  ///< the line through the two points at that end goes on
 };
 
 /// x = raw * scale + offset; of that the polynomial, or the table, if there is one.

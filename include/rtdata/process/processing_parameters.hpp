@@ -21,7 +21,8 @@ constexpr auto parameters(type_tag<Calibration>) {
       parameter("polynomial", &Calibration::polynomial, "its coefficients, of that: c0, c1, c2 ..., 2 to 10"),
       parameter("table", &Calibration::table, "pairs of that and the value, 2 to 1000, straight between them"),
       parameter("outside", &Calibration::outside, "what becomes of a value outside the table",
-                choices(value("refuse", OutsideTable::refuse), value("clamp", OutsideTable::clamp))),
+                choices(value("refuse", OutsideTable::refuse), value("clamp", OutsideTable::clamp),
+                        value("extend", OutsideTable::extend))),
       parameter("least", &Calibration::least, "a value below it is unreadable"),
       parameter("most", &Calibration::most, "a value above it is unreadable"));
 }

@@ -72,8 +72,10 @@ struct FileRotation {
 };
 
 struct FileConfig {
-  std::string path;              ///< may hold {topic} in its last part
-  std::string format = "jsonl";  ///< "jsonl" (or "json"), "csv", "cbor", "influx", "raw", or a name of the registry
+  std::string path;  ///< may hold {topic} in its last part
+  /// "jsonl" (or "json"), "csv", "cbor", "influx", "raw", or a name of the registry; empty: csv or cbor where the path
+  /// ends with .csv or .cbor, else jsonl
+  std::string format = {};
   FileSync sync = FileSync::at_close;
   FileRotation rotate = {};  ///< run.csv is the file that is written; those before are run-00000001.csv and so on
   std::uint64_t keep = 0;    ///< how many earlier files are kept; 0: all
@@ -84,8 +86,10 @@ struct FileConfig {
     return parameter_list(
         parameter("path", &FileConfig::path, "the file; {topic} in its name makes a file a topic", required,
                   TextIs::output_file, placeholders("topic")),
-        parameter("format", &FileConfig::format,
-                  "jsonl (a JSON object a line), csv, cbor, influx, raw, or a format added by the program"),
+        parameter(
+            "format", &FileConfig::format,
+            "jsonl (a JSON object a line), csv, cbor, influx, raw, or a format added by the program; without it as "
+            "the path ends: .csv, .cbor, else jsonl"),
         parameter("sync", &FileConfig::sync,
                   "when the data is forced onto the disk: never, after each batch, at close"),
         parameter("rotate", &FileConfig::rotate, "when a new file is begun; those before get numbers that sort"),
@@ -103,6 +107,8 @@ struct FileConfig {
 std::vector<Error> refused_topics(const FileConfig& config, std::span<const TopicToRecord> topics,
                                   const CodecRegistry& formats = CodecRegistry::standard());
 
+/// The name of its format, which `format` or the end of `path` says.
+std::string format_of(const FileConfig& config);
 /// The path of the file that this topic's events go to.
 std::string file_of_topic(const FileConfig& config, std::string_view topic);
 /// Whether `other` goes with `file`, one of the sink's: FILE.half, and those before it when it is rotated.

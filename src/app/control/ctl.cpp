@@ -38,6 +38,10 @@ std::string ctl_help() {
 }
 
 int ctl(const std::vector<std::string>& given) {
+  if (given.empty()) {
+    std::cerr << "rtdata: which command?\n" << ctl_help() << std::flush;
+    return exit_configuration;
+  }
   // The first word may be an instance; one that is called as a command is named by its pid.
   std::vector<std::string> words = given;
   std::string instance;

@@ -138,8 +138,7 @@ Action prepare_top(CLI::App& command) {
 Action prepare_ctl(CLI::App& command) {
   const auto words = std::make_shared<std::vector<std::string>>();
   command.add_option("WORDS", *words, "[NAME|PID] COMMAND ...: an instance when several run, and a command")
-      ->required()
-      ->expected(1, 1002);
+      ->expected(0, 1002);
   command.prefix_command();
   command.footer(ctl_help() +
                  "Each is recorded on the topic rtdata/commands, with who gave it and what came of it.\n"

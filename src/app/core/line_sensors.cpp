@@ -13,7 +13,8 @@ void add_line_sensors(Registry& registry) {
       [](const SerialConfig& config) { return serial_description(config); }, makes<SerialLineSensor>,
       [](PartPlan& plan, const SerialConfig& config) {
         plan.place = {"", config.device, ""};
-      });
+      },
+      {.aliases = "arduino uart rs232 usb teensy esp32"});
 }
 
 }  // namespace rtdata::app

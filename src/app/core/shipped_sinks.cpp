@@ -38,7 +38,7 @@ struct ShippedFileConfig : FileConfig {
   friend constexpr auto parameters(type_tag<ShippedFileConfig>) { return parameter_list(include<FileConfig>); }
   friend void check_config(const ShippedFileConfig& config, const ConfigItem& item, Problems& problems) {
     check_config(static_cast<const FileConfig&>(config), item, problems);
-    check_format(config.format, {"jsonl"}, item, problems);
+    check_format(format_of(config), {"jsonl"}, item, problems);
   }
 };
 struct ShippedTcpConfig : TcpConfig {

@@ -235,8 +235,17 @@ void Neighbours::check_stored_topics(Problems& problems) {
                                   .refused_topics({wanted.begin(), wanted.begin() + static_cast<std::ptrdiff_t>(known)})
                                   .empty();
     if (was_refused) continue;  // reported when those were added
-    for (const Error& error : stores.refused_topics(wanted))
+    // What holds for several topics is one mistake.
+    const std::vector<Error> errors = stores.refused_topics(wanted);
+    for (auto first = errors.begin(); first != errors.end();) {
+      const auto next = std::find_if(first, errors.end(), [&](const Error& error) {
+        return error.where != first->where || error.why != first->why;
+      });
+      Error error = *first;
+      if (next - first > 1) error.what += " (and " + std::to_string(next - first - 1) + " more)";
       problems.add(child_or_self(storing.part->item, "path").problem("cannot-record", error.text()));
+      first = next;
+    }
   }
 }
 

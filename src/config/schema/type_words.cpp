@@ -8,6 +8,7 @@ namespace rtdata {
 namespace {
 
 bool is_letter(char c) { return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z'); }
+bool is_small_letter(char c) { return c >= 'a' && c <= 'z'; }
 bool is_digit(char c) { return c >= '0' && c <= '9'; }
 
 /// "MPU-6050" is "mpu6050".
@@ -23,18 +24,27 @@ std::string plain(std::string_view word) {
   return result;
 }
 
-/// Whether the word is in the text, by itself or in the plural.
-bool has_word(std::string_view text, const std::string& word) {
+/// The word as it is written in the text, by itself or in the plural; empty: it is not there.
+std::string_view written(std::string_view text, const std::string& word) {
   while (!text.empty()) {
     const auto is_of_word = [](char c) { return is_letter(c) || is_digit(c) || c == '-' || c == '_'; };
     const auto first = std::find_if(text.begin(), text.end(), is_of_word);
     const auto last = std::find_if_not(first, text.end(), is_of_word);
-    const std::string found = plain(std::string_view(text).substr(static_cast<std::size_t>(first - text.begin()),
-                                                                  static_cast<std::size_t>(last - first)));
-    if (found == word || found == word + "s") return true;
+    const std::string_view here = text.substr(static_cast<std::size_t>(first - text.begin()),
+                                              static_cast<std::size_t>(last - first));
+    const std::string found = plain(here);
+    if (found == word || found == word + "s") return here;
     text.remove_prefix(static_cast<std::size_t>(last - text.begin()));
   }
-  return false;
+  return {};
+}
+
+bool has_word(std::string_view text, const std::string& word) { return !written(text, word).empty(); }
+
+/// Of a short word only in capitals: a CAN bus is not meant by "they can".
+bool describes(std::string_view text, const std::string& word) {
+  const std::string_view here = written(text, word);
+  return word.size() > 3 ? !here.empty() : !std::all_of(here.begin(), here.end(), is_small_letter);
 }
 
 /// A chip's name, such as sht31; other words are too common to look for in long texts.
@@ -59,7 +69,7 @@ WordFound find_word(const TypeInfo& type, std::string_view given) {
       if (plain(choice) == word) return {WordIn::choice, parameter.key, choice};
   }
   if (has_word(type.page.aliases, word)) return {WordIn::choice};
-  if (has_word(type.doc, word)) return {WordIn::description};
+  if (describes(type.doc, word)) return {WordIn::description};
   if (!is_like_a_chip(word)) return {};
   bool is_found = has_word(type.page.notes, word);
   for (const ParameterInfo& parameter : type.parameters) is_found = is_found || has_word(parameter.doc, word);

@@ -16,6 +16,11 @@ namespace {
 
 constexpr const char* check_fields = "check `fields` and the other settings";
 
+/// Of a type, for people.
+std::string number_name(Kind kind) {
+  return kind == Kind::f64 || kind == Kind::f32 ? "number" : std::string(name_of(kind));
+}
+
 Error refused(std::string where, std::string why, std::string advice) {
   return {Errc::bad_argument, "cannot use these fields", std::move(where), std::move(why), std::move(advice)};
 }
@@ -198,7 +203,30 @@ bool LineDecoder::is_skipped(std::string_view line) const noexcept {
 
 Result<void> LineDecoder::decode(std::string_view line) {
   std::memset(payload_.data(), 0, payload_.size() * sizeof payload_[0]);
-  return format_ == LineFormat::csv ? decode_csv(line) : decode_json(line);
+  if (format_ == LineFormat::json) return decode_json(line);
+  Result<void> done = decode_csv(line);
+  if (done) return done;
+  Error error = std::move(done).error();
+  error.advice = advice_on(line);
+  return error;
+}
+
+/// What is probably meant by a line that is not as it was expected.
+std::string LineDecoder::advice_on(std::string_view line) const {
+  for (const char other : {';', ',', '\t', '|', ' '}) {
+    const auto count = static_cast<std::size_t>(std::count(line.begin(), line.end(), other));
+    if (other == separator_ || columns_ < 2 || count + 1 != columns_) continue;
+    return std::string("it seems to be separated by ") +
+           (other == '\t'  ? "tabs"
+            : other == ' ' ? "blanks"
+                           : "\"" + std::string(1, other) + "\"") +
+           ": set `separator`";
+  }
+  const bool is_text = std::none_of(fields_.begin(), fields_.end(),
+                                    [](const LineField& field) { return field.type == Kind::text; });
+  if (is_text && !line.empty() && std::isalpha(static_cast<unsigned char>(line.front())) != 0)
+    return std::string(check_fields) + "; a greeting or a heading is left out by `skip_lines` or `comment`";
+  return check_fields;
 }
 
 Result<void> LineDecoder::give(std::string_view key, std::string_view text) {
@@ -259,7 +287,7 @@ Result<void> LineDecoder::put_value(std::size_t index, const Leaf& leaf_of_it, s
         return failure(Errc::out_of_range, index,
                        shown(text) + " does not fit into " + std::string(name_of(leaf->kind)));
       }
-      return failure(Errc::not_a_number, index, shown(text) + " is no " + std::string(name_of(leaf->kind)));
+      return failure(Errc::not_a_number, index, shown(text) + " is no " + number_name(leaf->kind));
     }
   }
 }
@@ -405,7 +433,7 @@ bool LineDecoder::JsonHandler::take(Form form, std::string_view text) {
     } else if (form == Form::null || is_textual != (form == Form::string) ||
                (kind != Kind::boolean && form == Form::boolean)) {
       error_ = decoder_.failure(is_textual ? Errc::bad_data : Errc::not_a_number, i,
-                                shown(text) + " is no " + std::string(name_of(kind)));
+                                shown(text) + " is no " + number_name(kind));
     } else if (Result<void> done = decoder_.put(i, text); !done) {
       error_ = std::move(done).error();
     }

@@ -53,6 +53,7 @@ class LineDecoder {
  private:
   class JsonHandler;
   Result<void> decode_csv(std::string_view line);
+  std::string advice_on(std::string_view line) const;
   Result<void> decode_json(std::string_view line);
   /// Puts the text of column or key `index` in its place.
   Result<void> put(std::size_t index, std::string_view text);

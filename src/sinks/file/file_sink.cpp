@@ -288,7 +288,8 @@ class FileWriter final : public RecordingWriter {
 };
 
 std::string codec_name(const FileConfig& config, const CodecRegistry& formats) {
-  return config.format == "jsonl" && formats.find("jsonl") == nullptr ? "json" : config.format;
+  const std::string format = format_of(config);
+  return format == "jsonl" && formats.find("jsonl") == nullptr ? "json" : format;
 }
 
 std::unique_ptr<Writer> make_writer(const FileConfig& config, const CodecRegistry& formats) {
@@ -322,6 +323,12 @@ std::vector<Error> refused_topics(const FileConfig& config, std::span<const Topi
     if (!taken) refused.push_back(std::move(taken).error());
   }
   return refused;
+}
+
+std::string format_of(const FileConfig& config) {
+  if (!config.format.empty()) return config.format;
+  const std::string ending = std::filesystem::path(config.path).extension();
+  return ending == ".csv" ? "csv" : ending == ".cbor" ? "cbor" : "jsonl";
 }
 
 std::string file_of_topic(const FileConfig& config, std::string_view topic) { return path_of(config.path, topic); }

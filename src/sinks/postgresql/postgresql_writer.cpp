@@ -177,7 +177,8 @@ Result<void> PostgresqlWriter::store(const Batch& batch) {
     Position& position = slot.pending;
     if (position.is_there && record.header.sequence <= position.last) continue;  // the server has it
     if (record.header.sequence <= slot.refused_to) continue;
-    if (!refused_.empty() && refused_.contains({record.slot, record.header.sequence})) [[unlikely]] continue;
+    if (!refused_.empty() && refused_.contains({record.slot, record.header.sequence})) [[unlikely]]
+      continue;
     const std::size_t before = slot.table->rows().size();
     position.sum += slot.table->append(record, slot.run);
     if (!position.is_there) position.first = record.header.sequence;
