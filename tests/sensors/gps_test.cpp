@@ -3,6 +3,7 @@
 #include <doctest/doctest.h>
 
 #include <algorithm>
+#include <fstream>
 #include <random>
 
 #include "loop/runtime/runtime_core.hpp"
@@ -64,6 +65,9 @@ struct GpsBench {
       : gpsd(family) {
     be_quiet(loop);
     loop.on_error([](const ErrorReport&) {});
+    loop.runtime().on_log([this](const LogRecord& record) {
+      if (record.level >= LogLevel::warning && record.text.starts_with("its time")) log.emplace_back(record.text);
+    });
     heard = loop.subscribe<GpsFix>("gps", [this](const Event<GpsFix>& fix) { seen.push_back({fix.time, *fix}); });
     config.port = gpsd.port();
     config.host = host != nullptr ? host : family == FakeGpsd::Family::ipv4 ? "127.0.0.1" : "::1";
@@ -91,7 +95,14 @@ struct GpsBench {
   GpsSensor sensor;
   std::vector<Seen> seen;
   std::vector<Error> errors;
+  std::vector<std::string> log;  // what it says of its time of day
 };
+
+std::vector<std::string> error_texts(const GpsBench& bench) {
+  std::vector<std::string> texts;
+  for (const Error& error : bench.errors) texts.push_back(error.text());
+  return texts;
+}
 
 }  // namespace
 
@@ -226,38 +237,101 @@ TEST_CASE("US-14 lines that are changed at random crash nothing, and give no pos
 
 TEST_CASE("US-14 a receiver's time is a source of the time of day once it is plausible, and not before") {
   using System = detail::GpsTimeCheck::SystemTime;
+  using Verdict = detail::GpsTimeCheck::Verdict;
   const Time right{1'800'000'000s};
-  /// How many of `count` reports, one a second, are accepted.
-  const auto accepted = [](detail::GpsTimeCheck& check, Time from, int count, const System& system) {
+  /// How many of `count` reports, one a second, get this verdict; the others are open.
+  const auto judged = [](detail::GpsTimeCheck& check, Verdict verdict, Time from, int count, const System& system) {
     static MonotonicTime at{1h};
     int all = 0;
     for (int i = 0; i < count; ++i) {
       at += 1s;
-      all += check.accepts(at, from + i * 1s, 1s, {system.time + i * 1s, system.accuracy}) ? 1 : 0;
+      const Verdict now = check.look_at(at, from + i * 1s, 1s, 1s, {system.time + i * 1s, system.accuracy});
+      CHECK((now == verdict || now == Verdict::open));
+      all += now == verdict ? 1 : 0;
     }
     return all;
   };
   const System unset{Time{0s}};
   detail::GpsTimeCheck check;
-  CHECK(accepted(check, right, 4, unset) == 0);
-  CHECK(accepted(check, right + 4s, 5, unset) == 5);
-  CHECK(accepted(check, right + 60s, 4, unset) == 0);  // it jumped: a leap second, or another satellite
-  CHECK(accepted(check, right, 4, unset) == 0);        // and back
+  CHECK(judged(check, Verdict::good, right, 4, unset) == 0);
+  CHECK(judged(check, Verdict::good, right + 4s, 5, unset) == 5);
+  CHECK(judged(check, Verdict::good, right + 60s, 4, unset) == 0);  // it jumped: a leap second, or another satellite
+  CHECK(judged(check, Verdict::good, right, 4, unset) == 0);        // and back
+  // Nobody keeps the clock: whatever it shows, the receiver is right within the ten years from the release on.
   constexpr Duration rollover = 24h * 7 * 1024;
-  CHECK(accepted(check, right - rollover, 100, unset) == 0);
-  CHECK(accepted(check, right + rollover, 100, unset) == 0);
-  CHECK(accepted(check, Time{0s}, 100, unset) == 0);
-  // A clock that was set once is nearer than 20 years, one that is kept right than a second.
-  CHECK(accepted(check, right + 24h * 365 * 9, 100, System{right}) == 0);
-  CHECK(accepted(check, right + 24h * 100, 100, System{right}) == 96);
+  const Time made{std::chrono::sys_days{detail::this_release.date}};
+  const Time later{std::chrono::sys_days{detail::this_release.date + std::chrono::years{10}}};
+  for (const System system : {unset, System{right}, System{right + rollover}}) {
+    CHECK(judged(check, Verdict::other_age, right - rollover, 100, system) == 96);
+    CHECK(judged(check, Verdict::other_age, right + rollover, 100, system) == 96);
+    CHECK(judged(check, Verdict::other_age, Time{0s}, 100, system) == 96);
+    CHECK(judged(check, Verdict::other_age, made - 100s, 100, system) == 96);
+    CHECK(judged(check, Verdict::good, made, 100, system) == 100);  // the same line goes on
+    CHECK(judged(check, Verdict::good, later - 100s, 100, system) == 96);
+    CHECK(judged(check, Verdict::other_age, later, 100, system) == 100);
+  }
+  // Somebody does: it is believed before a receiver beyond both accuracies, of any date.
   check.reset();
-  CHECK(accepted(check, right + 18s, 100, System{right, 10ms}) == 0);
-  CHECK(accepted(check, right + 300ms, 100, System{right, 10ms}) == 96);
-  // The same time again and again is one report.
-  detail::GpsTimeCheck still;
-  int all = 0;
-  for (int i = 0; i < 100; ++i) all += still.accepts(MonotonicTime{i * 1s}, right, 1s, unset) ? 1 : 0;
-  CHECK(all == 0);
+  CHECK(judged(check, Verdict::other_clock, right + 18s, 100, System{right, 10ms}) == 96);
+  CHECK(judged(check, Verdict::other_clock, right - 1020ms, 100, System{right, 10ms}) == 96);
+  CHECK(judged(check, Verdict::good, right + 1s, 100, System{right, 10ms}) == 96);
+  CHECK(judged(check, Verdict::good, right + 18s, 100, System{right, 17s}) == 96);
+  CHECK(judged(check, Verdict::good, right - rollover, 100, System{right - rollover, 10ms}) == 96);
+  CHECK(judged(check, Verdict::other_clock, Time::max() - 200s, 100, System{Time::min(), 10ms}) == 96);
+}
+
+TEST_CASE("US-14 reports of a receiver agree when they are as far apart in arrival as in time, not when held back") {
+  const Time right{1'800'000'000s};
+  struct Arrival {
+    Duration at, fix;
+  };
+  /// At which of the reports the time of day is taken, and how far it is off then, at most.
+  const auto worst = [&](const std::vector<Arrival>& reports, int* good = nullptr) {
+    detail::GpsTimeCheck check;
+    Duration most{0};
+    for (const Arrival& report : reports) {
+      if (check.look_at(MonotonicTime{1h} + report.at, right + report.fix, 1s, 1s, {}) !=
+          detail::GpsTimeCheck::Verdict::good)
+        continue;
+      if (good != nullptr) ++*good;
+      most = std::max(most, report.at - report.fix);
+    }
+    return most;
+  };
+  for (const Duration period : {Duration{1s}, Duration{200ms}, Duration{100ms}}) {
+    CAPTURE(to_string(period));
+    // Held back for 20 s, come in one read, and then go on as they are made.
+    std::vector<Arrival> reports;
+    for (Duration fix{0}; fix < 60s; fix += period) reports.push_back({fix < 20s ? 20s : fix, fix});
+    int good = 0;
+    CHECK(worst(reports, &good) <= 1s);
+    CHECK(good > (40s - 6s) / period);
+    reports.resize(static_cast<std::size_t>(20s / period));
+    CHECK(worst(reports, &(good = 0)) == 0s);
+    CHECK(good == 0);
+    // Made as they come, but for 20 s in between.
+    reports.clear();
+    for (Duration fix{0}; fix < 60s; fix += period) reports.push_back({fix >= 20s && fix < 40s ? 40s : fix, fix});
+    CHECK(worst(reports) <= 1s);
+  }
+  // The same time again and again is one report, before and after it is taken.
+  std::vector<Arrival> still;
+  for (int i = 0; i < 20; ++i) still.push_back({i * 1s, 0s});
+  for (int i = 20; i < 30; ++i) still.push_back({i * 1s, i * 1s});
+  for (int i = 30; i < 50; ++i) still.push_back({i * 1s, 29s});
+  int good = 0;
+  CHECK(worst(still, &good) == 0s);
+  CHECK(good > 0);
+}
+
+TEST_CASE("US-14 the date of the release stands beside its version, as in the list of changes") {
+  std::ifstream file(test::in_source("CHANGELOG.md"));
+  std::string line;
+  while (std::getline(file, line) && !line.starts_with("## ")) {
+  }
+  const std::string date = to_iso8601(Time{std::chrono::sys_days{detail::this_release.date}}).substr(0, 10);
+  const std::string heading = "## " + std::string(detail::this_release.version);
+  CHECK((line == heading + " (unreleased)" || line == heading + " (" + date + ")"));
 }
 
 TEST_CASE("US-14 a fix becomes an event, with the satellites that its receiver told of") {
@@ -478,16 +552,22 @@ TEST_CASE("US-14 the time of fixes is noted as a source of the time of day, that
     for (int i = 10; i < 30; ++i) {
       last = bench.loop.now();
       bench.say(R"({"class":"TPV","device":"/dev/a","mode":3,"ept":0.005,"time":")" +
-                std::string(is_recent ? "2026" : "2015") + "-03-01T12:00:" + std::to_string(i) + ".000Z\"}\n");
+                std::string(is_recent ? "2027" : "2015") + "-03-01T12:00:" + std::to_string(i) + ".000Z\"}\n");
       bench.loop.advance(1s);
     }
     CHECK(bench.seen.size() == 20);
     const auto known = bench.loop.runtime().core().clock_log.pairs();
     const auto gps = std::find_if(known.begin(), known.end(), [](const ClockPair& p) { return p.source == "gps"; });
     REQUIRE((gps != known.end()) == is_recent);
+    // Once, with both times.
+    const std::vector<std::string> told = is_recent ? bench.log : error_texts(bench);
+    CHECK((is_recent ? bench.errors.size() : bench.log.size()) == 0);
+    REQUIRE(told.size() == 1);
+    CHECK(told[0].find(is_recent ? "it says 2027-03-01T12:00:14" : "it says 2015-03-01T12:00:14") != std::string::npos);
+    CHECK(told[0].find("the computer's clock, which nobody keeps right, 2023-11-14T22:13:2") != std::string::npos);
     if (is_recent) {
       CHECK(gps->monotonic == last);
-      CHECK(to_iso8601(gps->realtime) == "2026-03-01T12:00:29.000000000Z");
+      CHECK(to_iso8601(gps->realtime) == "2027-03-01T12:00:29.000000000Z");
       CHECK(gps->accuracy == 1005ms);
     }
     // The events' times go on as the loop's.
@@ -499,7 +579,7 @@ TEST_CASE("US-14 a receiver whose time steps by more than a minute gives no time
   GpsBench bench;
   REQUIRE(bench.accept());
   const auto report = [&](const char* hour, int second) {
-    bench.say(R"({"class":"TPV","device":"/dev/a","mode":3,"ept":0.005,"time":"2026-03-01T)" + std::string(hour) +
+    bench.say(R"({"class":"TPV","device":"/dev/a","mode":3,"ept":0.005,"time":"2027-03-01T)" + std::string(hour) +
               ":00:" + std::to_string(second) + ".000Z\"}\n");
     bench.loop.advance(1s);
   };
@@ -511,7 +591,30 @@ TEST_CASE("US-14 a receiver whose time steps by more than a minute gives no time
   CHECK(bench.last_error() == "bad-data");
   CHECK(bench.errors[0].why == "it stepped by 1 h");
   for (const ClockPair& pair : bench.loop.runtime().core().clock_log.pairs())
-    if (pair.source == "gps") CHECK(to_iso8601(pair.realtime) < "2026-03-01T12:01");
+    if (pair.source == "gps") CHECK(to_iso8601(pair.realtime) < "2027-03-01T12:01");
+}
+
+TEST_CASE("US-14 a receiver beyond the accuracy of a clock that is kept right is told once, and not used") {
+  for (const Duration off : {Duration{0s}, Duration{2s}, Duration{24h * 1200}}) {
+    GpsBench bench;
+    REQUIRE(bench.accept());
+    bench.loop.manual_clock().set_accuracy(10ms);
+    for (int i = 0; i < 20; ++i) {
+      bench.say(R"({"class":"TPV","device":"/dev/a","mode":3,"ept":0.005,"time":")" +
+                to_iso8601(bench.loop.manual_clock().realtime() + off) + "\"}\n");
+      bench.loop.advance(1s);
+    }
+    const auto known = bench.loop.runtime().core().clock_log.pairs();
+    const bool is_used = std::any_of(known.begin(), known.end(), [](const auto& pair) { return pair.source == "gps"; });
+    CHECK(is_used == (off == 0s));
+    CHECK(bench.errors.size() == (is_used ? 0 : 1));
+    CHECK(bench.log.empty());
+    if (is_used) continue;
+    CHECK(bench.errors[0].what == "the receiver's time of day is not used");
+    CHECK(bench.errors[0].why.find("kept right to 10 ms, 2023-11-14T22:13:24") != std::string::npos);
+    CHECK(bench.errors[0].why.find("it says " + to_iso8601(Time{1'700'000'004s} + off)) == 0);
+    CHECK(bench.sensor.health() == Health::ok);
+  }
 }
 
 TEST_CASE("US-14 every parameter of a GPS sensor can be set from a file") {

@@ -259,7 +259,28 @@ class GpsNode final : public StreamNode {
     RuntimeCore& runtime = loop()->runtime;
     Clock& clock = runtime.clock_log.clock();
     const Time time = from_nanoseconds(*fix.gps_time);
-    if (!from.time.accepts(at_, time, config_.report_delay, {clock.realtime(), clock.accuracy()})) return;
+    const GpsTimeCheck::SystemTime system{clock.realtime(), clock.accuracy()};
+    constexpr double most_seconds = 3600;
+    const auto uncertainty = std::chrono::duration<double>(std::clamp(fix.ept.value_or(0), 0.0, most_seconds));
+    const Duration accuracy = config_.report_delay + std::chrono::duration_cast<Duration>(uncertainty);
+    const auto both = [&](const std::string& which) {
+      return "it says " + to_iso8601(time) + ", and the computer's clock, which " + which + ", " +
+             to_iso8601(system.time);
+    };
+    switch (from.time.look_at(at_, time, config_.report_delay, accuracy, system)) {
+      case GpsTimeCheck::Verdict::open:
+        return;
+      case GpsTimeCheck::Verdict::other_clock:
+        return refuse_time(both("is kept right to " + to_string(*system.accuracy)),
+                           "the clock is believed; look at the receiver with `gpsmon`, and at what keeps the clock");
+      case GpsTimeCheck::Verdict::other_age:
+        return refuse_time(
+            both("nobody keeps right") + "; this program was made in " + std::to_string(int{this_release.date.year()}),
+            "it may count weeks from another beginning, as after 1024 of them: a newer firmware knows; "
+            "or let NTP keep the clock");
+      case GpsTimeCheck::Verdict::good:
+        break;
+    }
     // One that steps by more than leap seconds explain was wrong before, or is now: nobody knows which.
     constexpr Duration most_step = std::chrono::minutes{1};
     const Duration ahead = difference(at_.time_since_epoch(), time.time_since_epoch());
@@ -272,12 +293,16 @@ class GpsNode final : public StreamNode {
       return;
     }
     if (!time_line_) time_line_ = ahead;
-    constexpr double most_seconds = 3600;
-    const auto uncertainty = std::chrono::duration<double>(std::clamp(fix.ept.value_or(0), 0.0, most_seconds));
-    const Duration accuracy = config_.report_delay + std::chrono::duration_cast<Duration>(uncertainty);
+    if (!system.accuracy && !std::exchange(is_time_told_, true))
+      runtime.log(LogLevel::warning, object_name(), "its time of day is used: " + both("nobody keeps right"));
     const auto noted = runtime.clock_log.note_wall_clock(
         {.monotonic = at_, .realtime = time, .source = "gps", .accuracy = accuracy});
     if (!noted && !std::exchange(is_time_refusal_told_, true)) report(noted.error());
+  }
+  /// Once: it comes with each report.
+  void refuse_time(std::string why, const char* advice) {
+    if (std::exchange(is_time_refusal_told_, true)) return;
+    report({Errc::bad_data, "the receiver's time of day is not used", server(), std::move(why), advice});
   }
 
   Error silence_error() const override {
@@ -331,6 +356,7 @@ class GpsNode final : public StreamNode {
   bool is_several_ = false;            // there are several receivers, which has been told
   std::optional<Duration> time_line_;  // the time of day that was used first, less the monotonic time
   bool is_step_told_ = false;
+  bool is_time_told_ = false;  // that it is used while nobody keeps the clock right
   bool is_time_refusal_told_ = false;
 };
 
