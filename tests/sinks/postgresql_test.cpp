@@ -877,6 +877,7 @@ TEST_SUITE("sinks") {
     CHECK(has(report.text(), "No account came along"));
     CHECK(report.verdict() == Verdict::unsealed);
     CHECK(report.runs.at(0).rows == 301);
+    CHECK(has(report.text(), "2023-11-14T22:13:20Z to 2023-11-14T22:13:23Z"));  // of its rows
   }
 
   TEST_CASE("FW-4 every kind of value comes back from the server equal") {

@@ -2,11 +2,13 @@
 #include <doctest/doctest.h>
 
 #include <algorithm>
+#include <nlohmann/json.hpp>
 #include <sstream>
 
 #include "app/core/recording_commands.hpp"
 #include "rtdata/sinks/verify.hpp"
 #include "sinks/recordings.hpp"
+#include "sinks/sqlite/deleted_runs.hpp"
 
 using namespace rtdata;
 using namespace recordings;
@@ -220,6 +222,65 @@ TEST_CASE("US-34 two runs of one boot: what the second learns binds the first, w
   CHECK(utc_of(folder / "run.db") == expected);
   CHECK(number(folder / "run.db",
                "SELECT count(*) FROM rtdata_run_utc WHERE started = '2027-01-15T07:59:40.000000000Z'") == 1);
+}
+
+TEST_CASE("US-34 info, verify, gaps, errors, health, views and exports of a run show one and the same UTC") {
+  const Folder folder;
+  const std::string path = folder / "run.db";
+  ManualClock clock(noon + 24h * 1100);  // 2030
+  {
+    Recorder recorder(path, clock);
+    recorder.loop.on_error([](const ErrorReport&) {});
+    int reads = 0;
+    Sensor<Climate> bad(recorder.loop, {.name = "bad", .rate = 1_Hz}, [&]() -> Result<Climate> {
+      if (++reads > 3 && reads < 8) return Error{Errc::io_failed, "no answer", "", "", ""};
+      return Climate{1, 2};
+    });
+    recorder.loop.advance(10s);
+    clock.set_realtime(noon + 10s);
+    clock.set_accuracy(3ms);
+    recorder.loop.advance(10s);
+    bad.close();
+  }
+  CHECK(number(path, "SELECT min(time) FROM room") == to_nanoseconds(noon + 24h * 1100));  // as recorded
+  std::ostringstream info, info_json, rows, err;
+  CHECK(app::info({.database = path, .gaps = app::InfoOptions::Gaps::listed}, info, err) == 0);
+  CHECK(app::info({.database = path, .show_as = app::ShowAs::json, .gaps = app::InfoOptions::Gaps::listed}, info_json,
+                  err) == 0);
+  CHECK(app::export_recording({.database = path, .times = app::ExportOptions::Times::utc}, rows, err) == 0);
+  const VerifyReport report = verified(path);
+  CHECK(report.verdict() == Verdict::balanced);
+  const std::string span = "2027-01-15T08:00:00Z to 2027-01-15T08:00:20Z";
+  for (const std::string& text : {info.str(), report.text(), rows.str()}) {
+    CAPTURE(text);
+    CHECK(text.find("2030") == std::string::npos);
+    CHECK((text.find(span) != std::string::npos || text.find(",bad,") != std::string::npos));
+  }
+  CHECK(info.str().find("2027-01-15T08:00:03.000000000Z to 2027-01-15T08:00:06.000000000Z bad on") !=
+        std::string::npos);
+  CHECK(info.str().find("  2027-01-15T08:00:03Z sensor bad") != std::string::npos);
+  const auto shown = nlohmann::json::parse(info_json.str());
+  const auto told = nlohmann::json::parse(report.to_json());
+  for (const auto& run : {shown["runs"][0], told["runs"][0]}) {
+    CHECK(run["started_utc"] == "2027-01-15T08:00:00.000000000Z");
+    CHECK(run["ended_utc"] == "2027-01-15T08:00:20.000000000Z");
+  }
+  CHECK(shown["errors"][0]["utc"] == "2027-01-15T08:00:03.000000000Z");
+  CHECK(shown["gaps"][0]["first_utc"] == "2027-01-15T08:00:03.000000000Z");
+  CHECK(number(path, "SELECT count(*) FROM rtdata_run_utc WHERE started = '2027-01-15T08:00:00.000000000Z'") == 1);
+  // What verify complains of, too.
+  sql(path, "UPDATE room SET time = time - 20000000000 WHERE sequence = 15; UPDATE rtdata_gap SET last = last + 1");
+  const std::string problems = problems_of(verified(path));
+  CHECK(problems.find("the time of sequence 15, 2027-01-15T07:59:54.000000000Z") != std::string::npos);
+  CHECK(problems.find("the gap of 2027-01-15T08:00:03.000000000Z") != std::string::npos);
+  CHECK(problems.find("2030") == std::string::npos);
+  // And what is left of a run that was deleted.
+  {
+    auto database = sqlite::Database::open(path, sqlite::Database::Mode::write).or_throw();
+    sqlite::delete_run(database, 1).or_throw();
+  }
+  CHECK(number(path, "SELECT min(started) FROM rtdata_deleted") == to_nanoseconds(noon));
+  CHECK(number(path, "SELECT max(ended) FROM rtdata_deleted") == to_nanoseconds(noon + 20s));
 }
 
 TEST_CASE("US-34 the UTC line: who counts, and between whom") {

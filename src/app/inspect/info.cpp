@@ -15,7 +15,7 @@ namespace {
 using Json = nlohmann::ordered_json;
 
 Time present() { return std::chrono::time_point_cast<Duration>(std::chrono::system_clock::now()); }
-std::string short_time(Time time) { return to_iso8601(time).substr(0, 19) + "Z"; }
+std::string short_time(Time utc) { return to_iso8601(utc).substr(0, 19) + "Z"; }
 
 /// Three digits and a unit: "1.20ms".
 std::string short_duration(Duration duration) {
@@ -107,7 +107,11 @@ void print_fields(const std::vector<RecordedTopic>& topics, std::ostream& out) {
   }
 }
 
-Json json_of(const RunInfo& run) {
+Json utc_json(const UtcLine& line, std::optional<Time> recorded) {
+  return recorded ? Json(to_iso8601(line.utc(*recorded))) : Json();
+}
+
+Json json_of(const RunInfo& run, const UtcLine& line) {
   Json json{{"run", run.run},
             {"uuid", run.uuid},
             {"name", run.name},
@@ -117,6 +121,8 @@ Json json_of(const RunInfo& run) {
             {"state", name_of(run.state)},
             {"started", to_nanoseconds(run.started)}};
   json["ended"] = run.ended ? Json(to_nanoseconds(*run.ended)) : Json();
+  json["started_utc"] = utc_json(line, run.started);
+  json["ended_utc"] = utc_json(line, run.ended);
   json["lost"] = run.lost ? Json(*run.lost) : Json();
   json["remark"] = run.remark;
   return json;
@@ -152,6 +158,7 @@ Json json_of(const TopicSummary& topic) {
 /// What is read of a recording before anything is printed.
 struct Content {
   std::vector<RunInfo> runs;
+  std::vector<UtcLine> lines;  // of these
   DeletedRuns deleted;
   std::vector<RecordedTopic> topics;
   std::optional<RunInfo> shown;
@@ -170,14 +177,21 @@ Result<Content> read(const Recording& recording, std::optional<std::int64_t> wan
   auto runs = recording.runs();
   if (!runs) return std::move(runs).error();
   content.runs = std::move(*runs);
+  for (const RunInfo& run : content.runs) {
+    auto line = recording.utc_line(run.run);
+    if (!line) return std::move(line).error();
+    content.lines.push_back(std::move(*line));
+  }
   auto deleted = recording.deleted_runs();
   if (!deleted) return std::move(deleted).error();
   content.deleted = std::move(*deleted);
   auto topics = recording.topics();
   if (!topics) return std::move(topics).error();
   content.topics = std::move(*topics);
-  for (const RunInfo& run : content.runs) {
-    if (!wanted || run.run == *wanted) content.shown = run;
+  for (std::size_t i = 0; i < content.runs.size(); ++i) {
+    if (wanted && content.runs[i].run != *wanted) continue;
+    content.shown = content.runs[i];
+    content.line = content.lines[i];
   }
   if (!content.shown) {
     if (!wanted) return content;
@@ -206,9 +220,6 @@ Result<Content> read(const Recording& recording, std::optional<std::int64_t> wan
   auto listed = recording.gaps(content.shown->run);
   if (!listed) return std::move(listed).error();
   content.gaps = std::move(*listed);
-  auto line = recording.utc_line(content.shown->run);
-  if (!line) return std::move(line).error();
-  content.line = std::move(*line);
   return content;
 }
 
@@ -255,7 +266,8 @@ void print(const Recording& recording, const Content& content, InfoOptions::Gaps
     out << "No run was recorded yet.\n";
     return;
   }
-  out << "runs\n";
+  const auto shown_time = [&](Time recorded) { return short_time(content.line.utc(recorded)); };
+  out << "runs (UTC)\n";
   if (content.deleted.runs != 0) {
     std::string line;
     detail::wrap(line, "  ",
@@ -264,9 +276,12 @@ void print(const Recording& recording, const Content& content, InfoOptions::Gaps
                      std::to_string(content.deleted.runs) + " of them deleted, sums in rtdata_deleted");
     out << line;
   }
-  for (const RunInfo& run : content.runs) {
-    out << "  " << run.run << (run.name.empty() ? "" : " \"" + run.name + "\"") << "  " << short_time(run.started)
-        << (run.ended ? " to " + short_time(*run.ended) : "") << "  " << name_of(run.state) << "\n";
+  for (std::size_t i = 0; i < content.runs.size(); ++i) {
+    const RunInfo& run = content.runs[i];
+    const UtcLine& line = content.lines[i];
+    out << "  " << run.run << (run.name.empty() ? "" : " \"" + run.name + "\"") << "  "
+        << short_time(line.utc(run.started)) << (run.ended ? " to " + short_time(line.utc(*run.ended)) : "") << "  "
+        << name_of(run.state) << "\n";
     std::string lines;
     if (!run.notes.empty()) detail::wrap(lines, "    ", run.notes);
     if (!run.remark.empty()) detail::wrap(lines, "    ", run.remark);
@@ -279,20 +294,20 @@ void print(const Recording& recording, const Content& content, InfoOptions::Gaps
   }
   if (gaps == InfoOptions::Gaps::listed) print_gaps(content, out);
   const std::string of_run = " run " + std::to_string(content.shown->run);
-  print_first(content.errors, 10, "errors of" + of_run, out, [](const RecordedError& error) {
-    return short_time(error.time) + " " + error.object + ": " + error.text +
+  print_first(content.errors, 10, "errors of" + of_run, out, [&](const RecordedError& error) {
+    return shown_time(error.time) + " " + error.object + ": " + error.text +
            (error.count > 1 ? " (" + std::to_string(error.count) + " times)" : "");
   });
-  print_first(content.health, 20, "health in" + of_run, out, [](const RecordedHealth& change) {
-    return short_time(change.time) + " " + change.kind + " " + change.name + ": " + change.state +
+  print_first(content.health, 20, "health in" + of_run, out, [&](const RecordedHealth& change) {
+    return shown_time(change.time) + " " + change.kind + " " + change.name + ": " + change.state +
            (change.reason.empty() ? "" : ": " + change.reason) +
            (change.count == 1
                 ? ""
-                : " (" + std::to_string(change.count) + " changes up to " + short_time(change.last) + ")");
+                : " (" + std::to_string(change.count) + " changes up to " + shown_time(change.last) + ")");
   });
   print_first(content.configurations, 20, "changes of the configuration in" + of_run + " (texts: --json)", out,
-              [](const RecordedConfiguration& change) {
-                return short_time(change.time) + " " +
+              [&](const RecordedConfiguration& change) {
+                return shown_time(change.time) + " " +
                        (change.object.empty() ? "a new text of " + std::to_string(change.text.size()) + " bytes"
                                               : change.object + (change.text.empty() ? ": removed" : ": added")) +
                        (change.count > 1 ? " (the last of " + std::to_string(change.count) + " changes)" : "");
@@ -316,7 +331,8 @@ void print_json(const Recording& recording, const Content& content, InfoOptions:
   json["path"] = recording.path();
   json["deleted_runs"] = content.deleted.runs;
   json["runs"] = Json::array();
-  for (const RunInfo& run : content.runs) json["runs"].push_back(json_of(run));
+  for (std::size_t i = 0; i < content.runs.size(); ++i)
+    json["runs"].push_back(json_of(content.runs[i], content.lines[i]));
   json["shown_run"] = content.shown ? Json(content.shown->run) : Json();
   json["topics"] = Json::array();
   for (const TopicSummary& topic : content.summaries) json["topics"].push_back(json_of(topic));
@@ -327,7 +343,8 @@ void print_json(const Recording& recording, const Content& content, InfoOptions:
                                   {"id", error.id},
                                   {"text", error.text},
                                   {"count", error.count},
-                                  {"last", to_nanoseconds(error.last)}});
+                                  {"last", to_nanoseconds(error.last)},
+                                  {"utc", utc_json(content.line, error.time)}});
   }
   json["health"] = Json::array();
   for (const RecordedHealth& change : content.health) {
@@ -337,7 +354,8 @@ void print_json(const Recording& recording, const Content& content, InfoOptions:
                                   {"state", change.state},
                                   {"reason", change.reason},
                                   {"count", change.count},
-                                  {"last", to_nanoseconds(change.last)}});
+                                  {"last", to_nanoseconds(change.last)},
+                                  {"utc", utc_json(content.line, change.time)}});
   }
   json["escaped"] = Json::array();
   for (const RecordedEscapes& of : content.escaped)
@@ -348,7 +366,8 @@ void print_json(const Recording& recording, const Content& content, InfoOptions:
     json["configurations"].push_back(Json{{"time", to_nanoseconds(change.time)},
                                           {"object", change.object},
                                           {"text", change.text},
-                                          {"count", change.count}});
+                                          {"count", change.count},
+                                          {"utc", utc_json(content.line, change.time)}});
   }
   json["backlogs"] = Json::array();
   for (const RecordedBacklog& of : content.backlogs) {
@@ -368,8 +387,8 @@ void print_json(const Recording& recording, const Content& content, InfoOptions:
                                   {"reason", gap.reason},
                                   {"first", to_nanoseconds(gap.first)},
                                   {"last", to_nanoseconds(gap.last)},
-                                  {"first_utc", to_iso8601(content.line.utc(gap.first))},
-                                  {"last_utc", to_iso8601(content.line.utc(gap.last))},
+                                  {"first_utc", utc_json(content.line, gap.first)},
+                                  {"last_utc", utc_json(content.line, gap.last)},
                                   {"count", gap.count}});
     }
   }

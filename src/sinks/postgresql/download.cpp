@@ -205,6 +205,7 @@ class Download {
   std::vector<std::vector<AccountColumn>> columns_;
   std::vector<Topic> topics_;
   std::map<std::pair<std::string, std::string>, Position> positions_;  // of the run, by table and origin
+  Time first_{}, last_{};                                              // of its rows
   std::map<std::string, bool, std::less<>> tables_;                    // of the account: whether they are there
 };
 
@@ -338,6 +339,8 @@ Result<void> Download::copy_run(const Run& run) {
       std::to_string(run.run));
   if (!rows) return std::move(rows).error();
   positions_.clear();
+  first_ = Time::max();
+  last_ = Time::min();
   for (int row = 0; row < rows->rows(); ++row) {
     Position& position = positions_[{std::string(rows->text(row, 0)), std::string(rows->text(row, 1))}];
     const auto at = [&](int column) { return static_cast<std::uint64_t>(rows->integer(row, column)); };
@@ -390,6 +393,8 @@ Result<void> Download::copy_rows(const Run& run, const Topic& topic) {
     }
     const auto sequence = load_big<std::uint64_t>(reply.text(0, 4).data());
     const auto time = load_big<std::int64_t>(reply.text(0, 1).data());
+    first_ = std::min(first_, from_nanoseconds(time));
+    last_ = std::max(last_, from_nanoseconds(time));
     // The row as it was sent.
     bytes.clear();
     std::size_t end = 0;
@@ -536,13 +541,17 @@ Result<void> Download::copy_account(const Run& run) {
   return {};
 }
 
-/// Of a run whose events came from memory, or whose account has not come yet: what rtdata_position says.
+/// Of a run whose events came from memory, or whose account has not come yet: what rtdata_position says, and the times
+/// of its rows.
 Result<void> Download::make_account(const Run& run) {
   auto insert = database_.prepare(
       "INSERT INTO rtdata_run(run, uuid, name, notes, configuration, program, host, boot_id, pid, started, "
-      "clock_offset, state, format) VALUES(?,?,'','','','',?,'',0,0,0,'recording',?)");
+      "ended, clock_offset, state, format) VALUES(?,?,'','','','',?,'',0,?,?,0,'recording',?)");
   if (!insert) return std::move(insert).error();
-  insert->bind(1, run.run).bind(2, run.uuid).bind(3, run.machine).bind(4, std::int64_t{sqlite::schema_version});
+  insert->bind(1, run.run).bind(2, run.uuid).bind(3, run.machine).bind(6, std::int64_t{sqlite::schema_version});
+  const bool has_rows = first_ <= last_;
+  insert->bind(4, to_nanoseconds(has_rows ? first_ : Time{}));
+  has_rows ? insert->bind(5, to_nanoseconds(last_)) : insert->bind_null(5);
   if (auto done = insert->run(); !done) return done;
   notes.emplace_back(run.run,
                      "No account came along, as of events that are sent from memory: what is here is "

@@ -30,11 +30,11 @@ constexpr const char* add_up =
     "outages_joined = max(outages_joined, excluded.outages_joined)";
 
 std::string sum_of_run() {
-  return std::string(
-             "INSERT INTO rtdata_deleted SELECT '', '', 1, run, run, started, coalesce(ended, started), "
-             "state = 'sealed', 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, "
-             "max(0, coalesce(lost, 0) - (SELECT coalesce(sum(l.dropped_unsaved), 0) FROM rtdata_ledger l "
-             "WHERE l.run = r.run)), 0, 0, 0, 0 FROM rtdata_run r WHERE run = ?1") +
+  return std::string("INSERT INTO rtdata_deleted SELECT '', '', 1, run, run, ") + utc_of("d.started", "d.run") + ", " +
+         utc_of("coalesce(d.ended, d.started)", "d.run") +
+         ", state = 'sealed', 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, "
+         "max(0, coalesce(lost, 0) - (SELECT coalesce(sum(l.dropped_unsaved), 0) FROM rtdata_ledger l "
+         "WHERE l.run = d.run)), 0, 0, 0, 0 FROM rtdata_run d WHERE run = ?1" +
          add_up;
 }
 
@@ -45,13 +45,15 @@ std::string sums_of_origins() {
            ", 0) FROM rtdata_gap g WHERE g.run = l.run AND g.topic = l.topic AND g.origin = l.origin AND "
            "NOT l.has_schedule AND g.kind IN ('joined', 'disconnected', 'silent'))";
   };
-  return "INSERT INTO rtdata_deleted SELECT l.topic, l.origin, 1, r.run, r.run, r.started, "
-         "coalesce(r.ended, r.started), 0, l.scheduled, l.missed, l.failed, l.late, l.received, l.published, "
-         "l.unreadable, coalesce(l.lost, 0), NOT l.has_schedule AND l.lost IS NULL AND l.published > 0, l.offered, "
+  return "INSERT INTO rtdata_deleted SELECT l.topic, l.origin, 1, d.run, d.run, " + utc_of("d.started", "d.run") +
+         ", " + utc_of("coalesce(d.ended, d.started)", "d.run") +
+         ", 0, l.scheduled, l.missed, l.failed, l.late, l.received, l.published, "
+         "l.unreadable, coalesce(l.lost, 0), NOT l.has_schedule AND l.lost IS NULL AND l.published + l.repeated + "
+         "l.filtered > 0, l.offered, "
          "l.stored, l.dropped_newest, l.dropped_oldest, l.dropped_refused, l.dropped_unsaved, l.pruned, " +
          of_gaps("sum(iif(g.kind = 'joined', coalesce(g.count, 1), 1))") + ", " +
          of_gaps("sum(max(g.last - g.first, 0))") + ", " + of_gaps("max(g.kind = 'joined')") +
-         " FROM rtdata_ledger l JOIN rtdata_run r ON r.run = l.run WHERE l.run = ?1" + add_up;
+         " FROM rtdata_ledger l JOIN rtdata_run d ON d.run = l.run WHERE l.run = ?1" + add_up;
 }
 
 Result<void> run_with(Database& database, const std::string& sql, std::int64_t run) {

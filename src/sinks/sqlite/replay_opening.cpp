@@ -33,6 +33,7 @@ ReplayNode::ReplayNode(LoopCore& loop, ReplayConfig config)
   filter.run = run_.run;
   base_ = beginning_of(recording, run_, config_).or_throw();
   last_given_ = base_;
+  const std::string from_utc = to_iso8601(recording.utc_line(run_.run).or_throw().utc(base_));
   const Time time_now = loop.runtime.event_now();
   is_aligned_ = config_.speed == 1 && base_ >= time_now && base_ - time_now <= std::chrono::seconds{10};
   choose_topics(recording);
@@ -64,7 +65,7 @@ ReplayNode::ReplayNode(LoopCore& loop, ReplayConfig config)
   const bool goes_on = run_.state == RunState::recording;
   loop.runtime.log(
       goes_on ? LogLevel::warning : LogLevel::info, "replay " + config_.name,
-      "run " + std::to_string(run_.run) + " of " + config_.file + ", from " + to_iso8601(base_) +
+      "run " + std::to_string(run_.run) + " of " + config_.file + ", from " + from_utc +
           (goes_on ? "; it is still being recorded, or was not sealed: what it holds now is replayed" : ""));
   lane_->submit(jobs_[0]);
 }

@@ -200,7 +200,7 @@ Result<std::string> seal_run(Database& database, const OpenRun& run, LiveFile* l
     if (auto sealed = seal_ranges(database, run.run, live); !sealed) return std::move(sealed).error();
   }
   std::string remark = (run.remark.empty() ? "" : run.remark + "; ") + "run " + std::to_string(run.run) +
-                       " ended without closing at " + to_iso8601(from_nanoseconds(last_time));
+                       " ended without closing";
   remark += !is_known     ? "; what was published after that is unknown"
             : unnamed > 0 ? "; lost " + std::to_string(lost) + " events, and " + std::to_string(unnamed) +
                                 " of sensors that had only begun, whose names are unknown"

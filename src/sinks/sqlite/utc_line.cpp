@@ -217,9 +217,6 @@ Result<void> write_utc_lines(Database& database) {
   return {};
 }
 
-namespace {
-
-/// The UTC in ns of a time column of run `run`; without a line it stays.
 std::string utc_of(const std::string& time, const std::string& run) {
   const std::string at = "(" + time + " - r.clock_offset)";
   return "coalesce((SELECT " + at + " + u.\"offset\" + CAST((" + at +
@@ -227,6 +224,8 @@ std::string utc_of(const std::string& time, const std::string& run) {
          " JOIN rtdata_utc u ON u.boot_id = r.boot_id AND u.since <= " + at + " WHERE r.run = " + run +
          " ORDER BY u.since DESC LIMIT 1), " + time + ")";
 }
+
+namespace {
 
 /// ISO 8601 of a column of ns.
 std::string iso8601_sql(const std::string& ns) {

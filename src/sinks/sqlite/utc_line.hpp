@@ -44,6 +44,9 @@ class NewUtcViews {
   std::vector<View> views_;
 };
 
+/// SQL for the UTC in ns of a time column of run `run`; without a line it stays. No name in them is `r` or `u`.
+std::string utc_of(const std::string& time, const std::string& run);
+
 /// View of the runs with UTC.
 std::string run_view();
 /// SQL that makes the views "rtdata_gap~utc", "rtdata_health~utc" and "rtdata_error~utc" (the table and UTC) and

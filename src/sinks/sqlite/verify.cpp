@@ -46,6 +46,10 @@ bool is_account_known(const RunInfo& run) {
 }
 
 void OriginRows::add(std::int64_t rowid, std::int64_t time, std::uint64_t sequence) {
+  const auto utc = [this](std::int64_t recorded) {
+    const Time at = from_nanoseconds(recorded);
+    return to_iso8601(line != nullptr ? line->utc(at) : at);
+  };
   const auto say = [](std::vector<std::string>& to, std::string text) {
     if (to.size() < most_sentences) to.push_back(std::move(text));
   };
@@ -73,16 +77,16 @@ void OriginRows::add(std::int64_t rowid, std::int64_t time, std::uint64_t sequen
   }
   if (time <= last_time) {
     if (times_back++ < most_sentences) {
-      say(sentences, "the time of sequence " + std::to_string(sequence) + ", " + to_iso8601(from_nanoseconds(time)) +
-                         ", is not after that of the row before, " + to_iso8601(from_nanoseconds(last_time)));
+      say(sentences, "the time of sequence " + std::to_string(sequence) + ", " + utc(time) +
+                         ", is not after that of the row before, " + utc(last_time));
     }
   }
   last_time = time;
   if (ticks) ticks->add(time, sequence);
   const bool is_early = time < earliest && !(is_first_carried && rows + rows_after == 1);
   if (!is_early && (time <= latest || rowid > account_ends)) return;
-  const std::string text = "the time of sequence " + std::to_string(sequence) + ", " +
-                           to_iso8601(from_nanoseconds(time)) + ", lies outside of the run";
+  const std::string text = "the time of sequence " + std::to_string(sequence) + ", " + utc(time) +
+                           ", lies outside of the run";
   if (is_early && may_begin_early) return say(early_sentences, text);
   ++outside;
   say(outside_sentences, text);
@@ -170,6 +174,9 @@ Result<OfRun> OfRun::load(const Recording& recording, std::int64_t run) {
   if (!schedule) return std::move(schedule).error();
   auto gaps = recording.gaps(run);
   if (!gaps) return std::move(gaps).error();
+  auto line = utc_line_of(*recording.file(), run);
+  if (!line) return std::move(line).error();
+  loaded.line = std::move(*line);
   loaded.ledger = std::move(*ledger);
   loaded.schedule = std::move(*schedule);
   loaded.gaps = std::move(*gaps);
@@ -271,6 +278,7 @@ Result<VerifyReport> verify_contents(const Recording& recording) {
       origin.topic = entry.topic;
       origin.origin = entry.origin;
       origin.run = info.run;
+      origin.line = &of_run.line;
       if (!is_ended) origin.account_ends = entry.rows_up_to;
       constexpr Duration tolerance = std::chrono::milliseconds{1};  // events at one time are put 1 ns apart
       origin.earliest = to_nanoseconds(later(info.started, -tolerance));
@@ -279,11 +287,12 @@ Result<VerifyReport> verify_contents(const Recording& recording) {
       origin.is_first_carried = entry.carried != 0;
       if (has_ticks && TickCheck::is_held(entry)) {
         const std::string key = origin_key(entry.topic, entry.origin);
-        origin.ticks.emplace(entry, of_run.segments(key), of_run.gaps_in(key));
+        origin.ticks.emplace(entry, of_run.segments(key), of_run.gaps_in(key), of_run.line);
       }
     }
     RunReport& run = report.runs.emplace_back();
     run.info = std::move(info);
+    run.line = of_run.line;
   }
   auto topics = recording.topics();
   if (!topics) return std::move(topics).error();

@@ -211,17 +211,17 @@ void check_schedule(const Findings& found, const LedgerEntry& entry,
   const Segment* before = nullptr;
   for (const RecordedSegment* recorded : segments) {
     const Segment& segment = recorded->segment;
-    const std::string since = "the schedule since " + to_iso8601(segment.first_due);
+    const std::string since = "the schedule since " + found.utc(segment.first_due);
     sum += segment.scheduled;
     if (segment.period.count() <= 0) {
       found.problem(place + since + " has no period.");
     } else if (segment.computed() != segment.scheduled) {
       found.inexact(place + since + " has " + plural(segment.scheduled, "tick") + ", but every " +
-                    to_string(segment.period) + " up to " + to_iso8601(segment.end) + " makes " +
+                    to_string(segment.period) + " up to " + found.utc(segment.end) + " makes " +
                     number(segment.computed()) + ".");
     }
     if (before != nullptr && segment.first_due < before->end) {
-      found.problem(place + since + " overlaps the one before, which ended at " + to_iso8601(before->end) + ".");
+      found.problem(place + since + " overlaps the one before, which ended at " + found.utc(before->end) + ".");
     }
     before = &segment;
   }
@@ -253,7 +253,7 @@ void check_gap_without_schedule(const Findings& found, const std::string& which,
   } else if ((gap.count > 1) != (gap.kind == "joined") || gap.count == 1) {
     found.problem(which + " has a count of " + number(gap.count) + ".");
   }
-  if (gap.last < gap.first) found.problem(which + " ends at " + to_iso8601(gap.last) + ".");
+  if (gap.last < gap.first) found.problem(which + " ends at " + found.utc(gap.last) + ".");
 }
 
 void check_gaps(const Findings& found, const LedgerEntry& entry, const std::vector<const RecordedSegment*>& segments,
@@ -261,7 +261,7 @@ void check_gaps(const Findings& found, const LedgerEntry& entry, const std::vect
   const std::string place = place_of(entry.topic, entry.origin) + ": ";
   std::uint64_t missed = 0, failed = 0, joined = 0;
   for (const RecordedGap* gap : gaps) {
-    const std::string which = "the gap of " + to_iso8601(gap->first) + " (" + gap->kind + ", " + gap->reason + ")";
+    const std::string which = "the gap of " + found.utc(gap->first) + " (" + gap->kind + ", " + gap->reason + ")";
     if (!entry.sensor.has_schedule && has_own_data_account(found)) {
       check_gap_without_schedule(found, place + which, *gap);
       continue;
@@ -276,7 +276,7 @@ void check_gaps(const Findings& found, const LedgerEntry& entry, const std::vect
       found.problem(place + which + " is neither missed nor failed nor joined.");
     }
     if (gap->count == 0 || gap->last < gap->first) {
-      found.problem(place + which + " has " + plural(gap->count, "tick") + " and ends at " + to_iso8601(gap->last) +
+      found.problem(place + which + " has " + plural(gap->count, "tick") + " and ends at " + found.utc(gap->last) +
                     ".");
       continue;
     }
@@ -295,11 +295,11 @@ void check_gaps(const Findings& found, const LedgerEntry& entry, const std::vect
     if ((gap->first - segment.first_due) % segment.period != Duration{0}) {
       found.problem(place + which + " does not begin at a tick of its schedule.");
     } else if (gap->count > ticks) {
-      found.problem(place + which + " has " + plural(gap->count, "tick") + ", up to " + to_iso8601(gap->last) +
+      found.problem(place + which + " has " + plural(gap->count, "tick") + ", up to " + found.utc(gap->last) +
                     " there are " + number(ticks) + ".");
     } else if (gap->count < ticks && gap->kind != "joined") {
       const std::string text = place + which + " has " + number(gap->count) + " of the " + plural(ticks, "tick") +
-                               " up to " + to_iso8601(gap->last);
+                               " up to " + found.utc(gap->last);
       has_own_data_account(found) ? found.problem(text + ".") : found.note(text + ": several gaps were joined.");
     }
   }
@@ -401,7 +401,7 @@ void note_end(const Findings& found) {
                     " not saved.");
     }
   } else if (info.state == RunState::recording) {
-    const std::string up_to = info.ended ? " up to the last account, " + to_iso8601(*info.ended) : "";
+    const std::string up_to = info.ended ? " up to the last account, " + found.utc(*info.ended) : "";
     if (found.report.verdict == Verdict::recording) {
       found.note("Process " + std::to_string(info.pid) + " is still recording: this holds" + up_to +
                  ", and is approximate.");

@@ -26,6 +26,7 @@ struct OriginRows {
 
   std::string topic, origin;
   std::int64_t run = 0;
+  const UtcLine* line = nullptr;          // of the run; null: no account knows the origin
   std::int64_t account_ends = INT64_MAX;  // rowid after which rows came later than the account
   std::int64_t earliest = INT64_MIN, latest = INT64_MAX;
   bool is_first_carried = false;  // its read was under way when the recording began
@@ -77,6 +78,7 @@ struct Findings {
   void note(std::string text) const {
     if (report.notes.size() < most_sentences) report.notes.push_back(std::move(text));
   }
+  std::string utc(Time recorded) const { return to_iso8601(report.line.utc(recorded)); }
   /// Of what is exact only once the run is closed.
   void inexact(std::string text) const { is_exact ? problem(std::move(text)) : open.push_back(std::move(text)); }
 };
@@ -96,6 +98,7 @@ struct OfRun {
   std::vector<LedgerEntry> ledger;
   std::vector<RecordedSegment> schedule;
   std::vector<RecordedGap> gaps;
+  UtcLine line{{}};
   std::unordered_map<std::string, std::vector<const RecordedSegment*>> segments_of;
   std::unordered_map<std::string, std::vector<const RecordedGap*>> gaps_of;
 

@@ -10,9 +10,9 @@ namespace {
 
 using detail::wrap;
 
-std::string times_of(const RunInfo& info) {
-  std::string text = to_iso8601(info.started).substr(0, 19) + "Z";
-  if (info.ended) text += " to " + to_iso8601(*info.ended).substr(0, 19) + "Z";
+std::string times_of(const RunReport& run) {
+  std::string text = to_iso8601(run.line.utc(run.info.started)).substr(0, 19) + "Z";
+  if (run.info.ended) text += " to " + to_iso8601(run.line.utc(*run.info.ended)).substr(0, 19) + "Z";
   return text;
 }
 
@@ -170,6 +170,9 @@ nlohmann::ordered_json json_of(const RunReport& run) {
   json["state"] = name_of(run.info.state);
   json["started"] = to_nanoseconds(run.info.started);
   json["ended"] = run.info.ended ? nlohmann::ordered_json(to_nanoseconds(*run.info.ended)) : nlohmann::ordered_json();
+  json["started_utc"] = to_iso8601(run.line.utc(run.info.started));
+  json["ended_utc"] = run.info.ended ? nlohmann::ordered_json(to_iso8601(run.line.utc(*run.info.ended)))
+                                     : nlohmann::ordered_json();
   json["origins"] = run.origins;
   json["rows"] = run.rows;
   json["values_checked"] = run.values_checked;
@@ -231,7 +234,7 @@ std::string VerifyReport::text() const {
   }
   for (const RunReport& run : runs) {
     out += "\nrun " + std::to_string(run.info.run) + (run.info.name.empty() ? "" : " \"" + run.info.name + "\"") +
-           "  " + times_of(run.info) + "  " + std::string(name_of(run.verdict)) + "\n";
+           "  " + times_of(run) + "  " + std::string(name_of(run.verdict)) + "\n";
     const auto n = [](std::uint64_t value) { return std::to_string(value); };
     wrap(out, "  ",
          n(run.rows) + " rows of " + n(run.origins) + (run.origins == 1 ? " origin" : " origins") + "; " +

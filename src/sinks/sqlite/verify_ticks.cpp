@@ -3,15 +3,6 @@
 #include <algorithm>
 
 namespace rtdata::detail {
-namespace {
-
-std::string iso8601(std::int64_t time) { return to_iso8601(from_nanoseconds(time)); }
-std::string describe_gap(const RecordedGap& gap) {
-  return "the gap of " + to_iso8601(gap.first) + " (" + gap.kind + ", " + gap.reason + ")";
-}
-
-}  // namespace
-
 bool TickCheck::is_held(const LedgerEntry& entry) {
   const SensorCounts& s = entry.sensor;
   return s.has_schedule && s.is_one_a_read && s.published == entry.offered &&
@@ -19,8 +10,9 @@ bool TickCheck::is_held(const LedgerEntry& entry) {
 }
 
 TickCheck::TickCheck(const LedgerEntry& entry, const std::vector<const RecordedSegment*>& segments,
-                     const std::vector<const RecordedGap*>& gaps)
-    : first_sequence_(entry.first_sequence),
+                     const std::vector<const RecordedGap*>& gaps, const UtcLine& line)
+    : line_(&line),
+      first_sequence_(entry.first_sequence),
       carried_(entry.carried),
       more_ticks_(entry.sensor.repeated + entry.sensor.filtered),
       is_exact_(carried_ == 0 && more_ticks_ == 0) {
@@ -34,7 +26,7 @@ TickCheck::TickCheck(const LedgerEntry& entry, const std::vector<const RecordedS
   }
   for (; next_gap < gaps.size(); ++next_gap) {
     // Of the read that was under way when the recording began there may be one without any schedule.
-    if (!segments.empty() || carried_ == 0) mistake(describe_gap(*gaps[next_gap]) + " lies after the schedule");
+    if (!segments.empty() || carried_ == 0) mistake(describe(*gaps[next_gap]) + " lies after the schedule");
   }
 }
 
@@ -50,7 +42,7 @@ void TickCheck::add_segment(std::size_t number, const Segment& segment, Time bef
     if (joined_up_to < joined_from) return;
     const auto span = static_cast<std::uint64_t>(joined_up_to - joined_from + 1);
     if (joined > span) {
-      mistake("from " + iso8601(first + joined_from * period) + " on, " + std::to_string(joined) + " of " +
+      mistake("from " + utc(first + joined_from * period) + " on, " + std::to_string(joined) + " of " +
               std::to_string(span) + " ticks are in gaps");
     }
     add_stretch(number, segment, joined_from, span, std::min(joined, span));
@@ -62,20 +54,20 @@ void TickCheck::add_segment(std::size_t number, const Segment& segment, Time bef
   for (; next_gap < gaps.size() && gaps[next_gap]->first <= segment.end && gaps[next_gap]->first < before; ++next_gap) {
     const RecordedGap& gap = *gaps[next_gap];
     if (gap.last < segment.first_due) {  // of a read that was under way when the recording began
-      if (number != 0 || carried_ == 0) mistake(describe_gap(gap) + " lies in no schedule");
+      if (number != 0 || carried_ == 0) mistake(describe(gap) + " lies in no schedule");
       continue;
     }
     std::int64_t from = gap.first < segment.first_due ? 0 : (to_nanoseconds(gap.first) - first) / period;
     const std::int64_t up_to = (to_nanoseconds(gap.last) - first) / period;
     if (up_to >= ticks) {
-      mistake(describe_gap(gap) + " goes on after the schedule, up to " + to_iso8601(gap.last));
+      mistake(describe(gap) + " goes on after the schedule, up to " + utc(gap.last));
       continue;
     }
     const bool is_joined = gap.kind == "joined";
     const bool is_within = joined_up_to >= joined_from && from <= joined_up_to;
     if (!is_within) end_joined();
     if (!is_within && from < at) {
-      mistake(describe_gap(gap) + " overlaps the one before");
+      mistake(describe(gap) + " overlaps the one before");
       if (up_to < at) continue;
       from = at;
     }
@@ -123,12 +115,12 @@ void TickCheck::add(std::int64_t time, std::uint64_t sequence) {
   // What was under way when the recording began may have been the first one.
   const Stretch* earliest = number < carried_ ? nullptr : find(number - carried_, lower_);
   if (earliest == nullptr && number >= carried_) {
-    return mistake("the row of sequence " + std::to_string(sequence) + ", " + iso8601(time) +
+    return mistake("the row of sequence " + std::to_string(sequence) + ", " + utc(time) +
                    ", is of no tick: all of them are in gaps, or have other rows");
   }
   if (earliest != nullptr && time < earliest->earliest(number - carried_)) {
-    return mistake("the time of sequence " + std::to_string(sequence) + ", " + iso8601(time) +
-                   ", is before that of its tick, which was due at " + iso8601(earliest->earliest(number - carried_)) +
+    return mistake("the time of sequence " + std::to_string(sequence) + ", " + utc(time) +
+                   ", is before that of its tick, which was due at " + utc(earliest->earliest(number - carried_)) +
                    " at the earliest");
   }
   ++rows_;
@@ -142,8 +134,8 @@ void TickCheck::add(std::int64_t time, std::uint64_t sequence) {
   if (next == nullptr || earliest == nullptr || next->segment != earliest->segment) return;
   const std::int64_t end = next->latest(number + more_ticks_ + 1) + next->period;
   if (time >= end) {
-    mistake("the time of sequence " + std::to_string(sequence) + ", " + iso8601(time) +
-            ", is not before the tick after the one that follows, " + iso8601(end));
+    mistake("the time of sequence " + std::to_string(sequence) + ", " + utc(time) +
+            ", is not before the tick after the one that follows, " + utc(end));
   }
 }
 

@@ -21,9 +21,9 @@ class TickCheck {
 
   /// Whether the rows of this origin can be held to its ticks.
   static bool is_held(const LedgerEntry& entry);
-  /// `segments` and `gaps`: those of this origin, in order of time.
+  /// `segments` and `gaps`: those of this origin, in order of time. `line`: of the run; outlives this.
   TickCheck(const LedgerEntry& entry, const std::vector<const RecordedSegment*>& segments,
-            const std::vector<const RecordedGap*>& gaps);
+            const std::vector<const RecordedGap*>& gaps, const UtcLine& line);
 
   void add(std::int64_t time, std::uint64_t sequence);
   /// What the rows say of how late they are: only when the tick of each is known and all of them are there.
@@ -63,7 +63,13 @@ class TickCheck {
   /// The stretch with the n-th taken tick; null when there are fewer.
   const Stretch* find(std::uint64_t n, std::size_t& near) const;
   void mistake(std::string sentence);
+  std::string utc(Time recorded) const { return to_iso8601(line_->utc(recorded)); }
+  std::string utc(std::int64_t recorded) const { return utc(from_nanoseconds(recorded)); }
+  std::string describe(const RecordedGap& gap) const {
+    return "the gap of " + utc(gap.first) + " (" + gap.kind + ", " + gap.reason + ")";
+  }
 
+  const UtcLine* line_;
   std::vector<Stretch> stretches_;
   std::uint64_t taken_ = 0;
   std::uint64_t first_sequence_;
