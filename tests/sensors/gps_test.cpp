@@ -403,6 +403,39 @@ TEST_CASE(
   CHECK(bench.loop.runtime().has_loss());
 }
 
+TEST_CASE("US-14 gpsd that dies again and again: all of the time without a report is in gaps") {
+  for (const bool has_reports : {false, true}) {
+    CAPTURE(has_reports);
+    GpsBench bench;
+    REQUIRE(bench.accept());
+    bench.say(fix_line("/dev/a", "2027-01-01T00:00:00.000Z", 1));
+    MonotonicTime since = bench.loop.now();  // the last report before the first death
+    for (int round = 1; round <= 5; ++round) {
+      bench.say(R"({"class":"VERSION","release":"3.22","rev":"3.22","proto_major":3,"proto_minor":14})"
+                "\n");
+      bench.loop.advance(2s);
+      if (has_reports) bench.say(fix_line("/dev/a", "2027-01-01T00:00:0" + std::to_string(round) + ".000Z", 1));
+      if (has_reports && round == 1) since = bench.loop.now();
+      bench.say(R"({"class":"TPV","device":"/dev/a","mo)");
+      bench.loop.advance(2s);
+      bench.gpsd.hang_up();
+      bench.loop.poll();
+      CHECK(bench.sensor.health() == Health::faulted);
+      for (int i = 0; i < 100 && !bench.gpsd.has_peer(); ++i) {
+        bench.loop.advance(100ms);
+        bench.accept();
+      }
+      REQUIRE(bench.gpsd.has_peer());
+    }
+    bench.loop.advance(300ms);
+    bench.say(fix_line("/dev/a", "2027-01-01T00:01:00.000Z", 2));
+    const Outages outages = bench.sensor.status().outages;
+    CHECK(outages.time == bench.loop.now() - since);
+    CHECK(outages.number == (has_reports ? 5 : 1));
+    CHECK(bench.sensor.counts().balances());
+  }
+}
+
 TEST_CASE("US-14 garbage and lines without end cost no other line anything") {
   GpsBench bench;
   REQUIRE(bench.accept());

@@ -537,6 +537,42 @@ TEST_CASE("US-5 a line unplugged, or silent for too long, has gaps in the record
   CHECK(verify(recording).or_throw().verdict() == Verdict::balanced);
 }
 
+TEST_CASE("US-5 a line that brings halves of lines before it is lost again was absent all the time") {
+  ScratchDirectory folder;
+  SerialLineBench bench({.first_line = FirstLine::keep});
+  const std::string path = folder.file("run.db");
+  {
+    SqliteSink sink(bench.loop, {.path = path});
+    const auto lose = [&] {
+      bench.pty.unplug();
+      bench.run("", [&] { return bench.sensor.health() == Health::faulted; });
+      bench.pty.plug_in();
+    };
+    bench.run("1\n", 1);
+    lose();
+    for (int round = 0; round < 2; ++round) {
+      int turns = 0;
+      bench.run("2", [&] { return ++turns > 30; });
+      lose();
+    }
+    bench.run("3\n", 2);
+    lose();  // and one that brings nothing, which may be: nobody has pressed the button
+    int turns = 0;
+    bench.run("", [&] { return ++turns > 30; });
+    lose();
+    bench.run("4\n", 3);
+    bench.sensor.close();
+    sink.close();
+  }
+  const auto gaps = Recording::open(path).or_throw().gaps(1).or_throw();
+  REQUIRE(gaps.size() == 5);
+  CHECK(gaps[1].first == gaps[0].last);
+  CHECK(gaps[1].last - gaps[1].first >= 20ms);
+  CHECK(gaps[2].first == gaps[1].last);
+  CHECK(gaps[4].first - gaps[3].last >= 20ms);
+  CHECK(verify(Recording::open(path).or_throw()).or_throw().verdict() == Verdict::balanced);
+}
+
 TEST_CASE("NFR-1 an unplugged line is faulted, and goes on when it is plugged in again") {
   SerialLineBench bench({.first_line = FirstLine::keep});
   for (int round = 1; round <= 3; ++round) {

@@ -33,6 +33,7 @@ void StreamNode::begin() noexcept {
 
 void StreamNode::end() noexcept {
   is_running_ = false;
+  is_connected_ = false;
   retry_.stop();
   silence_.stop();
   close_stream();
@@ -42,16 +43,26 @@ void StreamNode::end() noexcept {
 }
 
 void StreamNode::opened() {
-  heard_at_ = loop()->now();
+  heard_at_ = came_at_ = loop()->now();
+  is_connected_ = true;
+  has_come_ = has_heard_ = false;
   is_silent_ = false;
-  origin_.end_absence(heard_at_);
-  if (waits_.silence > Duration{0}) silence_.start(waits_.silence);
+  if (waits_.silence > Duration{0}) {
+    silence_.start(waits_.silence);
+  } else {
+    origin_.end_absence(heard_at_);
+  }
 }
 
 void StreamNode::lose(const Error& error, MonotonicTime since) {
   silence_.stop();
   close_stream();
-  if (std::exchange(is_silent_, false)) origin_.end_absence(since);
+  const bool was_connected = std::exchange(is_connected_, false);
+  if (std::exchange(is_silent_, false)) {
+    origin_.end_absence(since);
+  } else if (was_connected && (waits_.silence > Duration{0} || (has_heard_ && !has_come_))) {
+    since = std::min(since, came_at_);
+  }
   origin_.begin_absence(Gap::Kind::disconnected, error.id(), since);
   retry_.start(backoff_.next(waits_.retry_first, std::max(waits_.retry_longest, waits_.retry_first), origin_.name));
   Call call(*this);
@@ -60,10 +71,23 @@ void StreamNode::lose(const Error& error, MonotonicTime since) {
 }
 
 void StreamNode::heard() {
+  heard_bytes();
+  came();
+}
+
+void StreamNode::heard_bytes() {
   heard_at_ = loop()->now();
+  has_heard_ = true;
   if (!std::exchange(is_silent_, false)) return;
   origin_.end_absence(heard_at_);
+  came_at_ = heard_at_;  // up to here there is a gap
   silence_.start(waits_.silence);
+}
+
+void StreamNode::came() noexcept {
+  came_at_ = loop()->now();
+  has_come_ = true;
+  if (!is_silent_) origin_.end_absence(came_at_);
 }
 
 void StreamNode::look_for_silence() {
@@ -71,6 +95,7 @@ void StreamNode::look_for_silence() {
   if (loop()->now() < due) return silence_.start(due - loop()->now());
   is_silent_ = true;
   const Error error = silence_error();
+  origin_.end_absence(heard_at_);  // without a connection
   origin_.begin_absence(Gap::Kind::silent, "silent", heard_at_);
   Call call(*this);
   degrade(error);
@@ -78,17 +103,24 @@ void StreamNode::look_for_silence() {
 }
 
 void StreamNode::succeed() {
+  came();
+  be_well();
+}
+
+void StreamNode::be_well() {
   backoff_.reset();
   if (health() != Health::ok) set_health(Health::ok, nullptr);
 }
 
 bool StreamNode::take_or_fail(void* payload, Time time) {
+  came();
   if (take_sample(payload, time) != Fate::unusable) return true;
   degrade(unusable_error());
   return false;
 }
 
 void StreamNode::fail(const Error& error) {
+  came();
   ++origin_.counts.received;
   ++origin_.counts.unreadable;
   degrade(error);

@@ -41,14 +41,19 @@ class StreamNode : public SourceNode {
   /// It runs from here on; `open_stream` is the caller's to call.
   void begin() noexcept;
   void end() noexcept;
-  /// There is a connection.
+  /// There is a connection. Where it may be silent, the time without one has ended; elsewhere the first sample ends it.
   void opened();
-  /// There is none, since then: faulted, and tried again later.
+  /// There is none, since then: faulted, and tried again later. Where it may not be silent, nothing has come since the
+  /// last sample; elsewhere a connection that brought bytes, and no sample, counts as none.
   void lose(const Error& error, MonotonicTime since);
-  /// Something came just now, which ends a silence.
+  /// A sample came just now, or some.
   void heard();
+  /// Bytes, of which samples are made: that ends a silence.
+  void heard_bytes();
   /// A sample that could be used.
   void succeed();
+  /// No sample, and it is well.
+  void be_well();
   /// A sample that came and was decoded. False: its processing found it unusable, which is reported.
   bool take_or_fail(void* payload, Time time);
   /// One that came and could not be.
@@ -61,13 +66,19 @@ class StreamNode : public SourceNode {
 
  private:
   void look_for_silence();
+  /// A sample, whatever becomes of it: nothing is absent any more.
+  void came() noexcept;
 
   const Waits waits_;
   Timer retry_;
   Timer silence_;
   Backoff backoff_;
   MonotonicTime heard_at_{};  // when something came last, or it was opened
-  bool is_silent_ = false;    // for too long
+  MonotonicTime came_at_{};   // the same of a sample
+  bool is_connected_ = false;
+  bool has_come_ = false;   // a sample, since it was opened
+  bool has_heard_ = false;  // bytes
+  bool is_silent_ = false;  // for too long
   bool is_running_ = false;
 };
 

@@ -51,7 +51,7 @@ class EdgeNode final : public StreamNode {
     before_ = count_;
     accounted_ = {};
     opened();
-    succeed();  // a line that is still is well
+    be_well();  // though still
   }
   void close_stream() noexcept override {
     settle_accounts();

@@ -113,7 +113,7 @@ class MqttNode final : public StreamNode {
     refused_ = std::move(refused);
     opened();
     if (refused_.empty()) {
-      succeed();
+      be_well();
     } else {
       degrade(refusal(refused_));
     }

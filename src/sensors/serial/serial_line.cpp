@@ -122,7 +122,7 @@ class SerialLineNode final : public StreamNode {
     const int error_number = got < 0 ? errno : 0;
     line_.resize(before + static_cast<std::size_t>(std::max<ssize_t>(got, 0)));
     if (got > 0) {
-      heard();
+      heard_bytes();
       time_ = loop()->runtime.event_time(heard_at());
       take_lines(before);
     } else if (got == 0 || (error_number != EAGAIN && error_number != EINTR) || event.hung_up) {
