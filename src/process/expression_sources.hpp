@@ -66,6 +66,11 @@ class ExpressionSources {
   /// As before the first event.
   void forget() noexcept;
   const std::vector<Source>& all() const noexcept { return sources_; }
+  std::vector<std::string> topics() const {
+    std::vector<std::string> names;
+    for (const Source& source : sources_) names.push_back(source.topic);
+    return names;
+  }
 
  private:
   static void bind(Source& source, const Description& description);

@@ -542,7 +542,8 @@ Error Processor::error(const std::string& sensor) const {
       break;
     case Failure::outside_table:
       error.why = value + " is outside the table of its calibration";
-      error.advice = "extend the table, or set `outside`: \"extend\" goes on straight, \"clamp\" keeps the value of the end";
+      error.advice =
+          "extend the table, or set `outside`: \"extend\" goes on straight, \"clamp\" keeps the value of the end";
       break;
     case Failure::below:
       error.why = value + " is below " + bound + ", the least";

@@ -71,6 +71,17 @@ TEST_SUITE("app") {
           "  - 1 event (8 B) waits, the oldest for 3.0 s; it does not become less");
   }
 
+  TEST_CASE("NFR-5 top says what a source repeated, which is no loss") {
+    Json of = status(2, 1);
+    of["sensors"][0]["repeated"] = 12;
+    of["sensors"][1]["repeated"] = 0;
+    const std::vector<std::string> lines = shown(of, 40);
+    const std::size_t at = line_of(lines, "s1 ");
+    REQUIRE(at + 2 < lines.size());
+    CHECK(lines[at + 1] == "  - 12 repeated by the source, which is no loss");
+    CHECK(lines[at + 2].starts_with("s2 "));
+  }
+
   TEST_CASE("NFR-5 top has all where there is room, and without callbacks and parts where there is less") {
     const std::vector<std::string> all = shown(status(3, 1), 40);
     CHECK(line_of(all, "s3 ") < all.size());

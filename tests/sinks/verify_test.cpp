@@ -8,6 +8,9 @@
 
 #include "app/core/recording_commands.hpp"
 #include "loop/lane_sensor.hpp"
+#include "rtdata/sensors/derived.hpp"
+#include "rtdata/sensors/limit.hpp"
+#include "rtdata/sensors/trigger.hpp"
 #include "sanitized.hpp"
 #include "sinks/recordings.hpp"
 #include "sinks/sqlite/positions.hpp"
@@ -184,6 +187,8 @@ TEST_CASE("US-26 verify and info tell outages of what has no schedule, with thei
     Feed<Climate> board(loop, {.name = "board", .topic = "lab/board"}), radio(loop, {.name = "radio"});
     const Error gone{Errc::disconnected, "cannot hear", "", "it is gone", ""};
     board.publish({1, 2});
+    board.repeated();
+    board.repeated();
     loop.advance(1s);
     board.fault(gone);
     loop.advance(6s);
@@ -201,14 +206,122 @@ TEST_CASE("US-26 verify and info tell outages of what has no schedule, with thei
   std::string text = report.text();
   std::replace(text.begin(), text.end(), '\n', ' ');
   for (std::size_t at; (at = text.find("   ")) != std::string::npos;) text.erase(at, 2);
-  CHECK(has(text,
-            "2 outages of 46 s together, in which nothing came that could be recorded: radio (1 outage of 40 s), "
-            "board on lab/board (1 outage of 6 s)"));
+  CHECK(
+      has(text,
+          "2 gaps: 2 outages of 46 s together, in which nothing came that could be recorded: radio (1 outage of 40 s), "
+          "board on lab/board (1 outage of 6 s)"));
   const auto json = nlohmann::json::parse(report.to_json());
   CHECK(json["runs"][0]["outages"][1]["time_ns"] == 6'000'000'000);
+  CHECK(json["runs"][0]["gaps"] == 2);
   std::ostringstream out, err;
   CHECK(app::info({.database = path}, out, err) == 0);
-  CHECK(has(out.str(), "    1 outage of 6 s\n"));
+  CHECK(has(out.str(), "    1 outage of 6 s; 2 repeated by the source, which is no loss\n"));
+  std::ostringstream as_json;
+  CHECK(app::info({.database = path, .show_as = app::ShowAs::json}, as_json, err) == 0);
+  CHECK(nlohmann::json::parse(as_json.str())["topics"][0]["repeated"] == 2);
+}
+
+TEST_CASE("US-26 the gaps of a run are as many in verify's text as in its JSON, with and without a schedule") {
+  const Folder folder;
+  const std::string path = folder / "run.db";
+  {
+    Loop loop{Loop::Manual{}};
+    loop.on_error([](const ErrorReport&) {});
+    loop.runtime().on_log([](const LogRecord&) {});
+    SqliteSink sink(loop, {.path = path});
+    Feed<Climate> board(loop, {.name = "board"});
+    int reads = 0;
+    Sensor<Climate> room(loop, {.name = "room", .rate = 10_Hz}, [&]() -> Result<Climate> {
+      if (++reads % 10 == 3) return Error{Errc::io_failed, "no answer", "", "", ""};
+      return Climate{1, 2};
+    });
+    for (int i = 0; i < 3; ++i) {
+      board.publish({1, 2});
+      loop.advance(1s);
+      board.fault({Errc::disconnected, "cannot hear", "", "it is gone", ""});
+      loop.advance(1s);
+    }
+    loop.close();
+  }
+  const VerifyReport report = verified(path);
+  CHECK(report.verdict() == Verdict::balanced);
+  CHECK(report.runs[0].gaps == 9);
+  CHECK(has(report.text(), "late; 9 gaps\n"));
+  CHECK(nlohmann::json::parse(report.to_json())["runs"][0]["gaps"] == 9);
+}
+
+TEST_CASE(
+    "US-26 verify of what is computed from others tells what these lost, as the run does, whatever is made first") {
+  enum class First { sink, sources, derived };
+  for (const First first : {First::sink, First::sources, First::derived}) {
+    CAPTURE(static_cast<int>(first));
+    const Folder folder;
+    const std::string path = folder / "run.db", other = folder / "other.db";
+    std::uint64_t failed = 0, lost = 0, outages = 0;
+    {
+      Loop loop{Loop::Manual{}};
+      loop.on_error([](const ErrorReport&) {});
+      loop.runtime().on_log([](const LogRecord&) {});
+      SqliteSink sink, aside;
+      const auto make_sinks = [&] {
+        sink = SqliteSink(loop, {.path = path, .topics = {"tenth", "trig", "alarm"}});
+        aside = SqliteSink(loop, {.path = other, .topics = {"alone"}});
+      };
+      Feed<Climate> daq;
+      Sensor<Climate> adc, alone;
+      int reads = 0;
+      const auto make_sources = [&] {
+        daq = Feed<Climate>(loop, {.name = "daq"});
+        adc = Sensor<Climate>(loop, {.name = "adc", .rate = 10_Hz}, [&]() -> Result<Climate> {
+          if (++reads % 10 < 4) return Error{Errc::io_failed, "no answer", "", "", ""};
+          return Climate{1, 2};
+        });
+        alone = Sensor<Climate>(loop, {.name = "alone", .rate = 10_Hz}, [] { return Climate{1, 2}; });
+      };
+      DerivedSensor bar, tenth;
+      TriggerSensor trig;
+      LimitSensor alarm;
+      const auto make_derived = [&] {
+        bar = DerivedSensor(loop, {.name = "bar"}, {.on = "daq", .expression = "temperature * 10"});
+        tenth = DerivedSensor(loop, {.name = "tenth"}, {.on = "bar", .expression = "value / 10"});
+        alarm = LimitSensor(loop, {.name = "alarm"}, {.on = "daq", .field = "temperature", .high = 50});
+      };
+      if (first == First::sink) make_sinks();
+      if (first == First::derived) make_derived();
+      make_sources();
+      if (first != First::derived) make_derived();
+      trig = TriggerSensor(loop, {.name = "trig"}, {.on = "adc", .when = "temperature > 0"});
+      if (first != First::sink) make_sinks();
+      daq.lost(0);
+      for (int i = 0; i < 20; ++i) {
+        daq.publish({1.0 * i, 2});
+        loop.advance(1s);
+        daq.lost(3);
+        if (i == 7) daq.fault({Errc::disconnected, "cannot hear", "", "it is gone", ""});
+      }
+      for (const SensorStatus& sensor : loop.runtime().sensors()) {
+        failed += sensor.counts.failed;
+        lost += sensor.counts.lost;
+        outages += sensor.outages.number;
+      }
+      CHECK(loop.close() == 0);
+    }
+    CHECK(failed > 0);
+    CHECK(lost == 60);
+    CHECK(outages == 1);
+    const VerifyReport report = verified(path);
+    CHECK_MESSAGE(report.verdict() == Verdict::balanced, report.text());
+    TopicLoss sum;
+    for (const TopicLoss& loss : report.losses()) sum.add(loss);
+    CHECK(sum.failed == failed);
+    CHECK(sum.by_source == lost);
+    CHECK(sum.outages.number == outages);
+    CHECK(has(report.text(), "60 samples of daq (lost by the source 60)"));
+    CHECK(number(path, "SELECT count(*) FROM rtdata_topic WHERE topic IN ('daq', 'adc', 'bar')") == 0);
+    CHECK(number(path, "SELECT count(*) FROM rtdata_ledger WHERE topic IN ('daq', 'adc', 'bar')") == 3);
+    CHECK(verified(other).losses().empty());  // which has nothing to do with them
+    CHECK(number(other, "SELECT count(*) FROM rtdata_ledger") == 1);
+  }
 }
 
 TEST_CASE("US-26 verify says first what was lost, of which topic and where, and what is not known") {

@@ -75,7 +75,7 @@ struct RunReport {
   std::uint64_t received = 0, unreadable = 0;   ///< before format 5: 0
   std::optional<std::uint64_t> lost_by_source;  ///< none: no source numbers its data
   std::uint64_t values_checked = 0;             ///< rows whose values agree with their checksum
-  std::size_t origins = 0, gaps = 0;
+  std::size_t origins = 0, gaps = 0;            ///< outages are gaps, too
   std::vector<OriginOutages> outages;           ///< of each origin that had some, the longest first
   std::vector<TopicLoss> losses;                ///< of each topic that lost something, the most first
   std::vector<std::string> not_known;           ///< of what it is not known whether it was lost; empty: all is known

@@ -132,6 +132,7 @@ std::string StatusSource::text(const Snapshot& now, const Snapshot* before) {
     one["missed"] = counts.missed;
     one["failed"] = counts.failed;
     one["unreadable"] = counts.unreadable;
+    one["repeated"] = counts.repeated;
     one["outages"] = sensor.outages.number;
     one["outage_time_s"] = std::chrono::duration<double>(sensor.outages.time).count();
     one["lost"] = counts.lost_is_known ? Json(counts.lost) : Json();

@@ -78,6 +78,8 @@ void print_table(const std::vector<TopicSummary>& topics, std::ostream& out) {
     if (topic.pruned != 0)
       losses += (losses.empty() ? "" : ", ") + std::to_string(topic.pruned) +
                 " more rows were pruned (max_age, max_bytes)";
+    if (topic.repeated != 0)
+      losses += (losses.empty() ? "" : "; ") + count_of(topic.repeated) + " repeated by the source, which is no loss";
     if (!losses.empty()) {
       std::string lines;
       detail::wrap(lines, "    ", losses);
@@ -137,6 +139,7 @@ Json json_of(const TopicSummary& topic) {
             {"missed", topic.missed},
             {"failed", topic.failed},
             {"unreadable", topic.unreadable},
+            {"repeated", topic.repeated},
             {"dropped", topic.dropped},
             {"pruned", topic.pruned},
             {"outages", topic.outages.number},

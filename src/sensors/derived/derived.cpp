@@ -4,6 +4,7 @@
 #include <cstring>
 #include <utility>
 
+#include "loop/events/made_of.hpp"
 #include "process/expression_sources.hpp"
 #include "rtdata/data/config_value.hpp"
 #include "rtdata/loop/topic.hpp"
@@ -48,7 +49,7 @@ const ConfigItem& expression_item(const DerivedConfig& config, const ConfigItem&
 
 namespace detail {
 
-class DerivedNode final : public FeedNode {
+class DerivedNode final : public FeedNode, public MadeOf {
  public:
   DerivedNode(Loop& loop, const FeedConfig& feed, const DerivedConfig& config,
               const std::shared_ptr<const Description>& description)
@@ -68,8 +69,10 @@ class DerivedNode final : public FeedNode {
   void subscribe(Loop& loop) {
     subscriptions_ = sources_.subscribe(loop, "sensor " + origin_.name,
                                         [this](std::size_t from, const EventView& event) { take(from, event); });
+    tell_followers(origin_);
     recall();
   }
+  std::vector<std::string> made_of() const override { return sources_.topics(); }
 
   void start() override {
     if (is_running() || !is_open()) return;

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <utility>
 
+#include "loop/events/made_of.hpp"
 #include "loop/support/deadline.hpp"
 #include "process/number_field.hpp"
 #include "rtdata/data/config_value.hpp"
@@ -35,7 +36,7 @@ bool are_opposite(LimitLevel a, LimitLevel b) {
 
 namespace detail {
 
-class LimitNode final : public FeedNode {
+class LimitNode final : public FeedNode, public MadeOf {
  public:
   LimitNode(Loop& loop, const FeedConfig& feed, const LimitConfig& config)
       : FeedNode(loop.core(), feed, payload_type<Alarm>()),
@@ -50,8 +51,10 @@ class LimitNode final : public FeedNode {
   void subscribe(Loop& loop) {
     subscription_ = loop.subscribe(config_.on, [this](const EventView& event) { take(event); });
     subscription_.set_name("sensor " + origin_.name + " on " + config_.on);
+    tell_followers(origin_);
     begin();
   }
+  std::vector<std::string> made_of() const override { return {config_.on}; }
 
   void start() override {
     if (is_running() || !is_open()) return;

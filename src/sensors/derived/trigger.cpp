@@ -5,6 +5,7 @@
 #include <new>
 #include <utility>
 
+#include "loop/events/made_of.hpp"
 #include "loop/runtime/runtime_core.hpp"
 #include "loop/support/deadline.hpp"
 #include "process/expression_sources.hpp"
@@ -75,7 +76,7 @@ class EventRing {
   std::uint64_t begin_ = 0, end_ = 0;
 };
 
-class TriggerNode final : public FeedNode {
+class TriggerNode final : public FeedNode, public MadeOf {
  public:
   TriggerNode(Loop& loop, const FeedConfig& feed, const TriggerConfig& config,
               const std::shared_ptr<const Description>& description)
@@ -96,8 +97,10 @@ class TriggerNode final : public FeedNode {
   void subscribe(Loop& loop) {
     subscriptions_ = sources_.subscribe(loop, "sensor " + origin_.name,
                                         [this](std::size_t from, const EventView& event) { take(from, event); });
+    tell_followers(origin_);
     recall();
   }
+  std::vector<std::string> made_of() const override { return sources_.topics(); }
 
   void start() override {
     if (is_running() || !is_open()) return;

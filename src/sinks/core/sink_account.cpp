@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "loop/core/loop_core.hpp"
+#include "loop/events/made_of.hpp"
 #include "loop/runtime/runtime_core.hpp"
 
 namespace rtdata::detail {
@@ -34,6 +35,30 @@ void SinkAccount::add_tap(TopicCore& topic, SinkNode& sink, SinkTap::Takes takes
     taps_.pop_back();
     throw;
   }
+}
+
+void SinkAccount::follow(OriginCore& origin, SinkNode& sink) {
+  const auto* const made = dynamic_cast<const MadeOf*>(origin.sensor);
+  if (made == nullptr || !queue_->is_recording() || find_tap(origin) == nullptr) return;
+  for (const std::string& name : made->made_of()) {
+    TopicCore* const topic = origin.topic.runtime().find_topic(name);
+    topic != nullptr ? follow(*topic, sink) : void(awaited_.insert(name));
+  }
+}
+
+void SinkAccount::follow(TopicCore& topic, SinkNode& sink) {
+  if (tap_of_.contains(&topic) || topic.type.description == nullptr) return;
+  add_tap(topic, sink, SinkTap::Takes::account);
+  for (OriginCore* const origin : topic.origins()) follow(*origin, sink);
+}
+
+void SinkAccount::follow_all(SinkNode& sink) {
+  for (std::size_t i = 0, taken = taps_.size(); i < taken; ++i)
+    for (OriginCore* const origin : taps_[i]->topic().origins()) follow(*origin, sink);
+}
+
+void SinkAccount::follow_new(TopicCore& topic, SinkNode& sink) {
+  if (awaited_.erase(topic.name) != 0) follow(topic, sink);
 }
 
 void SinkAccount::move_counts(LoopCore& loop) noexcept {

@@ -3,6 +3,7 @@
 
 #include <cstddef>
 #include <memory>
+#include <set>
 #include <string>
 #include <unordered_map>
 #include <vector>
@@ -21,6 +22,12 @@ class SinkAccount {
   Result<void> add_topic(TopicCore& topic, SinkNode& sink);
   /// Counts its events as refused from now on.
   void refuse_topic(TopicCore& topic, SinkNode& sink) { add_tap(topic, sink, SinkTap::Takes::none); }
+  /// Keeps the accounts of the topics that the origin, if it is of a topic taken here, is made of; and of those that
+  /// these are made of. No rows of them. Of a recording only.
+  void follow(OriginCore& origin, SinkNode& sink);
+  void follow_all(SinkNode& sink);
+  /// A topic has been made that is not taken: it may be one of them.
+  void follow_new(TopicCore& topic, SinkNode& sink);
   /// The writer has been opened at set-up: what was counted so far goes to where it keeps counts.
   void move_counts(LoopCore& loop) noexcept;
   /// Takes none any more.
@@ -51,12 +58,14 @@ class SinkAccount {
  private:
   void add_tap(TopicCore& topic, SinkNode& sink, SinkTap::Takes takes);
   SinkTap* find_tap(const OriginCore& origin) const;
+  void follow(TopicCore& topic, SinkNode& sink);
 
   const std::shared_ptr<SinkQueue> queue_;
   std::vector<std::unique_ptr<SinkTap>> taps_;
   std::unordered_map<const TopicCore*, SinkTap*> tap_of_;
-  std::uint64_t accounts_ = 0;  // handed over
-  std::size_t next_topic_ = 0;  // where the next part begins
+  std::set<std::string, std::less<>> awaited_;  // topics that others are made of, and that are not there yet
+  std::uint64_t accounts_ = 0;                  // handed over
+  std::size_t next_topic_ = 0;                  // where the next part begins
   std::size_t next_origin_ = 0;
 };
 

@@ -53,6 +53,7 @@ void SinkNode::attach() {
   for (const auto& topic : runtime.topics()) {
     if (auto taken = take_topic(*topic); !taken) throw SetupError(std::move(taken).error());
   }
+  account_.follow_all(*this);
   runtime.attach(*this);
   for (const ClockPair& pair : runtime.clock_log.pairs()) account_.notes.add(pair);
   for (const ConfigurationChange& change : runtime.configurations.changes()) account_.notes.add(change);
@@ -76,6 +77,7 @@ Result<void> SinkNode::on_topic(TopicCore& topic) {
   Result<void> taken;
   try {
     taken = take_topic(topic);
+    if (!wants(topic.name)) account_.follow_new(topic, *this);
   } catch (const std::exception& e) {
     taken = threw(e.what());
   } catch (...) {

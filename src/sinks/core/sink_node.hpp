@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "loop/core/loop_core.hpp"
+#include "loop/events/made_of.hpp"
 #include "loop/runtime/runtime_core.hpp"
 #include "loop/support/handler.hpp"
 #include "loop/support/retry.hpp"
@@ -24,7 +25,7 @@
 
 namespace rtdata::detail {
 
-class SinkNode final : public Node, public Recorder, public RateMember, public Transfer::Owner {
+class SinkNode final : public Node, public Recorder, public FollowsSources, public RateMember, public Transfer::Owner {
  public:
   SinkNode(LoopCore& loop, SinkConfig config, std::unique_ptr<Writer> writer);
 
@@ -49,6 +50,9 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   }
   bool wants(std::string_view topic) const noexcept override;
   SinkNode* as_sink() noexcept override { return this; }
+  void follow(OriginCore& origin) override {
+    if (!is_closing() && !is_fed()) account_.follow(origin, *this);
+  }
 
   // ---- batches by time
   void tick(const Tick&) override;

@@ -57,6 +57,11 @@ SinkTap::SinkTap(SinkNode& sink, std::shared_ptr<SinkQueue> queue, TopicCore& to
 void SinkTap::offer(OriginCore& origin, Time time, std::uint64_t sequence, const void* payload) {
   Place& place = places_[origin.index];
   const std::uint64_t course = course_of(origin.counts);
+  if (takes_ == Takes::account) [[unlikely]] {
+    if (std::exchange(place.course, course) != course)
+      keep(origin, origin.is_mirror ? Now::between_events : Now::at_an_event);
+    return;
+  }
   if (place.first_sequence == 0 || (course != place.course && !origin.is_mirror)) [[unlikely]] {
     if (place.first_sequence == 0) place.first_sequence = sequence;
     place.course = course;
@@ -80,6 +85,7 @@ void SinkTap::offer(OriginCore& origin, Time time, std::uint64_t sequence, const
 }
 
 void SinkTap::miss(OriginCore& origin, std::uint64_t count, std::uint64_t last_sequence) {
+  if (takes_ == Takes::account) return;
   Place& place = places_[origin.index];
   place.live->offered += count;
   queue_->slot(place.slot).dropped_newest += count;
@@ -120,7 +126,7 @@ void SinkTap::keep(const OriginCore& origin, Now when) noexcept {
   OriginAccount now = account_of(origin, MonotonicTime::min());
   if (when == Now::at_an_event) {  // which its origin has counted, and which is not offered yet
     --now.sensor.received;
-    --now.sensor.published;
+    --(takes_ == Takes::account ? now.sensor.filtered : now.sensor.published);
   }
   if (now.segment.period == Duration{0}) now.segment = ended_[origin.index];
   const Closed& closed = closed_[origin.index];
@@ -164,6 +170,7 @@ OriginAccount SinkTap::account_of(const OriginCore& origin, MonotonicTime until)
     now.sensor = since(before, now.sensor);
     now.carried = before.in_flight;
   }
+  if (takes_ == Takes::account) now.sensor.filtered += std::exchange(now.sensor.published, 0);
   if (origin.has_segment()) now.segment = since_attached(origin, origin.segment(until));
   if (const Gap* gap = origin.gap_under_way()) {
     now.gap = *gap;

@@ -15,8 +15,9 @@ class SinkNode;
 
 class SinkTap final : public Tap {
  public:
-  /// A sink that wants a topic and cannot take it counts each of its events as dropped: refused.
-  enum class Takes { all, none };
+  /// A sink that wants a topic and cannot take it counts each of its events as dropped: refused. Of a topic of which
+  /// others are made it keeps the account, in which what was published counts as filtered.
+  enum class Takes { all, none, account };
   /// `number`: of the topic within the sink.
   SinkTap(SinkNode& sink, std::shared_ptr<SinkQueue> queue, TopicCore& topic, std::uint32_t number, Takes takes);
 

@@ -14,8 +14,8 @@ struct Meaning {
 
 /// Of an SQLSTATE.
 Meaning meaning_of(std::string_view state) noexcept;
-/// Of an error that a row of a COPY made by what is in it (the table has a CHECK, a trigger, a unique index of its own):
-/// the others can be stored.
+/// Of an error that a row of a COPY made by what is in it (the table has a CHECK, a trigger, a unique index of its
+/// own): the others can be stored.
 inline constexpr Meaning row_refused{Errc::does_not_fit, "the others are stored; see the table's constraints"};
 /// `constraint`: the one that it says was violated.
 bool refuses_row(std::string_view state, std::string_view constraint) noexcept;

@@ -167,6 +167,7 @@ Result<std::vector<TopicSummary>> summary(const Recording& recording, std::int64
     sum.missed += entry.sensor.missed;
     sum.failed += entry.sensor.failed;
     sum.unreadable += entry.sensor.unreadable;
+    sum.repeated += entry.sensor.repeated;
     sum.late += entry.sensor.late;
     sum.dropped += entry.dropped();
     sum.pruned += entry.pruned;

@@ -352,7 +352,8 @@ class Losses {
   void add(const LedgerEntry& entry, const Outages& outages) {
     const SensorCounts& s = entry.sensor;
     TopicLoss loss = loss_of(entry, outages);
-    if (!s.has_schedule && !s.lost_is_known && s.published != 0) not_detectable_.insert(entry.topic);
+    if (!s.has_schedule && !s.lost_is_known && s.published + s.repeated + s.filtered != 0)
+      not_detectable_.insert(entry.topic);
     if (!loss.has_loss()) return;
     const auto [known, is_new] = by_topic_.try_emplace(entry.topic, std::move(loss));
     if (!is_new) known->second.add(loss);

@@ -241,14 +241,13 @@ std::string VerifyReport::text() const {
              n(run.offered) + " offered = " + n(run.stored) + " stored + " + n(run.dropped) + " dropped" +
              (run.unsaved != 0 ? " + " + n(run.unsaved) + " not saved" : "") +
              (run.pruned != 0 ? "; " + n(run.pruned) + " pruned" : ""));
-    std::size_t gaps = run.gaps;
-    for (const OriginOutages& one : run.outages) gaps -= std::min(gaps, one.gaps);
+    const std::string gaps = counted(run.gaps, "gap");
     if (run.scheduled != 0) {
       wrap(out, "  ",
            n(run.scheduled) + " ticks scheduled; " + n(run.missed) + " missed, " + n(run.failed) + " failed, " +
-               n(run.late) + " late; " + n(gaps) + (gaps == 1 ? " gap" : " gaps"));
+               n(run.late) + " late; " + gaps);
     }
-    if (!run.outages.empty()) wrap(out, "  ", outages_text(run.outages));
+    if (!run.outages.empty()) wrap(out, "  ", (run.scheduled == 0 ? gaps + ": " : "") + outages_text(run.outages));
     if (run.unreadable != 0)
       wrap(out, "  ", n(run.received) + " received, " + n(run.unreadable) + " of them unreadable");
     for (const std::string& problem : run.problems) wrap(out, "  ! ", problem);
