@@ -77,9 +77,6 @@ class Publishing final : public detail::MqttConnection {
     drop();
   }
   void end() {
-    if (unheard_ > 0)
-      tell(LogLevel::warning,
-           std::to_string(unheard_) + " events were confirmed by the broker while nobody was subscribed");
     under_way_.clear();
     good_at_.close();
     MqttConnection::end();
@@ -92,6 +89,7 @@ class Publishing final : public detail::MqttConnection {
     std::uint64_t sequence = 0;      // the same
     std::vector<bool> is_done;       // by row
     std::vector<std::pair<std::size_t, Error>> refused;
+    std::size_t unheard = 0;  // of these: taken, and thrown away
 
     bool is_of(const Parcel& parcel) const noexcept {
       const Parcel::Row& first = parcel.rows().front();
@@ -124,9 +122,6 @@ class Publishing final : public detail::MqttConnection {
     std::size_t row = 0;
   };
 
-  void tell(LogLevel level, const std::string& text) {
-    loop().core().runtime.log(level, "sink " + config_.sink.name, text);
-  }
   bool has_more() const override {
     if (is_on_trial_ || (is_careful_ && messages_ > 0)) return false;
     if (messages_ >= most_under_way || slot_of(next_number()).number != 0) return false;
@@ -212,17 +207,19 @@ class Publishing final : public detail::MqttConnection {
       } else if (reason == MQTT_RC_NO_MATCHING_SUBSCRIBERS && config_.wait_for_subscriber) {
         is_unheard = true;
       } else {
-        of->progress.is_done[ended.row] = true;
         losses_ = 0;
-        if (reason == MQTT_RC_NO_MATCHING_SUBSCRIBERS && !config_.retain) ++unheard_;
+        if (reason == MQTT_RC_NO_MATCHING_SUBSCRIBERS && !config_.retain) {
+          ++of->progress.unheard;
+          of->progress.refuse(ended.row, {Errc::disconnected, "the broker has thrown the event away",
+                                          topic_of(of->parcel->rows()[ended.row]), "nobody was subscribed",
+                                          "subscribe with a session that lasts, or set `wait_for_subscriber` or "
+                                          "`retain`"});
+        } else {
+          of->progress.is_done[ended.row] = true;
+        }
       }
     }
     client->published.clear();
-    if (unheard_ > 0 && !std::exchange(is_unheard_told_, true))
-      tell(LogLevel::warning,
-           "the broker has confirmed an event that nobody was subscribed to: it is gone. Subscribe with a session that "
-           "lasts, or "
-           "set `wait_for_subscriber` or `retain`; how many there are is told at the end");
     if (is_short_of_room) return fail(Errc::busy, "the broker takes no more", mosquitto_reason_string(why));
     if (is_unheard) return fail(Errc::busy, "nobody is subscribed", "events wait until somebody is");
     for (bool is_any = true; is_any && client_ == client;) {
@@ -237,7 +234,7 @@ class Publishing final : public detail::MqttConnection {
         one.answer.again(std::move(*one.forbidden), config_.sink.retry_longest);
         continue;
       }
-      is_careful_ = is_careful_ && !one.progress.refused.empty();
+      is_careful_ = is_careful_ && one.progress.refused.size() > one.progress.unheard;
       for (auto& [row, error] : one.progress.refused) one.answer.refuse(row, std::move(error));
       one.answer.acknowledge();
     }
@@ -319,9 +316,7 @@ class Publishing final : public detail::MqttConnection {
   int last_number_ = 0;
   // Of MQTT 3.1.1: which event it is that the broker ends connections for.
   Timer good_at_;
-  bool is_good_ = false;       // the broker has accepted the connection
-  std::uint64_t unheard_ = 0;  // confirmed, and given to nobody
-  bool is_unheard_told_ = false;
+  bool is_good_ = false;      // the broker has accepted the connection
   bool is_on_trial_ = false;  // whether it lasts, before anything is sent on it
   bool is_careful_ = false;   // one message at a time
   int losses_ = 0;            // of connections, since a message was confirmed
