@@ -688,30 +688,47 @@ Returned with(detail::Node* node, Returned otherwise, const Function& function) 
   return otherwise;
 }
 
-Result<void> closed() { return Error{Errc::closed, cannot_set, "", "the output is closed", ""}; }
+/// For what answers with an error.
+template <class Function>
+Result<void> ordered(detail::Node* node, const Function& function) {
+  try {
+    return with(node, Result<void>(Error{Errc::closed, cannot_set, "", "the output is closed", ""}), function);
+  } catch (const SetupError& error) {  // its loop does not turn
+    return error.error();
+  }
+}
+/// For what cannot be refused. `unknown`: when its loop does not turn.
+template <class Returned, class Function>
+Returned asked(detail::Node* node, Returned otherwise, Returned unknown, const Function& function) noexcept {
+  try {
+    return with(node, std::move(otherwise), function);
+  } catch (const std::exception&) {
+    return unknown;
+  }
+}
 
 }  // namespace
 
 Result<void> Output::set(double value, std::string_view by) {
-  return with(node(), closed(), [&](detail::OutputNode& output) {
+  return ordered(node(), [&](detail::OutputNode& output) {
     output.loop()->check_thread(cannot_set, output.origin().name);
     return output.set(value, by);
   });
 }
 Result<void> Output::arm(std::string_view by) {
-  return with(node(), closed(), [&](detail::OutputNode& output) {
+  return ordered(node(), [&](detail::OutputNode& output) {
     output.loop()->check_thread("cannot arm the output", output.origin().name);
     return output.arm(by);
   });
 }
 Result<void> Output::disarm(std::string_view by) {
-  return with(node(), closed(), [&](detail::OutputNode& output) {
+  return ordered(node(), [&](detail::OutputNode& output) {
     output.loop()->check_thread("cannot disarm the output", output.origin().name);
     return output.disarm(by);
   });
 }
 bool Output::is_armed() const noexcept {
-  return with(node(), false, [](const detail::OutputNode& output) { return output.is_armed(); });
+  return asked(node(), false, false, [](const detail::OutputNode& output) { return output.is_armed(); });
 }
 void Output::when_told(Callback<void()> done) {
   with(node(), 0, [&](detail::OutputNode& output) {
@@ -738,19 +755,21 @@ void Output::take_back() {
   });
 }
 std::optional<double> Output::held_value() const noexcept {
-  return with(node(), std::optional<double>{}, [](const detail::OutputNode& output) { return output.held_value(); });
+  return asked(node(), std::optional<double>{}, std::optional<double>{},
+               [](const detail::OutputNode& output) { return output.held_value(); });
 }
 bool Output::has_ended_unsafe() const noexcept {
-  return with(node(), false, [](const detail::OutputNode& output) { return output.has_ended_unsafe(); });
+  return asked(node(), false, true, [](const detail::OutputNode& output) { return output.has_ended_unsafe(); });
 }
 bool Output::is_safe() const noexcept {
-  return with(node(), false, [](const detail::OutputNode& output) { return output.is_safe(); });
+  return asked(node(), false, false, [](const detail::OutputNode& output) { return output.is_safe(); });
 }
 std::optional<double> Output::value() const noexcept {
-  return with(node(), std::optional<double>{}, [](const detail::OutputNode& output) { return output.value(); });
+  return asked(node(), std::optional<double>{}, std::optional<double>{},
+               [](const detail::OutputNode& output) { return output.value(); });
 }
 bool Output::is_guarded() const noexcept {
-  return with(node(), false, [](const detail::OutputNode& output) { return output.is_guarded(); });
+  return asked(node(), false, false, [](const detail::OutputNode& output) { return output.is_guarded(); });
 }
 
 }  // namespace rtdata

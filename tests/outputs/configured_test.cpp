@@ -6,10 +6,12 @@
 #include <algorithm>
 #include <chrono>
 #include <map>
+#include <memory>
 #include <string>
 #include <thread>
 #include <vector>
 
+#include "app/control/commands.hpp"
 #include "app/process.hpp"
 #include "app/runtime_folder.hpp"
 #include "outputs/memory_actuator.hpp"
@@ -19,6 +21,8 @@
 #include "rtdata/config/change.hpp"
 #include "rtdata/config/system.hpp"
 #include "rtdata/fsm/configured.hpp"
+#include "rtdata/loop/tier.hpp"
+#include "rtdata/loop/timer.hpp"
 #include "rtdata/outputs/guard.hpp"
 #include "rtdata/process/expression.hpp"
 #include "sensors/fixture.hpp"
@@ -284,6 +288,85 @@ TEST_SUITE("outputs") {
     raise("again");
     CHECK(did("I") == Lines{"set 1"});
     CHECK(did("V") == Lines{"set 2"});
+  }
+
+  TEST_CASE("US-33 US-35 commands and reloads that need a tier which hangs are refused, and the rest goes on") {
+    Devices devices;
+    Loop loop{Loop::Manual{}};
+    be_quiet(loop);
+    const auto plan = [&](const std::string& outputs) {
+      return plan_system(devices.registry, parse_config("{" + std::string(load) + R"(, "tiers": {"fast": {}},
+        "outputs": [)" + outputs + "]}",
+                                                        "f.json"));
+    };
+    const std::string far = R"({"name": "far", "type": "memory", "device": "F", "tier": "fast"})";
+    const std::string near = R"({"name": "near", "type": "memory", "device": "N"})";
+    const SystemPlan first = plan(far + "," + near);
+    REQUIRE_MESSAGE(first.good(), first.report());
+    System system(loop, devices.registry, first);
+    app::CommandDesk desk(loop, system, [](const std::string&, bool) {});
+    const auto command = [&](const Lines& words) {
+      auto outcome = std::make_shared<app::CommandOutcome>();
+      desk.run(words, "test", [outcome](const app::CommandOutcome& came) { *outcome = came; });
+      return outcome;
+    };
+    int ticks = 0;
+    const Ticker ticker(loop, 100ms, [&](const Tick&) { ++ticks; });
+    loop.advance(1s);
+    const auto hold = [&](Duration time) {
+      system.tier("fast").loop().post([&, time] { loop.manual_clock().pass(time); });
+    };
+
+    // One that is held once costs nobody anything.
+    hold(1500ms);
+    loop.advance(100ms);
+    ticks = 0;
+    auto set = command({"set", "far", "1"});
+    loop.advance(1s);
+    CHECK(ticks == 10);
+    CHECK(set->text.empty());
+    loop.advance(1s);
+    CHECK(set->done);
+    CHECK(devices.all["F"].value == 1.0);
+
+    hold(1min);
+    loop.advance(100ms);
+    ticks = 0;
+    set = command({"set", "far", "0"});
+    CHECK(command({"set", "near", "1"})->done);
+    loop.advance(3s);
+    CHECK(ticks == 30);
+    CHECK_FALSE(set->done);
+    CHECK(set->text.starts_with("tier fast has not come out of "));
+    CHECK(set->text.find("for 2 s: nothing was done") != std::string::npos);
+    {  // Where it is known to hang, at once.
+      const TierWatch watch(loop, 1s);
+      loop.advance(2s);
+      set = command({"set", "far", "0"});
+      CHECK_FALSE(set->done);
+      CHECK(set->text.find("has not come out of") != std::string::npos);
+    }
+    const std::string more = R"(, {"name": "third", "type": "memory", "device": "T")";
+    CHECK_THROWS_WITH_AS(system.apply(plan(near)), doctest::Contains("nothing was changed"), SetupError);
+    CHECK_THROWS_WITH_AS(system.apply(plan(far + "," + near + more + R"(, "tier": "fast"})")),
+                         doctest::Contains("has not come out of"), SetupError);
+    CHECK(system.apply(plan(far + "," + near + more + "}")).count(Fate::added) == 1);
+    CHECK(devices.all["T"].did == Lines{"open 0"});
+    // All outputs are given back for which that can be done.
+    bool is_safe = false;
+    system.finish_outputs([&] { is_safe = true; });
+    loop.advance(2s);
+    CHECK(is_safe);
+    CHECK(devices.all["N"].did == Lines{"open 0", "set 1", "set 0", "gone"});
+    // What was refused is not done later.
+    loop.advance(1min);
+    CHECK(devices.all["F"].did == Lines{"open 0", "set 1"});
+    // At the end those who wait are told.
+    hold(1min);
+    set = command({"set", "far", "0"});
+    desk.end();
+    CHECK(set->text == "it ends already");
+    loop.advance(1min);
   }
 
   TEST_CASE("US-35 US-5 an output that is armed by command is not touched by a reload, and none is armed by one") {

@@ -19,6 +19,9 @@
 ///
 /// Objects are made on the tier's loop before it runs, or in `call`. Closing a handle, and every verb of a sensor, may
 /// be called on the main loop's thread while the tier runs: they wait for the tier to do it. All else is for `call`.
+/// A tier that does not turn refuses verbs as `call` does; what is asked for is then what the main loop knows last, and
+/// faulted. Closing waits for it for 5 s; then the tier does it as soon as it turns, which is reported: what the
+/// callbacks of the handle refer to must live until then.
 ///
 /// A tier of which a callback never returns does not keep `Loop::close` from closing the recordings: they are marked as
 /// incomplete, with the callback's name and the time up to which the tier's account is known.
@@ -94,9 +97,10 @@ class Tier {
   bool is_running() const noexcept;
 
   /// Runs `function(loop())` on the tier's thread, waits for it and returns what it returns; at once while the tier
-  /// does not run, and in its own callbacks. What it throws is thrown here. When the tier has not come out of a
-  /// callback for 1 s, a warning names it. SetupError (busy) in a call of a sink's Writer, which may hold what the tier
-  /// waits for.
+  /// does not run, and in its own callbacks. What it throws is thrown here. SetupError (not-turning): the tier has not
+  /// come out of a callback for 1 s, and the function is never called; at once when that is known already. A function
+  /// that has begun is waited for. SetupError (busy) in a call of a sink's Writer, which may hold what the tier waits
+  /// for.
   template <class Function>
   auto call(Function&& function) {
     using Returned = std::invoke_result_t<Function&, Loop&>;

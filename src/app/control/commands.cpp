@@ -8,9 +8,13 @@
 #include <stdexcept>
 
 #include "app/core/machines.hpp"
+#include "loop/core/loop_core.hpp"
+#include "loop/runtime/runtime_core.hpp"
 #include "loop/support/fitting.hpp"
+#include "loop/tier/tier_core.hpp"
 #include "rtdata/config/format.hpp"
 #include "rtdata/fsm/configured.hpp"
+#include "rtdata/loop/timer.hpp"
 #include "rtdata/outputs/output.hpp"
 #include "rtdata/sensors/limit.hpp"
 
@@ -125,6 +129,8 @@ const std::vector<Verb>& verbs() {
 }
 
 constexpr std::size_t longest_command = 240;
+/// Of a tier. Less than whoever has asked waits.
+constexpr Duration turn_patience = std::chrono::seconds{2};
 
 std::string joined(const Words& words) {
   std::string text;
@@ -198,7 +204,67 @@ void repeat_command(System& system, const CommandRecord& recorded) {
   }
 }
 
+bool may_answer(Loop& loop, const Tier& tier) {
+  const auto& tiers = loop.core().runtime.tiers;
+  return tier.is_running() && std::none_of(tiers.begin(), tiers.end(), [&](const detail::TierCore* one) {
+           return one->config.name == tier.config().name && one->is_stuck();
+         });
+}
+
+struct CommandDesk::Asked {
+  Words words;
+  std::string by;
+  Told told;
+  std::string tier;
+  Timer patience = {};
+};
+
+Tier* CommandDesk::tier_of(const Words& words) const {
+  if (words.size() < 2) return nullptr;
+  for (const PartPlan* plan : system_.parts().plans()) {
+    const bool is_commanded = plan->kind == "sensor" || plan->kind == "output" || plan->kind == "machine";
+    if (!is_commanded || plan->name != words[1] || plan->tier().empty()) continue;
+    Tier& tier = system_.tier(plan->tier());
+    return may_answer(loop_, tier) ? &tier : nullptr;
+  }
+  return nullptr;
+}
+
 void CommandDesk::run(const Words& words, std::string_view by, Told told) {
+  Tier* const tier = tier_of(words);
+  if (tier == nullptr) return run_here(words, by, std::move(told));
+  const auto asked = std::make_shared<Asked>(Asked{words, std::string(by), std::move(told), tier->config().name});
+  asked_.push_back(asked);
+  asked->patience = Timer(loop_, turn_patience, [this, weak = std::weak_ptr(asked)] {
+    const auto still = weak.lock();
+    if (still == nullptr) return;
+    const std::string at = system_.tier(still->tier).doing();
+    refuse(still, "tier " + still->tier + " has not come out of " + (at.empty() ? "a callback" : at) + " for " +
+                      to_string(turn_patience) + ": nothing was done; look for what blocks there");
+  });
+  // The tier may answer when nobody is here any more.
+  tier->loop().post([this, &loop = loop_, weak = std::weak_ptr(asked)] {
+    loop.post([this, weak] {
+      const auto still = weak.lock();
+      if (still == nullptr || std::erase(asked_, still) == 0) return;
+      run_here(still->words, still->by, std::move(still->told));
+    });
+  });
+}
+
+void CommandDesk::refuse(const std::shared_ptr<Asked>& asked, const std::string& why) {
+  if (std::erase(asked_, asked) == 0) return;
+  const CommandOutcome outcome{false, why};
+  keep(asked->words, asked->by, outcome);
+  asked->told(outcome);
+}
+
+void CommandDesk::end() {
+  keeper_.end();
+  for (const auto& asked : std::vector(asked_)) refuse(asked, "it ends already");
+}
+
+void CommandDesk::run_here(const Words& words, std::string_view by, Told told) {
   const auto outcome = std::make_shared<CommandOutcome>();
   const auto tell = [this, words, by = std::string(by), told = std::move(told), outcome] {
     keep(words, by, *outcome);

@@ -3,12 +3,14 @@
 
 #include <cstdint>
 #include <functional>
+#include <memory>
 #include <string>
 #include <string_view>
 #include <vector>
 
 #include "app/control/arm_keeper.hpp"
 #include "rtdata/config/system.hpp"
+#include "rtdata/loop/tier.hpp"
 #include "rtdata/sensors/feed.hpp"
 
 namespace rtdata::app {
@@ -42,6 +44,9 @@ std::string command_answer(const CommandOutcome& outcome);
 /// was seen. Thread: the loop's.
 void repeat_command(System& system, const CommandRecord& recorded);
 
+/// Whether a tier of this main loop is worth asking: it runs, and is not known to hang. That one refuses at once.
+bool may_answer(Loop& loop, const Tier& tier);
+
 /// Commands the parts of a system. Thread: the loop's.
 class CommandDesk {
  public:
@@ -51,17 +56,24 @@ class CommandDesk {
       : loop_(loop), system_(system), log_(std::move(log)), keeper_(loop, system) {}
 
   /// Does what the words say, of all commands but `reload`, records it, and tells what came of it: at once, but of
-  /// arming and disarming when that is on the card, or after 3 s.
+  /// arming and disarming when that is on the card, or after 3 s, and of a part of a tier when that turns. One that
+  /// does not for 2 s is refused; the loop goes on meanwhile.
   void run(const std::vector<std::string>& words, std::string_view by, Told told);
   /// The run ends: who still waits is told.
-  void end() { keeper_.end(); }
+  void end();
   /// Records a command and what came of it: its event is the topic's, and a line of the log.
   void keep(const std::vector<std::string>& words, std::string_view by, const CommandOutcome& outcome);
 
  private:
+  struct Asked;  // a tier, before what is to be done there
+  Tier* tier_of(const std::vector<std::string>& words) const;
+  void run_here(const std::vector<std::string>& words, std::string_view by, Told told);
+  void refuse(const std::shared_ptr<Asked>& asked, const std::string& why);
+
   Loop& loop_;
   System& system_;
   Log log_;
+  std::vector<std::shared_ptr<Asked>> asked_;
   ArmKeeper keeper_;
   Feed<CommandRecord> record_;  // made with the first command
 };

@@ -225,20 +225,47 @@ void Reload::begin(const std::shared_ptr<Change>& change) {
   if (!may_be_applied(*change)) return;
   under_way_ = change;
   change->left = recordings_left(system_.parts().plans(), change->read->plan);
-  change->waits_for = closing_sinks(*change, false);
-  for (const std::string& name : change->given_up) change->waits_for.erase(name);
+  std::set<std::string> sinks = closing_sinks(*change, false);
+  for (const std::string& name : change->given_up) sinks.erase(name);
+  change->waits_for = sinks;
   const Weak weak = change;
   change->is_waiting = true;
   look_at_new_files(change);
+  ask_tiers(change);
   if (!change->is_looking && (!change->obstacles.empty() || change->waits_for.empty()))
     return then(weak, &Reload::stop_waiting);
   change->patience = Timer(loop_, storing_patience, [this, weak] { then(weak, &Reload::stop_waiting); });
-  for (const std::string& name : std::set<std::string>(change->waits_for)) {
+  for (const std::string& name : sinks) {
     system_.sink(name).sync([this, name, weak] {
       const auto still = weak.lock();
       if (still == nullptr || still->waits_for.erase(name) == 0) return;
       // Not from within the sink.
       if (still->waits_for.empty() && !still->is_looking) then(weak, &Reload::stop_waiting);
+    });
+  }
+}
+
+void Reload::ask_tiers(const std::shared_ptr<Change>& change) {
+  std::set<std::string> changed, tiers;
+  for (const PartChange& part : change->steps->changes().all)
+    if (part.fate != Fate::unchanged) changed.insert(part.object);
+  const auto add_tier_of = [&](const PartPlan& plan) {
+    if (!plan.tier().empty() && changed.contains(plan.object())) tiers.emplace(plan.tier());
+  };
+  for (const PartPlan* plan : system_.parts().plans()) add_tier_of(*plan);
+  for (const PartPlan& plan : change->read->plan.parts) add_tier_of(plan);
+  for (const std::string& name : tiers) {
+    Tier* const tier = system_.parts().find<Tier>("tier", name);
+    if (tier == nullptr || !may_answer(loop_, *tier)) continue;
+    const std::string awaited = "tier " + name;
+    change->waits_for.insert(awaited);
+    // It may answer when nobody is here any more.
+    tier->loop().post([this, &loop = loop_, awaited, weak = Weak(change)] {
+      loop.post([this, awaited, weak] {
+        const auto still = weak.lock();
+        if (still == nullptr || still->waits_for.erase(awaited) == 0) return;
+        if (still->waits_for.empty() && !still->is_looking) then(weak, &Reload::stop_waiting);
+      });
     });
   }
 }

@@ -72,7 +72,8 @@ class Reload {
     bool is_waiting = false;
     bool is_looking = false;                  // whether files that it begins can be written
     std::vector<std::string> obstacles = {};  // to that, a line each
-    std::set<std::string> waits_for = {};     // sinks that store what they have; then those that open their files
+    // Sinks that store what they have, and "tier fast" until that turns; then sinks that open their files.
+    std::set<std::string> waits_for = {};
     Timer patience = {};
     std::vector<std::string> left = {};     // files of recordings that it closes for good
     std::vector<std::string> waiting = {};  // what waits in those, a line each
@@ -92,6 +93,8 @@ class Reload {
   void begin(const std::shared_ptr<Change>& change);
   /// Whether the files that it begins can be written: asked on the lane, while closing sinks store what they have.
   void look_at_new_files(const std::shared_ptr<Change>& change);
+  /// Whether the tiers turn that it needs.
+  void ask_tiers(const std::shared_ptr<Change>& change);
   /// What waits, in a turn of its own.
   void begin_next();
   /// What comes next, in a turn of its own. Not when this change is concluded.

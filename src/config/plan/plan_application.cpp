@@ -122,6 +122,27 @@ void PlanApplication::refuse() const {
     throw SetupError({Errc::busy, "cannot apply the configuration", change.object, change.why,
                       "nothing was changed; take the change back, or start the program again"});
   }
+  refuse_hanging();
+}
+
+/// Each tier that the change needs turns.
+void PlanApplication::refuse_hanging() const {
+  std::set<std::string> tiers;
+  for (const PlannedChange& planned : compared_.parts) {
+    if (planned.change.fate == Fate::unchanged) continue;
+    if (planned.now != nullptr) tiers.insert(std::string(planned.now->tier()));
+    if (planned.next != nullptr) tiers.insert(std::string(planned.next->tier()));
+  }
+  tiers.erase("");
+  for (const std::string& name : tiers) {
+    try {
+      system_.tier(name).call([](Loop&) {});
+    } catch (const SetupError& error) {
+      if (error.error().code != Errc::not_turning) continue;  // one that does not exist yet
+      throw SetupError({Errc::not_turning, "cannot apply the configuration", "tier " + name, error.error().why,
+                        "nothing was changed; look for what blocks there, or leave its parts as they are"});
+    }
+  }
 }
 
 void PlanApplication::sort_out() {

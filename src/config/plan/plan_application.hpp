@@ -67,6 +67,7 @@ class PlanApplication {
   void make();
   /// By `make` if it is not empty.
   void make_part(const PartPlan& plan, PartPlan::Make make);
+  void refuse_hanging() const;
   void change_live();
   /// The parts stand in the order of the next plan from here on, before those that are closed later.
   void settle();

@@ -156,11 +156,19 @@ void System::finish_outputs(Callback<void()> done) {
   const auto all = std::make_shared<All>();
   all->done = std::move(done);
   const auto one_done = [&loop = loop_, all] { loop.post([all] { all->one_done(); }); };
-  for (const auto& part : parts_.made_) {
-    if (!part->plan.ending) continue;
-    ++all->left;
-    part->plan.ending->begin(part->object, one_done);
-  }
+  const auto begin = [&](bool of_tiers) {
+    for (const auto& part : parts_.made_) {
+      if (!part->plan.ending || part->plan.tier().empty() == of_tiers) continue;
+      ++all->left;
+      try {
+        part->plan.ending->begin(part->object, one_done);
+      } catch (const SetupError&) {  // its loop does not turn: the guard does it
+        one_done();
+      }
+    }
+  };
+  begin(false);
+  begin(true);  // one of them may not turn, which takes its time
   one_done();
 }
 

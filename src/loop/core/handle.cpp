@@ -1,5 +1,7 @@
 #include "rtdata/loop/handle.hpp"
 
+#include <chrono>
+
 #include "loop/core/loop_core.hpp"
 
 namespace rtdata::detail {
@@ -25,7 +27,8 @@ Node::~Node() {
 void Node::dispose() noexcept {
   LoopCore* const loop = loop_;
   if (loop != nullptr && loop->runs_elsewhere()) {
-    loop->call_there([this] { dispose(); });
+    // Longer than for what can be refused: after this, what its callbacks refer to may go.
+    if (!loop->call_there_within(std::chrono::seconds{5}, [this] { dispose(); })) loop->dispose_when_it_turns(*this);
     return;
   }
   if (loop != nullptr && loop->is_run_by_another_thread()) return loop->dispose_later(*this);

@@ -58,8 +58,11 @@ class Lanes {
       const bool is_watched = !while_waiting.empty();
       listener_->wait(is_watched ? std::min(left, step) : left, is_so);
       if (!is_watched) return;
-      for (const auto& [owner, beat] : while_waiting) beat();
+      beat();
     }
+  }
+  void beat() const {
+    for (const auto& [owner, call] : while_waiting) call();
   }
   /// Before any lane is made; for tests.
   void set_pool(std::shared_ptr<LanePool> pool) noexcept { pool_ = std::move(pool); }

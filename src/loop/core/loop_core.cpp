@@ -181,6 +181,18 @@ void LoopCore::check_not_ending(const char* what) const {
 }
 
 void LoopCore::dispose_later(Node& node) noexcept {
+  post_disposal(node, {Errc::busy, "was closed where it may not be", "loop " + config.name,
+                       "another thread did it, or a call of a sink's writer; it is closed now, by its loop",
+                       "post a function to the loop that closes it there"});
+}
+
+void LoopCore::dispose_when_it_turns(Node& node) noexcept {
+  post_disposal(node, {Errc::not_turning, "was closed late", "loop " + config.name,
+                       "the loop did not turn when it was to be closed; it is closed now, by its loop",
+                       "look for what blocked in its sensors and handlers"});
+}
+
+void LoopCore::post_disposal(Node& node, Error why) noexcept {
   struct Owned {
     explicit Owned(Node& node) noexcept : node_(&node) {}
     Owned(Owned&& other) noexcept : node_(std::exchange(other.node_, nullptr)) {}
@@ -191,13 +203,10 @@ void LoopCore::dispose_later(Node& node) noexcept {
     }
     Node* node_;
   };
-  post([this, owned = Owned(node)] {
+  post([this, owned = Owned(node), why = std::move(why)] {
     const std::string name = owned.node_->callback_name();
     owned.node_->close();
-    runtime.report(this, name.empty() ? "loop " + config.name : name,
-                   {Errc::busy, "was closed where it may not be", "loop " + config.name,
-                    "another thread did it, or a call of a sink's writer; it is closed now, by its loop",
-                    "post a function to the loop that closes it there"});
+    runtime.report(this, name.empty() ? "loop " + config.name : name, why);
   });
 }
 

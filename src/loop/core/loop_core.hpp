@@ -102,8 +102,18 @@ class LoopCore {
 
   /// Any thread.
   void post(Callback<void()> function) { posts.add(std::move(function)); }
-  /// Runs the function on the thread that the loop is bound to, and waits for it; what it throws is thrown here.
+  /// Runs the function on the thread that the loop is bound to, and waits for it; what it throws is thrown here. A loop
+  /// that has not turned for 1 s, or does not within it, is not waited for: SetupError (not-turning), and the function
+  /// is never called. One that has begun is waited for. Thread: that of the main loop.
   void call_there(Callback<void()> function);
+  /// The same; false: it has not turned for `at_most`.
+  bool call_there_within(Duration at_most, Callback<void()> function);
+  /// Any thread: it turns. Meanwhile nobody knows since when it does not.
+  void note_turning() noexcept { stands_since_.store(never, std::memory_order_release); }
+  /// Thread: that of the main loop, which has seen it.
+  void note_standing(MonotonicTime since) noexcept {
+    stands_since_.store(since.time_since_epoch().count(), std::memory_order_release);
+  }
 
   // Threads
   /// A tier's loop belongs to its thread, also between two runs.
@@ -202,6 +212,8 @@ class LoopCore {
   void close_nodes() noexcept;
   /// Closes, in the next turn, a handle that was closed on a thread where it may not be, and reports it.
   void dispose_later(Node& node) noexcept;
+  /// The same of one whose loop does not turn.
+  void dispose_when_it_turns(Node& node) noexcept;
 
  private:
   /// Brackets the time in which this thread runs the loop. SetupError when it runs already.
@@ -215,6 +227,12 @@ class LoopCore {
    private:
     LoopCore& core_;
   };
+  struct CallThere;
+  /// Waits until it is done. False: nobody has come to it within the time, and nobody will.
+  bool is_done_within(Duration at_most, CallThere& call);
+  /// What it is in, for people.
+  std::string where() const;
+  void post_disposal(Node& node, Error why) noexcept;
   [[noreturn, gnu::cold]] void refuse_thread(const char* what, std::string_view object) const;
   bool is_stopping() const noexcept { return stop_requested_.load(std::memory_order_relaxed); }
   /// Runs what other threads have sent: posted functions until `end`. True: some are left.
@@ -249,6 +267,8 @@ class LoopCore {
   }
   std::atomic<const void*> thread_{nullptr};  // that runs the loop
   std::atomic<std::thread::id> bound_to_{};
+  static constexpr Duration::rep never = -1;
+  std::atomic<Duration::rep> stands_since_{never};  // by the main loop's clock
 };
 
 }  // namespace rtdata::detail

@@ -2,7 +2,9 @@
 #include <sys/prctl.h>
 
 #include <algorithm>
+#include <atomic>
 #include <exception>
+#include <memory>
 #include <optional>
 #include <utility>
 
@@ -14,27 +16,73 @@
 
 namespace rtdata::detail {
 
-void LoopCore::call_there(Callback<void()> function) {
+/// Shared with the loop, which may come to it when nobody waits any more.
+struct LoopCore::CallThere {
+  enum class State { waits, runs, given_up };
+  std::atomic<State> state{State::waits};
   Latch is_done;
   std::exception_ptr thrown;
-  post([&] {
+
+  bool become(State next) noexcept {
+    State before = State::waits;
+    return state.compare_exchange_strong(before, next);
+  }
+};
+
+bool LoopCore::is_done_within(Duration at_most, CallThere& call) {
+  // Meanwhile the outputs of the loop that waits are held, which does not hang; not for ever.
+  constexpr Duration between_beats = std::chrono::milliseconds{10};
+  constexpr Duration longest_held = std::chrono::seconds{5};
+  constexpr Duration told_after = std::chrono::seconds{1};
+  LoopCore* const waiting = runtime.main().own_loop;
+  const bool holds = waiting != nullptr && !waiting->is_run_by_another_thread();
+  const MonotonicTime began = now();
+  bool is_told = false;
+  while (!wait_for(call.is_done, between_beats)) {
+    const Duration waited = now() - began;
+    if (holds && waited < longest_held) waiting->lanes.beat();
+    if (!runs_elsewhere()) take_sent(MonotonicTime::max());  // a tier that was given up has ended meanwhile
+    if (waited >= told_after && !std::exchange(is_told, true))
+      runtime.main().log(LogLevel::warning, "loop " + config.name, "is waited for: " + where() + " for 1 s");
+    if (waited < at_most || call.state.load() != CallThere::State::waits) continue;
+    note_standing(began);
+    if (call.become(CallThere::State::given_up)) return false;
+    note_turning();
+  }
+  return true;
+}
+
+bool LoopCore::call_there_within(Duration at_most, Callback<void()> function) {
+  if (const Duration::rep since = stands_since_.load(std::memory_order_acquire); since != never)
+    at_most -= now() - MonotonicTime{Duration{since}};
+  if (at_most <= Duration{0}) return false;
+  const auto call = std::make_shared<CallThere>();
+  post([this, call, &function] {
+    if (!call->become(CallThere::State::runs)) return note_turning();
     try {
       function();
     } catch (...) {
-      thrown = std::current_exception();
+      call->thrown = std::current_exception();
     }
     runtime.send_now();
-    is_done.set();
+    call->is_done.set();
   });
-  if (!wait_for(is_done, std::chrono::seconds{1})) {
-    const std::string at = nodes.doing();
-    runtime.main().log(LogLevel::warning, "loop " + config.name,
-                       "is waited for: it has not come out of " + (at.empty() ? "a callback" : at) + " for 1 s");
-    while (!wait_for(is_done, std::chrono::milliseconds{100})) {
-      if (!runs_elsewhere()) take_sent(MonotonicTime::max());  // a tier that was given up has ended meanwhile
-    }
-  }
-  if (thrown) std::rethrow_exception(thrown);
+  if (!is_done_within(at_most, *call)) return false;
+  if (call->thrown) std::rethrow_exception(std::exchange(call->thrown, nullptr));
+  return true;
+}
+
+void LoopCore::call_there(Callback<void()> function) {
+  constexpr Duration patience = std::chrono::seconds{1};
+  if (call_there_within(patience, std::move(function))) return;
+  throw SetupError({Errc::not_turning, "cannot be reached", "loop " + config.name,
+                    where() + " for " + to_string(patience),
+                    "nothing was done; look for what blocks in its sensors and handlers"});
+}
+
+std::string LoopCore::where() const {
+  const std::string at = nodes.doing();
+  return "it has not come out of " + (at.empty() ? "a callback" : at);
 }
 
 void LoopCore::request_stop() noexcept {

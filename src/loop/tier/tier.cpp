@@ -149,6 +149,7 @@ void TierCore::start() {
   quit_.store(false, std::memory_order_relaxed);
   ended_.clear();
   warnings.clear();
+  loop.core().note_turning();
   loop.core().ref();
   main.core().ref();
   ::sched_getaffinity(0, sizeof(cpu_set_t), &loop.core().lanes.processors.emplace());
@@ -368,7 +369,10 @@ bool TierCore::look_at_turning(Duration limit) {
   if (has_answered || !is_running()) {
     asked_at_ = now;
     if (has_answered && is_running())
-      loop.post([this, question = ++asked_] { answered_.store(question, std::memory_order_release); });
+      loop.post([this, question = ++asked_] {
+        answered_.store(question, std::memory_order_release);
+        loop.core().note_turning();
+      });
     if (std::exchange(is_stuck_, false)) {
       hub.health_changed("tier", config.name, Health::ok, "");
       hub.log(LogLevel::info, name, is_running() ? "turns again" : "was stopped");  // last: it may run user code
@@ -378,6 +382,8 @@ bool TierCore::look_at_turning(Duration limit) {
   if (is_stuck_) return false;
   if (now - asked_at_ > limit) {
     is_stuck_ = true;
+    loop.core().note_standing(asked_at_);  // nobody waits for it any more
+    if (answered_.load(std::memory_order_acquire) == asked_) loop.core().note_turning();
     const Error error{Errc::not_turning, "does not turn", "",
                       "it has not come out of " + where() + " for more than " + to_string(limit),
                       "look for what blocks in its sensors and handlers, and for what else takes its processor"};

@@ -78,6 +78,8 @@ class TierCore {
 
   /// Whether it has answered within the limit; asks again when it has. On the main loop.
   bool look_at_turning(Duration limit);
+  /// As of the last look, and it has not answered since.
+  bool is_stuck() const noexcept { return is_stuck_ && answered_.load(std::memory_order_acquire) != asked_; }
 
   const Tier::Config config;
   Loop& main;
