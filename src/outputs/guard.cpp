@@ -61,6 +61,8 @@ OutputGuard::OutputGuard(const Make& make) : link_(std::make_shared<Link>()) {
 
 OutputGuard::~OutputGuard() = default;
 
+void OutputGuard::make_all_safe() noexcept { link_->is_ending.store(true, std::memory_order_release); }
+
 int OutputGuard::process() const noexcept { return link_->process; }
 
 std::vector<std::string> OutputGuard::ended_unsafe() const {
@@ -76,7 +78,7 @@ void OutputGuard::Link::note(const std::string& output, bool is_safe) {
     unsafe.insert(output);
 }
 
-Result<int> OutputGuard::Link::introduce(const std::string& name, double safe, const std::string& what,
+Result<int> OutputGuard::Link::introduce(const std::string& name, double safe, const std::string& what, int priority,
                                          std::uint32_t& slot) {
   constexpr const char* cannot = "cannot hand the output to its guard";
   if (what.size() > detail::most_guarded_text)
@@ -88,7 +90,7 @@ Result<int> OutputGuard::Link::introduce(const std::string& name, double safe, c
   if (::socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0, ends) != 0) return system_error(errno, cannot, "");
   slot = static_cast<std::uint32_t>(free - is_taken.begin());
   beats[slot].until.store(0);
-  detail::GuardIntroduction introduction{slot, safe, {}};
+  detail::GuardIntroduction introduction{slot, safe, {}, priority};
   detail::put_fitting(introduction.name.data(), introduction.name.size() - 1, name);
   iovec parts[2]{{&introduction, sizeof introduction}, {const_cast<char*>(what.data()), what.size()}};
   alignas(cmsghdr) char control[CMSG_SPACE(sizeof(int))]{};
@@ -156,6 +158,7 @@ void OutputGuard::Link::await_end(Loop& loop, const std::string& output, int its
 }
 
 void OutputGuard::Link::beat_for(const Loop& loop) noexcept {
+  if (is_ending.load(std::memory_order_acquire)) return;  // they are to be safe, by whom it may be
   for (std::size_t slot = 0; slot < patience.size(); ++slot) {
     if (patience[slot].loop.load(std::memory_order_relaxed) != &loop) continue;
     const Duration now = std::chrono::steady_clock::now().time_since_epoch();

@@ -45,13 +45,14 @@ struct GuardIntroduction {
   std::uint32_t slot = 0;
   double safe = 0;
   std::array<char, 64> name{};  // "output pump", for messages
+  std::int32_t priority = 0;    // SCHED_FIFO, above all tiers; 0: none of them has one
 };
 
 /// How long the guard tries to set an output safe that has ended.
 inline constexpr Duration longest_after_end = std::chrono::seconds{10};
 
 struct GuardOrder {
-  enum Kind : std::uint32_t { open, set, arm, finish };
+  enum Kind : std::uint32_t { open, set, arm, disarm, finish };
   Kind kind = open;
   std::uint32_t has_value = 0;
   double value = 0;
@@ -107,7 +108,9 @@ inline std::string text_of_end(const Result<void>& done) {
 struct OutputGuard::Link {
   ~Link();
   /// The socket of an output that the guard knows from now on. Errors: disconnected, and no descriptors.
-  Result<int> introduce(const std::string& name, double safe, const std::string& what, std::uint32_t& slot);
+  /// `priority`: of the guard's thread, see GuardIntroduction.
+  Result<int> introduce(const std::string& name, double safe, const std::string& what, int priority,
+                        std::uint32_t& slot);
   void release(std::uint32_t slot) noexcept;
   /// Waits on the loop for what the guard says on this socket of an output that ended without its safe value, which the
   /// log is told. Takes the socket.
@@ -117,6 +120,7 @@ struct OutputGuard::Link {
   /// How an output ended, or that it is there again.
   void note(const std::string& output, bool is_safe);
 
+  std::atomic<bool> is_ending{false};  // the program is: outputs are to be safe
   int socket = -1;
   pid_t process = -1;
   detail::GuardBeat* beats = nullptr;

@@ -3,11 +3,14 @@
 #include <sys/socket.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <cerrno>
 #include <chrono>
 #include <utility>
 
 #include "loop/core/loop_core.hpp"
+#include "loop/runtime/runtime_core.hpp"
+#include "loop/tier/tier_core.hpp"
 #include "outputs/guard_link.hpp"
 #include "outputs/port.hpp"
 #include "rtdata/loop/timer.hpp"
@@ -78,17 +81,26 @@ class GuardPort final : public OutputPort {
     if (socket_ < 0) return {};
     return MonotonicTime{Duration{link_->beats[slot_].seen.load(std::memory_order_acquire)}};
   }
+  bool is_to_end() const noexcept override { return link_->is_ending.load(std::memory_order_acquire); }
   void arm() noexcept override { (void)send({GuardOrder::arm, 0U, 0}); }
+  void disarm() noexcept override { (void)send({GuardOrder::disarm, 0U, 0}); }
   bool is_guarded() const noexcept override { return true; }
 
  private:
   Result<void> introduce() {
-    Result<int> socket = link_->introduce(name_, safe_, guarded_, slot_);
+    Result<int> socket = link_->introduce(name_, safe_, guarded_, above_tiers(), slot_);
     if (!socket) return std::move(socket).error();
     socket_ = *socket;
     watch_ = FdWatch(loop_, socket_, FdWatch::readable, name_, [this](const FdEvent&) { receive(); });
     loop_.core().lanes.while_waiting.emplace_back(this, [this] { link_->beat_for(loop_); });
     return {};
+  }
+  /// A priority with which the guard's thread runs though real-time tiers take all processors; 0: there are none.
+  int above_tiers() const {
+    int highest = 0;
+    for (const TierCore* tier : loop_.core().runtime.main().tiers)
+      if (tier->config.policy != SchedulingPolicy::other) highest = std::max(highest, tier->config.priority);
+    return highest > 0 ? std::min(highest + 1, priority_range(SchedulingPolicy::fifo).highest) : 0;
   }
   /// Leaves the socket to the caller; -1: there is none.
   int close() noexcept {
@@ -123,7 +135,7 @@ class GuardPort final : public OutputPort {
 
   Result<void> send(const GuardOrder& order) {
     if (socket_ >= 0 && ::send(socket_, &order, sizeof order, MSG_NOSIGNAL | MSG_DONTWAIT) == sizeof order) {
-      if (order.kind != GuardOrder::arm) ++unanswered_;
+      if (order.kind != GuardOrder::arm && order.kind != GuardOrder::disarm) ++unanswered_;
       return {};
     }
     if (socket_ >= 0 && (errno == EAGAIN || errno == ENOBUFS))

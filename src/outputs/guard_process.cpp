@@ -1,6 +1,7 @@
 // The guard's side: a thread for each output, which waits for orders and for the end of its loop's time.
 #include <fcntl.h>
 #include <poll.h>
+#include <sched.h>
 #include <signal.h>
 #include <sys/prctl.h>
 #include <sys/socket.h>
@@ -111,8 +112,8 @@ class Keeper {
  private:
   bool is_due() const noexcept { return is_watching() && (is_retrying_ || is_over_time()); }
   bool is_over_time() const noexcept { return now() >= beat_.until.load(std::memory_order_acquire); }
-  /// Something other than the safe value may be set.
-  bool is_watching() const noexcept { return is_open_ && !is_safe_; }
+  /// Something other than the safe value may be set, or may come.
+  bool is_watching() const noexcept { return is_open_ && (!is_safe_ || is_armed_); }
   std::optional<Duration> time_left() const noexcept {
     if (!is_open_) return {};
     const Duration until_check{next_check_ - now()};
@@ -124,7 +125,8 @@ class Keeper {
 
   void be_safe() noexcept {
     const bool trips = is_over_time() && !std::exchange(has_tripped_, true);
-    const Result<void> done = held_.put(safe_);
+    is_armed_ = false;
+    const Result<void> done = is_safe_ ? Result<void>() : held_.put(safe_);
     is_safe_ = done.has_value();
     is_retrying_ = !is_safe_;
     if (trips) (void)send(GuardAnswer::tripped, done);
@@ -143,8 +145,9 @@ class Keeper {
     const ssize_t got = ::recv(socket_, &order, sizeof order, MSG_DONTWAIT);
     if (got < 0 && (errno == EAGAIN || errno == EINTR)) return;
     if (got != sizeof order) return end();
-    if (order.kind == GuardOrder::arm) {
-      has_tripped_ = false;
+    if (order.kind == GuardOrder::arm || order.kind == GuardOrder::disarm) {
+      is_armed_ = order.kind == GuardOrder::arm;
+      if (is_armed_) has_tripped_ = false;
       return;
     }
     const std::optional<double> value = order.has_value != 0 ? std::optional(order.value) : std::nullopt;
@@ -226,6 +229,7 @@ class Keeper {
   std::int64_t next_check_ = 0;
   bool is_open_ = false;
   bool is_safe_ = true;
+  bool is_armed_ = false;     // as far as it was told, which it is once the loop turns
   bool has_tripped_ = false;  // and was not armed since
   bool is_retrying_ = false;  // the device did not take the safe value when the time was over
   bool is_over_ = false;
@@ -254,20 +258,46 @@ int receive_introduction(int socket, GuardIntroduction& introduction, std::strin
   return received;
 }
 
+/// Of this thread and not of those that an Actuator makes. Where it is not permitted, it runs as others do.
+void take_priority(int priority) noexcept {
+  if (priority <= 0) return;
+  const sched_param parameters{.sched_priority = priority};
+  (void)::sched_setscheduler(0, SCHED_FIFO | SCHED_RESET_ON_FORK, &parameters);
+}
+
+struct KeeperThread {
+  std::atomic<bool> is_over{false};
+  std::thread thread;
+};
+
 void serve(int socket, GuardBeat* beats, const OutputGuard::Make& make) {
-  std::list<std::thread> threads;
+  std::list<KeeperThread> threads;
   for (;;) {
     GuardIntroduction introduction;
     std::string text;
     const int output = receive_introduction(socket, introduction, text);
     if (output < 0) break;
+    // Each keeps its stack until it is joined.
+    threads.remove_if([](KeeperThread& one) {
+      if (!one.is_over.load(std::memory_order_acquire)) return false;
+      one.thread.join();
+      return true;
+    });
+    bool is_listed = false;
     try {
-      threads.emplace_back([=, &make] { Keeper(output, introduction, text, beats[introduction.slot], make).run(); });
+      KeeperThread& one = threads.emplace_back();
+      is_listed = true;
+      one.thread = std::thread([=, &make, &one] {
+        take_priority(introduction.priority);
+        Keeper(output, introduction, text, beats[introduction.slot], make).run();
+        one.is_over.store(true, std::memory_order_release);
+      });
     } catch (const std::exception&) {
+      if (is_listed) threads.pop_back();
       ::close(output);  // by which its output sees that it is not guarded
     }
   }
-  for (std::thread& thread : threads) thread.join();
+  for (KeeperThread& one : threads) one.thread.join();
 }
 
 void close_others(int kept) noexcept {
@@ -281,8 +311,10 @@ void close_others(int kept) noexcept {
 }  // namespace
 
 void be_guard(int socket, GuardBeat* beats, const OutputGuard::Make& make) noexcept {
-  for (const int number : {SIGINT, SIGTERM, SIGHUP, SIGQUIT, SIGPIPE, SIGUSR1, SIGUSR2}) ::signal(number, SIG_IGN);
-  for (const int number : {SIGSEGV, SIGBUS, SIGILL, SIGFPE, SIGABRT}) ::signal(number, SIG_DFL);
+  // SIGABRT is what a service manager's watchdog sends to all; abort() in an Actuator ends the guard all the same.
+  for (const int number : {SIGINT, SIGTERM, SIGHUP, SIGQUIT, SIGABRT, SIGALRM, SIGPIPE, SIGUSR1, SIGUSR2, SIGXCPU})
+    ::signal(number, SIG_IGN);
+  for (const int number : {SIGSEGV, SIGBUS, SIGILL, SIGFPE}) ::signal(number, SIG_DFL);
   ::setsid();
   ::prctl(PR_SET_NAME, name_of_guard);
   close_others(socket);

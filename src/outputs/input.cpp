@@ -1,7 +1,12 @@
 #include "outputs/input.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <utility>
+
+#include "loop/core/loop_core.hpp"
+#include "loop/events/topic_core.hpp"
+#include "loop/runtime/runtime_core.hpp"
 
 namespace rtdata::detail {
 
@@ -53,6 +58,25 @@ std::optional<double> OutputInput::evaluate(Time time, MonotonicTime now) {
   if (hysteresis_) return hysteresis_->update(result.value) ? 1 : 0;
   if (pid_) return pid_->update(result.value, time);
   return result.value;
+}
+
+bool OutputInput::has_held() const noexcept {
+  return std::any_of(sources_.all().begin(), sources_.all().end(), [](const auto& one) { return one.is_held; });
+}
+
+std::vector<LoopCore*> OutputInput::loops_of_held(Loop& loop) const {
+  std::vector<LoopCore*> loops;
+  for (std::size_t i = 0; i < sources_.all().size(); ++i) {
+    const ExpressionSources::Source& one = sources_.all()[i];
+    const TopicCore* const topic = !one.is_held || (i > 0 && one.fields.empty())
+                                       ? nullptr
+                                       : loop.core().runtime.find_topic(one.topic);
+    if (topic == nullptr) continue;
+    for (const OriginCore* origin : topic->origins())
+      if (origin->comes_from != nullptr && std::find(loops.begin(), loops.end(), origin->comes_from) == loops.end())
+        loops.push_back(origin->comes_from);
+  }
+  return loops;
 }
 
 OutputInput::Silence OutputInput::silence() const noexcept {

@@ -13,6 +13,8 @@
 
 namespace rtdata::detail {
 
+class LoopCore;
+
 /// Its expression, with names and topics, as that of a derived value.
 DerivedConfig derived_of(const OutputConfig& config);
 
@@ -32,6 +34,10 @@ class OutputInput {
   }
   /// Its value changes with events of this topic: of the first, and of all where the first only says what changes.
   bool computes_with(std::size_t topic) const noexcept { return topic == 0 || sources_.all().front().is_held; }
+  /// The loops of others, of topics that it uses and that bring an event only when something changes: these are as
+  /// good as those loops turn.
+  std::vector<LoopCore*> loops_of_held(Loop& loop) const;
+  bool has_held() const noexcept;
   struct Silence {
     const std::string* topic;  ///< null: none of them may be silent
     MonotonicTime since;

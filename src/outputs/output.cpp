@@ -7,6 +7,7 @@
 #include "loop/core/loop_core.hpp"
 #include "loop/runtime/runtime_core.hpp"
 #include "loop/support/fitting.hpp"
+#include "loop/tier/turn_watch.hpp"
 #include "outputs/input.hpp"
 #include "outputs/port.hpp"
 #include "rtdata/loop/timer.hpp"
@@ -48,7 +49,8 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
         stale_(loop, {.name = name()}, [this] { look_at_age(); }),
         lease_(loop, {.name = name()}, [this] { look_at_lease(); }),
         retry_(loop, {.name = name()}, [this] { try_again(); }),
-        patience_(loop, {.name = name()}, [this] { miss_answer(); }) {
+        patience_(loop, {.name = name()}, [this] { miss_answer(); }),
+        turning_(loop, {.name = name()}, [this] { look_at_loops(); }) {
     set_numbered();  // it makes its events itself
     if (!config_.on.empty()) input_.emplace(config_);
   }
@@ -75,7 +77,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
       return;
     }
     beat_ = Ticker(loop, {.period = config_.watchdog / 4, .name = name() + " watchdog"},
-                   [this](const Tick&) { beat(); });
+                   [this](const Tick&) { turn(); });
   }
 
   Result<void> set(double value, std::string_view by) {
@@ -84,6 +86,10 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     if (input_)
       return refusal(Errc::bad_argument, "it follows the topic \"" + config_.on + "\"", "disarm it to hold it safe");
     const Order order{value, OutputCause::set, fitting<48>(by), now()};
+    if (is_over_) {
+      record(order, {}, program_ends);
+      return refusal(Errc::closed, program_ends, "");
+    }
     if (const std::string why = range_.refusal(value); !why.empty()) {
       record(order, {}, why);
       return refusal(Errc::out_of_range, why, "");
@@ -113,10 +119,12 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   Result<void> arm(std::string_view by) {
     if (is_left_) return refusal(Errc::busy, given_back, "after a reload, arm it then");
     if (!is_held_) return stopped();
+    if (is_over_) return refusal(Errc::closed, program_ends, "");
     if (is_lost_) return refusal(Errc::disconnected, "its guard has ended: it stays safe", "start the program again");
     if (is_armed_) return {};
     beat();
     port_->arm();
+    is_watched_ = true;
     is_armed_ = true;
     has_tripped_ = false;
     record({config_.safe, OutputCause::arm, fitting<48>(by), now()}, value_,
@@ -135,6 +143,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
       return {};
     }
     end_lease();
+    stop_watching();
     be_safe(OutputCause::disarm, by);
     settle();
     return {};
@@ -200,6 +209,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     bool is_repeat = false;  // of the value that is on its way: it is only needed when the device does not take that
   };
 
+  static constexpr const char* program_ends = "the program ends";
   static constexpr const char* given_back = "its device is being given back";
 
   std::string name() const { return "output " + origin_.name; }
@@ -219,6 +229,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   std::optional<double> first_value() const { return config_.keep ? std::nullopt : std::optional(config_.safe); }
   void take_device(bool is_armed) {
     beat();
+    is_watched_ = false;
     value_.reset();
     const MonotonicTime began = now();
     const Result<void> opened = port_->open(first_value());
@@ -245,6 +256,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   }
   void follow_input() {
     last_input_ = now();
+    hanging_ = nullptr;
     if (!input_) return;
     input_->begin(now());
     stale_.start(config_.max_age);
@@ -298,10 +310,22 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
       loop()->runtime.log(LogLevel::error, name(), thrown.what());
     }
   }
+  /// Before the loop comes to its end.
+  void end_orders_early() {
+    if (std::exchange(is_over_, true)) return;
+    for (Timer* timer : {&stale_, &lease_, &turning_}) timer->stop();
+    if (config_.keep) return;
+    stop_watching();
+    be_safe(OutputCause::stop, "");
+  }
+  /// The guard disarms it no more.
+  void stop_watching() noexcept {
+    if (std::exchange(is_watched_, false)) port_->disarm();
+  }
   /// Nothing is asked for any more.
   void end_orders() {
     is_held_ = false;
-    for (Timer* timer : {&stale_, &lease_, &retry_, &patience_}) timer->stop();
+    for (Timer* timer : {&stale_, &lease_, &retry_, &patience_, &turning_}) timer->stop();
     if (std::exchange(is_taking_, false)) busy_.value = config_.safe;
     stop_order_ = {config_.safe, OutputCause::stop, {}, now()};
     if (std::exchange(is_busy_, false)) record(busy_, {}, "it ends");
@@ -315,8 +339,9 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
       record(stop_order_, {}, done.error().why);
       complain(placed(done.error()), Health::faulted);
     } else {
+      const bool is_told = is_over_ && !config_.keep && value_ == config_.safe;
       value_ = config_.keep ? value_ : std::optional(config_.safe);
-      record(stop_order_, value_, config_.keep ? "it keeps what it has" : "");
+      if (!is_told) record(stop_order_, value_, config_.keep ? "it keeps what it has" : "");
     }
   }
   /// What `finish` began.
@@ -445,6 +470,14 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
       complain(placed(refused.error()), Health::faulted);
     }
   }
+  /// The loop turns.
+  void turn() {
+    Call call(*this);
+    beat();  // what it reports may end this output
+    if (!is_open() || !is_held_ || is_taking_) return;
+    if (is_armed_ && !std::exchange(is_watched_, true)) port_->arm();
+    if (port_->is_to_end()) end_orders_early();
+  }
   void beat() {
     if (port_ == nullptr) return;
     const MonotonicTime now = this->now();
@@ -468,6 +501,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     Call call(*this);
     end_lease();
     has_tripped_ = true;
+    is_watched_ = false;
     is_failing_ = !done;
     retry_.stop();
     is_armed_ = false;
@@ -528,10 +562,11 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     input_->recall(loop()->face, [&](std::size_t topic, const EventView& event) { take(topic, event, time); });
   }
   void take(std::size_t topic, const EventView& event, Time time) {
-    if (!is_held_) return;
+    if (!is_held_ || is_over_) return;
     Call call(*this);
     input_->put(topic, event, now());
-    if (!input_->computes_with(topic)) return;
+    if (input_->has_held() && !turning_.is_running()) turning_.start(Duration{0});
+    if (hanging_ != nullptr || !input_->computes_with(topic)) return;
     const std::optional<double> value = input_->evaluate(time, now());
     if (!input_->why().empty()) return go_stale(Errc::bad_data, input_->why(), "look at what is measured");
     if (!value) return;
@@ -561,6 +596,21 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
              "the topic \"" + *silence.topic + "\" has brought " + (is_silent ? "nothing" : "events without a value") +
                  " for " + to_string(config_.max_age),
              "it follows it again with its next event; a longer `max_age` bridges longer pauses");
+  }
+  /// What a loop said last, and would say of a change, holds as long as it turns.
+  void look_at_loops() {
+    Call call(*this);
+    if (!is_held_ || is_over_) return;
+    const std::vector<LoopCore*> loops = input_->loops_of_held(loop()->face);
+    const LoopCore* const before = std::exchange(hanging_, turns_.look(loops, now(), config_.max_age));
+    if (loops.empty()) return;  // looked for again with the next event
+    turning_.start(std::max(config_.max_age / 4, Duration{std::chrono::milliseconds{1}}));
+    if (hanging_ != nullptr && before == nullptr)
+      go_stale(Errc::not_turning,
+               "loop " + hanging_->config.name + ", which would tell of changes, has not turned for " +
+                   to_string(config_.max_age),
+               "it follows again when that loop turns; look for what blocks there");
+    if (hanging_ == nullptr && before != nullptr) recall();
   }
   void go_stale(Errc code, const std::string& why, std::string advice) {
     if (std::exchange(is_stale_, true)) return;
@@ -609,7 +659,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     subscriptions_.clear();
     waiting_.clear();
     when_taken_.clear();
-    for (Timer* timer : {&stale_, &lease_, &retry_, &patience_}) timer->close();
+    for (Timer* timer : {&stale_, &lease_, &retry_, &patience_, &turning_}) timer->close();
     beat_.close();
     FeedNode::on_close();
     port_.reset();
@@ -619,7 +669,8 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   const MakeActuator make_;
   const OutputRange range_;
   std::optional<OutputInput> input_;
-  Timer stale_, lease_, retry_, patience_;
+  Timer stale_, lease_, retry_, patience_, turning_;
+  TurnWatch turns_;
   Ticker beat_;
   std::vector<Subscription> subscriptions_;
   std::unique_ptr<OutputPort> port_;
@@ -632,11 +683,14 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   std::vector<Callback<void()>> ended_;    // when what `finish` began is over
   std::optional<double> had_;              // when `finish` was called, or asked for since
   std::vector<Callback<void()>> waiting_;  // for an event that says whether it is armed
-  MonotonicTime last_set_{}, last_input_{}, last_beat_{}, turning_since_{};
+  MonotonicTime last_set_{}, last_input_{}, last_beat_{}, turning_since_{}, sent_{};
+  const LoopCore* hanging_ = nullptr;  // on which it depends
   bool is_held_ = false;
-  bool is_taking_ = false;  // and the loop turns meanwhile
-  bool is_left_ = false;    // `finish` was called, and it was not taken back
-  bool is_ending_ = false;  // and that is not over
+  bool is_over_ = false;     // the program ends
+  bool is_watched_ = false;  // the guard knows that it is armed
+  bool is_taking_ = false;   // and the loop turns meanwhile
+  bool is_left_ = false;     // `finish` was called, and it was not taken back
+  bool is_ending_ = false;   // and that is not over
   bool is_busy_ = false;
   bool is_armed_ = false;
   bool told_armed_ = false;  // by the last event

@@ -70,7 +70,11 @@ class OutputPort {
   virtual void beat(MonotonicTime) noexcept {}
   /// When the guard has last shown that it is there, of an output that is not safe. None: there is no guard.
   virtual std::optional<MonotonicTime> guard_seen() const noexcept { return {}; }
+  /// From now on a loop that does not turn disarms it, also while it has its safe value.
   virtual void arm() noexcept {}
+  virtual void disarm() noexcept {}
+  /// The program ends: the output is to be safe (OutputGuard::make_all_safe).
+  virtual bool is_to_end() const noexcept { return false; }
   virtual bool is_guarded() const noexcept { return false; }
 };
 

@@ -13,16 +13,19 @@
 #include <chrono>
 #include <filesystem>
 #include <fstream>
+#include <optional>
 #include <stdexcept>
 #include <string>
 #include <thread>
 #include <vector>
 
+#include "app/run/stop_signals.hpp"
 #include "outputs/output_log.hpp"
 #include "outputs/terminal.hpp"
 #include "rtdata/io/fake_gpio.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/runtime.hpp"
+#include "rtdata/loop/tier.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/outputs/gpio.hpp"
 #include "rtdata/outputs/serial.hpp"
@@ -126,7 +129,7 @@ struct Program {
   explicit Program(const std::string& path, Does does = Does::turns) {
     process = ::fork();
     if (process != 0) return;
-    ::signal(SIGSEGV, SIG_DFL);
+    for (const int fatal : {SIGSEGV, SIGABRT}) ::signal(fatal, SIG_DFL);
     {
       OutputGuard guard(make_file);
       Runtime runtime({.guard = &guard});
@@ -741,9 +744,130 @@ TEST_SUITE("outputs") {
 
   TEST_CASE("US-35 guard: it ignores what terminals and service managers send to all") {
     Bench b;
-    for (const int number : {SIGINT, SIGTERM, SIGHUP, SIGQUIT}) ::kill(b.guard.process(), number);
+    // The last one is what a service manager's watchdog sends to all processes of a service.
+    for (const int number : {SIGINT, SIGTERM, SIGHUP, SIGQUIT, SIGABRT}) ::kill(b.guard.process(), number);
     b.output.set(1).or_throw();
     CHECK(b.turn_until([&] { return b.output.value() == 1; }));
+  }
+
+  TEST_CASE("US-35 guard: a program that is aborted together with its guard leaves its output safe") {
+    ScratchDirectory directory;
+    const std::string path = directory.file("device");
+    Program program(path);
+    wait_for(path, "set 1.0");
+    const std::string parent = " " + std::to_string(program.process) + " ";
+    for (const auto& process : std::filesystem::directory_iterator("/proc")) {
+      std::ifstream file(process.path() / "stat");
+      std::string line;
+      if (!std::getline(file, line) || line.find("(rtdata-guard)") == std::string::npos) continue;
+      if (line.substr(line.rfind(')')).find(parent) != std::string::npos)
+        ::kill(std::stoi(process.path().filename()), SIGABRT);
+    }
+    program.kill(SIGABRT);
+    wait_for(path, "gone");
+    CHECK(lines_of(path) == Lines{"open 0.0", "set 1.0", "set 0.0", "gone"});
+  }
+
+  TEST_CASE("US-35 guard: a hang disarms what is armed, though it has its safe value") {
+    for (const Arming armed : {Arming::at_start, Arming::by_command}) {
+      Bench b({.watchdog = 200ms, .armed = armed});
+      if (armed == Arming::by_command) b.output.arm("me").or_throw();
+      b.loop.run_for(100ms);
+      const Timer hang(b.loop, 0ms, [] { std::this_thread::sleep_for(1s); });
+      CHECK(b.turn_until([&] { return !b.output.is_armed(); }));
+      CHECK(b.output.set(1).error().code == Errc::not_permitted);
+      CHECK(b.errors == Lines{"the loop did not turn for 200 ms"});
+      CHECK(lines_of(b.path) == Lines{"open 0.0"});
+      b.output.arm("me").or_throw();
+      b.output.set(1).or_throw();
+      CHECK(b.turn_until([&] { return b.output.value() == 1; }));
+      // What is disarmed has nothing to lose.
+      b.output.disarm("me").or_throw();
+      CHECK(b.turn_until([&] { return b.output.value() == 0; }));
+      const long trips = b.count("watchdog");
+      const Timer again(b.loop, 0ms, [] { std::this_thread::sleep_for(1s); });
+      b.loop.run_for(500ms);
+      CHECK(b.count("watchdog") == trips);
+    }
+  }
+
+  TEST_CASE("US-35 guard: what takes long before the loop turns disarms nothing") {
+    Bench b({.watchdog = 100ms});
+    std::this_thread::sleep_for(500ms);
+    b.output.set(1).or_throw();
+    CHECK(b.turn_until([&] { return b.output.value() == 1; }));
+    CHECK(b.output.is_armed());
+  }
+
+  TEST_CASE("US-35 guard: a program that is about to end has safe outputs, which take nothing more") {
+    Bench b({.watchdog = 200ms});
+    b.output.set(1).or_throw();
+    CHECK(b.turn_until([&] { return b.output.value() == 1; }));
+    b.guard.make_all_safe();
+    CHECK(b.turn_until([&] { return b.output.value() == 0; }));
+    CHECK(b.output.set(1).error().code == Errc::closed);
+    CHECK(b.output.arm("me").error().code == Errc::closed);
+    b.output.close();
+    b.loop.poll();
+    CHECK(lines_of(b.path) == Lines{"open 0.0", "set 1.0", "set 0.0", "set 0.0", "gone"});
+    CHECK(b.count("stop") == 1);
+  }
+
+  TEST_CASE("US-35 guard: SIGTERM makes all outputs safe and ends a program whose main loop hangs") {
+    ScratchDirectory directory;
+    const std::string main_device = directory.file("main"), tier_device = directory.file("tier");
+    const pid_t process = ::fork();
+    if (process == 0) {
+      app::StopSignals signals;
+      OutputGuard guard(make_file);
+      Runtime runtime({.guard = &guard});
+      Loop loop(runtime, {});
+      be_quiet(loop);
+      Tier tier(loop, {.name = "fast"});
+      const Output here(loop, {.name = "here", .watchdog = 1h}, {}, main_device);
+      Output there(tier.loop(), {.name = "there", .watchdog = 1s}, {}, tier_device);
+      const Ticker sets(tier.loop(), 10ms, [&](const Tick&) { (void)there.set(1); });
+      signals.attach(loop, {[&](const char*) { loop.stop(); }, [] { return std::uint64_t{0}; },
+                            [](const char*, std::optional<std::uint64_t>) { ::_exit(2); }, [] {},
+                            [&] { guard.make_all_safe(); }, [](const char*) { ::_exit(7); }});
+      const Timer hangs(loop, 100ms, [&] {
+        std::ofstream(directory.file("hangs")) << "yes" << std::endl;
+        std::this_thread::sleep_for(1h);
+      });
+      loop.run();
+      ::_exit(3);
+    }
+    wait_for(directory.file("hangs"), "yes");
+    wait_for(tier_device, "set 1.0");
+    ::kill(process, SIGTERM);
+    int status = 0;
+    REQUIRE(::waitpid(process, &status, 0) == process);
+    CHECK(WIFEXITED(status));
+    CHECK(WEXITSTATUS(status) == 7);
+    wait_for(tier_device, "gone");
+    // By its own loop, before the guard saw that the program had gone.
+    CHECK(lines_of(tier_device) == Lines{"open 0.0", "set 1.0", "set 0.0", "gone"});
+  }
+
+  TEST_CASE("US-35 guard: an output that is made anew again and again takes no more memory") {
+    ScratchDirectory directory;
+    OutputGuard guard(make_file);
+    Runtime runtime({.guard = &guard});
+    Loop loop(runtime, {});
+    be_quiet(loop);
+    const auto megabytes = [&] {  // of address space
+      std::ifstream file("/proc/" + std::to_string(guard.process()) + "/statm");
+      std::size_t pages = 0;
+      file >> pages;
+      return pages * static_cast<std::size_t>(::sysconf(_SC_PAGESIZE)) / 1'000'000;
+    };
+    const auto make = [&](int count) {
+      for (int i = 0; i < count; ++i) Output(loop, {.name = "o"}, {}, directory.file("device")).close();
+    };
+    make(20);
+    const std::size_t before = megabytes();
+    make(100);
+    CHECK(megabytes() < before + 200);  // a stack each: 800
   }
 
   TEST_CASE("US-35 guard: many outputs, made and closed again and again") {

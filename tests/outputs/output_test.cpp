@@ -12,6 +12,7 @@
 #include "outputs/memory_actuator.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/runtime.hpp"
+#include "rtdata/loop/tier.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/process/expression.hpp"
 #include "rtdata/sensors/feed.hpp"
@@ -586,4 +587,38 @@ TEST_SUITE("outputs") {
     CHECK(run(900) < 63);
     CHECK(temperature == doctest::Approx(60).epsilon(0.01));
   }
+  TEST_CASE("US-35 US-33 what follows an alarm of a tier is safe while that tier hangs, and follows it again") {
+    if (!Expression::available()) return;
+    Bench b;
+    Tier fast(b.loop, {.name = "fast", .hold_limit = 1h});
+    Feed<Air> air(b.loop, {.name = "air"});
+    LimitSensor alarm(fast.loop(), {.name = "hot"}, {.on = "air", .high = 30, .silence = 0s});
+    b.make({.on = "hot", .expression = "is_active == 0", .max_age = 1s});
+    b.loop.advance(10ms);
+    air.publish({20});
+    b.loop.advance(1min);
+    CHECK(b.output.value() == 1);
+    const auto hang = [&](Duration time) {  // in a callback of the tier
+      fast.loop().post([&, time] { b.loop.manual_clock().pass(time); });
+    };
+    hang(500ms);
+    b.loop.advance(5s);
+    CHECK(b.device.did == Lines{"open 0", "set 1"});
+    hang(10s);
+    b.loop.advance(700ms);
+    CHECK(b.output.value() == 1);
+    b.loop.advance(1s);
+    CHECK(b.output.value() == 0);
+    REQUIRE(b.errors.size() == 1);
+    CHECK(b.errors[0] == "loop fast, which would tell of changes, has not turned for 1 s");
+    air.publish({40});  // which the tier does not see yet
+    b.loop.advance(1s);
+    air.publish({20});
+    b.loop.advance(5s);
+    CHECK(b.output.value() == 0);
+    b.loop.advance(5s);
+    CHECK(b.output.value() == 1);
+    CHECK(b.output.health() == Health::ok);
+  }
+
 }

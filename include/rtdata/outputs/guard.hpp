@@ -21,8 +21,8 @@
 /// A device that does not take its safe value is tried again, after the end of the program or of the output for 10 s.
 /// What came of that is told in the log, and on standard error when the program has gone.
 ///
-/// It ignores SIGINT, SIGTERM, SIGHUP and SIGQUIT, which terminals and service managers send to it as well. What ends
-/// it all the same (SIGKILL, an Actuator that crashes) is seen by the program: its outputs take their devices
+/// It ignores SIGINT, SIGTERM, SIGHUP, SIGQUIT and SIGABRT, which terminals and service managers send to it too. What
+/// ends it all the same (SIGKILL, an Actuator that crashes) is seen by the program: its outputs take their devices
 /// themselves, set them safe, and stay so.
 ///
 /// What it cannot do is in docs/outputs.md.
@@ -55,6 +55,10 @@ class OutputGuard {
   OutputGuard(const OutputGuard&) = delete;
   OutputGuard& operator=(const OutputGuard&) = delete;
 
+  /// The program is about to end: each output sets its safe value as soon as its loop turns, within a quarter of its
+  /// `watchdog`, and takes no other from then on; where its loop does not turn, the guard does so when the watchdog is
+  /// over. One that is kept keeps what it has. Any thread; no allocation, nothing is waited for.
+  void make_all_safe() noexcept;
   /// Its process id.
   int process() const noexcept;
   /// The names of outputs, sorted, that ended without that their device took the safe value, then or while the guard

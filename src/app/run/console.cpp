@@ -9,6 +9,7 @@
 
 #include "app/core/terminal_text.hpp"
 #include "app/run/log_file.hpp"
+#include "app/run/stop_signals.hpp"
 #include "rtdata/config/secret.hpp"
 
 namespace rtdata::app {
@@ -122,6 +123,15 @@ void RunConsole::end_at_once(const char* signal, std::optional<std::uint64_t> qu
       text = std::string("ended at once by a second ") + signal + ": " +
              (queued ? std::to_string(*queued) + " queued events were not stored"
                      : "how many queued events were not stored is not known, because the loop is held by a callback");
+  leave(text);
+}
+
+void RunConsole::end_hanging(const char* signal, const std::string& where) {
+  leave(std::string("ended by ") + signal + " though it hangs: the main loop has not come out of " + where + " for " +
+        to_string(StopSignals::hang_limit) + "; the next run on its recordings says what is known");
+}
+
+void RunConsole::leave(const std::string& text) {
   log_.write(LogLevel::error, "program", text);
   log_.wait_until_written(std::chrono::seconds{1});
   const std::string line = for_terminal("\nrtdata: " + text + "\n", columns_of(STDERR_FILENO));

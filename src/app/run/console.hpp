@@ -53,9 +53,12 @@ class RunConsole {
   void wait_until_written();
   /// A second signal. Thread: the signals'.
   [[noreturn]] void end_at_once(const char* signal, std::optional<std::uint64_t> queued);
+  /// The loop has not come to a signal. Thread: the signals'.
+  [[noreturn]] void end_hanging(const char* signal, const std::string& where);
 
  private:
   AsyncWriter& terminal();
+  [[noreturn]] void leave(const std::string& text);
   std::optional<std::string> news(std::string_view object, const std::string& text);
 
   const RunOptions& options_;

@@ -142,8 +142,12 @@ class Forward {
     });
     Loop loop(runtime, plan.loop_config());
     System system(loop, registry, plan);
-    signals.attach(loop, {[&](const char*) { loop.stop(); }, [&] { return waiting(system, senders); },
-                          [](const char*, std::optional<std::uint64_t>) { ::_exit(exit_other); }, [] {}});
+    signals.attach(loop, {[&](const char*) { loop.stop(); },
+                          [&] { return waiting(system, senders); },
+                          [](const char*, std::optional<std::uint64_t>) { ::_exit(exit_other); },
+                          [] {},
+                          {},
+                          [](const char*) { ::_exit(exit_other); }});
     struct Detach {
       StopSignals& signals;
       ~Detach() { signals.detach(); }

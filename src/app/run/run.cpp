@@ -105,6 +105,13 @@ class Run {
          [&] {
            loop.post(
                [&reload, next = reload.read_again()] { reload.apply(next, "SIGHUP", [](const CommandOutcome&) {}); });
+         },
+         [this] {
+           if (guard_ != nullptr) guard_->make_all_safe();
+         },
+         [this, &loop](const char* signal) {
+           const std::string where = loop.core().nodes.doing();
+           console_.end_hanging(signal, where.empty() ? "a callback" : where);
          }});
     struct Detach {
       StopSignals& signals;

@@ -3,10 +3,13 @@
 #include <fcntl.h>
 #include <pthread.h>
 #include <signal.h>
+#include <time.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <atomic>
 #include <cerrno>
+#include <chrono>
 #include <condition_variable>
 #include <mutex>
 #include <system_error>
@@ -41,6 +44,8 @@ struct StopSignals::State {
   Actions actions;
   const char* pending = nullptr;  // came before there was a loop
   int count = 0;
+  const char* waits = nullptr;  // the first one, while the loop has not come to it
+  MonotonicTime posted{};
   bool is_reload_pending = false;
 
   struct Answer {
@@ -51,15 +56,52 @@ struct StopSignals::State {
 
   void run() {
     for (;;) {
-      int signal = 0;
-      if (::sigwait(&taken, &signal) != 0) continue;
+      const int signal = next();
       if (is_over.load()) return;
+      if (signal < 0) continue;
       if (signal == SIGHUP && (!had_terminal || has_terminal())) {
         reload();
         continue;
       }
       came(signal == SIGINT ? "SIGINT" : signal == SIGTERM ? "SIGTERM" : "SIGHUP");
     }
+  }
+
+  /// -1: none, and the loop was looked at.
+  int next() {
+    const auto left = time_left();
+    if (!left) {
+      int signal = 0;
+      return ::sigwait(&taken, &signal) == 0 ? signal : -1;
+    }
+    const timespec most{static_cast<time_t>(left->count() / 1'000'000'000),
+                        static_cast<long>(left->count() % 1'000'000'000)};
+    if (const int signal = ::sigtimedwait(&taken, nullptr, &most); signal > 0) return signal;
+    const std::lock_guard lock(mutex);
+    if (loop != nullptr && waits != nullptr && actions.hangs && now() - posted >= hang_limit) actions.hangs(waits);
+    return -1;
+  }
+  /// Until the loop has hung; none: it is not waited for.
+  std::optional<Duration> time_left() {
+    const std::lock_guard lock(mutex);
+    if (loop == nullptr && pending != nullptr) return std::chrono::seconds{1};  // one may come that takes it
+    if (loop == nullptr || waits == nullptr || !actions.hangs) return {};
+    return std::max(posted + hang_limit - now(), Duration{0});
+  }
+  static MonotonicTime now() noexcept { return MonotonicTime{std::chrono::steady_clock::now().time_since_epoch()}; }
+
+  /// The first signal, for the loop.
+  void post_first(const char* name) {
+    waits = name;
+    posted = now();
+    if (actions.at_once) actions.at_once();
+    loop->post([this, name] {
+      {
+        const std::lock_guard lock(mutex);
+        waits = nullptr;
+      }
+      actions.first(name);
+    });
   }
 
   void reload() {
@@ -75,7 +117,7 @@ struct StopSignals::State {
       if (count > 1) ::_exit(1);
       pending = name;
     } else if (count == 1) {
-      loop->post([this, name] { actions.first(name); });
+      post_first(name);
     } else {
       actions.second(name, ask());
     }
@@ -133,7 +175,7 @@ void StopSignals::attach(Loop& loop, Actions actions) {
   state_->loop = &loop;
   state_->actions = std::move(actions);
   if (state_->pending != nullptr)
-    loop.post([state = state_.get(), name = state_->pending] { state->actions.first(name); });
+    state_->post_first(state_->pending);
   else if (state_->is_reload_pending)
     state_->actions.reload();
 }

@@ -16,6 +16,8 @@ namespace rtdata::app {
 /// before any other thread: they inherit that the signals are blocked.
 class StopSignals {
  public:
+  /// A loop that does not turn for so long after a signal has hung.
+  static constexpr Duration hang_limit = std::chrono::seconds{5};
   StopSignals();
   StopSignals(const StopSignals&) = delete;
   StopSignals& operator=(const StopSignals&) = delete;
@@ -30,6 +32,10 @@ class StopSignals {
     std::function<void(const char* signal, std::optional<std::uint64_t> queued)> second;
     /// On the signals' thread, for SIGHUP: reads the configuration again.
     std::function<void()> reload;
+    /// On the signals' thread, at once, with the first signal. Empty: nothing.
+    std::function<void()> at_once = {};
+    /// On the signals' thread: the loop has not come to `first` for `hang_limit`. Does not return. Empty: nothing.
+    std::function<void(const char* signal)> hangs = {};
   };
   /// `loop` must live until `detach`. A signal that came before counts as the first; a SIGHUP then is
   /// kept: the configuration may have been read before it.

@@ -46,6 +46,7 @@ void OriginCore::adopt(const State& state) {
   first_due_ = state.free_from;
   period_ = Duration{0};
   is_mirror = false;
+  comes_from = nullptr;
   gap_is_open_ = false;  // the last holder of the name has closed it
 }
 

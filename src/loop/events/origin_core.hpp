@@ -11,6 +11,7 @@
 
 namespace rtdata::detail {
 
+class LoopCore;
 struct Passage;
 class RuntimeCore;
 class SensorEntry;
@@ -164,6 +165,9 @@ class OriginCore {
   };
   /// Thousands of sensors never have a gap: it is made with the first one. An open gap has it.
   std::unique_ptr<Gaps> gaps_;
+
+ public:
+  LoopCore* comes_from = nullptr;  ///< of a mirror, the loop that it publishes on, while there is a bridge to that
 };
 
 }  // namespace rtdata::detail

@@ -9,6 +9,8 @@
 namespace rtdata::detail {
 
 BridgeReceiver::~BridgeReceiver() {
+  for (const Passage* passage : open_)
+    if (passage != nullptr && passage->receiving.mirror != nullptr) passage->receiving.mirror->comes_from = nullptr;
   for (Channel* channel : channels_) channel->receiving.mirror->remove_channel(*channel);
 }
 
@@ -43,6 +45,7 @@ void BridgeReceiver::hear_origin(Passage& passage, const std::string& name) {
     topic->expect(origin);
     origin.expect_gaps();
     origin.is_mirror = true;
+    origin.comes_from = &from_;
     passage.receiving.mirror = &origin;
   }
   if (open_.size() <= passage.number) open_.resize(passage.number + 1);
@@ -57,6 +60,8 @@ void BridgeReceiver::hear_given_up(Passage& passage, const FinalAccount& last) {
     take_drops(last.drops, passage);
     if (last.has_account) take_account(last.account, passage);
   }
+  if (passage.receiving.mirror != nullptr && passage.receiving.mirror->comes_from == &from_)
+    passage.receiving.mirror->comes_from = nullptr;
   open_[passage.number] = nullptr;
 }
 
