@@ -149,6 +149,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     return {};
   }
 
+  double safe_value() const noexcept { return config_.safe; }
   bool is_armed() const noexcept { return is_armed_; }
   void when_told(Callback<void()> done) {
     if (told_armed_ == is_armed_) return loop()->post(std::move(done));
@@ -238,8 +239,13 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     be_held(began, opened);
     follow_input();
   }
-  /// It may come: the other errors are for who has configured it.
-  static bool is_away(const Result<void>& opened) { return opened.error().code == Errc::disconnected; }
+  /// It may come: the other errors are for who has configured it, and a reload that needs it can be taken back.
+  bool is_away(const Result<void>& opened) const {
+    const auto& code = opened.error().code;
+    if (config_.required && loop()->is_being_set_up()) return false;
+    return code == Errc::disconnected ||
+           (loop()->is_being_set_up() && (code == Errc::not_found || code == Errc::timed_out));
+  }
   void be_held(MonotonicTime began, const Result<void>& opened) {
     is_held_ = true;
     has_ended_unsafe_ = false;
@@ -386,8 +392,9 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     is_busy_ = true;
     if (const Result<void> sent = port_->set(order.value); !sent) {
       answered(sent.error());
-    } else if (!patience_.is_running()) {
-      patience_.start(answer_limit);
+    } else {
+      sent_ = now();
+      if (!patience_.is_running()) patience_.start(answer_limit);
     }
   }
   void be_safe(OutputCause cause, std::string_view by) {
@@ -451,6 +458,8 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
                        "its device has not answered for " + to_string(slow_start),
                        "what it is to be set to waits; look at the device"},
                       Health::degraded);
+    // Started with an earlier value, which was answered.
+    if (const MonotonicTime due = sent_ + answer_limit; due > now()) return patience_.start_at(due);
     value_.reset();
     complain({Errc::timed_out, cannot_set, name(),
               "there is no answer after " + to_string(answer_limit) + (is_guarded() ? " from the guard" : ""),
@@ -780,6 +789,10 @@ Result<void> Output::disarm(std::string_view by) {
     output.loop()->check_thread("cannot disarm the output", output.origin().name);
     return output.disarm(by);
   });
+}
+double Output::safe_value() const noexcept {
+  if (node() == nullptr || !node()->is_open()) return 0;
+  return static_cast<const detail::OutputNode*>(node())->safe_value();  // it never changes
 }
 bool Output::is_armed() const noexcept {
   return asked(node(), false, false, [](const detail::OutputNode& output) { return output.is_armed(); });

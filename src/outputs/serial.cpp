@@ -1,7 +1,6 @@
 #include "rtdata/outputs/serial.hpp"
 
 #include <poll.h>
-#include <termios.h>
 #include <unistd.h>
 
 #include <array>
@@ -29,6 +28,14 @@ bool wait_for(int fd, short events, Deadline until) {
     if (ready > 0) return true;
     if (ready == 0) return false;
     if (errno != EINTR) return false;
+  }
+}
+
+/// What has come before is no answer to what is sent now. Read, since flushing leaves what a pseudo terminal has under
+/// way; a device that sends all the time does not hold it.
+void drop_input(int fd) noexcept {
+  std::array<char, 512> bytes;
+  for (int i = 0; i < 1024 && ::read(fd, bytes.data(), bytes.size()) > 0; ++i) {
   }
 }
 
@@ -88,7 +95,7 @@ Result<void> SerialActuator::set(double value) {
       return Error{Errc::disconnected, cannot_set_serial, config_.device, "the device has gone", ""};
     return system_error(errno, cannot_set_serial, config_.device);
   };
-  ::tcflush(fd_, TCIFLUSH);
+  drop_input(fd_);
   const std::string before = unsent().take(config_.device);
   const std::string text = before + detail::set_text(config_.text, value, config_.words);
   for (std::string_view rest = text; !rest.empty();) {

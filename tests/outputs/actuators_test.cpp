@@ -171,6 +171,17 @@ TEST_SUITE("outputs") {
       expected += "VALUE " + std::string(300, 'p') + "-5;\n";
       CHECK(got == expected);
     }
+    {  // What has come before a text is no answer to it.
+      const Terminal late;
+      SerialActuator valve({.device = late.name, .answer = "OK", .timeout = 5ms});
+      REQUIRE(valve.open({}).has_value());
+      int believed = 0;
+      for (int i = 0; i < 100; ++i) {
+        late.write("OK\r\n");
+        believed += valve.set(i).has_value() ? 1 : 0;
+      }
+      CHECK(believed == 0);
+    }
     SerialActuator deaf({.device = line.name, .answer = "OK", .timeout = 50ms});
     CHECK(deaf.open({}).error().code == Errc::busy);  // it is opened for one alone
     CHECK(SerialActuator({.device = "/dev/no-such"}).open(0).error().code == Errc::not_found);

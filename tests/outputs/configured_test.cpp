@@ -290,6 +290,57 @@ TEST_SUITE("outputs") {
     CHECK(did("V") == Lines{"set 2"});
   }
 
+  TEST_CASE("US-35 US-41 a machine that a reload removes leaves what it had set safe, and says so") {
+    if (!Expression::available()) return;
+    Devices devices;
+    Loop loop{Loop::Manual{}};
+    be_quiet(loop);
+    Lines told;
+    loop.runtime().on_log([&](const LogRecord& record) {
+      if (record.object == "machine m") told.push_back(std::string(record.text));
+    });
+    const auto plan = [&](const std::string& more, const std::string& igniter = "") {
+      return plan_system(devices.registry, parse_config(R"({"outputs": [)" + igniter + R"(
+        {"name": "valve", "type": "memory", "device": "V"}, {"name": "lamp", "type": "memory", "device": "L"}])" +
+                                                            more + "}",
+                                                        "f.json"));
+    };
+    const auto machine = [](const std::string& igniter, const std::string& event) {
+      return R"(, "machines": [{"name": "m", "start": "on", "states": [{"name": "on", "set": [)" + igniter +
+             R"({"output": "valve", "value": 2}, {"output": "lamp"}]}, {"name": "off", "final": true}],
+             "transitions": [{"from": "on", "to": "off", "event": ")" +
+             event + "\"}]}]";
+    };
+    const std::string igniter = R"({"name": "igniter", "type": "memory", "device": "I"}, )";
+    const SystemPlan first = plan(machine(R"({"output": "igniter"}, )", "x"), igniter);
+    REQUIRE_MESSAGE(first.good(), first.report());
+    System system(loop, devices.registry, first);
+    loop.advance(1ms);
+    system.parts().get<Output>("output", "lamp").set(0.5, "operator").or_throw();
+    loop.advance(1ms);
+    // The output that goes with it is safe by itself.
+    system.apply(plan(""));
+    loop.advance(1ms);
+    CHECK(devices.all["I"].value == 0.0);
+    CHECK(devices.all["I"].did.back() == "gone");
+    CHECK(devices.all["V"].did == Lines{"open 0", "set 2", "set 0"});
+    CHECK(devices.all["L"].value == 0.5);
+    CHECK(std::count(told.begin(), told.end(),
+                     "it is removed: output valve, which it had set, is being set to its safe value") == 1);
+    // One that is made anew leaves them as they are, one that is removed by itself does not.
+    told.clear();
+    system.apply(plan(machine("", "x")));
+    loop.advance(1ms);
+    system.apply(plan(machine("", "y")));
+    loop.advance(1ms);
+    CHECK(devices.all["V"].did == Lines{"open 0", "set 2", "set 0", "set 2"});
+    system.remove("machine", "m");
+    loop.advance(1ms);
+    CHECK(devices.all["V"].value == 0.0);
+    CHECK(devices.all["L"].value == 0.0);
+    CHECK(told.size() == 2);
+  }
+
   TEST_CASE("US-33 US-35 commands and reloads that need a tier which hangs are refused, and the rest goes on") {
     Devices devices;
     Loop loop{Loop::Manual{}};

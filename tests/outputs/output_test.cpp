@@ -587,6 +587,54 @@ TEST_SUITE("outputs") {
     CHECK(run(900) < 63);
     CHECK(temperature == doctest::Approx(60).epsilon(0.01));
   }
+
+  TEST_CASE("US-35 a device that is absent or mute at the start is tried again, unless it is required") {
+    for (const Errc code : {Errc::not_found, Errc::timed_out}) {
+      Bench b;
+      bool is_there = false;
+      struct Absent final : Actuator {
+        Absent(Errc code_, const bool& is_there_) : code(code_), is_there(is_there_) {}
+        Result<void> open(std::optional<double>) override {
+          if (is_there) return {};
+          return Error{code, "cannot open", "", "it is not there", ""};
+        }
+        Result<void> set(double) override { return {}; }
+        Errc code;
+        const bool& is_there;
+      };
+      const MakeActuator make = [&] { return std::make_unique<Absent>(code, is_there); };
+      CHECK_THROWS_AS(Output(b.loop, {.name = "o", .required = true}, make), SetupError);
+      b.output = Output(b.loop, {.name = "o"}, make);
+      CHECK(b.output.health() == Health::faulted);
+      b.loop.advance(2s);
+      CHECK_FALSE(b.output.value().has_value());
+      is_there = true;
+      b.loop.advance(2s);
+      CHECK(b.output.value() == 0);
+      CHECK(b.output.health() == Health::ok);
+    }
+  }
+
+  TEST_CASE("US-35 a device that answers each time is not told to be mute, however often it is set") {
+    Bench b;
+    Feed<Air> air(b.loop, {.name = "air"});
+    b.loop.script_lane_duration(30ms);
+    b.make({.on = "air"});
+    for (int i = 1; i <= 500; ++i) {
+      air.publish({static_cast<double>(i)});
+      b.loop.advance(20ms);
+    }
+    CHECK(b.errors.empty());
+    CHECK(b.device.did.size() > 300);
+    // One that does not answer is told once.
+    b.loop.script_lane_duration(1h);
+    air.publish({0.5});
+    b.loop.advance(2s);
+    CHECK(b.errors.empty());
+    b.loop.advance(2s);
+    CHECK(b.errors.size() == 1);
+  }
+
   TEST_CASE("US-35 US-33 what follows an alarm of a tier is safe while that tier hangs, and follows it again") {
     if (!Expression::available()) return;
     Bench b;

@@ -105,6 +105,19 @@ std::string id_of(detail::LineDecoder& decoder, std::string_view line) {
 
 }  // namespace
 
+TEST_CASE("US-17 US-35 what waited before a serial line was opened is not new") {
+  for (const FirstLine first : {FirstLine::discard, FirstLine::keep}) {
+    SerialLineBench b(nullptr);
+    b.pty.plug_in();
+    const std::string before = "1\n2\n3\n";
+    REQUIRE(b.pty.send(before) == before.size());
+    b.make({.first_line = first});
+    b.run("4\n5\n6\n", first == FirstLine::keep ? 3 : 2);
+    CHECK(b.events == (first == FirstLine::keep ? Texts{"4", "5", "6"} : Texts{"5", "6"}));
+    CHECK(b.errors.empty());
+  }
+}
+
 TEST_CASE("US-17 a CSV line is decoded by its fields, and says what is wrong with it") {
   detail::LineDecoder decoder({.fields = {{.name = "a", .type = Kind::i16},
                                           {},

@@ -164,6 +164,55 @@ TEST_SUITE("sinks") {
   }
 
   TEST_CASE(
+      "a disk that is full at the start ends nothing: what waits in the recording is sent, and it records later") {
+    Folder folder;
+    const int status = status_of([&] {
+      const std::string disk = folder / "disk";
+      std::filesystem::create_directory(disk);
+      if (::unshare(CLONE_NEWNS) != 0 || ::mount("none", "/", nullptr, MS_REC | MS_PRIVATE, nullptr) != 0 ||
+          ::mount("none", disk.c_str(), "tmpfs", 0, "size=1m") != 0)
+        ::_exit(77);
+      const auto need = [](bool is_so, int step) {
+        if (!is_so) ::_exit(step);
+      };
+      bool is_away = true;
+      const Peer peer = peer_away_while(is_away);
+      {
+        Run before(disk + "/run.db", peer);
+        before.publish(100);
+        before.loop.advance(5s);
+        need(before.loop.close(5s) == 0, 2);
+      }
+      {
+        std::ofstream ballast(disk + "/ballast");
+        while (ballast << std::string(1024, 'x') << std::flush) {
+        }
+      }
+      is_away = false;
+      Run run(disk + "/run.db", peer);  // does not throw
+      need(run.recording.health() == Health::faulted, 3);
+      run.publish(10);
+      run.loop.advance(5s);
+      need(peer->events.size() == 100, 4);
+      need(run.recording.health() == Health::faulted, 5);
+      std::filesystem::remove(disk + "/ballast");
+      run.loop.advance(10s);
+      need(run.recording.health() == Health::ok, 6);
+      need(run.sink.health() == Health::ok, 7);
+      need(count_all_once(*peer) == 110, 8);
+      need(run.loop.close(5s) == 0, 9);
+      need(recordings::verified(disk + "/run.db").verdict() == Verdict::balanced, 10);
+      ::_exit(0);
+    });
+    if (WIFEXITED(status) && WEXITSTATUS(status) == 77) {
+      MESSAGE("skipped: mounting a small file system is not permitted here");
+      return;
+    }
+    CHECK(WIFEXITED(status));
+    CHECK(WEXITSTATUS(status) == 0);
+  }
+
+  TEST_CASE(
       "a recording that is deleted while parcels are under way: their answers count, and the sink says why it ends") {
     Folder folder;
     auto peer = std::make_shared<ScriptedPeer::Script>();

@@ -174,6 +174,10 @@ struct PartPlan {
   /// may throw SetupError: then that of the old plan is called, which applies the old value again.
   std::map<std::string, std::function<void(const PartObject& part)>, std::less<>> live = {};
 
+  /// What is done when it is removed and none is made in its place, before it is closed: a machine leaves what it set
+  /// safe. May throw SetupError: it stays. Empty: nothing.
+  std::function<void(const PartObject& part)> on_removal = {};
+
   /// While this is so, a reload neither makes the part anew nor removes it: an output that is armed.
   struct Hold {
     std::string what;    ///< "it is armed"

@@ -126,12 +126,14 @@ struct OutputConfig {
   Duration lease{0};                                ///< `set` holds for so long; 0: until the next one
   Duration watchdog = std::chrono::milliseconds{500};  ///< the guard waits for the loop for so long
   Arming armed = Arming::at_start;
-  bool keep = false;  ///< taken and given back as it is; all other causes of its safe value stay
+  bool required = false;  ///< a device that is absent or mute at the start throws
+  bool keep = false;      ///< taken and given back as it is; all other causes of its safe value stay
 
   friend constexpr auto parameters(type_tag<OutputConfig>) {
     using namespace std::chrono_literals;
     return parameter_list(
-        parameter("name", &OutputConfig::name, "the origin of its events, unique in the file", required, TextIs::name),
+        parameter("name", &OutputConfig::name, "the origin of its events, unique in the file", rtdata::required,
+                  TextIs::name),
         parameter("topic", &OutputConfig::topic, "where its changes are published; empty: as its name", TextIs::topic),
         parameter("safe", &OutputConfig::safe, "its safe value; of a line 1 is on, 0 off"),
         parameter("on", &OutputConfig::on, "the topic that it follows; empty: it is set by the program or a command",
@@ -150,6 +152,8 @@ struct OutputConfig {
                   range(Duration{20ms}, Duration{1h})),
         parameter("armed", &OutputConfig::armed, "whether it can be set from the start on",
                   choices(value("at start", Arming::at_start), value("by command", Arming::by_command))),
+        parameter("required", &OutputConfig::required,
+                  "a device that is absent or does not answer at the start ends the program"),
         parameter("keep", &OutputConfig::keep,
                   "at start and stop the device keeps what it has, such as a relay while the program is replaced"));
   }
@@ -174,7 +178,9 @@ class Output : public AnySensor {
   /// empty, or without a guard: this program holds the device itself, as `make` makes it. What `make` makes also says
   /// which values it takes (`Actuator::range`); where `make` is empty, the device refuses the others itself.
   /// SetupError: a name or topic that is taken; bad-argument for a configuration that cannot work; out-of-range for a
-  /// safe value that the device does not take; ExpressionError; what the device says.
+  /// safe value that the device does not take; ExpressionError; what the device says. One that has gone (disconnected)
+  /// makes the output begin as failed: it is tried again each second, and safe as soon as it takes that. Before the
+  /// loop runs, so does one that is absent or mute (not-found, timed-out), and none that is `required`.
   /// `later`: does not wait for the device, which `when_taken` tells of; what it is set to meanwhile follows the safe
   /// value.
   Output(Loop& loop, OutputConfig config, MakeActuator make, std::string guarded = {}, Takes takes = Takes::at_once);
@@ -202,6 +208,8 @@ class Output : public AnySensor {
   /// As `value`; after `finish`, what the device had then, or was asked to have since, while the lease of that lasts.
   std::optional<double> held_value() const noexcept;
 
+  /// As it is configured; 0 when it is closed.
+  double safe_value() const noexcept;
   bool is_armed() const noexcept;
   /// Calls `done` on its loop, in a later turn, when the last event of its topic says whether it is armed: at once, or
   /// with the answer of the device, which arming does not wait for and disarming does. Never, when it is closed before.

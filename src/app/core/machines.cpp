@@ -70,6 +70,20 @@ class OutputSetter {
     }
     return all;
   }
+  /// The machine goes, and none takes its place. What somebody else has set since stays.
+  void leave_safe() {
+    for (const fsm::OutputValue& one : std::exchange(set_, {})) {
+      Output& output = *outputs_.at(one.output);
+      const std::optional<double> value = output.value();
+      const bool is_of_others = value && *value != one.value && *value != output.safe_value();
+      if (!output.is_armed() || output.is_safe() || is_of_others) continue;
+      const Result<void> done = output.set(output.safe_value(), by_ + ", removed");
+      if (!done && done.error().code == Errc::busy) continue;  // its device is given back, with its safe value
+      loop_.runtime().core().log(done ? LogLevel::warning : LogLevel::error, by_,
+                                 "it is removed: output " + one.output + ", which it had set, is " +
+                                     (done ? "being set to its safe value" : "not set safe: " + done.error().why));
+    }
+  }
   /// Of the machine before: those that a reload has made anew get it again.
   void hold(const std::vector<fsm::OutputValue>& before) {
     for (const fsm::OutputValue& one : before) {
@@ -220,6 +234,14 @@ void add_machines(Registry& registry) {
           check_machine_names(settings, payload_of, part.item, problems);
         };
         plan.make = [settings](Loop& loop, const Parts& parts) { return make(loop, parts, settings, std::nullopt); };
+        plan.on_removal = [](const PartObject& object) {
+          const auto* const machine = object.as<ActingMachine>();
+          if (machine == nullptr) return;
+          machine->setter->on_its_loop([&] {
+            machine->setter->leave_safe();
+            return true;
+          });
+        };
         plan.make_again = [settings](const PartObject& object) -> PartPlan::Make {
           const auto* const machine = object.as<ActingMachine>();
           if (machine == nullptr) return {};

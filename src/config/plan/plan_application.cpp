@@ -328,6 +328,9 @@ void PlanApplication::remove_last_made() {
 }
 
 void PlanApplication::close() {
+  for (const PlannedChange& planned : compared_.parts)  // what this throws has closed nothing
+    if (planned.change.fate == Fate::removed && planned.now->on_removal)
+      planned.now->on_removal(system_.parts_.part_named(planned.now->kind, planned.now->name).object);
   std::unordered_map<const PartPlan*, Fate> fates;
   for (const PlannedChange& planned : compared_.parts)
     if (planned.now != nullptr) fates.emplace(planned.now, planned.change.fate);

@@ -114,6 +114,7 @@ void System::remove(std::string_view kind, std::string_view name) {
                         other->plan.object() + " uses it", "remove that first"});
     }
   }
+  if (part.plan.on_removal) part.plan.on_removal(part.object);
   neighbours_.reset();
   std::string object = part.plan.object();
   parts_.remove(kind, name);

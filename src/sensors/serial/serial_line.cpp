@@ -3,6 +3,7 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <array>
 #include <cerrno>
 #include <cstddef>
 #include <cstring>
@@ -56,6 +57,7 @@ class SerialLineNode final : public StreamNode {
     if (decoder_ != nullptr) decoder_->forget_sequence();
     last_fix_.reset();
     unusable_lines_ = 0;
+    if (fd) drop_waiting(*fd);
     take(std::move(fd));
   }
   void stop() override {
@@ -99,6 +101,21 @@ class SerialLineNode final : public StreamNode {
     lines_to_skip_ = config_.skip_lines;
     watch_ = FdWatch(loop()->face, fd_, FdWatch::readable, object_name(),
                      [this](const FdEvent& event) { on_ready(event); });
+  }
+  /// What has waited since before the start, which only happens where another program has had the line open: nobody
+  /// knows since when, and it is not what is measured now. A line that is plugged in later has nothing of before.
+  void drop_waiting(int fd) {
+    std::array<char, most_read> bytes;
+    std::size_t dropped = 0;
+    constexpr int most_reads = 256;  // a device that sends all the time does not hold the loop
+    for (int i = 0; i < most_reads; ++i) {
+      const ssize_t got = ::read(fd, bytes.data(), bytes.size());
+      if (got <= 0) break;  // an error shows again
+      dropped += static_cast<std::size_t>(got);
+    }
+    if (dropped > 0)
+      loop()->runtime.log(LogLevel::info, object_name(),
+                          std::to_string(dropped) + " bytes that had waited when it was started are left out");
   }
   void on_close() noexcept override {
     hold_.close();

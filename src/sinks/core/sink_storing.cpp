@@ -157,7 +157,8 @@ void SinkNode::work_done(LaneJob::Outcome outcome) {
   if (outcome == LaneJob::Outcome::finished && is_attached()) {  // else too late: counted as lost
     const SinkTurnResult turn = std::exchange(job_->result, {});
     synced = take_synced(turn);
-    if (is_setting_up_ && !turn.result) {
+    // A full disk is no mistake of whoever made it: it is tried again, as later.
+    if (is_setting_up_ && !turn.result && turn.result.error().code != Errc::storage_full) {
       set_up_error_ = turn.result.error();
       return;
     }
@@ -177,9 +178,11 @@ void SinkNode::work_done(LaneJob::Outcome outcome) {
     const bool gives_up = is_fed() && life_ == Life::closing && !turn.result;
     if (is_open() && turn.has_closed()) finish_drain();
     if (is_open() && gives_up) give_up();
-    is_readable_ = is_readable_ || turn.has_opened();
+    // A recording on a full disk has what waits from before, which goes out meanwhile.
+    const bool is_full = is_to_open_ && !turn.result && turn.result.error().code == Errc::storage_full;
+    is_readable_ = is_readable_ || turn.has_opened() || is_full;
     if (is_open() && turn.has_ended) leave_followers("the recording that it goes through has ended");
-    if (is_open() && turn.result) tell_followers();
+    if (is_open() && (turn.result || is_full)) tell_followers();
   }
   tell_health();                         // at the end, since this sink may take the event itself
   for (Callback<void()>& done : synced)  // they may do anything to this sink
