@@ -50,6 +50,8 @@ class OutputInput {
   const std::string& why() const noexcept { return why_; }
   /// The output has this value, whatever was evaluated.
   void follow(double value) noexcept;
+  /// Null: it has none.
+  Pid* pid() noexcept { return pid_ ? &*pid_ : nullptr; }
 
  private:
   OutputInput(const OutputConfig& config, const DerivedConfig& derived);

@@ -149,6 +149,27 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     return {};
   }
 
+  Result<void> change_pid(const PidConfig& pid) {
+    if (const Result<void> has_one = check_pid(); !has_one) return has_one;
+    const double all[] = {pid.setpoint, pid.kp, pid.ki, pid.kd, pid.least, pid.most};
+    const bool is_finite = std::all_of(std::begin(all), std::end(all), [](double one) { return std::isfinite(one); });
+    if (!is_finite || !(pid.least < pid.most))
+      return Error{Errc::bad_argument, cannot_control, name(),
+                   is_finite ? "`least` is not below `most`" : "a setting is no finite number", ""};
+    input_->pid()->change(pid);
+    is_setpoint_commanded_ = false;
+    return {};
+  }
+  Result<void> change_setpoint(double setpoint) {
+    if (const Result<void> has_one = check_pid(); !has_one) return has_one;
+    PidConfig pid = input_->pid()->config();
+    pid.setpoint = setpoint;
+    Result<void> changed = change_pid(pid);
+    is_setpoint_commanded_ = changed.has_value();
+    return changed;
+  }
+  bool is_setpoint_commanded() const noexcept { return is_setpoint_commanded_; }
+
   double safe_value() const noexcept { return config_.safe; }
   bool is_armed() const noexcept { return is_armed_; }
   void when_told(Callback<void()> done) {
@@ -211,6 +232,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   };
 
   static constexpr const char* program_ends = "the program ends";
+  static constexpr const char* cannot_control = "cannot change the controller";
   static constexpr const char* given_back = "its device is being given back";
 
   std::string name() const { return "output " + origin_.name; }
@@ -218,6 +240,10 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   MonotonicTime now() const { return loop()->now(); }
   Error refusal(Errc code, std::string why, std::string advice) const {
     return {code, cannot_set, name(), std::move(why), std::move(advice)};
+  }
+  Result<void> check_pid() {
+    if (input_ && input_->pid() != nullptr) return {};
+    return Error{Errc::bad_argument, cannot_control, name(), "it has no `pid`", ""};
   }
   Error stopped() const { return refusal(Errc::closed, "it is stopped", ""); }
   Error placed(Error error) const {
@@ -710,6 +736,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   bool is_lost_ = false;
   bool is_guard_silent_ = false;
   bool has_ended_unsafe_ = false;
+  bool is_setpoint_commanded_ = false;
 };
 
 }  // namespace detail
@@ -789,6 +816,16 @@ Result<void> Output::disarm(std::string_view by) {
     output.loop()->check_thread("cannot disarm the output", output.origin().name);
     return output.disarm(by);
   });
+}
+Result<void> Output::change_pid(const PidConfig& pid) {
+  return ordered(node(), [&](detail::OutputNode& output) { return output.change_pid(pid); });
+}
+Result<void> Output::change_setpoint(double setpoint) {
+  return ordered(node(), [&](detail::OutputNode& output) { return output.change_setpoint(setpoint); });
+}
+bool Output::is_setpoint_commanded() const noexcept {
+  if (node() == nullptr || !node()->is_open()) return false;
+  return static_cast<const detail::OutputNode*>(node())->is_setpoint_commanded();  // it changes by these calls alone
 }
 double Output::safe_value() const noexcept {
   if (node() == nullptr || !node()->is_open()) return 0;

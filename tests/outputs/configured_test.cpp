@@ -230,6 +230,53 @@ TEST_SUITE("outputs") {
     CHECK(devices.all["A"].did == Lines{"open 0", "set 1", "set 0", "gone"});
   }
 
+  TEST_CASE(
+      "US-35 US-5 a reload changes a controller while its output runs, and a commanded set point lasts until it") {
+    if (!Expression::available()) return;
+    Devices devices;
+    Loop loop{Loop::Manual{}};
+    be_quiet(loop);
+    const auto plan = [&](const std::string& pid, const std::string& more = "") {
+      return plan_system(devices.registry, parse_config("{" + std::string(load) + more + R"(, "outputs": [
+          {"name": "a", "type": "memory", "device": "A", "on": "load", "expression": "minutes_1 * 0 + 18")" +
+                                                            pid + "}]}",
+                                                        "f.json"));
+    };
+    const std::string before = R"(, "pid": {"setpoint": 20, "kp": 0.1, "ki": 0.001})";
+    const SystemPlan first = plan(before);
+    REQUIRE_MESSAGE(first.good(), first.report());
+    System system(loop, devices.registry, first);
+    app::CommandDesk desk(loop, system, [](const std::string&, bool) {});
+    const auto command = [&](const Lines& words) {
+      std::string text;
+      desk.run(words, "test", [&](const app::CommandOutcome& outcome) { text = outcome.text; });
+      return text;
+    };
+    loop.advance(1s);
+    double value = devices.all["A"].value.value_or(-1);
+    CHECK(value == doctest::Approx(0.2).epsilon(0.01));
+    const auto grows_by = [&] {  // in a second
+      const double was = devices.all["A"].value.value_or(-1);
+      loop.advance(1s);
+      return devices.all["A"].value.value_or(-1) - was;
+    };
+    CHECK(grows_by() == doctest::Approx(0.002));
+    CHECK(system.apply(plan(R"(, "pid": {"setpoint": 20, "kp": 0.3, "ki": 0.002})")).count(Fate::live) == 1);
+    CHECK(grows_by() == doctest::Approx(0.004));
+    CHECK(command({"pid", "a", "setpoint", "25"}) == "the set point of output a is 25 until the next reload");
+    CHECK(grows_by() == doctest::Approx(0.014));
+    CHECK(command({"pid", "a", "kp", "25"}).find("pid OUTPUT setpoint VALUE") != std::string::npos);
+    CHECK(command({"pid", "a", "setpoint", "on"}) == "\"on\" is no number");
+    CHECK(command({"pid", "b", "setpoint", "1"}).find("\"b\"") != std::string::npos);
+    // One that changes something else, too.
+    (void)system.apply(plan(R"(, "pid": {"setpoint": 20, "kp": 0.3, "ki": 0.002})", R"(, "notes": "x")"));
+    CHECK(grows_by() == doctest::Approx(0.004));
+    CHECK(std::count(devices.all["A"].did.begin(), devices.all["A"].did.end(), "gone") == 0);
+    // Without a controller it is another output.
+    CHECK(system.apply(plan("")).count(Fate::restarted) == 1);
+    CHECK(command({"pid", "a", "setpoint", "1"}).find("it has no `pid`") != std::string::npos);
+  }
+
   TEST_CASE("US-35 US-41 a reload fires nothing again: an output gets back what its machine had set, if it had that") {
     if (!Expression::available()) return;
     Devices devices;

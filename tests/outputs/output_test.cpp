@@ -669,4 +669,45 @@ TEST_SUITE("outputs") {
     CHECK(b.output.health() == Health::ok);
   }
 
+  TEST_CASE("US-35 a controller without an integral has its value again after stale input, and after arming") {
+    for (const Arming armed : {Arming::at_start, Arming::by_command}) {
+      Bench b;
+      Feed<Air> air(b.loop, {.name = "air"});
+      b.make({.on = "air", .pid = PidConfig{.setpoint = 20, .kp = 0.1}, .max_age = 500ms, .armed = armed});
+      const auto brings = [&](double temperature) {
+        air.publish({temperature});
+        b.loop.advance(100ms);
+        return b.device.value;
+      };
+      CHECK(brings(15) == (armed == Arming::at_start ? 0.5 : 0.0));
+      if (armed == Arming::by_command) b.output.arm("me").or_throw();
+      CHECK(brings(15) == 0.5);
+      b.loop.advance(2s);
+      CHECK(b.device.value == 0.0);
+      CHECK(brings(15) == 0.5);
+      CHECK(brings(10) == 1.0);
+    }
+  }
+
+  TEST_CASE("US-35 the set point of a controller can be changed while it runs, without a step") {
+    Bench b;
+    Feed<Air> air(b.loop, {.name = "air"});
+    b.make({.on = "air", .pid = PidConfig{.setpoint = 20, .kp = 0.1, .ki = 0.01}});
+    const auto brings = [&](double temperature) {
+      air.publish({temperature});
+      b.loop.advance(1s);
+      return b.device.value.value_or(-1);
+    };
+    brings(18);
+    const double before = brings(18);
+    b.output.change_setpoint(25).or_throw();
+    CHECK(brings(18) == doctest::Approx(before + 0.07));
+    CHECK_FALSE(b.output.change_setpoint(std::nan("")));
+    CHECK_FALSE(b.output.change_pid({.setpoint = 20, .kp = 1, .least = 1, .most = 1}));
+    CHECK(brings(18) == doctest::Approx(before + 0.14));
+    b.output.close();
+    CHECK(b.output.change_setpoint(20).error().code == Errc::closed);
+    b.make({});
+    CHECK(b.output.change_setpoint(20).error().code == Errc::bad_argument);
+  }
 }

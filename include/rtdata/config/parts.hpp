@@ -177,6 +177,9 @@ struct PartPlan {
   /// What is done when it is removed and none is made in its place, before it is closed: a machine leaves what it set
   /// safe. May throw SetupError: it stays. Empty: nothing.
   std::function<void(const PartObject& part)> on_removal = {};
+  /// What a command changes until the next reload: applies what the plan says. Called after each one that leaves the
+  /// part running. May throw SetupError, which is logged. Empty: nothing.
+  std::function<void(const PartObject& part)> as_written = {};
 
   /// While this is so, a reload neither makes the part anew nor removes it: an output that is armed.
   struct Hold {

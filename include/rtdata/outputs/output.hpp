@@ -198,6 +198,14 @@ class Output : public AnySensor {
   /// Sets its safe value. When it is disarmed: nothing. Errors: closed.
   Result<void> disarm(std::string_view by);
 
+  /// Other settings of its controller, from the next event on, without a step in the output (control/pid.hpp). Errors:
+  /// bad-argument (it has no controller; one that cannot work), closed.
+  Result<void> change_pid(const PidConfig& pid);
+  /// The same of the set point alone.
+  Result<void> change_setpoint(double setpoint);
+  /// It was changed so, and all settings were not since. Waits for no loop.
+  bool is_setpoint_commanded() const noexcept;
+
   /// Sets the safe value and gives the device back, as closing does, but does not wait for that: calls `done` on its
   /// loop, in a later turn, within 5 s unless a value was on its way. From the call on it takes no value. Then it is to
   /// be closed, which waits for nothing more; closing it before waits for the rest. For changes of a configuration.

@@ -60,20 +60,32 @@ std::string acknowledge(System& system, const Words& words, std::string_view) {
                               : "there is no alarm of " + words[1] + " to acknowledge";
 }
 
-/// "on", "off", or a number.
-double number_of(const std::string& word) {
-  if (word == "on" || word == "off") return word == "on" ? 1 : 0;
+double number_of(const std::string& word, const char* expected) {
   double number = 0;
   const char* const end = word.data() + word.size();
   const auto [stopped, error] = std::from_chars(word.data(), end, number);
-  if (error != std::errc{} || stopped != end) throw std::invalid_argument("\"" + word + "\" is no number, on or off");
+  if (error != std::errc{} || stopped != end) throw std::invalid_argument("\"" + word + "\" is no " + expected);
   return number;
+}
+/// "on", "off", or a number.
+double output_value_of(const std::string& word) {
+  if (word == "on" || word == "off") return word == "on" ? 1 : 0;
+  return number_of(word, "number, on or off");
 }
 
 std::string set(System& system, const Words& words, std::string_view by) {
   Output& output = system.parts().get<Output>("output", words[1]);
-  output.set(number_of(words[2]), by).or_throw();
+  output.set(output_value_of(words[2]), by).or_throw();
   return "output " + words[1] + " is being set to " + words[2];
+}
+
+std::string control(System& system, const Words& words, std::string_view) {
+  Output& output = system.parts().get<Output>("output", words[1]);
+  if (words[2] != "setpoint")
+    throw std::invalid_argument("\"" + words[2] + "\" of a controller cannot be commanded; it is written `" +
+                                "pid OUTPUT setpoint VALUE`, and its gains are changed by a reload");
+  output.change_setpoint(number_of(words[3], "number")).or_throw();
+  return "the set point of output " + words[1] + " is " + words[3] + " until the next reload";
 }
 
 std::string arm(System& system, const Words& words, std::string_view by) {
@@ -117,6 +129,11 @@ const std::vector<Verb>& verbs() {
       {"set", 2, 2, {"set OUTPUT VALUE", "set an output that follows no topic: a number, on or off"}, set},
       {"arm", 1, 1, {"arm OUTPUT", "let an output be set"}, arm},
       {"disarm", 1, 1, {"disarm OUTPUT", "set its safe value, which it keeps until it is armed"}, disarm},
+      {"pid",
+       3,
+       3,
+       {"pid OUTPUT setpoint VALUE", "change the set point of a controller, until the next reload"},
+       control},
       {"ack", 1, 1, {"ack LIMIT", "acknowledge the alarm of a limit"}, acknowledge},
       {"note", 1, 1000, {"note TEXT", "write a remark into the recordings"}, note},
       {"reload",

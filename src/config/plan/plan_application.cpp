@@ -480,6 +480,14 @@ void PlanApplication::settle() {
     if (planned.next == nullptr) continue;
     Parts::Part& part = put_next(*planned.next);
     if (planned.change.fate == Fate::live) part.plan = *planned.next;
+    if (planned.change.fate != Fate::unchanged || !planned.next->as_written) continue;
+    try {
+      planned.next->as_written(part.object);
+    } catch (const SetupError& error) {  // its tier does not turn
+      system_.loop_.runtime().core().log(LogLevel::warning, planned.next->object(),
+                                         std::string("it is not as it is written: ") + error.what(),
+                                         error.error().id());
+    }
   }
   for (const PartPlan* plan : later_) put_next(*plan);
   // They are closed in the opposite order.

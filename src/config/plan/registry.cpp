@@ -23,6 +23,16 @@ void keep_arming(PartPlan& plan, const OutputConfig& config, std::function<PartP
                }};
 }
 
+/// A reload changes the settings of a controller while its output runs, also those that a command has changed.
+void change_controller_live(PartPlan& plan, const OutputConfig& config) {
+  if (!config.pid) return;
+  const auto change = [pid = *config.pid](const PartObject& part) { part.as<Output>()->change_pid(pid).or_throw(); };
+  plan.live["pid"] = change;
+  plan.as_written = [change](const PartObject& part) {
+    if (part.as<Output>()->is_setpoint_commanded()) change(part);
+  };
+}
+
 /// A change of the configuration does not hold the loop until its device is taken or given back.
 void let_the_loop_turn(PartPlan& plan) {
   plan.when_made = [](const PartObject& part, std::function<void(Result<void>)> done) {
@@ -219,6 +229,7 @@ void Registry::add_output_type(const std::string& type, std::string doc, config_
     };
     plan.make = make_armed(common.armed);
     keep_arming(plan, common, make_armed);
+    change_controller_live(plan, common);
     let_the_loop_turn(plan);
   };
   using config_detail::table_of;
