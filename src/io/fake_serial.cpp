@@ -75,12 +75,4 @@ Result<std::size_t> FakeSerial::read(std::span<std::uint8_t> bytes, Duration tim
   return count;
 }
 
-Result<void> FakeSerial::drop_input() {
-  const std::lock_guard lock(mutex_);
-  if (auto plugged = check_plugged(); !plugged) return plugged;
-  const MonotonicTime now = detail::lane_now();
-  while (!under_way_.empty() && under_way_.front().arrives <= now) under_way_.pop_front();
-  return {};
-}
-
 }  // namespace rtdata

@@ -5,13 +5,7 @@
 
 #include "io/loaded_library.hpp"
 
-// clang-format off
-#define RTDATA_LIBMODBUS(of) \
-  of(modbus_flush) of(modbus_free) of(modbus_new_rtu) of(modbus_read_bits) \
-  of(modbus_read_input_bits) of(modbus_read_input_registers) of(modbus_read_registers) of(modbus_set_byte_timeout) \
-  of(modbus_set_response_timeout) of(modbus_set_slave) of(modbus_set_socket) of(modbus_strerror) \
-  of(modbus_write_bit) of(modbus_write_register) of(modbus_write_registers)
-// clang-format on
+#define RTDATA_LIBMODBUS(of) of(modbus_strerror)
 
 namespace rtdata {
 

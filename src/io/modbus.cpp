@@ -1,5 +1,4 @@
-// Modbus by libmodbus, over descriptors that are opened here: serial lines for this program alone, connections in a
-// time that is known.
+// Modbus: over TCP by modbus_tcp.hpp and connections that are made here in a time that is known, RTU by modbus_rtu.hpp.
 #include "rtdata/io/modbus.hpp"
 
 #include <fcntl.h>
@@ -7,7 +6,6 @@
 #include <netinet/in.h>
 #include <netinet/tcp.h>
 #include <poll.h>
-#include <sys/select.h>
 #include <sys/socket.h>
 #include <unistd.h>
 
@@ -16,13 +14,16 @@
 #include <atomic>
 #include <cerrno>
 #include <mutex>
+#include <optional>
 #include <utility>
 #include <vector>
 
 #include "io/libmodbus.hpp"
+#include "io/modbus_rtu.hpp"
 #include "io/modbus_tcp.hpp"
 #include "io/tty.hpp"
 #include "rtdata/data/config_item.hpp"
+#include "rtdata/io/serial.hpp"
 #include "rtdata/loop/lane.hpp"
 
 namespace rtdata {
@@ -59,13 +60,6 @@ Mistake mistake_in(const ModbusConfig& config) {
 }
 
 constexpr auto take_nothing = [](const std::uint8_t*) {};
-
-/// Lets the lane's silences between two frames pass.
-Duration silence_between_frames(const SerialSettings& settings) {
-  constexpr Duration least = std::chrono::microseconds{1750};  // Modbus over serial line, V1.02, 2.5.1.1
-  const Duration of_characters{static_cast<std::int64_t>(3.5 * 11 * 1e9 / std::max(settings.baud_rate, 1u))};
-  return std::max(least, of_characters);
-}
 
 /// Connects in that time, to the first of the addresses that takes it.
 Result<int> connect_to(const std::string& host, std::uint16_t port, Duration timeout) {
@@ -134,6 +128,7 @@ class ModbusDevice::Request {
     add(word & 0xff);
   }
   std::span<const std::uint8_t> bytes() const noexcept { return {bytes_.data(), size_}; }
+  std::size_t answer_size() const noexcept { return answer_size_; }
   /// What is read has its length before it; what was written is said again.
   bool is_answered_by(const std::vector<std::uint8_t>& answer) const noexcept {
     if (answer.size() != answer_size_) return false;
@@ -148,54 +143,30 @@ class ModbusDevice::Request {
 
 /// Shared by the bus and its devices, which may hang and outlive it.
 struct ModbusDevice::Core {
-  /// An open line or connection, with what libmodbus knows of it. Shared with a request that hangs.
+  /// A connection. Shared with a request that hangs.
   struct Connection {
     Connection(const Connection&) = delete;
     Connection& operator=(const Connection&) = delete;
-    Connection(modbus_t* context_, int fd_, bool is_tty_) : context(context_), fd(fd_), is_tty(is_tty_) {}
-    ~Connection() {
-      if (context != nullptr) modbus_free(context);  // leaves the descriptor open
-      if (is_tty)
-        detail::close_tty(fd);
-      else
-        ::close(fd);
-    }
-    modbus_t* const context;  // null: of TCP
+    explicit Connection(int fd_) : fd(fd_) {}
+    ~Connection() { ::close(fd); }
     const int fd;
     detail::ModbusTcp tcp;
-    const bool is_tty;
-    unsigned late_unit = 0;             // of which an answer did not come in time; 0: of none
-    MonotonicTime late_until{};         // it may still come
     std::atomic<bool> is_in_use{true};  // by who has made it, at first
-    MonotonicTime last_frame{};         // when it ended
     bool was_asked = false;
-    int silences = 0;  // of TCP: requests without an answer, one after the other
+    int silences = 0;  // requests without an answer, one after the other
   };
   using Use = std::shared_ptr<Connection>;
 
-  Core(std::string bus_, ModbusConfig config_)
-      : bus(std::move(bus_)), config(std::move(config_)), silence(silence_between_frames(config.serial)) {}
+  /// `line`: of RTU; null: TCP.
+  Core(std::string bus_, ModbusConfig config_, std::shared_ptr<SerialTransport> line)
+      : bus(std::move(bus_)), config(std::move(config_)) {
+    if (line != nullptr) rtu.emplace(bus, std::move(line), config);
+  }
 
   Result<Use> connect() {
-    const bool is_rtu = !config.device.empty();
-    const Result<int> fd = is_rtu ? detail::open_tty(config.device, config.serial)
-                                  : connect_to(config.host, config.port, config.answer_timeout);
+    const Result<int> fd = connect_to(config.host, config.port, config.answer_timeout);
     if (!fd) return fd.error();
-    if (!is_rtu) return std::make_shared<Connection>(nullptr, *fd, false);
-    // What the line is set to is not libmodbus's affair: it opens nothing.
-    modbus_t* const context = modbus_new_rtu(config.device.c_str(), 9600, 'N', 8, 1);
-    if (context == nullptr || *fd >= FD_SETSIZE) {  // libmodbus waits by select(2)
-      const int number = context == nullptr ? errno : EMFILE;
-      if (context != nullptr) modbus_free(context);
-      detail::close_tty(*fd);
-      return system_error(number, cannot_connect, "bus " + bus, "this program has too many files open for libmodbus");
-    }
-    modbus_set_socket(context, *fd);
-    const auto us = std::chrono::duration_cast<std::chrono::microseconds>(config.answer_timeout).count();
-    const auto seconds = static_cast<std::uint32_t>(us / 1'000'000), rest = static_cast<std::uint32_t>(us % 1'000'000);
-    modbus_set_response_timeout(context, seconds, rest);
-    modbus_set_byte_timeout(context, seconds, rest);
-    return std::make_shared<Connection>(context, *fd, true);
+    return std::make_shared<Connection>(*fd);
   }
 
   /// The connection, for one request. A new one where there is none, or where a request that was given up hangs in it.
@@ -219,7 +190,7 @@ struct ModbusDevice::Core {
 
   const std::string bus;
   const ModbusConfig config;
-  const Duration silence;
+  std::optional<detail::ModbusRtu> rtu;
   std::mutex mutex;  // of what follows; not while it connects or asks
   Use connection;
 };
@@ -229,7 +200,7 @@ Error ModbusDevice::error(Errc code, std::string what, std::string why, std::str
           std::move(advice)};
 }
 
-Error ModbusDevice::failure(int number, const char* libmodbus_text) const {
+Error ModbusDevice::failure(int number) const {
   const auto exception = [&](Errc code, const char* name, const char* advice) {
     return error(code, cannot_ask, "it answers with exception " + std::to_string(number - MODBUS_ENOBASE) + ", " + name,
                  advice);
@@ -269,26 +240,30 @@ Error ModbusDevice::failure(int number, const char* libmodbus_text) const {
     case EMBBADSLAVE:
       return error(Errc::bad_data, cannot_ask, "another unit answers",
                    "look whether two devices have this address, or answer later than `answer_timeout`");
+    case detail::modbus_echo:
+      return error(Errc::bad_data, cannot_ask, "it sends back what was asked",
+                   "switch off the echo of the adapter (many have a jumper for it), and look at its wires");
+    case detail::modbus_incomplete:
+      return error(Errc::timed_out, cannot_ask,
+                   "its answer was not complete in " + to_string(core_->config.answer_timeout),
+                   "look at the wires and `baud_rate`; make `answer_timeout` longer if the device is slow");
     case EMBBADDATA:
-    case EMBBADEXC:
     case EMBUNKEXC:
-    case EMBMDATA:
-      return error(Errc::bad_data, cannot_ask, libmodbus_text,
-                   core_->config.host.empty()
-                       ? "look at the wires, `baud_rate` and `parity`, and who else is on the line"
-                       : "look whether that server speaks Modbus");
+      return error(Errc::bad_data, cannot_ask, modbus_strerror(number),
+                   core_->rtu ? "look at the wires, `baud_rate` and `parity`, and who else is on the line"
+                              : "look whether that server speaks Modbus");
     case ETIMEDOUT:
       return error(Errc::timed_out, cannot_ask, "no answer in " + to_string(core_->config.answer_timeout),
-                   core_->config.host.empty() ? "look at the device, its wires, `unit`, `baud_rate` and `parity`"
-                                              : "look at the device, and at `unit`");
+                   core_->rtu ? "look at the device, its wires, `unit`, `baud_rate` and `parity`"
+                              : "look at the device, and at `unit`");
     case EIO:
     case ENXIO:
     case ENODEV:
     case ECONNRESET:
     case EPIPE:
     case EBADF:
-      return error(Errc::disconnected, core_->config.host.empty() ? "lost the serial line" : "lost the connection",
-                   core_->config.host.empty() ? "the device has gone away" : "the server has closed it",
+      return error(Errc::disconnected, core_->rtu ? "lost the serial line" : "lost the connection",
+                   core_->rtu ? "the device has gone away" : "the server has closed it",
                    "it is opened again when it is back");
     default:
       return system_error(number, cannot_ask, "bus " + core_->bus + ", unit " + std::to_string(unit_));
@@ -322,49 +297,28 @@ Result<void> ModbusDevice::ask_by_tcp(const Request& request, Take&& take) {
     if (!is_new && (number == ECONNRESET || number == EPIPE)) continue;
     count(detail::lane_now() - began, number == 0);
     if (!use) return use.error();
-    return number == 0 ? Result<void>() : Result<void>(failure(number, modbus_strerror(number)));
+    return number == 0 ? Result<void>() : Result<void>(failure(number));
   }
 }
 
-/// `ask(context)` is a call of libmodbus: how many it has read or written; -1 with errno. Over TCP `take` gets the
-/// answer to the same request.
-template <class Take, class Ask>
-Result<void> ModbusDevice::ask(const Request& request, Take&& take, Ask&& ask) {
+/// `take` gets the answer: its function and what belongs to that.
+template <class Take>
+Result<void> ModbusDevice::ask(const Request& request, Take&& take) {
   if (is_abandoned()) return error(Errc::closed, cannot_ask, "this reading was given up before");
-  if (!core_->config.host.empty()) return ask_by_tcp(request, take);
+  if (!core_->rtu) return ask_by_tcp(request, take);
   const MonotonicTime began = detail::lane_now();
-  const Result<Core::Use> use = core_->acquire();
-  int number = 0;
-  if (use) {
-    Core::Connection& connection = **use;
-    if (connection.is_tty) {
-      const Duration quiet = detail::lane_now() - connection.last_frame;
-      if (quiet < core_->silence) wait(core_->silence - quiet);
-      // An answer of this unit that did not come in time may still come: it would be taken for the next one's.
-      if (connection.late_unit == unit_ && connection.late_until > detail::lane_now())
-        wait(connection.late_until - detail::lane_now());
-      connection.late_unit = 0;
-    }
-    modbus_set_slave(connection.context, static_cast<int>(unit_));
-    modbus_flush(connection.context);  // what came too late, or unasked
-    errno = 0;
-    if (ask(connection.context) < 0) number = errno != 0 ? errno : EIO;
-    connection.last_frame = detail::lane_now();
-    if (connection.is_tty && number == ETIMEDOUT) {
-      connection.late_unit = unit_;
-      const Duration spare = (core_->config.timeout - core_->config.answer_timeout) / 2;
-      connection.late_until = connection.last_frame + std::min(2 * core_->config.answer_timeout, spare);
-    }
-    const bool is_exception = number > MODBUS_ENOBASE && number < EMBBADCRC;
-    core_->release(*use, number == 0 || is_exception || number == ETIMEDOUT || number >= EMBBADCRC);
-  }
-  count(detail::lane_now() - began, use && number == 0);
-  if (!use) return use.error();
-  return number == 0 ? Result<void>() : Result<void>(failure(number, modbus_strerror(number)));
+  std::vector<std::uint8_t> answer;
+  const Result<int> number = core_->rtu->ask(*this, unit_, request.bytes(), request.answer_size(), answer);
+  const bool is_good = number && *number == 0;
+  if (is_good) take(answer.data());
+  count(detail::lane_now() - began, is_good);
+  if (!number) return number.error();
+  return is_good ? Result<void>() : Result<void>(failure(*number));
 }
 
 Result<void> ModbusDevice::look_at() {
   if (is_abandoned()) return error(Errc::closed, cannot_ask, "this reading was given up before");
+  if (core_->rtu) return core_->rtu->open();
   const Result<Core::Use> use = core_->acquire();
   if (!use) return use.error();
   core_->release(*use, true);
@@ -377,15 +331,11 @@ Result<void> ModbusDevice::read_registers(ModbusTable table, std::uint16_t first
       (!is_holding && table != ModbusTable::input))
     return error(Errc::bad_argument, cannot_ask, "these are no registers that can be read at a time",
                  "up to 125, of the holding or the input registers, up to address 65535");
-  const int count = static_cast<int>(words.size());
   const auto take = [&](const std::uint8_t* answer) {
     for (std::size_t i = 0; i < words.size(); ++i)
       words[i] = static_cast<std::uint16_t>(answer[2 + 2 * i] << 8 | answer[3 + 2 * i]);
   };
-  return ask({is_holding ? std::uint8_t{3} : std::uint8_t{4}, first, words.size()}, take, [&](modbus_t* context) {
-    return is_holding ? modbus_read_registers(context, first, count, words.data())
-                      : modbus_read_input_registers(context, first, count, words.data());
-  });
+  return ask({is_holding ? std::uint8_t{3} : std::uint8_t{4}, first, words.size()}, take);
 }
 
 Result<void> ModbusDevice::read_bits(ModbusTable table, std::uint16_t first, std::span<std::uint8_t> bits) {
@@ -394,14 +344,10 @@ Result<void> ModbusDevice::read_bits(ModbusTable table, std::uint16_t first, std
       (!is_coil && table != ModbusTable::discrete))
     return error(Errc::bad_argument, cannot_ask, "these are no bits that can be read at a time",
                  "up to 2000, of the coils or the discrete inputs, up to address 65535");
-  const int count = static_cast<int>(bits.size());
   const auto take = [&](const std::uint8_t* answer) {
     for (std::size_t i = 0; i < bits.size(); ++i) bits[i] = answer[2 + i / 8] >> (i % 8) & 1;
   };
-  return ask({is_coil ? std::uint8_t{1} : std::uint8_t{2}, first, bits.size()}, take, [&](modbus_t* context) {
-    return is_coil ? modbus_read_bits(context, first, count, bits.data())
-                   : modbus_read_input_bits(context, first, count, bits.data());
-  });
+  return ask({is_coil ? std::uint8_t{1} : std::uint8_t{2}, first, bits.size()}, take);
 }
 
 Result<void> ModbusDevice::write_registers(std::uint16_t first, std::span<const std::uint16_t> words) {
@@ -413,15 +359,11 @@ Result<void> ModbusDevice::write_registers(std::uint16_t first, std::span<const 
     request.add(2 * words.size());
     for (const std::uint16_t word : words) request.add_word(word);
   }
-  return ask(request, take_nothing, [&](modbus_t* context) {
-    return words.size() == 1 ? modbus_write_register(context, first, words[0])
-                             : modbus_write_registers(context, first, static_cast<int>(words.size()), words.data());
-  });
+  return ask(request, take_nothing);
 }
 
 Result<void> ModbusDevice::write_coil(std::uint16_t address, std::uint8_t bit) {
-  return ask({5, address, bit != 0 ? std::size_t{0xff00} : 0}, take_nothing,
-             [&](modbus_t* context) { return modbus_write_bit(context, address, bit != 0 ? 1 : 0); });
+  return ask({5, address, bit != 0 ? std::size_t{0xff00} : 0}, take_nothing);
 }
 
 ModbusBus::ModbusBus(ModbusConfig config)
@@ -432,7 +374,14 @@ ModbusBus::ModbusBus(std::string name, ModbusConfig config) : Bus(name, config.t
   if (const Mistake mistake = mistake_in(config); !mistake.why.empty())
     throw SetupError({Errc::bad_argument, "cannot use this bus", "bus " + name, mistake.why, ""});
   if (const auto flags = detail::control_flags(config.serial); !flags) throw SetupError(flags.error());
-  core_ = std::make_shared<ModbusDevice::Core>(std::move(name), std::move(config));
+  auto line = config.device.empty() ? nullptr : make_kernel_serial(config.device, config.serial);
+  core_ = std::make_shared<ModbusDevice::Core>(std::move(name), std::move(config), std::move(line));
+}
+
+ModbusBus::ModbusBus(std::string name, std::shared_ptr<SerialTransport> line, ModbusConfig config)
+    : Bus(name, config.timeout) {
+  detail::libmodbus.load().or_throw();
+  core_ = std::make_shared<ModbusDevice::Core>(std::move(name), std::move(config), std::move(line));
 }
 
 ModbusDevice ModbusBus::device(const ModbusDevice::Place& place) const {

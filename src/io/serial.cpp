@@ -2,8 +2,8 @@
 
 #include <algorithm>
 #include <array>
-#include <atomic>
 
+#include "io/asked_line.hpp"
 #include "io/tty.hpp"
 #include "rtdata/data/config_item.hpp"
 #include "rtdata/loop/lane.hpp"
@@ -31,24 +31,14 @@ void check_config(const SerialPortConfig& config, const ConfigItem& item, Proble
 
 /// Shared by the port and its devices, which may hang and outlive it.
 struct SerialDevice::Core {
-  Core(std::string bus_, std::shared_ptr<SerialTransport> transport_, SerialPortConfig config_)
-      : bus(std::move(bus_)), transport(std::move(transport_)), config(std::move(config_)) {}
+  Core(std::string bus_, std::shared_ptr<SerialTransport> transport, SerialPortConfig config_)
+      : bus(std::move(bus_)),
+        config(std::move(config_)),
+        line(bus, std::move(transport), config.answer_timeout, config.timeout) {}
   const std::string bus;
-  const std::shared_ptr<SerialTransport> transport;
-  /// An answer that did not come in time may still come: the next request waits for it, to drop it.
-  void expect_late_answer(MonotonicTime now) noexcept {
-    const Duration spare = (config.timeout - config.answer_timeout) / 2;
-    const Duration most = std::min(late_answers * config.answer_timeout, spare);
-    late_until.store((now + most).time_since_epoch().count(), std::memory_order_relaxed);
-  }
-  MonotonicTime take_late_until() noexcept {
-    return MonotonicTime{Duration{late_until.exchange(0, std::memory_order_relaxed)}};
-  }
   const SerialPortConfig config;
-
- private:
-  static constexpr int late_answers = 2;    // so many times its `answer_timeout`
-  std::atomic<std::int64_t> late_until{0};  // ns of the monotonic line; 0: none is awaited
+  detail::AskedLine line;
+  detail::AskedLine::Partner all;  // nothing in an answer tells whose it is
 };
 
 Error SerialDevice::error(Errc code, std::string what, std::string why, std::string advice) const {
@@ -64,29 +54,23 @@ Result<void> SerialDevice::check_wanted() const {
 
 Result<void> SerialDevice::look_at() {
   if (auto wanted = check_wanted(); !wanted) return wanted;
-  return core_->transport->open();
+  return core_->line.open();
 }
 
 Result<void> SerialDevice::drop_input() {
   pending_.clear();
   if (auto wanted = check_wanted(); !wanted) return wanted;
-  // From the first byte of a late answer on, until the line is still.
-  constexpr Duration stillness = std::chrono::milliseconds{20};
-  std::array<std::uint8_t, 512> late{};
-  for (MonotonicTime until = core_->take_late_until(); until > detail::lane_now();) {
-    const Result<std::size_t> got = core_->transport->read(late, until - detail::lane_now());
-    if (!got) return got.error();
-    if (auto wanted = check_wanted(); !wanted) return wanted;
-    if (*got == 0) break;
-    until = std::min(until, detail::lane_now() + stillness);
-  }
-  return core_->transport->drop_input();
+  return core_->line.settle(core_->all);
+}
+
+void SerialDevice::distrust() {
+  if (!is_abandoned()) core_->line.distrust(core_->all);
 }
 
 Result<void> SerialDevice::write(std::span<const std::uint8_t> bytes) {
   if (auto wanted = check_wanted(); !wanted) return wanted;
   const MonotonicTime began = detail::lane_now();
-  Result<void> done = core_->transport->write(bytes, core_->config.answer_timeout);
+  Result<void> done = core_->line.write(core_->all, bytes);
   count(detail::lane_now() - began, static_cast<bool>(done));
   return done;
 }
@@ -97,7 +81,7 @@ Result<bool> SerialDevice::receive(MonotonicTime until) {
   if (auto wanted = check_wanted(); !wanted) return std::move(wanted).error();
   std::array<std::uint8_t, 512> bytes{};
   const MonotonicTime began = detail::lane_now();
-  const Result<std::size_t> got = core_->transport->read(bytes, std::max(until - began, Duration{0}));
+  const Result<std::size_t> got = core_->line.read(core_->all, bytes, until);
   count(detail::lane_now() - began, got && *got > 0);
   if (!got) return got.error();
   pending_.append(reinterpret_cast<const char*>(bytes.data()), *got);
@@ -111,7 +95,7 @@ Result<void> SerialDevice::read(std::span<std::uint8_t> bytes, std::optional<Dur
     const Result<bool> came = receive(until);
     if (!came) return came.error();
     if (*came) continue;
-    core_->expect_late_answer(until);
+    distrust();
     return error(Errc::timed_out, cannot_read,
                  std::to_string(pending_.size()) + " of " + std::to_string(bytes.size()) + " bytes came in " +
                      to_string(patience),
@@ -119,6 +103,7 @@ Result<void> SerialDevice::read(std::span<std::uint8_t> bytes, std::optional<Dur
   }
   std::copy_n(pending_.begin(), bytes.size(), bytes.begin());
   pending_.erase(0, bytes.size());
+  core_->line.answered(core_->all, !pending_.empty());
   return {};
 }
 
@@ -133,7 +118,10 @@ Result<std::size_t> SerialDevice::read_some(std::span<std::uint8_t> bytes, std::
   if (pending_.empty()) {
     const Result<bool> came = receive(detail::lane_now() + patience);
     if (!came) return came.error();
-    if (!*came) return error(Errc::timed_out, cannot_read, "nothing came in " + to_string(patience));
+    if (!*came) {
+      distrust();
+      return error(Errc::timed_out, cannot_read, "nothing came in " + to_string(patience));
+    }
   }
   const std::size_t count = std::min(pending_.size(), bytes.size());
   std::copy_n(pending_.begin(), count, bytes.begin());
@@ -149,10 +137,12 @@ Result<std::string> SerialDevice::read_until(char delimiter, std::optional<Durat
     if (end != std::string::npos && end <= most) {
       std::string text = pending_.substr(0, end);
       pending_.erase(0, end + 1);
+      core_->line.answered(core_->all, !pending_.empty());
       return text;
     }
     if (pending_.size() > most) {
       pending_.clear();
+      distrust();
       return error(Errc::does_not_fit, "cannot use an answer",
                    "more than " + std::to_string(most) + " bytes came without an end",
                    "check `baud_rate`, and how the device ends its answers");
@@ -161,7 +151,7 @@ Result<std::string> SerialDevice::read_until(char delimiter, std::optional<Durat
     const Result<bool> came = receive(until);
     if (!came) return came.error();
     if (*came) continue;
-    core_->expect_late_answer(until);
+    distrust();
     return error(Errc::timed_out, cannot_read,
                  pending_.empty()
                      ? "nothing came in " + to_string(patience)

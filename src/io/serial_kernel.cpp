@@ -80,21 +80,6 @@ class KernelSerial final : public SerialTransport {
     }
   }
 
-  Result<void> drop_input() override {
-    const Result<std::shared_ptr<Line>> line = opened();
-    if (!line) return line.error();
-    // Reading, since flushing leaves what a pseudo terminal has under way.
-    std::uint8_t bytes[512];
-    for (int i = 0; i < 1024; ++i) {  // a device that sends all the time does not hold it
-      const ssize_t got = ::read((*line)->fd, bytes, sizeof bytes);
-      const int number = got < 0 ? errno : 0;
-      if (got == 0 || (number != 0 && number != EAGAIN && number != EINTR))
-        return gone(*line, number != 0 ? number : EIO);
-      if (number == EAGAIN) break;
-    }
-    return {};
-  }
-
  private:
   Result<std::shared_ptr<Line>> opened() {
     {

@@ -39,7 +39,6 @@ class FakeSerial final : public SerialTransport {
   Result<void> open() override;
   Result<void> write(std::span<const std::uint8_t> bytes, Duration timeout) override;
   Result<std::size_t> read(std::span<std::uint8_t> bytes, Duration timeout) override;
-  Result<void> drop_input() override;
 
  private:
   struct Sent {

@@ -5,9 +5,10 @@
 ///     std::array<std::uint16_t, 2> words{};
 ///     meter.read_registers(ModbusTable::input, 0, words).or_throw();
 ///
-/// All calls block the thread that makes them, for at most `answer_timeout` each: a program that has a loop gives the
-/// bus to sensors (ModbusSensor, sensors/modbus.hpp), which use it on its lane. Units on one line share it: one request
-/// at a time, with the silence between two that RTU wants.
+/// All calls block the thread that makes them, for at most `answer_timeout` each; over RTU the next call to a unit
+/// whose answer did not come, or was none, waits as `SerialDevice::transact` does (serial.hpp). A program that has a
+/// loop gives the bus to sensors (ModbusSensor, sensors/modbus.hpp), which use it on its lane. Units on one line share
+/// it: one request at a time, with the silence between two that RTU wants.
 ///
 /// Addresses are those of the protocol, from 0: what documents call register 40001 is holding register 0, 30001 input
 /// register 0.
@@ -15,10 +16,10 @@
 /// The line or connection is opened by the first call, and again after it was lost. A serial line is this program's
 /// alone, as of SerialPort (serial.hpp).
 ///
-/// Errors: timed-out (no answer), bad-data (a wrong checksum, an answer to something else), bad-argument (the device's
-/// exceptions 1 to 3: it has no such function, address or number), busy, io-failed (its other exceptions), disconnected
-/// (the line was unplugged, the server refuses or has closed), closed (of a job that was given up); and those of
-/// opening a serial line.
+/// Errors: timed-out (no answer, not all of it, or an earlier one may still come), bad-data (a wrong checksum, an
+/// answer to something else, what was asked itself), bad-argument (the device's exceptions 1 to 3: it has no such
+/// function, address or number), busy, io-failed (its other exceptions), disconnected (the line was unplugged, the
+/// server refuses or has closed), closed (of a job that was given up); and those of opening a serial line.
 ///
 /// In the library rtdata::modbus, which needs libmodbus. Thread: ModbusBus: any. The devices of one bus: one at a time.
 #pragma once
@@ -74,6 +75,7 @@ struct ModbusConfig {
 };
 
 class ModbusBus;
+class SerialTransport;
 
 class ModbusDevice : public BusDevice {
  public:
@@ -107,11 +109,11 @@ class ModbusDevice : public BusDevice {
   class Request;
   ModbusDevice(std::shared_ptr<Core> core, unsigned unit, std::shared_ptr<TransferCounter> counter)
       : BusDevice(std::move(counter)), core_(std::move(core)), unit_(unit) {}
-  template <class Take, class Ask>
-  Result<void> ask(const Request& request, Take&& take, Ask&& ask);
+  template <class Take>
+  Result<void> ask(const Request& request, Take&& take);
   template <class Take>
   Result<void> ask_by_tcp(const Request& request, Take&& take);
-  Error failure(int number, const char* libmodbus_text) const;
+  Error failure(int number) const;
   std::shared_ptr<Core> core_;
   unsigned unit_;
 };
@@ -123,6 +125,8 @@ class ModbusBus : public Bus {
   /// host.
   explicit ModbusBus(ModbusConfig config);
   ModbusBus(std::string name, ModbusConfig config);
+  /// RTU over another transport, such as a FakeSerial; `device`, `serial` and `host` are not used.
+  ModbusBus(std::string name, std::shared_ptr<SerialTransport> line, ModbusConfig config);
 
   /// SetupError (bad-argument): no unit of 1 to 247.
   ModbusDevice device(const ModbusDevice::Place& place) const;

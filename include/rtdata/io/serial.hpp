@@ -15,9 +15,10 @@
 ///   /dev/serial/by-id/... finds an adapter wherever it is plugged in.
 /// - Several devices on one line (RS-485) share the port and its lane: one request at a time.
 ///
-/// Errors: timed-out (no answer, or not all of it), disconnected (the adapter was unplugged), does-not-fit (no
-/// delimiter within the most bytes), closed (of a job that was given up), and of opening: not-found, not-permitted,
-/// busy (who has it is named), bad-argument (no serial line), out-of-range (it cannot do these settings).
+/// Errors: timed-out (no answer, or not all of it; an earlier one may still come for longer than a reading may take),
+/// disconnected (the adapter was unplugged), does-not-fit (no delimiter within the most bytes), closed (of a job that
+/// was given up), and of opening: not-found, not-permitted, busy (who has it is named), bad-argument (no serial line),
+/// out-of-range (it cannot do these settings).
 ///
 /// Thread: SerialPort: any. SerialDevice: one at a time.
 #pragma once
@@ -48,8 +49,6 @@ class SerialTransport {
   virtual Result<void> write(std::span<const std::uint8_t> bytes, Duration timeout) = 0;
   /// As soon as there are some; 0: none came in time.
   virtual Result<std::size_t> read(std::span<std::uint8_t> bytes, Duration timeout) = 0;
-  /// What has come and was not read is dropped.
-  virtual Result<void> drop_input() = 0;
 };
 
 struct SerialPortConfig {
@@ -93,14 +92,19 @@ class SerialDevice : public BusDevice {
   Result<std::string> read_until(char delimiter, std::optional<Duration> timeout = {}, std::size_t most = 4096);
   /// Reads what has come, or waits for what comes first: at least one byte, as many as fit.
   Result<std::size_t> read_some(std::span<std::uint8_t> bytes, std::optional<Duration> timeout = {});
-  /// Drops what came unasked or too late, sends the request, and reads all of the answer.
+  /// Drops what came unasked or too late, sends the request, and reads all of the answer. After an answer that did not
+  /// come, or that was distrusted, it first waits until that can no longer come: for as long again as `answer_timeout`,
+  /// at least a second, or as late as answers have come; and after any, until the line has been still for 20 ms.
   Result<void> transact(std::span<const std::uint8_t> request, std::span<std::uint8_t> answer,
                         std::optional<Duration> timeout = {});
   /// The same with an answer that ends with a delimiter.
   Result<std::string> transact(std::string_view request, char delimiter, std::optional<Duration> timeout = {},
                                std::size_t most = 4096);
-  /// Drops what has come and was not read.
+  /// Drops what has come and was not read, and waits as `transact` does: for a request that is written by hand.
   Result<void> drop_input();
+  /// What came last makes no sense: the right answer may still come, and is not to be taken for the next one's. Done
+  /// for a driver whose reading is unreadable (driver.hpp).
+  void distrust();
   /// Whether the port can be opened.
   Result<void> look_at();
 

@@ -254,6 +254,10 @@ class DriverDevice final : public detail::LaneDevice {
       is_open = true;
       return {};
     }
+    /// What came makes no sense: where answers have no numbers, the right one may still come.
+    void distrust() {
+      if constexpr (requires { device.distrust(); }) device.distrust();
+    }
     /// One reading, of which nothing is kept: is the chip there, and does it make sense?
     Result<void> try_it() {
       for (bool goes_on = true; goes_on;) {
@@ -263,7 +267,10 @@ class DriverDevice final : public detail::LaneDevice {
         }
         Reading<Value> reading(driver.read(device));
         if (Error* error = reading.error()) return std::move(*error);
-        if (Unreadable* unreadable = reading.unreadable()) return std::move(unreadable->error);
+        if (Unreadable* unreadable = reading.unreadable()) {
+          distrust();
+          return std::move(unreadable->error);
+        }
         goes_on = false;
         if constexpr (requires { driver.goes_on(); }) goes_on = driver.goes_on();
       }
@@ -320,6 +327,7 @@ class DriverDevice final : public detail::LaneDevice {
         if constexpr (has_start) return start();
       }
       result = guarded("read() of the driver threw", [this] { return read(); });
+      if (!samples.unreadable_.empty() || (!result && result.error().code == Errc::bad_data)) session->distrust();
       if constexpr (has_start && requires(const D& driver) { driver.goes_on(); }) {
         if (result && session->driver.goes_on()) return start();
       }

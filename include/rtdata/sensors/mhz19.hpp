@@ -55,6 +55,9 @@ class MhZ19 {
     constexpr std::array<std::uint8_t, 9> request{0xff, 0x01, 0x86, 0, 0, 0, 0, 0, 0x79};
     std::array<std::uint8_t, 9> answer{};
     if (auto done = line.transact(request, answer); !done) return std::move(done).error();
+    if (answer == request)
+      return Unreadable{line.error(Errc::bad_data, "cannot read the MH-Z19", "it sends back what was asked",
+                                   "switch off the echo of the adapter, or look whether its RX and TX are joined")};
     Result<Co2Reading> reading = decode(answer);
     if (!reading) {
       const Error& e = reading.error();

@@ -98,8 +98,15 @@ Reading<DescribedValue> Query::read(SerialDevice& line) {
     answer = line.read_until(config_.answer_end, {}, longest_answer);
   }
   if (!answer) return std::move(answer).error();
-  std::string_view text = *answer;
-  if (!text.empty() && text.back() == '\r') text.remove_suffix(1);
+  const auto without_end = [this](std::string_view of) {
+    if (of.ends_with(config_.answer_end)) of.remove_suffix(1);
+    if (of.ends_with('\r')) of.remove_suffix(1);
+    return of;
+  };
+  const std::string_view text = without_end(*answer);
+  if (text == without_end(request_))
+    return Unreadable{line.error(Errc::bad_data, "cannot use an answer", "it sends back what was asked",
+                                 "switch its echo off, or that of the adapter, or set `skip_lines` to 1")};
   detail::LineDecoder& decoder = decoding_->decoder;
   if (auto done = decoder.decode(text); !done) {
     const Error& e = done.error();
