@@ -154,6 +154,13 @@ TEST_SUITE("app") {
     CHECK(has(verdict(none, {}), "1 event; 1 waits in a recording to be sent; ledger"));
     none.waiting = 12;
     CHECK(has(verdict(none, {}), "1 event; 12 wait in a recording to be sent; ledger"));
+    none.waiting = 0;
+    none.first_lines = 1;
+    none.topics = {{.topic = "button", .first_lines = 1}};
+    CHECK(verdict(none, {}) == "nothing lost: 1 event; 1 first line thrown away (button); ledger balances");
+    none.first_lines = 3;
+    none.topics.push_back({.topic = "board", .first_lines = 2});
+    CHECK(verdict(none, {}) == "nothing lost: 1 event; 3 first lines thrown away (board 2, button 1); ledger balances");
   }
 
   TEST_CASE("US-32 the table at the end says of each sink what waits for its peer, and for how long") {

@@ -82,6 +82,16 @@ TEST_SUITE("app") {
     CHECK(lines[at + 2].starts_with("s2 "));
   }
 
+  TEST_CASE("US-5 top says that the first line of a port was thrown away") {
+    Json of = status(2, 1);
+    of["sensors"][0]["first_lines"] = 2;
+    const std::vector<std::string> lines = shown(of, 40);
+    const std::size_t at = line_of(lines, "s1 ");
+    REQUIRE(at + 2 < lines.size());
+    CHECK(lines[at + 1] == "  - 2 first lines thrown away");
+    CHECK(lines[at + 2].starts_with("s2 "));
+  }
+
   TEST_CASE("NFR-5 top has all where there is room, and without callbacks and parts where there is less") {
     const std::vector<std::string> all = shown(status(3, 1), 40);
     CHECK(line_of(all, "s3 ") < all.size());

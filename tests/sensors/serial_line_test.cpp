@@ -7,8 +7,10 @@
 #include <fstream>
 #include <map>
 #include <sstream>
+#include <thread>
 #include <utility>
 
+#include "has.hpp"
 #include "io/tty.hpp"
 #include "paths.hpp"
 #include "rtdata/config/format.hpp"
@@ -22,9 +24,11 @@
 #include "sensors/pty.hpp"
 #include "sensors/serial/line_decoder.hpp"
 #include "sensors/termios2.hpp"
+#include "sinks/sqlite/database.hpp"
 
 using namespace rtdata;
 using namespace rtdata::literals;
+using rtdata::test::has;
 
 TEST_SUITE_BEGIN("sensors" * doctest::skip(!terminals_can_be_set_up()));
 
@@ -365,9 +369,74 @@ TEST_CASE("US-5 lines come out as events, the half line at the start does not") 
   CHECK(bench.errors.empty());
   CHECK(bench.sensor.counts().received == 3);
   CHECK(bench.sensor.counts().published == 3);
+  CHECK(bench.sensor.counts().first_lines == 1);
   CHECK(!bench.sensor.counts().lost_is_known);
   CHECK(bench.sensor.counts().balances());
   CHECK(std::is_sorted(bench.times.begin(), bench.times.end()));
+}
+
+TEST_CASE("US-5 the first line is kept where nothing came for 100 ms after the opening, or is thrown away and told") {
+  SerialLineBench button;
+  button.run("", [&, end = MonotonicTime{}]() mutable {
+    if (end == MonotonicTime{}) end = button.loop.now() + 150ms;
+    return button.loop.now() >= end;
+  });
+  button.run("1\n0\n", 2);
+  CHECK(button.events == Texts{"1", "0"});
+  CHECK(button.sensor.counts().first_lines == 0);
+
+  SerialLineBench slow;  // half of a line, and the rest later
+  slow.run("5", [&, end = MonotonicTime{}]() mutable {
+    if (end == MonotonicTime{}) end = slow.loop.now() + 150ms;
+    return slow.loop.now() >= end;
+  });
+  slow.run("0\n2\n", 1);
+  CHECK(slow.events == Texts{"2"});
+  CHECK(slow.sensor.counts().first_lines == 1);
+
+  SerialLineBench held;  // when it came is not known
+  held.pty.send("50\n");
+  std::this_thread::sleep_for(150ms);
+  held.run("2\n", 1);
+  CHECK(held.events == Texts{"2"});
+  CHECK(held.sensor.counts().first_lines == 1);
+  CHECK_FALSE(held.loop.runtime().has_loss());
+  CHECK(held.sensor.counts().balances());
+}
+
+TEST_CASE("US-5 a first line that was thrown away is in the recording, and no loss") {
+  ScratchDirectory folder;
+  const std::string path = folder.file("run.db");
+  const auto record = [&] {
+    SerialLineBench bench;
+    SqliteSink sink(bench.loop, {.path = path});
+    bench.run("5\n1\n2\n", 2);
+    bench.sensor.close();
+    sink.close();
+  };
+  record();
+  const auto first_lines = [&](std::int64_t run) {
+    return Recording::open(path).or_throw().ledger(run).or_throw().at(0).sensor.first_lines;
+  };
+  CHECK(first_lines(1) == 1);
+  const VerifyReport report = verify(Recording::open(path).or_throw()).or_throw();
+  CHECK(report.verdict() == Verdict::balanced);
+  CHECK(report.losses().empty());
+  CHECK(report.runs.at(0).first_lines == std::map<std::string, std::uint64_t>{{"line", 1}});
+  CHECK(has(report.text(), "nothing lost: 2 rows"));
+  CHECK(has(report.text(), "1 first line of line thrown away: the port was opened in the middle of a line"));
+  CHECK(has(report.to_json(), R"("first_lines": {)"));
+  CHECK(summary(Recording::open(path).or_throw(), 1).or_throw().at(0).first_lines == 1);
+
+  // A file that was made before there was such a count is read, and gets it when it is recorded into.
+  sqlite::Database::open(path, sqlite::Database::Mode::write)
+      .or_throw()
+      .execute("ALTER TABLE rtdata_ledger DROP COLUMN first_lines")
+      .or_throw();
+  CHECK(first_lines(1) == 0);
+  record();
+  CHECK(first_lines(1) == 0);
+  CHECK(first_lines(2) == 1);
 }
 
 TEST_CASE("US-5 the first lines can be kept, or skipped as a heading") {

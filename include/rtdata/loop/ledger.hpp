@@ -47,6 +47,8 @@ struct SensorCounts {
   std::uint64_t unreadable = 0;  ///< came, and could not be decoded
   std::uint64_t lost = 0;        ///< numbered by the source, and never came
   std::uint64_t in_flight = 0;   ///< reads begun and not finished: 0 or 1
+  /// Beginnings thrown away, of lines in whose middle a port was opened: no loss, and in no equation.
+  std::uint64_t first_lines = 0;
 
   bool balances() const noexcept {
     return scheduled == taken + missed + failed + in_flight && received == published + repeated + filtered + unreadable;

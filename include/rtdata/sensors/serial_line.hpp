@@ -17,8 +17,8 @@
 ///   or 0, in upper or lower case. A byte order mark at the beginning does not count.
 /// - A line ends with a newline, a carriage return before it does not count. Empty lines and those that begin with
 ///   `comment` are skipped, as are the first `skip_lines` lines after opening.
-/// - What comes up to the first newline after opening is thrown away, since it may be half a line, unless `first_line`
-///   is `keep`. It is not counted.
+/// - What comes up to the first newline after opening is thrown away, since it may be half a line, and counted
+///   (`SensorCounts::first_lines`), unless `first_line` is `keep`, or no byte came for 100 ms after the opening.
 /// - A line that cannot be used (columns missing, no number, out of its type's range, longer than `max_line`) is
 ///   counted as unreadable and reported, and costs no other line anything.
 /// - `sequence_field` names an integer by which the device numbers its lines: jumps are counted as lost, less the lines

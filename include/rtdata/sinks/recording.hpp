@@ -390,10 +390,11 @@ struct TopicSummary {
   bool has_lateness = false;
   Duration lateness_p50{0}, lateness_p99{0}, lateness_max{0};
   std::uint64_t missed = 0, failed = 0, unreadable = 0, dropped = 0, late = 0;
-  std::uint64_t repeated = 0;  ///< the source itself had nothing new; no loss
-  std::uint64_t pruned = 0;    ///< stored, and deleted again by `max_age` or `max_bytes`; reached_hertz counts them
-  Outages outages;             ///< of origins without a schedule
-  bool is_complete = false;    ///< those counts are of the whole run; else up to its last account
+  std::uint64_t repeated = 0;     ///< the source itself had nothing new; no loss
+  std::uint64_t first_lines = 0;  ///< no loss: as of SensorCounts
+  std::uint64_t pruned = 0;       ///< stored, and deleted again by `max_age` or `max_bytes`; reached_hertz counts them
+  Outages outages;                ///< of origins without a schedule
+  bool is_complete = false;       ///< those counts are of the whole run; else up to its last account
   std::optional<std::uint64_t> lost;  ///< none: the sources number nothing
   std::optional<Time> first, last;    ///< none without rows
 };

@@ -25,6 +25,7 @@
 #pragma once
 
 #include <cstdint>
+#include <map>
 #include <string>
 #include <vector>
 
@@ -72,13 +73,14 @@ struct RunReport {
   Verdict verdict = Verdict::balanced;
   std::uint64_t rows = 0, offered = 0, stored = 0, dropped = 0, unsaved = 0, pruned = 0;
   std::uint64_t scheduled = 0, missed = 0, failed = 0, late = 0;
-  std::uint64_t received = 0, unreadable = 0;   ///< before format 5: 0
-  std::optional<std::uint64_t> lost_by_source;  ///< none: no source numbers its data
-  std::uint64_t values_checked = 0;             ///< rows whose values agree with their checksum
-  std::size_t origins = 0, gaps = 0;            ///< outages are gaps, too
-  std::vector<OriginOutages> outages;           ///< of each origin that had some, the longest first
-  std::vector<TopicLoss> losses;                ///< of each topic that lost something, the most first
-  std::vector<std::string> not_known;           ///< of what it is not known whether it was lost; empty: all is known
+  std::uint64_t received = 0, unreadable = 0;        ///< before format 5: 0
+  std::optional<std::uint64_t> lost_by_source;       ///< none: no source numbers its data
+  std::map<std::string, std::uint64_t> first_lines;  ///< by topic; no loss: as of SensorCounts
+  std::uint64_t values_checked = 0;                  ///< rows whose values agree with their checksum
+  std::size_t origins = 0, gaps = 0;                 ///< outages are gaps, too
+  std::vector<OriginOutages> outages;                ///< of each origin that had some, the longest first
+  std::vector<TopicLoss> losses;                     ///< of each topic that lost something, the most first
+  std::vector<std::string> not_known;  ///< of what it is not known whether it was lost; empty: all is known
   /// Topics of which some source has no schedule and numbers nothing: what it lost itself is not detectable.
   std::vector<std::string> not_detectable;
   std::vector<std::string> problems;  ///< a sentence each; the first 100

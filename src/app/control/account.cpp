@@ -30,6 +30,7 @@ RunAccount account_of(Runtime& runtime) {
     topic->failed += sensor.counts.failed;
     topic->unreadable += sensor.counts.unreadable;
     topic->lost += sensor.counts.lost;
+    topic->first_lines += sensor.counts.first_lines;
     topic->outages.add(sensor.outages);
     account.outages.add(sensor.outages);
     if (sensor.counts.published + sensor.counts.repeated + sensor.counts.filtered == 0) {
@@ -46,6 +47,7 @@ RunAccount account_of(Runtime& runtime) {
     account.failed += sensor.counts.failed;
     account.unreadable += sensor.counts.unreadable;
     account.lost += sensor.counts.lost;
+    account.first_lines += sensor.counts.first_lines;
   }
   account.sinks = runtime.sinks();
   const detail::RuntimeCore& core = runtime.core();
@@ -124,11 +126,12 @@ std::string verdict(const RunAccount& account, const Ending& ending) {
     if (topics.size() > most_names) names += " and " + std::to_string(topics.size() - most_names) + " more";
     return names;
   };
+  const auto topics_of = [&](std::uint64_t TopicAccount::*member) {
+    return worst([member](const TopicAccount& topic) { return topic.*member; },
+                 [member](const TopicAccount& topic) { return std::to_string(topic.*member); });
+  };
   const auto count = [&](std::uint64_t TopicAccount::*member, std::uint64_t sum, const char* one, const char* many) {
-    if (sum == 0) return;
-    add(std::to_string(sum) + " " + (sum == 1 ? one : many),
-        worst([member](const TopicAccount& topic) { return topic.*member; },
-              [member](const TopicAccount& topic) { return std::to_string(topic.*member); }));
+    if (sum > 0) add(std::to_string(sum) + " " + (sum == 1 ? one : many), topics_of(member));
   };
   count(&TopicAccount::missed, account.missed, "tick missed", "ticks missed");
   count(&TopicAccount::failed, account.failed, "tick failed", "ticks failed");
@@ -170,6 +173,10 @@ std::string verdict(const RunAccount& account, const Ending& ending) {
   if (account.waiting > 0)
     text += "; " + std::to_string(account.waiting) + (account.waiting == 1 ? " waits" : " wait") +
             " in a recording to be sent";
+  if (account.first_lines > 0)
+    text += "; " + std::to_string(account.first_lines) +
+            (account.first_lines == 1 ? " first line thrown away (" : " first lines thrown away (") +
+            topics_of(&TopicAccount::first_lines) + ")";
   if (!ending.unknown.empty()) return text;
   text += ending.balances ? "; ledger balances" : "; the ledger does NOT balance";
   if (!account.not_detectable.empty())

@@ -19,7 +19,8 @@ struct TopicAccount {
   std::uint64_t failed = 0;
   std::uint64_t unreadable = 0;
   std::uint64_t lost = 0;
-  std::uint64_t dropped = 0;  ///< by sinks
+  std::uint64_t dropped = 0;      ///< by sinks
+  std::uint64_t first_lines = 0;  ///< no loss
   Outages outages = {};
   Health health = Health::ok;  ///< the worst of its sensors'
   std::string reason = {};
@@ -36,7 +37,8 @@ struct RunAccount {
   };
   std::vector<Files> closed_sinks;
   std::uint64_t events = 0, late = 0, missed = 0, failed = 0, unreadable = 0, lost = 0, dropped = 0, queued = 0;
-  std::uint64_t waiting = 0;  ///< in recordings, to be sent
+  std::uint64_t waiting = 0;      ///< in recordings, to be sent
+  std::uint64_t first_lines = 0;  ///< no loss
   Outages outages = {};
   std::vector<std::string> mute;  ///< sensors that never gave an event
   /// Sinks that go through a recording and could not look into it, with the reason: what waits for them is not known.

@@ -135,6 +135,7 @@ std::string StatusSource::text(const Snapshot& now, const Snapshot* before) {
     one["repeated"] = counts.repeated;
     one["outages"] = sensor.outages.number;
     one["outage_time_s"] = std::chrono::duration<double>(sensor.outages.time).count();
+    one["first_lines"] = counts.first_lines;
     one["lost"] = counts.lost_is_known ? Json(counts.lost) : Json();
     one["lateness_ns"] = seen.lateness != nullptr ? lateness_json(*seen.lateness) : Json();
     one["health"] = health_json(sensor.health, sensor.reason);

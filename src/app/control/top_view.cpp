@@ -157,6 +157,9 @@ std::vector<Block> sensors_of(const Json& status, std::string& heading, std::siz
       block.lines.push_back("  - " + std::to_string(lost) + " lost by the source");
     if (const std::uint64_t repeated = count("repeated"); repeated > 0)
       block.lines.push_back("  - " + std::to_string(repeated) + " repeated by the source, which is no loss");
+    if (const std::uint64_t thrown = count("first_lines"); thrown > 0)
+      block.lines.push_back("  - " + std::to_string(thrown) + (thrown == 1 ? " first line" : " first lines") +
+                            " thrown away");
     if (const std::uint64_t number = count("outages"); number > 0) {
       const std::chrono::duration<double> time(sensor.value("outage_time_s", 0.0));
       block.lines.push_back("  - " + to_string(Outages{number, std::chrono::duration_cast<Duration>(time)}));

@@ -74,6 +74,7 @@ void print_table(const std::vector<TopicSummary>& topics, std::ostream& out) {
     add(topic.unreadable, "unreadable");
     add(topic.late, "late");
     add(topic.lost.value_or(0), "lost by the source");
+    add(topic.first_lines, topic.first_lines == 1 ? "first line thrown away" : "first lines thrown away");
     if (topic.outages.number != 0) losses += (losses.empty() ? "" : ", ") + to_string(topic.outages);
     if (topic.pruned != 0)
       losses += (losses.empty() ? "" : ", ") + std::to_string(topic.pruned) +
@@ -141,6 +142,7 @@ Json json_of(const TopicSummary& topic) {
             {"unreadable", topic.unreadable},
             {"repeated", topic.repeated},
             {"dropped", topic.dropped},
+            {"first_lines", topic.first_lines},
             {"pruned", topic.pruned},
             {"outages", topic.outages.number},
             {"outage_time_ns", topic.outages.time.count()},

@@ -1,5 +1,6 @@
 #include "rtdata/sensors/serial_line.hpp"
 
+#include <sys/ioctl.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -26,6 +27,8 @@ namespace {
 constexpr std::size_t most_read = 1024;
 // So many bytes without the end of a line are none of a device that sends lines at this speed.
 constexpr std::size_t least_unended = 4096;
+// A device that was silent for so long after the opening was not in the middle of a line.
+constexpr Duration silence_before_a_line = std::chrono::milliseconds{100};
 
 }  // namespace
 
@@ -37,6 +40,12 @@ class SerialLineNode final : public StreamNode {
         config_(std::move(config)),
         decoder_(std::move(decoder)) {
     line_.reserve(config_.max_line + most_read);
+    if (config_.first_line == FirstLine::discard) {
+      quiet_ = Timer(loop.face, [this] {
+        int waiting = 0;
+        if (fd_ >= 0 && unended_ == 0 && ::ioctl(fd_, FIONREAD, &waiting) == 0 && waiting == 0) is_first_ = false;
+      });
+    }
     if (decoder_ != nullptr) {
       origin_.counts.lost_is_known = decoder_->has_sequence();
       if (decoder_->has_sequence()) {
@@ -97,6 +106,7 @@ class SerialLineNode final : public StreamNode {
     is_unended_told_ = false;
     opened();
     is_first_ = config_.first_line == FirstLine::discard;
+    if (is_first_) quiet_.start(silence_before_a_line);
     is_beginning_ = true;
     lines_to_skip_ = config_.skip_lines;
     watch_ = FdWatch(loop()->face, fd_, FdWatch::readable, object_name(),
@@ -119,6 +129,7 @@ class SerialLineNode final : public StreamNode {
   }
   void on_close() noexcept override {
     hold_.close();
+    quiet_.close();
     if (std::exchange(held_.is_there, false)) {
       origin_.counts.lost += held_.lost;
       take_sample(held_.payload(), held_.time);
@@ -176,6 +187,7 @@ class SerialLineNode final : public StreamNode {
       if (std::exchange(is_beginning_, false) && line.starts_with(byte_order_mark))
         line.remove_prefix(byte_order_mark.size());
       if (std::exchange(is_first_, false)) {
+        ++origin_.counts.first_lines;
         is_overlong_ = false;
       } else if (!std::exchange(is_overlong_, false)) {
         take_line(line);
@@ -343,6 +355,7 @@ class SerialLineNode final : public StreamNode {
   };
   Held held_;
   Timer hold_;
+  Timer quiet_;  // since the opening
   FdWatch watch_;
   int fd_ = -1;
   std::string line_;  // the bytes of the lines that are not complete, never more than max_line + most_read

@@ -14,7 +14,7 @@ namespace {
 
 /// What was counted from `before` on; what is in flight is so now.
 SensorCounts since(const SensorCounts& before, SensorCounts now) {
-  static_assert(sizeof now == 13 * sizeof(std::uint64_t) + 8, "each count but in_flight is here");
+  static_assert(sizeof now == 14 * sizeof(std::uint64_t) + 8, "each count but in_flight is here");
   now.scheduled -= before.scheduled;
   now.taken -= before.taken;
   now.published -= before.published;
@@ -27,6 +27,7 @@ SensorCounts since(const SensorCounts& before, SensorCounts now) {
   now.filtered -= before.filtered;
   now.unreadable -= before.unreadable;
   now.lost -= before.lost;
+  now.first_lines -= before.first_lines;
   return now;
 }
 

@@ -335,7 +335,9 @@ Result<void> copy_accounts(Connection& connection, const AccountCopy& copy) {
   const sqlite::Database& database = *opened;
   auto version = database.integer("PRAGMA user_version");
   if (!version) return std::move(version).error();
-  if (*version != sqlite::schema_version) return {};
+  auto has_first_lines = database.integer(sqlite::has_first_lines);
+  if (!has_first_lines) return std::move(has_first_lines).error();
+  if (*version != sqlite::schema_version || *has_first_lines == 0) return {};  // an older one's
   auto columns = account_columns();
   if (!columns) return std::move(columns).error();
   if (auto made = make_tables(connection, *columns); !made) return made;

@@ -32,8 +32,8 @@ Result<void> AccountWriter::prepare(Database& database, std::int64_t run, const 
        "late, received, "
        "published, repeated, filtered, lost, offered, stored, dropped_newest, dropped_oldest, dropped_refused, "
        "first_sequence, "
-       "last_sequence, rows_up_to, carried, unreadable, one_a_read, lateness) "
-       "VALUES(?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?) "
+       "last_sequence, rows_up_to, carried, unreadable, one_a_read, lateness, first_lines) "
+       "VALUES(?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?) "
        "ON CONFLICT(run, topic, origin) DO UPDATE SET slot=excluded.slot, has_schedule=excluded.has_schedule, "
        "scheduled=excluded.scheduled, taken=excluded.taken, missed=excluded.missed, failed=excluded.failed, "
        "in_flight=excluded.in_flight, late=excluded.late, received=excluded.received, published=excluded.published, "
@@ -43,7 +43,7 @@ Result<void> AccountWriter::prepare(Database& database, std::int64_t run, const 
        "dropped_refused=excluded.dropped_refused, "
        "first_sequence=excluded.first_sequence, last_sequence=excluded.last_sequence, rows_up_to=excluded.rows_up_to, "
        "carried=excluded.carried, unreadable=excluded.unreadable, one_a_read=excluded.one_a_read, "
-       "lateness=excluded.lateness"},
+       "lateness=excluded.lateness, first_lines=excluded.first_lines"},
       {schedule_,
        "INSERT INTO rtdata_schedule(run, origin, topic, first_due, period, end, scheduled, late_after) "
        "VALUES(?,?,?,?,?,?,?,?) "
@@ -138,6 +138,11 @@ Result<void> AccountWriter::write(const Batch& batch, const Account& account, co
     ledger_.bind(24, last_row_of(slot, tables)).bind(25, as_integer(origin.carried));
     ledger_.bind(26, as_integer(s.unreadable)).bind(27, std::int64_t{s.has_schedule && s.is_one_a_read});
     ledger_.bind(28, as_integer(s.lateness));
+    if (s.first_lines != 0) {
+      ledger_.bind(29, as_integer(s.first_lines));
+    } else {
+      ledger_.bind_null(29);
+    }
     if (auto done = ledger_.run(); !done) return done;
     if (origin.segment.scheduled > 0) {  // one without ticks says nothing, and another may begin before its first
       if (auto done = put_segment(slot, origin.segment); !done) return done;

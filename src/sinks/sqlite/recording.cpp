@@ -223,6 +223,9 @@ Result<std::vector<LedgerEntry>> Recording::ledger(std::int64_t run) const {
   const std::string carried = *version < sqlite::first_version_of_own_account ? "0" : "carried";
   const std::string since_5 = *version < sqlite::first_version_of_own_data_account ? "0, 0, 0"
                                                                                    : "unreadable, one_a_read, lateness";
+  auto has_first_lines = file_->database.integer(sqlite::has_first_lines);
+  if (!has_first_lines) return std::move(has_first_lines).error();
+  const std::string first_lines = *has_first_lines == 0 ? ", NULL" : ", first_lines";
   return all<LedgerEntry>(
       *file_,
       "SELECT topic, origin, has_schedule, scheduled, taken, missed, failed, in_flight, late, received, published, "
@@ -230,7 +233,7 @@ Result<std::vector<LedgerEntry>> Recording::ledger(std::int64_t run) const {
       " filtered, lost, offered, stored, dropped_newest, dropped_oldest, dropped_refused, dropped_unsaved, "
       "first_sequence,"
       " last_sequence, pruned, rows_up_to, " +
-          carried + ", " + since_5 + " FROM rtdata_ledger WHERE run = ? ORDER BY topic, origin",
+          carried + ", " + since_5 + first_lines + " FROM rtdata_ledger WHERE run = ? ORDER BY topic, origin",
       run, [](const Statement& row) {
         LedgerEntry entry;
         entry.topic = string_of(row, 0);
@@ -250,7 +253,8 @@ Result<std::vector<LedgerEntry>> Recording::ledger(std::int64_t run) const {
         entry.carried = count_of(row, column++);
         sensor.unreadable = count_of(row, column++);
         sensor.is_one_a_read = row.integer(column++) != 0;
-        sensor.lateness = count_of(row, column);
+        sensor.lateness = count_of(row, column++);
+        sensor.first_lines = count_of(row, column);
         return entry;
       });
 }

@@ -78,6 +78,7 @@ CREATE TABLE IF NOT EXISTS rtdata_ledger(
   unreadable INTEGER NOT NULL DEFAULT 0,       -- received and not to be decoded
   one_a_read INTEGER NOT NULL DEFAULT 0,       -- each read taken brought one sample, with the time at which it began
   lateness INTEGER NOT NULL DEFAULT 0,         -- of what was published, time minus when its read was due, summed mod 2^64
+  first_lines INTEGER,                         -- thrown away, since a port was opened in their middle; NULL: none
   PRIMARY KEY(run, topic, origin)) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS rtdata_gap(
   run INTEGER NOT NULL, topic TEXT NOT NULL, origin TEXT NOT NULL,
@@ -164,5 +165,10 @@ inline constexpr const char* health_from_version_4 = R"sql(
 ALTER TABLE rtdata_health ADD COLUMN count INTEGER NOT NULL DEFAULT 1;
 ALTER TABLE rtdata_health ADD COLUMN last INTEGER NOT NULL DEFAULT 0;
 )sql";
+
+/// Files of version 5 lack it that were made before it was.
+inline constexpr const char*
+    has_first_lines = "SELECT count(*) FROM pragma_table_info('rtdata_ledger') WHERE name = 'first_lines'";
+inline constexpr const char* add_first_lines = "ALTER TABLE rtdata_ledger ADD COLUMN first_lines INTEGER";
 
 }  // namespace rtdata::sqlite

@@ -169,6 +169,7 @@ Result<std::vector<TopicSummary>> summary(const Recording& recording, std::int64
     sum.unreadable += entry.sensor.unreadable;
     sum.repeated += entry.sensor.repeated;
     sum.late += entry.sensor.late;
+    sum.first_lines += entry.sensor.first_lines;
     sum.dropped += entry.dropped();
     sum.pruned += entry.pruned;
     if (!entry.sensor.has_schedule)

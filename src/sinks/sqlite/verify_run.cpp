@@ -343,6 +343,7 @@ void add_up(RunReport& report, const LedgerEntry& entry) {
   report.late += entry.sensor.late;
   if (report.info.format >= sqlite::first_version_of_own_data_account) report.received += entry.sensor.received;
   report.unreadable += entry.sensor.unreadable;
+  if (entry.sensor.first_lines != 0) report.first_lines[entry.topic] += entry.sensor.first_lines;
   if (entry.sensor.lost_is_known) report.lost_by_source = report.lost_by_source.value_or(0) + entry.sensor.lost;
 }
 

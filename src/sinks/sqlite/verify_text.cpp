@@ -187,6 +187,7 @@ nlohmann::ordered_json json_of(const RunReport& run) {
   json["late"] = run.late;
   json["received"] = run.received;
   json["unreadable"] = run.unreadable;
+  json["first_lines"] = run.first_lines;
   json["gaps"] = run.gaps;
   json["outages"] = nlohmann::ordered_json::array();
   for (const OriginOutages& one : run.outages) json["outages"].push_back(json_of(one));
@@ -250,6 +251,9 @@ std::string VerifyReport::text() const {
     if (!run.outages.empty()) wrap(out, "  ", (run.scheduled == 0 ? gaps + ": " : "") + outages_text(run.outages));
     if (run.unreadable != 0)
       wrap(out, "  ", n(run.received) + " received, " + n(run.unreadable) + " of them unreadable");
+    for (const auto& [topic, count] : run.first_lines)
+      wrap(out, "  ",
+           counted(count, "first line") + " of " + topic + " thrown away: the port was opened in the middle of a line");
     for (const std::string& problem : run.problems) wrap(out, "  ! ", problem);
     if (run.more_problems != 0) wrap(out, "  ! ", n(run.more_problems) + " more problems.");
     for (const std::string& note : run.notes) wrap(out, "  - ", note);
