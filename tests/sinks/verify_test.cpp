@@ -264,8 +264,8 @@ TEST_CASE(
       loop.runtime().on_log([](const LogRecord&) {});
       SqliteSink sink, aside;
       const auto make_sinks = [&] {
-        sink = SqliteSink(loop, {.path = path, .topics = {"tenth", "trig", "alarm"}});
-        aside = SqliteSink(loop, {.path = other, .topics = {"alone"}});
+        sink = SqliteSink(loop, {.path = path, .sink = {.topics = {"tenth", "trig", "alarm"}}});
+        aside = SqliteSink(loop, {.path = other, .sink = {.topics = {"alone"}}});
       };
       Feed<Climate> daq;
       Sensor<Climate> adc, alone;
