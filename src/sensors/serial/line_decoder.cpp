@@ -213,18 +213,20 @@ Result<void> LineDecoder::decode(std::string_view line) {
 
 /// What is probably meant by a line that is not as it was expected.
 std::string LineDecoder::advice_on(std::string_view line) const {
+  const auto columns_by = [&](char separator) {
+    return static_cast<std::size_t>(std::count(line.begin(), line.end(), separator)) + 1;
+  };
   for (const char other : {';', ',', '\t', '|', ' '}) {
-    const auto count = static_cast<std::size_t>(std::count(line.begin(), line.end(), other));
-    if (other == separator_ || columns_ < 2 || count + 1 != columns_) continue;
+    if (columns_ < 2 || columns_by(separator_) == columns_ || columns_by(other) != columns_) continue;
     return std::string("it seems to be separated by ") +
            (other == '\t'  ? "tabs"
             : other == ' ' ? "blanks"
                            : "\"" + std::string(1, other) + "\"") +
            ": set `separator`";
   }
-  const bool is_text = std::none_of(fields_.begin(), fields_.end(),
-                                    [](const LineField& field) { return field.type == Kind::text; });
-  if (is_text && !line.empty() && std::isalpha(static_cast<unsigned char>(line.front())) != 0)
+  const bool is_numeric = std::none_of(fields_.begin(), fields_.end(),
+                                       [](const LineField& field) { return field.type == Kind::text; });
+  if (is_numeric && !line.empty() && std::isalpha(static_cast<unsigned char>(line.front())) != 0)
     return std::string(check_fields) + "; a greeting or a heading is left out by `skip_lines` or `comment`";
   return check_fields;
 }
