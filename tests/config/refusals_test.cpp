@@ -36,6 +36,7 @@ const std::map<std::string, std::string> right_sensors{
     {"limit", R"({"name": "s", "type": "limit", "on": "other", "field": "tasks", "high": 100})"},
     {"derived", R"({"name": "s", "type": "derived", "on": "other", "expression": "running + 1"})"},
     {"trigger", R"({"name": "s", "type": "trigger", "on": "other", "when": "running > 1"})"},
+    {"vertical", R"({"name": "s", "type": "vertical", "barometer": "other", "height": "running"})"},
     {"lm75", R"({"name": "s", "type": "lm75", "rate": "10 Hz", "bus": "i2c1"})"},
     {"mcp3x08", R"({"name": "s", "type": "mcp3x08", "rate": "10 Hz", "bus": "spi0"})"},
     {"sht", R"({"name": "s", "type": "sht", "rate": "10 Hz", "bus": "i2c1"})"},

@@ -229,6 +229,7 @@ def tests_of(identifier, names):
 NOT_TRIED = {
     "AnySensor": "the base of sensors",
     "AnyFeed": "the base of feeds",
+    "VerticalSensor": "a FeedNode as that of LimitSensor; vertical_test.cpp tries it",
     "PpsSensor": "opened and closed by SourceNode, as GpsSensor is; sensor_contract_test.cpp tries it",
     "MqttSensor": "opened and closed by StreamNode, as GpsSensor is; mqtt_sensor_test.cpp tries it",
     "IioBufferSensor": "opened and closed by SourceNode, as GpsSensor is; sensor_contract_test.cpp tries it",

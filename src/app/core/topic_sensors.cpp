@@ -2,6 +2,7 @@
 #include "rtdata/sensors/derived.hpp"
 #include "rtdata/sensors/limit.hpp"
 #include "rtdata/sensors/trigger.hpp"
+#include "rtdata/sensors/vertical.hpp"
 
 namespace rtdata::app {
 
@@ -40,6 +41,14 @@ void add_topic_sensors(Registry& registry) {
         for (const char* key :
              {"low_low", "low", "high", "high_high", "hysteresis", "delay", "latched", "silence", "join"})
           plan.live[key] = [config](const PartObject& part) { part.as<LimitSensor>()->change(config); };
+      });
+  registry.add_sensor<VerticalConfig>(
+      "vertical", "height, vertical speed and acceleration, of a barometer and an accelerometer of other topics",
+      [](const VerticalConfig&) { return Result(description_of<VerticalMotion>()); }, makes<VerticalSensor>,
+      [](PartPlan& plan, const VerticalConfig& config) {
+        plan.check_topics = [config](const PartPlan& part, const PartPlan::PayloadOf& payload_of, Problems& problems) {
+          check_vertical_fields(config, payload_of, part.item, problems);
+        };
       });
 }
 

@@ -38,7 +38,8 @@ bool is_same_file(const std::string& a, const std::string& b) {
 
 /// It makes its events of those of other parts.
 bool follows_others(const PartPlan& part) {
-  return part.kind == "machine" || (part.kind == "sensor" && (part.type == "derived" || part.type == "limit"));
+  return part.kind == "machine" ||
+         (part.kind == "sensor" && (part.type == "derived" || part.type == "limit" || part.type == "vertical"));
 }
 
 /// A machine begins in its start state, whatever the recordings of the configuration say.

@@ -1,0 +1,108 @@
+/// VerticalSensor: height, vertical speed and acceleration of something that flies upwards, of a barometer and an
+/// accelerometer that other sensors read, as a topic of its own.
+///
+///     rtdata::VerticalSensor motion(loop, {.name = "motion"},
+///                                   {.barometer = "rocket", .height = "altitude",
+///                                    .accelerometer = "rocket", .acceleration = "acceleration"});
+///
+/// How it estimates: process/vertical_kalman.hpp. Each event of these topics gives one, with its time; where both are
+/// of one topic, one event brings both. A height may be a pressure; units are those of the topics' fields: m, Pa, hPa,
+/// kPa, mbar or bar, of which none is m; [g] or m/s2, of which none is [g]. Another unit, or a field that is not there,
+/// is told, and the event is unreadable. A value that is absent or no number is none, and the estimate goes on without.
+/// It begins anew after `start`.
+///
+/// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's. Takes no memory once it is made.
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <optional>
+#include <string>
+#include <string_view>
+
+#include "rtdata/data/description.hpp"
+#include "rtdata/data/parameter.hpp"
+#include "rtdata/process/vertical_kalman.hpp"
+#include "rtdata/sensors/feed.hpp"
+
+namespace rtdata {
+
+struct VerticalConfig {
+  std::string barometer = {};      ///< a topic; empty: there is none
+  std::string height = {};         ///< path of its field; empty: `value`, or the only number
+  std::string accelerometer = {};  ///< a topic; empty: there is none
+  std::string acceleration = {};   ///< path of its field; empty: as above
+  Duration burn = std::chrono::seconds{7};
+  double noise = 0.5;  ///< m
+  double range = 0;    ///< g; 0: found by itself
+
+  friend constexpr auto parameters(type_tag<VerticalConfig>) {
+    using namespace std::chrono_literals;
+    using C = VerticalConfig;
+    return parameter_list(
+        parameter("barometer", &C::barometer, "its topic; empty: there is none", names_part("topic")),
+        parameter("height", &C::height,
+                  "path of its field, of heights or pressures; default: `value`, or the only number", TextIs::recorded),
+        parameter("accelerometer", &C::accelerometer, "its topic; empty: there is none", names_part("topic")),
+        parameter("acceleration", &C::acceleration,
+                  "path of its field along the axis, 1 g at rest; default: `value`, or the only number",
+                  TextIs::recorded),
+        parameter(
+            "burn", &C::burn,
+            "after the liftoff, while no accelerometer says how fast it is, the barometer is left out for so long",
+            rtdata::range(Duration{0}, Duration{1min})),
+        parameter("noise", &C::noise, "of the barometer, at least; what is more is found by itself", unit("m"),
+                  rtdata::range(0.01, 100.0)),
+        parameter("range", &C::range, "end of the accelerometer's range; 0: found by values that repeat there",
+                  unit("[g]"), rtdata::range(0.0, 1000.0)));
+  }
+};
+
+constexpr auto describe(type_tag<BarometerUse>) {
+  return enumeration("barometer_use", value("none", BarometerUse::none), value("used", BarometerUse::used),
+                     value("locked", BarometerUse::locked), value("refused", BarometerUse::refused));
+}
+
+/// The payload.
+struct VerticalMotion {
+  double height = 0;        ///< m, by the barometer's zero
+  double speed = 0;         ///< m/s, upwards
+  double acceleration = 0;  ///< m/s2, upwards
+  double height_deviation = 0;
+  double speed_deviation = 0;
+  std::optional<double> above{};  ///< m, over where it stood; none: it has not stood still
+  double unchanged = 0;           ///< s for which the barometer has brought nothing new
+  BarometerUse barometer = BarometerUse::none;
+  bool accelerometer = false;  ///< it measures
+  bool flying = false;         ///< from the liftoff on, until it stands still
+
+  friend constexpr auto describe(type_tag<VerticalMotion>) {
+    using M = VerticalMotion;
+    return record("vertical", field("height", &M::height, "m"), field("speed", &M::speed, "m/s"),
+                  field("acceleration", &M::acceleration, "m/s2"), field("height_deviation", &M::height_deviation, "m"),
+                  field("speed_deviation", &M::speed_deviation, "m/s"), field("above", &M::above, "m"),
+                  field("unchanged", &M::unchanged, "s"), field("barometer", &M::barometer),
+                  field("accelerometer", &M::accelerometer), field("flying", &M::flying));
+  }
+};
+VerticalMotion motion_of(const VerticalState& state) noexcept;
+
+/// What no parameter says by itself: one of both topics at least.
+void check_config(const VerticalConfig& config, const ConfigItem& item, Problems& problems);
+/// Whether the topics have such numbers, in units that it knows. `payload_of`: what a topic carries; null: not known,
+/// nothing is said.
+void check_vertical_fields(const VerticalConfig& config,
+                           const std::function<const Description*(std::string_view topic)>& payload_of,
+                           const ConfigItem& item, Problems& problems);
+
+class VerticalSensor : public AnySensor {
+ public:
+  VerticalSensor() noexcept = default;
+  /// SetupError: as `Feed`; bad-argument for a configuration that cannot work.
+  VerticalSensor(Loop& loop, FeedConfig feed, VerticalConfig config);
+
+ private:
+  explicit VerticalSensor(detail::Node* node) noexcept : AnySensor(node) {}
+};
+
+}  // namespace rtdata
