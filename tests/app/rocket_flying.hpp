@@ -64,7 +64,7 @@ class JsonRocket {
     plan_ = plan_system(registry_, std::move(document));
     if (!plan_.good()) throw std::runtime_error(plan_.report());
     std::erase_if(plan_.parts, [](const PartPlan& part) {
-      return part.kind != "machine" && !(part.kind == "sensor" && part.type == "derived");
+      return part.kind != "machine" && !(part.kind == "sensor" && part.type == "vertical");
     });
     for (PartPlan& part : plan_.parts)
       std::erase_if(part.uses, [](const PartUse& use) { return use.kind == "output"; });
