@@ -481,7 +481,8 @@ TEST_SUITE("sinks") {
       CAPTURE(is_trusted);
       Bench bench;
       MqttSink sink(bench.loop,
-                    bench.to(broker.port(), {.tls = TlsConfig{.ca_file = is_trusted ? directory / "cert.pem" : ""}}));
+                    bench.to(broker.port(), {.retain = true,  // nobody is subscribed
+                                             .tls = TlsConfig{.ca_file = is_trusted ? directory / "cert.pem" : ""}}));
       bench.publish(200);
       CHECK(
           bench.wait_for([&] { return is_trusted ? sink.counts().stored == 200 : sink.health() == Health::faulted; }));

@@ -71,7 +71,9 @@ class FeedNode : public SourceNode {
     ++origin_.counts.repeated;
   }
   void lost(std::uint64_t count) {
-    if (is_running_) origin_.counts.lost += count;
+    if (!is_running_) return;
+    origin_.counts.lost += count;
+    set_numbered();  // else recordings would take the number for one that nobody knows
   }
   void set_numbered() { origin_.counts.lost_is_known = true; }
   void check_thread() const { loop()->check_thread("cannot feed", origin_.name); }

@@ -145,20 +145,22 @@ Result<void> SqliteWriter::configure() {
 Result<void> SqliteWriter::make_schema() {
   auto version = format_of(database_, config_.path);  // again, now that no other process can change it
   if (!version) return std::move(version).error();
-  if (*version == schema_version) {
+  const auto complete = [&]() -> Result<void> {
     auto has_it = database_.integer(has_first_lines);
     if (!has_it) return std::move(has_it).error();
     return *has_it != 0 ? Result<void>() : database_.execute(add_first_lines);
-  }
+  };
+  if (*version == schema_version) return complete();
   std::string sql = schema + run_view();
   if (*version == 1) sql += std::string(";") + from_version_1;
   if (*version >= 1 && *version < first_version_of_own_account) sql += std::string(";") + from_version_3;
-  if (*version >= 1 && *version < 5) sql += std::string(";") + from_version_4 + add_first_lines;
+  if (*version >= 1 && *version < 5) sql += std::string(";") + from_version_4;
   if (*version >= 3 && *version < 5) sql += std::string(";") + health_from_version_4;
   sql += account_views();
   sql += ";PRAGMA application_id=" + std::to_string(application_id) +
          ";PRAGMA user_version=" + std::to_string(schema_version);
   if (auto made = database_.execute(sql); !made || *version == 0) return made;
+  if (auto made = complete(); !made) return made;
   if (auto written = write_utc_lines(database_); !written) return written;
   auto topic = database_.prepare("SELECT table_name, description FROM rtdata_topic");
   if (!topic) return std::move(topic).error();
