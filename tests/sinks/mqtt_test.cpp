@@ -563,7 +563,7 @@ TEST_SUITE("sinks") {
       const bool is_good = one.second;
       INFO("certificate " << tls.certificate << ", password " << tls.key_password);
       Bench bench;
-      MqttSink sink(bench.loop, bench.to(broker.port(), {.tls = tls}));
+      MqttSink sink(bench.loop, bench.to(broker.port(), {.retain = true, .tls = tls}));  // nobody is subscribed
       bench.publish(20);
       CHECK(bench.wait_for([&] { return is_good ? sink.counts().stored == 20 : sink.health() == Health::faulted; }));
       CHECK(sink.counts().stored == (is_good ? 20U : 0U));
@@ -581,7 +581,7 @@ TEST_SUITE("sinks") {
     for (const char* host : {"127.0.0.1", "localhost"}) {  // the certificate is for the former
       CAPTURE(host);
       Bench bench;
-      MqttConfig config = bench.to(broker.port(), {.tls = TlsConfig{.verify = false}});
+      MqttConfig config = bench.to(broker.port(), {.retain = true, .tls = TlsConfig{.verify = false}});
       config.host = host;
       MqttSink sink(bench.loop, config);
       bench.publish(20);
