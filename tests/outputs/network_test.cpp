@@ -347,7 +347,7 @@ TEST_SUITE("outputs") {
     Loop loop(runtime, {});
     runtime.on_log([](const LogRecord&) {});
     OutputLog log(loop, "pump");
-    Output pump(loop, {.name = "pump"}, {}, "pump");
+    Output pump(loop, {.name = "pump", .watchdog = 1h}, {}, "pump");  // the loop stands while a broker is started
     const auto turn_until = [&](const std::function<bool()>& condition) {
       for (int i = 0; i < 6000 && !condition(); ++i) loop.run_for(10ms);
       return condition();
