@@ -394,6 +394,8 @@ TEST_SUITE("outputs") {
     be_quiet(loop);
     const auto plan = [&](const std::string& outputs) {
       return plan_system(devices.registry, parse_config("{" + std::string(load) + R"(, "tiers": {"fast": {}},
+        "machines": [{"name": "m", "tier": "fast", "start": "one", "states": [{"name": "one"}, {"name": "two", "final": true}],
+          "transitions": [{"from": "one", "to": "two", "event": "go"}]}],
         "outputs": [)" + outputs + "]}",
                                                         "f.json"));
     };
@@ -414,6 +416,9 @@ TEST_SUITE("outputs") {
     const auto hold = [&](Duration time) {
       system.tier("fast").loop().post([&, time] { loop.manual_clock().pass(time); });
     };
+
+    int changes = 0;
+    const auto listen = loop.subscribe<fsm::StateChange>("m", [&](const auto&) { ++changes; });
 
     // One that is held once costs nobody anything.
     hold(1500ms);
@@ -443,6 +448,10 @@ TEST_SUITE("outputs") {
       set = command({"set", "far", "0"});
       CHECK_FALSE(set->done);
       CHECK(set->text.find("has not come out of") != std::string::npos);
+      changes = 0;
+      const auto go = command({"event", "m", "go"});
+      CHECK_FALSE(go->done);
+      CHECK(go->text.find("nothing was done") != std::string::npos);
     }
     const std::string more = R"(, {"name": "third", "type": "memory", "device": "T")";
     CHECK_THROWS_WITH_AS(system.apply(plan(near)), doctest::Contains("nothing was changed"), SetupError);
@@ -459,6 +468,7 @@ TEST_SUITE("outputs") {
     // What was refused is not done later.
     loop.advance(1min);
     CHECK(devices.all["F"].did == Lines{"open 0", "set 1"});
+    CHECK(changes == 0);
     // At the end those who wait are told.
     hold(1min);
     set = command({"set", "far", "0"});

@@ -122,6 +122,19 @@ TEST_CASE("US-17 US-35 what waited before a serial line was opened is not new") 
   }
 }
 
+TEST_CASE("US-17 US-35 of a line whose beginning had waited the rest is no line, however long the device is silent") {
+  for (const FirstLine first : {FirstLine::discard, FirstLine::keep}) {
+    SerialLineBench b(nullptr);
+    b.pty.plug_in();
+    const std::string before = "1\n2\n3";
+    REQUIRE(b.pty.send(before) == before.size());
+    b.make({.first_line = first});
+    b.loop.run_for(300ms);
+    b.run("4\n5\n6\n", 2);
+    CHECK(b.events == Texts{"5", "6"});
+  }
+}
+
 TEST_CASE("US-17 a CSV line is decoded by its fields, and says what is wrong with it") {
   detail::LineDecoder decoder({.fields = {{.name = "a", .type = Kind::i16},
                                           {},

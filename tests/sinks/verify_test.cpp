@@ -3,15 +3,19 @@
 #include <doctest/doctest.h>
 
 #include <chrono>
+#include <csignal>
 #include <nlohmann/json.hpp>
 #include <sstream>
 
 #include "app/core/recording_commands.hpp"
+#include "loop/core/loop_core.hpp"
 #include "loop/lane_sensor.hpp"
+#include "loop/runtime/runtime_core.hpp"
 #include "rtdata/sensors/derived.hpp"
 #include "rtdata/sensors/limit.hpp"
 #include "rtdata/sensors/trigger.hpp"
 #include "sanitized.hpp"
+#include "sinks/killed.hpp"
 #include "sinks/recordings.hpp"
 #include "sinks/sqlite/positions.hpp"
 
@@ -404,6 +408,36 @@ TEST_CASE("US-26 verify says first what was lost, of which topic and where, and 
             "NOT KNOWN: of run 2: what it lost after its last account: it is not sealed yet;\n"
             "           recording into the file again seals it\n"));
   CHECK(nlohmann::json::parse(report.to_json())["runs"][1]["not_known"].size() == 1);
+}
+
+TEST_CASE("US-26 verify does not know what was lost on a tier that hung when the program was killed") {
+  const Folder folder;
+  const std::string path = folder / "run.db";
+  for (const bool turns_again : {false, true}) {
+    sinks::killed_in([&] {
+      Loop loop{Loop::Manual{}};
+      loop.on_error([](const ErrorReport&) {});
+      loop.runtime().on_log([](const LogRecord&) {});
+      const SqliteSink sink(loop, {.path = path});
+      const Sensor<Climate> room(loop, {.name = "room", .rate = 10_Hz}, [] { return Climate{1, 2}; });
+      loop.advance(3s);
+      loop.core().runtime.health_changed("tier", "fast", Health::faulted, "does not turn");
+      if (turns_again) loop.core().runtime.health_changed("tier", "fast", Health::ok, "");
+      loop.advance(10s);
+      ::raise(SIGKILL);
+    });
+  }
+  {
+    Loop loop{Loop::Manual{}};
+    const SqliteSink sink(loop, {.path = path});
+    loop.advance(1s);
+  }
+  const VerifyReport report = verified(path);
+  REQUIRE(report.runs.size() == 3);
+  REQUIRE(report.runs[0].not_known.size() == 1);
+  CHECK(report.runs[0].not_known[0].starts_with("what the sensors of tier fast lost from 2023-11-14T22:13:23"));
+  CHECK(report.runs[1].not_known.empty());
+  CHECK(has(report.text(), "NOT KNOWN: of run 1: what the sensors of tier fast lost"));
 }
 
 TEST_CASE("US-26 verify names what was deleted, added or changed in the rows") {

@@ -165,9 +165,10 @@ std::string verdict(const RunAccount& account, const Ending& ending) {
   for (const std::string& sink : account.unknown_backlogs)
     text += "what waits in a recording is NOT known (" + sink + "); ";
   if (!mute.empty()) text += "NO EVENT ever came from " + mute + "; ";
-  text += losses.empty()
-              ? (mute.empty() && account.unknown_backlogs.empty() ? "nothing lost: " : "nothing lost that is known: ")
-              : "LOST: " + losses + "; taken: ";
+  text += losses.empty() ? (mute.empty() && account.unknown_backlogs.empty() && ending.unknown.empty()
+                                ? "nothing lost: "
+                                : "nothing lost that is known: ")
+                         : "LOST: " + losses + "; taken: ";
   text += std::to_string(account.events) + (account.events == 1 ? " event" : " events");
   if (account.late > 0) text += ", " + std::to_string(account.late) + " of them late";
   if (account.waiting > 0)

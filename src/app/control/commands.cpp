@@ -228,6 +228,16 @@ bool may_answer(Loop& loop, const Tier& tier) {
          });
 }
 
+namespace {
+
+std::string hanging_text(const Tier& tier, const std::string& time = {}) {
+  const std::string at = tier.doing();
+  return "tier " + tier.config().name + " has not come out of " + (at.empty() ? "a callback" : at) + time +
+         ": nothing was done; look for what blocks there";
+}
+
+}  // namespace
+
 struct CommandDesk::Asked {
   Words words;
   std::string by;
@@ -242,7 +252,7 @@ Tier* CommandDesk::tier_of(const Words& words) const {
     const bool is_commanded = plan->kind == "sensor" || plan->kind == "output" || plan->kind == "machine";
     if (!is_commanded || plan->name != words[1] || plan->tier().empty()) continue;
     Tier& tier = system_.tier(plan->tier());
-    return may_answer(loop_, tier) ? &tier : nullptr;
+    return tier.is_running() ? &tier : nullptr;
   }
   return nullptr;
 }
@@ -250,14 +260,17 @@ Tier* CommandDesk::tier_of(const Words& words) const {
 void CommandDesk::run(const Words& words, std::string_view by, Told told) {
   Tier* const tier = tier_of(words);
   if (tier == nullptr) return run_here(words, by, std::move(told));
+  if (!may_answer(loop_, *tier)) {  // at once; an event would be taken and done who knows when
+    const CommandOutcome outcome{false, hanging_text(*tier)};
+    keep(words, by, outcome);
+    return told(outcome);
+  }
   const auto asked = std::make_shared<Asked>(Asked{words, std::string(by), std::move(told), tier->config().name});
   asked_.push_back(asked);
   asked->patience = Timer(loop_, turn_patience, [this, weak = std::weak_ptr(asked)] {
     const auto still = weak.lock();
     if (still == nullptr) return;
-    const std::string at = system_.tier(still->tier).doing();
-    refuse(still, "tier " + still->tier + " has not come out of " + (at.empty() ? "a callback" : at) + " for " +
-                      to_string(turn_patience) + ": nothing was done; look for what blocks there");
+    refuse(still, hanging_text(system_.tier(still->tier), " for " + to_string(turn_patience)));
   });
   // The tier may answer when nobody is here any more.
   tier->loop().post([this, &loop = loop_, weak = std::weak_ptr(asked)] {

@@ -30,6 +30,7 @@ std::uint64_t refused_by_sinks(const Runtime& runtime) {
 
 std::shared_ptr<const Reload::NextPlan> Reload::read_again() const {
   auto next = std::make_shared<NextPlan>();
+  next->number = ++readings_;
   try {
     next->plan = plan_system(registry_, load_config(options_.file));
     check_log_file(log_file_of(next->plan, options_.log_file), next->plan);
@@ -206,6 +207,10 @@ void Reload::then(const Weak& change, void (Reload::*step)(const std::shared_ptr
 void Reload::apply(std::shared_ptr<const NextPlan> read, const std::string& why, Told told,
                    std::set<std::string> given_up) {
   const auto change = std::make_shared<Change>(Change{std::move(read), why, std::move(told), std::move(given_up)});
+  // A device, or a disk, has held it up: the file is another by now.
+  if (change->read->number < newest_)
+    return refuse(*change, "the file was read again since, and is applied as it was then");
+  newest_ = change->read->number;
   if (under_way_ == nullptr && next_ == nullptr) return begin(change);
   if (next_ != nullptr) refuse(*next_, "a later one takes its place");
   next_ = change;

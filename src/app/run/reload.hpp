@@ -1,6 +1,7 @@
 // The configuration of a run is read again, and applied while the run goes on.
 #pragma once
 
+#include <atomic>
 #include <cstdint>
 #include <functional>
 #include <memory>
@@ -34,7 +35,8 @@ class Reload {
   };
   struct NextPlan {
     SystemPlan plan;
-    std::string failed = {};  ///< empty: there is a plan, perhaps with mistakes
+    std::string failed = {};   ///< empty: there is a plan, perhaps with mistakes
+    std::uint64_t number = 0;  ///< later readings have larger ones
   };
   using Told = std::function<void(const CommandOutcome&)>;
   static constexpr Duration looking_patience = std::chrono::seconds{1};  // who asked waits for it, too
@@ -123,6 +125,8 @@ class Reload {
   std::shared_ptr<Change> under_way_;  // null: none
   std::shared_ptr<Change> next_;       // that waits for it
   std::uint64_t not_stored_ = 0;
+  mutable std::atomic<std::uint64_t> readings_ = 0;  // begun
+  std::uint64_t newest_ = 0;                         // that was to be applied
   detail::Lane lane_;  // that looks at files and into recordings, on whatever disks they are
 };
 

@@ -66,8 +66,12 @@ class SerialLineNode final : public StreamNode {
     if (decoder_ != nullptr) decoder_->forget_sequence();
     last_fix_.reset();
     unusable_lines_ = 0;
-    if (fd) drop_waiting(*fd);
+    const bool is_within_line = fd && drop_waiting(*fd);
     take(std::move(fd));
+    if (is_within_line && fd_ >= 0) {  // however long it is silent, what comes first is the rest of that line
+      quiet_.stop();
+      is_first_ = true;
+    }
   }
   void stop() override {
     if (is_open()) {
@@ -114,18 +118,23 @@ class SerialLineNode final : public StreamNode {
   }
   /// What has waited since before the start, which only happens where another program has had the line open: nobody
   /// knows since when, and it is not what is measured now. A line that is plugged in later has nothing of before.
-  void drop_waiting(int fd) {
+  /// True: the last of it is no end of a line.
+  bool drop_waiting(int fd) {
     std::array<char, most_read> bytes;
     std::size_t dropped = 0;
+    bool is_within_line = false;
     constexpr int most_reads = 256;  // a device that sends all the time does not hold the loop
     for (int i = 0; i < most_reads; ++i) {
       const ssize_t got = ::read(fd, bytes.data(), bytes.size());
       if (got <= 0) break;  // an error shows again
       dropped += static_cast<std::size_t>(got);
+      const char last = bytes[static_cast<std::size_t>(got) - 1];
+      is_within_line = last != '\n' && last != '\r';
     }
     if (dropped > 0)
       loop()->runtime.log(LogLevel::info, object_name(),
                           std::to_string(dropped) + " bytes that had waited when it was started are left out");
+    return is_within_line;
   }
   void on_close() noexcept override {
     hold_.close();

@@ -327,7 +327,8 @@ std::vector<Error> refused_topics(const FileConfig& config, std::span<const Topi
 
 std::string format_of(const FileConfig& config) {
   if (!config.format.empty()) return config.format;
-  const std::string ending = std::filesystem::path(config.path).extension();
+  std::string ending = std::filesystem::path(config.path).extension();
+  for (char& c : ending) c = c >= 'A' && c <= 'Z' ? static_cast<char>(c | 0x20) : c;
   return ending == ".csv" ? "csv" : ending == ".cbor" ? "cbor" : "jsonl";
 }
 

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cerrno>
 #include <fstream>
+#include <map>
 #include <set>
 
 #include "loop/support/deadline.hpp"
@@ -252,6 +253,18 @@ std::string_view name_of(Verdict verdict) noexcept {
 
 namespace detail {
 
+/// A tier that hung when its program was killed: nobody counted what its sensors missed.
+void note_hanging(const std::vector<RecordedHealth>& health, RunReport& run) {
+  std::map<std::string, const RecordedHealth*> last;
+  for (const RecordedHealth& one : health)
+    if (one.kind == "tier") last[one.name] = &one;
+  for (const auto& [name, one] : last)
+    if (one->state == "faulted")
+      run.not_known.push_back("what the sensors of tier " + name + " lost from " +
+                              to_iso8601(run.line.utc(std::max(one->time, one->last))) +
+                              " on: it hung, and the program was ended");
+}
+
 Result<VerifyReport> verify_contents(const Recording& recording) {
   auto snapshot = Snapshot::take(recording.file());
   if (!snapshot) return std::move(snapshot).error();
@@ -334,6 +347,10 @@ Result<VerifyReport> verify_contents(const Recording& recording) {
   for (RunReport& run : report.runs) {
     if (auto done = verify_run(accounts.at(run.info.run), rows[run.info.run], *checksums, run); !done)
       return std::move(done).error();
+    if (run.info.state != RunState::sealed) continue;
+    auto health = recording.health(run.info.run);
+    if (!health) return std::move(health).error();
+    note_hanging(*health, run);
   }
   return report;
 }
