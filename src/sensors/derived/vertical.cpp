@@ -101,32 +101,41 @@ class VerticalNode final : public FeedNode {
     Call call(*this);
     VerticalReadings readings;
     if (topic == config_.barometer) {
-      readings.height = read(height_, config_.barometer, config_.height, false, event);
+      if (!read(height_, config_.barometer, config_.height, false, event, readings.height)) return;
       if (height_.unit != nullptr && height_.unit->quantity == Quantity::pressure)
         readings.height = readings.height > 0 ? height_of_pressure(readings.height) : VerticalReadings::none;
     }
-    if (topic == config_.accelerometer)
-      readings.acceleration = read(acceleration_, config_.accelerometer, config_.acceleration, true, event);
+    if (topic == config_.accelerometer &&
+        !read(acceleration_, config_.accelerometer, config_.acceleration, true, event, readings.acceleration))
+      return;
     estimate_.take(event.time(), readings);
     VerticalMotion motion = motion_of(estimate_.now());
     publish(&motion, event.time());
   }
 
-  /// None: it is not there. Of a payload that has no such field that is told once; the other one goes on.
-  double read(Field& field, const std::string& topic, const std::string& path, bool is_acceleration,
-              const EventView& event) {
-    if (field.description != event.description().serial()) {
+  /// False: it is in a unit that is not known, which is told. A payload without the field, such as of an import whose
+  /// column was empty, brings none of it, which is told once: the other sensor goes on.
+  bool read(Field& field, const std::string& topic, const std::string& path, bool is_acceleration,
+            const EventView& event, double& value) {
+    const bool is_new = field.description != event.description().serial();
+    if (is_new) {
       field.description = event.description().serial();
       field.leaf = number_field(event.description(), path);
       field.unit = field.leaf != nullptr ? vertical_unit(field.leaf->unit, is_acceleration) : nullptr;
-      if (field.unit == nullptr)
-        complain({Errc::not_found, cannot_estimate, object_name(),
-                  vertical_refusal(event.description(), topic, path, is_acceleration) + ", and goes without it",
-                  "look at the fields of the topic; a derived topic converts units"},
-                 Health::degraded);
     }
-    if (field.unit == nullptr) return VerticalReadings::none;
-    return number_in(*field.leaf, event.payload().data()).value_or(VerticalReadings::none) * field.unit->factor;
+    if (field.unit != nullptr) {
+      value = number_in(*field.leaf, event.payload().data()).value_or(VerticalReadings::none) * field.unit->factor;
+      return true;
+    }
+    const Error error{Errc::not_found, cannot_estimate, object_name(),
+                      vertical_refusal(event.description(), topic, path, is_acceleration),
+                      "look at the fields of the topic; a derived topic converts units"};
+    if (field.leaf != nullptr) {
+      fail(error);
+      return false;
+    }
+    if (is_new) complain(error, Health::degraded);
+    return true;
   }
 
   void on_close() noexcept override {
