@@ -608,23 +608,32 @@ TEST_CASE("US-14 the time of fixes is noted as a source of the time of day, that
   }
 }
 
-TEST_CASE("US-14 a receiver whose time steps by more than a minute gives no time of day from then on, which is told") {
-  GpsBench bench;
-  REQUIRE(bench.accept());
-  const auto report = [&](const char* hour, int second) {
-    bench.say(R"({"class":"TPV","device":"/dev/a","mode":3,"ept":0.005,"time":"2027-03-01T)" + std::string(hour) +
-              ":00:" + std::to_string(second) + ".000Z\"}\n");
-    bench.loop.advance(1s);
-  };
-  for (int i = 10; i < 30; ++i) report("12", i);
-  CHECK(bench.errors.empty());
-  for (int i = 30; i < 50; ++i) report("13", i);
-  CHECK(bench.seen.size() == 40);
-  REQUIRE(bench.errors.size() == 1);
-  CHECK(bench.last_error() == "bad-data");
-  CHECK(bench.errors[0].why == "it stepped by 1 h");
-  for (const ClockPair& pair : bench.loop.runtime().core().clock_log.pairs())
-    if (pair.source == "gps") CHECK(to_iso8601(pair.realtime) < "2027-03-01T12:01");
+TEST_CASE(
+    "US-14 a receiver whose time steps by more than leap seconds gives no time of day from then on, and is told") {
+  for (const auto& [step, told] : {std::pair(3600s, "it stepped by 1 h"), std::pair(25s, "it stepped by 25 s")}) {
+    GpsBench bench;
+    REQUIRE(bench.accept());
+    const Time begin{std::chrono::sys_days{std::chrono::year{2027} / 3 / 1} + 12h};
+    int second = 0;
+    const auto report = [&](Duration off) {
+      for (int i = 0; i < 20; ++i) {
+        bench.say(R"({"class":"TPV","device":"/dev/a","mode":3,"ept":0.005,"time":")" +
+                  to_iso8601(begin + off + second++ * 1s) + "\"}\n");
+        bench.loop.advance(1s);
+      }
+    };
+    report(0s);
+    CHECK(bench.errors.empty());
+    report(step);
+    report(15s);  // back again, nearly
+    report(0s);
+    CHECK(bench.seen.size() == 80);
+    REQUIRE(bench.errors.size() == 1);
+    CHECK(bench.last_error() == "bad-data");
+    CHECK(bench.errors[0].why == told);
+    for (const ClockPair& pair : bench.loop.runtime().core().clock_log.pairs())
+      if (pair.source == "gps") CHECK(pair.realtime < begin + 20s);
+  }
 }
 
 TEST_CASE("US-14 a receiver beyond the accuracy of a clock that is kept right is told once, and not used") {

@@ -282,10 +282,10 @@ class GpsNode final : public StreamNode {
         break;
     }
     // One that steps by more than leap seconds explain was wrong before, or is now: nobody knows which.
-    constexpr Duration most_step = std::chrono::minutes{1};
+    constexpr Duration most_step = std::chrono::seconds{20};
     const Duration ahead = difference(at_.time_since_epoch(), time.time_since_epoch());
     const Duration step = difference(time_line_.value_or(ahead), ahead);
-    if (step > most_step || step < -most_step) {
+    if (is_step_told_ || step > most_step || step < -most_step) {
       if (!std::exchange(is_step_told_, true)) {
         report({Errc::bad_data, "the receiver's time of day is not used", server(), "it stepped by " + to_string(step),
                 "recordings keep the line that it gave before"});
