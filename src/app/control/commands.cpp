@@ -228,6 +228,10 @@ bool may_answer(Loop& loop, const Tier& tier) {
          });
 }
 
+void when_it_turns(Loop& loop, Tier& tier, std::function<void()> function) {
+  tier.loop().post([&loop, function = std::move(function)]() mutable { loop.post(std::move(function)); });
+}
+
 namespace {
 
 std::string hanging_text(const Tier& tier, const std::string& time = {}) {
@@ -272,13 +276,10 @@ void CommandDesk::run(const Words& words, std::string_view by, Told told) {
     if (still == nullptr) return;
     refuse(still, hanging_text(system_.tier(still->tier), " for " + to_string(turn_patience)));
   });
-  // The tier may answer when nobody is here any more.
-  tier->loop().post([this, &loop = loop_, weak = std::weak_ptr(asked)] {
-    loop.post([this, weak] {
-      const auto still = weak.lock();
-      if (still == nullptr || std::erase(asked_, still) == 0) return;
-      run_here(still->words, still->by, std::move(still->told));
-    });
+  when_it_turns(loop_, *tier, [this, weak = std::weak_ptr(asked)] {
+    const auto still = weak.lock();
+    if (still == nullptr || std::erase(asked_, still) == 0) return;
+    run_here(still->words, still->by, std::move(still->told));
   });
 }
 

@@ -47,6 +47,9 @@ void repeat_command(System& system, const CommandRecord& recorded);
 /// Whether a tier of this main loop is worth asking: it runs, and is not known to hang. That one refuses at once.
 bool may_answer(Loop& loop, const Tier& tier);
 
+/// Calls `function` on this main loop once the tier has turned, however late that is: who asks may be gone then.
+void when_it_turns(Loop& loop, Tier& tier, std::function<void()> function);
+
 /// Commands the parts of a system. Thread: the loop's.
 class CommandDesk {
  public:

@@ -264,13 +264,10 @@ void Reload::ask_tiers(const std::shared_ptr<Change>& change) {
     if (tier == nullptr || !may_answer(loop_, *tier)) continue;
     const std::string awaited = "tier " + name;
     change->waits_for.insert(awaited);
-    // It may answer when nobody is here any more.
-    tier->loop().post([this, &loop = loop_, awaited, weak = Weak(change)] {
-      loop.post([this, awaited, weak] {
-        const auto still = weak.lock();
-        if (still == nullptr || still->waits_for.erase(awaited) == 0) return;
-        if (still->waits_for.empty() && !still->is_looking) then(weak, &Reload::stop_waiting);
-      });
+    when_it_turns(loop_, *tier, [this, awaited, weak = Weak(change)] {
+      const auto still = weak.lock();
+      if (still == nullptr || still->waits_for.erase(awaited) == 0) return;
+      if (still->waits_for.empty() && !still->is_looking) then(weak, &Reload::stop_waiting);
     });
   }
 }
