@@ -766,26 +766,38 @@ Output::Output(Loop& loop, OutputConfig config, MakeActuator make, std::string g
 
 namespace {
 
-/// On its loop's thread: a tier's may be another one than this. `otherwise`: when it is closed.
+/// On its loop's thread: a tier's may be another one than this. `otherwise`: when it is closed. The function owns what it
+/// uses.
 template <class Returned, class Function>
-Returned with(detail::Node* node, Returned otherwise, const Function& function) {
+Returned with(detail::Node* node, Returned otherwise, Function function) {
   if (node == nullptr || !node->is_open()) return otherwise;
   auto& output = static_cast<detail::OutputNode&>(*node);
   if (!output.loop()->runs_elsewhere()) return function(output);
-  output.loop()->call_there([&] {
-    if (output.is_open()) otherwise = function(output);
+  return output.loop()->ask_there([&output, otherwise = std::move(otherwise), function = std::move(function)]() mutable {
+    return output.is_open() ? function(output) : std::move(otherwise);
   });
-  return otherwise;
 }
 
 /// For what answers with an error.
 template <class Function>
-Result<void> ordered(detail::Node* node, const Function& function) {
+Result<void> ordered(detail::Node* node, Function function) {
   try {
-    return with(node, Result<void>(Error{Errc::closed, cannot_set, "", "the output is closed", ""}), function);
+    return with(node, Result<void>(Error{Errc::closed, cannot_set, "", "the output is closed", ""}),
+                std::move(function));
   } catch (const SetupError& error) {  // its loop does not turn
     return error.error();
   }
+}
+/// By somebody, whose name the other thread is given to keep; here it is used as it is, without memory.
+template <class Function>
+Result<void> ordered_by(detail::Node* node, std::string_view by, const char* what, Function function) {
+  const auto order = [what, function](detail::OutputNode& output, std::string_view who) {
+    output.loop()->check_thread(what, output.origin().name);
+    return function(output, who);
+  };
+  if (node != nullptr && node->is_open() && node->loop()->runs_elsewhere())
+    return ordered(node, [order, by = std::string(by)](detail::OutputNode& output) { return order(output, by); });
+  return ordered(node, [order, by](detail::OutputNode& output) { return order(output, by); });
 }
 /// For what cannot be refused. `unknown`: when its loop does not turn.
 template <class Returned, class Function>
@@ -800,28 +812,22 @@ Returned asked(detail::Node* node, Returned otherwise, Returned unknown, const F
 }  // namespace
 
 Result<void> Output::set(double value, std::string_view by) {
-  return ordered(node(), [&](detail::OutputNode& output) {
-    output.loop()->check_thread(cannot_set, output.origin().name);
-    return output.set(value, by);
-  });
+  return ordered_by(node(), by, cannot_set,
+                    [value](detail::OutputNode& output, std::string_view who) { return output.set(value, who); });
 }
 Result<void> Output::arm(std::string_view by) {
-  return ordered(node(), [&](detail::OutputNode& output) {
-    output.loop()->check_thread("cannot arm the output", output.origin().name);
-    return output.arm(by);
-  });
+  return ordered_by(node(), by, "cannot arm the output",
+                    [](detail::OutputNode& output, std::string_view who) { return output.arm(who); });
 }
 Result<void> Output::disarm(std::string_view by) {
-  return ordered(node(), [&](detail::OutputNode& output) {
-    output.loop()->check_thread("cannot disarm the output", output.origin().name);
-    return output.disarm(by);
-  });
+  return ordered_by(node(), by, "cannot disarm the output",
+                    [](detail::OutputNode& output, std::string_view who) { return output.disarm(who); });
 }
 Result<void> Output::change_pid(const PidConfig& pid) {
-  return ordered(node(), [&](detail::OutputNode& output) { return output.change_pid(pid); });
+  return ordered(node(), [pid](detail::OutputNode& output) { return output.change_pid(pid); });
 }
 Result<void> Output::change_setpoint(double setpoint) {
-  return ordered(node(), [&](detail::OutputNode& output) { return output.change_setpoint(setpoint); });
+  return ordered(node(), [setpoint](detail::OutputNode& output) { return output.change_setpoint(setpoint); });
 }
 bool Output::is_setpoint_commanded() const noexcept {
   if (node() == nullptr || !node()->is_open()) return false;
@@ -835,19 +841,19 @@ bool Output::is_armed() const noexcept {
   return asked(node(), false, false, [](const detail::OutputNode& output) { return output.is_armed(); });
 }
 void Output::when_told(Callback<void()> done) {
-  with(node(), 0, [&](detail::OutputNode& output) {
+  with(node(), 0, [done = std::move(done)](detail::OutputNode& output) mutable {
     output.when_told(std::move(done));
     return 0;
   });
 }
 void Output::when_taken(Callback<void(Result<void>)> done) {
-  with(node(), 0, [&](detail::OutputNode& output) {
+  with(node(), 0, [done = std::move(done)](detail::OutputNode& output) mutable {
     output.when_taken(std::move(done));
     return 0;
   });
 }
 void Output::finish(Callback<void()> done) {
-  with(node(), 0, [&](detail::OutputNode& output) {
+  with(node(), 0, [done = std::move(done)](detail::OutputNode& output) mutable {
     output.finish(std::move(done));
     return 0;
   });

@@ -97,6 +97,32 @@ TEST_SUITE("app") {
     CHECK(Process(folder, program, {"ctl", "note", "x"}).end() == 1);  // nothing runs any more
   }
 
+  TEST_CASE("NFR-1 a command that does not come back from a tier is answered, and what needs that tier is refused") {
+    const RuntimeFolder runtime;
+    const Folder folder;
+    const std::string begin = R"({"name": "rig", "tiers": {"fast": {}},
+      "sensors": [ {"name": "a", "type": "absent", "rate": "10 Hz", "hangs": true, "start": false, "tier": "fast"},
+                   {"name": "b", "type": "tallied", "rate": "100 Hz"} ], "sinks": [ {"type": "discard"})";
+    folder.write("rig.json", begin + " ] }");
+    Process run(folder, built("rtdata_test_program"), {"run", "rig.json"});
+    REQUIRE(run.wait_for("running rig"));
+    Process start(folder, program, {"ctl", "start", "a"});
+    CHECK(start.end() == 1);
+    CHECK(has(start.err, "it has begun with what was asked for, and may still do it"));
+    Process stop(folder, program, {"ctl", "stop", "a"});
+    CHECK(stop.end() == 1);
+    Process other(folder, program, {"ctl", "stop", "b"});  // the main loop is not held
+    CHECK(other.end() == 0);
+    folder.write("rig.json", begin + R"(, {"type": "discard", "name": "second"} ] })");
+    Process reload(folder, program, {"ctl", "reload"});
+    CHECK(reload.end() == 1);
+    CHECK(has(reload.err, "cannot apply the configuration: tier fast"));
+    CHECK(has(reload.err, "nothing was changed"));
+    run.signal(SIGTERM);
+    CHECK(run.end() == 1);
+    CHECK(has(run.err, "ended though it hangs: tier fast"));
+  }
+
   TEST_CASE("garbage on the control socket is answered, many commands are all done, and nothing is lost") {
     const RuntimeFolder runtime;
     const Folder folder;

@@ -567,6 +567,18 @@ TEST_SUITE("app") {
     CHECK_FALSE(has(next.err, "ended without closing"));
   }
 
+  TEST_CASE("NFR-1 a device that does not come out of its opening at the start is named, and a signal ends the run") {
+    const Folder folder;
+    folder.write("bench.json", R"({"sensors": [ {"name": "a", "type": "absent", "rate": "10 Hz", "hangs": true} ],
+      "sinks": [ {"type": "discard"} ] })");
+    Process run(folder, program, {"run", "bench.json"});
+    REQUIRE(run.wait_for("it has not come out of the making of sensor a"));
+    CHECK(has(run.err, "warning: program: does not run yet after 3 s"));
+    run.signal(SIGTERM);
+    CHECK(run.end() == 1);
+    CHECK(has(run.err, "ended by SIGTERM though it hangs: the main loop has not come out of the making of sensor a"));
+  }
+
   TEST_CASE("US-9 after kill -9 the next run goes on") {
     const Folder folder;
     folder.write("bench.json", bench);

@@ -184,6 +184,13 @@ TEST_SUITE("app") {
     CHECK(status["loops"].at(1)["hangs_in"].is_null());
     CHECK(loop_of(status, "sensor a") == "fast");
     CHECK(loop_of(status, "sensor b") == "slow");  // as it was told last
+    const auto health_of = [](const nlohmann::json& from, const std::string& name) {
+      for (const auto& sensor : from["sensors"])
+        if (sensor["name"] == name) return sensor["health"]["state"].get<std::string>();
+      return std::string();
+    };
+    while (health_of(status, "b") != "faulted") status = ask(*client);
+    CHECK(health_of(status, "a") == "ok");
     Process once(folder, program, {"top", "--once"});
     CHECK(once.end() == 0);
     CHECK(has(once.out, "\n  ! it does not turn: it has not come out of sensor b\n"));

@@ -80,13 +80,17 @@ struct Counter {
 /// Cannot be opened.
 struct AbsentConfig {
   std::string device = "/dev/absent";
+  bool hangs = false;
   friend constexpr auto parameters(type_tag<AbsentConfig>) {
-    return parameter_list(parameter("device", &AbsentConfig::device, "what is not there"));
+    return parameter_list(parameter("device", &AbsentConfig::device, "what is not there"),
+                          parameter("hangs", &AbsentConfig::hangs, "opening it does not return"));
   }
 };
 struct Absent {
   std::string device;
+  bool hangs = false;
   Result<void> open() {
+    while (hangs) ::pause();
     return Error{Errc::not_found, "cannot open the device", device, "No such file or directory", "plug it in"};
   }
   Level read() { return {}; }
@@ -137,7 +141,7 @@ inline void add_test_types(Registry& registry) {
   registry.add_sensor<AbsentConfig>(
       "absent", "is never there", [](const AbsentConfig&) { return description_of<Level>(); },
       [](Loop& loop, const SensorConfig& common, const AbsentConfig& config) {
-        return Sensor<Level>(loop, common, Absent{config.device});
+        return Sensor<Level>(loop, common, Absent{config.device, config.hangs});
       });
   registry.add_sensor<NoParameters>(
       "fed", "is fed by the program", [](const NoParameters&) { return description_of<Count>(); },

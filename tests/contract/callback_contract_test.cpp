@@ -391,9 +391,11 @@ class World {
   void use_sensor(AnySensor& sensor) {
     switch (below(6)) {
       case 0:
-        return sensor.start();
+        sensor.start();
+        return;
       case 1:
-        return sensor.stop();
+        sensor.stop();
+        return;
       case 2:
         return sensor.set_rate(Rate::from_period(some_time()));
       case 3:

@@ -1023,6 +1023,47 @@ TEST_SUITE("loop") {
     }
   }
 
+  TEST_CASE("NFR-1 what has begun on a tier and does not come back is given up, told, and done once") {
+    Loop loop{virtual_time(), {.hold_limit = 60s}};
+    loop.runtime().on_log([](const LogRecord&) {});
+    int opened = 0;
+    bool let_go{false};
+    struct Device {
+      Loop& loop;
+      int& opened;
+      bool& let_go;
+      Result<void> open() {
+        ++opened;
+        while (!let_go) loop.manual_clock().pass(1ms);
+        return {};
+      }
+      Count read() { return Count{1}; }
+    };
+    Tier fast(loop, {.name = "fast", .hold_limit = 60s});
+    Sensor<Count> sensor(fast.loop(), {.name = "slow", .rate = 100_Hz, .start = false}, Device{loop, opened, let_go});
+    fast.start();
+    const MonotonicTime began = loop.now();
+    std::string advice;
+    try {
+      sensor.start();
+    } catch (const SetupError& error) {
+      CHECK(error.error().code == Errc::not_turning);
+      advice = error.error().advice;
+    }
+    CHECK(advice.find("it has begun with what was asked for") != std::string::npos);
+    CHECK(loop.now() - began >= 1s);
+    CHECK(loop.now() - began <= 1100ms);
+    CHECK_THROWS_AS(sensor.stop(), SetupError);  // at once, and not done later
+    CHECK(loop.now() - began <= 1100ms);
+    let_go = true;
+    loop.advance(1s);
+    CHECK(opened == 1);
+    CHECK(sensor.is_running());
+    CHECK_FALSE(sensor.start());
+    CHECK(sensor.stop());
+    CHECK_FALSE(sensor.stop());
+  }
+
   TEST_CASE("NFR-1 a tier that is held for a moment is waited for, and what it was asked is done once") {
     Loop loop{virtual_time(), {.hold_limit = 60s}};
     loop.runtime().on_log([](const LogRecord&) {});

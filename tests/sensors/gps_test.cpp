@@ -157,6 +157,18 @@ TEST_CASE("US-14 what gpsd does not say is no value, never 0") {
   CHECK(reused.fix.device.empty());
 }
 
+TEST_CASE("US-14 what is no time, no number or no whole line is no value, though libgps makes one of it") {
+  const auto tpv = [](const std::string& rest) { return R"({"class":"TPV","mode":3,)" + rest; };
+  for (const char* rest : {R"("time":"garbage"})", R"("time":"2026-13-45T99:00:00Z"})", R"("lat":1.2.3})", R"("lat":95.5})",
+                           R"("mode":300})", R"("lat":4)"}) {
+    CAPTURE(rest);
+    CHECK(id_of(tpv(rest)) != "ok");
+  }
+  const GpsFix leap = read(tpv(R"("time":"2016-12-31T23:59:60.000Z","velN":0.09})")).fix;
+  CHECK(!leap.gps_time);
+  CHECK(leap.vel_n == 0.09);
+}
+
 TEST_CASE("US-14 satellites are counted, or taken as gpsd counts them") {
   CHECK(read(satellites).used == 2);
   CHECK(read(satellites).visible == 3);

@@ -109,9 +109,11 @@ class Chaos {
       case 3:
         return sensor.close();
       case 4:
-        return sensor.is_open() ? sensor.stop() : void();
+        if (sensor.is_open()) sensor.stop();
+        return;
       case 5:
-        return sensor.is_open() ? sensor.start() : void();
+        if (sensor.is_open()) sensor.start();
+        return;
       case 6:
         if (subscription.is_open()) return subscription.close();
         return on_some_loop(

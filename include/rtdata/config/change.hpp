@@ -87,6 +87,8 @@ class StepwiseChange {
 
   /// What becomes of each part. When any is refused, do not begin.
   const PlanChange& changes() const noexcept;
+  /// The names of the tiers that have to turn for it: one that hangs refuses it.
+  std::set<std::string> tiers() const;
   /// Goes on until `budget` has passed by the loop's clock, with a single part if that is at once; returns whether
   /// there is more to do. Throws as System::apply, in the step by which all is as it was before; then there is no more
   /// to do. With an endless budget from the first step on it waits for devices itself.

@@ -19,9 +19,10 @@
 ///
 /// Objects are made on the tier's loop before it runs, or in `call`. Closing a handle, and every verb of a sensor, may
 /// be called on the main loop's thread while the tier runs: they wait for the tier to do it. All else is for `call`.
-/// A tier that does not turn refuses verbs as `call` does; what is asked for is then what the main loop knows last, and
-/// faulted. Closing waits for it for 5 s; then the tier does it as soon as it turns, which is reported: what the
-/// callbacks of the handle refer to must live until then.
+/// A tier that does not turn refuses verbs as `call` does, and one that has begun with a verb and does not come back
+/// from it for 1 s is not waited for either: the error says so, and the verb may still be done. What is asked for is
+/// then what the main loop knows last, and faulted. Closing waits for 5 s; then the tier does it as soon as it turns,
+/// which is reported: what the callbacks of the handle refer to must live until then.
 ///
 /// A tier of which a callback never returns does not keep `Loop::close` from closing the recordings: they are marked as
 /// incomplete, with the callback's name and the time up to which the tier's account is known.

@@ -232,10 +232,10 @@ class AnySensor : public Handle {
   AnySensor() noexcept = default;
 
   /// Acquires the device and begins a new stretch of schedule. Nothing on a running or closed sensor. SetupError when
-  /// the sensor is `required` and the device cannot be opened.
-  void start();
-  /// Ends its activity: see "The life of a sensor".
-  void stop();
+  /// the sensor is `required` and the device cannot be opened. Returns whether it ran not yet.
+  bool start();
+  /// Ends its activity: see "The life of a sensor". Returns whether it ran.
+  bool stop();
   bool is_running() const noexcept;
   /// While running too: a new stretch of schedule begins now. Undoes what `on_overrun` did to the rate. SetupError
   /// (bad-argument) when it is not possible.

@@ -32,17 +32,11 @@ struct Verb {
 };
 
 std::string start(System& system, const Words& words, std::string_view) {
-  AnySensor& sensor = system.sensor(words[1]);
-  if (sensor.is_running()) return "sensor " + words[1] + " runs already";
-  sensor.start();
-  return "sensor " + words[1] + " is started";
+  return "sensor " + words[1] + (system.sensor(words[1]).start() ? " is started" : " runs already");
 }
 
 std::string stop(System& system, const Words& words, std::string_view) {
-  AnySensor& sensor = system.sensor(words[1]);
-  if (!sensor.is_running()) return "sensor " + words[1] + " has stopped already";
-  sensor.stop();
-  return "sensor " + words[1] + " is stopped";
+  return "sensor " + words[1] + (system.sensor(words[1]).stop() ? " is stopped" : " has stopped already");
 }
 
 std::string set_rate(System& system, const Words& words, std::string_view) {

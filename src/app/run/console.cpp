@@ -131,6 +131,14 @@ void RunConsole::end_hanging(const char* signal, const std::string& where) {
         to_string(StopSignals::hang_limit) + "; the next run on its recordings says what is known");
 }
 
+void RunConsole::starts_slowly(const std::string& where) {
+  const std::string text = "does not run yet after " + to_string(StopSignals::slow_limit) + ": it has not come out of " +
+                           where + "; look at its device";
+  log_.write(LogLevel::warning, "program", text);
+  const std::string line = for_terminal("rtdata: warning: program: " + text + "\n", columns_of(STDERR_FILENO));
+  write_fully(STDERR_FILENO, line.data(), line.size());
+}
+
 void RunConsole::leave(const std::string& text) {
   log_.write(LogLevel::error, "program", text);
   log_.wait_until_written(std::chrono::seconds{1});

@@ -53,6 +53,8 @@ class RunConsole {
   void wait_until_written();
   /// A second signal. Thread: the signals'.
   [[noreturn]] void end_at_once(const char* signal, std::optional<std::uint64_t> queued);
+  /// `where` holds the loop, which has not begun to turn. Thread: the signals'.
+  void starts_slowly(const std::string& where);
   /// The loop has not come to a signal. Thread: the signals'.
   [[noreturn]] void end_hanging(const char* signal, const std::string& where);
 

@@ -251,15 +251,7 @@ void Reload::begin(const std::shared_ptr<Change>& change) {
 }
 
 void Reload::ask_tiers(const std::shared_ptr<Change>& change) {
-  std::set<std::string> changed, tiers;
-  for (const PartChange& part : change->steps->changes().all)
-    if (part.fate != Fate::unchanged) changed.insert(part.object);
-  const auto add_tier_of = [&](const PartPlan& plan) {
-    if (!plan.tier().empty() && changed.contains(plan.object())) tiers.emplace(plan.tier());
-  };
-  for (const PartPlan* plan : system_.parts().plans()) add_tier_of(*plan);
-  for (const PartPlan& plan : change->read->plan.parts) add_tier_of(plan);
-  for (const std::string& name : tiers) {
+  for (const std::string& name : change->steps->tiers()) {
     Tier* const tier = system_.parts().find<Tier>("tier", name);
     if (tier == nullptr || !may_answer(loop_, *tier)) continue;
     const std::string awaited = "tier " + name;

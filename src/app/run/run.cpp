@@ -88,6 +88,26 @@ class Run {
         [this](const LogRecord& record) { console_.say(record.level, record.object, record.text, record.error_id); });
     Loop loop(runtime, plan.loop_config());
     note_sinks(plan);
+    const auto where = [&loop] {
+      const std::string doing = loop.core().nodes.doing();
+      return doing.empty() ? "a callback" : doing;
+    };
+    StopSignals::Actions actions{
+        [&](const char* signal) { stop(loop, runtime, signal); },
+        [&] { return account_of(runtime).queued; },
+        [this](const char* signal, std::optional<std::uint64_t> queued) { console_.end_at_once(signal, queued); },
+        {},
+        [this] {
+          if (guard_ != nullptr) guard_->make_all_safe();
+        },
+        [this, where](const char* signal) { console_.end_hanging(signal, where()); },
+        [this, where] { console_.starts_slowly(where()); }};
+    struct Detach {
+      StopSignals& signals;
+      ~Detach() { signals.detach(); }
+    };
+    signals_.attach(loop, actions);
+    const Detach detach_loop{signals_};
     System system(loop, registry_, plan);
     StatusSource status(loop, status_info(plan, system));
     Reload reload(loop, system, registry_, options_, console_,
@@ -98,25 +118,12 @@ class Run {
                      status.set(status_info(next, system));
                    },
                    guard_ != nullptr});
-    signals_.attach(
-        loop,
-        {[&](const char* signal) { stop(loop, runtime, signal); }, [&] { return account_of(runtime).queued; },
-         [this](const char* signal, std::optional<std::uint64_t> queued) { console_.end_at_once(signal, queued); },
-         [&] {
-           loop.post(
-               [&reload, next = reload.read_again()] { reload.apply(next, "SIGHUP", [](const CommandOutcome&) {}); });
-         },
-         [this] {
-           if (guard_ != nullptr) guard_->make_all_safe();
-         },
-         [this, &loop](const char* signal) {
-           const std::string where = loop.core().nodes.doing();
-           console_.end_hanging(signal, where.empty() ? "a callback" : where);
-         }});
-    struct Detach {
-      StopSignals& signals;
-      ~Detach() { signals.detach(); }
-    } const detach{signals_};
+    actions.reload = [&] {
+      loop.post(
+          [&reload, next = reload.read_again()] { reload.apply(next, "SIGHUP", [](const CommandOutcome&) {}); });
+    };
+    signals_.attach(loop, std::move(actions));
+    const Detach detach_reload{signals_};
     CommandDesk desk(loop, system, [this](const std::string& text, bool done) {
       console_.say(done ? LogLevel::info : LogLevel::warning, "command", text);
     });

@@ -14,6 +14,7 @@
 #include <mutex>
 #include <system_error>
 #include <thread>
+#include <utility>
 
 #include "loop/support/no_thread.hpp"
 
@@ -47,6 +48,7 @@ struct StopSignals::State {
   const char* waits = nullptr;  // the first one, while the loop has not come to it
   MonotonicTime posted{};
   bool is_reload_pending = false;
+  std::optional<MonotonicTime> starts;  // while it has not turned, and nobody was told that
 
   struct Answer {
     std::mutex mutex;
@@ -78,15 +80,23 @@ struct StopSignals::State {
                         static_cast<long>(left->count() % 1'000'000'000)};
     if (const int signal = ::sigtimedwait(&taken, nullptr, &most); signal > 0) return signal;
     const std::lock_guard lock(mutex);
-    if (loop != nullptr && waits != nullptr && actions.hangs && now() - posted >= hang_limit) actions.hangs(waits);
+    if (loop == nullptr) return -1;
+    if (waits != nullptr && actions.hangs && now() - posted >= hang_limit) actions.hangs(waits);
+    if (starts && now() - *starts >= slow_limit) {
+      starts.reset();
+      actions.slow();
+    }
     return -1;
   }
-  /// Until the loop has hung; none: it is not waited for.
+  /// Until the loop has hung, or is slow; none: it is not waited for.
   std::optional<Duration> time_left() {
     const std::lock_guard lock(mutex);
-    if (loop == nullptr && pending != nullptr) return std::chrono::seconds{1};  // one may come that takes it
-    if (loop == nullptr || waits == nullptr || !actions.hangs) return {};
-    return std::max(posted + hang_limit - now(), Duration{0});
+    if (loop == nullptr) return std::chrono::seconds{1};  // one may come
+    std::optional<MonotonicTime> until;
+    if (starts) until = *starts + slow_limit;
+    if (waits != nullptr && actions.hangs) until = std::min(posted + hang_limit, until.value_or(MonotonicTime::max()));
+    if (!until) return {};
+    return std::max(*until - now(), Duration{0});
   }
   static MonotonicTime now() noexcept { return MonotonicTime{std::chrono::steady_clock::now().time_since_epoch()}; }
 
@@ -106,8 +116,8 @@ struct StopSignals::State {
 
   void reload() {
     const std::lock_guard lock(mutex);
-    is_reload_pending = loop == nullptr;
-    if (loop != nullptr && count == 0) actions.reload();
+    is_reload_pending = loop == nullptr || !actions.reload;
+    if (!is_reload_pending && count == 0) actions.reload();
   }
 
   void came(const char* name) {
@@ -172,12 +182,20 @@ StopSignals::~StopSignals() {
 
 void StopSignals::attach(Loop& loop, Actions actions) {
   const std::lock_guard lock(state_->mutex);
+  if (state_->loop == nullptr && actions.slow) {
+    state_->starts = State::now();
+    loop.post([state = state_.get()] {
+      const std::lock_guard turning(state->mutex);
+      state->starts.reset();
+    });
+  }
   state_->loop = &loop;
   state_->actions = std::move(actions);
   if (state_->pending != nullptr)
-    state_->post_first(state_->pending);
-  else if (state_->is_reload_pending)
+    state_->post_first(std::exchange(state_->pending, nullptr));
+  else if (state_->is_reload_pending && state_->actions.reload && state_->count == 0)
     state_->actions.reload();
+  state_->is_reload_pending &= !state_->actions.reload;
 }
 
 void StopSignals::detach() noexcept {

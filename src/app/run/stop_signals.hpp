@@ -18,6 +18,7 @@ class StopSignals {
  public:
   /// A loop that does not turn for so long after a signal has hung.
   static constexpr Duration hang_limit = std::chrono::seconds{5};
+  static constexpr Duration slow_limit = std::chrono::seconds{3};
   StopSignals();
   StopSignals(const StopSignals&) = delete;
   StopSignals& operator=(const StopSignals&) = delete;
@@ -36,9 +37,11 @@ class StopSignals {
     std::function<void()> at_once = {};
     /// On the signals' thread: the loop has not come to `first` for `hang_limit`. Does not return. Empty: nothing.
     std::function<void(const char* signal)> hangs = {};
+    /// On the signals' thread, once: the loop does not turn yet, `slow_limit` after the first `attach`. Empty: nothing.
+    std::function<void()> slow = {};
   };
-  /// `loop` must live until `detach`. A signal that came before counts as the first; a SIGHUP then is
-  /// kept: the configuration may have been read before it.
+  /// `loop` must live until `detach`. A signal that came before counts as the first; a SIGHUP then, or while `reload` is
+  /// empty, is kept: the configuration may have been read before it. Once more: with other actions.
   void attach(Loop& loop, Actions actions);
   void detach() noexcept;
 

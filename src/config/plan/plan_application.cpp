@@ -125,22 +125,31 @@ void PlanApplication::refuse() const {
   refuse_hanging();
 }
 
-/// Each tier that the change needs turns.
-void PlanApplication::refuse_hanging() const {
+std::set<std::string> PlanApplication::tiers() const {
   std::set<std::string> tiers;
   for (const PlannedChange& planned : compared_.parts) {
     if (planned.change.fate == Fate::unchanged) continue;
-    if (planned.now != nullptr) tiers.insert(std::string(planned.now->tier()));
-    if (planned.next != nullptr) tiers.insert(std::string(planned.next->tier()));
+    for (const PartPlan* const plan : {planned.now, planned.next}) {
+      if (plan == nullptr) continue;
+      tiers.insert(std::string(plan->tier()));
+      if (!plan->stores) continue;  // of any tier's topics
+      for (const PartPlan* const other : system_.parts().plans())
+        if (other->kind == "tier") tiers.insert(other->name);
+    }
   }
   tiers.erase("");
-  for (const std::string& name : tiers) {
+  return tiers;
+}
+
+void PlanApplication::refuse_hanging() const {
+  for (const std::string& name : tiers()) {
     try {
       system_.tier(name).call([](Loop&) {});
     } catch (const SetupError& error) {
       if (error.error().code != Errc::not_turning) continue;  // one that does not exist yet
       throw SetupError({Errc::not_turning, "cannot apply the configuration", "tier " + name, error.error().why,
-                        "nothing was changed; look for what blocks there, or leave its parts as they are"});
+                        "nothing was changed; look for what blocks there, or leave as they are its parts, and the "
+                        "sinks that take its topics"});
     }
   }
 }

@@ -29,6 +29,8 @@ class PlanApplication {
   PlanApplication(System& system, const SystemPlan& next, std::set<std::string> given_up);
 
   const PlanChange& changes() const noexcept { return all_; }
+  /// The names of the tiers that have to turn for it.
+  std::set<std::string> tiers() const;
   /// Goes on for so long, or with one part; returns whether there is more to do. SetupError: what is refused, and
   /// nothing was changed; what making or changing a part threw, when the parts are those of before again.
   bool step(Duration budget);
@@ -40,6 +42,8 @@ class PlanApplication {
   enum class Stage { beginning, adding, releasing, replacing, taking, finishing, undoing, done };
 
   void refuse() const;
+  /// Each tier that the change needs turns.
+  void refuse_hanging() const;
   void refuse_held() const;
   /// Which parts are added before, and closed after, the step that replaces.
   void sort_out();
@@ -67,7 +71,6 @@ class PlanApplication {
   void make();
   /// By `make` if it is not empty.
   void make_part(const PartPlan& plan, PartPlan::Make make);
-  void refuse_hanging() const;
   void change_live();
   /// The parts stand in the order of the next plan from here on, before those that are closed later.
   void settle();

@@ -8,6 +8,7 @@
 #include "config/plan/part_reader.hpp"
 #include "config/plan/plan_application.hpp"
 #include "config/read/mistakes.hpp"
+#include "loop/core/loop_core.hpp"
 #include "loop/runtime/runtime_core.hpp"
 
 namespace rtdata {
@@ -53,6 +54,7 @@ System::~System() = default;
 
 void System::make(std::unique_ptr<Parts::Part> part) {
   const PartPlan& plan = part->plan;
+  const detail::Nodes::Doing doing(loop_.core().nodes, "the making of " + plan.object());
   part->object = made_at(plan, [&] {
     const auto make_there = [&](Loop& on) { return made_on(on, plan, parts_); };
     return plan.tier().empty() ? make_there(loop_) : tier(plan.tier()).call(make_there);
@@ -178,6 +180,8 @@ StepwiseChange::StepwiseChange(System& system, const SystemPlan& next, std::set<
 StepwiseChange::~StepwiseChange() = default;
 
 const PlanChange& StepwiseChange::changes() const noexcept { return application_->changes(); }
+
+std::set<std::string> StepwiseChange::tiers() const { return application_->tiers(); }
 
 bool StepwiseChange::step(Duration budget) { return application_->step(budget); }
 

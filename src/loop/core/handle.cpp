@@ -28,7 +28,9 @@ void Node::dispose() noexcept {
   LoopCore* const loop = loop_;
   if (loop != nullptr && loop->runs_elsewhere()) {
     // Longer than for what can be refused: after this, what its callbacks refer to may go.
-    if (!loop->call_there_within(std::chrono::seconds{5}, [this] { dispose(); })) loop->dispose_when_it_turns(*this);
+    const auto closed = loop->call_there_within(
+        std::chrono::seconds{5}, [this] { dispose(); }, LoopCore::Begun::is_given_up);
+    if (closed == LoopCore::Called::not_begun) loop->dispose_when_it_turns(*this);
     return;
   }
   if (loop != nullptr && loop->is_run_by_another_thread()) return loop->dispose_later(*this);

@@ -4,9 +4,12 @@
 #include <atomic>
 #include <exception>
 #include <memory>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <thread>
+#include <type_traits>
+#include <utility>
 
 #include "loop/core/blame.hpp"
 #include "loop/core/deadlines.hpp"
@@ -102,14 +105,27 @@ class LoopCore {
 
   /// Any thread.
   void post(Callback<void()> function) { posts.add(std::move(function)); }
+  enum class Begun { is_awaited, is_given_up };
+  enum class Called { done, not_begun, not_ended };
   /// Runs the function on the thread that the loop is bound to, and waits for it; what it throws is thrown here. A loop
   /// that has not turned for 1 s, or does not within it, is not waited for: SetupError (not-turning), and the function
   /// is never called. One that has begun is waited for. Thread: that of the main loop.
-  void call_there(Callback<void()> function);
-  /// The same; false: it has not turned for `at_most`.
-  bool call_there_within(Duration at_most, Callback<void()> function);
+  void call_there(Callback<void()> function) { call_there(std::move(function), Begun::is_awaited); }
+  /// The same, and returns what it returns. The function owns all that it uses, since one that has begun is not waited
+  /// for longer either: SetupError (not-turning), and what comes of it is not known.
+  template <class Function>
+  auto ask_there(Function function) {
+    auto answer = std::make_shared<std::optional<std::invoke_result_t<Function&>>>();
+    call_there([answer, function = std::move(function)]() mutable { answer->emplace(function()); },
+               Begun::is_given_up);
+    return std::move(**answer);
+  }
+  /// `not_begun`: it has not turned for `at_most`, and the function is never called.
+  Called call_there_within(Duration at_most, Callback<void()> function, Begun begun);
   /// Any thread: it turns. Meanwhile nobody knows since when it does not.
   void note_turning() noexcept { stands_since_.store(never, std::memory_order_release); }
+  /// It is known that it does not.
+  bool is_standing() const noexcept { return stands_since_.load(std::memory_order_acquire) != never; }
   /// Thread: that of the main loop, which has seen it.
   void note_standing(MonotonicTime since) noexcept {
     stands_since_.store(since.time_since_epoch().count(), std::memory_order_release);
@@ -229,7 +245,8 @@ class LoopCore {
   };
   struct CallThere;
   /// Waits until it is done. False: nobody has come to it within the time, and nobody will.
-  bool is_done_within(Duration at_most, CallThere& call);
+  void call_there(Callback<void()> function, Begun begun);
+  Called wait_for(CallThere& call, Duration at_most, Begun begun);
   /// What it is in, for people.
   std::string where() const;
   void post_disposal(Node& node, Error why) noexcept;

@@ -43,6 +43,7 @@ void Nodes::close_all() noexcept {
 
 std::string Nodes::doing() const {
   const std::lock_guard lock(doing_mutex_);
+  if (!does_.empty()) return does_;
   const Node* node = doing_.load(std::memory_order_acquire);
   return node != nullptr ? node->callback_name() : std::string();
 }

@@ -5,6 +5,7 @@
 #include <memory>
 #include <mutex>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "loop/support/priority_mutex.hpp"
@@ -36,6 +37,17 @@ class Nodes {
     const std::lock_guard lock(doing_mutex_);
     name.swap(to);
   }
+  /// What `doing` says as long as it lives: of what may hold the loop and is no callback, such as the making of a part.
+  class Doing {
+   public:
+    Doing(Nodes& nodes, std::string what) : nodes_(nodes) { nodes_.rename(nodes_.does_, std::move(what)); }
+    Doing(const Doing&) = delete;
+    Doing& operator=(const Doing&) = delete;
+    ~Doing() { nodes_.rename(nodes_.does_, {}); }
+
+   private:
+    Nodes& nodes_;
+  };
   std::vector<CallbackStatus> callbacks() const;
 
   // Any thread
@@ -54,6 +66,7 @@ class Nodes {
   Node* first_ = nullptr;
   std::vector<std::shared_ptr<CallbackSurvey>> surveys_;  // under way
   std::atomic<const Node*> doing_{nullptr};
+  std::string does_;  // see Doing; empty: nothing
   mutable PriorityMutex doing_mutex_;  // a node that `doing` reads is not destroyed
 };
 

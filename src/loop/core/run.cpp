@@ -16,20 +16,19 @@
 
 namespace rtdata::detail {
 
-/// Shared with the loop, which may come to it when nobody waits any more.
+/// Shared with the loop, which may come to it, or be in it, when nobody waits any more.
 struct LoopCore::CallThere {
-  enum class State { waits, runs, given_up };
+  enum class State { waits, runs, done, given_up };
   std::atomic<State> state{State::waits};
   Latch is_done;
+  Callback<void()> function;
   std::exception_ptr thrown;
 
-  bool become(State next) noexcept {
-    State before = State::waits;
-    return state.compare_exchange_strong(before, next);
-  }
+  bool become(State next, State before) noexcept { return state.compare_exchange_strong(before, next); }
 };
 
-bool LoopCore::is_done_within(Duration at_most, CallThere& call) {
+LoopCore::Called LoopCore::wait_for(CallThere& call, Duration at_most, Begun begun) {
+  using State = CallThere::State;
   // Meanwhile the outputs of the loop that waits are held, which does not hang; not for ever.
   constexpr Duration between_beats = std::chrono::milliseconds{10};
   constexpr Duration longest_held = std::chrono::seconds{5};
@@ -44,40 +43,50 @@ bool LoopCore::is_done_within(Duration at_most, CallThere& call) {
     if (!runs_elsewhere()) take_sent(MonotonicTime::max());  // a tier that was given up has ended meanwhile
     if (waited >= told_after && !std::exchange(is_told, true))
       runtime.main().log(LogLevel::warning, "loop " + config.name, "is waited for: " + where() + " for 1 s");
-    if (waited < at_most || call.state.load() != CallThere::State::waits) continue;
+    if (waited < at_most) continue;
     note_standing(began);
-    if (call.become(CallThere::State::given_up)) return false;
+    if (call.become(State::given_up, State::waits)) {
+      call.function = {};
+      return Called::not_begun;
+    }
+    if (begun == Begun::is_given_up && call.become(State::given_up, State::runs)) return Called::not_ended;
     note_turning();
   }
-  return true;
+  return Called::done;
 }
 
-bool LoopCore::call_there_within(Duration at_most, Callback<void()> function) {
+LoopCore::Called LoopCore::call_there_within(Duration at_most, Callback<void()> function, Begun begun) {
+  using State = CallThere::State;
   if (const Duration::rep since = stands_since_.load(std::memory_order_acquire); since != never)
     at_most -= now() - MonotonicTime{Duration{since}};
-  if (at_most <= Duration{0}) return false;
+  if (at_most <= Duration{0}) return Called::not_begun;
   const auto call = std::make_shared<CallThere>();
-  post([this, call, &function] {
-    if (!call->become(CallThere::State::runs)) return note_turning();
+  call->function = std::move(function);
+  post([this, call] {
+    if (!call->become(State::runs, State::waits)) return note_turning();
     try {
-      function();
+      call->function();
     } catch (...) {
       call->thrown = std::current_exception();
     }
     runtime.send_now();
+    if (!call->become(State::done, State::runs)) return note_turning();
     call->is_done.set();
   });
-  if (!is_done_within(at_most, *call)) return false;
-  if (call->thrown) std::rethrow_exception(std::exchange(call->thrown, nullptr));
-  return true;
+  const Called called = wait_for(*call, at_most, begun);
+  if (called == Called::done && call->thrown) std::rethrow_exception(std::exchange(call->thrown, nullptr));
+  return called;
 }
 
-void LoopCore::call_there(Callback<void()> function) {
+void LoopCore::call_there(Callback<void()> function, Begun begun) {
   constexpr Duration patience = std::chrono::seconds{1};
-  if (call_there_within(patience, std::move(function))) return;
+  const Called called = call_there_within(patience, std::move(function), begun);
+  if (called == Called::done) return;
   throw SetupError({Errc::not_turning, "cannot be reached", "loop " + config.name,
                     where() + " for " + to_string(patience),
-                    "nothing was done; look for what blocks in its sensors and handlers"});
+                    called == Called::not_begun
+                        ? "nothing was done; look for what blocks in its sensors and handlers"
+                        : "it has begun with what was asked for, and may still do it; look for what blocks there"});
 }
 
 std::string LoopCore::where() const {

@@ -164,6 +164,9 @@ void BridgeReceiver::add_statuses(std::vector<SensorStatus>& all) const {
     all.push_back({here.mirror->name, here.mirror->topic.name, here.period, here.is_active, here.health, here.reason,
                    here.mirror->counts, from_.config.name, here.mirror->first_due(),
                    here.mirror->outages(to_.runtime.event_now())});
+    if (!from_.is_standing()) continue;
+    all.back().health = Health::faulted;
+    all.back().reason = "its loop does not turn: this is what is known of it last";
   }
 }
 

@@ -12,28 +12,20 @@ namespace {
 
 template <class Returned, class Function>
 [[gnu::noinline]] Returned there(detail::SourceNode& source, Returned otherwise, Function function) {
-  source.loop()->call_there([&] {
-    if (source.is_open()) otherwise = function(source);
+  return source.loop()->ask_there([&source, otherwise = std::move(otherwise), function = std::move(function)]() mutable {
+    return source.is_open() ? function(source) : std::move(otherwise);
   });
-  return otherwise;
 }
 
-/// Calls with the node on its loop's thread: a tier's may be another one than this. `otherwise`: when it is closed.
+/// Calls with the node on its loop's thread: a tier's may be another one than this. `otherwise`: when it is closed. The
+/// function owns what it uses.
 template <class Returned, class Function>
-Returned with(detail::Node* node, Returned otherwise, const Function& function) {
+Returned with(detail::Node* node, Returned otherwise, Function function) {
   if (node == nullptr || !node->is_open()) return otherwise;
   auto& source = static_cast<detail::SourceNode&>(*node);
   if (!source.loop()->runs_elsewhere()) [[likely]]
     return function(source);
-  return there(source, otherwise, function);
-}
-
-template <class Function>
-void with(detail::Node* node, const Function& function) {
-  with(node, 0, [&](detail::SourceNode& source) {
-    function(source);
-    return 0;
-  });
+  return there(source, std::move(otherwise), std::move(function));
 }
 
 /// Of a sensor whose loop does not turn: what the main loop knows of it last.
@@ -41,14 +33,14 @@ SensorStatus last_known(const detail::Node& node) {
   const auto& source = static_cast<const detail::SourceNode&>(node);
   detail::LoopCore& loop = *source.loop();
   SensorStatus known;
+  known.health = Health::faulted;
+  known.reason = "its loop does not turn, and nothing is known of it";
   for (const auto* bridge : loop.runtime.main().inbound) {
     std::vector<SensorStatus> all;
     bridge->receiving.add_statuses(all);
     for (SensorStatus& one : all)
       if (one.name == source.origin().name && one.loop == loop.config.name) known = std::move(one);
   }
-  known.health = Health::faulted;
-  known.reason = "its loop does not turn: this is what is known of it last";
   return known;
 }
 
@@ -64,20 +56,28 @@ Returned ask(detail::Node* node, Returned otherwise, const Function& function, c
 
 /// For what is refused where the loop may not be used.
 template <class Function>
-void change(detail::Node* node, const char* what, const Function& function) {
-  with(node, [&](detail::SourceNode& source) {
+bool change(detail::Node* node, const char* what, Function function) {
+  return with(node, false, [what, function = std::move(function)](detail::SourceNode& source) mutable {
     source.loop()->check_thread(what, source.origin().name);
-    function(source);
+    return function(source);
   });
 }
 
 }  // namespace
 
-void AnySensor::start() {
-  change(node(), "cannot start sensor", [](auto& source) { source.start(); });
+bool AnySensor::start() {
+  return change(node(), "cannot start sensor", [](detail::SourceNode& source) {
+    const bool ran = source.is_running();
+    source.start();
+    return !ran;
+  });
 }
-void AnySensor::stop() {
-  change(node(), "cannot stop sensor", [](auto& source) { source.stop(); });
+bool AnySensor::stop() {
+  return change(node(), "cannot stop sensor", [](detail::SourceNode& source) {
+    const bool ran = source.is_running();
+    source.stop();
+    return ran;
+  });
 }
 bool AnySensor::is_running() const noexcept {
   return ask(
@@ -85,10 +85,16 @@ bool AnySensor::is_running() const noexcept {
       [](const SensorStatus& known) { return known.running; });
 }
 void AnySensor::set_rate(Rate rate) {
-  change(node(), "cannot change sensor", [&](auto& source) { source.set_rate(rate); });
+  change(node(), "cannot change sensor", [rate](detail::SourceNode& source) {
+    source.set_rate(rate);
+    return true;
+  });
 }
 void AnySensor::set_processing(const Processing& processing) {
-  change(node(), "cannot change sensor", [&](auto& source) { source.set_processing(processing); });
+  change(node(), "cannot change sensor", [processing](detail::SourceNode& source) {
+    source.set_processing(processing);
+    return true;
+  });
 }
 Rate AnySensor::rate() const noexcept {
   return ask(
@@ -116,7 +122,11 @@ CallbackTimes AnySensor::times() const noexcept {
       [](const SensorStatus&) { return CallbackTimes{}; });
 }
 void AnySensor::on_error(Callback<void(const ErrorReport&)> handler) {
-  change(node(), "cannot set on_error of sensor", [&](auto& source) { source.set_on_error(std::move(handler)); });
+  change(node(), "cannot set on_error of sensor",
+         [handler = std::move(handler)](detail::SourceNode& source) mutable {
+           source.set_on_error(std::move(handler));
+           return true;
+         });
 }
 
 }  // namespace rtdata

@@ -237,8 +237,9 @@ void LimitSensor::change(const LimitConfig& config) {
   auto* const limit = static_cast<detail::LimitNode*>(node());
   if (limit == nullptr || !limit->is_open()) return;
   if (!limit->loop()->runs_elsewhere()) return limit->change(config);
-  limit->loop()->call_there([&] {
+  limit->loop()->ask_there([limit, config] {
     if (limit->is_open()) limit->change(config);
+    return true;
   });
 }
 
@@ -246,18 +247,14 @@ bool LimitSensor::acknowledge() {
   auto* const limit = static_cast<detail::LimitNode*>(node());
   if (limit == nullptr || !limit->is_open()) return false;
   if (!limit->loop()->runs_elsewhere()) return limit->acknowledge();
-  bool was_there = false;
-  limit->loop()->call_there([&] { was_there = limit->is_open() && limit->acknowledge(); });
-  return was_there;
+  return limit->loop()->ask_there([limit] { return limit->is_open() && limit->acknowledge(); });
 }
 
 LimitState LimitSensor::state() const {
   auto* const limit = static_cast<detail::LimitNode*>(node());
-  LimitState state;
-  if (limit == nullptr || !limit->is_open()) return state;
+  if (limit == nullptr || !limit->is_open()) return {};
   if (!limit->loop()->runs_elsewhere()) return limit->state();
-  limit->loop()->call_there([&] { state = limit->state(); });
-  return state;
+  return limit->loop()->ask_there([limit] { return limit->state(); });
 }
 
 }  // namespace rtdata

@@ -10,8 +10,8 @@
 namespace rtdata::detail {
 namespace {
 
-// libgps has a parser for this, gps_unpack. Ours takes as long, and tells of a line that is cut or has a text where a
-// number belongs; it depends on no version of that library, and a number is exactly that which the line has.
+// libgps has a parser for this, gps_unpack. It believes what is no value: docs/gps.md has the lines and what it made of
+// them.
 
 /// The numbers of a fix that are taken as they are.
 struct NumberKey {
