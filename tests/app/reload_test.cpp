@@ -229,27 +229,29 @@ TEST_SUITE("app") {
     INFO(told);
     CHECK(has(told, "sink db: restarted (path)"));
     CHECK(has(told, "sink far: restarted"));
-    CHECK(has(told,
-              " in first.db for sink \"far\", and no sink goes through that file any more: `rtdata forward first.db "
-              "rig.json` sends them"));
-    CHECK(has(told, "\n" + std::to_string(waiting_in("first.db")) + " events ("));
+    const auto stays_in = [](const std::string& file) {
+      return "what waits for sinks in " + file + " stays there: `rtdata info " + file + "` tells it, and `rtdata forward " +
+             file + " FILE` sends it, with a FILE that has these sinks";
+    };
+    CHECK(has(told, stays_in("first.db")));
 
-    // And from a disk that is well: what the recording stores when it closes waits, too.
+    // And from a disk that is well: what the recording stores when it closes waits, too, and `info` tells it.
     folder.write("rig.json", text("third.db"));
     told = reload({}, 0);
-    CHECK(has(told, "\n" + std::to_string(waiting_in("second.db")) + " events ("));
-    CHECK(has(told, " in second.db for sink \"far\", and no sink goes through"));
+    CHECK(has(told, stays_in("second.db")));
+    Process info(folder, program, {"info", "second.db"});
+    CHECK(info.end() == 0);
+    CHECK_MESSAGE(has(info.out, "far"), info.out);
+    CHECK_MESSAGE(has(info.out, std::to_string(waiting_in("second.db")) + " events"), info.out);
     folder.write("rig.json", R"({"name": "rig", "sensors": [], "sinks": []})");
     Process check(folder, program, {"check", "rig.json", "--against", "old.json"});
     CHECK(check.end() == 2);  // there is none yet
     folder.write("old.json", text("third.db"));
     told = reload({}, 0);
-    CHECK(has(told,
-              " in third.db for sink \"far\", and no sink goes through that file any more: `rtdata forward third.db "
-              "FILE` sends them, with a FILE that has this sink"));
+    CHECK(has(told, stays_in("third.db")));
     Process compared(folder, program, {"check", "rig.json", "--against", "old.json"});
     CHECK(compared.end() == 0);
-    CHECK(has(compared.out, "warning: " + std::to_string(waiting_in("third.db")) + " events ("));
+    CHECK(has(compared.out, "warning: " + stays_in("third.db")));
     run.signal(SIGTERM);
     CHECK(run.end() == 1);  // not all is stored
     // The table has the file that each had.

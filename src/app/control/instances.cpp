@@ -64,7 +64,7 @@ Result<Json> status_of(const std::string& line) {
   const bool says_why = status.is_object() && status.contains("error");
   return Error{Errc::io_failed, "no status", "instance",
                says_why ? text_or_dash(status["error"]) : "it answers something else",
-               "use the same version of the program on both sides"};
+               says_why ? "" : "use the same version of the program on both sides"};
 }
 
 void FoundInstance::hear(Duration at_most) {

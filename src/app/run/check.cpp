@@ -16,7 +16,7 @@ namespace rtdata::app {
 namespace {
 
 /// The exit status.
-int compare(const Registry& registry, const SystemPlan& plan, const std::string& file, const std::string& against) {
+int compare(const Registry& registry, const SystemPlan& plan, const std::string& against) {
   const SystemPlan now = plan_system(registry, load_config(against));
   if (!now.good()) {
     std::cout << now.report() << "it cannot be compared with " << against << ", which has mistakes" << std::endl;
@@ -38,9 +38,8 @@ int compare(const Registry& registry, const SystemPlan& plan, const std::string&
   }
   std::cout << "in the place of " << against << ", in a system that runs:\n"
             << (change.is_empty() ? "nothing changes\n" : hide_secrets(change.text(), plan.secrets)) << std::flush;
-  for (const std::string& recording : recordings_left(parts, plan))
-    for (const std::string& line : left_behind(recording, plan, file))
-      std::cout << "warning: " << hide_secrets(line, plan.secrets) << std::endl;
+  for (const std::string& line : recordings_left(parts, plan))
+    std::cout << "warning: " << hide_secrets(line, plan.secrets) << std::endl;
   if (change.refused() == 0) return exit_good;
   std::cout << "it cannot be applied while the system runs: start it again" << std::endl;
   return exit_other;
@@ -93,7 +92,7 @@ int check(const Registry& registry, const CheckOptions& options) {
   };
   std::cout << (plan.warnings.empty() ? "ok: " : "ok, with " + counted(plan.warnings.size(), "warning") + ": ")
             << counts_text(registry, plan) << std::endl;
-  return options.against.empty() ? exit_good : compare(registry, plan, options.file, options.against);
+  return options.against.empty() ? exit_good : compare(registry, plan, options.against);
 }
 
 }  // namespace rtdata::app

@@ -93,43 +93,6 @@ bool Reload::may_be_applied(Change& change) {
   return refused("what is refused can be done by starting the program again");
 }
 
-/// Reads what waits in the recordings of a change.
-struct Reload::Look final : detail::LaneJob {
-  Look(Reload& reload, const std::shared_ptr<Change>& change)
-      : reload_(reload), change_(change), recordings_(change->left), next_(change->read), file_(reload.options_.file) {}
-  void run() noexcept override try {
-    for (const std::string& recording : recordings_)
-      for (std::string& line : left_behind(recording, next_->plan, file_)) lines_.push_back(std::move(line));
-  } catch (...) {  // no memory: as if it had not come back
-    has_failed_ = true;
-  }
-  void done(Outcome outcome) override {
-    const auto change = change_.lock();
-    if (change == nullptr || outcome == Outcome::cancelled) return;
-    if (outcome == Outcome::finished && !has_failed_)
-      change->waiting = std::move(lines_);
-    else
-      change->waiting = not_known(recordings_);
-    reload_.then(change_, &Reload::tell_left);
-  }
-  static std::vector<std::string> not_known(const std::vector<std::string>& recordings) {
-    std::vector<std::string> lines;
-    for (const std::string& recording : recordings)
-      lines.push_back("what waits in " + recording + " for sinks could not be read in " + to_string(looking_patience) +
-                      ": `rtdata info " + recording + "` tells");
-    return lines;
-  }
-
- private:
-  Reload& reload_;
-  const Weak change_;
-  const std::vector<std::string> recordings_;
-  const std::shared_ptr<const NextPlan> next_;
-  const std::string file_;
-  std::vector<std::string> lines_;
-  bool has_failed_ = false;
-};
-
 /// Looks whether new files can be written.
 struct Reload::NewFilesLook final : detail::LaneJob {
   NewFilesLook(Reload& reload, const std::shared_ptr<Change>& change, std::vector<NewFile> files)
@@ -324,7 +287,7 @@ void Reload::be_applied(const std::shared_ptr<Change>& change) {
     if (plan->stores && plan->stores->check_openable && made.contains(plan->object()))
       change->waits_for.insert(plan->name);
   const Weak weak = change;
-  if (change->waits_for.empty()) return then(weak, &Reload::look_at_left);
+  if (change->waits_for.empty()) return then(weak, &Reload::tell_parts);
   change->is_waiting = true;
   change->patience = Timer(loop_, opening_patience, [this, weak] { then(weak, &Reload::tell_unopened); });
   for (const std::string& name : std::set<std::string>(change->waits_for)) {
@@ -345,19 +308,7 @@ void Reload::tell_unopened(const std::shared_ptr<Change>& change) {
         "sink " + name + " stores nothing yet" +
             (sink.reason.empty() ? ", " + to_string(opening_patience) + " after it was made" : ": " + sink.reason));
   }
-  look_at_left(change);
-}
-
-void Reload::look_at_left(const std::shared_ptr<Change>& change) {
-  if (change->left.empty()) return then(change, &Reload::tell_parts);
-  if (lane_.submit(std::make_shared<Look>(*this, change))) return;
-  change->waiting = Look::not_known(change->left);
-  then(change, &Reload::tell_left);
-}
-
-void Reload::tell_left(const std::shared_ptr<Change>& change) {
-  for (const std::string& line : change->waiting) add(*change, LogLevel::warning, line, "left-backlog");
-  then(change, &Reload::tell_parts);
+  tell_parts(change);
 }
 
 void Reload::tell_parts(const std::shared_ptr<Change>& change) {
@@ -367,6 +318,7 @@ void Reload::tell_parts(const std::shared_ptr<Change>& change) {
     if (part.fate != Fate::unchanged) add(*change, LogLevel::info, part.text());
     if (loop_.now() - begin >= step_time) return then(change, &Reload::tell_parts);
   }
+  for (const std::string& line : change->left) add(*change, LogLevel::warning, line, "left-backlog");
   conclude(*change, LogLevel::info,
            options_.file + " is applied" + (parts.is_empty() ? "; nothing has changed in it" : "") + ": " +
                counts_text(registry_, change->read->plan));

@@ -39,7 +39,6 @@ class Reload {
     std::uint64_t number = 0;  ///< later readings have larger ones
   };
   using Told = std::function<void(const CommandOutcome&)>;
-  static constexpr Duration looking_patience = std::chrono::seconds{1};  // who asked waits for it, too
 
   Reload(Loop& loop, System& system, const Registry& registry, const RunOptions& options, RunConsole& console, Run run)
       : loop_(loop),
@@ -48,9 +47,9 @@ class Reload {
         options_(options),
         console_(console),
         run_(std::move(run)),
-        lane_(loop.core(), "reload", looking_patience) {}
+        lane_(loop.core(), "reload", std::chrono::seconds{1}) {}
 
-  static constexpr Duration opening_patience = std::chrono::milliseconds{500};  // so does this
+  static constexpr Duration opening_patience = std::chrono::milliseconds{500};  // who asked waits for it, too
   /// Reads and checks the file again. Any thread but the loop's: so nothing waits for it.
   std::shared_ptr<const NextPlan> read_again() const;
   /// `why`: what asked for it, for messages. A recording that the change closes stores first what it has, while the
@@ -77,10 +76,9 @@ class Reload {
     // Sinks that store what they have, and "tier fast" until that turns; then sinks that open their files.
     std::set<std::string> waits_for = {};
     Timer patience = {};
-    std::vector<std::string> left = {};     // files of recordings that it closes for good
-    std::vector<std::string> waiting = {};  // what waits in those, a line each
-    std::size_t told_parts = 0;             // of those that are changed, for the log
-    std::string details = {};               // what is said of it, a line each
+    std::vector<std::string> left = {};  // recordings that it closes for good, a line each
+    std::size_t told_parts = 0;          // of those that are changed, for the log
+    std::string details = {};            // what is said of it, a line each
   };
   using Weak = std::weak_ptr<Change>;
   void conclude(Change& change, LogLevel level, const std::string& text, std::string_view id = {});
@@ -108,12 +106,8 @@ class Reload {
   void be_applied(const std::shared_ptr<Change>& change);
   /// Tells which sinks that it has made could not open their files.
   void tell_unopened(const std::shared_ptr<Change>& change);
-  void look_at_left(const std::shared_ptr<Change>& change);
-  /// Tells what waits in the recordings that it has closed for good.
-  void tell_left(const std::shared_ptr<Change>& change);
   void tell_parts(const std::shared_ptr<Change>& change);
 
-  struct Look;
   struct NewFilesLook;
 
   Loop& loop_;
@@ -127,7 +121,7 @@ class Reload {
   std::uint64_t not_stored_ = 0;
   mutable std::atomic<std::uint64_t> readings_ = 0;  // begun
   std::uint64_t newest_ = 0;                         // that was to be applied
-  detail::Lane lane_;  // that looks at files and into recordings, on whatever disks they are
+  detail::Lane lane_;  // that looks at files, on whatever disks they are
 };
 
 }  // namespace rtdata::app
