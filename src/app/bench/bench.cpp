@@ -1,190 +1,176 @@
 #include <sched.h>
-#include <signal.h>
 #include <sys/mman.h>
-#include <sys/resource.h>
 #include <sys/utsname.h>
-#include <sys/vfs.h>
 #include <unistd.h>
 
 #include <algorithm>
 #include <array>
+#include <cstdio>
+#include <cstring>
 #include <filesystem>
 #include <fstream>
 #include <iostream>
+#include <nlohmann/json.hpp>
 #include <thread>
 
-#include "app/bench/bench_measure.hpp"
-#include "app/bench/bench_text.hpp"
 #include "app/core/configuration_commands.hpp"
 #include "app/machine/doctor.hpp"
+#include "data/rounded_time.hpp"
 #include "loop/support/processors.hpp"
+#include "rtdata/loop/runtime.hpp"
+#include "rtdata/loop/tier.hpp"
+#include "rtdata/loop/timer.hpp"
 
 namespace rtdata::app {
 namespace {
 
 using Json = nlohmann::ordered_json;
 
-volatile sig_atomic_t interrupted = 0;
-
-// ---- how busy the machine is
-
-/// Processor time in clock ticks, of the whole machine.
-struct MachineTime {
-  double busy = 0, stolen = 0, all = 0;
-};
-
-MachineTime machine_time() {
-  std::ifstream file("/proc/stat");
-  std::string cpu;
-  std::array<double, 8> t{};  // user nice system idle iowait irq softirq steal
-  file >> cpu;
-  for (double& one : t) file >> one;
-  MachineTime time;
-  for (const double one : t) time.all += one;
-  time.stolen = t[7];
-  time.busy = time.all - t[3] - t[4] - t[7];
-  return time;
-}
-
-double own_seconds() {
-  rusage usage{};
-  ::getrusage(RUSAGE_SELF, &usage);
-  return static_cast<double>(usage.ru_utime.tv_sec + usage.ru_stime.tv_sec) +
-         static_cast<double>(usage.ru_utime.tv_usec + usage.ru_stime.tv_usec) / 1e6;
-}
-
-Json json_of(Ticks& ticks) {
-  std::sort(ticks.lateness.begin(), ticks.lateness.end());
+/// How late ticks were, or how long writes took, in ns.
+Json json_of(std::vector<std::int64_t> times) {
+  std::sort(times.begin(), times.end());
   const auto at = [&](double fraction) {
-    if (ticks.lateness.empty()) return Json();
-    return Json(ticks.lateness[static_cast<std::size_t>(fraction * static_cast<double>(ticks.lateness.size() - 1))]);
+    return times[static_cast<std::size_t>(fraction * static_cast<double>(times.size() - 1))];
   };
-  return {{"ticks", ticks.all()}, {"missed", ticks.missed}, {"p50_ns", at(0.5)},
-          {"p99_ns", at(0.99)},   {"p99_9_ns", at(0.999)},  {"max_ns", at(1)}};
+  if (times.empty()) return Json::object();
+  return {{"p50_ns", at(0.5)}, {"p99_ns", at(0.99)}, {"p99_9_ns", at(0.999)}, {"max_ns", times.back()}};
 }
 
-[[maybe_unused]] bool is_tmpfs(const std::string& path) {
-  struct statfs found {};
-  return ::statfs(path.c_str(), &found) == 0 && static_cast<unsigned long>(found.f_type) == 0x01021994UL;
-}
-
-/// What keeps this machine from doing better, with what to set.
-std::vector<std::string> improvements(const std::vector<std::string>& warnings, double others_percent) {
-  std::vector<std::string> all = warnings;
-  for (const Finding& finding : examine_timing(MachineFiles(), nullptr))
-    if (finding.severity != Severity::good) all.push_back(finding.text());
-  if (others_percent > 10)
-    all.push_back("other programs used the processors meanwhile: measure again when the machine is quiet");
-  return all;
-}
-
-class Bench {
- public:
-  explicit Bench(const BenchOptions& options) : options_(options), talks_(::isatty(STDERR_FILENO) == 1) {}
-
-  Json measure() {
-    const MachineTime before = machine_time();
-    const double own_before = own_seconds();
-    json_["machine"] = Json::object();
-    measure_sampling();
-    tell("events");
-    json_["events"] = {{"rtdata_per_s", measure_topic(share(0.05))}, {"limit_per_s", measure_bare_ring(share(0.05))}};
-    json_["storage"] = Json::array();
-    measure_disks();
-    tell("");
-    const MachineTime after = machine_time();
-    const double all = std::max(after.all - before.all, 1.0);
-    const double own = (own_seconds() - own_before) * static_cast<double>(::sysconf(_SC_CLK_TCK));
-    const double others = std::clamp(100 * (after.busy - before.busy - own) / all, 0.0, 100.0);
-    utsname system{};
-    ::uname(&system);
-    json_["machine"] = {{"system", std::string(system.sysname) + " " + system.release + " " + system.machine},
-                        {"processors", static_cast<int>(std::thread::hardware_concurrency())},
-                        {"load", MachineFiles().text("/proc/loadavg").value_or("").substr(0, 14)},
-                        {"others_percent", others},
-                        {"stolen_percent", 100 * (after.stolen - before.stolen) / all}};
-    json_["verdict"] = bench_verdict(json_);
-    json_["improvements"] = improvements(warnings_, others);
-    return std::move(json_);
-  }
-
- private:
-  Duration share(double part) const {
-    return std::max<Duration>(
-        Duration{static_cast<Duration::rep>(part * static_cast<double>(options_.duration.count()))},
-        std::chrono::milliseconds{50});
-  }
-  void tell(const std::string& what) const {
-    throw_if_interrupted();
-    if (talks_) std::cerr << "\r\x1b[K" << (what.empty() ? "" : "measuring: " + what + " ...") << std::flush;
-  }
-
-  void measure_sampling() {
-    // In turns, so that noise that comes and goes meets both.
-    constexpr int turns = 4;
-    const Duration slice = share(0.6 / (2 * 2 * turns));
-    Scheduling granted;
-    Json rates = Json::array();
-    for (const auto& [name, period] :
-         {std::pair{"1 kHz", Duration{1'000'000}}, std::pair{"10 kHz", Duration{100'000}}}) {
-      Ticks ours, bare;
-      for (int turn = 0; turn < turns; ++turn) {
-        tell(std::string(name) + ", part " + std::to_string(turn + 1) + " of " + std::to_string(turns));
-        TierMeasurement on_tier = measure_tier(period, slice, options_.cpu);
-        ours.add(on_tier.ticks);
-        granted = on_tier.scheduling;
-        warnings_ = std::move(on_tier.warnings);
-        bare.add(measure_bare_timer(period, slice, granted, options_.cpu));
-      }
-      rates.push_back(
-          {{"name", name}, {"period_ns", period.count()}, {"rtdata", json_of(ours)}, {"limit", json_of(bare)}});
-    }
-    ::munlockall();  // what follows needs memory
-    json_["sampling"] = {{"policy", std::string(name_of(granted.policy))},
-                         {"priority", granted.priority},
-                         {"as_asked", granted.policy == SchedulingPolicy::fifo},
-                         {"cpu", options_.cpu ? Json(*options_.cpu) : Json()},
-                         {"rates", std::move(rates)}};
-  }
-
-  void measure_disks() {
-#ifdef RTDATA_WITH_SQLITE
-    std::vector<std::string> folders{std::filesystem::current_path().string()};
-    for (const char* folder : {"/dev/shm", "/run", "/tmp"}) {
-      if (is_tmpfs(folders.front()) || folders.size() > 1) break;
-      if (is_tmpfs(folder) && ::access(folder, W_OK) == 0) folders.push_back(folder);
-    }
-    for (const std::string& folder : folders) {
-      tell("SQLite in " + folder);
-      Json one;
-      try {
-        one = measure_storage(folder, share(0.28 / static_cast<double>(folders.size())));
-      } catch (const SetupError& error) {
-        one = {{"folder", folder}, {"rtdata", {{"error", error.what()}}}, {"limit", {{"error", "not measured"}}}};
-      }
-      one["tmpfs"] = is_tmpfs(folder);
-      json_["storage"].push_back(std::move(one));
-    }
-#endif
-  }
-
-  const BenchOptions& options_;
-  const bool talks_;
-  Json json_;
-  std::vector<std::string> warnings_;
+struct Ticks {
+  std::vector<std::int64_t> lateness;
+  std::uint64_t missed = 0;
+  Scheduling scheduling;
+  std::vector<std::string> warnings;
 };
+
+/// Adds those of a ticker on a tier with a real-time policy, where that is permitted.
+void add_ticks(Ticks& ticks, Duration period, Duration duration, std::optional<int> cpu) {
+  Loop loop;
+  loop.runtime().on_log([](const LogRecord&) {});  // the warnings are printed at the end
+  Tier::Config config{.name = "bench", .policy = SchedulingPolicy::fifo, .priority = 80};
+  if (cpu) config.cpus = {*cpu};
+  Tier tier(loop, config);
+  std::size_t count = ticks.lateness.size();
+  ticks.lateness.resize(count + static_cast<std::size_t>(duration / period) + 1000);  // touched
+  Ticker ticker(tier.loop(), period, [&](const Tick& tick) {
+    if (count < ticks.lateness.size()) ticks.lateness[count++] = tick.lateness().count();
+    ticks.missed += tick.missed;
+  });
+  loop.run_for(duration);
+  ticks.scheduling = tier.scheduling();
+  ticks.warnings = tier.warnings();
+  tier.stop();
+  ticks.lateness.resize(count);
+}
+
+/// Adds what cyclictest of rt-tests measures with the same priority; nothing where it cannot be run.
+void add_cyclictest(std::vector<std::int64_t>& lateness, Duration period, Duration duration, const Scheduling& like,
+                    std::optional<int> cpu) {
+  constexpr std::int64_t most = 100'000;  // us
+  const std::int64_t loops = duration / period;
+  std::string command = "cyclictest -q --laptop -i" + std::to_string(period / std::chrono::microseconds{1}) + " -l" +
+                        std::to_string(loops) + " -h" + std::to_string(most);
+  if (like.policy == SchedulingPolicy::fifo) command += " -m -p" + std::to_string(like.priority);
+  if (cpu) command += " -a" + std::to_string(*cpu);
+  std::FILE* const output = ::popen((command + " 2>/dev/null").c_str(), "r");
+  if (output == nullptr) return;
+  const std::size_t wanted = lateness.size() + static_cast<std::size_t>(loops);
+  std::array<char, 200> line{};
+  while (std::fgets(line.data(), static_cast<int>(line.size()), output) != nullptr) {
+    unsigned long microseconds = 0, count = 0;
+    if (std::sscanf(line.data(), "%lu %lu", &microseconds, &count) == 2)
+      lateness.insert(lateness.end(), count, static_cast<std::int64_t>(microseconds) * 1000);
+  }
+  if (::pclose(output) == 0 && !lateness.empty()) lateness.resize(wanted, most * 1000);  // beyond its table
+}
+
+Json measure_rate(Duration period, Duration duration, std::optional<int> cpu, Ticks& ticks) {
+  std::vector<std::int64_t> cyclictest;
+  constexpr int turns = 4;  // so that noise that comes and goes meets both
+  for (int turn = 0; turn < turns; ++turn) {
+    add_ticks(ticks, period, duration / (2 * turns), cpu);
+    add_cyclictest(cyclictest, period, duration / (2 * turns), ticks.scheduling, cpu);
+  }
+  Json ours = json_of(ticks.lateness);
+  ours["ticks"] = ticks.lateness.size() + ticks.missed;
+  ours["missed"] = ticks.missed;
+  return {{"period_ns", period.count()}, {"rtdata", std::move(ours)}, {"cyclictest", json_of(std::move(cyclictest))}};
+}
+
+Json measure(const BenchOptions& options) {
+  const bool talks = ::isatty(STDERR_FILENO) == 1;
+  const auto tell = [&](const char* what) {
+    if (talks) std::cerr << "\r\x1b[K" << what << std::flush;
+  };
+  const Duration part = std::max<Duration>(options.duration * 2 / 5, std::chrono::milliseconds{50});
+  Json json, rates = Json::array(), warnings = Json::array();
+  Scheduling granted;
+  for (const std::int64_t hertz : {1000, 10'000}) {
+    tell(hertz == 1000 ? "measuring: 1 kHz ..." : "measuring: 10 kHz ...");
+    Ticks ticks;
+    rates.push_back(measure_rate(Duration{1'000'000'000 / hertz}, part, options.cpu, ticks));
+    granted = ticks.scheduling;
+    warnings = ticks.warnings;
+  }
+  ::munlockall();  // what follows needs memory
+  utsname system{};
+  ::uname(&system);
+  json["machine"] = {{"system", std::string(system.sysname) + " " + system.release + " " + system.machine},
+                     {"processors", static_cast<int>(std::thread::hardware_concurrency())},
+                     {"load", MachineFiles().text("/proc/loadavg").value_or("").substr(0, 14)}};
+  json["sampling"] = {{"policy", std::string(name_of(granted.policy))},
+                      {"priority", granted.priority},
+                      {"cpu", options.cpu ? Json(*options.cpu) : Json()},
+                      {"warnings", std::move(warnings)},
+                      {"rates", std::move(rates)}};
+  tell("measuring: the disk ...");
+  const std::string folder = std::filesystem::current_path().string();
+  auto times = times_of_sync(folder, part / 2);
+  json["disk"] = times ? json_of(*std::move(times)) : Json{{"error", times.error().text()}};
+  json["disk"]["folder"] = folder;
+  tell("");
+  return json;
+}
+
+std::string text_of(const Json& json) {
+  std::string out;
+  const auto line = [&](const char* format, const auto&... values) {
+    std::array<char, 600> text{};
+    std::snprintf(text.data(), text.size(), format, values...);
+    out += std::string(text.data()) + "\n";
+  };
+  const auto time = [](const Json& of, const char* key) { return detail::rounded_time(of.at(key).get<double>()); };
+  const Json &machine = json.at("machine"), &sampling = json.at("sampling"), &disk = json.at("disk");
+  line("machine   %s, %d processors; load %s\n", machine.at("system").get_ref<const std::string&>().c_str(),
+       machine.at("processors").get<int>(), machine.at("load").get_ref<const std::string&>().c_str());
+  out += "sampling on a tier, " + sampling.at("policy").get<std::string>() +
+         (sampling.at("priority") > 0 ? " " + sampling.at("priority").dump() : "") + ", " +
+         (sampling.at("cpu").is_number() ? "processor " + sampling.at("cpu").dump() : "any processor") + "\n";
+  for (const Json& warning : sampling.at("warnings")) out += "  " + warning.get<std::string>() + "\n";
+  out += "lateness                 p50       p99     p99.9       max    missed        of\n";
+  for (const Json& rate : sampling.at("rates")) {
+    const char* name = rate.at("period_ns") == 1'000'000 ? "1 kHz" : "10 kHz";
+    for (const char* who : {"rtdata", "cyclictest"}) {
+      const Json& of = rate.at(who);
+      if (of.empty()) {
+        line("%-7s %s: cannot be run here: apt install rt-tests", name, who);
+      } else {
+        line("%-7s %-10s%10s%10s%10s%10s", name, who, time(of, "p50_ns").c_str(), time(of, "p99_ns").c_str(),
+             time(of, "p99_9_ns").c_str(), time(of, "max_ns").c_str());
+        if (!of.contains("missed")) continue;
+        out.pop_back();
+        line("%10s%10s", of["missed"].dump().c_str(), of["ticks"].dump().c_str());
+      }
+    }
+  }
+  out += "\ndisk of " + disk.at("folder").get<std::string>() + "\n";
+  if (disk.contains("error")) return out + "  " + disk["error"].get<std::string>() + "\n";
+  line("  a small write is on the disk after p50 %s, p99 %s, at worst %s", time(disk, "p50_ns").c_str(),
+       time(disk, "p99_ns").c_str(), time(disk, "max_ns").c_str());
+  return out;
+}
 
 }  // namespace
-
-void catch_interrupts() {
-  struct sigaction action {};
-  action.sa_handler = [](int) { interrupted = 1; };
-  for (const int signal : {SIGINT, SIGTERM, SIGHUP}) ::sigaction(signal, &action, nullptr);
-}
-
-void throw_if_interrupted() {
-  if (interrupted != 0) throw Interrupted{};
-}
 
 int bench(const BenchOptions& options) {
   if (options.cpu) {
@@ -204,21 +190,11 @@ int bench(const BenchOptions& options) {
       return exit_other;
     }
   }
-  catch_interrupts();
-  try {
-    const Json json = Bench(options).measure();
-    const std::string text = json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
-    if (options.json_file == "-") {
-      std::cout << text << std::flush;
-    } else {
-      std::cout << bench_text(json) << std::flush;
-    }
-    if (file.is_open() && !(file << text << std::flush)) {
-      std::cerr << "rtdata: cannot write all figures: " << options.json_file << std::endl;
-      return exit_other;
-    }
-  } catch (const Interrupted&) {
-    std::cerr << "\nrtdata: ended before all was measured" << std::endl;
+  const Json json = measure(options);
+  const std::string text = json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
+  std::cout << (options.json_file == "-" ? text : text_of(json)) << std::flush;
+  if (file.is_open() && !(file << text << std::flush)) {
+    std::cerr << "rtdata: cannot write all figures: " << options.json_file << std::endl;
     return exit_other;
   }
   return exit_good;

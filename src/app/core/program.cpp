@@ -52,7 +52,7 @@ constexpr Command commands[] = {
     {"ctl", "Command a running instance: rates, alarms, notes, reload", app::prepare_ctl},
     {"scan", "List the devices of this machine, with lines to paste", app::prepare_scan},
     {"doctor", "Say what of this machine costs timing or data, and what to do", app::prepare_doctor},
-    {"bench", "Measure what this machine can do: jitter, events, recording", app::prepare_bench},
+    {"bench", "Measure what this machine can do: jitter, and the disk", app::prepare_bench},
     {"check", "Find every mistake in a configuration; exit 2 if there is any", app::prepare_check},
     {"graph", "Draw the machines of a configuration", app::prepare_graph},
     {"types", "List the types of sensors, sinks and formats with their parameters", app::prepare_types},

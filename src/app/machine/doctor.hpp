@@ -34,6 +34,9 @@ std::vector<Finding> examine_clock(const MachineFiles& files);
 /// The disks of the sinks' files; without a plan, or without such sinks, that of the working folder. A small file is
 /// written and synced on each, on this machine.
 std::vector<Finding> examine_disks(const MachineFiles& files, const SystemPlan* plan);
+/// How long each write of 4096 bytes took until it was on the folder's disk, in ns: writes for that long, five at
+/// least.
+Result<std::vector<std::int64_t>> times_of_sync(const std::string& folder, Duration duration);
 /// Devices of the plan's parts: are they there, and may they be opened?
 /// Is a chip the kernel's, and has somebody else the port open?
 std::vector<Finding> examine_devices(const MachineFiles& files, const SystemPlan& plan);

@@ -37,32 +37,6 @@ Mount mount_of(const MachineFiles& files, const std::string& folder) {
 
 std::string megabytes(std::uint64_t bytes) { return std::to_string(bytes / 1'000'000) + " MB"; }
 
-/// How long a small write takes until it is on the disk; none: nothing can be written.
-struct Synced {
-  int error = 0;
-  std::chrono::milliseconds median{0};
-};
-
-Synced time_of_sync(const std::string& folder) {
-  std::string path = folder + "/rtdata-doctor-XXXXXX";
-  const int fd = ::mkostemp(path.data(), O_CLOEXEC);
-  if (fd < 0) return {errno, {}};
-  ::unlink(path.c_str());
-  Synced synced;
-  std::vector<std::chrono::steady_clock::duration> times;
-  const std::string block(4096, 'x');
-  for (int i = 0; i < 5 && synced.error == 0; ++i) {
-    const auto began = std::chrono::steady_clock::now();
-    if (::write(fd, block.data(), block.size()) != static_cast<ssize_t>(block.size()) || ::fdatasync(fd) != 0)
-      synced.error = errno != 0 ? errno : ENOSPC;
-    times.push_back(std::chrono::steady_clock::now() - began);
-  }
-  ::close(fd);
-  std::sort(times.begin(), times.end());
-  synced.median = std::chrono::duration_cast<std::chrono::milliseconds>(times[times.size() / 2]);
-  return synced;
-}
-
 void examine_disk(const MachineFiles& files, const std::string& folder, Severity worst, std::vector<Finding>& found) {
   const std::string subject = "disk of " + folder;
   const Mount mount = mount_of(files, folder);
@@ -98,13 +72,13 @@ void examine_disk(const MachineFiles& files, const std::string& folder, Severity
             "make room, or limit recordings by `max_bytes`");
       }
     }
-    const Synced synced = time_of_sync(folder);
-    if (synced.error != 0) {
-      add(worst, std::string("nothing can be written: ") + std::strerror(synced.error), "nothing can be recorded",
+    auto times = times_of_sync(folder, Duration{});
+    if (!times) {
+      add(worst, "nothing can be written: " + times.error().why, "nothing can be recorded",
           "`ls -ld` shows who may write there");
-    } else if (synced.median.count() > 200) {
+    } else if (std::nth_element(times->begin(), times->begin() + 2, times->end()); (*times)[2] > 200'000'000) {
       add(Severity::warning,
-          "a small write takes " + std::to_string(synced.median.count()) + " ms until it is on the disk",
+          "a small write takes " + std::to_string((*times)[2] / 1'000'000) + " ms until it is on the disk",
           "commits queue up behind each other", "a larger `latency` of the recording, or another disk");
     }
   }
@@ -113,6 +87,29 @@ void examine_disk(const MachineFiles& files, const std::string& folder, Severity
 }
 
 }  // namespace
+
+Result<std::vector<std::int64_t>> times_of_sync(const std::string& folder, Duration duration) {
+  std::string path = folder + "/rtdata-write-XXXXXX";
+  const int fd = ::mkostemp(path.data(), O_CLOEXEC);
+  if (fd < 0) return system_error(errno, "nothing can be written", folder);
+  ::unlink(path.c_str());
+  std::vector<std::int64_t> times;
+  const std::string block(4096, 'x');
+  constexpr int blocks = 256;  // of the file, each written again and again
+  const auto end = std::chrono::steady_clock::now() + duration;
+  for (auto began = end - duration; times.size() < 5 || began < end; began = std::chrono::steady_clock::now()) {
+    const auto at = static_cast<off_t>(times.size() % blocks * block.size());
+    errno = ENOSPC;  // of a write that is too short
+    if (::pwrite(fd, block.data(), block.size(), at) != static_cast<ssize_t>(block.size()) || ::fdatasync(fd) != 0) {
+      const Error error = system_error(errno, "nothing can be written", folder);
+      ::close(fd);
+      return error;
+    }
+    times.push_back((std::chrono::steady_clock::now() - began).count());
+  }
+  ::close(fd);
+  return times;
+}
 
 std::vector<Finding> examine_disks(const MachineFiles& files, const SystemPlan* plan) {
   std::vector<Finding> found;

@@ -7,93 +7,16 @@
 #include <cstdio>
 #include <filesystem>
 #include <map>
-#include <memory>
 
 #include "app/core/amounts.hpp"
-#include "rtdata/data/codec.hpp"
-#include "rtdata/data/value.hpp"
 
 namespace rtdata::app {
 namespace {
 
 constexpr double seconds_per_day = 86400;
 
-/// What fields of this kind usually hold, as long as it usually is when it is written as text.
-Value typical_value(const Leaf& leaf) {
-  switch (leaf.kind) {
-    case Kind::boolean:
-      return false;
-    case Kind::character:
-      return 'x';
-    case Kind::f64:
-      return 21.483271059;
-    case Kind::f32:
-      return 21.48327;
-    case Kind::text:
-      return std::string(std::min<std::size_t>((leaf.size - text_length_bytes) / 2, 200), 'x');
-    case Kind::enumeration:
-      if (!leaf.field->values.empty()) return std::string(leaf.field->values.front().name);
-      return std::int64_t{0};
-    case Kind::i8:
-    case Kind::u8:
-      return std::int64_t{100};
-    case Kind::i16:
-    case Kind::u16:
-      return std::int64_t{1000};
-    case Kind::i32:
-    case Kind::u32:
-      return std::int64_t{100'000};
-    case Kind::i64:
-    case Kind::u64:
-    case Kind::record:
-      break;
-  }
-  return std::int64_t{100'000'000};
-}
-
-/// Bytes of a value in a row of SQLite: integers take as many as their value needs.
-double column_size(const Leaf& leaf) {
-  switch (leaf.kind) {
-    case Kind::f32:
-    case Kind::f64:
-      return 9;
-    case Kind::text:
-      return 2 + static_cast<double>(leaf.size) / 2;
-    case Kind::i64:
-    case Kind::u64:
-      return 5;
-    default:
-      return static_cast<double>(std::min<std::size_t>(leaf.size, 3));
-  }
-}
-
-/// Bytes of one event as the format writes it; 0 when it does not take such events.
-double event_size(Codec& codec, const PartPlan& sensor) {
-  const Description& description = *sensor.publishes->description;
-  std::vector<std::byte> payload(description.size());
-  for (const Leaf& leaf : description.leaves()) {
-    if (!write(leaf, payload.data(), typical_value(leaf))) return 0;
-  }
-  const EventHeader header{from_nanoseconds(1'800'000'000'000'000'000), 100'000, sensor.name};
-  std::vector<std::byte> bytes;
-  if (!codec.encode(EventView(sensor.publishes->topic, header, description, payload), bytes)) return 0;
-  return static_cast<double>(bytes.size());
-}
-
-/// Bytes of one row of SQLite.
-double row_size(const PartPlan& sensor) {
-  double size = static_cast<double>(sensor.name.size()) + 24;  // with time, sequence and the row's own header
-  for (const Leaf& leaf : sensor.publishes->description->leaves()) size += column_size(leaf);
-  return size;
-}
-
-/// The format of a file sink; null when there is none of its name.
-std::unique_ptr<Codec> codec_of(const PartPlan& sink) {
-  const ConfigItem* item = sink.item.find("format");
-  const std::string* given = item != nullptr ? item->as_string() : nullptr;
-  auto codec = CodecRegistry::standard().make(given == nullptr || *given == "jsonl" ? "json" : *given);
-  return codec ? std::move(*codec) : nullptr;
-}
+/// Of a row, whatever its format: of numbers in a recording it is nearly right, text takes up to four times that.
+constexpr double bytes_a_field = 9;
 
 /// As often as it is read, or as often as the device takes samples by itself; 0: not known.
 double events_per_second(const PublishedTopic& published) {
@@ -128,20 +51,16 @@ std::string Growth::text() const {
 
 std::vector<Growth> growth_of(const SystemPlan& plan) {
   std::vector<Growth> all;
-  std::vector<const PartPlan*> publishing, storing;
-  for (const PartPlan& part : plan.parts) {
-    if (part.publishes) publishing.push_back(&part);
-    if (part.stores) storing.push_back(&part);
-  }
-  for (const PartPlan* sink : storing) {
-    const std::unique_ptr<Codec> codec = sink->type == "file" ? codec_of(*sink) : nullptr;
-    if (sink->type != "sqlite" && codec == nullptr) continue;
+  for (const PartPlan* sink : plan.of_kind("sink")) {
+    if (sink->type != "sqlite" && sink->type != "file") continue;
     Growth growth{sink, 0, is_limited(*sink)};
-    for (const PartPlan* sensor : publishing) {
-      const PublishedTopic& published = *sensor->publishes;
+    for (const PartPlan& part : plan.parts) {
+      if (!part.publishes) continue;
+      const PublishedTopic& published = *part.publishes;
       const double events = events_per_second(published);
       if (published.description == nullptr || events <= 0 || !sink->stores->wants(published.topic)) continue;
-      growth.bytes_per_day += (codec ? event_size(*codec, *sensor) : row_size(*sensor)) * events * seconds_per_day;
+      const auto fields = static_cast<double>(published.description->leaves().size());
+      growth.bytes_per_day += fields * bytes_a_field * events * seconds_per_day;
     }
     if (growth.bytes_per_day > 0) all.push_back(growth);
   }
