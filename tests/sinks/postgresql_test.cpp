@@ -455,6 +455,9 @@ TEST_SUITE("sinks") {
       Program program({.url = server.url(database)});
       program.loop.advance(3s);
       CHECK(program.told("a table of this name is there, and rt-data has not made it"));
+      CHECK(server.number(database,
+                          "SELECT count(*) FROM pg_stat_activity WHERE datname = current_database() AND "
+                          "state LIKE 'idle in transaction%'") == 0);  // nor are its locks held
       server.sql(database, "ALTER TABLE \"plant/number\" RENAME TO theirs");
       program.loop.advance(20s);
       program.loop.close();
@@ -740,13 +743,11 @@ TEST_SUITE("sinks") {
     SERVER_OR_SKIP(server);
     const std::string database = server.make_database();
     const auto connected = [&](const std::string& more) {
-      auto made = postgresql::Connection::open({.url = server.url(database) + more, .timeout = 7s});
-      REQUIRE(made);
-      auto reply = made->run(
+      postgresql::Connection made({.url = server.url(database) + more, .timeout = 7s});
+      const auto reply = made.run(
           "SELECT source || ' ' || coalesce(reset_val, '') FROM pg_settings WHERE name LIKE 'tcp_%' ORDER BY name");
-      REQUIRE(reply);
       std::string all;
-      for (int row = 0; row < reply->rows(); ++row) all += std::string(reply->text(row, 0)) + "\n";
+      for (int row = 0; row < reply.rows(); ++row) all += std::string(reply.text(row, 0)) + "\n";
       return all;
     };
     CHECK(connected("") == "session 0\nsession 0\nsession 0\nsession 0\n");

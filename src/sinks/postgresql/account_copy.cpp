@@ -61,13 +61,6 @@ void append_value(std::string& out, sqlite3_stmt* row, int column) {
   }
 }
 
-std::string key_of(std::string_view topic, std::string_view origin) {
-  return std::string(topic).append("\n").append(origin);
-}
-
-/// What the server has of the run.
-using Positions = std::map<std::string, std::pair<std::uint64_t, std::uint64_t>>;  // first sequence, rows
-
 class RunCopy {
  public:
   struct Run {
@@ -84,16 +77,16 @@ class RunCopy {
         columns_(columns) {}
 
   /// False: the server has not all rows yet.
-  Result<bool> read(const Positions& positions);
+  bool read(const Positions& positions);
   /// In one round trip and transaction.
-  Result<void> write(Connection& connection) const;
+  void write(Connection& connection) const;
 
  private:
-  Result<bool> read_table(std::size_t table, const Positions& positions);
+  bool read_table(std::size_t table, const Positions& positions);
   /// How many rows of the origin the server refused, as far as the recording remembers.
-  Result<std::uint64_t> refused(std::string_view topic, std::string_view origin) const;
+  std::uint64_t refused(std::string_view topic, std::string_view origin) const;
   /// Whether the sink is done with all rows of the origin that are in the recording.
-  Result<bool> is_done_with(std::string_view topic, std::string_view origin) const;
+  bool is_done_with(std::string_view topic, std::string_view origin) const;
 
   const sqlite::Database& database_;
   const AccountCopy& copy_;
@@ -105,75 +98,55 @@ class RunCopy {
   std::map<std::string, bool> takes_;  // by topic
 };
 
-Result<bool> RunCopy::read(const Positions& positions) {
+bool RunCopy::read(const Positions& positions) {
   for (std::size_t table = 0; table < account_tables.size(); ++table) {
-    auto has_all = read_table(table, positions);
-    if (!has_all || !*has_all) return has_all;
+    if (!read_table(table, positions)) return false;
   }
   return true;
 }
 
-Result<std::uint64_t> RunCopy::refused(std::string_view topic, std::string_view origin) const {
-  auto has_positions = database_.integer(there_are_positions);
-  if (!has_positions) return std::move(has_positions).error();
-  if (*has_positions == 0) return std::uint64_t{0};
-  auto count = database_.prepare(
+std::uint64_t RunCopy::refused(std::string_view topic, std::string_view origin) const {
+  if (database_.integer(there_are_positions).or_throw() == 0) return 0;
+  auto count = prepared(
+      database_,
       "SELECT count(*) FROM rtdata_refused WHERE sink = ? AND topic = ? AND origin = ? AND run = (SELECT uuid FROM "
       "rtdata_run WHERE run = ?)");
-  if (!count) return std::move(count).error();
-  count->bind(1, copy_.sink).bind(2, topic).bind(3, origin).bind(4, local_);
-  auto row = count->step();
-  if (!row) return std::move(row).error();
-  return static_cast<std::uint64_t>(count->integer(0));
+  count.bind(1, copy_.sink).bind(2, topic).bind(3, origin).bind(4, local_).step().or_throw();
+  return static_cast<std::uint64_t>(count.integer(0));
 }
 
-Result<bool> RunCopy::is_done_with(std::string_view topic, std::string_view origin) const {
-  auto has_positions = database_.integer(there_are_positions);
-  if (!has_positions || *has_positions == 0)
-    return has_positions ? Result<bool>(false) : std::move(has_positions).error();
-  auto tables = database_.prepare(
+bool RunCopy::is_done_with(std::string_view topic, std::string_view origin) const {
+  if (database_.integer(there_are_positions).or_throw() == 0) return false;
+  auto tables = prepared(
+      database_,
       "SELECT t.table_name, p.row FROM rtdata_topic t LEFT JOIN rtdata_position p ON p.table_name = t.table_name AND "
       "p.sink = ? WHERE t.topic = ?");
-  if (!tables) return std::move(tables).error();
-  tables->bind(1, copy_.sink).bind(2, topic);
-  for (;;) {
-    auto row = tables->step();
-    if (!row) return std::move(row).error();
-    if (!*row) return true;
-    if (tables->is_null(1)) return false;
-    auto left = database_.prepare("SELECT 1 FROM " + sqlite::quoted(tables->text(0)) +
-                                  " WHERE _rowid_ > ? AND run = ? AND origin = ? LIMIT 1");
-    if (!left) return std::move(left).error();
-    left->bind(1, tables->integer(1)).bind(2, local_).bind(3, origin);
-    auto is_left = left->step();
-    if (!is_left) return std::move(is_left).error();
-    if (*is_left) return false;
+  tables.bind(1, copy_.sink).bind(2, topic);
+  while (tables.step().or_throw()) {
+    if (tables.is_null(1)) return false;
+    auto left = prepared(database_, "SELECT 1 FROM " + sqlite::quoted(tables.text(0)) +
+                                        " WHERE _rowid_ > ? AND run = ? AND origin = ? LIMIT 1");
+    if (left.bind(1, tables.integer(1)).bind(2, local_).bind(3, origin).step().or_throw()) return false;
   }
+  return true;
 }
 
-Result<bool> RunCopy::read_table(std::size_t table, const Positions& positions) {
+bool RunCopy::read_table(std::size_t table, const Positions& positions) {
   const std::string_view name = account_tables[table];
-  std::string sql = "SELECT ";
   std::map<std::string_view, int> at;
-  for (const AccountColumn& column : columns_[table]) {
-    at.emplace(column.name, static_cast<int>(at.size()));
-    sql += (at.size() == 1 ? "" : ",") + sqlite::quoted(column.name);
-  }
-  auto query = database_.prepare(sql + " FROM " + std::string(name) + " WHERE run = ?");
-  if (!query) return std::move(query).error();
-  query->bind(1, local_);
+  for (const AccountColumn& column : columns_[table]) at.emplace(column.name, static_cast<int>(at.size()));
+  auto query = prepared(database_,
+                        "SELECT " + names_of(columns_[table]) + " FROM " + std::string(name) + " WHERE run = ?");
+  query.bind(1, local_);
   const auto topic = at.find("topic");
   const bool is_ledger = name == "rtdata_ledger";
   std::string& rows = rows_.emplace_back();
   sqlite::RowSum& sum = sums_.emplace_back();
   sqlite::RowHash hash;
   const int width = static_cast<int>(columns_[table].size());
-  for (;;) {
-    auto row = query->step();
-    if (!row) return std::move(row).error();
-    if (!*row) return true;
+  while (query.step().or_throw()) {
     if (topic != at.end()) {
-      const std::string of(query->text(topic->second));
+      const std::string of(query.text(topic->second));
       const auto [takes, is_new] = takes_.try_emplace(of, false);
       if (is_new) {
         takes->second = std::any_of(copy_.topics.begin(), copy_.topics.end(),
@@ -185,18 +158,13 @@ Result<bool> RunCopy::read_table(std::size_t table, const Positions& positions) 
     if (is_ledger) {
       // What the recording has deleted again is on the server if it was sent before. Rows are missing here when they
       // were deleted unsent, or when the sink was attached later: these are what the server calls pruned.
-      const auto number = [&](const char* column) { return static_cast<std::uint64_t>(query->integer(at.at(column))); };
-      const std::string_view of_topic = query->text(at.at("topic")), of_origin = query->text(at.at("origin"));
-      const auto found = positions.find(key_of(of_topic, of_origin));
+      const auto number = [&](const char* column) { return static_cast<std::uint64_t>(query.integer(at.at(column))); };
+      const std::string_view of_topic = query.text(at.at("topic")), of_origin = query.text(at.at("origin"));
+      const auto found = positions.find({std::string(of_topic), std::string(of_origin)});
       const std::uint64_t stored = number("stored");
-      const std::uint64_t here = found != positions.end() ? found->second.second : 0;
+      const std::uint64_t here = found != positions.end() ? found->second.rows : 0;
       const std::uint64_t missing = stored - std::min(stored, here);
-      std::uint64_t refused_here = 0;
-      if (missing > 0) {
-        auto known = refused(of_topic, of_origin);
-        if (!known) return std::move(known).error();
-        refused_here = std::min(*known, missing);
-      }
+      std::uint64_t refused_here = missing > 0 ? std::min(refused(of_topic, of_origin), missing) : 0;
       const std::uint64_t dropped = number("dropped_newest") + number("dropped_oldest") + number("dropped_refused") +
                                     number("dropped_unsaved") + refused_here;
       const bool has_first = stored == 0 ||
@@ -204,8 +172,7 @@ Result<bool> RunCopy::read_table(std::size_t table, const Positions& positions) 
       const bool is_whole = has_first && number("pruned") == 0;
       if (missing > refused_here && is_whole && !has_ended_) return false;
       if (missing > 0 && has_ended_) {
-        auto is_done = is_done_with(of_topic, of_origin);
-        if (!is_done || !*is_done) return is_done;
+        if (!is_done_with(of_topic, of_origin)) return false;
         if (is_whole) refused_here = missing;  // of the oldest the recording has forgotten the keys
       }
       replaced[at.at("stored")] = static_cast<std::int64_t>(stored - refused_here);
@@ -220,16 +187,17 @@ Result<bool> RunCopy::read_table(std::size_t table, const Positions& positions) 
         rows += std::to_string(other->second);
         hash.integer(other->second);
       } else {
-        append_value(rows, query->raw(), column);
-        hash.column(query->raw(), column);
+        append_value(rows, query.raw(), column);
+        hash.column(query.raw(), column);
       }
     }
     rows += '\n';
     sum.add(hash.hash());
   }
+  return true;
 }
 
-Result<void> RunCopy::write(Connection& connection) const {
+void RunCopy::write(Connection& connection) const {
   std::string sql = "BEGIN;SELECT 1 FROM rtdata_run WHERE run = " + std::to_string(run_) + " FOR UPDATE;";
   std::vector<std::string_view> data;
   std::string sums;
@@ -237,9 +205,7 @@ Result<void> RunCopy::write(Connection& connection) const {
   for (std::size_t table = 0; table < account_tables.size(); ++table) {
     const std::string name(account_tables[table]);
     const bool is_run = name == "rtdata_run";
-    std::string columns;
-    for (const AccountColumn& column : columns_[table])
-      columns += (columns.empty() ? "" : ",") + quoted_name(column.name);
+    const std::string columns = names_of(columns_[table]);
     // Its row is there already: the values come by way of a table of this transaction alone.
     const std::string into = is_run ? "rtdata_run_copy" : name;
     if (is_run) {
@@ -264,19 +230,16 @@ Result<void> RunCopy::write(Connection& connection) const {
   }
   sql += "DELETE FROM rtdata_checksum WHERE run = " + run +
          ";INSERT INTO rtdata_checksum(run, table_name, columns, rows, sum) VALUES " + sums + ";COMMIT";
-  auto done = connection.copy(sql, data);
-  if (!done) connection.roll_back();
-  return done;
+  connection.copy(sql, data);
 }
 
 /// The tables of the account on the server, with all columns.
-Result<void> make_tables(Connection& connection, const std::vector<std::vector<AccountColumn>>& columns) {
-  auto there = connection.run(
+void make_tables(Connection& connection, const std::vector<std::vector<AccountColumn>>& columns) {
+  const Reply there = connection.run(
       "SELECT c.relname || ' ' || a.attname FROM pg_attribute a JOIN pg_class c ON c.oid = a.attrelid WHERE "
       "pg_table_is_visible(c.oid) AND c.relname LIKE 'rtdata\\_%' AND a.attnum > 0 AND NOT a.attisdropped");
-  if (!there) return std::move(there).error();
   std::set<std::string, std::less<>> known;
-  for (int row = 0; row < there->rows(); ++row) known.emplace(there->text(row, 0));
+  for (int row = 0; row < there.rows(); ++row) known.emplace(there.text(row, 0));
   std::string sql;
   for (std::size_t table = 0; table < account_tables.size(); ++table) {
     const std::string name(account_tables[table]);
@@ -291,35 +254,20 @@ Result<void> make_tables(Connection& connection, const std::vector<std::vector<A
     sql +=
         "CREATE TABLE IF NOT EXISTS rtdata_checksum(run bigint NOT NULL, table_name text NOT NULL, columns integer NOT "
         "NULL, rows bigint NOT NULL, sum bigint NOT NULL, PRIMARY KEY(run, table_name));";
-  if (sql.empty()) return {};
-  return in_transaction(connection, [&]() -> Result<void> {
-    if (auto made = connection.run(sql); !made) return std::move(made).error();
-    return {};
-  });
+  if (!sql.empty()) in_transaction(connection, [&] { connection.run(sql); });
 }
 
 }  // namespace
 
-Result<std::vector<std::vector<AccountColumn>>> account_columns() {
-  struct Close {
-    void operator()(sqlite3* database) const noexcept { sqlite3_close_v2(database); }
-  };
-  sqlite3* raw = nullptr;
-  const int opened = sqlite3_open_v2(":memory:", &raw, SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE, nullptr);
-  const std::unique_ptr<sqlite3, Close> database(raw);
-  if (opened != SQLITE_OK || sqlite3_exec(raw, sqlite::schema, nullptr, nullptr, nullptr) != SQLITE_OK)
-    return Error{Errc::io_failed, "cannot copy the account", "", "no memory", ""};
+std::vector<std::vector<AccountColumn>> account_columns() {
+  const auto database = sqlite::Database::open("", sqlite::Database::Mode::write).or_throw();  // in memory
+  database.execute(sqlite::schema).or_throw();
   std::vector<std::vector<AccountColumn>> all;
   for (const std::string_view table : account_tables) {
-    sqlite3_stmt* prepared = nullptr;
-    sqlite3_prepare_v2(raw, "SELECT name, type FROM pragma_table_info(?) ORDER BY cid", -1, &prepared, nullptr);
-    sqlite::Statement query(prepared);
+    auto query = prepared(database, "SELECT name, type FROM pragma_table_info(?) ORDER BY cid");
     query.bind(1, table);
     std::vector<AccountColumn>& columns = all.emplace_back();
-    for (;;) {
-      auto row = query.step();
-      if (!row) return std::move(row).error();
-      if (!*row) break;
+    while (query.step().or_throw()) {
       const std::string_view type = query.text(1);
       columns.push_back({std::string(query.text(0)), type == "INTEGER" ? "bigint"
                                                      : type == "REAL"  ? "double precision"
@@ -329,25 +277,23 @@ Result<std::vector<std::vector<AccountColumn>>> account_columns() {
   return all;
 }
 
-Result<void> copy_accounts(Connection& connection, const AccountCopy& copy) {
-  auto opened = sqlite::Database::open(copy.recording, sqlite::Database::Mode::read);
-  if (!opened) return std::move(opened).error();
-  const sqlite::Database& database = *opened;
-  auto version = database.integer("PRAGMA user_version");
-  if (!version) return std::move(version).error();
-  auto has_first_lines = database.integer(sqlite::has_first_lines);
-  if (!has_first_lines) return std::move(has_first_lines).error();
-  if (*version != sqlite::schema_version || *has_first_lines == 0) return {};  // an older one's
-  auto columns = account_columns();
-  if (!columns) return std::move(columns).error();
-  if (auto made = make_tables(connection, *columns); !made) return made;
+std::string names_of(const std::vector<AccountColumn>& columns) {
+  std::string names;
+  for (const AccountColumn& column : columns) names += (names.empty() ? "" : ",") + quoted_name(column.name);
+  return names;
+}
 
-  auto ended = connection.run("SELECT uuid FROM rtdata_run WHERE state IN ('closed', 'sealed')");
-  if (!ended) return std::move(ended).error();
+void copy_accounts(Connection& connection, const AccountCopy& copy) {
+  const auto database = sqlite::Database::open(copy.recording, sqlite::Database::Mode::read).or_throw();
+  if (database.integer("PRAGMA user_version").or_throw() != sqlite::schema_version ||
+      database.integer(sqlite::has_first_lines).or_throw() == 0)
+    return;  // an older one's
+  const auto columns = account_columns();
+  make_tables(connection, columns);
+
+  const Reply ended = connection.run("SELECT uuid FROM rtdata_run WHERE state IN ('closed', 'sealed')");
   std::set<std::string, std::less<>> done;
-  for (int row = 0; row < ended->rows(); ++row) done.emplace(ended->text(row, 0));
-  auto runs = database.prepare("SELECT run, uuid, state FROM rtdata_run ORDER BY run");
-  if (!runs) return std::move(runs).error();
+  for (int row = 0; row < ended.rows(); ++row) done.emplace(ended.text(row, 0));
   struct Wanted {
     std::int64_t run;
     std::string uuid;
@@ -355,44 +301,25 @@ Result<void> copy_accounts(Connection& connection, const AccountCopy& copy) {
   };
   std::vector<Wanted> wanted;
   std::int64_t last = 0;
-  for (;;) {
-    auto row = runs->step();
-    if (!row) return std::move(row).error();
-    if (!*row) break;
-    last = runs->integer(0);
-    if (done.contains(runs->text(1))) continue;
-    wanted.push_back({last, std::string(runs->text(1)), runs->text(2) != "recording"});
+  auto runs = prepared(database, "SELECT run, uuid, state FROM rtdata_run ORDER BY run");
+  while (runs.step().or_throw()) {
+    last = runs.integer(0);
+    if (!done.contains(runs.text(1))) wanted.push_back({last, std::string(runs.text(1)), runs.text(2) != "recording"});
   }
-  runs->reset();
+  runs.reset();
   for (const Wanted& one : wanted) {
     // A run without a row here is none of this sink's, unless it is the last: that may have nothing but gaps.
-    if (one.run == last) {
-      auto made = connection.query("INSERT INTO rtdata_run(uuid, machine) VALUES($1, $2) ON CONFLICT (uuid) DO NOTHING",
-                                   {{one.uuid, copy.machine}});
-      if (!made) return std::move(made).error();
-    }
-    auto found = connection.query("SELECT run FROM rtdata_run WHERE uuid = $1", {{one.uuid}});
-    if (!found) return std::move(found).error();
-    if (found->rows() == 0) continue;
-    const std::int64_t run = found->integer(0, 0);
-    auto here = connection.query("SELECT topic, origin, first_sequence, rows FROM rtdata_position WHERE run = $1",
-                                 {{std::to_string(run)}});
-    if (!here) return std::move(here).error();
-    Positions positions;
-    for (int i = 0; i < here->rows(); ++i) {
-      positions[key_of(here->text(i, 0), here->text(i, 1))] = {static_cast<std::uint64_t>(here->integer(i, 2)),
-                                                               static_cast<std::uint64_t>(here->integer(i, 3))};
-    }
+    if (one.run == last) add_run(connection, one.uuid, copy.machine);
+    const std::int64_t run = number_of_run(connection, one.uuid);
+    if (run == 0) continue;
+    const Positions positions = positions_of(connection, run);
     // All of it at one moment, into memory: the recording's log is not held while the network is waited for.
-    if (auto begun = database.execute("BEGIN"); !begun) return begun;
-    RunCopy account(database, copy, {one.run, run, one.has_ended}, *columns);
-    auto has_all = account.read(positions);
-    if (auto ended_reading = database.execute("COMMIT"); !ended_reading) return ended_reading;
-    if (!has_all) return std::move(has_all).error();
-    if (!*has_all) continue;
-    if (auto written = account.write(connection); !written) return written;
+    database.execute("BEGIN").or_throw();
+    RunCopy account(database, copy, {one.run, run, one.has_ended}, columns);
+    const bool has_all = account.read(positions);
+    database.execute("COMMIT").or_throw();
+    if (has_all) account.write(connection);
   }
-  return {};
 }
 
 }  // namespace rtdata::postgresql

@@ -8,6 +8,7 @@
 
 #include <cstdint>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "sinks/postgresql/connection.hpp"
@@ -20,7 +21,12 @@ namespace rtdata::postgresql {
 struct AccountColumn {
   std::string name, type;  ///< the type on the server
 };
-Result<std::vector<std::vector<AccountColumn>>> account_columns();
+std::vector<std::vector<AccountColumn>> account_columns();
+/// Their names, as SQL lists them.
+std::string names_of(const std::vector<AccountColumn>& columns);
+inline sqlite::Statement prepared(const sqlite::Database& database, std::string_view sql) {
+  return database.prepare(sql).or_throw();
+}
 
 struct AccountCopy {
   std::string recording;            ///< path
@@ -29,7 +35,7 @@ struct AccountCopy {
   std::vector<std::string> topics;  ///< patterns
 };
 
-/// Errors: those of the recording and of the connection. Nothing is done for a recording that an older version wrote.
-Result<void> copy_accounts(Connection& connection, const AccountCopy& copy);
+/// Nothing is done for a recording that an older version wrote.
+void copy_accounts(Connection& connection, const AccountCopy& copy);
 
 }  // namespace rtdata::postgresql

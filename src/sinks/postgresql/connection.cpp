@@ -7,6 +7,7 @@
 #include <charconv>
 #include <cstdlib>
 #include <iterator>
+#include <optional>
 #include <utility>
 
 #include "data/hidden.hpp"
@@ -14,8 +15,6 @@
 
 namespace rtdata::postgresql {
 namespace {
-
-constexpr const char* what = "cannot use the server";
 
 /// Of TCP, on both sides: a peer that is gone is known after a minute. In seconds, and a number of tries.
 const std::string keepalive_idle = "30", keepalive_interval = "10", keepalive_count = "3";
@@ -123,23 +122,25 @@ std::string quoted_name(std::string_view name) {
   return out + "\"";
 }
 
-Result<UrlParts> look_at_url(const std::string& url) {
-  if (auto loaded = detail::libpq.load(); !loaded) return loaded.error();
-  UrlParts parts;
-  if (url.empty()) return parts;
+std::string password_in(const std::string& url) {
+  detail::libpq.load().or_throw();
+  if (url.empty()) return {};
+  const auto refuse = [](std::string why, const char* advice) {
+    throw SetupError({Errc::bad_argument, "cannot connect", "`url`", std::move(why), advice});
+  };
   char* why = nullptr;
   const Options options(PQconninfoParse(url.c_str(), &why));
   if (options == nullptr) {
     // What libpq says may hold part of the URL, and so of a password.
     PQfreemem(why);
-    return Error{Errc::bad_argument, "cannot connect", "`url`", "libpq does not understand it",
-                 "write postgresql://user@host:port/database, with % and two digits for other characters"};
+    refuse("libpq does not understand it",
+           "write postgresql://user@host:port/database, with % and two digits for other characters");
   }
   constexpr std::string_view modes[] = {"", "disable", "allow", "prefer", "require", "verify-ca", "verify-full"};
   const std::string_view mode = value_of(options, "sslmode");
   if (std::find(std::begin(modes), std::end(modes), mode) == std::end(modes))
-    return Error{Errc::bad_argument, "cannot connect", "`url`", "there is no sslmode \"" + std::string(mode) + "\"",
-                 "choose disable, allow, prefer, require, verify-ca or verify-full"};
+    refuse("there is no sslmode \"" + std::string(mode) + "\"",
+           "choose disable, allow, prefer, require, verify-ca or verify-full");
   std::string_view ports = value_of(options, "port");  // one for each host
   for (bool is_more = !ports.empty(); is_more;) {
     const std::size_t end = ports.find(',');
@@ -148,17 +149,13 @@ Result<UrlParts> look_at_url(const std::string& url) {
     const auto read = std::from_chars(port.data(), port.data() + port.size(), number);
     if (!port.empty() &&
         (read.ec != std::errc{} || read.ptr != port.data() + port.size() || number < 1 || number > 65535))
-      return Error{Errc::bad_argument, "cannot connect", "`url`", "there is no port " + std::string(port),
-                   "ports go from 1 to 65535"};
+      refuse("there is no port " + std::string(port), "ports go from 1 to 65535");
     is_more = end != std::string_view::npos;
     if (is_more) ports.remove_prefix(end + 1);
   }
   if (std::string refused = refused_option(options); !refused.empty())
-    return Error{Errc::bad_argument, "cannot connect", "`url`", std::move(refused),
-                 "see \"Parameter Key Words\" in the manual of libpq"};
-  parts.password = value_of(options, "password");
-  parts.has_password = !parts.password.empty();
-  return parts;
+    refuse(std::move(refused), "see \"Parameter Key Words\" in the manual of libpq");
+  return value_of(options, "password");
 }
 
 std::int64_t Reply::integer(int row, int column) const noexcept {
@@ -168,14 +165,8 @@ std::int64_t Reply::integer(int row, int column) const noexcept {
   return value;
 }
 
-Result<Connection> Connection::open(const Address& address) {
-  Connection made;
-  made.timeout_ = address.timeout;
-  if (!address.password.empty()) made.secrets_.push_back(address.password);
-  auto parts = look_at_url(address.url);
-  if (!parts) return std::move(parts).error();
-  if (parts->has_password) made.secrets_.push_back(parts->password);
-
+Connection::Connection(const Address& address) : timeout_(address.timeout) {
+  secrets_ = {address.password, password_in(address.url)};
   const std::string port = address.port != 0 ? std::to_string(address.port) : "";
   const std::string patience = milliseconds(address.timeout);
   std::vector<const char*> keywords, values;
@@ -202,9 +193,9 @@ Result<Connection> Connection::open(const Address& address) {
   keywords.push_back(nullptr);
   values.push_back(nullptr);
 
-  made.connection_.reset(PQconnectStartParams(keywords.data(), values.data(), 1));
-  PGconn* const connection = made.connection_.get();
-  if (connection == nullptr) return Error{Errc::io_failed, "cannot connect", "", "no memory", ""};
+  connection_.reset(PQconnectStartParams(keywords.data(), values.data(), 1));
+  PGconn* const connection = connection_.get();
+  if (connection == nullptr) throw SetupError({Errc::io_failed, doing_, "", "no memory", ""});
   PQsetNoticeProcessor(
       connection, [](void*, const char*) {}, nullptr);
   PQsetErrorVerbosity(connection, PQERRORS_VERBOSE);  // the code stands in the text alone while connecting
@@ -215,35 +206,28 @@ Result<Connection> Connection::open(const Address& address) {
     if (const std::string database = text(PQdb(connection)); !database.empty()) where += ", database " + database;
     return where;
   };
-  const auto refuse = [&](Error error) {
-    error.why = detail::hidden(std::move(error.why), made.secrets_);
-    return error;
-  };
   const auto until = Clock::now() + address.timeout;
   for (PostgresPollingStatusType status = PGRES_POLLING_WRITING; status != PGRES_POLLING_OK;) {
-    made.where_ = place();
+    where_ = place();
     if (PQstatus(connection) == CONNECTION_BAD || status == PGRES_POLLING_FAILED) {
       std::string why = one_line(PQerrorMessage(connection));
       const std::string state = take_state(why);
       const Meaning meaning = state.empty() ? meaning_of_text(why) : meaning_of(state);
-      return refuse({meaning.code, "cannot connect", made.where_, std::move(why), meaning.advice});
+      end(meaning.code, std::move(why), meaning.advice);
     }
-    if (auto ready = made.wait(status == PGRES_POLLING_READING ? POLLIN : POLLOUT, until); !ready) {
-      Error error = std::move(ready).error();
-      error.what = "cannot connect";
-      return error;
-    }
+    wait(status == PGRES_POLLING_READING ? POLLIN : POLLOUT, until);
     status = PQconnectPoll(connection);
   }
-  made.where_ = place();
+  where_ = place();
+  doing_ = "cannot use the server";
   PQsetErrorVerbosity(connection, PQERRORS_DEFAULT);
   PQsetnonblocking(connection, 1);
   const char* server_encoding = PQparameterStatus(connection, "server_encoding");
   if (server_encoding == nullptr || std::string_view(server_encoding) != "UTF8") {
-    return Error{Errc::bad_argument, "cannot use the database", made.where_,
-                 std::string("its encoding is ") + (server_encoding != nullptr ? server_encoding : "not known") +
-                     ", in which not every text has a place",
-                 "make one with the encoding UTF8: createdb -E UTF8 -T template0"};
+    throw SetupError({Errc::bad_argument, "cannot use the database", where_,
+                      std::string("its encoding is ") + (server_encoding != nullptr ? server_encoding : "not known") +
+                          ", in which not every text has a place",
+                      "make one with the encoding UTF8: createdb -E UTF8 -T template0"});
   }
   // The server's own limits are shorter than ours, so that it is its reason that is told.
   std::string sql = "SET statement_timeout=" + milliseconds(address.timeout * 4 / 5) +
@@ -263,26 +247,24 @@ Result<Connection> Connection::open(const Address& address) {
     sql +=
         ";SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE usename = current_user AND pid <> "
         "pg_backend_pid() AND application_name = " +
-        made.literal(address.name);
-  auto done = made.run(sql);
-  if (!done) return std::move(done).error();
-  return made;
+        literal(address.name);
+  run(sql);
 }
 
-bool Connection::is_in_transaction() const noexcept {
-  return connection_ != nullptr && PQtransactionStatus(connection_.get()) != PQTRANS_IDLE;
-}
-
-Error Connection::lost() {
-  std::string why = one_line(PQerrorMessage(connection_.get()));
-  if (why.empty()) why = "the server has closed the connection";
-  Error error{Errc::disconnected, what, where_, detail::hidden(std::move(why), secrets_), "it is tried again"};
+void Connection::end(Errc code, std::string why, const char* advice) {
+  Error error{code, doing_, where_, detail::hidden(std::move(why), secrets_), advice};
   close();
-  return error;
+  throw SetupError(std::move(error));
 }
 
-Error Connection::failed(const PGresult* result, std::string doing) {
-  if (PQstatus(connection_.get()) == CONNECTION_BAD) return lost();
+void Connection::lost() {
+  std::string why = connection_ == nullptr ? "there is no connection" : one_line(PQerrorMessage(connection_.get()));
+  if (why.empty()) why = "the server has closed the connection";
+  end(Errc::disconnected, std::move(why), "it is tried again");
+}
+
+Error Connection::error_in(const PGresult* result, const char* what) {
+  if (PQstatus(connection_.get()) == CONNECTION_BAD) lost();
   const char* state = PQresultErrorField(result, PG_DIAG_SQLSTATE);
   const char* constraint = PQresultErrorField(result, PG_DIAG_CONSTRAINT_NAME);
   const char* primary = PQresultErrorField(result, PG_DIAG_MESSAGE_PRIMARY);
@@ -296,66 +278,64 @@ Error Connection::failed(const PGresult* result, std::string doing) {
   const bool is_of_row = state != nullptr && is_in_copy && refuses_row(state, constraint != nullptr ? constraint : "");
   const Meaning meaning = is_of_row ? row_refused : meaning_of(state != nullptr ? state : "");
   if (state != nullptr) why += ", SQLSTATE " + std::string(state);
-  return {meaning.code, std::move(doing), where_, detail::hidden(std::move(why), secrets_), meaning.advice};
+  return {meaning.code, what, where_, detail::hidden(std::move(why), secrets_), meaning.advice};
 }
 
-Result<short> Connection::wait(short events, Clock::time_point until) {
+short Connection::wait(short events, Clock::time_point until) {
   for (;;) {
     const auto left = std::chrono::duration_cast<std::chrono::milliseconds>(until - Clock::now()).count();
     pollfd ready{PQsocket(connection_.get()), events, 0};
     const int count = left > 0 ? ::poll(&ready, 1, static_cast<int>(std::min<std::int64_t>(left, 1 << 30))) : 0;
     if (count > 0) return ready.revents;
-    if (count < 0 && errno == EINTR) continue;
-    if (count < 0) return lost();
-    Error error{Errc::timed_out, what, where_, "it does not answer", "it is tried again with a new connection"};
-    close();
-    return error;
+    if (count == 0) end(Errc::timed_out, "it does not answer", "it is tried again with a new connection");
+    if (errno != EINTR) lost();
   }
 }
 
-Result<PGresult*> Connection::next() {
-  auto until = Clock::now() + timeout_;
+PGresult* Connection::next() {
+  const auto until = Clock::now() + timeout_;
   PGconn* const connection = connection_.get();
   for (;;) {
     const int flushed = PQflush(connection);
-    if (flushed < 0) return lost();
+    if (flushed < 0) lost();
     if (flushed == 0 && PQisBusy(connection) == 0) return PQgetResult(connection);
-    if (auto ready = wait(static_cast<short>(POLLIN | (flushed > 0 ? POLLOUT : 0)), until); !ready)
-      return std::move(ready).error();
-    if (PQconsumeInput(connection) == 0) return lost();
+    wait(static_cast<short>(POLLIN | (flushed > 0 ? POLLOUT : 0)), until);
+    if (PQconsumeInput(connection) == 0) lost();
   }
 }
 
-Result<Reply> Connection::run(const std::string& sql) { return query(sql, {}); }
+void Connection::answers(int sent, const char* what, const std::function<void(Reply)>& take) {
+  if (sent == 0) lost();
+  std::optional<Error> error;
+  while (PGresult* const result = next()) {
+    Reply reply(result);
+    switch (PQresultStatus(result)) {
+      case PGRES_COMMAND_OK:
+      case PGRES_TUPLES_OK:
+      case PGRES_SINGLE_TUPLE:
+      case PGRES_EMPTY_QUERY:
+      case PGRES_COPY_IN:
+        if (!error) take(std::move(reply));
+        break;
+      default:
+        if (!error) error = error_in(result, what);
+    }
+  }
+  if (error) throw SetupError(std::move(*error));
+}
 
-Result<Reply> Connection::query(const std::string& sql, std::span<const std::string> parameters) {
-  PGconn* const connection = connection_.get();
-  if (connection == nullptr) return Error{Errc::disconnected, what, where_, "there is no connection", ""};
+Reply Connection::query(const std::string& sql, std::span<const std::string> parameters) {
   std::vector<const char*> values;
   for (const std::string& parameter : parameters) values.push_back(parameter.c_str());
-  const int sent = parameters.empty() ? PQsendQuery(connection, sql.c_str())
-                                      : PQsendQueryParams(connection, sql.c_str(), static_cast<int>(values.size()),
-                                                          nullptr, values.data(), nullptr, nullptr, 0);
-  if (sent == 0) return lost();
   Reply last(nullptr);
-  Result<void> done;
-  for (;;) {
-    auto result = next();
-    if (!result) return std::move(result).error();
-    if (*result == nullptr) break;
-    Reply reply(*result);
-    const ExecStatusType status = PQresultStatus(reply.raw());
-    if (status != PGRES_COMMAND_OK && status != PGRES_TUPLES_OK && status != PGRES_EMPTY_QUERY && done) {
-      done = failed(reply.raw(), what);
-      if (connection_ == nullptr) break;
-    }
-    last = std::move(reply);
-  }
-  if (!done) return std::move(done).error();
+  answers(parameters.empty() ? PQsendQuery(connection_.get(), sql.c_str())
+                             : PQsendQueryParams(connection_.get(), sql.c_str(), static_cast<int>(values.size()),
+                                                 nullptr, values.data(), nullptr, nullptr, 0),
+          doing_, [&](Reply reply) { last = std::move(reply); });
   return last;
 }
 
-Result<void> Connection::put(std::string_view data) {
+void Connection::put(std::string_view data) {
   // With the five bytes of its head, what libpq sends in one call and without a rest.
   constexpr std::size_t piece = (std::size_t{64} << 10) - 5;
   PGconn* const connection = connection_.get();
@@ -363,66 +343,36 @@ Result<void> Connection::put(std::string_view data) {
     // What libpq holds back is bounded: no more is given before it is gone.
     const auto until = Clock::now() + timeout_;
     for (int flushed = PQflush(connection); flushed != 0; flushed = PQflush(connection)) {
-      if (flushed < 0) return lost();
-      auto ready = wait(POLLIN | POLLOUT, until);
-      if (!ready) return std::move(ready).error();
-      if ((*ready & ~POLLOUT) != 0 && PQconsumeInput(connection) == 0) return lost();
+      if (flushed < 0) lost();
+      if ((wait(POLLIN | POLLOUT, until) & ~POLLOUT) != 0 && PQconsumeInput(connection) == 0) lost();
     }
     const std::string_view now = data.substr(at, piece);
-    if (PQputCopyData(connection, now.data(), static_cast<int>(now.size())) < 0) return lost();
+    if (PQputCopyData(connection, now.data(), static_cast<int>(now.size())) < 0) lost();
   }
-  return {};
 }
 
-Result<void> Connection::copy(const std::string& sql, std::span<const std::string_view> data) {
-  PGconn* const connection = connection_.get();
-  if (connection == nullptr) return Error{Errc::disconnected, what, where_, "there is no connection", ""};
-  if (PQsendQuery(connection, sql.c_str()) == 0) return lost();
-  Result<void> done;
+void Connection::copy(const std::string& sql, std::span<const std::string_view> data) {
   std::size_t given = 0;
-  for (;;) {
-    auto result = next();
-    if (!result) return std::move(result).error();
-    if (*result == nullptr) return done;
-    const Reply reply(*result);
-    const ExecStatusType status = PQresultStatus(reply.raw());
-    if (status == PGRES_COPY_IN) {
-      if (auto put_in = put(data[given++]); !put_in) return put_in;
-      if (PQputCopyEnd(connection, nullptr) < 0) return lost();
-    } else if (status != PGRES_COMMAND_OK && status != PGRES_TUPLES_OK && done) {
-      done = failed(reply.raw(), "cannot store");
-      if (connection_ == nullptr) return done;
-    }
-  }
+  answers(PQsendQuery(connection_.get(), sql.c_str()), "cannot store", [&](const Reply& reply) {
+    if (PQresultStatus(reply.raw()) != PGRES_COPY_IN) return;
+    put(data[given++]);
+    if (PQputCopyEnd(connection_.get(), nullptr) < 0) lost();
+  });
 }
 
-Result<void> Connection::each(const std::string& sql, const std::function<Result<void>(const Reply&)>& row) {
-  PGconn* const connection = connection_.get();
-  if (connection == nullptr) return Error{Errc::disconnected, what, where_, "there is no connection", ""};
+void Connection::each(const std::string& sql, const std::function<void(const Reply&)>& row) {
   constexpr int binary = 1;
-  if (PQsendQueryParams(connection, sql.c_str(), 0, nullptr, nullptr, nullptr, nullptr, binary) == 0) return lost();
-  PQsetSingleRowMode(connection);
-  Result<void> done;
-  for (;;) {
-    auto result = next();
-    if (!result) return std::move(result).error();
-    if (*result == nullptr) return done;
-    const Reply reply(*result);
-    const ExecStatusType status = PQresultStatus(reply.raw());
-    if (status == PGRES_SINGLE_TUPLE) {
-      if (done) done = row(reply);
-    } else if (status != PGRES_TUPLES_OK && status != PGRES_COMMAND_OK && done) {
-      done = failed(reply.raw(), "cannot read from the server");
-      if (connection_ == nullptr) return done;
-    }
-  }
+  const int sent = PQsendQueryParams(connection_.get(), sql.c_str(), 0, nullptr, nullptr, nullptr, nullptr, binary);
+  PQsetSingleRowMode(connection_.get());
+  answers(sent, "cannot read from the server", [&](const Reply& reply) {
+    if (PQresultStatus(reply.raw()) == PGRES_SINGLE_TUPLE) row(reply);
+  });
 }
 
 void Connection::roll_back() noexcept {
   try {
-    if (connection_ == nullptr || PQtransactionStatus(connection_.get()) == PQTRANS_IDLE) return;
-    if (auto done = run("ROLLBACK"); !done) close();
-  } catch (...) {  // no memory
+    if (connection_ != nullptr && PQtransactionStatus(connection_.get()) != PQTRANS_IDLE) run("ROLLBACK");
+  } catch (...) {
     close();
   }
 }

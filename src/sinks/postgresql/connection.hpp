@@ -1,5 +1,8 @@
 // A connection to a PostgreSQL server over libpq, none of whose calls waits for longer than the time-out. Not
 // thread-safe: one user at a time.
+//
+// Whatever fails in this folder throws SetupError, here or by Result::or_throw. It is caught where a call from outside
+// begins, which returns its error, and goes no further.
 #pragma once
 
 #include <chrono>
@@ -26,13 +29,9 @@ struct Address {
   std::string name = {};
 };
 
-/// Errors: not_found (libpq is not there); bad_argument (it does not understand the URL). `has_password`: one is in the
-/// URL itself.
-struct UrlParts {
-  bool has_password = false;
-  std::string password = {};
-};
-Result<UrlParts> look_at_url(const std::string& url);
+/// The password that is in the URL itself; empty: none. Throws not_found (there is no libpq), bad_argument (it does not
+/// understand the URL).
+std::string password_in(const std::string& url);
 
 struct Clear {
   void operator()(PGresult* result) const noexcept { PQclear(result); }
@@ -56,23 +55,23 @@ class Reply {
 class Connection {
  public:
   Connection() = default;
-  /// Errors: not_permitted, not_found (the database), disconnected, timed_out, bad_argument (not UTF8).
-  static Result<Connection> open(const Address& address);
+  /// Throws not_permitted, not_found (the database), disconnected, timed_out, bad_argument (not UTF8).
+  explicit Connection(const Address& address);
 
   explicit operator bool() const noexcept { return connection_ != nullptr; }
   /// One or more statements; returns the last answer.
-  Result<Reply> run(const std::string& sql);
+  Reply run(const std::string& sql) { return query(sql, {}); }
   /// One statement with parameters, all of them texts.
-  Result<Reply> query(const std::string& sql, std::span<const std::string> parameters);
+  Reply query(const std::string& sql, std::span<const std::string> parameters);
   /// Statements among which are `COPY ... FROM STDIN`: each gets the next of `data`. In one round trip.
-  Result<void> copy(const std::string& sql, std::span<const std::string_view> data);
-  /// One statement, whose values come in binary: calls `row` with one answer for each row.
-  Result<void> each(const std::string& sql, const std::function<Result<void>(const Reply&)>& row);
+  void copy(const std::string& sql, std::span<const std::string_view> data);
+  /// One statement, whose values come in binary: calls `row` with one answer for each row. If that throws, the others
+  /// stay unread, and the connection is of no more use.
+  void each(const std::string& sql, const std::function<void(const Reply&)>& row);
   void set_timeout(Duration timeout) noexcept { timeout_ = timeout; }
-  /// After a statement that failed within a transaction.
+  /// Ends a transaction that something has failed in, if there is one.
   void roll_back() noexcept;
   void close() noexcept { connection_.reset(); }
-  bool is_in_transaction() const noexcept;
 
   /// 'text' with quotes doubled, for use in SQL.
   std::string literal(std::string_view text) const;
@@ -82,15 +81,20 @@ class Connection {
   struct Finish {
     void operator()(PGconn* connection) const noexcept { PQfinish(connection); }
   };
+  /// Reads all answers to what was sent (0: it was not) and calls `take` with each, up to the first that is an error:
+  /// that is thrown after the last.
+  void answers(int sent, const char* what, const std::function<void(Reply)>& take);
   /// Sends what is waiting and returns the next result; null after the last.
-  Result<PGresult*> next();
-  /// Which of them, or that the connection is gone.
-  Result<short> wait(short events, Clock::time_point until);
-  Result<void> put(std::string_view data);
-  Error failed(const PGresult* result, std::string what);
-  Error lost();
+  PGresult* next();
+  /// Returns which of them.
+  short wait(short events, Clock::time_point until);
+  void put(std::string_view data);
+  Error error_in(const PGresult* result, const char* what);
+  [[noreturn]] void lost();
+  [[noreturn]] void end(Errc code, std::string why, const char* advice);
 
   std::unique_ptr<PGconn, Finish> connection_;
+  const char* doing_ = "cannot connect";
   std::string where_;
   std::vector<std::string> secrets_;
   Duration timeout_{};

@@ -10,6 +10,7 @@
 #include <filesystem>
 #include <limits>
 #include <map>
+#include <set>
 
 #include "data/utf8.hpp"
 #include "rtdata/data/value.hpp"
@@ -37,16 +38,16 @@ struct Folder {
   Folder() {
     const char* base = ::getenv("TMPDIR");
     path = std::string(base != nullptr && *base != '\0' ? base : "/tmp") + "/rtdata-XXXXXX";
-    is_made = ::mkdtemp(path.data()) != nullptr;
+    if (::mkdtemp(path.data()) == nullptr)
+      throw SetupError(system_error(errno, "cannot make a folder", path, "set TMPDIR"));
   }
   Folder(const Folder&) = delete;
   Folder& operator=(const Folder&) = delete;
   ~Folder() {
     std::error_code ignored;
-    if (is_made) std::filesystem::remove_all(path, ignored);
+    std::filesystem::remove_all(path, ignored);
   }
   std::string path;
-  bool is_made = false;
 };
 
 template <class T>
@@ -161,18 +162,17 @@ struct Topic {
   std::string columns;
 };
 
-struct Position {
-  std::string topic, origin, table;
-  std::uint64_t first = 0, last = 0, rows = 0, sum = 0;
-  // found
-  std::uint64_t found_first = 0, found_last = 0, found_rows = 0, found_sum = 0;
-  bool is_known = false;
+/// An origin of a run: what rtdata_position says of it, and what its rows say.
+struct Origin {
+  std::string topic;
+  Position said, found;
 };
 
 struct Run {
   std::int64_t run = 0;
   bool has_account = false;
   std::string uuid, machine;
+  std::string is_of() const { return " WHERE run = " + std::to_string(run); }
 };
 
 /// By run, a sentence each.
@@ -183,188 +183,144 @@ constexpr std::int64_t no_run = -1;  // none is recorded; 0 stands for all
 class Download {
  public:
   Download(Connection& connection, Database& database) : connection_(connection), database_(database) {}
-  Result<void> all();
+  void all();
   Sentences problems, notes;
 
  private:
-  Result<void> read_layout();
-  Result<void> read_topics();
-  Result<std::vector<Run>> read_runs();
+  void read_layout();
+  void read_topics();
   /// Rows of runs that rtdata_run does not have.
-  Result<void> look_for_other_runs();
-  Result<void> copy_run(const Run& run);
-  Result<void> copy_rows(const Run& run, const Topic& topic);
-  Result<void> copy_account(const Run& run);
-  Result<void> make_account(const Run& run);
-  Result<void> finish_account(const Run& run);
+  void look_for_other_runs();
+  void copy_run(const Run& run);
+  void copy_rows(const Run& run, const Topic& topic);
+  void copy_account(const Run& run);
+  void set_rows_up_to(const Run& run);
+  void make_account(const Run& run);
+  void finish_account(const Run& run);
   void compare(const Run& run);
 
   Connection& connection_;
   Database& database_;
   sqlite::AccountSums sums_;
-  std::vector<std::vector<AccountColumn>> columns_;
+  const std::vector<std::vector<AccountColumn>> columns_ = account_columns();
   std::vector<Topic> topics_;
-  std::map<std::pair<std::string, std::string>, Position> positions_;  // of the run, by table and origin
-  Time first_{}, last_{};                                              // of its rows
-  std::map<std::string, bool, std::less<>> tables_;                    // of the account: whether they are there
+  std::map<std::pair<std::string, std::string>, Origin> origins_;  // of the run, by table and origin
+  Time first_{}, last_{};                                          // of its rows
+  std::set<std::string, std::less<>> tables_;                      // of the account, that are there
 };
 
-std::string key_text(const Position& position) { return position.topic + ", origin " + position.origin; }
-
-Result<void> Download::all() {
-  auto columns = account_columns();
-  if (!columns) return std::move(columns).error();
-  columns_ = std::move(*columns);
-  if (auto begun = connection_.run("BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY"); !begun)
-    return std::move(begun).error();
-  auto there = connection_.run(
+void Download::all() {
+  connection_.run("BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY");
+  const Reply there = connection_.run(
       "SELECT relname FROM pg_class WHERE pg_table_is_visible(oid) AND relkind IN ('r', 'p') AND relname LIKE "
       "'rtdata\\_%'");
-  if (!there) return std::move(there).error();
-  for (int row = 0; row < there->rows(); ++row) tables_.emplace(there->text(row, 0), true);
+  for (int row = 0; row < there.rows(); ++row) tables_.emplace(there.text(row, 0));
   for (const char* table : {"rtdata_layout", "rtdata_run", "rtdata_topic", "rtdata_position"}) {
     if (!tables_.contains(table)) {
-      return Error{
-          Errc::not_a_recording, "cannot read the server", "database", std::string("it has no table ") + table,
-          "name the database, and with ?options=-csearch_path%3DNAME the schema, that a postgresql sink stores "
-          "into"};
+      throw SetupError(
+          {Errc::not_a_recording, "cannot read the server", "database", std::string("it has no table ") + table,
+           "name the database, and with ?options=-csearch_path%3DNAME the schema, that a postgresql sink stores "
+           "into"});
     }
   }
-  if (auto done = database_.execute(std::string("PRAGMA journal_mode=OFF;PRAGMA synchronous=OFF;BEGIN;") +
-                                    sqlite::schema + sqlite::run_view());
-      !done)
-    return done;
-  if (auto done = sums_.watch(database_); !done) return done;
+  database_
+      .execute(std::string("PRAGMA journal_mode=OFF;PRAGMA synchronous=OFF;BEGIN;") + sqlite::schema +
+               sqlite::run_view())
+      .or_throw();
+  sums_.watch(database_).or_throw();
   sums_.begin(no_run);
-  if (auto done = read_layout(); !done) return done;
-  if (auto done = read_topics(); !done) return done;
-  auto runs = read_runs();
-  if (!runs) return std::move(runs).error();
-  if (auto done = look_for_other_runs(); !done) return done;
-  for (const Run& run : *runs) {
-    if (auto done = copy_run(run); !done) return done;
-  }
-  if (auto done = sums_.write_changes(database_); !done) return done;
-  for (const Run& run : *runs) {
-    if (auto done = finish_account(run); !done) return done;
-  }
-  if (auto done = sqlite::write_utc_lines(database_); !done) return done;
-  return database_.execute(sqlite::account_views() +
-                           ";PRAGMA application_id=" + std::to_string(sqlite::application_id) +
-                           ";PRAGMA user_version=" + std::to_string(sqlite::schema_version) + ";COMMIT");
+  read_layout();
+  read_topics();
+  const Reply rows = connection_.run("SELECT run, account_at IS NOT NULL, uuid, machine FROM rtdata_run ORDER BY run");
+  std::vector<Run> runs;
+  for (int row = 0; row < rows.rows(); ++row)
+    runs.push_back({rows.integer(row, 0), rows.text(row, 1) == "t", std::string(rows.text(row, 2)),
+                    std::string(rows.text(row, 3))});
+  look_for_other_runs();
+  for (const Run& run : runs) copy_run(run);
+  sums_.write_changes(database_).or_throw();
+  for (const Run& run : runs) finish_account(run);
+  sqlite::write_utc_lines(database_).or_throw();
+  database_
+      .execute(sqlite::account_views() + ";PRAGMA application_id=" + std::to_string(sqlite::application_id) +
+               ";PRAGMA user_version=" + std::to_string(sqlite::schema_version) + ";COMMIT")
+      .or_throw();
 }
 
-Result<void> Download::read_layout() {
-  auto version = connection_.run("SELECT coalesce(max(version), 0) FROM rtdata_layout");
-  if (!version) return std::move(version).error();
-  if (version->integer(0, 0) == 0) problems.emplace_back(no_run, "rtdata_layout does not say of which version it is.");
-  return check_layout(version->integer(0, 0));
+void Download::read_layout() {
+  const std::int64_t version = connection_.run("SELECT coalesce(max(version), 0) FROM rtdata_layout").integer(0, 0);
+  if (version == 0) problems.emplace_back(no_run, "rtdata_layout does not say of which version it is.");
+  check_layout(version);
 }
 
-Result<void> Download::read_topics() {
-  auto topics = connection_.run(
+void Download::read_topics() {
+  const Reply topics = connection_.run(
       "SELECT topic, table_name, description, version FROM rtdata_topic ORDER BY topic, version");
-  if (!topics) return std::move(topics).error();
   std::int64_t version = 0;
-  for (int row = 0; row < topics->rows(); ++row) {
-    if (row > 0 && topics->text(row, 0) != topics->text(row - 1, 0)) version = 0;
-    if (topics->integer(row, 3) != ++version) {
-      problems.emplace_back(no_run, "rtdata_topic: " + std::string(topics->text(row, 0)) + " has version " +
-                                        std::string(topics->text(row, 3)) + " where " + std::to_string(version) +
+  for (int row = 0; row < topics.rows(); ++row) {
+    if (row > 0 && topics.text(row, 0) != topics.text(row - 1, 0)) version = 0;
+    if (topics.integer(row, 3) != ++version) {
+      problems.emplace_back(no_run, "rtdata_topic: " + std::string(topics.text(row, 0)) + " has version " +
+                                        std::string(topics.text(row, 3)) + " where " + std::to_string(version) +
                                         " follows.");
-      version = topics->integer(row, 3);
+      version = topics.integer(row, 3);
     }
-    Topic topic{std::string(topics->text(row, 0)), std::string(topics->text(row, 1)), nullptr, {}, {}};
-    auto description = Description::from_json(topics->text(row, 2));
+    Topic topic{std::string(topics.text(row, 0)), std::string(topics.text(row, 1)), nullptr, {}, {}};
+    auto description = Description::from_json(topics.text(row, 2));
     if (!description) {
-      Error error = std::move(description).error();
-      error.where = "rtdata_topic, " + topic.topic;
-      return error;
+      description.error().where = "rtdata_topic, " + topic.topic;
+      throw SetupError(std::move(description).error());
     }
     topic.description = std::move(*description);
-    auto columns = connection_.query(
-        "SELECT attname FROM pg_attribute WHERE attrelid = to_regclass($1) AND attnum > 0 AND NOT attisdropped ORDER "
-        "BY "
-        "attnum",
-        {{quoted_name(topic.table)}});
-    if (!columns) return std::move(columns).error();
+    const Reply columns = columns_of(connection_, topic.table);
     std::map<std::string, const Leaf*, std::less<>> leaves;
     for (const Leaf& leaf : topic.description->leaves()) leaves.emplace(short_name(leaf.path), &leaf);
-    for (int column = 0; column < columns->rows(); ++column) {
-      const auto leaf = leaves.find(columns->text(column, 0));
+    for (int column = 0; column < columns.rows(); ++column) {
+      const auto leaf = leaves.find(columns.text(column, 0));
       if (leaf == leaves.end()) continue;
       topic.leaves.push_back(leaf->second);
       topic.columns += "," + quoted_name(leaf->first);
     }
     if (topic.leaves.size() != leaves.size()) {
-      return Error{Errc::damaged, "cannot read the server", "table " + topic.table,
-                   columns->rows() == 0 ? "it is not there" : "it has not all columns of its description", ""};
+      throw SetupError({Errc::damaged, "cannot read the server", "table " + topic.table,
+                        columns.rows() == 0 ? "it is not there" : "it has not all columns of its description", ""});
     }
     topics_.push_back(std::move(topic));
   }
-  return {};
 }
 
-Result<std::vector<Run>> Download::read_runs() {
-  auto runs = connection_.run("SELECT run, account_at IS NOT NULL, uuid, machine FROM rtdata_run ORDER BY run");
-  if (!runs) return std::move(runs).error();
-  std::vector<Run> all;
-  for (int row = 0; row < runs->rows(); ++row) {
-    all.push_back({runs->integer(row, 0), runs->text(row, 1) == "t", std::string(runs->text(row, 2)),
-                   std::string(runs->text(row, 3))});
-  }
-  return all;
-}
-
-Result<void> Download::look_for_other_runs() {
+void Download::look_for_other_runs() {
   std::vector<std::string> tables{"rtdata_position"};
   for (const std::string_view table : account_tables)
     if (tables_.contains(table)) tables.emplace_back(table);
   for (const Topic& topic : topics_) tables.push_back(topic.table);
   for (const std::string& table : tables) {
-    auto others = connection_.run("SELECT run, count(*) FROM " + quoted_name(table) +
-                                  " WHERE run NOT IN (SELECT run FROM rtdata_run) GROUP BY run ORDER BY run");
-    if (!others) return std::move(others).error();
-    for (int row = 0; row < others->rows(); ++row) {
-      problems.emplace_back(no_run, table + ": rows of run " + std::string(others->text(row, 0)) + " (" +
-                                        std::string(others->text(row, 1)) + "), which is not in rtdata_run.");
+    const Reply others = connection_.run("SELECT run, count(*) FROM " + quoted_name(table) +
+                                         " WHERE run NOT IN (SELECT run FROM rtdata_run) GROUP BY run ORDER BY run");
+    for (int row = 0; row < others.rows(); ++row) {
+      problems.emplace_back(no_run, table + ": rows of run " + std::string(others.text(row, 0)) + " (" +
+                                        std::string(others.text(row, 1)) + "), which is not in rtdata_run.");
     }
   }
-  return {};
 }
 
-Result<void> Download::copy_run(const Run& run) {
-  auto rows = connection_.run(
-      "SELECT table_name, origin, topic, first_sequence, last_sequence, rows, sum FROM rtdata_position WHERE run = " +
-      std::to_string(run.run));
-  if (!rows) return std::move(rows).error();
-  positions_.clear();
+void Download::copy_run(const Run& run) {
+  const Reply rows = connection_.run(
+      "SELECT table_name, origin, topic, first_sequence, last_sequence, rows, sum FROM rtdata_position" + run.is_of());
+  origins_.clear();
   first_ = Time::max();
   last_ = Time::min();
-  for (int row = 0; row < rows->rows(); ++row) {
-    Position& position = positions_[{std::string(rows->text(row, 0)), std::string(rows->text(row, 1))}];
-    const auto at = [&](int column) { return static_cast<std::uint64_t>(rows->integer(row, column)); };
-    position = {std::string(rows->text(row, 2)),
-                std::string(rows->text(row, 1)),
-                std::string(rows->text(row, 0)),
-                at(3),
-                at(4),
-                at(5),
-                at(6),
-                0,
-                0,
-                0,
-                0,
-                true};
+  for (int row = 0; row < rows.rows(); ++row) {
+    const auto at = [&](int column) { return static_cast<std::uint64_t>(rows.integer(row, column)); };
+    origins_[{std::string(rows.text(row, 0)), std::string(rows.text(row, 1))}] = {
+        std::string(rows.text(row, 2)), {true, at(3), at(4), at(5), at(6)}, {}};
   }
-  for (const Topic& topic : topics_) {
-    if (auto done = copy_rows(run, topic); !done) return done;
-  }
+  for (const Topic& topic : topics_) copy_rows(run, topic);
   compare(run);
-  return run.has_account ? copy_account(run) : make_account(run);
+  run.has_account ? copy_account(run) : make_account(run);
 }
 
-Result<void> Download::copy_rows(const Run& run, const Topic& topic) {
+void Download::copy_rows(const Run& run, const Topic& topic) {
   detail::EscapedTexts escaped;
   sqlite::ValueRanges ranges;
   ranges.begin(run.run, Time{});
@@ -372,24 +328,19 @@ Result<void> Download::copy_rows(const Run& run, const Topic& topic) {
   std::vector<std::unique_ptr<SlotInfo>> slots;
   std::vector<std::vector<std::byte>> payloads(64, std::vector<std::byte>(topic.description->size()));
   std::size_t next_payload = 0;
-  Position* position = nullptr;
+  Origin* of = nullptr;
   std::string bytes;
-  const auto row = [&](const Reply& reply) -> Result<void> {
-    PGresult* const raw = reply.raw();
+  const auto row = [&](const Reply& reply) {
     const std::string_view origin = reply.text(0, 3);
     if (slots.empty() || slots.back()->origin != origin) {
       slots.push_back(std::make_unique<SlotInfo>(SlotInfo{0, std::string(origin), topic.topic, topic.description, {}}));
-      position = &positions_[{topic.table, std::string(origin)}];
-      if (!position->is_known) position->topic = topic.topic;
-      position->origin = std::string(origin);
-      position->table = topic.table;
+      of = &origins_[{topic.table, std::string(origin)}];
+      if (!of->said.is_there) of->topic = topic.topic;
     }
     if (!table) {
       sqlite::NewUtcViews views;
-      auto made = sqlite::TopicTable::prepare(database_, *slots.back(), run.run, escaped, ranges, views);
-      if (!made) return std::move(made).error();
-      if (auto viewed = views.make(database_); !viewed) return viewed;
-      table.emplace(std::move(*made));
+      table.emplace(sqlite::TopicTable::prepare(database_, *slots.back(), run.run, escaped, ranges, views).or_throw());
+      views.make(database_).or_throw();
     }
     const auto sequence = load_big<std::uint64_t>(reply.text(0, 4).data());
     const auto time = load_big<std::int64_t>(reply.text(0, 1).data());
@@ -398,7 +349,7 @@ Result<void> Download::copy_rows(const Run& run, const Topic& topic) {
     // The row as it was sent.
     bytes.clear();
     std::size_t end = 0;
-    const int columns = PQnfields(raw);
+    const int columns = PQnfields(reply.raw());
     for (int column = 0; column < columns; ++column) {
       const bool is_null = reply.is_null(0, column);
       const std::string_view value = reply.text(0, column);
@@ -407,9 +358,9 @@ Result<void> Download::copy_rows(const Run& run, const Topic& topic) {
       bytes += value;
       if (!is_null) end = bytes.size();
     }
-    if (position->found_rows++ == 0) position->found_first = sequence;
-    position->found_last = sequence;
-    position->found_sum += hash_of_row(std::string_view(bytes).substr(0, end));
+    if (of->found.rows++ == 0) of->found.first = sequence;
+    of->found.last = sequence;
+    of->found.sum += hash_of_row(std::string_view(bytes).substr(0, end));
     // The table keeps the payload until it is inserted, which it does in groups.
     std::vector<std::byte>& payload = payloads[next_payload++ % payloads.size()];
     std::fill(payload.begin(), payload.end(), std::byte{0});
@@ -421,170 +372,135 @@ Result<void> Download::copy_rows(const Run& run, const Topic& topic) {
         if (leaf.optional != nullptr || (leaf.kind != Kind::f32 && leaf.kind != Kind::f64)) continue;
         value = std::numeric_limits<double>::quiet_NaN();
       } else if (!convert(reply.text(0, column), leaf, value)) {
-        return Error{Errc::damaged, "cannot read a row",
-                     topic.topic + ", run " + std::to_string(run.run) + ", origin " + std::string(origin) +
-                         ", sequence " + std::to_string(sequence),
-                     "field " + leaf.path + " holds what is no " + std::string(name_of(leaf.kind)), ""};
+        throw SetupError({Errc::damaged, "cannot read a row",
+                          topic.topic + ", run " + std::to_string(run.run) + ", origin " + std::string(origin) +
+                              ", sequence " + std::to_string(sequence),
+                          "field " + leaf.path + " holds what is no " + std::string(name_of(leaf.kind)), ""});
       }
-      if (auto done = write(leaf, payload.data(), value); !done) return done;
+      write(leaf, payload.data(), value).or_throw();
     }
     EventHeader header;
     header.time = from_nanoseconds(time);
     header.sequence = sequence;
     header.origin = slots.back()->origin;
-    return table->insert(
-        {static_cast<std::uint32_t>(slots.size() - 1), slots.back().get(), header, std::span(payload)});
+    table->insert({static_cast<std::uint32_t>(slots.size() - 1), slots.back().get(), header, std::span(payload)})
+        .or_throw();
   };
-  auto done = connection_.each(std::string("SELECT ") + fixed_columns + topic.columns + " FROM " +
-                                   quoted_name(topic.table) + " WHERE run = " + std::to_string(run.run) +
-                                   " ORDER BY run, origin, sequence",
-                               row);
-  if (done && table) done = table->flush();
-  if (done) done = ranges.write(database_, sqlite::ValueRanges::Close::all, Time{});
-  return done;
+  connection_.each(std::string("SELECT ") + fixed_columns + topic.columns + " FROM " + quoted_name(topic.table) +
+                       run.is_of() + " ORDER BY run, origin, sequence",
+                   row);
+  if (table) table->flush().or_throw();
+  ranges.write(database_, sqlite::ValueRanges::Close::all, Time{}).or_throw();
 }
 
 void Download::compare(const Run& run) {
-  for (const auto& [key, one] : positions_) {
-    const auto tell = [&, &one = one](const std::string& text) {
-      problems.emplace_back(run.run, key_text(one) + ": " + text);
+  for (const auto& [key, one] : origins_) {
+    const auto& [table, origin] = key;
+    const Position &said = one.said, &found = one.found;
+    const auto tell = [&, &one = one, &origin = origin](const std::string& text) {
+      problems.emplace_back(run.run, one.topic + ", origin " + origin + ": " + text);
     };
     const auto topic = std::find_if(topics_.begin(), topics_.end(),
-                                    [&one = one](const Topic& other) { return other.table == one.table; });
+                                    [&table = table](const Topic& other) { return other.table == table; });
     if (topic == topics_.end()) {
-      tell("rtdata_position has it in the table " + one.table + ", of which rtdata_topic knows nothing.");
+      tell("rtdata_position has it in the table " + table + ", of which rtdata_topic knows nothing.");
     } else if (topic->topic != one.topic) {
-      tell("rtdata_position has it in the table " + one.table + ", which is that of " + topic->topic + ".");
-    } else if (!one.is_known) {
-      tell(std::to_string(one.found_rows) + " rows of which rtdata_position knows nothing.");
-    } else if (one.found_rows != one.rows) {
-      tell(std::to_string(one.found_rows) + " rows, rtdata_position says that " + std::to_string(one.rows) +
+      tell("rtdata_position has it in the table " + table + ", which is that of " + topic->topic + ".");
+    } else if (!said.is_there) {
+      tell(std::to_string(found.rows) + " rows of which rtdata_position knows nothing.");
+    } else if (found.rows != said.rows) {
+      tell(std::to_string(found.rows) + " rows, rtdata_position says that " + std::to_string(said.rows) +
            " were stored.");
-    } else if (one.rows != 0 && (one.found_first != one.first || one.found_last != one.last)) {
-      tell("sequences " + std::to_string(one.found_first) + " to " + std::to_string(one.found_last) +
-           ", rtdata_position says " + std::to_string(one.first) + " to " + std::to_string(one.last) + ".");
-    } else if (one.found_sum != one.sum) {
+    } else if (said.rows != 0 && (found.first != said.first || found.last != said.last)) {
+      tell("sequences " + std::to_string(found.first) + " to " + std::to_string(found.last) +
+           ", rtdata_position says " + std::to_string(said.first) + " to " + std::to_string(said.last) + ".");
+    } else if (found.sum != said.sum) {
       tell("the sum of the hashes of its rows is another than when they were sent: a value was changed.");
     }
   }
 }
 
-Result<void> Download::copy_account(const Run& run) {
+void Download::copy_account(const Run& run) {
   for (std::size_t table = 0; table < account_tables.size(); ++table) {
     const std::string name(account_tables[table]);
-    std::string columns, marks;
-    for (const AccountColumn& column : columns_[table]) {
-      columns += (columns.empty() ? "" : ",") + quoted_name(column.name);
-      marks += marks.empty() ? "?" : ",?";
-    }
-    auto rows = connection_.run("SELECT " + columns + " FROM " + name + " WHERE run = " + std::to_string(run.run));
-    if (!rows) return std::move(rows).error();
-    auto insert = database_.prepare("INSERT INTO " + name + "(" + columns + ") VALUES(" + marks + ")");
-    if (!insert) return std::move(insert).error();
-    for (int row = 0; row < rows->rows(); ++row) {
+    const std::string columns = names_of(columns_[table]);
+    std::string marks = "?";
+    for (std::size_t i = 1; i < columns_[table].size(); ++i) marks += ",?";
+    const Reply rows = connection_.run("SELECT " + columns + " FROM " + name + run.is_of());
+    auto insert = prepared(database_, "INSERT INTO " + name + "(" + columns + ") VALUES(" + marks + ")");
+    for (int row = 0; row < rows.rows(); ++row) {
       for (int column = 0; column < static_cast<int>(columns_[table].size()); ++column) {
-        if (rows->is_null(row, column)) {
-          insert->bind_null(column + 1);
+        if (rows.is_null(row, column)) {
+          insert.bind_null(column + 1);
         } else if (columns_[table][static_cast<std::size_t>(column)].type == "bigint") {
-          insert->bind(column + 1, rows->integer(row, column));
+          insert.bind(column + 1, rows.integer(row, column));
         } else {
-          insert->bind(column + 1, rows->text(row, column));
+          insert.bind(column + 1, rows.text(row, column));
         }
       }
-      if (auto done = insert->run(); !done) return done;
+      insert.run().or_throw();
     }
   }
-  // Of a run that goes on, rows may have come since: of each origin the first so many are in the account.
-  auto open = database_.prepare("SELECT count(*) FROM rtdata_run WHERE run = ? AND state = 'recording'");
-  if (!open) return std::move(open).error();
-  open->bind(1, run.run);
-  auto is_open = open->step();
-  if (!is_open) return std::move(is_open).error();
-  if (open->integer(0) == 0) return {};
-  open->reset();
-  auto update = database_.prepare("UPDATE rtdata_ledger SET rows_up_to = ? WHERE run = ? AND topic = ? AND origin = ?");
-  if (!update) return std::move(update).error();
-  auto ledger = database_.prepare("SELECT topic, origin, stored - pruned FROM rtdata_ledger WHERE run = ?");
-  if (!ledger) return std::move(ledger).error();
-  ledger->bind(1, run.run);
+  if (database_.integer("SELECT state = 'recording' FROM rtdata_run" + run.is_of()).or_throw() != 0)
+    set_rows_up_to(run);
+}
+
+/// Of a run that goes on, rows may have come since: of each origin the first so many are in the account.
+void Download::set_rows_up_to(const Run& run) {
   struct Entry {
     std::string topic, origin;
     std::int64_t rows;
   };
   std::vector<Entry> entries;
-  for (;;) {
-    auto row = ledger->step();
-    if (!row) return std::move(row).error();
-    if (!*row) break;
-    entries.push_back({std::string(ledger->text(0)), std::string(ledger->text(1)), ledger->integer(2)});
-  }
-  ledger->reset();
+  auto ledger = prepared(database_, "SELECT topic, origin, stored - pruned FROM rtdata_ledger" + run.is_of());
+  while (ledger.step().or_throw())
+    entries.push_back({std::string(ledger.text(0)), std::string(ledger.text(1)), ledger.integer(2)});
+  ledger.reset();
+  auto update = prepared(database_,
+                         "UPDATE rtdata_ledger SET rows_up_to = ?" + run.is_of() + " AND topic = ? AND origin = ?");
+  auto tables = prepared(database_, "SELECT table_name FROM rtdata_topic WHERE topic = ? ORDER BY version DESC");
   for (const Entry& entry : entries) {
-    auto tables = database_.prepare("SELECT table_name FROM rtdata_topic WHERE topic = ? ORDER BY version DESC");
-    if (!tables) return std::move(tables).error();
-    tables->bind(1, entry.topic);
-    auto names = tables->texts();
-    if (!names) return std::move(names).error();
+    const auto names = tables.bind(1, entry.topic).texts().or_throw();
+    tables.reset();
     std::int64_t last = 0;
-    for (const std::string& name : *names) {
-      auto rowid = database_.prepare("SELECT _rowid_ FROM " + sqlite::quoted(name) +
-                                     " WHERE run = ? AND origin = ? ORDER BY _rowid_ LIMIT 1 OFFSET ?");
-      if (!rowid) return std::move(rowid).error();
-      rowid->bind(1, run.run).bind(2, entry.origin).bind(3, std::max<std::int64_t>(entry.rows - 1, 0));
-      auto row = rowid->step();
-      if (!row) return std::move(row).error();
-      if (*row && entry.rows > 0) last = rowid->integer(0);
+    for (const std::string& name : names) {
+      auto rowid = prepared(database_, "SELECT _rowid_ FROM " + sqlite::quoted(name) + run.is_of() +
+                                           " AND origin = ? ORDER BY _rowid_ LIMIT 1 OFFSET ?");
+      rowid.bind(1, entry.origin).bind(2, std::max<std::int64_t>(entry.rows - 1, 0));
+      if (rowid.step().or_throw() && entry.rows > 0) last = rowid.integer(0);
     }
-    update->bind(1, last).bind(2, run.run).bind(3, entry.topic).bind(4, entry.origin);
-    if (auto done = update->run(); !done) return done;
+    update.bind(1, last).bind(2, entry.topic).bind(3, entry.origin).run().or_throw();
   }
-  return {};
 }
 
 /// Of a run whose events came from memory, or whose account has not come yet: what rtdata_position says, and the times
 /// of its rows.
-Result<void> Download::make_account(const Run& run) {
-  auto insert = database_.prepare(
+void Download::make_account(const Run& run) {
+  auto insert = prepared(
+      database_,
       "INSERT INTO rtdata_run(run, uuid, name, notes, configuration, program, host, boot_id, pid, started, "
       "ended, clock_offset, state, format) VALUES(?,?,'','','','',?,'',0,?,?,0,'recording',?)");
-  if (!insert) return std::move(insert).error();
-  insert->bind(1, run.run).bind(2, run.uuid).bind(3, run.machine).bind(6, std::int64_t{sqlite::schema_version});
+  insert.bind(1, run.run).bind(2, run.uuid).bind(3, run.machine).bind(6, std::int64_t{sqlite::schema_version});
   const bool has_rows = first_ <= last_;
-  insert->bind(4, to_nanoseconds(has_rows ? first_ : Time{}));
-  has_rows ? insert->bind(5, to_nanoseconds(last_)) : insert->bind_null(5);
-  if (auto done = insert->run(); !done) return done;
+  insert.bind(4, to_nanoseconds(has_rows ? first_ : Time{}));
+  has_rows ? insert.bind(5, to_nanoseconds(last_)) : insert.bind_null(5);
+  insert.run().or_throw();
   notes.emplace_back(run.run,
                      "No account came along, as of events that are sent from memory: what is here is "
                      "whole, what never came is not known.");
-  return {};
 }
 
-Result<void> Download::finish_account(const Run& run) {
-  if (!run.has_account || !tables_.contains("rtdata_checksum")) return {};
-  auto state = database_.prepare("SELECT state FROM rtdata_run WHERE run = ?");
-  if (!state) return std::move(state).error();
-  state->bind(1, run.run);
-  auto row = state->step();
-  if (!row) return std::move(row).error();
-  if (!*row) return {};
-  if (state->text(0) == "recording") return {};  // it gets them when it ends
-  auto lines = connection_.run("SELECT table_name, columns, rows, sum FROM rtdata_checksum WHERE run = " +
-                               std::to_string(run.run));
-  if (!lines) return std::move(lines).error();
-  for (int line = 0; line < lines->rows(); ++line) {
-    const std::string table(lines->text(line, 0));
-    if (auto done = sqlite::insert_line(database_, {run.run,
-                                                    table,
-                                                    "",
-                                                    0,
-                                                    0,
-                                                    static_cast<int>(lines->integer(line, 1)),
-                                                    {static_cast<std::uint64_t>(lines->integer(line, 2)),
-                                                     static_cast<std::uint64_t>(lines->integer(line, 3))}});
-        !done)
-      return done;
+void Download::finish_account(const Run& run) {
+  if (!run.has_account || !tables_.contains("rtdata_checksum")) return;
+  // One that goes on gets them when it ends.
+  if (database_.integer("SELECT state <> 'recording' FROM rtdata_run" + run.is_of()).or_throw() == 0) return;
+  const Reply lines = connection_.run("SELECT table_name, columns, rows, sum FROM rtdata_checksum" + run.is_of());
+  for (int line = 0; line < lines.rows(); ++line) {
+    const auto at = [&](int column) { return static_cast<std::uint64_t>(lines.integer(line, column)); };
+    const int columns = static_cast<int>(lines.integer(line, 1));
+    sqlite::insert_line(database_, {run.run, std::string(lines.text(line, 0)), "", 0, 0, columns, {at(2), at(3)}})
+        .or_throw();
   }
-  return {};
 }
 
 }  // namespace
@@ -595,8 +511,11 @@ bool is_server_url(std::string_view text) noexcept {
 }
 
 std::string shown_url(const std::string& url) {
-  auto parts = postgresql::look_at_url(url);
-  if (!parts) return url.substr(0, url.find(':')) + "://...";
+  try {
+    postgresql::password_in(url);
+  } catch (const SetupError&) {
+    return url.substr(0, url.find(':')) + "://...";
+  }
   std::string text = url.substr(0, url.find('?'));
   const auto at = text.rfind('@');
   const auto begin = text.find("://") + 3;
@@ -605,49 +524,46 @@ std::string shown_url(const std::string& url) {
   return text;
 }
 
-Result<ServerRecording> download(const PostgresqlConfig& config) {
-  auto connection = postgresql::Connection::open(postgresql::address_of(config));
-  if (!connection) return std::move(connection).error();
+Result<ServerRecording> download(const PostgresqlConfig& config) try {
+  postgresql::Connection connection(postgresql::address_of(config));
   // Sorting a large table may take long, and is waited for.
-  if (auto set = connection->run("SET statement_timeout = 0"); !set) return std::move(set).error();
-  connection->set_timeout(std::chrono::hours{1});
+  connection.run("SET statement_timeout = 0");
+  connection.set_timeout(std::chrono::hours{1});
   const auto folder = std::make_shared<postgresql::Folder>();
-  if (!folder->is_made) return system_error(errno, "cannot make a folder", folder->path, "set TMPDIR");
   const std::string path = folder->path + "/server.db";
   postgresql::Sentences problems, notes;
   {
-    auto database = sqlite::Database::open(path, sqlite::Database::Mode::write, 0600);
-    if (!database) return std::move(database).error();
-    postgresql::Download all(*connection, *database);
-    if (auto done = all.all(); !done) return std::move(done).error();
+    auto database = sqlite::Database::open(path, sqlite::Database::Mode::write, 0600).or_throw();
+    postgresql::Download all(connection, database);
+    all.all();
     problems = std::move(all.problems);
     notes = std::move(all.notes);
-    *database = sqlite::Database();  // before what its triggers call
+    database = sqlite::Database();  // before what its triggers call
   }
-  auto recording = Recording::open(path);
-  if (!recording) return std::move(recording).error();
-  return ServerRecording{folder, std::move(*recording), std::move(problems), std::move(notes)};
+  return ServerRecording{folder, Recording::open(path).or_throw(), std::move(problems), std::move(notes)};
+} catch (const SetupError& error) {
+  return error.error();
 }
 
-Result<VerifyReport> verify_server(const PostgresqlConfig& config) {
-  auto server = download(config);
-  if (!server) return std::move(server).error();
-  auto report = detail::verify_contents(server->recording);
-  if (!report) return report;
-  report->path = shown_url(config.url);
-  for (const auto& [number, problem] : server->problems)
-    if (number == postgresql::no_run) report->problems.push_back(problem);
-  for (RunReport& run : report->runs) {
-    for (const auto& [number, note] : server->notes) {
+Result<VerifyReport> verify_server(const PostgresqlConfig& config) try {
+  const ServerRecording server = download(config).or_throw();
+  VerifyReport report = detail::verify_contents(server.recording).or_throw();
+  report.path = shown_url(config.url);
+  for (const auto& [number, problem] : server.problems)
+    if (number == postgresql::no_run) report.problems.push_back(problem);
+  for (RunReport& run : report.runs) {
+    for (const auto& [number, note] : server.notes) {
       if (number == run.info.run) run.notes = {note};  // all others would speak of an account
     }
-    for (auto& [number, problem] : server->problems) {
+    for (const auto& [number, problem] : server.problems) {
       if (number != run.info.run) continue;
-      run.problems.push_back(std::move(problem));
+      run.problems.push_back(problem);
       run.verdict = Verdict::not_balanced;
     }
   }
   return report;
+} catch (const SetupError& error) {
+  return error.error();
 }
 
 }  // namespace rtdata

@@ -33,46 +33,62 @@ COMMENT ON COLUMN rtdata_position.sum IS 'of the hashes of the rows as they were
 
 }  // namespace
 
-Result<void> check_layout(std::int64_t version) {
-  if (version <= layout_version) return {};
-  return Error{Errc::newer_version, "cannot use the tables of the server", "rtdata_layout",
-               "a newer version made them (" + std::to_string(version) + ", this one knows " +
-                   std::to_string(layout_version) + ")",
-               "update rt-data, or choose another `schema`"};
+void check_layout(std::int64_t version) {
+  if (version <= layout_version) return;
+  throw SetupError({Errc::newer_version, "cannot use the tables of the server", "rtdata_layout",
+                    "a newer version made them (" + std::to_string(version) + ", this one knows " +
+                        std::to_string(layout_version) + ")",
+                    "update rt-data, or choose another `schema`"});
 }
 
-Result<void> make_layout(Connection& connection, const std::string& schema) {
-  if (!schema.empty()) {
-    auto there = connection.query("SELECT to_regnamespace($1) IS NULL", {{quoted_name(schema)}});
-    if (!there) return std::move(there).error();
-    // Asking first: who may not make schemas may well use one that is there.
-    if (there->text(0, 0) == "t") {
-      if (auto made = connection.run("CREATE SCHEMA IF NOT EXISTS " + quoted_name(schema)); !made)
-        return std::move(made).error();
-    }
-  }
+void make_layout(Connection& connection, const std::string& schema) {
+  // Asking first: who may not make schemas may well use one that is there.
+  if (!schema.empty() &&
+      connection.query("SELECT to_regnamespace($1) IS NULL", {{quoted_name(schema)}}).text(0, 0) == "t")
+    connection.run("CREATE SCHEMA IF NOT EXISTS " + quoted_name(schema));
   // Reading a table makes the server look what others have made meanwhile; to_regclass alone may answer from before.
-  const auto version = [&]() -> Result<std::int64_t> {
-    auto there = connection.run("SELECT to_regclass('rtdata_layout') IS NULL FROM pg_catalog.pg_class LIMIT 1");
-    if (!there) return std::move(there).error();
-    if (there->text(0, 0) == "t") return 0;
-    auto said = connection.run("SELECT coalesce(max(version), 0) FROM rtdata_layout");
-    if (!said) return std::move(said).error();
-    return said->integer(0, 0);
+  const auto version = [&]() -> std::int64_t {
+    if (connection.run("SELECT to_regclass('rtdata_layout') IS NULL FROM pg_catalog.pg_class LIMIT 1").text(0, 0) ==
+        "t")
+      return 0;
+    return connection.run("SELECT coalesce(max(version), 0) FROM rtdata_layout").integer(0, 0);
   };
-  auto now = version();
-  if (!now) return std::move(now).error();
-  if (auto known = check_layout(*now); !known) return known;
-  if (*now == layout_version) return {};
-  return in_transaction(connection, [&]() -> Result<void> {
-    auto meanwhile = version();
-    if (!meanwhile) return std::move(meanwhile).error();
-    if (*meanwhile != 0) return {};
-    auto made = connection.run(std::string(tables) + "INSERT INTO rtdata_layout VALUES(" +
-                               std::to_string(layout_version) + ")");
-    if (!made) return std::move(made).error();
-    return {};
+  const std::int64_t now = version();
+  check_layout(now);
+  if (now == layout_version) return;
+  in_transaction(connection, [&] {
+    if (version() != 0) return;
+    connection.run(std::string(tables) + "INSERT INTO rtdata_layout VALUES(" + std::to_string(layout_version) + ")");
   });
+}
+
+void add_run(Connection& connection, const std::string& uuid, const std::string& machine) {
+  connection.query("INSERT INTO rtdata_run(uuid, machine) VALUES($1, $2) ON CONFLICT (uuid) DO NOTHING",
+                   {{uuid, machine}});
+}
+
+std::int64_t number_of_run(Connection& connection, const std::string& uuid) {
+  const Reply found = connection.query("SELECT run FROM rtdata_run WHERE uuid = $1", {{uuid}});
+  return found.rows() == 0 ? 0 : found.integer(0, 0);
+}
+
+Positions positions_of(Connection& connection, std::int64_t run) {
+  const Reply rows = connection.run(
+      "SELECT topic, origin, first_sequence, last_sequence, rows, sum FROM rtdata_position WHERE run = " +
+      std::to_string(run));
+  Positions positions;
+  for (int row = 0; row < rows.rows(); ++row) {
+    const auto at = [&](int column) { return static_cast<std::uint64_t>(rows.integer(row, column)); };
+    positions[{std::string(rows.text(row, 0)), std::string(rows.text(row, 1))}] = {true, at(2), at(3), at(4), at(5)};
+  }
+  return positions;
+}
+
+Reply columns_of(Connection& connection, const std::string& table) {
+  return connection.query(
+      "SELECT attname, format_type(atttypid, atttypmod) FROM pg_attribute WHERE attrelid = to_regclass($1) AND attnum "
+      "> 0 AND NOT attisdropped ORDER BY attnum",
+      {{quoted_name(table)}});
 }
 
 }  // namespace rtdata::postgresql

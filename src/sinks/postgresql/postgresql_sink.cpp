@@ -29,12 +29,14 @@ void check_config(const PostgresqlConfig& config, const ConfigItem& item, Proble
   if (config.schema.starts_with("pg_"))
     problems.add((item.find("schema") != nullptr ? *item.find("schema") : item)
                      .problem("bad-value", "names that begin with pg_ are the server's own; choose another"));
-  const auto parts = postgresql::look_at_url(config.url);
-  if (!parts) return tell(parts.error().why + "; " + parts.error().advice);
-  if (parts->has_password)
-    tell(
-        "it has a password in it, which recordings would hold; give it as `password`: {\"env\": ...} or {\"file\": "
-        "...}");
+  try {
+    if (!postgresql::password_in(config.url).empty())
+      tell(
+          "it has a password in it, which recordings would hold; give it as `password`: {\"env\": ...} or {\"file\": "
+          "...}");
+  } catch (const SetupError& error) {
+    tell(error.error().why + "; " + error.error().advice);
+  }
 }
 
 std::vector<Error> refused_topics(const PostgresqlConfig&, std::span<const TopicToRecord> topics) {

@@ -8,7 +8,6 @@
 #ifdef RTDATA_WITH_SQLITE
 #include "sinks/postgresql/account_copy.hpp"
 #endif
-#include "sinks/postgresql/layout.hpp"
 
 namespace rtdata::postgresql {
 namespace {
@@ -22,10 +21,6 @@ constexpr std::chrono::seconds last_account_time{1};
 std::string host_name() {
   char name[256] = {};
   return ::gethostname(name, sizeof name - 1) == 0 ? name : "";
-}
-
-std::string key_of(std::string_view topic, std::string_view origin) {
-  return std::string(topic).append("\n").append(origin);
 }
 
 std::string number(std::uint64_t value) { return std::to_string(static_cast<std::int64_t>(value)); }
@@ -57,23 +52,29 @@ PostgresqlWriter::PostgresqlWriter(const PostgresqlConfig& config)
     : config_(config),
       address_(with_session(address_of(config), config.sink.name)),
       machine_(config.machine.empty() ? host_name() : config.machine) {
-  auto parts = look_at_url(config.url);
-  if (!parts) throw SetupError(std::move(parts).error());
-  if (parts->has_password) {
+  if (!password_in(config.url).empty())
     throw SetupError({Errc::bad_argument, "cannot connect", "`url`", "it has a password in it, which would be recorded",
                       "give it as `password`, or put it into ~/.pgpass"});
+}
+
+Result<void> PostgresqlWriter::failed() {
+  connection_.roll_back();
+  forget();
+  try {
+    throw;
+  } catch (const SetupError& error) {
+    return error.error();
   }
 }
 
-Result<void> PostgresqlWriter::open() {
+Result<void> PostgresqlWriter::open() try {
   if (connection_) return {};
-  forget();
-  auto made = Connection::open(address_);
-  if (!made) return std::move(made).error();
-  connection_ = std::move(*made);
-  auto done = make_layout(connection_, config_.schema);
-  if (!done) connection_.close();
-  return done;
+  Connection made(address_);
+  make_layout(made, config_.schema);
+  connection_ = std::move(made);
+  return {};
+} catch (...) {
+  return failed();
 }
 
 void PostgresqlWriter::forget() noexcept {
@@ -85,81 +86,57 @@ void PostgresqlWriter::forget() noexcept {
   waiting_bytes_ = waiting_rows_ = 0;
 }
 
-Result<std::int64_t> PostgresqlWriter::run_of(const std::string& uuid) {
+std::int64_t PostgresqlWriter::run_of(const std::string& uuid) {
   if (const auto known = runs_.find(uuid); known != runs_.end()) return known->second;
-  std::string sql = "INSERT INTO rtdata_run(uuid, machine) VALUES($1, $2) ON CONFLICT (uuid) DO NOTHING";
-  if (auto made = connection_.query(sql, {{uuid, machine_}}); !made) return std::move(made).error();
-  auto found = connection_.query("SELECT run FROM rtdata_run WHERE uuid = $1", {{uuid}});
-  if (!found) return std::move(found).error();
-  if (found->rows() != 1)
-    return Error{Errc::damaged, "cannot store", "rtdata_run", "run " + uuid + " is not there after it was added", ""};
-  const std::int64_t run = found->integer(0, 0);
-  auto rows = connection_.query(
-      "SELECT topic, origin, first_sequence, last_sequence, rows, sum FROM rtdata_position WHERE run = $1",
-      {{std::to_string(run)}});
-  if (!rows) return std::move(rows).error();
-  auto& of_run = positions_[run];
-  for (int row = 0; row < rows->rows(); ++row) {
-    const auto at = [&](int column) { return static_cast<std::uint64_t>(rows->integer(row, column)); };
-    of_run[key_of(rows->text(row, 0), rows->text(row, 1))] = {true, at(2), at(3), at(4), at(5)};
-  }
+  add_run(connection_, uuid, machine_);
+  const std::int64_t run = number_of_run(connection_, uuid);
+  if (run == 0)
+    throw SetupError(
+        {Errc::damaged, "cannot store", "rtdata_run", "run " + uuid + " is not there after it was added", ""});
+  positions_[run] = positions_of(connection_, run);
   runs_.emplace(uuid, run);
   return run;
 }
 
-Result<void> PostgresqlWriter::prepare(Slot& slot, const SlotInfo& info) {
-  auto run = run_of(info.run);
-  if (!run) return std::move(run).error();
-  const auto key = std::pair(info.topic, info.description->serial());
-  auto table = tables_.find(key);
-  if (table == tables_.end()) {
-    auto made = ServerTable::prepare(connection_, info, *run);
-    if (!made) return std::move(made).error();
-    table = tables_.emplace(key, std::move(*made)).first;
-  }
-  slot.info = &info;
-  slot.run = *run;
-  slot.table = &table->second;
-  slot.stored = positions_[*run][key_of(info.topic, info.origin)];
-  slot.pending = slot.stored;
-  return {};
+void PostgresqlWriter::prepare(Slot& slot, const SlotInfo& info) {
+  const std::int64_t run = run_of(info.run);
+  ServerTable& table = tables_.try_emplace({info.topic, info.description->serial()}, connection_, info, run)
+                           .first->second;
+  const Position& stored = positions_[run][{info.topic, info.origin}];
+  slot = {&info, run, &table, stored, stored, false};
 }
 
-Result<void> PostgresqlWriter::write(Batch& batch) {
-  for (bool is_table_known = false;;) {
-    Result<void> done;
+Result<void> PostgresqlWriter::write(Batch& batch) try {
+  for (bool is_table_known = false;; is_table_known = true) {
     try {
-      done = store(batch);
-    } catch (...) {  // no memory
+      store(batch);
+      break;
+    } catch (const SetupError& error) {
+      if (error.error().code != Errc::does_not_fit || waiting_rows_ == 0) throw;
       connection_.roll_back();
-      forget();
-      throw;
+      if (is_table_known)
+        narrow(error.error());
+      else
+        forget();  // it may be of every row, since a column has another type now
     }
-    if (done) break;
-    connection_.roll_back();
-    const bool is_row = done.error().code == Errc::does_not_fit && connection_ && waiting_rows_ > 0;
-    if (!is_row) {
-      forget();
-      return done;
-    }
-    if (!std::exchange(is_table_known, true)) {  // or of every row, since a column has another type now
-      forget();
-      continue;
-    }
-    // One row of the transaction is not to be stored. Smaller ones, of what the server has not yet, tell which.
-    if (waiting_rows_ == 1) {
-      const std::uint32_t slot = touched_.front();
-      slots_[slot].refused_to = slots_[slot].pending.last;
-      refused_.emplace(std::pair(slot, slots_[slot].pending.last), std::move(done).error());
-    }
-    most_rows_ = std::max<std::size_t>(waiting_rows_ / 2, 1);
-    undo();
   }
   if (!refused_.empty() || has_unfit_topic_) refuse_rows(batch);
   return {};
+} catch (...) {
+  return failed();
 }
 
-Result<void> PostgresqlWriter::store(const Batch& batch) {
+void PostgresqlWriter::narrow(const Error& why) {
+  if (waiting_rows_ == 1) refused_.emplace(std::pair(touched_.front(), slots_[touched_.front()].pending.last), why);
+  most_rows_ = std::max<std::size_t>(waiting_rows_ / 2, 1);
+  for (const std::uint32_t number : touched_) {
+    slots_[number].pending = slots_[number].stored;
+    slots_[number].is_touched = false;
+  }
+  begin_transaction();
+}
+
+void PostgresqlWriter::store(const Batch& batch) {
   has_unfit_topic_ = false;
   for (const Record& record : batch) {
     if (record.slot >= slots_.size()) slots_.resize(record.slot + 1);
@@ -169,14 +146,11 @@ Result<void> PostgresqlWriter::store(const Batch& batch) {
         has_unfit_topic_ = true;
         continue;
       }
-      if (slot.is_touched) {  // its place has gone to another
-        if (auto done = send(); !done) return done;
-      }
-      if (auto done = prepare(slots_[record.slot], *record.info); !done) return done;
+      if (slot.is_touched) send();  // its place has gone to another
+      prepare(slot, *record.info);
     }
     Position& position = slot.pending;
     if (position.is_there && record.header.sequence <= position.last) continue;  // the server has it
-    if (record.header.sequence <= slot.refused_to) continue;
     if (!refused_.empty() && refused_.contains({record.slot, record.header.sequence})) [[unlikely]]
       continue;
     const std::size_t before = slot.table->rows().size();
@@ -190,18 +164,9 @@ Result<void> PostgresqlWriter::store(const Batch& batch) {
       touched_.push_back(record.slot);
     }
     waiting_bytes_ += slot.table->rows().size() - before;
-    if (++waiting_rows_ < most_rows_ && waiting_bytes_ < transaction_bytes) continue;
-    if (auto done = send(); !done) return done;
+    if (++waiting_rows_ >= most_rows_ || waiting_bytes_ >= transaction_bytes) send();
   }
-  return send();
-}
-
-void PostgresqlWriter::undo() {
-  for (const std::uint32_t number : touched_) {
-    slots_[number].pending = slots_[number].stored;
-    slots_[number].is_touched = false;
-  }
-  begin_transaction();
+  send();
 }
 
 void PostgresqlWriter::begin_transaction() {
@@ -220,8 +185,8 @@ void PostgresqlWriter::refuse_rows(Batch& batch) {
   refused_.clear();
 }
 
-Result<void> PostgresqlWriter::send() {
-  if (touched_.empty()) return {};
+void PostgresqlWriter::send() {
+  if (touched_.empty()) return;
   std::string sql = "BEGIN;";
   std::vector<std::string_view> data;
   for (auto& [key, table] : tables_) {
@@ -232,33 +197,29 @@ Result<void> PostgresqlWriter::send() {
   }
   // One round trip: what fails keeps the server from what follows, COMMIT included.
   sql += positions_sql() + ";COMMIT";
-  if (auto done = connection_.copy(sql, data); !done) return done;
+  connection_.copy(sql, data);
   for (const std::uint32_t number : touched_) {
     Slot& slot = slots_[number];
-    slot.stored = slot.pending;
+    positions_[slot.run][{slot.info->topic, slot.info->origin}] = slot.stored = slot.pending;
     slot.is_touched = false;
-    positions_[slot.run][key_of(slot.info->topic, slot.info->origin)] = slot.stored;
   }
   begin_transaction();
   if (most_rows_ != every_row) most_rows_ = most_rows_ <= every_row / 2 ? 2 * most_rows_ : every_row;
-  return {};
 }
 
 /// Only from the positions that were read: where another program has moved one on meanwhile, such as one whose
 /// connection was thought to be dead, the count is another, and dividing by zero undoes the transaction.
 std::string PostgresqlWriter::positions_sql() const {
   std::string sql = "WITH v(run, topic, origin, table_name, first, last, rows, sum, before) AS (VALUES ";
-  bool is_first = true;
   for (const std::uint32_t index : touched_) {
     const Slot& slot = slots_[index];
     const Position& now = slot.pending;
-    if (!is_first) sql += ",";
-    sql += "(" + std::to_string(slot.run) + (is_first ? "::bigint," : ",") + connection_.literal(slot.info->topic) +
-           "," + connection_.literal(slot.info->origin) + "," + connection_.literal(slot.table->name()) + "," +
-           number(now.first) + (is_first ? "::bigint," : ",") + number(now.last) + (is_first ? "::bigint," : ",") +
-           number(now.rows) + (is_first ? "::bigint," : ",") + number(now.sum) + (is_first ? "::bigint," : ",") +
-           (slot.stored.is_there ? number(slot.stored.last) : "NULL") + (is_first ? "::bigint)" : ")");
-    is_first = false;
+    const std::string type = index == touched_.front() ? "::bigint" : "";
+    const std::string next = type + ",";
+    sql += (type.empty() ? ",(" : "(") + std::to_string(slot.run) + next + connection_.literal(slot.info->topic) + "," +
+           connection_.literal(slot.info->origin) + "," + connection_.literal(slot.table->name()) + "," +
+           number(now.first) + next + number(now.last) + next + number(now.rows) + next + number(now.sum) + next +
+           (slot.stored.is_there ? number(slot.stored.last) : "NULL") + type + ")";
   }
   return sql +
          "), moved AS (UPDATE rtdata_position p SET last_sequence = v.last, rows = v.rows, sum = v.sum, stored_at = "
@@ -278,30 +239,31 @@ std::function<std::string()> PostgresqlWriter::goes_through([[maybe_unused]] con
   address.timeout = std::min<Duration>(address.timeout, last_account_time);
   return [address, copy = AccountCopy{recording_, machine_, config_.sink.name, config_.sink.topics},
           is_there = is_there_]() -> std::string {
-    if (!*is_there) return {};
-    auto connection = Connection::open(address);
-    const auto copied = connection ? copy_accounts(*connection, copy) : Result<void>(std::move(connection).error());
-    if (copied) return {};
-    return "the server gets the last account of this run with the next start: " + copied.error().text();
+    try {
+      if (!*is_there) return {};
+      Connection connection(address);
+      copy_accounts(connection, copy);
+      return {};
+    } catch (const SetupError& error) {
+      return "the server gets the last account of this run with the next start: " + error.error().text();
+    }
   };
 #else
   return {};
 #endif
 }
 
-Result<void> PostgresqlWriter::flush() {
+Result<void> PostgresqlWriter::flush() try {
 #ifdef RTDATA_WITH_SQLITE
   if (recording_.empty() || !connection_ || Clock::now() < account_due_) return {};
   const auto begun = Clock::now();
-  auto copied = copy_accounts(connection_, {recording_, machine_, config_.sink.name, config_.sink.topics});
-  if (!copied) {
-    forget();
-    return copied;
-  }
+  copy_accounts(connection_, {recording_, machine_, config_.sink.name, config_.sink.topics});
   // A long account is copied less often.
   account_due_ = Clock::now() + std::max<Clock::duration>(account_interval, 50 * (Clock::now() - begun));
 #endif
   return {};
+} catch (...) {
+  return failed();
 }
 
 Result<void> PostgresqlWriter::close() {

@@ -13,6 +13,7 @@
 
 #include "rtdata/sinks/postgresql.hpp"
 #include "sinks/postgresql/connection.hpp"
+#include "sinks/postgresql/layout.hpp"
 #include "sinks/postgresql/server_table.hpp"
 
 namespace rtdata::postgresql {
@@ -31,31 +32,28 @@ class PostgresqlWriter final : public Writer {
   Result<void> close() override;
 
  private:
-  /// What rtdata_position has of an origin.
-  struct Position {
-    bool is_there = false;
-    std::uint64_t first = 0, last = 0, rows = 0, sum = 0;
-  };
   struct Slot {
     const SlotInfo* info = nullptr;  // null: nothing is known of it since the connection was made
     std::int64_t run = 0;
     ServerTable* table = nullptr;
     Position stored, pending;
-    std::uint64_t refused_to = 0;  // rows up to this sequence are stored or refused
     bool is_touched = false;
   };
-  /// Appends and sends all that the server has not. An error `does_not_fit` is of one row of the last transaction.
-  Result<void> store(const Batch& batch);
-  /// What was appended since the last transaction.
-  void undo();
+  /// Appends and sends all that the server has not. Throws `does_not_fit` for one row of the last transaction.
+  void store(const Batch& batch);
+  /// Leaves out the row that the server refuses if it was the only one of the last transaction; else the next are half
+  /// as large, and tell which it is.
+  void narrow(const Error& why);
   void begin_transaction();
   /// What `store` has left out.
   void refuse_rows(Batch& batch);
-  Result<void> prepare(Slot& slot, const SlotInfo& info);
-  Result<std::int64_t> run_of(const std::string& uuid);
+  void prepare(Slot& slot, const SlotInfo& info);
+  std::int64_t run_of(const std::string& uuid);
   /// All that was appended, in one transaction.
-  Result<void> send();
+  void send();
   std::string positions_sql() const;
+  /// In the handler of what a call threw: rolls back, and returns it. No memory goes on to the sink.
+  Result<void> failed();
   /// After whatever failed: what the server has is asked for anew.
   void forget() noexcept;
 
@@ -64,8 +62,8 @@ class PostgresqlWriter final : public Writer {
   const Address address_;
   const std::string machine_;
   Connection connection_;
-  std::map<std::string, std::int64_t, std::less<>> runs_;  // by uuid: their numbers on the server
-  std::map<std::int64_t, std::map<std::string, Position, std::less<>>> positions_;  // by run, then topic and origin
+  std::map<std::string, std::int64_t, std::less<>> runs_;                // by uuid: their numbers on the server
+  std::map<std::int64_t, Positions> positions_;                          // by run
   std::map<std::pair<std::string, std::uint64_t>, ServerTable> tables_;  // by topic and the serial of its description
   std::vector<Slot> slots_;
   std::vector<std::uint32_t> touched_;

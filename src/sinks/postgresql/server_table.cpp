@@ -16,8 +16,17 @@
 namespace rtdata::postgresql {
 namespace {
 
-constexpr std::size_t most_fields = 1590;                      // a table has at most 1600 columns
-constexpr std::size_t longest_name = 63;                       // NAMEDATALEN - 1
+constexpr std::size_t most_fields = 1590;  // a table has at most 1600 columns
+constexpr std::size_t longest_name = 63;   // NAMEDATALEN - 1
+struct FixedColumn {
+  const char *name, *type, *comment;
+};
+constexpr FixedColumn fixed[] = {
+    {"time", "timestamp with time zone", "UTC, of time_ns, to the microsecond"},
+    {"time_ns", "bigint", "ns since the epoch as recorded, on a line that never jumps within a run"},
+    {"run", "bigint", "rtdata_run.run"},
+    {"origin", "text", "the sensor or feed"},
+    {"sequence", "bigint", "of the origin in the run, from 1"}};
 constexpr std::int64_t server_epoch_us = 946'684'800'000'000;  // 2000-01-01 in us since 1970
 
 template <class T>
@@ -125,30 +134,24 @@ std::string comment_of(const Connection& connection, const std::string& table, c
 std::string table_sql(const Connection& connection, const std::string& name, const SlotInfo& slot) {
   const std::string table = quoted_name(name);
   // TimescaleDB wants its time in each unique index, and no reference to the table: create_hypertable(..., 'time').
-  std::string sql = "CREATE TABLE " + table +
-                    "(\"time\" timestamptz NOT NULL, time_ns bigint NOT NULL, run bigint NOT NULL, origin text NOT "
-                    "NULL, sequence bigint NOT NULL";
-  for (const Leaf& leaf : slot.description->leaves()) sql += ", " + column_of(leaf);
-  sql += ", PRIMARY KEY(run, origin, sequence, \"time\"));CREATE INDEX ON " + table + " USING brin(\"time\");";
+  std::string sql = "CREATE TABLE " + table + "(";
+  for (const FixedColumn& column : fixed) sql += quoted_name(column.name) + " " + column.type + " NOT NULL, ";
+  for (const Leaf& leaf : slot.description->leaves()) sql += column_of(leaf) + ", ";
+  sql += "PRIMARY KEY(run, origin, sequence, \"time\"));CREATE INDEX ON " + table + " USING brin(\"time\");";
   sql += "COMMENT ON TABLE " + table + " IS " +
          connection.literal(detail::readable("events of topic " + slot.topic + " (" + slot.description->name() +
                                              "), by rt-data; runs are in rtdata_run")) +
          ";";
-  const std::pair<const char*, const char*> comments[] = {
-      {"time", "UTC, of time_ns, to the microsecond"},
-      {"time_ns", "ns since the epoch as recorded, on a line that never jumps within a run"},
-      {"run", "rtdata_run.run"},
-      {"origin", "the sensor or feed"},
-      {"sequence", "of the origin in the run, from 1"}};
-  for (const auto& [column, text] : comments)
-    sql += "COMMENT ON COLUMN " + table + "." + quoted_name(column) + " IS " + connection.literal(text) + ";";
+  for (const FixedColumn& column : fixed)
+    sql += "COMMENT ON COLUMN " + table + "." + quoted_name(column.name) + " IS " + connection.literal(column.comment) +
+           ";";
   for (const Leaf& leaf : slot.description->leaves()) sql += comment_of(connection, name, leaf);
   return sql;
 }
 
-Error not_ours(const std::string& table, std::string why) {
-  return {Errc::description_differs, "cannot store into table", table, std::move(why),
-          "rename it or give it its columns back; events wait until then"};
+[[noreturn]] void not_ours(const std::string& table, std::string why) {
+  throw SetupError({Errc::description_differs, "cannot store into table", table, std::move(why),
+                    "rename it or give it its columns back; events wait until then"});
 }
 
 /// In a transaction: makes or widens the table. Returns the description of its columns.
@@ -156,19 +159,18 @@ struct Found {
   std::string table;
   std::shared_ptr<const Description> description;
 };
-Result<Found> find_or_make(Connection& connection, const SlotInfo& slot, std::int64_t run) {
+Found find_or_make(Connection& connection, const SlotInfo& slot, std::int64_t run) {
   const std::string topic = slot.topic;
-  auto known = connection.query(
+  const Reply known = connection.query(
       "SELECT version, table_name, description FROM rtdata_topic WHERE topic = $1 ORDER BY version DESC", {{topic}});
-  if (!known) return std::move(known).error();
   std::int64_t last_version = 0;
-  for (int row = 0; row < known->rows(); ++row) {
-    last_version = std::max(last_version, known->integer(row, 0));
-    auto old = Description::from_json(known->text(row, 2));
+  for (int row = 0; row < known.rows(); ++row) {
+    last_version = std::max(last_version, known.integer(row, 0));
+    auto old = Description::from_json(known.text(row, 2));
     if (!old) continue;  // written by something else: left alone
-    const std::string table(known->text(row, 1));
+    const std::string table(known.text(row, 1));
     // Of several machines some have programs with fewer fields: theirs are the same table, too.
-    if (is_part_of(*slot.description, **old)) return Found{table, *old};
+    if (is_part_of(*slot.description, **old)) return {table, *old};
     if (!is_part_of(**old, *slot.description)) continue;
     std::string sql;
     for (const Leaf& leaf : slot.description->leaves()) {
@@ -177,21 +179,20 @@ Result<Found> find_or_make(Connection& connection, const SlotInfo& slot, std::in
       sql += comment_of(connection, table, leaf);
     }
     sql += "UPDATE rtdata_topic SET description = " + connection.literal(slot.description->to_json()) +
-           " WHERE topic = " + connection.literal(topic) + " AND version = " + std::string(known->text(row, 0));
-    if (auto done = connection.run(sql); !done) return std::move(done).error();
-    return Found{table, slot.description};
+           " WHERE topic = " + connection.literal(topic) + " AND version = " + std::string(known.text(row, 0));
+    connection.run(sql);
+    return {table, slot.description};
   }
   const std::int64_t version = last_version + 1;
   const std::string table = table_name(topic, version);
-  auto there = connection.query("SELECT to_regclass($1) IS NULL", {{quoted_name(table)}});
-  if (!there) return std::move(there).error();
-  if (there->text(0, 0) != "t") return not_ours(table, "a table of this name is there, and rt-data has not made it");
+  if (connection.query("SELECT to_regclass($1) IS NULL", {{quoted_name(table)}}).text(0, 0) != "t")
+    not_ours(table, "a table of this name is there, and rt-data has not made it");
   std::string sql = table_sql(connection, table, slot);
   sql += "INSERT INTO rtdata_topic(topic, version, table_name, description, first_run) VALUES(" +
          connection.literal(topic) + "," + std::to_string(version) + "," + connection.literal(table) + "," +
          connection.literal(slot.description->to_json()) + "," + std::to_string(run) + ")";
-  if (auto done = connection.run(sql); !done) return std::move(done).error();
-  return Found{table, slot.description};
+  connection.run(sql);
+  return {table, slot.description};
 }
 
 }  // namespace
@@ -232,65 +233,50 @@ Result<void> check_columns(std::string_view topic, const Description& descriptio
   return {};
 }
 
-Result<ServerTable> ServerTable::prepare(Connection& connection, const SlotInfo& slot, std::int64_t run) {
-  if (auto fits = check_columns(slot.topic, *slot.description); !fits) return std::move(fits).error();
-  ServerTable table;
-  table.description_ = slot.description;
-  auto found = in_transaction(connection, [&]() -> Result<Found> { return find_or_make(connection, slot, run); });
-  if (!found) return std::move(found).error();
-  table.name_ = found->table;
-  auto there = connection.query(
-      "SELECT attname, format_type(atttypid, atttypmod) FROM pg_attribute WHERE attrelid = to_regclass($1) AND "
-      "attnum > 0 AND NOT attisdropped ORDER BY attnum",
-      {{quoted_name(table.name_)}});
-  if (!there) return std::move(there).error();
-  if (there->rows() == 0) return not_ours(table.name_, "it was dropped or renamed, but rtdata_topic has it");
+ServerTable::ServerTable(Connection& connection, const SlotInfo& slot, std::int64_t run)
+    : description_(slot.description) {
+  Found found;
+  in_transaction(connection, [&] { found = find_or_make(connection, slot, run); });
+  name_ = found.table;
+  const Reply there = columns_of(connection, name_);
+  if (there.rows() == 0) not_ours(name_, "it was dropped or renamed, but rtdata_topic has it");
   std::map<std::string, std::string, std::less<>> types;
-  for (int row = 0; row < there->rows(); ++row) types.emplace(there->text(row, 0), there->text(row, 1));
-  const auto check = [&](const std::string& column, std::string_view type) -> std::string {
+  for (int row = 0; row < there.rows(); ++row) types.emplace(there.text(row, 0), there.text(row, 1));
+  const auto check = [&](const std::string& column, std::string_view type) {
     const auto at = types.find(column);
-    if (at == types.end()) return "it has no column " + column;
-    if (at->second == type) return {};
-    return "its column " + column + " is of type " + at->second + ", not " + std::string(type);
+    if (at == types.end()) not_ours(name_, "it has no column " + column);
+    if (at->second != type)
+      not_ours(name_, "its column " + column + " is of type " + at->second + ", not " + std::string(type));
   };
-  const std::pair<const char*, const char*> fixed[] = {{"time", "timestamp with time zone"},
-                                                       {"time_ns", "bigint"},
-                                                       {"run", "bigint"},
-                                                       {"origin", "text"},
-                                                       {"sequence", "bigint"}};
-  for (const auto& [column, type] : fixed) {
-    if (std::string why = check(column, type); !why.empty()) return not_ours(table.name_, std::move(why));
-  }
+  for (const FixedColumn& column : fixed) check(column.name, column.type);
   std::map<std::string, const Leaf*, std::less<>> leaves;  // of the table, by column
-  for (const Leaf& leaf : found->description->leaves()) {
-    if (std::string why = check(short_name(leaf.path), type_of(leaf.kind)); !why.empty())
-      return not_ours(table.name_, std::move(why));
+  for (const Leaf& leaf : found.description->leaves()) {
+    check(short_name(leaf.path), type_of(leaf.kind));
     leaves.emplace(short_name(leaf.path), &leaf);
   }
   std::string columns = fixed_columns;
-  for (int row = 0; row < there->rows(); ++row) {
-    const auto at = leaves.find(there->text(row, 0));
+  for (int row = 0; row < there.rows(); ++row) {
+    const auto at = leaves.find(there.text(row, 0));
     if (at == leaves.end()) continue;  // one of the user's: it has a default, or is computed
     columns += "," + quoted_name(at->first);
     const Leaf* leaf = slot.description->find(at->second->path);
     if (leaf == nullptr) {
-      table.columns_.push_back({Kind::record, 0, nullptr});
-      table.most_bytes_ += 4;
+      columns_.push_back({Kind::record, 0, nullptr});
+      most_bytes_ += 4;
       continue;
     }
     const bool is_plain = leaf->optional == nullptr && leaf->kind != Kind::character && leaf->kind != Kind::enumeration;
-    table.columns_.push_back({is_plain ? leaf->kind : Kind::record, leaf->offset, leaf});
+    columns_.push_back({is_plain ? leaf->kind : Kind::record, leaf->offset, leaf});
     std::size_t bytes = 32;  // of a number, a character
     if (leaf->kind == Kind::text) bytes += 4 * leaf->size;
     if (leaf->kind == Kind::enumeration) {
       for (const EnumValue& value : leaf->field->values) bytes = std::max(bytes, value.name.size() + 32);
     }
-    table.most_bytes_ += bytes;
+    most_bytes_ += bytes;
   }
-  table.most_bytes_ += 64;  // the fixed ones
-  table.copy_ = "COPY " + quoted_name(table.name_) + "(" + columns + ") FROM STDIN (FORMAT binary)";
-  table.begin();
-  return table;
+  most_bytes_ += 64;  // the fixed ones
+  copy_ = "COPY " + quoted_name(name_) + "(" + columns + ") FROM STDIN (FORMAT binary)";
+  begin();
 }
 
 void ServerTable::begin() {

@@ -77,9 +77,9 @@ inline constexpr const char* type_of(Kind kind) noexcept {
 class ServerTable {
  public:
   /// Finds the table that this description fits: the same fields, more, or fewer, which are then added. A changed kind
-  /// or unit gets a table of its own. In a transaction of its own. Errors: description-differs (the table that is there
-  /// is not ours, or has lost a column), bad-description, those of the connection.
-  static Result<ServerTable> prepare(Connection& connection, const SlotInfo& slot, std::int64_t run);
+  /// or unit gets a table of its own. In a transaction of its own. Throws description-differs (the table that is there
+  /// is not ours, or has lost a column).
+  ServerTable(Connection& connection, const SlotInfo& slot, std::int64_t run);
 
   const std::string& name() const noexcept { return name_; }
   /// COPY ... FROM STDIN, of rows as `append` makes them.
