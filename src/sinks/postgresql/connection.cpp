@@ -81,10 +81,7 @@ std::string said_before_connecting(const PQconninfoOption* options) {
   }
   keywords.push_back(nullptr);
   values.push_back(nullptr);
-  struct Finish {
-    void operator()(PGconn* connection) const noexcept { PQfinish(connection); }
-  };
-  const std::unique_ptr<PGconn, Finish> connection(PQconnectStartParams(keywords.data(), values.data(), 0));
+  const std::unique_ptr<PGconn, Clear> connection(PQconnectStartParams(keywords.data(), values.data(), 0));
   return connection == nullptr ? "" : one_line(PQerrorMessage(connection.get()));
 }
 
@@ -111,16 +108,19 @@ std::string milliseconds(Duration duration) {
       std::max<std::int64_t>(std::chrono::duration_cast<std::chrono::milliseconds>(duration).count(), 1));
 }
 
-}  // namespace
-
-std::string quoted_name(std::string_view name) {
-  std::string out = "\"";
-  for (const char c : name) {
-    if (c == '"') out += '"';
+std::string in_quotes(std::string_view text, char quote) {
+  std::string out(1, quote);
+  for (const char c : text) {
+    if (c == quote) out += quote;
     out += c;
   }
-  return out + "\"";
+  return out + quote;
 }
+
+}  // namespace
+
+std::string quoted_name(std::string_view name) { return in_quotes(name, '"'); }
+std::string literal(std::string_view text) { return in_quotes(text, '\''); }
 
 std::string password_in(const std::string& url) {
   detail::libpq.load().or_throw();
@@ -375,15 +375,6 @@ void Connection::roll_back() noexcept {
   } catch (...) {
     close();
   }
-}
-
-std::string Connection::literal(std::string_view text) const {
-  std::string out = "'";
-  for (const char c : text) {
-    if (c == '\'') out += '\'';
-    out += c;
-  }
-  return out + "'";
 }
 
 }  // namespace rtdata::postgresql

@@ -35,6 +35,7 @@ std::string password_in(const std::string& url);
 
 struct Clear {
   void operator()(PGresult* result) const noexcept { PQclear(result); }
+  void operator()(PGconn* connection) const noexcept { PQfinish(connection); }
 };
 /// Rows of an answer, as texts or in binary.
 class Reply {
@@ -73,14 +74,8 @@ class Connection {
   void roll_back() noexcept;
   void close() noexcept { connection_.reset(); }
 
-  /// 'text' with quotes doubled, for use in SQL.
-  std::string literal(std::string_view text) const;
-
  private:
   using Clock = std::chrono::steady_clock;
-  struct Finish {
-    void operator()(PGconn* connection) const noexcept { PQfinish(connection); }
-  };
   /// Reads all answers to what was sent (0: it was not) and calls `take` with each, up to the first that is an error:
   /// that is thrown after the last.
   void answers(int sent, const char* what, const std::function<void(Reply)>& take);
@@ -93,14 +88,15 @@ class Connection {
   [[noreturn]] void lost();
   [[noreturn]] void end(Errc code, std::string why, const char* advice);
 
-  std::unique_ptr<PGconn, Finish> connection_;
+  std::unique_ptr<PGconn, Clear> connection_;
   const char* doing_ = "cannot connect";
   std::string where_;
   std::vector<std::string> secrets_;
   Duration timeout_{};
 };
 
-/// "name" with quotes doubled, for use in SQL.
+/// "name" with quotes doubled, for use in SQL; and 'text'.
 std::string quoted_name(std::string_view name);
+std::string literal(std::string_view text);
 
 }  // namespace rtdata::postgresql

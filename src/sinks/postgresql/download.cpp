@@ -54,12 +54,7 @@ template <class T>
 T load_big(const char* from) noexcept {
   T value;
   std::memcpy(&value, from, sizeof value);
-  if constexpr (std::endian::native == std::endian::little) {
-    if constexpr (sizeof value == 8) value = static_cast<T>(__builtin_bswap64(static_cast<std::uint64_t>(value)));
-    if constexpr (sizeof value == 4) value = static_cast<T>(__builtin_bswap32(static_cast<std::uint32_t>(value)));
-    if constexpr (sizeof value == 2) value = static_cast<T>(__builtin_bswap16(static_cast<std::uint16_t>(value)));
-  }
-  return value;
+  return big_endian(value);
 }
 
 /// numeric_send; false: it is no whole number of 64 bits.

@@ -216,9 +216,9 @@ std::string PostgresqlWriter::positions_sql() const {
     const Position& now = slot.pending;
     const std::string type = index == touched_.front() ? "::bigint" : "";
     const std::string next = type + ",";
-    sql += (type.empty() ? ",(" : "(") + std::to_string(slot.run) + next + connection_.literal(slot.info->topic) + "," +
-           connection_.literal(slot.info->origin) + "," + connection_.literal(slot.table->name()) + "," +
-           number(now.first) + next + number(now.last) + next + number(now.rows) + next + number(now.sum) + next +
+    sql += (type.empty() ? ",(" : "(") + std::to_string(slot.run) + next + literal(slot.info->topic) + "," +
+           literal(slot.info->origin) + "," + literal(slot.table->name()) + "," + number(now.first) + next +
+           number(now.last) + next + number(now.rows) + next + number(now.sum) + next +
            (slot.stored.is_there ? number(slot.stored.last) : "NULL") + type + ")";
   }
   return sql +

@@ -4,17 +4,19 @@
 #include <xxhash.h>
 
 #include <algorithm>
-#include <bit>
 #include <charconv>
 #include <cstring>
 #include <map>
 
+#include "data/load.hpp"
 #include "data/utf8.hpp"
 #include "rtdata/data/value.hpp"
 #include "sinks/postgresql/layout.hpp"
 
 namespace rtdata::postgresql {
 namespace {
+
+using detail::load;
 
 constexpr std::size_t most_fields = 1590;  // a table has at most 1600 columns
 constexpr std::size_t longest_name = 63;   // NAMEDATALEN - 1
@@ -31,11 +33,7 @@ constexpr std::int64_t server_epoch_us = 946'684'800'000'000;  // 2000-01-01 in 
 
 template <class T>
 char* put_big(char* to, T value) noexcept {
-  if constexpr (std::endian::native == std::endian::little) {
-    if constexpr (sizeof value == 8) value = static_cast<T>(__builtin_bswap64(static_cast<std::uint64_t>(value)));
-    if constexpr (sizeof value == 4) value = static_cast<T>(__builtin_bswap32(static_cast<std::uint32_t>(value)));
-    if constexpr (sizeof value == 2) value = static_cast<T>(__builtin_bswap16(static_cast<std::uint16_t>(value)));
-  }
+  value = big_endian(value);
   std::memcpy(to, &value, sizeof value);
   return to + sizeof value;
 }
@@ -69,13 +67,6 @@ char* put_numeric(char* to, std::uint64_t value) noexcept {
   to = put_big(to, std::int16_t{0});                                       // digits after the point
   for (int i = count - 1; i >= zeros; --i) to = put_big(to, digits[i]);
   return to;
-}
-
-template <class T>
-T load(const std::byte* at) {
-  T value;
-  std::memcpy(&value, at, sizeof value);
-  return value;
 }
 
 std::int64_t to_server_time(std::int64_t nanoseconds) noexcept {
@@ -119,7 +110,7 @@ std::string table_name(const std::string& topic, std::int64_t version) {
 
 std::string column_of(const Leaf& leaf) { return quoted_name(short_name(leaf.path)) + " " + type_of(leaf.kind); }
 
-std::string comment_of(const Connection& connection, const std::string& table, const Leaf& leaf) {
+std::string comment_of(const std::string& table, const Leaf& leaf) {
   std::string text = leaf.path + ": " + std::string(name_of(leaf.kind));
   if (!leaf.unit.empty()) text += ", unit " + leaf.unit;
   if (leaf.optional != nullptr) text += ", NULL when absent";
@@ -128,10 +119,10 @@ std::string comment_of(const Connection& connection, const std::string& table, c
     for (const EnumValue& value : leaf.field->values) text += " " + value.name;
   }
   return "COMMENT ON COLUMN " + quoted_name(table) + "." + quoted_name(short_name(leaf.path)) + " IS " +
-         connection.literal(detail::readable(text)) + ";";
+         literal(detail::readable(text)) + ";";
 }
 
-std::string table_sql(const Connection& connection, const std::string& name, const SlotInfo& slot) {
+std::string table_sql(const std::string& name, const SlotInfo& slot) {
   const std::string table = quoted_name(name);
   // TimescaleDB wants its time in each unique index, and no reference to the table: create_hypertable(..., 'time').
   std::string sql = "CREATE TABLE " + table + "(";
@@ -139,13 +130,12 @@ std::string table_sql(const Connection& connection, const std::string& name, con
   for (const Leaf& leaf : slot.description->leaves()) sql += column_of(leaf) + ", ";
   sql += "PRIMARY KEY(run, origin, sequence, \"time\"));CREATE INDEX ON " + table + " USING brin(\"time\");";
   sql += "COMMENT ON TABLE " + table + " IS " +
-         connection.literal(detail::readable("events of topic " + slot.topic + " (" + slot.description->name() +
-                                             "), by rt-data; runs are in rtdata_run")) +
+         literal(detail::readable("events of topic " + slot.topic + " (" + slot.description->name() +
+                                  "), by rt-data; runs are in rtdata_run")) +
          ";";
   for (const FixedColumn& column : fixed)
-    sql += "COMMENT ON COLUMN " + table + "." + quoted_name(column.name) + " IS " + connection.literal(column.comment) +
-           ";";
-  for (const Leaf& leaf : slot.description->leaves()) sql += comment_of(connection, name, leaf);
+    sql += "COMMENT ON COLUMN " + table + "." + quoted_name(column.name) + " IS " + literal(column.comment) + ";";
+  for (const Leaf& leaf : slot.description->leaves()) sql += comment_of(name, leaf);
   return sql;
 }
 
@@ -176,10 +166,10 @@ Found find_or_make(Connection& connection, const SlotInfo& slot, std::int64_t ru
     for (const Leaf& leaf : slot.description->leaves()) {
       if ((*old)->find(leaf.path) != nullptr) continue;
       sql += "ALTER TABLE " + quoted_name(table) + " ADD COLUMN " + column_of(leaf) + ";";
-      sql += comment_of(connection, table, leaf);
+      sql += comment_of(table, leaf);
     }
-    sql += "UPDATE rtdata_topic SET description = " + connection.literal(slot.description->to_json()) +
-           " WHERE topic = " + connection.literal(topic) + " AND version = " + std::string(known.text(row, 0));
+    sql += "UPDATE rtdata_topic SET description = " + literal(slot.description->to_json()) +
+           " WHERE topic = " + literal(topic) + " AND version = " + std::string(known.text(row, 0));
     connection.run(sql);
     return {table, slot.description};
   }
@@ -187,10 +177,10 @@ Found find_or_make(Connection& connection, const SlotInfo& slot, std::int64_t ru
   const std::string table = table_name(topic, version);
   if (connection.query("SELECT to_regclass($1) IS NULL", {{quoted_name(table)}}).text(0, 0) != "t")
     not_ours(table, "a table of this name is there, and rt-data has not made it");
-  std::string sql = table_sql(connection, table, slot);
-  sql += "INSERT INTO rtdata_topic(topic, version, table_name, description, first_run) VALUES(" +
-         connection.literal(topic) + "," + std::to_string(version) + "," + connection.literal(table) + "," +
-         connection.literal(slot.description->to_json()) + "," + std::to_string(run) + ")";
+  std::string sql = table_sql(table, slot);
+  sql += "INSERT INTO rtdata_topic(topic, version, table_name, description, first_run) VALUES(" + literal(topic) + "," +
+         std::to_string(version) + "," + literal(table) + "," + literal(slot.description->to_json()) + "," +
+         std::to_string(run) + ")";
   connection.run(sql);
   return {table, slot.description};
 }

@@ -1,6 +1,7 @@
 // The table of one topic on a server: made, found or extended; and its rows as COPY takes them.
 #pragma once
 
+#include <bit>
 #include <cstdint>
 #include <memory>
 #include <string>
@@ -47,6 +48,17 @@ inline constexpr int fixed_column_count = 5;
 /// XXH3 of a row as COPY takes it, without the number of its fields and without absent ones at its end, so that columns
 /// that come later change nothing.
 std::uint64_t hash_of_row(std::string_view row) noexcept;
+
+/// As the server has numbers, from what this machine has, and back.
+template <class T>
+T big_endian(T value) noexcept {
+  if constexpr (std::endian::native == std::endian::little) {
+    if constexpr (sizeof value == 8) return static_cast<T>(__builtin_bswap64(static_cast<std::uint64_t>(value)));
+    if constexpr (sizeof value == 4) return static_cast<T>(__builtin_bswap32(static_cast<std::uint32_t>(value)));
+    if constexpr (sizeof value == 2) return static_cast<T>(__builtin_bswap16(static_cast<std::uint16_t>(value)));
+  }
+  return value;
+}
 
 /// The text of a field's value as the server has it; it may hold escapes (data/utf8.hpp).
 inline constexpr const char* type_of(Kind kind) noexcept {
