@@ -29,7 +29,7 @@ if(RTDATA_SANITIZE)  # hours of flights, computed in headers of an example
 endif()
 target_compile_definitions(rtdata_tests PRIVATE DOCTEST_CONFIG_USE_STD_HEADERS $<$<TARGET_EXISTS:rtdata_modbus>:RTDATA_WITH_MODBUS>
   $<$<TARGET_EXISTS:rtdata_http>:RTDATA_WITH_HTTP> $<$<BOOL:${openssl_FOUND}>:RTDATA_WITH_OPENSSL>
-  $<$<TARGET_EXISTS:rtdata_mqtt>:RTDATA_WITH_MQTT> $<$<BOOL:${muparser_FOUND}>:RTDATA_WITH_MUPARSER>)
+  $<$<TARGET_EXISTS:rtdata_mqtt>:RTDATA_WITH_MQTT>)
 if(TARGET rtdata_postgresql AND TARGET rtdata_sqlite)
   rtdata_sources(RTDATA_POSTGRESQL_TEST_SOURCES tests/postgresql_tests.sources)
   target_sources(rtdata_tests PRIVATE ${RTDATA_POSTGRESQL_TEST_SOURCES})

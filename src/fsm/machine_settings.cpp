@@ -22,7 +22,7 @@ const ConfigItem& child_or(const ConfigItem& item, std::string_view key) {
 
 /// Of a text without mistakes.
 bool is_a_condition(const std::string& when) {
-  return !Expression::available() || Expression(when, rtdata::detail::names_of({when})).is_condition();
+  return Expression(when, rtdata::detail::names_of({when})).is_condition();
 }
 /// The name that is the whole text, which may be that of a flag. None: there is more in it.
 std::optional<std::string> flag_named(const std::string& when) {
@@ -116,7 +116,7 @@ class Checker {
     if (settings_.inputs.empty() && !names.empty())
       return add(at, "bad-value", "the machine has no `inputs` that could have `" + names[0] + "`");
     // Of numbers alone, without a function, it is always the same.
-    if (Expression::available() && names.empty() && transition.when.find('(') == std::string::npos &&
+    if (names.empty() && transition.when.find('(') == std::string::npos &&
         !Expression(transition.when, names).evaluate(Time{}).is_true())
       return add(at, "bad-value", "it is never true");
     if (!is_a_condition(transition.when) && !flag_named(transition.when))

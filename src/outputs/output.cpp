@@ -744,8 +744,6 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
 void check_config(const OutputConfig& config, const ConfigItem& item, Problems& problems) {
   if (const std::string why = refusal_of(config); !why.empty()) problems.add(item.problem("bad-value", why));
   if (config.on.empty()) return;
-  if (!Expression::available())
-    problems.add(item.problem("bad-value", "this program was built without muParser: it cannot follow a topic"));
   check_config(detail::derived_of(config), item, problems);
 }
 

@@ -8,11 +8,8 @@
 #include <string>
 #include <utility>
 
-#ifdef RTDATA_WITH_MUPARSER
-#include <muParser.h>
 #if defined(__x86_64__) && defined(__SSE2_MATH__)
 #include <xmmintrin.h>
-#endif
 #endif
 
 #include "loop/support/deadline.hpp"
@@ -56,15 +53,30 @@ ExpressionTree tree_of(std::string_view text, const std::vector<std::string>& na
   return tree;
 }
 
-#ifdef RTDATA_WITH_MUPARSER
+/// Beside those of ExpressionFailure.
+constexpr auto waiting = static_cast<Failure>(0xFF);
 
 /// What an evaluation of a part gives. `at`: of what waits or is not finite, its place among the values; of another
 /// failure, its column.
 struct Got {
-  State state = State::waiting;
-  Failure failure = Failure::none;
+  Failure failure = waiting;
   std::uint32_t at = 0;
   double value = 0;
+
+  Got() = default;
+  Got(Failure its, std::uint32_t its_at, double its_value) : failure(its), at(its_at), value(its_value) {}
+  Got(const Got&) = default;
+  /// Field by field: what was just written so is not there for a load of all at once.
+  Got& operator=(const Got& other) noexcept {
+    failure = other.failure;
+    at = other.at;
+    value = other.value;
+    return *this;
+  }
+  bool is_value() const noexcept { return failure == Failure::none; }
+  State state() const noexcept {
+    return failure == Failure::none ? State::value : failure == waiting ? State::waiting : State::failed;
+  }
 };
 
 constexpr int bad_flags = FE_DIVBYZERO | FE_INVALID | FE_OVERFLOW;
@@ -88,55 +100,42 @@ Failure failure_of(int flags, double value) noexcept {
   return Failure::none;
 }
 
-/// Evaluates arithmetic, and says what went wrong on the way: the processor's flags tell of an infinity that a
-/// comparison or a quotient has hidden again. They stay set until they are cleared, which takes longer than looking, so
-/// that one that is set may be older: then it is evaluated once more, which gives the same.
-Failure evaluate_formula(const mu::Parser& formula, double& value) noexcept {
-  try {
-    value = formula.Eval();
-    if (set_flags() == 0 && std::isfinite(value)) [[likely]]
-      return Failure::none;
-    std::feclearexcept(bad_flags);
-    value = formula.Eval();
-  } catch (...) {
-    return Failure::undefined;
-  }
-  const int flags = set_flags();
-  std::feclearexcept(bad_flags);
-  return failure_of(flags, value);
-}
-
-#endif
-
 }  // namespace
 
-#ifdef RTDATA_WITH_MUPARSER
-
 struct Expression::Program {
-  /// A part of the expression that is no plain arithmetic, or that is all of it.
-  struct Operation {
-    enum class Type : std::uint8_t { number, value, formula, logical_not, logical_and, logical_or, choice };
-    Type type = Type::number;
-    double number = 0;
-    std::size_t a = 0;  // of a value its place, of a formula its number, else operations
-    std::size_t b = 0;
-    std::size_t c = 0;
+  /// One of arithmetic: between values, whose place is known.
+  struct Instruction {
+    detail::ExpressionOp op = {};
+    detail::Compute compute = nullptr;
+    std::uint32_t a = 0;
+    std::uint32_t b = 0;
+    std::uint32_t to = 0;
   };
-  /// Arithmetic over values: muParser's.
+  /// Arithmetic that is computed when all its inputs are there.
   struct Formula {
-    std::unique_ptr<mu::Parser> parser = std::make_unique<mu::Parser>();
-    std::vector<std::size_t> inputs = {};
+    std::vector<Instruction> code = {};
+    std::vector<std::uint32_t> inputs = {};
     std::uint32_t column = 1;
     std::uint32_t division_column = 0;
-    std::size_t constants = 0;
   };
+  /// What gives a value or a reason why there is none, at every event, whatever is chosen.
+  struct Step {
+    enum class Type : std::uint8_t { formula, memory, logical_not, logical_and, logical_or, choice };
+    Type type = Type::formula;
+    std::uint32_t a = 0;  // of a formula or a memory its number, else places
+    std::uint32_t b = 0;
+    std::uint32_t c = 0;
+    std::uint32_t to = 0;
+  };
+  static constexpr std::uint32_t no_place = std::numeric_limits<std::uint32_t>::max();
   struct Memory {
     ExpressionNode::Memory type{};
     std::size_t column = 1;
     std::string name = {};
-    std::size_t argument = 0;             // an operation
-    std::vector<std::size_t> names = {};  // in its argument
-    bool is_always_new = false;           // time alone changes its argument, or itself
+    std::uint32_t argument = 0;             // a place
+    std::uint32_t to = 0;                   // its own
+    std::vector<std::uint32_t> names = {};  // in its argument
+    bool is_always_new = false;             // time alone changes its argument, or itself
     std::unique_ptr<detail::TimeWindow> window = {};
     bool has_value = false;
     bool has_result = false;
@@ -150,323 +149,143 @@ struct Expression::Program {
     Time time_before{};
   };
 
-  Program(std::string_view the_text, std::vector<std::string> the_names) : text(the_text), names(std::move(the_names)) {
-    std::vector<std::size_t> index_of;
-    const ExpressionTree tree = tree_of(text, names, index_of);
-    is_condition = tree.is_condition;
-    set_at.resize(names.size());
-    is_used.resize(names.size());
-    places.resize(tree.nodes.size(), no_place);
-    has_names.resize(tree.nodes.size());
-    std::size_t count = names.size();
-    std::vector<bool> is_in_formula(tree.nodes.size());
-    for (const ExpressionNode& node : tree.nodes)
-      if (is_plain(node))
-        for (const std::size_t child : node.children) is_in_formula[child] = true;
-    for (std::size_t i = 0; i < tree.nodes.size(); ++i) {
-      const ExpressionNode& node = tree.nodes[i];
-      has_names[i] = node.type == ExpressionNode::Type::name;
-      for (const std::size_t child : node.children) has_names[i] = has_names[i] || has_names[child];
-      if (node.type == ExpressionNode::Type::name) {
-        places[i] = index_of[node.name];
-        is_used[places[i]] = true;
-      } else if (is_step(node) && (is_in_formula[i] || node.type == ExpressionNode::Type::memory)) {
-        places[i] = count++;
-      }
-    }
-    values.resize(count);
-    for (std::size_t i = 0; i < tree.nodes.size(); ++i) {
-      if (!is_step(tree.nodes[i]) || places[i] == no_place) continue;
-      if (tree.nodes[i].type == ExpressionNode::Type::memory)
-        add_memory(tree, i);
-      else
-        steps.push_back({no_memory, add(tree, i), places[i]});
-    }
-    root = add(tree, tree.nodes.size() - 1);
-    for (Formula& formula : formulas) formula.parser->Eval();  // takes its memory
-    places = {};
-    has_names = {};
-    reset();
-  }
-
-  /// What has a place of its own among the values, computed before what uses it.
-  static bool is_step(const ExpressionNode& node) noexcept {
-    return node.type != ExpressionNode::Type::number && node.type != ExpressionNode::Type::name && !is_plain(node);
-  }
-
-  static bool is_plain(const ExpressionNode& node) noexcept {
-    using Type = ExpressionNode::Type;
-    return node.type == Type::negative || node.type == Type::arithmetic || node.type == Type::comparison ||
-           node.type == Type::function;
-  }
-
-  static bool moves_with_time(ExpressionNode::Memory memory) noexcept {
-    return memory == ExpressionNode::Memory::since || memory == ExpressionNode::Memory::age;
-  }
-
-  void add_memory(const ExpressionTree& tree, std::size_t at) {
-    const ExpressionNode& node = tree.nodes[at];
-    Memory memory;
-    memory.type = node.memory;
-    memory.column = node.column;
-    memory.name = node.text;
-    memory.is_always_new = moves_with_time(node.memory);
-    if (node.children.size() == 2) memory.window = std::make_unique<detail::TimeWindow>(seconds(tree, node));
-    memory.argument = add(tree, node.children[0]);
-    collect(tree, node.children[0], memory);
-    std::sort(memory.names.begin(), memory.names.end());
-    memory.names.erase(std::unique(memory.names.begin(), memory.names.end()), memory.names.end());
-    steps.push_back({memories.size(), memory.argument, places[at]});
-    memories.push_back(std::move(memory));
-  }
-
-  void collect(const ExpressionTree& tree, std::size_t at, Memory& memory) const {
-    const ExpressionNode& node = tree.nodes[at];
-    if (node.type == ExpressionNode::Type::name) memory.names.push_back(places[at]);
-    if (node.type == ExpressionNode::Type::memory && moves_with_time(node.memory)) memory.is_always_new = true;
-    for (const std::size_t child : node.children) collect(tree, child, memory);
-  }
-
-  Duration seconds(const ExpressionTree& tree, const ExpressionNode& node) {
-    const std::size_t argument = add(tree, node.children[1]);
-    Got got;
-    evaluate(operations[argument], got);
-    const std::size_t column = tree.nodes[node.children[1]].column;
-    if (got.state != State::value) refuse(column, "the seconds of `" + node.text + "` are no finite number");
-    if (!(got.value >= 1e-6 && got.value <= 604800))
-      refuse(column, "the seconds of `" + node.text + "` lie between 0.000001 and 604800 (a week)");
-    return Duration{std::llround(got.value * 1e9)};
-  }
-
-  /// An operation that gives what the node gives.
-  std::size_t add(const ExpressionTree& tree, std::size_t at) {
-    using Type = ExpressionNode::Type;
-    const ExpressionNode& node = tree.nodes[at];
-    Operation made;
-    switch (node.type) {
-      case Type::number:
-        made.number = node.number;
-        break;
-      case Type::name:
-      case Type::memory:
-        made.type = Operation::Type::value;
-        made.a = places[at];
-        break;
-      case Type::logical_not:
-        made.type = Operation::Type::logical_not;
-        made.a = add(tree, node.children[0]);
-        break;
-      case Type::logical_and:
-      case Type::logical_or:
-        made.type = node.type == Type::logical_and ? Operation::Type::logical_and : Operation::Type::logical_or;
-        made.a = add(tree, node.children[0]);
-        made.b = add(tree, node.children[1]);
-        break;
-      case Type::choice:
-        made.type = Operation::Type::choice;
-        made.a = add(tree, node.children[0]);
-        made.b = add(tree, node.children[1]);
-        made.c = add(tree, node.children[2]);
-        break;
-      default:
-        if (!has_names[at] && is_plain_below(tree, at)) {
-          made.number = constant(tree, at);
-          break;
-        }
-        made.type = Operation::Type::formula;
-        made.a = add_formula(tree, at);
-        break;
-    }
-    operations.push_back(made);
-    return operations.size() - 1;
-  }
-
-  static bool is_plain_below(const ExpressionTree& tree, std::size_t at) {
-    const ExpressionNode& node = tree.nodes[at];
-    if (node.type == ExpressionNode::Type::number) return true;
-    return is_plain(node) && std::all_of(node.children.begin(), node.children.end(),
-                                         [&](std::size_t child) { return is_plain_below(tree, child); });
-  }
-
-  /// What has no name in it is computed once.
-  double constant(const ExpressionTree& tree, std::size_t at) {
-    Formula formula = formula_of(tree, at, Constants::as_they_are);
-    std::feclearexcept(bad_flags);
-    const double value = formula.parser->Eval();  // once: muParser computes it then, and keeps what comes of it
-    const int flags = set_flags();
-    std::feclearexcept(bad_flags);
-    switch (failure_of(flags, value)) {
-      case Failure::none:
-        return value;
-      case Failure::division_by_zero:
-        refuse(tree.nodes[at].column, "this is a division by zero, or the logarithm of 0, whatever the values are");
-      case Failure::too_large:
-        refuse(tree.nodes[at].column, "this is too large for a double, whatever the values are");
-      default:
-        refuse(tree.nodes[at].column, "this is no number, whatever the values are");
-    }
-  }
-
-  void refuse_division_by_zero(const ExpressionTree& tree, std::size_t at) {
-    const ExpressionNode& node = tree.nodes[at];
-    const std::size_t divisor = node.children[1];
-    if (has_names[divisor] || !is_plain_below(tree, divisor)) return;
-    const ExpressionNode& by = tree.nodes[divisor];
-    const double value = by.type == ExpressionNode::Type::number ? by.number : constant(tree, divisor);
-    if (value == 0) refuse(node.column, "this is a division by zero, whatever the values are");
-  }
-
-  std::size_t add_formula(const ExpressionTree& tree, std::size_t at) {
-    Formula formula = formula_of(tree, at, Constants::computed);
-    formulas.push_back(std::move(formula));
-    return formulas.size() - 1;
-  }
-
-  enum class Constants : std::uint8_t { as_they_are, computed };
-  Formula formula_of(const ExpressionTree& tree, std::size_t at, Constants constants) {
-    Formula formula;
-    formula.column = static_cast<std::uint32_t>(tree.nodes[at].column);
-    formula.parser->DefineFun("ceil", [](double x) { return std::ceil(x); });
-    formula.parser->DefineFun("floor", [](double x) { return std::floor(x); });
-    formula.parser->DefineFun("round", [](double x) { return std::round(x); });
-    std::string text_of_it;
-    write(tree, at, constants, formula, text_of_it);
-    if (formula.division_column == 0) formula.division_column = formula.column;
-    std::sort(formula.inputs.begin(), formula.inputs.end());
-    formula.inputs.erase(std::unique(formula.inputs.begin(), formula.inputs.end()), formula.inputs.end());
-    try {
-      formula.parser->SetExpr(text_of_it);
-      formula.parser->GetUsedVar();
-    } catch (const mu::ParserError& error) {
-      refuse(formula.column, "muParser refuses it: " + error.GetMsg());
-    }
-    return formula;
-  }
-
-  void write(const ExpressionTree& tree, std::size_t at, Constants constants, Formula& formula, std::string& out) {
-    using Type = ExpressionNode::Type;
-    const ExpressionNode& node = tree.nodes[at];
-    const auto write_input = [&](std::size_t place) {
-      const std::string name = "v" + std::to_string(place);
-      if (std::find(formula.inputs.begin(), formula.inputs.end(), place) == formula.inputs.end()) {
-        formula.parser->DefineVar(name, &values[place].value);
-        formula.inputs.push_back(place);
-      }
-      out += name;
-    };
-    const auto write_number = [&](double number) {
-      const std::string name = "c" + std::to_string(formula.constants++);
-      formula.parser->DefineConst(name, number);
-      out += name;
-    };
-    if (node.type == Type::number) return write_number(node.number);
-    if (!is_plain(node)) return write_input(places[at]);
-    if (constants == Constants::computed && !has_names[at] && is_plain_below(tree, at))
-      return write_number(constant(tree, at));
-    if (constants == Constants::computed && node.text == "/") refuse_division_by_zero(tree, at);
-    if (node.text == "/" && formula.division_column == 0)
-      formula.division_column = static_cast<std::uint32_t>(node.column);
-    out += node.type == Type::function ? node.text + "(" : "(";
-    if (node.type == Type::negative) out += "-";
-    for (std::size_t i = 0; i < node.children.size(); ++i) {
-      if (i > 0) out += node.type == Type::function ? "," : node.text;
-      write(tree, node.children[i], constants, formula, out);
-    }
-    out += ")";
-  }
-
-  static Got truth(bool is_true) noexcept {
-    Got got;
-    got.state = State::value;
-    got.value = is_true ? 1 : 0;
-    return got;
-  }
-
-  void evaluate(const Operation& operation, Got& got) noexcept {
-    using Type = Operation::Type;
-    switch (operation.type) {
-      case Type::number:
-        got = {};
-        got.state = State::value;
-        got.value = operation.number;
-        return;
-      case Type::value:
-        got = values[operation.a];
-        return;
-      case Type::formula:
-        return compute(formulas[operation.a], got);
-      case Type::logical_not:
-        evaluate(operations[operation.a], got);
-        if (got.state == State::value) got = truth(got.value == 0);
-        return;
-      case Type::logical_and:
-      case Type::logical_or: {
-        const bool decides = operation.type == Type::logical_or;  // such a side decides alone
-        evaluate(operations[operation.a], got);
-        if (got.state == State::value && (got.value != 0) == decides) return void(got = truth(decides));
-        Got right;
-        evaluate(operations[operation.b], right);
-        if (right.state == State::value && (right.value != 0) == decides) return void(got = truth(decides));
-        if (got.state == State::failed) return;
-        if (right.state == State::failed) return void(got = right);
-        if (got.state == State::waiting) return;
-        got = right.state == State::waiting ? right : truth(!decides);
-        return;
-      }
-      case Type::choice:
-        evaluate(operations[operation.a], got);
-        if (got.state == State::value) evaluate(operations[got.value != 0 ? operation.b : operation.c], got);
-        return;
-    }
-  }
+  Program(std::string_view the_text, std::vector<std::string> the_names);
 
   void compute(const Formula& formula, Got& got) noexcept {
     const Got* missing = nullptr;  // the first that has failed, else one that waits
-    for (const std::size_t input : formula.inputs) {
+    for (const std::uint32_t input : formula.inputs) {
       const Got& value = values[input];
-      if (value.state != State::value && (missing == nullptr || missing->state != State::failed)) [[unlikely]]
+      if (!value.is_value() && (missing == nullptr || missing->failure == waiting)) [[unlikely]]
         missing = &value;
     }
     if (missing != nullptr) {
       got = *missing;
       return;
     }
-    got.failure = evaluate_formula(*formula.parser, got.value);
-    got.state = State::value;
-    got.at = 0;
-    if (got.failure == Failure::none) [[likely]]
+    got.failure = judged(formula, got.value);
+    if (got.is_value()) [[likely]]
       return;
-    got.state = State::failed;
     got.value = 0;
     got.at = got.failure == Failure::division_by_zero ? formula.division_column : formula.column;
+  }
+
+  static double computed(const Instruction& one, double a, double b) noexcept {
+    using Op = detail::ExpressionOp;
+    switch (one.op) {
+      case Op::negate:
+        return -a;
+      case Op::add:
+        return a + b;
+      case Op::subtract:
+        return a - b;
+      case Op::multiply:
+        return a * b;
+      case Op::divide:
+        return a / b;
+      case Op::power:
+        return std::pow(a, b);
+      case Op::less:
+        return a < b ? 1 : 0;
+      case Op::greater:
+        return a > b ? 1 : 0;
+      case Op::at_most:
+        return a <= b ? 1 : 0;
+      case Op::at_least:
+        return a >= b ? 1 : 0;
+      case Op::equal:
+        return a == b ? 1 : 0;
+      case Op::different:
+        return a != b ? 1 : 0;
+      default:
+        return one.compute(a, b);
+    }
+  }
+
+  /// Whether all on the way is finite: an infinity may be hidden again by a comparison or a quotient.
+  bool run(const Formula& formula) noexcept {
+    double last = 0;  // what was just computed need not come from memory
+    bool is_finite = true;
+    std::uint32_t at = no_place;
+    for (const Instruction& one : formula.code) {
+      last = computed(one, one.a == at ? last : values[one.a].value, one.b == at ? last : values[one.b].value);
+      at = one.to;
+      values[at].value = last;
+      is_finite &= std::isfinite(last);
+    }
+    return is_finite;
+  }
+
+  /// The processor's flags tell what went wrong.
+  Failure judged(const Formula& formula, const double& value) noexcept {
+    if (run(formula)) [[likely]]
+      return Failure::none;
+    std::feclearexcept(bad_flags);
+    run(formula);
+    const int flags = set_flags();
+    std::feclearexcept(bad_flags);
+    return failure_of(flags, value);
+  }
+
+  static void set_truth(Got& got, bool is_true) noexcept {
+    got.failure = Failure::none;
+    got.value = is_true ? 1 : 0;
+  }
+
+  void take(const Step& step, Time time) noexcept {
+    using Type = Step::Type;
+    Got& got = values[step.to];
+    switch (step.type) {
+      case Type::formula:
+        return compute(formulas[step.a], got);
+      case Type::memory:
+        return remember(memories[step.a], got, time);
+      case Type::logical_not:
+        got = values[step.a];
+        if (got.is_value()) set_truth(got, got.value == 0);
+        return;
+      case Type::logical_and:
+      case Type::logical_or: {
+        const bool decides = step.type == Type::logical_or;  // such a side decides alone
+        const Got &left = values[step.a], &right = values[step.b];
+        for (const Got* side : {&left, &right})
+          if (side->is_value() && (side->value != 0) == decides) return set_truth(got, decides);
+        for (const State missing : {State::failed, State::waiting})
+          for (const Got* side : {&left, &right})
+            if (side->state() == missing) return void(got = *side);
+        return set_truth(got, !decides);
+      }
+      case Type::choice: {
+        const Got& condition = values[step.a];
+        got = !condition.is_value() ? condition : values[condition.value != 0 ? step.b : step.c];
+        return;
+      }
+    }
   }
 
   static double seconds_between(Time from, Time to) noexcept {
     return static_cast<double>(detail::span_between(from, to).count()) * 1e-9;
   }
 
-  /// One more event: the step's place gets the result of its memory.
-  void remember(Memory& memory, std::size_t place, const Got& argument, Time time) noexcept {
-    Got& got = values[place];
+  /// One more event.
+  void remember(Memory& memory, Got& got, Time time) noexcept {
+    const Got& argument = values[memory.argument];
     const bool is_age = memory.type == ExpressionNode::Memory::age;
-    if (argument.state != State::value && !is_age) {
+    if (!argument.is_value() && !is_age) {
       got = argument;
       return;
     }
     if (is_age) {
       const bool is_first = !std::exchange(memory.has_result, true);
-      if (is_first || (argument.state == State::value && has_come(memory))) memory.last_time = time;
+      if (is_first || (argument.is_value() && has_come(memory))) memory.last_time = time;
       memory.result = seconds_between(memory.last_time, time);
     } else if (memory.is_always_new || !memory.has_value || has_come(memory)) {
       take(memory, argument.value, time);
     }
-    got.state = memory.has_result ? State::value : State::waiting;
-    got.failure = Failure::none;
-    got.at = static_cast<std::uint32_t>(place);
+    got.failure = memory.has_result ? Failure::none : waiting;
+    got.at = memory.to;
     got.value = memory.has_result ? memory.result : 0;
     if (std::isfinite(got.value)) [[likely]]
       return;
-    got.state = State::failed;
     got.failure = Failure::too_large;
     got.at = static_cast<std::uint32_t>(memory.column);
     got.value = 0;
@@ -474,13 +293,19 @@ struct Expression::Program {
 
   /// A name in its argument was set since the last event.
   bool has_come(const Memory& memory) const noexcept {
-    for (const std::size_t name : memory.names)
+    for (const std::uint32_t name : memory.names)
       if (set_at[name] == event) return true;
     return false;
   }
 
   static void take(Memory& memory, double value, Time time) noexcept {
     using Type = ExpressionNode::Memory;
+    if (memory.type == Type::highest || memory.type == Type::lowest) {
+      const bool is_better = memory.type == Type::highest ? value > memory.result : value < memory.result;
+      if (is_better || !memory.has_result) memory.result = value;
+      memory.has_value = memory.has_result = true;
+      return;
+    }
     const bool is_first = !std::exchange(memory.has_value, true);
     const auto give = [&](double result) {
       memory.result = result;
@@ -496,12 +321,6 @@ struct Expression::Program {
       memory.last_time = time;
     };
     switch (memory.type) {
-      case Type::highest:
-        give(memory.has_result ? std::max(memory.result, value) : value);
-        break;
-      case Type::lowest:
-        give(memory.has_result ? std::min(memory.result, value) : value);
-        break;
       case Type::mean:
         give(memory.window->take_mean(time, value));
         break;
@@ -531,6 +350,8 @@ struct Expression::Program {
         give(memory.result_before + (memory.before + value) / 2 * seconds);
         break;
       }
+      case Type::highest:
+      case Type::lowest:
       case Type::age:  // needs no value: see `remember`
         break;
       case Type::previous:
@@ -545,28 +366,15 @@ struct Expression::Program {
   ExpressionResult evaluate(Time time) noexcept {
     last_time = std::max(time, last_time);
     if (instant == Time::min() || detail::span_between(instant, last_time) >= one_instant) instant = last_time;
-    for (const Step& step : steps) {
-      const Operation& operation = operations[step.operation];
-      if (step.memory == no_memory) {
-        evaluate(operation, values[step.place]);
-      } else if (operation.type == Operation::Type::value) {
-        remember(memories[step.memory], step.place, values[operation.a], instant);
-      } else {
-        Got argument;
-        evaluate(operation, argument);
-        remember(memories[step.memory], step.place, argument, instant);
-      }
-    }
-    evaluate(operations[root], outcome);
+    for (const Step& step : steps) take(step, instant);
+    outcome = values[root];
     ++event;
-    return {outcome.state, outcome.failure, outcome.value};
+    const State state = outcome.state();
+    return {state, state == State::failed ? outcome.failure : Failure::none, outcome.value};
   }
 
   void reset() noexcept {
-    for (std::size_t i = 0; i < values.size(); ++i) {
-      values[i] = {};
-      values[i].at = static_cast<std::uint32_t>(i);
-    }
+    for (std::size_t i = 0; i < names.size(); ++i) values[i] = {waiting, static_cast<std::uint32_t>(i), 0};
     ++event;  // no name is set with it
     for (Memory& memory : memories) {
       memory.has_value = memory.has_result = memory.was_true = memory.has_before = false;
@@ -579,21 +387,15 @@ struct Expression::Program {
 
   std::string name_of(std::size_t place) const {
     if (place < names.size()) return names[place];
-    for (const Step& step : steps)
-      if (step.place == place && step.memory != no_memory)
-        return memories[step.memory].name + " in column " + std::to_string(memories[step.memory].column);
+    for (const Memory& memory : memories)
+      if (memory.to == place) return memory.name + " in column " + std::to_string(memory.column);
     return text;
   }
 
   std::string why() const {
-    switch (outcome.state) {
-      case State::value:
-        return {};
-      case State::waiting:
-        return name_of(outcome.at) + (outcome.at < names.size() ? " has no value yet" : " has nothing to tell yet");
-      case State::failed:
-        break;
-    }
+    if (outcome.is_value()) return {};
+    if (outcome.failure == waiting)
+      return name_of(outcome.at) + (outcome.at < names.size() ? " has no value yet" : " has nothing to tell yet");
     const std::string column = " in column " + std::to_string(outcome.at);
     switch (outcome.failure) {
       case Failure::not_finite:
@@ -607,43 +409,216 @@ struct Expression::Program {
     }
   }
 
-  static constexpr std::size_t no_place = std::numeric_limits<std::size_t>::max();
-  static constexpr std::size_t no_memory = std::numeric_limits<std::size_t>::max();
-  /// What is computed before the rest, at every event, whatever that chooses.
-  struct Step {
-    std::size_t memory = no_memory;
-    std::size_t operation = 0;
-    std::size_t place = 0;
-  };
-
   std::string text;
   std::vector<std::string> names;
   bool is_condition = false;
-  std::vector<Got> values;            // of names, then of steps; never moved, since muParser knows where they are
+  std::vector<Got> values;            // of names, then of constants, of what formulas compute on the way, and of steps
   std::uint64_t event = 1;            // the number of the next one
   std::vector<std::uint64_t> set_at;  // of each name: the number of the event that it was set for
   std::vector<std::uint8_t> is_used;
-  std::vector<Operation> operations;
   std::vector<Formula> formulas;
   std::vector<Memory> memories;
-  std::vector<Step> steps;
-  std::size_t root = 0;
+  std::vector<Step> steps;  // each behind those whose places it reads
+  std::size_t root = 0;     // a place
   Got outcome;
   Time last_time = Time::min();
   Time instant = Time::min();  // of the last event: the time of the first that is nearer to it than `one_instant`
-  // While it is made, of each node of the tree.
-  std::vector<std::size_t> places;
-  std::vector<bool> has_names;
 };
 
-#else
+/// Makes the steps of a program from a tree.
+class Expression::Compiler {
+ public:
+  Compiler(Program& program, const ExpressionTree& tree, const std::vector<std::size_t>& index_of)
+      : program_(program), tree_(tree), places_(tree.nodes.size(), no_place), nodes_(tree.nodes.size()) {
+    for (std::size_t i = 0; i < tree.nodes.size(); ++i) {
+      const Node& node = tree.nodes[i];
+      nodes_[i] = {node.type == Type::name, node.type == Type::number || is_plain(node)};
+      for (const std::size_t child : node.children) {
+        nodes_[i].has_name |= nodes_[child].has_name;
+        nodes_[i].is_plain &= nodes_[child].is_plain;
+      }
+      if (node.type != Type::name) continue;
+      places_[i] = static_cast<std::uint32_t>(index_of[node.name]);
+      program.is_used[places_[i]] = true;
+    }
+  }
 
-struct Expression::Program {
-  std::string text;
-  std::vector<std::string> names;
+  void compile() {
+    std::vector<bool> is_input(tree_.nodes.size());  // of a formula
+    for (const Node& node : tree_.nodes)
+      if (is_plain(node))
+        for (const std::size_t child : node.children) is_input[child] = true;
+    for (std::size_t i = 0; i < tree_.nodes.size(); ++i)
+      if (tree_.nodes[i].type == Type::memory || (is_input[i] && !is_plain(tree_.nodes[i]))) compile(i);
+    program_.root = compile(tree_.nodes.size() - 1);
+  }
+
+ private:
+  using Node = ExpressionNode;
+  using Type = ExpressionNode::Type;
+  using Op = detail::ExpressionOp;
+  enum class Constants : std::uint8_t { as_they_are, computed };
+  static constexpr std::uint32_t no_place = std::numeric_limits<std::uint32_t>::max();
+
+  static bool is_plain(const Node& node) noexcept { return node.op != Op::none; }
+  bool is_constant(std::size_t at) const noexcept { return !nodes_[at].has_name && nodes_[at].is_plain; }
+
+  std::uint32_t place_of(double number) {
+    program_.values.push_back({Failure::none, 0, number});
+    return static_cast<std::uint32_t>(program_.values.size() - 1);
+  }
+
+  /// Where the value of a node is found.
+  std::uint32_t compile(std::size_t at) {
+    std::uint32_t& place = places_[at];
+    const Node& node = tree_.nodes[at];
+    if (place != no_place) return place;
+    if (node.type == Type::number) return place = place_of(node.number);
+    if (is_constant(at)) return place = place_of(constant(at));
+    Program::Step step;
+    if (node.type == Type::memory) {
+      step.type = Program::Step::Type::memory;
+      add_memory(node);
+      step.a = static_cast<std::uint32_t>(program_.memories.size() - 1);
+      step.to = program_.memories.back().to = place_of(0);
+    } else if (is_plain(node)) {
+      Program::Formula formula = formula_of(at, Constants::computed);
+      step.a = static_cast<std::uint32_t>(program_.formulas.size());
+      step.to = formula.code.back().to;
+      program_.formulas.push_back(std::move(formula));
+    } else {
+      step.type = node.type == Type::logical_not   ? Program::Step::Type::logical_not
+                  : node.type == Type::logical_and ? Program::Step::Type::logical_and
+                  : node.type == Type::logical_or  ? Program::Step::Type::logical_or
+                                                   : Program::Step::Type::choice;
+      std::uint32_t* const operands[] = {&step.a, &step.b, &step.c};
+      for (std::size_t i = 0; i < node.children.size(); ++i) *operands[i] = compile(node.children[i]);
+      step.to = place_of(0);
+    }
+    program_.steps.push_back(step);
+    return place = step.to;
+  }
+
+  static bool moves_with_time(Node::Memory memory) noexcept {
+    return memory == Node::Memory::since || memory == Node::Memory::age;
+  }
+
+  void add_memory(const Node& node) {
+    Program::Memory memory;
+    memory.type = node.memory;
+    memory.column = node.column;
+    memory.name = node.text;
+    memory.is_always_new = moves_with_time(node.memory);
+    if (node.children.size() == 2) memory.window = std::make_unique<detail::TimeWindow>(seconds(node));
+    memory.argument = compile(node.children[0]);
+    collect(node.children[0], memory);
+    std::sort(memory.names.begin(), memory.names.end());
+    memory.names.erase(std::unique(memory.names.begin(), memory.names.end()), memory.names.end());
+    program_.memories.push_back(std::move(memory));
+  }
+
+  void collect(std::size_t at, Program::Memory& memory) const {
+    const Node& node = tree_.nodes[at];
+    if (node.type == Type::name) memory.names.push_back(places_[at]);
+    if (node.type == Type::memory && moves_with_time(node.memory)) memory.is_always_new = true;
+    for (const std::size_t child : node.children) collect(child, memory);
+  }
+
+  Duration seconds(const Node& node) {
+    const std::size_t before = program_.steps.size();
+    const std::uint32_t place = compile(node.children[1]);
+    for (std::size_t i = before; i < program_.steps.size(); ++i) program_.take(program_.steps[i], {});
+    program_.steps.resize(before);
+    const Got got = program_.values[place];
+    const std::size_t column = tree_.nodes[node.children[1]].column;
+    if (!got.is_value()) refuse(column, "the seconds of `" + node.text + "` are no finite number");
+    if (!(got.value >= 1e-6 && got.value <= 604800))
+      refuse(column, "the seconds of `" + node.text + "` lie between 0.000001 and 604800 (a week)");
+    return Duration{std::llround(got.value * 1e9)};
+  }
+
+  /// What has no name in it is computed once.
+  double constant(std::size_t at) {
+    const Program::Formula formula = formula_of(at, Constants::as_they_are);
+    std::feclearexcept(bad_flags);
+    program_.run(formula);
+    const int flags = set_flags();
+    std::feclearexcept(bad_flags);
+    const double value = program_.values[formula.code.back().to].value;
+    switch (failure_of(flags, value)) {
+      case Failure::none:
+        return value;
+      case Failure::division_by_zero:
+        refuse(tree_.nodes[at].column, "this is a division by zero, or the logarithm of 0, whatever the values are");
+      case Failure::too_large:
+        refuse(tree_.nodes[at].column, "this is too large for a double, whatever the values are");
+      default:
+        refuse(tree_.nodes[at].column, "this is no number, whatever the values are");
+    }
+  }
+
+  void refuse_division_by_zero(const Node& node) {
+    const std::size_t divisor = node.children[1];
+    if (is_constant(divisor) && program_.values[compile(divisor)].value == 0)
+      refuse(node.column, "this is a division by zero, whatever the values are");
+  }
+
+  Program::Formula formula_of(std::size_t at, Constants constants) {
+    Program::Formula formula;
+    formula.column = static_cast<std::uint32_t>(tree_.nodes[at].column);
+    write(at, constants, formula);
+    if (formula.division_column == 0) formula.division_column = formula.column;
+    std::sort(formula.inputs.begin(), formula.inputs.end());
+    formula.inputs.erase(std::unique(formula.inputs.begin(), formula.inputs.end()), formula.inputs.end());
+    return formula;
+  }
+
+  /// The place of what it computes.
+  std::uint32_t write(std::size_t at, Constants constants, Program::Formula& formula) {
+    const Node& node = tree_.nodes[at];
+    if (node.type == Type::number || (constants == Constants::computed && is_constant(at))) return compile(at);
+    if (!is_plain(node)) {
+      formula.inputs.push_back(places_[at]);
+      return places_[at];
+    }
+    if (node.op == Op::divide) {
+      if (constants == Constants::computed) refuse_division_by_zero(node);
+      if (formula.division_column == 0) formula.division_column = static_cast<std::uint32_t>(node.column);
+    }
+    std::vector<std::uint32_t> operands;
+    for (const std::size_t child : node.children) operands.push_back(write(child, constants, formula));
+    std::uint32_t result = operands.front();
+    const auto add = [&](Op op, std::uint32_t with) {
+      formula.code.push_back({op, node.compute, result, with, place_of(0)});
+      result = formula.code.back().to;
+    };
+    if (operands.size() == 1) add(node.op, result);
+    for (std::size_t i = 1; i < operands.size(); ++i) add(node.op, operands[i]);
+    if (node.text == "average") add(Op::divide, place_of(static_cast<double>(operands.size())));
+    return result;
+  }
+
+  struct Known {
+    bool has_name = false;
+    bool is_plain = false;  // with all below it
+  };
+  Program& program_;
+  const ExpressionTree& tree_;
+  std::vector<std::uint32_t> places_;  // of each node, once it is compiled
+  std::vector<Known> nodes_;
 };
 
-#endif
+Expression::Program::Program(std::string_view the_text, std::vector<std::string> the_names)
+    : text(the_text), names(std::move(the_names)) {
+  std::vector<std::size_t> index_of;
+  const ExpressionTree tree = tree_of(text, names, index_of);
+  is_condition = tree.is_condition;
+  values.resize(names.size());
+  set_at.resize(names.size());
+  is_used.resize(names.size());
+  Compiler(*this, tree, index_of).compile();
+  reset();
+}
 
 ExpressionError::ExpressionError(std::string_view text, ExpressionMistake mistake)
     : SetupError({Errc::bad_argument, "cannot use an expression",
@@ -651,14 +626,6 @@ ExpressionError::ExpressionError(std::string_view text, ExpressionMistake mistak
                       std::to_string(mistake.column),
                   mistake.why, mistake.suggestion.empty() ? "" : "did you mean \"" + mistake.suggestion + "\"?"}),
       mistake_(std::move(mistake)) {}
-
-bool Expression::available() noexcept {
-#ifdef RTDATA_WITH_MUPARSER
-  return true;
-#else
-  return false;
-#endif
-}
 
 std::string Expression::normal_name(std::string_view name) {
   std::string normal(name);
@@ -668,12 +635,7 @@ std::string Expression::normal_name(std::string_view name) {
 
 std::optional<ExpressionMistake> Expression::check(std::string_view text, const std::vector<std::string>& names) {
   try {
-#ifdef RTDATA_WITH_MUPARSER
     const Program program(text, names);
-#else
-    std::vector<std::size_t> index_of;
-    tree_of(text, names, index_of);
-#endif
     return std::nullopt;
   } catch (detail::ExpressionMistakeFound& found) {
     return std::move(found.mistake);
@@ -700,17 +662,11 @@ Expression::Expression(std::string_view text, std::vector<std::string> names) {
         throw SetupError({Errc::bad_argument, "cannot make an expression",
                           "\"" + std::string(text.substr(0, 60)) + "\"",
                           "two of its names are the same: " + names[n] + " and " + names[i], "give each name once"});
-#ifdef RTDATA_WITH_MUPARSER
   try {
     program_ = std::make_unique<Program>(text, std::move(names));
   } catch (detail::ExpressionMistakeFound& found) {
     throw ExpressionError(text, std::move(found.mistake));
   }
-#else
-  if (std::optional<ExpressionMistake> mistake = check(text, names)) throw ExpressionError(text, *std::move(mistake));
-  throw SetupError({Errc::not_found, "cannot make an expression", "\"" + std::string(text.substr(0, 60)) + "\"",
-                    "this library was built without muParser", "install libmuparser-dev and build it again"});
-#endif
 }
 
 const std::string& Expression::text() const noexcept {
@@ -721,8 +677,6 @@ const std::vector<std::string>& Expression::names() const noexcept {
   static const std::vector<std::string> none;
   return program_ == nullptr ? none : program_->names;
 }
-
-#ifdef RTDATA_WITH_MUPARSER
 
 bool Expression::uses(std::size_t index) const noexcept {
   return program_ != nullptr && index < program_->names.size() && program_->is_used[index] != 0;
@@ -735,11 +689,9 @@ void Expression::set(std::size_t index, double value) noexcept {
   program->set_at[index] = program->event;
   Got& at = program->values[index];
   if (std::isfinite(value)) [[likely]] {
-    at.state = State::value;
     at.failure = Failure::none;
     at.value = value;
   } else {
-    at.state = State::failed;
     at.failure = Failure::not_finite;
     at.value = 0;
   }
@@ -747,8 +699,7 @@ void Expression::set(std::size_t index, double value) noexcept {
 
 void Expression::set_unknown(std::size_t index) noexcept {
   if (program_ == nullptr || index >= program_->names.size()) return;
-  program_->values[index].state = State::waiting;
-  program_->values[index].failure = Failure::none;
+  program_->values[index].failure = waiting;
 }
 
 ExpressionResult Expression::evaluate(Time time) noexcept {
@@ -758,17 +709,5 @@ std::string Expression::why() const { return program_ == nullptr ? "it is empty"
 void Expression::reset() noexcept {
   if (program_ != nullptr) program_->reset();
 }
-
-#else
-
-bool Expression::uses(std::size_t) const noexcept { return false; }
-bool Expression::is_condition() const noexcept { return false; }
-void Expression::set(std::size_t, double) noexcept {}
-void Expression::set_unknown(std::size_t) noexcept {}
-ExpressionResult Expression::evaluate(Time) noexcept { return {}; }
-std::string Expression::why() const { return "it is empty"; }
-void Expression::reset() noexcept {}
-
-#endif
 
 }  // namespace rtdata

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <numbers>
 #include <optional>
+#include <utility>
 
 #include "rtdata/data/problem.hpp"
 
@@ -16,22 +17,53 @@ using Node = ExpressionNode;
 using Type = Node::Type;
 using Memory = Node::Memory;
 
+using Op = ExpressionOp;
+constexpr auto operators = std::to_array<std::pair<std::string_view, Op>>({{"+", Op::add},
+                                                                           {"-", Op::subtract},
+                                                                           {"*", Op::multiply},
+                                                                           {"/", Op::divide},
+                                                                           {"^", Op::power},
+                                                                           {"<", Op::less},
+                                                                           {">", Op::greater},
+                                                                           {"<=", Op::at_most},
+                                                                           {">=", Op::at_least},
+                                                                           {"==", Op::equal},
+                                                                           {"!=", Op::different}});
+
 struct Function {
   std::string_view name;
-  std::string_view in_library;
   std::size_t least;
   std::size_t most;
+  Compute compute = nullptr;
 };
 constexpr std::size_t any_number = 64;
 constexpr auto functions = std::to_array<Function>({
-    {"abs", "abs", 1, 1},          {"acos", "acos", 1, 1},   {"asin", "asin", 1, 1},
-    {"atan", "atan", 1, 1},        {"atan2", "atan2", 2, 2}, {"average", "avg", 2, any_number},
-    {"ceil", "ceil", 1, 1},        {"cos", "cos", 1, 1},     {"cosh", "cosh", 1, 1},
-    {"exp", "exp", 1, 1},          {"floor", "floor", 1, 1}, {"ln", "ln", 1, 1},
-    {"log10", "log10", 1, 1},      {"log2", "log2", 1, 1},   {"max", "max", 2, any_number},
-    {"min", "min", 2, any_number}, {"round", "round", 1, 1}, {"sign", "sign", 1, 1},
-    {"sin", "sin", 1, 1},          {"sinh", "sinh", 1, 1},   {"sqrt", "sqrt", 1, 1},
-    {"sum", "sum", 2, any_number}, {"tan", "tan", 1, 1},     {"tanh", "tanh", 1, 1},
+    {"abs", 1, 1, [](double x, double) noexcept { return std::abs(x); }},
+    {"acos", 1, 1, [](double x, double) noexcept { return std::acos(x); }},
+    {"asin", 1, 1, [](double x, double) noexcept { return std::asin(x); }},
+    {"atan", 1, 1, [](double x, double) noexcept { return std::atan(x); }},
+    {"atan2", 2, 2, [](double y, double x) noexcept { return std::atan2(y, x); }},
+    {"average", 2, any_number},  // their sum by their number
+    {"ceil", 1, 1, [](double x, double) noexcept { return std::ceil(x); }},
+    {"cos", 1, 1, [](double x, double) noexcept { return std::cos(x); }},
+    {"cosh", 1, 1, [](double x, double) noexcept { return std::cosh(x); }},
+    {"exp", 1, 1, [](double x, double) noexcept { return std::exp(x); }},
+    {"floor", 1, 1, [](double x, double) noexcept { return std::floor(x); }},
+    {"ln", 1, 1, [](double x, double) noexcept { return std::log(x); }},
+    {"log10", 1, 1, [](double x, double) noexcept { return std::log10(x); }},
+    {"log2", 1, 1, [](double x, double) noexcept { return std::log2(x); }},
+    {"max", 2, any_number, [](double a, double b) noexcept { return std::max(a, b); }},
+    {"min", 2, any_number, [](double a, double b) noexcept { return std::min(a, b); }},
+    {"round", 1, 1, [](double x, double) noexcept { return std::round(x); }},
+    {"sign", 1, 1, [](double x, double) noexcept { return x < 0   ? -1.0
+                                                          : x > 0 ? 1.0
+                                                                  : 0.0; }},
+    {"sin", 1, 1, [](double x, double) noexcept { return std::sin(x); }},
+    {"sinh", 1, 1, [](double x, double) noexcept { return std::sinh(x); }},
+    {"sqrt", 1, 1, [](double x, double) noexcept { return std::sqrt(x); }},
+    {"sum", 2, any_number},
+    {"tan", 1, 1, [](double x, double) noexcept { return std::tan(x); }},
+    {"tanh", 1, 1, [](double x, double) noexcept { return std::tanh(x); }},
 });
 
 struct MemoryFunction {
@@ -192,6 +224,8 @@ class Parser {
     node.type = type;
     node.column = column_of(start_);
     node.text = std::string(text);
+    for (const auto& [symbol, op] : operators)
+      if (symbol == text) node.op = op;
     node.children = std::move(children);
     return node;
   }
@@ -316,6 +350,7 @@ class Parser {
     const Deeper deeper(*this);
     const bool is_minus = word_ == "-";
     Node node = made(Type::negative, "", {});
+    node.op = Op::negate;
     next();
     const std::size_t of = signed_value();
     if (!is_minus) return of;
@@ -430,7 +465,9 @@ class Parser {
         refuse(function->most == any_number
                    ? "2 arguments or more, up to 64"
                    : std::to_string(function->least) + (function->least == 1 ? " argument" : " arguments"));
-      node.text = std::string(function->in_library);
+      node.text = word;
+      node.op = function->name == "sum" || function->name == "average" ? Op::add : Op::call;
+      node.compute = function->compute;
       return add(std::move(node));
     }
     std::optional<Memory> meant;

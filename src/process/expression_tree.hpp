@@ -10,14 +10,34 @@
 
 namespace rtdata::detail {
 
+/// A function of the library. What has one argument, has it twice; what has more than two, takes them from the left.
+using Compute = double (*)(double, double) noexcept;
+/// Plain arithmetic.
+enum class ExpressionOp : std::uint8_t {
+  none,
+  negate,
+  add,
+  subtract,
+  multiply,
+  divide,
+  power,
+  less,
+  greater,
+  at_most,
+  at_least,
+  equal,
+  different,
+  call
+};
+
 struct ExpressionNode {
   enum class Type : std::uint8_t {
     number,
     name,
     negative,
-    arithmetic,  // `text` is the operator
-    comparison,  // `text` is the operator
-    function,    // of the library; `text` is its name
+    arithmetic,
+    comparison,
+    function,
     logical_not,
     logical_and,
     logical_or,
@@ -31,7 +51,9 @@ struct ExpressionNode {
   std::size_t column = 1;
   double number = 0;
   std::size_t name = 0;   // among ExpressionTree::names
-  std::string text = {};  // as muParser has it
+  std::string text = {};  // of functions; "bool" of true and false
+  ExpressionOp op = ExpressionOp::none;
+  Compute compute = nullptr;  // of `call`
   std::vector<std::size_t> children = {};
 };
 

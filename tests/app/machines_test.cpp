@@ -80,7 +80,6 @@ std::string resumes(std::string max_age, std::string unknown) {
 
 TEST_SUITE("app") {
   TEST_CASE("US-41 graph draws the machines of a configuration") {
-    if (!rtdata::Expression::available()) return;
     const Folder folder;
     folder.write("rig.json", rig(""));
     CHECK(done(folder, {"graph", "rig.json", "--machine", "m"}).out ==
@@ -99,7 +98,6 @@ TEST_SUITE("app") {
   }
 
   TEST_CASE("US-41 a simulated flight in JSON: liftoff, burnout, apogee, landing, and nothing near Mach 1") {
-    if (!rtdata::Expression::available()) return;
     const Folder folder;
     const std::string examples = rtdata::test::in_source("examples/rocket/");
     const auto copy = [&](const char* name) {
@@ -127,7 +125,6 @@ TEST_SUITE("app") {
 
   TEST_CASE(
       "US-41 killed in the middle, a machine goes on where it was; after too long, or without a clock, as chosen") {
-    if (!rtdata::Expression::available()) return;
     const Folder folder;
     folder.write("rig.json", resumes("1 min", "start"));
     {
@@ -167,7 +164,6 @@ TEST_SUITE("app") {
 
   TEST_CASE(
       "US-41 a machine that goes on after a pause has its topic for itself, and so have the outputs that it arms") {
-    if (!rtdata::Expression::available()) return;
     const Folder folder;
     const auto checked = [&](const std::string& topic_of_n, const std::string& topic_of_p) {
       std::string text = resumes("1 min", "start");
@@ -189,7 +185,6 @@ TEST_SUITE("app") {
   }
 
   TEST_CASE("US-41 over a reload a machine keeps its state, a changed one too") {
-    if (!rtdata::Expression::available()) return;
     const Folder folder;
     folder.write("rig.json", rig(""));
     Process run(folder, built("rtdata"), {"run", "rig.json"});

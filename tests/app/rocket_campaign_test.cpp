@@ -148,7 +148,6 @@ TEST_SUITE("app") {
   }
 
   TEST_CASE("US-41 US-40 rocket campaign: JSON, C++ and the decisions alone fire in the same tick") {
-    if (!Expression::available()) return;
     const JsonRocket json(in_source("examples/rocket/rocket.json"));
     for (std::uint64_t seed = 1; seed <= 24; ++seed) {
       RandomFlight random = random_flight(seed);

@@ -74,12 +74,8 @@ std::vector<Flight> tried() {
 
 }  // namespace
 
-#define NEEDS_EXPRESSIONS() \
-  if (!rtdata::Expression::available()) return
-
 TEST_SUITE("app") {
   TEST_CASE("US-41 rocket: liftoff, burnout, apogee and landing of simulated flights from 50 m to 15 km") {
-    NEEDS_EXPRESSIONS();
     for (const Rocket& rocket : rockets()) {
       const Flight flight = simulated(rocket);
       check_whole(flight, fly(flight));
@@ -87,7 +83,6 @@ TEST_SUITE("app") {
   }
 
   TEST_CASE("US-41 rocket: flights at random") {
-    NEEDS_EXPRESSIONS();
     std::uint32_t first = 1;
     std::uint32_t count = 5;
     if (const char* const wanted = std::getenv("RTDATA_TEST_SEEDS"))  // "FIRST COUNT", to look for more
@@ -99,7 +94,6 @@ TEST_SUITE("app") {
   }
 
   TEST_CASE("US-41 rocket: a real flight, with its false dip of altitude near Mach 1") {
-    NEEDS_EXPRESSIONS();
     const auto flight = real_flight();
     if (!flight) {
       MESSAGE("skipped: there is no ../shared/data/flight");
@@ -109,7 +103,6 @@ TEST_SUITE("app") {
   }
 
   TEST_CASE("US-41 rocket: with a barometer that is dead, frozen, or noisy") {
-    NEEDS_EXPRESSIONS();
     for (const Flight& flight : tried()) {
       const double coast = flight.apogee - flight.burnout;
       // The speed that was felt drifts: a tenth of the time of the coast, and a little; it waits until that is sure.
@@ -137,7 +130,6 @@ TEST_SUITE("app") {
   }
 
   TEST_CASE("US-41 rocket: with gaps of 2 s, and with an accelerometer that is saturated") {
-    NEEDS_EXPRESSIONS();
     for (const Flight& flight : tried()) {
       // In the boost, over the burnout, in the dip: those delay nothing. Over the apogee: 1.2 s after its end.
       for (const double first : {flight.liftoff + 1, flight.burnout - 1, flight.burnout + 2, flight.apogee - 4})
@@ -156,7 +148,6 @@ TEST_SUITE("app") {
   }
 
   TEST_CASE("US-41 rocket: popped, knocked, tipped or carried on the pad, it fires nothing and is ready again") {
-    NEEDS_EXPRESSIONS();
     const std::vector<std::string> stays = {"pad"}, back = {"pad", "boost", "pad"};
     for (const double bias : {0.0, 0.05, 0.1, -0.1}) {
       // A pop, of 0.2 s or of 0.6 s; a minute later it is laid down, and after half a minute put up again.
@@ -176,7 +167,6 @@ TEST_SUITE("app") {
   }
 
   TEST_CASE("US-41 rocket: what was felt before the liftoff does not count") {
-    NEEDS_EXPRESSIONS();
     Rocket rocket = rockets()[5];
     rocket.pad = 120;
     for (const double bias : {0.03, -0.03}) {
@@ -195,7 +185,6 @@ TEST_SUITE("app") {
   }
 
   TEST_CASE("US-41 rocket: a barometer that flickers at one value, dips for 2 s, or is repeated, fires nothing early") {
-    NEEDS_EXPRESSIONS();
     for (const Flight& flight : tried()) {
       const double coast = flight.apogee - flight.burnout;
       const double most = 1.5 + coast / 8;
@@ -211,7 +200,6 @@ TEST_SUITE("app") {
   }
 
   TEST_CASE("US-41 rocket: from 30 m to 20 km, on a still and on a noisy pad") {
-    NEEDS_EXPRESSIONS();
     const Flight low = simulated({.name = "30 m",
                                   .thrust = 6,
                                   .burn = 0.6,

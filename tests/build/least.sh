@@ -17,7 +17,7 @@ build() {
 }
 
 none=""
-for part in SQLITE GPIO MODBUS POSTGRESQL HTTP MQTT MUPARSER OPENSSL; do
+for part in SQLITE GPIO MODBUS POSTGRESQL HTTP MQTT OPENSSL; do
     none="$none -DRTDATA_$part=OFF"
     build without -DRTDATA_$part=OFF -- rtdata_main
     left_out=$(build/without/rtdata --version | grep -c 'left out')
@@ -39,7 +39,7 @@ END
 "$program" run least.json --for 500ms
 [ "$(grep -c '"topic": *"cpu"' cpu.jsonl)" -ge 1 ] || refused "nothing was recorded: $(head -c 300 cpu.jsonl)"
 
-for type in sqlite edge counter gpio modbus derived; do
+for type in sqlite edge counter gpio modbus; do
     ! "$program" types $type 2>said || refused "it says that it has the type $type"
     grep -q "no type \"$type\": this program was built without " said || refused "of the type $type it says $(cat said)"
 done

@@ -181,7 +181,6 @@ struct OfW1Sensor {
   }
   void provoke(Loop&, Type&) {}
 };
-#ifdef RTDATA_WITH_MUPARSER
 struct OfDerivedSensor {
   using Type = DerivedSensor;  // it divides by the zero that it is given
   Type make(Loop& loop, Probe& probe) {
@@ -201,10 +200,6 @@ struct OfTriggerSensor {
   }
   void provoke(Loop& loop, Type&) { loop.topic<Climate>("zeros").publish({}); }
 };
-#else
-using OfDerivedSensor = OfFeed;  // there is none
-using OfTriggerSensor = OfFeed;
-#endif
 struct OfLimitSensor {
   using Type = LimitSensor;  // the topic has no such number
   Type make(Loop& loop, Probe& probe) {

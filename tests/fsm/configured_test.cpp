@@ -76,12 +76,8 @@ struct Bench {
 
 }  // namespace
 
-#define NEEDS_EXPRESSIONS() \
-  if (!Expression::available()) return
-
 TEST_SUITE("fsm") {
   TEST_CASE("US-41 check says each mistake of a machine, with its place") {
-    NEEDS_EXPRESSIONS();
     const std::string go = R"({"from": "a", "to": "b", "when": "running > 3"})";
     CHECK(said_of(machine(a_and_b, go)).empty());
     const Lines unknown = said_of(machine(a_and_b, R"({"from": "a", "to": "c"})"));
@@ -145,7 +141,6 @@ TEST_SUITE("fsm") {
   }
 
   TEST_CASE("US-41 check says all mistakes of a machine at once, word for word, with lines and columns") {
-    NEEDS_EXPRESSIONS();
     const std::string text = R"({"sensors": [{"name": "load", "type": "host", "quantity": "load", "rate": "10 Hz"}],
  "machines": [
   {"name": "m", "inputs": ["load"], "start": "aa", "states": [{"name": "a"}, {"name": "b"}, {"name": "a"}],
@@ -169,7 +164,6 @@ TEST_SUITE("fsm") {
   }
 
   TEST_CASE("US-41 a machine of settings: conditions that hold for a time, memories that begin in a state, times") {
-    NEEDS_EXPRESSIONS();
     Bench b({.name = "m",
              .inputs = {"baro"},
              .max_age = 500ms,
@@ -194,7 +188,6 @@ TEST_SUITE("fsm") {
   }
 
   TEST_CASE("US-41 a value that is too old counts as absent, and does not hide another that is there") {
-    NEEDS_EXPRESSIONS();
     Bench b({.name = "m",
              .inputs = {"baro", "other"},
              .max_age = 300ms,
@@ -210,7 +203,6 @@ TEST_SUITE("fsm") {
   }
 
   TEST_CASE("US-41 an input that is slow begins a condition anew that uses it, and no other") {
-    NEEDS_EXPRESSIONS();
     for (const bool is_used : {false, true}) {
       CAPTURE(is_used);
       Bench b(
@@ -239,7 +231,6 @@ TEST_SUITE("fsm") {
   }
 
   TEST_CASE("US-41 events by name; a condition that fails is told once, and is false") {
-    NEEDS_EXPRESSIONS();
     Bench b({.name = "m",
              .inputs = {"baro"},
              .start = "a",
@@ -264,7 +255,6 @@ TEST_SUITE("fsm") {
   }
 
   TEST_CASE("US-41 a machine goes on in a state, and has been in it for as long as it was") {
-    NEEDS_EXPRESSIONS();
     Bench b({.name = "m",
              .start = "a",
              .states = {{"a"}, {"b"}, {"c", true}},
@@ -278,7 +268,6 @@ TEST_SUITE("fsm") {
   }
 
   TEST_CASE("US-41 in the place of another, a machine acts on its state once, also while the card is waited for") {
-    NEEDS_EXPRESSIONS();
     const fsm::MachineSettings settings{
         .name = "m",
         .start = "up",

@@ -23,7 +23,6 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
     return 0;
   }
   if (!Expression::names_in(text)) std::abort();
-  if (!Expression::available()) return 0;
   Expression expression(text, names);
   constexpr double values[] = {0, 1, -1, 1e308, -1e-308, 5, std::numeric_limits<double>::quiet_NaN(), 2};
   std::int64_t time = 0;

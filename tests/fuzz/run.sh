@@ -9,7 +9,7 @@ mkdir -p "$out"
 build=build/asan
 cmake --preset asan >"$out/configure.log" && cmake --build --preset asan -j "$(nproc)" --target rtdata_program
 libraries="-Wl,--start-group $(echo $build/librtdata*.a) -Wl,--end-group"
-needs=$(for one in libuv sqlite3 spdlog libgpiod muparser; do pkg-config --libs $one 2>/dev/null || true; done)
+needs=$(for one in libuv sqlite3 spdlog libgpiod; do pkg-config --libs $one 2>/dev/null || true; done)
 cache=$(command -v ccache || true)
 export CCACHE_BASEDIR="$PWD" CCACHE_NOHASHDIR=1 # what another clone has compiled serves here, as with CMake
 flags="-std=c++20 -O1 -g1 -fsanitize=fuzzer-no-link,address,undefined -fno-sanitize-recover=undefined -Iinclude -Isrc -Itests"

@@ -142,10 +142,6 @@ const std::vector<Stage>& stages() {
        }},
       {"derive by expressions with memories",
        [](Loop& loop) {
-         if (!Expression::available()) {
-           auto ticker = keep(Ticker(loop, 10ms, [](const Tick&) {}));
-           return std::function<std::uint64_t()>([ticker] { return ticker->fired(); });
-         }
          auto derived = keep(DerivedSensor(loop, {.name = "derived"},
                                            {.on = "sensor",
                                             .fields = {{"a", "value > 0 ? highest(value) + mean(value, 0.05) : 0"},

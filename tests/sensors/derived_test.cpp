@@ -30,12 +30,6 @@ struct Room {
   RTDATA_FIELDS(Room, (temperature, "Cel"))
 };
 
-#define NEEDS_EXPRESSIONS()                                             \
-  if (!Expression::available()) {                                       \
-    MESSAGE("skipped: this library was built without libmuparser-dev"); \
-    return;                                                             \
-  }
-
 /// A derived sensor and what it brings.
 struct DerivedBench {
   explicit DerivedBench(DerivedConfig config) : loop(Loop::Manual{}) {
@@ -80,7 +74,6 @@ const std::string load = R"({"name": "load", "type": "host", "quantity": "load",
 TEST_SUITE_BEGIN("sensors");
 
 TEST_CASE("a derived sensor that is refused leaves nothing behind") {
-  NEEDS_EXPRESSIONS();
   Loop loop(Loop::Manual{});
   be_quiet(loop);
   for (int i = 0; i < 3; ++i)
@@ -91,7 +84,6 @@ TEST_CASE("a derived sensor that is refused leaves nothing behind") {
 }
 
 TEST_CASE("a derived topic has the time of what it is derived from, and several fields") {
-  NEEDS_EXPRESSIONS();
   DerivedBench bench(
       {.on = "imu",
        .fields = {{"norm", "sqrt(x^2 + imu.y^2 + z^2)", "m/s2"}, {"good", "ok and norm_like < 5 or ok", ""}}});
@@ -113,7 +105,6 @@ TEST_CASE("a derived topic has the time of what it is derived from, and several 
 }
 
 TEST_CASE("a field that waits is absent") {
-  NEEDS_EXPRESSIONS();
   DerivedBench bench({.on = "imu", .fields = {{"rate", "rate(x)", ""}, {"warm", "heat + 1", ""}, {"x", "x", ""}}});
   bench.take({1, 0, 0, 20.0});
   bench.take({2, 0, 0, {}});
@@ -128,7 +119,6 @@ TEST_CASE("a field that waits is absent") {
 }
 
 TEST_CASE("a topic that never comes, comes late, stops: a gap, and nothing made up") {
-  NEEDS_EXPRESSIONS();
   DerivedBench bench({.on = "imu", .with = {"room/climate"}, .age = 1s, .expression = "x + room.climate"});
   bench.take({1});
   bench.take({1});
@@ -154,7 +144,6 @@ TEST_CASE("a topic that never comes, comes late, stops: a gap, and nothing made 
 }
 
 TEST_CASE("a division by zero is unreadable, told with its column, and costs its own event only") {
-  NEEDS_EXPRESSIONS();
   DerivedBench bench({.on = "imu", .expression = "highest(x) + 1 / x"});
   bench.take({2});
   bench.take({0});
@@ -170,7 +159,6 @@ TEST_CASE("a division by zero is unreadable, told with its column, and costs its
 }
 
 TEST_CASE("derived from a derived one, and closed from a handler of it") {
-  NEEDS_EXPRESSIONS();
   DerivedBench bench({.on = "imu", .expression = "x * 2"});
   DerivedSensor second(bench.loop, {.name = "second"}, {.on = "out", .expression = "out + 1"});
   std::vector<double> got;
@@ -187,7 +175,6 @@ TEST_CASE("derived from a derived one, and closed from a handler of it") {
 }
 
 TEST_CASE("making a derived sensor refuses what cannot work") {
-  NEEDS_EXPRESSIONS();
   Loop loop{Loop::Manual{}};
   be_quiet(loop);
   const auto refused = [&](DerivedConfig config, std::string_view why) {
@@ -208,7 +195,6 @@ TEST_CASE("making a derived sensor refuses what cannot work") {
 }
 
 TEST_CASE("check finds each mistake of a derived topic, with its column in the file") {
-  NEEDS_EXPRESSIONS();
   CHECK(problems_of(load + R"({"name": "d", "type": "derived", "on": "load", "expression": "running * 2"})").empty());
   const auto shows = [](const std::string& item, std::string_view id, std::string_view why,
                         std::string_view meant = "") {
@@ -241,7 +227,6 @@ TEST_CASE("check finds each mistake of a derived topic, with its column in the f
 }
 
 TEST_CASE("a field that is called as a constant is not taken for that in silence") {
-  NEEDS_EXPRESSIONS();
   const std::string line = R"({"name": "line", "type": "serial", "device": "/dev/null", "fields": [{"name": "e"}]},)";
   const auto with = [&](const std::string& expression) {
     return problems_of(line + R"({"name": "d", "type": "derived", "on": "line", "expression": ")" + expression + "\"}");
@@ -255,7 +240,6 @@ TEST_CASE("a field that is called as a constant is not taken for that in silence
 }
 
 TEST_CASE("derived topics that go round in a circle are a mistake") {
-  NEEDS_EXPRESSIONS();
   const Problems circle = problems_of(R"({"name": "a", "type": "derived", "on": "b", "expression": "b"},
       {"name": "b", "type": "derived", "on": "a", "expression": "a"})");
   REQUIRE(circle.size() == 1);

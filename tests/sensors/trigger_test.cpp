@@ -30,12 +30,6 @@ struct Button {
   RTDATA_FIELDS(Button, (pressed))
 };
 
-#define NEEDS_EXPRESSIONS()                                             \
-  if (!Expression::available()) {                                       \
-    MESSAGE("skipped: this library was built without libmuparser-dev"); \
-    return;                                                             \
-  }
-
 /// Of the numbers from one to another.
 std::vector<double> numbers(int first, int last) {
   std::vector<double> all(static_cast<std::size_t>(last - first + 1));
@@ -97,7 +91,6 @@ struct TriggerBench {
 TEST_SUITE_BEGIN("sensors");
 
 TEST_CASE("US-17 what came before the trigger is passed on, in order, each event once, and all is accounted for") {
-  NEEDS_EXPRESSIONS();
   TriggerBench bench({.when = "button.pressed", .before = 1s});
   bench.run(30);
   CHECK(bench.values.empty());
@@ -131,7 +124,6 @@ TEST_CASE("US-17 what came before the trigger is passed on, in order, each event
 
 TEST_CASE(
     "US-17 the condition of a trigger may be of the events themselves, which then begin with the one that makes it") {
-  NEEDS_EXPRESSIONS();
   TriggerBench bench({.when = "value >= 5 and value < 8"});
   bench.run(10);
   CHECK(bench.values == numbers(5, 7));
@@ -141,7 +133,6 @@ TEST_CASE(
 }
 
 TEST_CASE("US-17 a ring that is longer than the run passes on everything") {
-  NEEDS_EXPRESSIONS();
   TriggerBench bench({.when = "button.pressed", .before = 1h});
   bench.run(50);
   bench.press(true);
@@ -150,7 +141,6 @@ TEST_CASE("US-17 a ring that is longer than the run passes on everything") {
 }
 
 TEST_CASE("US-17 what is in the ring at the end is filtered, and a start begins with an empty one") {
-  NEEDS_EXPRESSIONS();
   TriggerBench bench({.when = "button.pressed", .before = 1s});
   bench.run(25);
   CHECK(bench.counts().received == 14);  // the others are in the ring
@@ -170,7 +160,6 @@ TEST_CASE("US-17 what is in the ring at the end is filtered, and a start begins 
 }
 
 TEST_CASE("US-17 many events are passed on in parts, before those that come meanwhile; an end passes on the rest") {
-  NEEDS_EXPRESSIONS();
   for (const bool is_stopped : {false, true}) {
     CAPTURE(is_stopped);
     TriggerBench bench({.when = "button.pressed", .before = 1h});
@@ -188,7 +177,6 @@ TEST_CASE("US-17 many events are passed on in parts, before those that come mean
 }
 
 TEST_CASE("US-17 a ring that is too small says so once, and how far back it goes; it costs the oldest only") {
-  NEEDS_EXPRESSIONS();
   TriggerBench bench({.when = "button.pressed", .before = 10s, .events = 20, .age = 1h});
   bench.run(20);
   CHECK(bench.errors.empty());
@@ -211,7 +199,6 @@ TEST_CASE("US-17 a ring that is too small says so once, and how far back it goes
 }
 
 TEST_CASE("a trigger that the handler of its report stops takes no further event, and starts with an empty ring") {
-  NEEDS_EXPRESSIONS();
   TriggerBench bench({.when = "button.pressed", .before = 10s, .events = 5});
   bench.trigger.on_error([&](const ErrorReport&) { bench.trigger.stop(); });
   bench.button.publish({false});
@@ -228,7 +215,6 @@ TEST_CASE("a trigger that the handler of its report stops takes no further event
 }
 
 TEST_CASE("US-17 a condition without a value holds nothing open, and is told") {
-  NEEDS_EXPRESSIONS();
   TriggerBench bench({.when = "button.pressed", .before = 1s, .age = 2s});
   bench.run(10);
   CHECK(bench.errors.empty());  // it may still come
@@ -259,7 +245,6 @@ TEST_CASE("US-17 a condition without a value holds nothing open, and is told") {
 }
 
 TEST_CASE("US-17 making a trigger refuses what cannot work") {
-  NEEDS_EXPRESSIONS();
   Loop loop{Loop::Manual{}};
   const Feed<Thrust> thrust(loop, {.name = "thrust"});
   const auto made = [&](TriggerConfig config, FeedConfig feed = {.name = "burn"}) {
@@ -273,7 +258,6 @@ TEST_CASE("US-17 making a trigger refuses what cannot work") {
 }
 
 TEST_CASE("US-17 check finds the mistakes of a trigger, with their columns") {
-  NEEDS_EXPRESSIONS();
   const auto problems = [](const std::string& trigger) {
     std::vector<std::string> lines;
     for (const Problem& problem :
@@ -324,7 +308,6 @@ TEST_CASE("US-17 check finds the mistakes of a trigger, with their columns") {
 }
 
 TEST_CASE("US-17 a reload leaves a trigger untouched, or makes it anew with an empty ring") {
-  NEEDS_EXPRESSIONS();
   const Registry registry = standard_registry();
   Loop loop{Loop::Manual{}};
   be_quiet(loop);
@@ -360,7 +343,6 @@ TEST_CASE("US-17 a reload leaves a trigger untouched, or makes it anew with an e
 }
 
 TEST_CASE("a trigger knows an alarm that was raised before it began, and that holds however old it is") {
-  NEEDS_EXPRESSIONS();
   Loop loop{Loop::Manual{}};
   be_quiet(loop);
   Feed<Thrust> thrust(loop, {.name = "thrust"});

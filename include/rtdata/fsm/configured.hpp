@@ -160,7 +160,7 @@ class ConfiguredMachine {
   /// Calls `done` on the machine's loop when what was published up to now is on the card.
   using Sync = std::function<void(Callback<void()> done)>;
   /// `sync`: with it, who acts on changes (`on_state`) hears of one when it is on the card. SetupError: as Machine; a
-  /// mistake in the settings (bad-argument); without muParser, conditions (not-found).
+  /// mistake in the settings (bad-argument).
   ConfiguredMachine(Loop& loop, const MachineSettings& settings, const std::optional<Beginning>& beginning = {},
                     Sync sync = {});
   ConfiguredMachine(ConfiguredMachine&&) noexcept;

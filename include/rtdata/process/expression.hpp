@@ -31,8 +31,6 @@
 /// `room.climate.temperature`. A name with other characters stands in single quotes: `'tank-1/level.value'`. A name of
 /// the program's that is called as a constant (`e`) hides that.
 ///
-/// Without muParser (libmuparser-dev), texts are checked all the same, but making an Expression throws: `available`.
-///
 /// Memory is taken when it is made: setting, evaluating and resetting take none, neither do they lock or throw.
 /// Owner: the holder; move-only. Thread: one at a time.
 #pragma once
@@ -96,9 +94,7 @@ class Expression {
   static constexpr std::size_t max_depth = 64;     ///< of parentheses, calls and operators within each other
   static constexpr std::size_t max_memories = 32;  ///< functions with a memory in one text
 
-  /// Whether this library was built with muParser.
-  static bool available() noexcept;
-  /// The first mistake of a text, or none. Also where it is not `available`.
+  /// The first mistake of a text, or none.
   static std::optional<ExpressionMistake> check(std::string_view text, const std::vector<std::string>& names);
   /// The names that a text uses, each once, in order, as they are written but with "." for "/" and without quotes; for
   /// who looks up what they are before making it. Of a text with a mistake in its grammar: bad-argument, with the
@@ -109,8 +105,7 @@ class Expression {
 
   /// Empty: evaluates to waiting.
   Expression() noexcept;
-  /// ExpressionError: a mistake in the text. SetupError (bad-argument): two of the names are the same; (not-found):
-  /// this library was built without muParser.
+  /// ExpressionError: a mistake in the text. SetupError (bad-argument): two of the names are the same.
   Expression(std::string_view text, std::vector<std::string> names);
   Expression(Expression&&) noexcept;
   Expression& operator=(Expression&&) noexcept;
@@ -138,6 +133,7 @@ class Expression {
 
  private:
   struct Program;
+  class Compiler;
   std::unique_ptr<Program> program_;
 };
 

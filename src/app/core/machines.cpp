@@ -213,10 +213,6 @@ void take_outputs(PartPlan& plan, const fsm::MachineSettings& settings) {
 }  // namespace
 
 void add_machines(Registry& registry) {
-  if (!Expression::available()) {
-    registry.leave_out("machine", "machine", "this program was built without muParser");
-    return;
-  }
   registry.add_part<PlacedMachine>(
       "machine", "machine", "a state machine, with expressions as conditions",
       [](PartPlan& plan, const PlacedMachine& config) {

@@ -110,11 +110,6 @@ constexpr Part parts[] = {
      RTDATA_WITH_OPENSSL
 #endif
     },
-    {"expressions", "muParser", "libmuparser-dev",
-#ifdef RTDATA_WITH_MUPARSER
-     RTDATA_WITH_MUPARSER
-#endif
-    },
 };
 // clang-format on
 

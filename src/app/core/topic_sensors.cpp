@@ -7,30 +7,23 @@
 namespace rtdata::app {
 
 void add_topic_sensors(Registry& registry) {
-  if (Expression::available()) {
-    registry.add_sensor<DerivedConfig>(
-        "derived", "values computed by expressions from those of other topics",
-        [](const DerivedConfig& config) { return derived_description(config); }, makes<DerivedSensor>,
-        [](PartPlan& plan, const DerivedConfig& config) {
-          plan.check_topics = [config](const PartPlan& part, const PartPlan::PayloadOf& payload_of,
-                                       Problems& problems) {
-            check_derived_names(config, payload_of, part.item, problems);
-          };
-        });
-    registry.add_sensor<TriggerConfig>(
-        "trigger", "the events of another topic while a condition holds, and from some time before that on",
-        [](const TriggerConfig&) { return Result(std::shared_ptr<const Description>()); }, makes<TriggerSensor>,
-        [](PartPlan& plan, const TriggerConfig& config) {
-          plan.passes_on = config.on;
-          plan.check_topics = [config](const PartPlan& part, const PartPlan::PayloadOf& payload_of,
-                                       Problems& problems) {
-            check_trigger_names(config, payload_of, part.item, problems);
-          };
-        });
-  } else {
-    for (const char* type : {"derived", "trigger"})
-      registry.leave_out("sensor", type, "this program was built without muParser");
-  }
+  registry.add_sensor<DerivedConfig>(
+      "derived", "values computed by expressions from those of other topics",
+      [](const DerivedConfig& config) { return derived_description(config); }, makes<DerivedSensor>,
+      [](PartPlan& plan, const DerivedConfig& config) {
+        plan.check_topics = [config](const PartPlan& part, const PartPlan::PayloadOf& payload_of, Problems& problems) {
+          check_derived_names(config, payload_of, part.item, problems);
+        };
+      });
+  registry.add_sensor<TriggerConfig>(
+      "trigger", "the events of another topic while a condition holds, and from some time before that on",
+      [](const TriggerConfig&) { return Result(std::shared_ptr<const Description>()); }, makes<TriggerSensor>,
+      [](PartPlan& plan, const TriggerConfig& config) {
+        plan.passes_on = config.on;
+        plan.check_topics = [config](const PartPlan& part, const PartPlan::PayloadOf& payload_of, Problems& problems) {
+          check_trigger_names(config, payload_of, part.item, problems);
+        };
+      });
   registry.add_sensor<LimitConfig>(
       "limit", "alarms of a number of another topic: limits with hysteresis, delay, and a latch",
       [](const LimitConfig&) { return Result(description_of<Alarm>()); }, makes<LimitSensor>,
