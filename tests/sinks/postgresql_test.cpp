@@ -830,9 +830,22 @@ TEST_SUITE("sinks") {
                             "UPDATE rtdata_topic SET version = 1 WHERE topic = 'plant/number'"),
               "has version 2 where 1 follows"));
     CHECK(has(problem_after("DELETE FROM rtdata_layout", "INSERT INTO rtdata_layout VALUES(1)"), "rtdata_layout"));
-    server.sql(database, "UPDATE rtdata_layout SET version = 2");
-    CHECK(verify_server(config).error().id() == "newer-version");
-    server.sql(database, "UPDATE rtdata_layout SET version = 1");
+    const auto error_after = [&](const std::string& change, const std::string& undo) {
+      server.sql(database, change);
+      const auto served = verify_server(config);
+      server.sql(database, undo);
+      return served ? "none" : std::string(served.error().id()) + ": " + served.error().text();
+    };
+    CHECK(has(error_after("UPDATE rtdata_layout SET version = 2", "UPDATE rtdata_layout SET version = 1"),
+              "newer-version"));
+    CHECK(has(error_after("ALTER TABLE \"plant/number\" ALTER COLUMN count TYPE text",
+                          "ALTER TABLE \"plant/number\" ALTER COLUMN count TYPE bigint USING count::bigint"),
+              "sequence 1: field count holds what is no int64"));
+    CHECK(has(error_after("ALTER TABLE \"plant/number\" RENAME COLUMN count TO counted",
+                          "ALTER TABLE \"plant/number\" RENAME COLUMN counted TO count"),
+              "it has not all columns of its description"));
+    CHECK(has(error_after("ALTER TABLE rtdata_topic RENAME TO other", "ALTER TABLE other RENAME TO rtdata_topic"),
+              "it has no table rtdata_topic"));
     CHECK(verify_server(config).or_throw().exit_code() == 0);
   }
 
