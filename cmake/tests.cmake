@@ -12,9 +12,9 @@ target_compile_options(rtdata_test_options INTERFACE $<$<CONFIG:Release>:-O0>)
 add_executable(rtdata_tests ${RTDATA_TEST_SOURCES})
 target_link_libraries(rtdata_tests PRIVATE rtdata_options rtdata_test_options rtdata_test_paths rtdata::rtdata doctest::doctest PkgConfig::libuv
   nlohmann_json::nlohmann_json $<TARGET_NAME_IF_EXISTS:rtdata::program> $<TARGET_NAME_IF_EXISTS:rtdata::sqlite>
-  $<$<BOOL:${sqlite3_FOUND}>:PkgConfig::sqlite3> $<TARGET_NAME_IF_EXISTS:rtdata::modbus>
-  $<$<BOOL:${libmodbus_FOUND}>:PkgConfig::libmodbus> $<TARGET_NAME_IF_EXISTS:rtdata::http>
-  $<TARGET_NAME_IF_EXISTS:rtdata::mqtt> $<$<BOOL:${libmosquitto_FOUND}>:PkgConfig::libmosquitto>
+  $<$<BOOL:${RTDATA_HAS_SQLITE}>:PkgConfig::sqlite3> $<TARGET_NAME_IF_EXISTS:rtdata::modbus>
+  $<$<BOOL:${RTDATA_HAS_MODBUS}>:PkgConfig::libmodbus> $<TARGET_NAME_IF_EXISTS:rtdata::http>
+  $<TARGET_NAME_IF_EXISTS:rtdata::mqtt> $<$<BOOL:${RTDATA_HAS_MQTT}>:PkgConfig::libmosquitto>
   $<$<TARGET_EXISTS:rtdata_http>:PkgConfig::libcurl> $<$<TARGET_EXISTS:rtdata_http>:PkgConfig::zlib>)
 target_include_directories(rtdata_tests PRIVATE tests src)
 if(RTDATA_SANITIZE)  # hours of flights, computed in headers of an example
@@ -28,7 +28,7 @@ if(RTDATA_SANITIZE)  # hours of flights, computed in headers of an example
   endforeach()
 endif()
 target_compile_definitions(rtdata_tests PRIVATE DOCTEST_CONFIG_USE_STD_HEADERS $<$<TARGET_EXISTS:rtdata_modbus>:RTDATA_WITH_MODBUS>
-  $<$<TARGET_EXISTS:rtdata_http>:RTDATA_WITH_HTTP> $<$<BOOL:${openssl_FOUND}>:RTDATA_WITH_OPENSSL>
+  $<$<TARGET_EXISTS:rtdata_http>:RTDATA_WITH_HTTP> $<$<BOOL:${RTDATA_HAS_OPENSSL}>:RTDATA_WITH_OPENSSL>
   $<$<TARGET_EXISTS:rtdata_mqtt>:RTDATA_WITH_MQTT>)
 if(TARGET rtdata_postgresql AND TARGET rtdata_sqlite)
   rtdata_sources(RTDATA_POSTGRESQL_TEST_SOURCES tests/postgresql_tests.sources)

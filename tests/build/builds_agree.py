@@ -36,7 +36,7 @@ for path in sorted(root.glob("src/**/*.cpp")):
     if listed.count(name) != 1 and name != "src/app/main.cpp":
         problems.append(f"{name} is in {listed.count(name)} lists of sources")
 
-for package, least in re.findall(r"pkg_check_modules\(\w+ (?:REQUIRED )?IMPORTED_TARGET (\w+)>=([\d.]+)\)", cmake):
+for package, least in re.findall(r"\b([a-z]\w+)>=(\d[\d.]*)", cmake):
     if not re.search(rf"dependency\('{package}', version: '>= ?{re.escape(least)}'", meson):
         problems.append(f"CMake needs {package} >= {least}, meson does not say so")
 
