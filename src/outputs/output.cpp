@@ -764,16 +764,17 @@ Output::Output(Loop& loop, OutputConfig config, MakeActuator make, std::string g
 
 namespace {
 
-/// On its loop's thread: a tier's may be another one than this. `otherwise`: when it is closed. The function owns what it
-/// uses.
+/// On its loop's thread: a tier's may be another one than this. `otherwise`: when it is closed. The function owns what
+/// it uses.
 template <class Returned, class Function>
 Returned with(detail::Node* node, Returned otherwise, Function function) {
   if (node == nullptr || !node->is_open()) return otherwise;
   auto& output = static_cast<detail::OutputNode&>(*node);
   if (!output.loop()->runs_elsewhere()) return function(output);
-  return output.loop()->ask_there([&output, otherwise = std::move(otherwise), function = std::move(function)]() mutable {
-    return output.is_open() ? function(output) : std::move(otherwise);
-  });
+  return output.loop()->ask_there(
+      [&output, otherwise = std::move(otherwise), function = std::move(function)]() mutable {
+        return output.is_open() ? function(output) : std::move(otherwise);
+      });
 }
 
 /// For what answers with an error.

@@ -230,8 +230,8 @@ TEST_SUITE("app") {
     CHECK(has(told, "sink db: restarted (path)"));
     CHECK(has(told, "sink far: restarted"));
     const auto stays_in = [](const std::string& file) {
-      return "what waits for sinks in " + file + " stays there: `rtdata info " + file + "` tells it, and `rtdata forward " +
-             file + " FILE` sends it, with a FILE that has these sinks";
+      return "what waits for sinks in " + file + " stays there: `rtdata info " + file +
+             "` tells it, and `rtdata forward " + file + " FILE` sends it, with a FILE that has these sinks";
     };
     CHECK(has(told, stays_in("first.db")));
 

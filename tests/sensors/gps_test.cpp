@@ -159,8 +159,8 @@ TEST_CASE("US-14 what gpsd does not say is no value, never 0") {
 
 TEST_CASE("US-14 what is no time, no number or no whole line is no value, though libgps makes one of it") {
   const auto tpv = [](const std::string& rest) { return R"({"class":"TPV","mode":3,)" + rest; };
-  for (const char* rest : {R"("time":"garbage"})", R"("time":"2026-13-45T99:00:00Z"})", R"("lat":1.2.3})", R"("lat":95.5})",
-                           R"("mode":300})", R"("lat":4)"}) {
+  for (const char* rest : {R"("time":"garbage"})", R"("time":"2026-13-45T99:00:00Z"})", R"("lat":1.2.3})",
+                           R"("lat":95.5})", R"("mode":300})", R"("lat":4)"}) {
     CAPTURE(rest);
     CHECK(id_of(tpv(rest)) != "ok");
   }

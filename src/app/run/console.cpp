@@ -132,8 +132,8 @@ void RunConsole::end_hanging(const char* signal, const std::string& where) {
 }
 
 void RunConsole::starts_slowly(const std::string& where) {
-  const std::string text = "does not run yet after " + to_string(StopSignals::slow_limit) + ": it has not come out of " +
-                           where + "; look at its device";
+  const std::string text = "does not run yet after " + to_string(StopSignals::slow_limit) +
+                           ": it has not come out of " + where + "; look at its device";
   log_.write(LogLevel::warning, "program", text);
   const std::string line = for_terminal("rtdata: warning: program: " + text + "\n", columns_of(STDERR_FILENO));
   write_fully(STDERR_FILENO, line.data(), line.size());

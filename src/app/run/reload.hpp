@@ -121,7 +121,7 @@ class Reload {
   std::uint64_t not_stored_ = 0;
   mutable std::atomic<std::uint64_t> readings_ = 0;  // begun
   std::uint64_t newest_ = 0;                         // that was to be applied
-  detail::Lane lane_;  // that looks at files, on whatever disks they are
+  detail::Lane lane_;                                // that looks at files, on whatever disks they are
 };
 
 }  // namespace rtdata::app

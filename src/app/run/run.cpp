@@ -119,8 +119,7 @@ class Run {
                    },
                    guard_ != nullptr});
     actions.reload = [&] {
-      loop.post(
-          [&reload, next = reload.read_again()] { reload.apply(next, "SIGHUP", [](const CommandOutcome&) {}); });
+      loop.post([&reload, next = reload.read_again()] { reload.apply(next, "SIGHUP", [](const CommandOutcome&) {}); });
     };
     signals_.attach(loop, std::move(actions));
     const Detach detach_reload{signals_};

@@ -40,8 +40,8 @@ class StopSignals {
     /// On the signals' thread, once: the loop does not turn yet, `slow_limit` after the first `attach`. Empty: nothing.
     std::function<void()> slow = {};
   };
-  /// `loop` must live until `detach`. A signal that came before counts as the first; a SIGHUP then, or while `reload` is
-  /// empty, is kept: the configuration may have been read before it. Once more: with other actions.
+  /// `loop` must live until `detach`. A signal that came before counts as the first; a SIGHUP then, or while `reload`
+  /// is empty, is kept: the configuration may have been read before it. Once more: with other actions.
   void attach(Loop& loop, Actions actions);
   void detach() noexcept;
 

@@ -116,8 +116,7 @@ class LoopCore {
   template <class Function>
   auto ask_there(Function function) {
     auto answer = std::make_shared<std::optional<std::invoke_result_t<Function&>>>();
-    call_there([answer, function = std::move(function)]() mutable { answer->emplace(function()); },
-               Begun::is_given_up);
+    call_there([answer, function = std::move(function)]() mutable { answer->emplace(function()); }, Begun::is_given_up);
     return std::move(**answer);
   }
   /// `not_begun`: it has not turned for `at_most`, and the function is never called.

@@ -66,7 +66,7 @@ class Nodes {
   Node* first_ = nullptr;
   std::vector<std::shared_ptr<CallbackSurvey>> surveys_;  // under way
   std::atomic<const Node*> doing_{nullptr};
-  std::string does_;  // see Doing; empty: nothing
+  std::string does_;                   // see Doing; empty: nothing
   mutable PriorityMutex doing_mutex_;  // a node that `doing` reads is not destroyed
 };
 

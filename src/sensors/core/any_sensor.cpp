@@ -12,9 +12,10 @@ namespace {
 
 template <class Returned, class Function>
 [[gnu::noinline]] Returned there(detail::SourceNode& source, Returned otherwise, Function function) {
-  return source.loop()->ask_there([&source, otherwise = std::move(otherwise), function = std::move(function)]() mutable {
-    return source.is_open() ? function(source) : std::move(otherwise);
-  });
+  return source.loop()->ask_there(
+      [&source, otherwise = std::move(otherwise), function = std::move(function)]() mutable {
+        return source.is_open() ? function(source) : std::move(otherwise);
+      });
 }
 
 /// Calls with the node on its loop's thread: a tier's may be another one than this. `otherwise`: when it is closed. The
@@ -122,11 +123,10 @@ CallbackTimes AnySensor::times() const noexcept {
       [](const SensorStatus&) { return CallbackTimes{}; });
 }
 void AnySensor::on_error(Callback<void(const ErrorReport&)> handler) {
-  change(node(), "cannot set on_error of sensor",
-         [handler = std::move(handler)](detail::SourceNode& source) mutable {
-           source.set_on_error(std::move(handler));
-           return true;
-         });
+  change(node(), "cannot set on_error of sensor", [handler = std::move(handler)](detail::SourceNode& source) mutable {
+    source.set_on_error(std::move(handler));
+    return true;
+  });
 }
 
 }  // namespace rtdata
