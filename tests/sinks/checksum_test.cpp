@@ -225,19 +225,6 @@ TEST_SUITE("sinks") {
     try_change("UPDATE rtdata_checksum SET sum = NULL WHERE table_name = 'rtdata_gap'");
   }
 
-  TEST_CASE("US-26 a recording of an older version says that its values are not checked") {
-    const Folder folder;
-    const std::string path = make(folder);
-    make_older(path, 4);
-    const VerifyReport report = check_balanced(path);
-    CHECK(checked(report) == 0);
-    CHECK(report.text().find("Values are not checked") != std::string::npos);
-    CHECK(make(folder) == path);  // recorded into again
-    const VerifyReport both = check_balanced(path);
-    CHECK(both.runs.at(0).values_checked == 0);
-    CHECK(both.runs.at(1).values_checked == both.runs.at(1).rows);
-  }
-
   TEST_CASE(
       "US-26 a killed run keeps the checksums of what it committed, and what was changed before it is sealed is seen") {
     const Folder folder;

@@ -43,23 +43,6 @@ TEST_CASE("US-26 every change of health is in the recording, with its time and r
   CHECK(json.str().find("\"state\": \"degraded\"") != std::string::npos);
 }
 
-TEST_CASE("US-26 a recording of format 2 has no health, and gets the table when it is recorded into") {
-  const Folder folder;
-  const std::string path = make(folder);
-  make_older(path, 2);
-  {
-    const auto recording = Recording::open(path).or_throw();
-    CHECK(recording.health(1).or_throw().empty());
-    CHECK(verify(recording).or_throw().verdict() == Verdict::balanced);
-  }
-  CHECK(make(folder) == path);
-  CHECK(number(path, "PRAGMA user_version") == sqlite::schema_version);
-  const auto recording = Recording::open(path).or_throw();
-  CHECK(recording.health(1).or_throw().empty());
-  CHECK(recording.health(2).or_throw().size() == 3);
-  CHECK(verify(recording).or_throw().verdict() == Verdict::balanced);
-}
-
 TEST_CASE("US-26 a sink that names $rtdata/health records the events too, those of tiers with them") {
   const Folder folder;
   const std::string path = folder / "run.db";

@@ -285,26 +285,4 @@ TEST_CASE("US-26 reads that hang again and again leave some gaps that hold with 
                "a.rowid < b.rowid AND a.last >= b.first") == 0);
 }
 
-TEST_CASE("US-26 a recording of format 4 is read and continued, with the account that it had") {
-  const Folder folder;
-  const std::string path = make(folder, [](Feed<Everything>& feed) {
-    feed.publish(full());
-    feed.fail(no_answer);
-    feed.repeated();
-  });
-  make_older(path, 4);
-  check_balanced(path);
-  CHECK(make(folder) == path);
-  const VerifyReport both = check_balanced(path);
-  CHECK(both.runs.at(0).info.format == 4);
-  const auto recording = Recording::open(path).or_throw();
-  const auto before = recording.ledger(1).or_throw();
-  CHECK(before.at(0).origin == "program feed");
-  CHECK(before.at(0).sensor.failed == 1);
-  CHECK(before.at(1).sensor.received == 0);
-  CHECK(recording.ledger(2).or_throw().at(1).sensor.received == 999);
-  sql(path, "UPDATE rtdata_ledger SET failed = 0 WHERE run = 1 AND origin = 'program feed'");
-  CHECK(verified(path).verdict() == Verdict::not_balanced);
-}
-
 TEST_SUITE_END();

@@ -62,25 +62,6 @@ inline std::int64_t number(const std::string& path, const std::string& query) {
 
 inline VerifyReport verified(const std::string& path) { return verify(Recording::open(path).or_throw()).or_throw(); }
 
-/// Makes it one of an older format, without what that one had not.
-inline void make_older(const std::string& path, int format) {
-  sql(path,
-      "DROP VIEW \"rtdata_gap~utc\"; DROP VIEW \"rtdata_health~utc\"; DROP VIEW \"rtdata_error~utc\"; DROP VIEW "
-      "rtdata_field;"
-      "DROP TABLE rtdata_escaped; DROP TABLE rtdata_configuration;"
-      "UPDATE rtdata_ledger SET received = 0 WHERE has_schedule;"
-      "UPDATE rtdata_ledger SET failed = unreadable WHERE NOT has_schedule;"
-      "ALTER TABLE rtdata_ledger DROP COLUMN unreadable; ALTER TABLE rtdata_ledger DROP COLUMN one_a_read;"
-      "ALTER TABLE rtdata_ledger DROP COLUMN lateness; ALTER TABLE rtdata_schedule DROP COLUMN late_after; DROP TABLE "
-      "rtdata_checksum; UPDATE rtdata_run SET format = " +
-          std::to_string(format));
-  if (format < 4) sql(path, "ALTER TABLE rtdata_run DROP COLUMN format; ALTER TABLE rtdata_ledger DROP COLUMN carried");
-  sql(path, "ALTER TABLE rtdata_error DROP COLUMN last");
-  sql(path, format < 3 ? "DROP TABLE rtdata_health"
-                       : "ALTER TABLE rtdata_health DROP COLUMN count; ALTER TABLE rtdata_health DROP COLUMN last");
-  sql(path, "PRAGMA user_version = " + std::to_string(format));
-}
-
 /// Makes all checksums those of what is there: as if it had been written so, by a recorder that made a mistake.
 inline void write_checksums(const std::string& path) {
   auto database = sqlite::Database::open(path, sqlite::Database::Mode::write).or_throw();
@@ -99,7 +80,7 @@ inline void write_checksums(const std::string& path) {
   auto topic = database.prepare("SELECT * FROM rtdata_topic").or_throw();
   while (topic.step().or_throw()) topics.add(sqlite::hash_of(hash, topic.raw(), 0, columns("rtdata_topic")));
   sqlite::insert_line(database, {0, "rtdata_topic", "", 0, 0, columns("rtdata_topic"), topics}).or_throw();
-  for (const std::string& run : all_of("SELECT run FROM rtdata_run WHERE state <> 'recording' AND format >= 5")) {
+  for (const std::string& run : all_of("SELECT run FROM rtdata_run WHERE state <> 'recording'")) {
     const auto sums = sqlite::sums_found(database, std::stoll(run)).or_throw();
     for (std::size_t i = 0; i < sums.size(); ++i) {
       const std::string_view table = sqlite::account_tables[i];
@@ -122,8 +103,7 @@ inline void write_checksums(const std::string& path) {
       line.table = table;
       line.origin = key.second;
       line.columns = columns(table);
-      if (database.integer("SELECT format FROM rtdata_run WHERE run = " + std::to_string(key.first)).or_throw() >= 5)
-        sqlite::insert_line(database, line).or_throw();
+      sqlite::insert_line(database, line).or_throw();
     }
   }
   database.execute("COMMIT").or_throw();

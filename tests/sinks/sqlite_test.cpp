@@ -261,6 +261,9 @@ TEST_SUITE("sinks") {
     record(path, 10);
     Database::open(path, Database::Mode::write).or_throw().execute("PRAGMA user_version = 99").or_throw();
     CHECK(refusal({.path = path}).starts_with("newer-version: "));
+    Database::open(path, Database::Mode::write).or_throw().execute("PRAGMA application_id = 0x52544441").or_throw();
+    CHECK(refusal({.path = path}).find("from before version 0.1.0") != std::string::npos);
+    CHECK(refusal({.path = path}).find("export it with the rtdata that recorded it") != std::string::npos);
     CHECK(query(path, "SELECT count(*) FROM \"room/climate\"") == 10);
     if (::geteuid() == 0) {
       MESSAGE("skipped: a read-only file, since root may write everywhere");

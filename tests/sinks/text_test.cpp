@@ -151,26 +151,6 @@ TEST_SUITE("sinks") {
     }
   }
 
-  TEST_CASE("texts of a recording from before escapes are read as they are") {
-    const Folder folder;
-    const std::string path = folder / "run.db";
-    {
-      Loop loop{Loop::Manual{}};
-      SqliteSink sink(loop, {.path = path});
-      Feed<Note> feed(loop, {.name = "pen", .topic = "note"});
-      Note note;
-      note.words = "ab";
-      feed.publish(note);
-      feed.close();
-      loop.close();
-    }
-    sql(path, "UPDATE note SET words = '\\xff'; UPDATE rtdata_run SET format = 4");
-    const auto recording = Recording::open(path).or_throw();
-    auto rows = recording.rows({}).or_throw();
-    const auto value = rows.next().or_throw()->event().value("words").or_throw();
-    CHECK(to_string(value) == "\\xff");
-  }
-
   TEST_CASE("texts that are no UTF-8 are escaped in files, counted and told") {
     for (const char* format : {"csv", "json"}) {
       CAPTURE(format);

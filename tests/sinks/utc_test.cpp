@@ -411,42 +411,4 @@ TEST_CASE("US-34 verify complains when times of an origin go back, or the UTC li
   CHECK(problems().find("is not after that of the row before") != std::string::npos);
 }
 
-TEST_CASE("US-34 a recording of the first version is read, and gets columns and views when it is recorded into") {
-  const Folder folder;
-  const std::string path = folder / "run.db";
-  ManualClock clock(Time{5s});
-  {
-    Recorder recorder(path, clock);
-    recorder.loop.advance(10s);
-    clock.set_realtime(noon);
-    recorder.loop.advance(10s);
-  }
-  sql(path, "DROP VIEW rtdata_run_utc");
-  make_older(path, 1);
-  sql(path,
-      "DROP VIEW \"room~utc\"; DROP TABLE rtdata_utc;"
-      "CREATE TABLE old(run INTEGER NOT NULL, monotonic INTEGER NOT NULL, realtime INTEGER NOT NULL, source TEXT NOT "
-      "NULL);"
-      "INSERT INTO old SELECT run, monotonic, realtime, occasion FROM rtdata_clock;"
-      "DROP TABLE rtdata_clock; ALTER TABLE old RENAME TO rtdata_clock");
-  {
-    const auto recording = Recording::open(path).or_throw();
-    CHECK(verify(recording).or_throw().verdict() == Verdict::balanced);
-    CHECK(recording.utc_line(1).or_throw().utc(Time{5s}) == noon - 10s);
-    const auto pairs = recording.clock(1).or_throw();
-    REQUIRE(pairs.size() == 3);
-    CHECK(pairs[1].source == "system");
-    CHECK(pairs[1].occasion == "step");
-    CHECK_FALSE(recording.utc_line(2));
-  }
-  ManualClock other(noon + 24h);
-  { Recorder(path, other).loop.advance(2s); }
-  auto expected = seconds_from(noon - 10s, 21);
-  const auto second = seconds_from(noon + 24h, 3);
-  expected.insert(expected.end(), second.begin(), second.end());
-  CHECK(utc_of(path) == expected);
-  CHECK(number(path, "PRAGMA user_version") == sqlite::schema_version);
-  CHECK(number(path, "SELECT count(*) FROM rtdata_clock WHERE source = 'system' AND occasion = 'step'") == 1);
-}
-
 TEST_SUITE_END();

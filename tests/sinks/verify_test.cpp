@@ -736,25 +736,6 @@ TEST_CASE("US-26 what a handler of errors publishes when a recording is closed i
   CHECK(number(path, "SELECT count(*) FROM alarms") >= 2);
 }
 
-TEST_CASE("US-26 an account of format 3, which counted from the beginning of its sensors, is held to what it says") {
-  const Folder folder;
-  const std::string path = make(folder);
-  sql(path,
-      "UPDATE rtdata_ledger SET scheduled = scheduled + 13, taken = taken + 10, published = published + 10, missed = "
-      "missed + 3 WHERE origin = 'room'");
-  CHECK(verified(path).verdict() == Verdict::not_balanced);
-  make_older(path, 3);
-  const VerifyReport report = check_balanced(path);
-  CHECK(has(report.text(), "The recording began after the sensor."));
-  CHECK(make(folder) == path);  // recorded into again
-  const VerifyReport both = verified(path);
-  CHECK(both.verdict() == Verdict::balanced);
-  CHECK(both.runs.at(0).info.format == 3);
-  CHECK(both.runs.at(1).info.format == sqlite::schema_version);
-  sql(path, "UPDATE rtdata_ledger SET missed = missed - 10 WHERE run = 1 AND origin = 'room'");
-  CHECK(verified(path).verdict() == Verdict::not_balanced);
-}
-
 TEST_CASE("US-26 a rate changed again and again in one long turn makes stretches of schedule that do not overlap") {
   const Folder folder;
   const std::string path = folder / "run.db";

@@ -88,24 +88,6 @@ TEST_SUITE("sinks") {
                  "WHERE c.name IS NULL") == 0);
   }
 
-  TEST_CASE("a recording of an older version gets the views when it is recorded into") {
-    for (const int version : {3, 4}) {
-      const Folder folder;
-      const std::string path = make_with_clock(folder);
-      make_older(path, version);
-      {
-        Loop loop{Loop::Manual{}};
-        loop.on_error([](const ErrorReport&) {});
-        SqliteSink sink(loop, {.path = path});
-        loop.close();
-      }
-      CHECK(number(path, "SELECT count(*) FROM \"rtdata_gap~utc\" WHERE first_utc LIKE '2027-01-15T08:00:01%'") == 1);
-      CHECK(number(path, "SELECT count(*) FROM \"rtdata_health~utc\"") == 2);
-      CHECK(number(path, "SELECT count(*) FROM rtdata_field") == 2);
-      CHECK(number(path, "SELECT count(*) FROM rtdata_escaped") == 0);
-    }
-  }
-
   TEST_CASE("info lists gaps in UTC, as text and as JSON") {
     const Folder folder;
     const std::string path = make_with_clock(folder);

@@ -58,10 +58,6 @@ struct RunInfo {
   RunState state = RunState::recording;
   std::optional<std::uint64_t> lost;  ///< of a sealed run: published and not stored; none: not known
   std::string remark;
-  /// The version of this layout in which it was written (rtdata_run.format). Before 5, reads and data have one account:
-  /// with a schedule taken = published + repeated + filtered, received 0; without one received = published + repeated +
-  /// filtered + failed. Before 4, accounts count from the beginning of the sensor instead of that of the recording.
-  std::int64_t format = 0;
 };
 
 /// One description of a topic; a topic whose fields changed in kind or unit has several.
@@ -74,7 +70,7 @@ struct RecordedTopic {
 };
 
 /// The account of one origin on one topic in one run: scheduled + carried = taken + missed + failed + in_flight, and
-/// received = published + repeated + filtered + unreadable (see RunInfo::format for older ones).
+/// received = published + repeated + filtered + unreadable.
 struct LedgerEntry {
   std::string topic, origin;
   SensorCounts sensor;        ///< since the recording began

@@ -16,7 +16,7 @@
 ///   the equations of ledger.hpp; each segment's ticks == (end - first_due) / period + 1, their sum == scheduled, no
 ///   two segments of an origin overlap; counts of the gaps == missed and failed, and none has more ticks than its time;
 ///   of a closed run, where each read brings one sample: each tick is a row at its time, or in exactly one gap;
-///   the checksums of values and accounts (from format 5 on). docs/recording.md has the rules in full.
+///   the checksums of values and accounts. docs/recording.md has the rules in full.
 /// A run that is being recorded, or ended without closing, is compared up to its last account; offered may then be
 /// ahead of stored (what was queued), and gaps, segments and equations are only held to bounds. So are those of a
 /// sealed run.
@@ -73,7 +73,7 @@ struct RunReport {
   Verdict verdict = Verdict::balanced;
   std::uint64_t rows = 0, offered = 0, stored = 0, dropped = 0, unsaved = 0, pruned = 0;
   std::uint64_t scheduled = 0, missed = 0, failed = 0, late = 0;
-  std::uint64_t received = 0, unreadable = 0;        ///< before format 5: 0
+  std::uint64_t received = 0, unreadable = 0;
   std::optional<std::uint64_t> lost_by_source;       ///< none: no source numbers its data
   std::map<std::string, std::uint64_t> first_lines;  ///< by topic; no loss: as of SensorCounts
   std::uint64_t values_checked = 0;                  ///< rows whose values agree with their checksum

@@ -285,9 +285,6 @@ std::string names_of(const std::vector<AccountColumn>& columns) {
 
 void copy_accounts(Connection& connection, const AccountCopy& copy) {
   const auto database = sqlite::Database::open(copy.recording, sqlite::Database::Mode::read).or_throw();
-  if (database.integer("PRAGMA user_version").or_throw() != sqlite::schema_version ||
-      database.integer(sqlite::has_first_lines).or_throw() == 0)
-    return;  // an older one's
   const auto columns = account_columns();
   make_tables(connection, columns);
 

@@ -35,7 +35,6 @@ struct AccountCopy {
   std::vector<std::string> topics;  ///< patterns
 };
 
-/// Nothing is done for a recording that an older version wrote.
 void copy_accounts(Connection& connection, const AccountCopy& copy);
 
 }  // namespace rtdata::postgresql

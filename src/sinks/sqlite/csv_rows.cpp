@@ -84,9 +84,6 @@ Result<CsvRows> CsvRows::make(const Recording& recording, RecordedTopic topic, c
   auto statement = rows_in_order(*recording.file(), rows.topic_, *selection, RowReader(rows.topic_).columns());
   if (!statement) return std::move(statement).error();
   rows.statement_ = std::move(*statement);
-  auto first = recording.file()->first_run_with_escapes();
-  if (!first) return std::move(first).error();
-  rows.first_run_with_escapes_ = *first;
   return rows;
 }
 
@@ -102,8 +99,7 @@ Result<void> CsvRows::begin_run(std::int64_t run) {
 Result<void> CsvRows::append_by_codec(std::string& out, Time time) {
   const std::string origin(statement_.text(origin_column));
   const auto sequence = static_cast<std::uint64_t>(statement_.integer(sequence_column));
-  const auto texts = run_ >= first_run_with_escapes_ ? RowReader::Texts::with_escapes : RowReader::Texts::as_they_are;
-  if (auto read = RowReader(topic_).read(statement_.raw(), fixed_columns, texts, payload_.data()); !read)
+  if (auto read = RowReader(topic_).read(statement_.raw(), fixed_columns, payload_.data()); !read)
     return at_row(*recording_->file(), topic_, run_, origin, sequence, std::move(read).error());
   bytes_.clear();
   const EventHeader header{time, sequence, origin};
@@ -168,7 +164,7 @@ char* CsvRows::put_row(char* to, Time time, std::string& out) {
         make_room(2 * text.size() + 2);
         if (is_plain(text)) {
           to = copy_short(to, text.data(), text.size());
-        } else if (run_ >= first_run_with_escapes_ && is_readable(text) && !has_escape(text)) {
+        } else if (is_readable(text) && !has_escape(text)) {
           const bool needs_quotes = text.empty() || text.find_first_of("\",\r\n") != std::string_view::npos ||
                                     std::strchr(" \t", text.front()) != nullptr ||
                                     std::strchr(" \t", text.back()) != nullptr;

@@ -45,7 +45,6 @@ class CsvRows {
   std::unique_ptr<Codec> codec_;
   std::vector<Column> columns_;
   sqlite::Statement statement_;
-  std::int64_t first_run_with_escapes_ = 0;
   std::int64_t run_ = INT64_MIN;
   UtcLine line_{{}};
   std::uint64_t given_ = 0;  // rows appended so far

@@ -71,12 +71,12 @@ Result<std::vector<std::int64_t>> runs_without_rows(const Database& database, st
   if (!count) return std::move(count).error();
   if (*count <= kept_runs) return found;
   auto query = database.prepare(
-      "SELECT run, boot_id, state <> 'recording' AND format >= ?2 AND coalesce(ended, started) < ?3 AND run <= (SELECT "
+      "SELECT run, boot_id, state <> 'recording' AND coalesce(ended, started) < ?2 AND run <= (SELECT "
       "run FROM rtdata_run ORDER BY run DESC LIMIT 1 OFFSET ?1) AND run NOT IN (SELECT run FROM rtdata_ledger WHERE "
       "stored <> pruned) AND run NOT IN (SELECT run FROM rtdata_checksum WHERE origin <> '' AND rows > 0) "
       "FROM rtdata_run ORDER BY run");
   if (!query) return std::move(query).error();
-  query->bind(1, std::int64_t{kept_runs}).bind(2, std::int64_t{first_version_with_checksums}).bind(3, ended_before);
+  query->bind(1, std::int64_t{kept_runs}).bind(2, ended_before);
   struct Boot {
     std::int64_t newest = 0;
     bool has_kept = false;  // a run that stays, before `newest` too

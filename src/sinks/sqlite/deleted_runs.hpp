@@ -31,8 +31,7 @@ CREATE TABLE IF NOT EXISTS rtdata_deleted(
 )sql";
 
 /// Runs that have ended, of which no row is left, and which are not among the newest; the oldest first. `ended_before`:
-/// only those. Runs of formats before 5 are none of them, nor the newest of a boot that has older runs: it may know
-/// best what their UTC is.
+/// only those. The newest of a boot that has older runs is none of them: it may know best what their UTC is.
 Result<std::vector<std::int64_t>> runs_without_rows(const Database& database, std::int64_t ended_before);
 
 /// Within a transaction: adds the run's account to rtdata_deleted, and deletes it.

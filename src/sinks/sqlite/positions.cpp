@@ -141,7 +141,6 @@ Result<void> Positions::write_begin(Database& database, const std::string& name,
   if (!come) return std::move(come).error();
   come->bind(1, name).bind(2, sink.topics).bind(3, host);
   if (auto done = come->run(); !done) return done;
-  if (is_known && topics_before.empty()) return {};  // by an older version: which topics are new is not known
   auto topics = database.prepare("SELECT topic, table_name FROM rtdata_topic");
   if (!topics) return std::move(topics).error();
   for (;;) {

@@ -42,13 +42,6 @@ Result<Statement> RecordingFile::prepare(const std::string& sql) const {
   return made;
 }
 
-Result<std::int64_t> RecordingFile::first_run_with_escapes() const {
-  auto written = version();
-  if (!written || *written < sqlite::first_version_of_own_account) return written ? INT64_MAX : written;
-  return database.integer("SELECT coalesce(min(run), 9223372036854775807) FROM rtdata_run WHERE format >= " +
-                          std::to_string(sqlite::first_version_of_escapes));
-}
-
 Result<Snapshot> Snapshot::take(std::shared_ptr<RecordingFile> file) {
   if (file->snapshots == 0) {
     if (auto begun = file->database.execute("BEGIN"); !begun) return std::move(begun).error();
@@ -106,6 +99,14 @@ Result<Database> open_file(const std::string& path) {
     error.where = path;
     return error;
   }
+  if (*application == sqlite::application_id_before) {
+    auto query = opened->prepare("SELECT program FROM rtdata_run ORDER BY run DESC LIMIT 1");
+    auto row = query ? query->step() : Result<bool>(false);
+    return Error{
+        Errc::not_a_recording, doing, path,
+        sqlite::written_before + (row && *row ? " (\"" + std::string(query->text(0)) + "\" wrote it)" : std::string()),
+        sqlite::advice_before};
+  }
   if (*application != sqlite::application_id) {
     auto tables = opened->integer("SELECT count(*) FROM sqlite_schema");
     return no_recording(
@@ -113,6 +114,9 @@ Result<Database> open_file(const std::string& path) {
   }
   auto version = opened->integer("PRAGMA user_version");
   if (!version) return std::move(version).error();
+  if (*version < 1)
+    return Error{Errc::damaged, doing, path, "its format is version " + std::to_string(*version) + ": there is none",
+                 "keep it as it is"};
   if (*version > sqlite::schema_version) {
     return Error{Errc::newer_version, doing, path,
                  "its format is version " + std::to_string(*version) + ", this program knows up to " +
@@ -166,13 +170,9 @@ Result<Recording> Recording::open(const std::string& path) {
 const std::string& Recording::path() const noexcept { return file_->database.path(); }
 
 Result<std::vector<RunInfo>> Recording::runs() const {
-  auto version = file_->version();
-  if (!version) return std::move(version).error();
-  const std::string format = *version < sqlite::first_version_of_own_account ? "3" : "format";
   return all<RunInfo>(*file_,
                       "SELECT run, uuid, name, notes, configuration, program, host, boot_id, pid, started, ended, "
-                      "clock_offset, state, lost, remark, " +
-                          format + " FROM rtdata_run ORDER BY run",
+                      "clock_offset, state, lost, remark FROM rtdata_run ORDER BY run",
                       {}, [](const Statement& row) {
                         RunInfo run;
                         run.run = row.integer(0);
@@ -192,7 +192,6 @@ Result<std::vector<RunInfo>> Recording::runs() const {
                                                                : RunState::recording;
                         if (!row.is_null(13)) run.lost = count_of(row, 13);
                         run.remark = string_of(row, 14);
-                        run.format = row.integer(15);
                         return run;
                       });
 }
@@ -218,22 +217,14 @@ Result<std::vector<RecordedTopic>> Recording::topics() const {
 }
 
 Result<std::vector<LedgerEntry>> Recording::ledger(std::int64_t run) const {
-  auto version = file_->version();
-  if (!version) return std::move(version).error();
-  const std::string carried = *version < sqlite::first_version_of_own_account ? "0" : "carried";
-  const std::string since_5 = *version < sqlite::first_version_of_own_data_account ? "0, 0, 0"
-                                                                                   : "unreadable, one_a_read, lateness";
-  auto has_first_lines = file_->database.integer(sqlite::has_first_lines);
-  if (!has_first_lines) return std::move(has_first_lines).error();
-  const std::string first_lines = *has_first_lines == 0 ? ", NULL" : ", first_lines";
   return all<LedgerEntry>(
       *file_,
       "SELECT topic, origin, has_schedule, scheduled, taken, missed, failed, in_flight, late, received, published, "
       "repeated,"
       " filtered, lost, offered, stored, dropped_newest, dropped_oldest, dropped_refused, dropped_unsaved, "
       "first_sequence,"
-      " last_sequence, pruned, rows_up_to, " +
-          carried + ", " + since_5 + first_lines + " FROM rtdata_ledger WHERE run = ? ORDER BY topic, origin",
+      " last_sequence, pruned, rows_up_to, carried, unreadable, one_a_read, lateness, first_lines FROM rtdata_ledger "
+      "WHERE run = ? ORDER BY topic, origin",
       run, [](const Statement& row) {
         LedgerEntry entry;
         entry.topic = string_of(row, 0);
@@ -270,12 +261,9 @@ Result<std::vector<RecordedGap>> Recording::gaps(std::int64_t run) const {
 }
 
 Result<std::vector<RecordedSegment>> Recording::schedule(std::int64_t run) const {
-  auto version = file_->version();
-  if (!version) return std::move(version).error();
-  const std::string late_after = *version < sqlite::first_version_of_own_data_account ? "0" : "late_after";
   return all<RecordedSegment>(*file_,
-                              "SELECT origin, topic, first_due, period, end, scheduled, " + late_after +
-                                  " FROM rtdata_schedule WHERE run = ? ORDER BY origin, first_due",
+                              "SELECT origin, topic, first_due, period, end, scheduled, late_after FROM "
+                              "rtdata_schedule WHERE run = ? ORDER BY origin, first_due",
                               run, [](const Statement& row) {
                                 return RecordedSegment{
                                     string_of(row, 0), string_of(row, 1),
@@ -319,13 +307,10 @@ Result<UtcLine> Recording::utc_line(std::int64_t run) const {
 }
 
 Result<std::vector<RecordedHealth>> Recording::health(std::int64_t run) const {
-  auto version = file_->version();
-  if (!version) return std::move(version).error();
-  if (*version < 3) return std::vector<RecordedHealth>{};
-  const std::string joined = *version < 5 ? "1, time" : "count, max(last, time)";
   return all<RecordedHealth>(
       *file_,
-      "SELECT time, kind, name, state, reason, " + joined + " FROM rtdata_health WHERE run = ? ORDER BY time, _rowid_",
+      "SELECT time, kind, name, state, reason, count, max(last, time) FROM rtdata_health WHERE run = ? ORDER BY time, "
+      "_rowid_",
       run, [](const Statement& row) {
         return RecordedHealth{time_of(row, 0),   string_of(row, 1), string_of(row, 2), string_of(row, 3),
                               string_of(row, 4), count_of(row, 5),  time_of(row, 6)};
@@ -333,9 +318,6 @@ Result<std::vector<RecordedHealth>> Recording::health(std::int64_t run) const {
 }
 
 Result<std::vector<RecordedEscapes>> Recording::escaped(std::int64_t run) const {
-  auto version = file_->version();
-  if (!version) return std::move(version).error();
-  if (*version < sqlite::first_version_of_escapes) return std::vector<RecordedEscapes>{};
   return all<RecordedEscapes>(*file_,
                               "SELECT topic, origin, texts FROM rtdata_escaped WHERE run = ? ORDER BY topic, origin",
                               run, [](const Statement& row) {
@@ -344,9 +326,6 @@ Result<std::vector<RecordedEscapes>> Recording::escaped(std::int64_t run) const 
 }
 
 Result<std::vector<RecordedConfiguration>> Recording::configurations(std::int64_t run) const {
-  auto version = file_->version();
-  if (!version) return std::move(version).error();
-  if (*version < sqlite::first_version_of_configurations) return std::vector<RecordedConfiguration>{};
   return all<RecordedConfiguration>(
       *file_, "SELECT time, object, text, count FROM rtdata_configuration WHERE run = ? ORDER BY time, _rowid_", run,
       [](const Statement& row) {
@@ -355,13 +334,10 @@ Result<std::vector<RecordedConfiguration>> Recording::configurations(std::int64_
 }
 
 Result<std::vector<RecordedError>> Recording::errors(std::int64_t run) const {
-  auto version = file_->version();
-  if (!version) return std::move(version).error();
-  const std::string last = *version < 5 ? "time" : "max(last, time)";
   return all<RecordedError>(
       *file_,
-      "SELECT time, object, id, text, count, " + last + " FROM rtdata_error WHERE run = ? ORDER BY time, _rowid_", run,
-      [](const Statement& row) {
+      "SELECT time, object, id, text, count, max(last, time) FROM rtdata_error WHERE run = ? ORDER BY time, _rowid_",
+      run, [](const Statement& row) {
         return RecordedError{time_of(row, 0),   string_of(row, 1), string_of(row, 2),
                              string_of(row, 3), count_of(row, 4),  time_of(row, 5)};
       });

@@ -18,10 +18,6 @@ struct RecordingFile {
 
   /// Like Database::prepare; what does not fit the schema is damaged.
   Result<sqlite::Statement> prepare(const std::string& sql) const;
-  /// The version of its layout, which may be older than that of this program.
-  Result<std::int64_t> version() const { return database.integer("PRAGMA user_version"); }
-  /// The number of the first run whose texts have escapes; all later runs have them too.
-  Result<std::int64_t> first_run_with_escapes() const;
   Error damaged(std::string where, std::string why) const;
 };
 
@@ -80,12 +76,10 @@ class RowReader {
   explicit RowReader(const RecordedTopic& topic) : topic_(&topic) {}
   /// ", t."temperature", t."position.x"": what follows other columns in a SELECT from the table called t.
   std::string columns() const;
-  /// Texts that are no UTF-8 are stored with escapes since version 5.
-  enum class Texts { as_they_are, with_escapes };
   /// `first`: the column where those begin. Errors: damaged, which names the field.
-  Result<void> read(sqlite3_stmt* row, int first, Texts texts, std::byte* payload) const;
+  Result<void> read(sqlite3_stmt* row, int first, std::byte* payload) const;
   /// Some of these columns, from this one on, into a payload whose bytes were set to zero.
-  Result<void> read(std::span<sqlite3_value*> stored, std::size_t first, Texts texts, std::byte* payload) const;
+  Result<void> read(std::span<sqlite3_value*> stored, std::size_t first, std::byte* payload) const;
 
  private:
   const RecordedTopic* topic_;

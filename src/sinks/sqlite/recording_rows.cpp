@@ -153,12 +153,8 @@ namespace {
 
 class TableCursor final : public RowCursor {
  public:
-  TableCursor(const RecordingFile& file, RecordedTopic topic, sqlite::Statement statement, std::int64_t first_escaped,
-              std::size_t most_bytes)
-      : file_(file),
-        topic_(std::move(topic)),
-        batch_(topic_, first_escaped, most_bytes),
-        statement_(std::move(statement)) {
+  TableCursor(const RecordingFile& file, RecordedTopic topic, sqlite::Statement statement, std::size_t most_bytes)
+      : file_(file), topic_(std::move(topic)), batch_(topic_, most_bytes), statement_(std::move(statement)) {
     batch_.bind_to(statement_);
   }
 
@@ -248,10 +244,8 @@ Result<std::unique_ptr<RowCursor>> make_table_cursor(const RecordingFile& file, 
                                                      const Selection& selection, std::size_t topics) {
   auto statement = RowBatch::query(file, topic, selection);
   if (!statement) return std::move(statement).error();
-  auto first = file.first_run_with_escapes();
-  if (!first) return std::move(first).error();
   return std::unique_ptr<RowCursor>(
-      std::make_unique<TableCursor>(file, std::move(topic), *std::move(statement), *first,
+      std::make_unique<TableCursor>(file, std::move(topic), *std::move(statement),
                                     std::min(most_batch_bytes, most_bytes_of_all / std::max<std::size_t>(topics, 1))));
 }
 

@@ -96,8 +96,7 @@ void ReplayNode::find_origins(const Recording& recording, RowFilter& filter, std
   filter.topic = topics_.size() == 1          ? topics_.front().recorded.topic
                  : config_.topics.size() == 1 ? config_.topics.front()
                                               : "#";
-  const bool is_whole = is_aligned_ && run_.state == RunState::closed && !filter.from && !filter.until &&
-                        run_.format >= sqlite::first_version_of_own_data_account;
+  const bool is_whole = is_aligned_ && run_.state == RunState::closed && !filter.from && !filter.until;
   std::map<std::pair<std::string, std::string>, std::vector<Segment>> segments;
   for (RecordedSegment& of : recording.schedule(run_.run).or_throw())
     segments[{of.topic, of.origin}].push_back(of.segment);

@@ -29,12 +29,11 @@ std::string calls(const RecordedTopic& topic, const Selection& selection) {
 
 }  // namespace
 
-RowBatch::RowBatch(const RecordedTopic& topic, std::int64_t first_run_with_escapes, std::size_t most_bytes)
+RowBatch::RowBatch(const RecordedTopic& topic, std::size_t most_bytes)
     : reader_(topic),
       columns_(fixed_columns + topic.description->leaves().size()),
       payload_bytes_(topic.description->size()),
-      most_rows_(std::clamp<std::size_t>(most_bytes / std::max<std::size_t>(payload_bytes_, 1), 1, most_rows)),
-      first_run_with_escapes_(first_run_with_escapes) {
+      most_rows_(std::clamp<std::size_t>(most_bytes / std::max<std::size_t>(payload_bytes_, 1), 1, most_rows)) {
   rows_.reserve(most_rows_);
   payloads_.resize(most_rows_ * payload_bytes_);
 }
@@ -122,10 +121,7 @@ bool RowBatch::take(std::size_t first, std::span<sqlite3_value*> columns) {
   }
   Row& row = rows_.back();
   if (!row.is_damaged) {
-    auto read = reader_.read(
-        columns, first - fixed_columns,
-        row.run >= first_run_with_escapes_ ? RowReader::Texts::with_escapes : RowReader::Texts::as_they_are,
-        payloads_.data() + (rows_.size() - 1) * payload_bytes_);
+    auto read = reader_.read(columns, first - fixed_columns, payloads_.data() + (rows_.size() - 1) * payload_bytes_);
     if (!read) {
       row.is_damaged = true;
       error_ = std::move(read).error();

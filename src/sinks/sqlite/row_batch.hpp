@@ -29,7 +29,7 @@ class RowBatch {
   static Result<void> provide(const sqlite::Database& database);
 
   /// `most_bytes`: of the payloads that it keeps; at least one row.
-  RowBatch(const RecordedTopic& topic, std::int64_t first_run_with_escapes, std::size_t most_bytes);
+  RowBatch(const RecordedTopic& topic, std::size_t most_bytes);
   RowBatch(const RowBatch&) = delete;
   RowBatch& operator=(const RowBatch&) = delete;
 
@@ -59,7 +59,6 @@ class RowBatch {
   const std::size_t columns_;  // all
   const std::size_t payload_bytes_;
   const std::size_t most_rows_;
-  const std::int64_t first_run_with_escapes_;
   std::vector<Row> rows_;
   std::vector<std::byte> payloads_;
   std::vector<std::string> origins_;

@@ -30,7 +30,7 @@ std::string found(sqlite3_value* stored) {
 }
 
 /// What is stored as `write` takes it; false when it does not fit the kind.
-bool convert(sqlite3_value* stored, const Leaf& leaf, RowReader::Texts texts, Value& value) {
+bool convert(sqlite3_value* stored, const Leaf& leaf, Value& value) {
   const int type = sqlite3_value_type(stored);
   switch (leaf.kind) {
     case Kind::boolean:
@@ -49,8 +49,7 @@ bool convert(sqlite3_value* stored, const Leaf& leaf, RowReader::Texts texts, Va
       return type == SQLITE_INTEGER;
     case Kind::text: {
       const std::string_view text = text_of(stored);
-      const bool is_escaped = texts == RowReader::Texts::with_escapes && has_escape(text);
-      value = is_escaped ? unescaped(text) : std::string(text);
+      value = has_escape(text) ? unescaped(text) : std::string(text);
       return type == SQLITE_TEXT;
     }
     case Kind::character: {
@@ -61,8 +60,8 @@ bool convert(sqlite3_value* stored, const Leaf& leaf, RowReader::Texts texts, Va
         return true;
       }
       const std::int64_t number = sqlite3_value_int64(stored);
-      value = static_cast<char>(number);  // below 0: as older versions stored what is above 127, on x86
-      return type == SQLITE_INTEGER && number >= -128 && number <= 255;
+      value = static_cast<char>(number);
+      return type == SQLITE_INTEGER && number >= 0 && number <= 255;
     }
     case Kind::enumeration:
       if (type == SQLITE_TEXT) {
@@ -105,7 +104,7 @@ bool read_plain(sqlite3_value* stored, const Leaf& leaf, std::byte* payload) {
   return false;
 }
 
-Result<void> read_any(sqlite3_value* stored, const Leaf& leaf, RowReader::Texts texts, std::byte* payload) {
+Result<void> read_any(sqlite3_value* stored, const Leaf& leaf, std::byte* payload) {
   if (sqlite3_value_type(stored) == SQLITE_NULL) {
     // Absent, NaN, or a field of a later run: zero bytes are zero, empty and absent.
     if (leaf.optional == nullptr && leaf.kind == Kind::f64)
@@ -115,7 +114,7 @@ Result<void> read_any(sqlite3_value* stored, const Leaf& leaf, RowReader::Texts 
     return {};
   }
   Value value;
-  if (!convert(stored, leaf, texts, value)) {
+  if (!convert(stored, leaf, value)) {
     return Error{Errc::damaged, "cannot read a row", "field " + leaf.path,
                  "it holds " + found(stored) + ", which is no " + std::string(name_of(leaf.kind)), ""};
   }
@@ -134,23 +133,22 @@ std::string RowReader::columns() const {
   return sql;
 }
 
-Result<void> RowReader::read(sqlite3_stmt* row, int first, Texts texts, std::byte* payload) const {
+Result<void> RowReader::read(sqlite3_stmt* row, int first, std::byte* payload) const {
   std::memset(payload, 0, topic_->description->size());
   int column = first;
   for (const Leaf& leaf : topic_->description->leaves()) {
     sqlite3_value* const stored = sqlite3_column_value(row, column++);  // no other thread uses the connection meanwhile
     if (read_plain(stored, leaf, payload)) continue;
-    if (auto done = read_any(stored, leaf, texts, payload); !done) return done;
+    if (auto done = read_any(stored, leaf, payload); !done) return done;
   }
   return {};
 }
 
-Result<void> RowReader::read(std::span<sqlite3_value*> stored, std::size_t first, Texts texts,
-                             std::byte* payload) const {
+Result<void> RowReader::read(std::span<sqlite3_value*> stored, std::size_t first, std::byte* payload) const {
   const Leaf* leaf = topic_->description->leaves().data() + first;
   for (sqlite3_value* const one : stored) {
     if (!read_plain(one, *leaf, payload)) {
-      if (auto done = read_any(one, *leaf, texts, payload); !done) return done;
+      if (auto done = read_any(one, *leaf, payload); !done) return done;
     }
     ++leaf;
   }

@@ -7,30 +7,20 @@
 //   "accel[0]").
 // A row's key is (run, origin, sequence). Values: bool 0/1; integers INTEGER (uint64 bit for bit as int64); float and
 // double REAL, NaN as NULL where the field is not optional and as the text 'NaN' where it is; text TEXT,
-// escaped where it is no UTF-8 (data/utf8.hpp, since version 5); char TEXT of
+// escaped where it is no UTF-8 (data/utf8.hpp); char TEXT of
 // one character (INTEGER where it is no printable ASCII); enum TEXT by name, INTEGER where the number has no name;
 // absent NULL.
 #pragma once
 
 namespace rtdata::sqlite {
 
-inline constexpr int application_id = 0x52544441;  // "RTDA"
-inline constexpr int schema_version = 5;           // PRAGMA user_version
+inline constexpr int application_id = 0x72744442;  // "rtDB"
+inline constexpr int schema_version = 1;           // PRAGMA user_version
 
-/// Reads and data have accounts of their own; gaps may have no number of ticks.
-inline constexpr int first_version_of_own_data_account = 5;
-
-/// Texts of events that are no UTF-8 have escapes.
-inline constexpr int first_version_of_escapes = 5;
-
-/// Changes of the configuration within a run are kept.
-inline constexpr int first_version_of_configurations = 5;
-
-/// Rows and accounts have checksums.
-inline constexpr int first_version_with_checksums = 5;
-
-/// Accounts count from the beginning of the recording; before, from that of the sensor.
-inline constexpr int first_version_of_own_account = 4;
+/// Of what was recorded before version 0.1.0.
+inline constexpr int application_id_before = 0x52544441;
+inline constexpr const char* written_before = "it is a recording from before version 0.1.0, whose format is another";
+inline constexpr const char* advice_before = "export it with the rtdata that recorded it, or record into another file";
 
 inline constexpr const char* schema = R"sql(
 CREATE TABLE IF NOT EXISTS rtdata_run(
@@ -45,8 +35,7 @@ CREATE TABLE IF NOT EXISTS rtdata_run(
   state TEXT NOT NULL,              -- recording, closed, sealed (not closed, or a tier hung at its beginning or end)
   lost INTEGER,                     -- of a sealed run: events published and not stored; NULL: not known
   remark TEXT NOT NULL DEFAULT '',  -- what is known of what is not known
-  format INTEGER NOT NULL DEFAULT 3 -- the version of this layout in which it was written; before 4 the ledger counted
-                                    -- from the beginning of the sensor
+  format INTEGER NOT NULL           -- the version of this layout in which it was written
 );
 CREATE TABLE IF NOT EXISTS rtdata_topic(
   topic TEXT NOT NULL, version INTEGER NOT NULL,
@@ -100,7 +89,7 @@ CREATE TABLE IF NOT EXISTS rtdata_error(
   run INTEGER NOT NULL, time INTEGER NOT NULL, object TEXT NOT NULL, id TEXT NOT NULL, text TEXT NOT NULL,
   count INTEGER NOT NULL,
   last INTEGER NOT NULL DEFAULT 0); -- of `count` that are joined, `time` is that of the first; 0: as `time`
-CREATE TABLE IF NOT EXISTS rtdata_health(  -- since version 3: each change, or several of one object joined
+CREATE TABLE IF NOT EXISTS rtdata_health(  -- each change, or several of one object joined
   run INTEGER NOT NULL, time INTEGER NOT NULL,
   kind TEXT NOT NULL,               -- sensor, sink, lane, loop, tier
   name TEXT NOT NULL,
@@ -108,7 +97,7 @@ CREATE TABLE IF NOT EXISTS rtdata_health(  -- since version 3: each change, or s
   reason TEXT NOT NULL,             -- empty when ok
   count INTEGER NOT NULL DEFAULT 1, -- changes
   last INTEGER NOT NULL DEFAULT 0); -- of `count` that are joined, `time` is that of the first; 0: as `time`
-CREATE TABLE IF NOT EXISTS rtdata_checksum(  -- since version 5: what hashing the rows of a table must give again
+CREATE TABLE IF NOT EXISTS rtdata_checksum(  -- what hashing the rows of a table must give again
   run INTEGER NOT NULL,             -- 0: of all runs
   table_name TEXT NOT NULL,         -- a topic's table, or one of the account
   origin TEXT NOT NULL,             -- of a topic's table; otherwise empty: all rows of the run
@@ -119,56 +108,15 @@ CREATE TABLE IF NOT EXISTS rtdata_checksum(  -- since version 5: what hashing th
 )sql"
                                       // Texts of events that were no UTF-8.
                                       R"sql(
-CREATE TABLE IF NOT EXISTS rtdata_escaped(  -- since version 5
+CREATE TABLE IF NOT EXISTS rtdata_escaped(
   run INTEGER NOT NULL, topic TEXT NOT NULL, origin TEXT NOT NULL,
   texts INTEGER NOT NULL,           -- stored with escapes in them
   PRIMARY KEY(run, topic, origin)) WITHOUT ROWID;
-CREATE TABLE IF NOT EXISTS rtdata_configuration(  -- since version 5: changes since the text in rtdata_run
+CREATE TABLE IF NOT EXISTS rtdata_configuration(  -- changes since the text in rtdata_run
   run INTEGER NOT NULL, time INTEGER NOT NULL,
   object TEXT NOT NULL,             -- the part that was added, changed or removed; empty: the whole configuration
   text TEXT NOT NULL,               -- of the part or of the whole; empty: the part was removed
   count INTEGER NOT NULL DEFAULT 1);  -- changes of the object up to this one that are joined
 )sql";
-
-/// What `schema` does not do to the tables of a file of version 1.
-inline constexpr const char* from_version_1 = R"sql(
-ALTER TABLE rtdata_clock ADD COLUMN occasion TEXT NOT NULL DEFAULT '';
-ALTER TABLE rtdata_clock ADD COLUMN accuracy INTEGER;
-UPDATE rtdata_clock SET occasion = source, source = 'system';
-)sql";
-
-/// What `schema` does not do to those of a file of a version before 4.
-inline constexpr const char* from_version_3 = R"sql(
-ALTER TABLE rtdata_run ADD COLUMN format INTEGER NOT NULL DEFAULT 3;
-ALTER TABLE rtdata_ledger ADD COLUMN carried INTEGER NOT NULL DEFAULT 0;
-)sql";
-
-/// What `schema` does not do to those of a file of a version before 5.
-inline constexpr const char* from_version_4 = R"sql(
-ALTER TABLE rtdata_error ADD COLUMN last INTEGER NOT NULL DEFAULT 0;
-ALTER TABLE rtdata_ledger ADD COLUMN unreadable INTEGER NOT NULL DEFAULT 0;
-ALTER TABLE rtdata_ledger ADD COLUMN one_a_read INTEGER NOT NULL DEFAULT 0;
-ALTER TABLE rtdata_ledger ADD COLUMN lateness INTEGER NOT NULL DEFAULT 0;
-ALTER TABLE rtdata_schedule ADD COLUMN late_after INTEGER NOT NULL DEFAULT 0;
-ALTER TABLE rtdata_gap RENAME TO rtdata_gap_of_version_4;
-CREATE TABLE rtdata_gap(
-  run INTEGER NOT NULL, topic TEXT NOT NULL, origin TEXT NOT NULL,
-  kind TEXT NOT NULL, reason TEXT NOT NULL,
-  first INTEGER NOT NULL, last INTEGER NOT NULL,
-  count INTEGER);
-INSERT INTO rtdata_gap SELECT run, topic, origin, kind, reason, first, last, count FROM rtdata_gap_of_version_4;
-DROP TABLE rtdata_gap_of_version_4;
-)sql";
-
-/// What `schema` does not do to those of a file of version 3 or 4; before, there was no such table.
-inline constexpr const char* health_from_version_4 = R"sql(
-ALTER TABLE rtdata_health ADD COLUMN count INTEGER NOT NULL DEFAULT 1;
-ALTER TABLE rtdata_health ADD COLUMN last INTEGER NOT NULL DEFAULT 0;
-)sql";
-
-/// Files of version 5 lack it that were made before it was.
-inline constexpr const char*
-    has_first_lines = "SELECT count(*) FROM pragma_table_info('rtdata_ledger') WHERE name = 'first_lines'";
-inline constexpr const char* add_first_lines = "ALTER TABLE rtdata_ledger ADD COLUMN first_lines INTEGER";
 
 }  // namespace rtdata::sqlite

@@ -5,7 +5,6 @@
 #include <unordered_map>
 
 #include "rtdata/data/time.hpp"
-#include "sinks/sqlite/schema.hpp"
 #include "sinks/sqlite/seal_account.hpp"
 #include "sinks/sqlite/seal_checksums.hpp"
 #include "sinks/sqlite/sqlite_writer.hpp"
@@ -18,7 +17,6 @@ struct OpenRun {
   std::string uuid;
   std::int64_t ended;
   std::string remark;  // not empty: its account lacks something anyway
-  std::int64_t format;
 };
 
 /// The tables of a topic that may hold rows of the run, newest version first.
@@ -128,8 +126,7 @@ Result<void> seal_topic(Database& database, const OpenRun& run, const std::strin
   // Its account may be older than its rows, or not there yet: what it publishes at least is what was offered.
   auto update = database.prepare(
       "UPDATE rtdata_ledger SET offered = ?1, stored = ?2, published = max(published, ?1), "
-      "received = iif(?10, max(received, ?1 + repeated + filtered + unreadable), "
-      "iif(has_schedule, received, max(received, ?1 + repeated + filtered + failed))), "
+      "received = max(received, ?1 + repeated + filtered + unreadable), "
       "dropped_newest = dropped_newest + ?3, "
       "dropped_unsaved = ?4, first_sequence = ?5, last_sequence = ?6 WHERE run = ?7 AND topic = ?8 AND origin = ?9");
   if (!update) return std::move(update).error();
@@ -160,7 +157,6 @@ Result<void> seal_topic(Database& database, const OpenRun& run, const std::strin
         .bind(5, first_sequence)
         .bind(6, last_sequence);
     update->bind(7, run.run).bind(8, topic).bind(9, row.origin);
-    update->bind(10, std::int64_t{run.format >= first_version_of_own_data_account});
     if (auto done = update->run(); !done) return done;
   }
   return {};
@@ -168,15 +164,10 @@ Result<void> seal_topic(Database& database, const OpenRun& run, const std::strin
 
 Result<std::string> seal_run(Database& database, const OpenRun& run, LiveFile* live, AccountSums& sums) {
   const bool is_known = live != nullptr && live->is_complete();
-  const bool has_checksums = run.format >= first_version_with_checksums;
-  std::uint64_t lost_by_disk = 0;
-  if (has_checksums) {
-    auto counted = rows_lost_by_disk(database, run.run, live);
-    if (!counted) return std::move(counted).error();
-    lost_by_disk = *counted;
-    if (auto taken = take_over_sums(database, run.run, live, sums, lost_by_disk); !taken)
-      return std::move(taken).error();
-  }
+  auto lost_by_disk = rows_lost_by_disk(database, run.run, live);
+  if (!lost_by_disk) return std::move(lost_by_disk).error();
+  if (auto taken = take_over_sums(database, run.run, live, sums, *lost_by_disk); !taken)
+    return std::move(taken).error();
   auto query = database.prepare("SELECT DISTINCT topic FROM rtdata_ledger WHERE run = ?");
   if (!query) return std::move(query).error();
   auto topics = query->bind(1, run.run).texts();
@@ -196,17 +187,15 @@ Result<std::string> seal_run(Database& database, const OpenRun& run, LiveFile* l
     for (auto slot = static_cast<std::uint32_t>(next->integer(0)); slot < live->slots() && live->has(slot); ++slot)
       unnamed += live->counts(slot).offered;
   }
-  if (has_checksums) {
-    if (auto sealed = seal_ranges(database, run.run, live); !sealed) return std::move(sealed).error();
-  }
+  if (auto sealed = seal_ranges(database, run.run, live); !sealed) return std::move(sealed).error();
   std::string remark = (run.remark.empty() ? "" : run.remark + "; ") + "run " + std::to_string(run.run) +
                        " ended without closing";
   remark += !is_known     ? "; what was published after that is unknown"
             : unnamed > 0 ? "; lost " + std::to_string(lost) + " events, and " + std::to_string(unnamed) +
                                 " of sensors that had only begun, whose names are unknown"
                           : "; lost " + std::to_string(lost) + " events, published and not yet committed";
-  if (lost_by_disk != 0) {
-    remark += "; at least " + std::to_string(lost_by_disk) +
+  if (*lost_by_disk != 0) {
+    remark += "; at least " + std::to_string(*lost_by_disk) +
               " of them had been committed, and the disk has lost them: what it holds is up to an earlier transaction";
   }
   auto update = database.prepare(
@@ -219,9 +208,7 @@ Result<std::string> seal_run(Database& database, const OpenRun& run, LiveFile* l
     update->bind_null(2);
   }
   if (auto done = update->run(); !done) return std::move(done).error();
-  if (has_checksums) {
-    if (auto written = sums.write_lines(database, run.run); !written) return std::move(written).error();
-  }
+  if (auto written = sums.write_lines(database, run.run); !written) return std::move(written).error();
   return remark;
 }
 
@@ -231,14 +218,13 @@ Result<std::vector<std::string>> seal_runs(Database& database, const std::string
                                            AccountSums& sums, std::vector<LiveFile>& used) {
   std::vector<OpenRun> open;
   {
-    auto query = database.prepare("SELECT run, uuid, ended, remark, format FROM rtdata_run WHERE state = 'recording'");
+    auto query = database.prepare("SELECT run, uuid, ended, remark FROM rtdata_run WHERE state = 'recording'");
     if (!query) return std::move(query).error();
     for (;;) {
       auto row = query->step();
       if (!row) return std::move(row).error();
       if (!*row) break;
-      open.push_back({query->integer(0), std::string(query->text(1)), query->integer(2), std::string(query->text(3)),
-                      query->integer(4)});
+      open.push_back({query->integer(0), std::string(query->text(1)), query->integer(2), std::string(query->text(3))});
     }
   }
   std::vector<std::string> remarks;

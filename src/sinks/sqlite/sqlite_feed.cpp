@@ -27,9 +27,6 @@ Result<void> SqliteFeed::open() {
   auto opened = Recording::open(path_);
   if (!opened) return std::move(opened).error();
   const detail::RecordingFile& file = *opened->file();
-  auto first = file.first_run_with_escapes();
-  if (!first) return std::move(first).error();
-  first_run_with_escapes_ = *first;
   auto version = file.prepare("PRAGMA schema_version");
   if (!version) return std::move(version).error();
   get_schema_version_ = std::move(*version);
@@ -341,9 +338,7 @@ Result<std::size_t> SqliteFeed::take(Table& table, detail::SinkQueue& queue, std
     const std::int64_t time = utc ? to_nanoseconds(utc->utc(from_nanoseconds(recorded))) : recorded;
     const detail::RecordHeader record{&queue.stored(slot), time, static_cast<std::uint64_t>(sequence)};
     std::memcpy(to, &record, sizeof record);
-    const auto texts = run_number >= first_run_with_escapes_ ? detail::RowReader::Texts::with_escapes
-                                                             : detail::RowReader::Texts::as_they_are;
-    if (auto read = table.reader->read(table.next.raw(), fixed_columns, texts, to + sizeof record); !read) {
+    if (auto read = table.reader->read(table.next.raw(), fixed_columns, to + sizeof record); !read) {
       // A row that cannot be read must not hold up those after it.
       ++removed_ahead_;
       remarks_.push_back(

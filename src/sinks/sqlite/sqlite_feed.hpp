@@ -115,7 +115,6 @@ class SqliteFeed final : public detail::RowFeed {
   std::uint64_t rows_of_new_tables_ = 0;  // that it has not looked at yet
   std::int64_t topics_known_ = 0;
   std::int64_t clock_pairs_ = -1;  // rows of rtdata_clock when the lines of UTC were made
-  std::int64_t first_run_with_escapes_ = 0;
   bool has_looked_ = false;
   bool is_new_ = false;        // the sink comes to this recording for the first time
   std::string topics_before_;  // lines: of the sink when it came the last time; of the first look alone, with is_new_

@@ -1,4 +1,4 @@
-// How the SQLite writer begins: opens and locks the file, brings it to this format, seals older runs, begins its own.
+// How the SQLite writer begins: opens and locks the file, makes its tables, seals older runs, begins its own.
 #include <unistd.h>
 
 #include "loop/support/first_line.hpp"
@@ -19,6 +19,8 @@ Result<std::int64_t> format_of(const Database& database, const std::string& path
     auto tables = database.integer("SELECT count(*) FROM sqlite_schema");
     if (!tables) return std::move(tables).error();
     if (*tables == 0) return 0;
+    if (*id == application_id_before)
+      return Error{Errc::not_a_recording, "cannot record into", path, written_before, advice_before};
     return Error{Errc::not_a_recording, "cannot record into", path, "it is another program's SQLite database",
                  "choose another path"};
   }
@@ -145,37 +147,9 @@ Result<void> SqliteWriter::configure() {
 Result<void> SqliteWriter::make_schema() {
   auto version = format_of(database_, config_.path);  // again, now that no other process can change it
   if (!version) return std::move(version).error();
-  const auto complete = [&]() -> Result<void> {
-    auto has_it = database_.integer(has_first_lines);
-    if (!has_it) return std::move(has_it).error();
-    return *has_it != 0 ? Result<void>() : database_.execute(add_first_lines);
-  };
-  if (*version == schema_version) return complete();
-  std::string sql = schema + run_view();
-  if (*version == 1) sql += std::string(";") + from_version_1;
-  if (*version >= 1 && *version < first_version_of_own_account) sql += std::string(";") + from_version_3;
-  if (*version >= 1 && *version < 5) sql += std::string(";") + from_version_4;
-  if (*version >= 3 && *version < 5) sql += std::string(";") + health_from_version_4;
-  sql += account_views();
-  sql += ";PRAGMA application_id=" + std::to_string(application_id) +
-         ";PRAGMA user_version=" + std::to_string(schema_version);
-  if (auto made = database_.execute(sql); !made || *version == 0) return made;
-  if (auto made = complete(); !made) return made;
-  if (auto written = write_utc_lines(database_); !written) return written;
-  auto topic = database_.prepare("SELECT table_name, description FROM rtdata_topic");
-  if (!topic) return std::move(topic).error();
-  std::vector<std::pair<std::string, std::shared_ptr<const Description>>> tables;
-  for (;;) {
-    auto row = topic->step();
-    if (!row) return std::move(row).error();
-    if (!*row) break;
-    // Written by something else: left alone.
-    if (auto description = Description::from_json(topic->text(1))) tables.emplace_back(topic->text(0), *description);
-  }
-  for (const auto& [table, description] : tables) {
-    if (auto made = make_utc_view(database_, table, *description); !made) return made;
-  }
-  return {};
+  if (*version != 0) return {};
+  return database_.execute(schema + run_view() + account_views() + ";PRAGMA application_id=" +
+                           std::to_string(application_id) + ";PRAGMA user_version=" + std::to_string(schema_version));
 }
 
 Result<void> SqliteWriter::begin_run(const std::string& uuid) {

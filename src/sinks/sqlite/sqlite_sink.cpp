@@ -118,6 +118,8 @@ Result<void> check_recordable(const std::string& path) {
   const std::uint32_t page = number_at(14) & 0xffff;                             // 1 stands for 65536
   const bool may_be_empty = about.st_size <= static_cast<off_t>(page == 1 ? 65536 : page);
   const std::uint32_t id = number_at(68);
+  if (id == sqlite::application_id_before)
+    return refuse(Errc::not_a_recording, sqlite::written_before, sqlite::advice_before);
   if (id != sqlite::application_id && (id != 0 || !may_be_empty))
     return refuse(Errc::not_a_recording, "it is another program's SQLite database", "choose another path");
   if (id == sqlite::application_id && number_at(60) > sqlite::schema_version)

@@ -132,13 +132,10 @@ Result<std::vector<RecordedClock>> clock_pairs_of_boot(const Database& database,
 }
 
 Result<std::vector<RecordedClock>> clock_pairs(const Database& database, const std::string& condition) {
-  auto version = database.integer("PRAGMA user_version");
-  if (!version) return std::move(version).error();
-  // Up to version 1 the column source had the occasion.
-  auto query = database.prepare(std::string("SELECT c.monotonic, c.realtime, ") +
-                                (*version < 2 ? "'system', NULL, c.source" : "c.source, c.accuracy, c.occasion") +
-                                " FROM rtdata_run r JOIN rtdata_clock c ON c.run = r.run WHERE " + condition +
-                                " ORDER BY c.monotonic, c._rowid_");
+  auto query = database.prepare(
+      "SELECT c.monotonic, c.realtime, c.source, c.accuracy, c.occasion FROM rtdata_run r JOIN rtdata_clock c ON c.run "
+      "= r.run WHERE " +
+      condition + " ORDER BY c.monotonic, c._rowid_");
   if (!query) return std::move(query).error();
   std::vector<RecordedClock> pairs;
   for (;;) {

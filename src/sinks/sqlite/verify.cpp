@@ -10,7 +10,6 @@
 
 #include "loop/support/deadline.hpp"
 #include "sinks/sqlite/recording_file.hpp"
-#include "sinks/sqlite/schema.hpp"
 #include "sinks/sqlite/utc_line.hpp"
 #include "sinks/sqlite/verify_run.hpp"
 #include "sinks/sqlite/verify_sums.hpp"
@@ -280,7 +279,7 @@ Result<VerifyReport> verify_contents(const Recording& recording) {
   std::map<std::int64_t, OriginMap> rows;
   std::map<std::int64_t, OfRun> accounts;
   for (RunInfo& info : *infos) {
-    const bool has_ticks = info.state == RunState::closed && info.format >= sqlite::first_version_of_own_data_account;
+    const bool has_ticks = info.state == RunState::closed;
     auto loaded = OfRun::load(recording, info.run);
     if (!loaded) return std::move(loaded).error();
     const OfRun& of_run = accounts.emplace(info.run, std::move(*loaded)).first->second;
@@ -315,19 +314,14 @@ Result<VerifyReport> verify_contents(const Recording& recording) {
     if (auto scanned = scan_rows(*recording.file(), topic, rows, *checksums, report.problems); !scanned)
       return std::move(scanned).error();
   }
-  auto version = recording.file()->version();
-  if (!version) return std::move(version).error();
-  if (*version >= 2) {
-    auto odd = recording.file()->database.integer(
-        "SELECT count(*) FROM rtdata_utc WHERE typeof(since) <> 'integer' OR typeof(\"offset\") <> 'integer' OR "
-        "typeof(rate) <> 'real'");
-    if (!odd) return std::move(odd).error();
-    if (*odd != 0) report.problems.push_back("The UTC line (rtdata_utc) has something else in it than numbers.");
-  }
+  auto odd = recording.file()->database.integer(
+      "SELECT count(*) FROM rtdata_utc WHERE typeof(since) <> 'integer' OR typeof(\"offset\") <> 'integer' OR "
+      "typeof(rate) <> 'real'");
+  if (!odd) return std::move(odd).error();
+  if (*odd != 0) report.problems.push_back("The UTC line (rtdata_utc) has something else in it than numbers.");
   std::set<std::string> boots;
   for (const RunReport& run : report.runs) boots.insert(run.info.boot_id);
   for (const std::string& boot : boots) {
-    if (*version < 2) break;
     auto agrees = sqlite::utc_line_agrees(recording.file()->database, boot);
     if (!agrees) return std::move(agrees).error();
     if (!*agrees)
@@ -337,10 +331,9 @@ Result<VerifyReport> verify_contents(const Recording& recording) {
   for (const RunReport& run : report.runs) numbers.push_back(run.info.run);
   if (auto scanned = checksums->scan_accounts(*recording.file(), numbers, report.problems); !scanned)
     return std::move(scanned).error();
-  if (auto looked = check_layout(*recording.file(), *version, *topics, report.problems); !looked)
+  if (auto looked = check_layout(*recording.file(), *topics, report.problems); !looked)
     return std::move(looked).error();
-  check_formats(report.runs, *version, report.problems);
-  if (*version >= sqlite::first_version_with_checksums) check_topics(*checksums, *topics, numbers, report.problems);
+  check_topics(*checksums, *topics, numbers, report.problems);
   auto deleted = recording.deleted_runs();
   if (!deleted) return std::move(deleted).error();
   verify_deleted(std::move(*deleted), report);

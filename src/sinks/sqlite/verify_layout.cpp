@@ -1,8 +1,7 @@
-// The part of verify that looks at what a recording is made of: versions, views and triggers.
+// The part of verify that looks at what a recording is made of: columns, views and triggers.
 #include <algorithm>
 #include <set>
 
-#include "sinks/sqlite/schema.hpp"
 #include "sinks/sqlite/value_ranges.hpp"
 #include "sinks/sqlite/verify_run.hpp"
 #include "sinks/sqlite/verify_sums.hpp"
@@ -27,7 +26,7 @@ Result<bool> is_as_made(const RecordingFile& file, const RecordedTopic& topic, s
 }
 
 /// Rows are hashed by position: that each value is under its name stands in the columns alone.
-Result<void> check_columns_of(const RecordingFile& file, std::int64_t version, const RecordedTopic& topic,
+Result<void> check_columns_of(const RecordingFile& file, const RecordedTopic& topic,
                               std::vector<std::string>& problems) {
   auto columns = sqlite::columns_of(file.database, topic.table);
   if (!columns) return std::move(columns).error();
@@ -43,13 +42,9 @@ Result<void> check_columns_of(const RecordingFile& file, std::int64_t version, c
     if (!there.contains(column)) problems.push_back(topic.topic + ": the table has no column \"" + column + "\".");
   }
   if (there != described || columns->size() != wanted.size()) return {};
-  bool is_in_order = false;
-  if (version >= sqlite::first_version_with_checksums) {
-    auto as_made = is_as_made(file, topic, columns->size());
-    if (!as_made) return std::move(as_made).error();
-    is_in_order = *as_made;
-  }
-  const std::size_t held = is_in_order ? wanted.size() : fixed_columns;
+  auto is_in_order = is_as_made(file, topic, columns->size());
+  if (!is_in_order) return std::move(is_in_order).error();
+  const std::size_t held = *is_in_order ? wanted.size() : fixed_columns;
   for (std::size_t i = 0; i < held; ++i) {
     if ((*columns)[i] == wanted[i]) continue;
     problems.push_back(topic.topic + ": column " + std::to_string(i + 1) + " of the table is \"" + (*columns)[i] +
@@ -84,7 +79,7 @@ Result<void> check_positions(const RecordingFile& file, std::vector<std::string>
 
 }  // namespace
 
-Result<void> check_layout(const RecordingFile& file, std::int64_t version, const std::vector<RecordedTopic>& topics,
+Result<void> check_layout(const RecordingFile& file, const std::vector<RecordedTopic>& topics,
                           std::vector<std::string>& problems) {
   auto query = file.prepare("SELECT type, name FROM sqlite_schema ORDER BY name");
   if (!query) return std::move(query).error();
@@ -99,18 +94,11 @@ Result<void> check_layout(const RecordingFile& file, std::int64_t version, const
                          ", which is not of the recording: it may change what is recorded.");
     } else if (type == "view") {
       views.emplace(name);
-    } else if (type == "table" && name == "rtdata_checksum" && version < sqlite::first_version_with_checksums) {
-      problems.push_back("The file says that its format is " + std::to_string(version) +
-                         ", but it has checksums, as files from format " +
-                         std::to_string(sqlite::first_version_with_checksums) + " on have.");
     }
   }
   for (const RecordedTopic& topic : topics)
-    if (auto checked = check_columns_of(file, version, topic, problems); !checked) return checked;
+    if (auto checked = check_columns_of(file, topic, problems); !checked) return checked;
   if (auto checked = check_positions(file, problems); !checked) return checked;
-  if (version < 1)
-    problems.push_back("The file says that its format is " + std::to_string(version) + ": there is none.");
-  if (version != sqlite::schema_version) return {};  // those of an older one come when it is recorded into
   std::vector<std::string> wanted{"rtdata_run_utc", "rtdata_gap~utc", "rtdata_health~utc", "rtdata_error~utc",
                                   "rtdata_field"};
   for (const RecordedTopic& topic : topics) wanted.push_back(topic.table + "~utc");
@@ -122,48 +110,6 @@ Result<void> check_layout(const RecordingFile& file, std::int64_t version, const
     }
   }
   return {};
-}
-
-void check_formats(const std::vector<RunReport>& runs, std::int64_t version, std::vector<std::string>& problems) {
-  constexpr std::int64_t oldest = 3;  // those before are counted as it
-  std::int64_t newest = oldest;
-  for (const RunReport& run : runs) {
-    const std::int64_t format = run.info.format;
-    const std::string says = "Run " + std::to_string(run.info.run) + " says that its format is " +
-                             std::to_string(format) + ", ";
-    if (format < oldest || format > std::max(version, oldest)) {
-      problems.push_back(says + "which is none of a file of format " + std::to_string(version) + ".");
-    } else if (format < newest) {
-      problems.push_back(says + "but a run before it has format " + std::to_string(newest) + ".");
-    }
-    newest = std::max(newest, format);
-  }
-}
-
-void check_format(const Findings& found, const OfRun& of_run, const Checksums& checksums) {
-  const std::int64_t format = found.report.info.format;
-  const auto newer = [&](const char* what, std::int64_t since) {
-    if (format < since) {
-      found.problem("It says that its format is " + std::to_string(format) + ", but it has " + what +
-                    ", as runs from format " + std::to_string(since) + " on have.");
-    }
-  };
-  const auto has_lines = [run = found.report.info.run](const auto& by_table) {
-    return std::any_of(by_table.begin(), by_table.end(), [run](const auto& one) { return one.second.contains(run); });
-  };
-  if (has_lines(checksums.values) || has_lines(checksums.accounts))
-    newer("checksums", sqlite::first_version_with_checksums);
-  const auto any_of_ledger = [&](auto is) { return std::any_of(of_run.ledger.begin(), of_run.ledger.end(), is); };
-  if (any_of_ledger([](const LedgerEntry& entry) {
-        const SensorCounts& s = entry.sensor;
-        return s.is_one_a_read || s.lateness != 0 || s.unreadable != 0;
-      }) ||
-      std::any_of(of_run.schedule.begin(), of_run.schedule.end(),
-                  [](const RecordedSegment& one) { return one.segment.late_after != Duration{0}; })) {
-    newer("an account of reads and data apart", sqlite::first_version_of_own_data_account);
-  }
-  if (any_of_ledger([](const LedgerEntry& entry) { return entry.carried != 0; }))
-    newer("an account of its own", sqlite::first_version_of_own_account);
 }
 
 }  // namespace rtdata::detail

@@ -6,7 +6,6 @@
 
 #include "sinks/sqlite/recorded_outages.hpp"
 #include "sinks/sqlite/recording_file.hpp"
-#include "sinks/sqlite/schema.hpp"
 
 namespace rtdata::detail {
 namespace {
@@ -140,27 +139,6 @@ void check_sum(const Findings& found, const std::string& place, Term whole, std:
                 number(sum) + ".");
 }
 
-/// Otherwise from that of the sensor, which may be older.
-bool counts_from_its_beginning(const Findings& found) {
-  return found.report.info.format >= sqlite::first_version_of_own_account;
-}
-
-/// Reads and data are counted apart, so that one read may bring many samples.
-bool has_own_data_account(const Findings& found) {
-  return found.report.info.format >= sqlite::first_version_of_own_data_account;
-}
-
-void check_data(const Findings& found, const std::string& place, const SensorCounts& s) {
-  const Term published{"published", s.published}, repeated{"repeated", s.repeated}, filtered{"filtered", s.filtered};
-  if (has_own_data_account(found)) {
-    check_sum(found, place, {"received", s.received}, {published, repeated, filtered, {"unreadable", s.unreadable}});
-  } else if (s.has_schedule) {
-    check_sum(found, place, {"taken", s.taken}, {published, repeated, filtered});
-  } else {
-    check_sum(found, place, {"received", s.received}, {published, repeated, filtered, {"failed", s.failed}});
-  }
-}
-
 void check_account(const Findings& found, const LedgerEntry& entry) {
   const std::string place = place_of(entry.topic, entry.origin) + ": ";
   const SensorCounts& s = entry.sensor;
@@ -171,14 +149,16 @@ void check_account(const Findings& found, const LedgerEntry& entry) {
               {{"taken", s.taken}, {"missed", s.missed}, {"failed", s.failed}, {"in flight", s.in_flight}});
     if (s.in_flight > 1) found.inexact(place + number(s.in_flight) + " reads are in flight, there is at most one.");
     if (s.late > s.taken) found.inexact(place + number(s.late) + " were late of only " + number(s.taken) + " taken.");
-  } else if (has_own_data_account(found) && (s.scheduled | s.taken | s.missed | s.failed | s.in_flight | s.late) != 0) {
+  } else if ((s.scheduled | s.taken | s.missed | s.failed | s.in_flight | s.late) != 0) {
     found.problem(place + "it has no schedule, but reads are counted.");
   }
-  check_data(found, place, s);
+  check_sum(
+      found, place, {"received", s.received},
+      {{"published", s.published}, {"repeated", s.repeated}, {"filtered", s.filtered}, {"unreadable", s.unreadable}});
   if (entry.carried > 1) {
     found.problem(place + number(entry.carried) + " reads were under way when it began, there is at most one.");
   }
-  if (s.published < entry.offered || (s.published > entry.offered && counts_from_its_beginning(found))) {
+  if (s.published != entry.offered) {
     found.inexact(place + number(s.published) + " published, but " + number(entry.offered) +
                   " offered to the recording.");
   }
@@ -194,14 +174,6 @@ void check_account(const Findings& found, const LedgerEntry& entry) {
     found.inexact(place + number(entry.offered) + " offered, but sequences " + number(entry.first_sequence) + " to " +
                   number(entry.last_sequence) + " are " + number(span) + ".");
   }
-}
-
-/// Whether the account counts more than the recording has, since it began after the sensor. Segments by time.
-bool counts_from_before(const Findings& found, const LedgerEntry& entry,
-                        const std::vector<const RecordedSegment*>& segments) {
-  if (counts_from_its_beginning(found)) return false;
-  return entry.sensor.published > entry.offered ||
-         (!segments.empty() && segments.front()->segment.first_due < found.report.info.started);
 }
 
 void check_schedule(const Findings& found, const LedgerEntry& entry,
@@ -225,10 +197,7 @@ void check_schedule(const Findings& found, const LedgerEntry& entry,
     }
     before = &segment;
   }
-  if (sum < entry.sensor.scheduled && counts_from_before(found, entry, segments)) {
-    found.note(place + "the schedule has " + plural(sum, "tick") + ", the ledger says " +
-               number(entry.sensor.scheduled) + " scheduled. The recording began after the sensor.");
-  } else if (sum != entry.sensor.scheduled) {
+  if (sum != entry.sensor.scheduled) {
     found.inexact(place + "the schedule has " + plural(sum, "tick") + ", the ledger says " +
                   number(entry.sensor.scheduled) + " scheduled.");
   }
@@ -262,7 +231,7 @@ void check_gaps(const Findings& found, const LedgerEntry& entry, const std::vect
   std::uint64_t missed = 0, failed = 0, joined = 0;
   for (const RecordedGap* gap : gaps) {
     const std::string which = "the gap of " + found.utc(gap->first) + " (" + gap->kind + ", " + gap->reason + ")";
-    if (!entry.sensor.has_schedule && has_own_data_account(found)) {
+    if (!entry.sensor.has_schedule) {
       check_gap_without_schedule(found, place + which, *gap);
       continue;
     }
@@ -280,7 +249,6 @@ void check_gaps(const Findings& found, const LedgerEntry& entry, const std::vect
                     ".");
       continue;
     }
-    if (!entry.sensor.has_schedule) continue;
     const auto after = std::upper_bound(
         segments.begin(), segments.end(), gap->first,
         [](Time time, const RecordedSegment* s) { return time < s->segment.first_due; });
@@ -298,9 +266,8 @@ void check_gaps(const Findings& found, const LedgerEntry& entry, const std::vect
       found.problem(place + which + " has " + plural(gap->count, "tick") + ", up to " + found.utc(gap->last) +
                     " there are " + number(ticks) + ".");
     } else if (gap->count < ticks && gap->kind != "joined") {
-      const std::string text = place + which + " has " + number(gap->count) + " of the " + plural(ticks, "tick") +
-                               " up to " + found.utc(gap->last);
-      has_own_data_account(found) ? found.problem(text + ".") : found.note(text + ": several gaps were joined.");
+      found.problem(place + which + " has " + number(gap->count) + " of the " + plural(ticks, "tick") + " up to " +
+                    found.utc(gap->last) + ".");
     }
   }
   const SensorCounts& s = entry.sensor;
@@ -309,7 +276,6 @@ void check_gaps(const Findings& found, const LedgerEntry& entry, const std::vect
     const std::string text = place + "the gaps have " + number(in_gaps) + " " + kind + ", the ledger says " +
                              number(counted) + ".";
     if (in_gaps > counted) return found.inexact(text);
-    if (counts_from_before(found, entry, segments)) return found.note(text + " The recording began after the sensor.");
     if (found.is_exact) {
       found.problem(text);
     } else {
@@ -341,7 +307,7 @@ void add_up(RunReport& report, const LedgerEntry& entry) {
   report.missed += entry.sensor.missed;
   report.failed += entry.sensor.failed;
   report.late += entry.sensor.late;
-  if (report.info.format >= sqlite::first_version_of_own_data_account) report.received += entry.sensor.received;
+  report.received += entry.sensor.received;
   report.unreadable += entry.sensor.unreadable;
   if (entry.sensor.first_lines != 0) report.first_lines[entry.topic] += entry.sensor.first_lines;
   if (entry.sensor.lost_is_known) report.lost_by_source = report.lost_by_source.value_or(0) + entry.sensor.lost;
@@ -363,8 +329,7 @@ class Losses {
     const RunInfo& info = report.info;
     for (auto& [topic, loss] : by_topic_) report.losses.push_back(std::move(loss));
     report.not_detectable.assign(not_detectable_.begin(), not_detectable_.end());
-    const bool may_be_more = info.format >= sqlite::first_version_of_own_data_account;
-    if (info.state == RunState::sealed && info.lost && *info.lost > report.unsaved && may_be_more)
+    if (info.state == RunState::sealed && info.lost && *info.lost > report.unsaved)
       report.losses.emplace_back().not_saved = *info.lost - report.unsaved;
     detail::most_first(report.losses);
     if (report.verdict == Verdict::not_balanced)
@@ -394,8 +359,7 @@ void note_end(const Findings& found) {
                                " that were published could not be stored."
                          : "Its account is not complete: what was lost is not known.");
     // What was lost of sensors that had only begun is in no ledger, and is counted since then.
-    const bool may_be_more = info.format >= sqlite::first_version_of_own_data_account;
-    if (info.lost && *info.lost > found.report.unsaved && may_be_more) {
+    if (info.lost && *info.lost > found.report.unsaved) {
       found.note(plural(*info.lost - found.report.unsaved, "event") + " of " + number(*info.lost) +
                  " lost were of sensors that had only begun, whose names are unknown.");
     } else if (info.lost && *info.lost != found.report.unsaved) {
@@ -469,7 +433,6 @@ Result<void> verify_run(const OfRun& of_run, const OriginMap& rows, const Checks
   };
   strays(of_run.segments_of, "stretch of schedule");
   strays(of_run.gaps_of, "gap");
-  check_format(found, of_run, checksums);
   check_checksums(found, rows, checksums);
   if (info.state == RunState::closed && !info.ended) found.problem("The run is closed, but its end is not recorded.");
   note_end(found);

@@ -83,12 +83,9 @@ struct Findings {
   void inexact(std::string text) const { is_exact ? problem(std::move(text)) : open.push_back(std::move(text)); }
 };
 
-/// Triggers, views that are not there, and what a file of this version cannot have.
-Result<void> check_layout(const RecordingFile& file, std::int64_t version, const std::vector<RecordedTopic>& topics,
+/// Triggers, views that are not there, columns that are others.
+Result<void> check_layout(const RecordingFile& file, const std::vector<RecordedTopic>& topics,
                           std::vector<std::string>& problems);
-
-/// Formats of runs that the file cannot have. In the order of the runs.
-void check_formats(const std::vector<RunReport>& runs, std::int64_t version, std::vector<std::string>& problems);
 
 /// Compares the checksums of one run with what was found.
 void check_checksums(const Findings& found, const OriginMap& rows, const Checksums& checksums);
@@ -107,9 +104,6 @@ struct OfRun {
   const std::vector<const RecordedSegment*>& segments(const std::string& key) const;
   const std::vector<const RecordedGap*>& gaps_in(const std::string& key) const;
 };
-
-/// Whether the run has what only those of a newer format have.
-void check_format(const Findings& found, const OfRun& of_run, const Checksums& checksums);
 
 /// Compares the account of one run with its rows. Fills everything of the report but `info`.
 Result<void> verify_run(const OfRun& of_run, const OriginMap& rows, const Checksums& checksums, RunReport& report);

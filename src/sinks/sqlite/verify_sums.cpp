@@ -2,7 +2,6 @@
 
 #include <algorithm>
 
-#include "sinks/sqlite/schema.hpp"
 #include "sinks/sqlite/verify_run.hpp"
 
 namespace rtdata::detail {
@@ -38,9 +37,6 @@ void RangeCheck::add(sqlite3_stmt* row, std::uint64_t sequence, sqlite::RowHash&
 
 Result<Checksums> Checksums::load(const RecordingFile& file) {
   Checksums checksums;
-  auto version = file.version();
-  if (!version) return std::move(version).error();
-  if (*version < 5) return checksums;
   auto query = file.prepare(
       "SELECT run, table_name, origin, first_sequence, last_sequence, columns, rows, sum FROM rtdata_checksum");
   if (!query) return std::move(query).error();
@@ -117,8 +113,6 @@ Result<void> Checksums::scan_accounts(const RecordingFile& file, const std::vect
       line->second.found.add(
           sqlite::hash_of(hash, query->raw(), is_of_all ? 0 : 1, std::min(line->second.columns, columns)));
     }
-    // Its columns are those of the version that made the file, or brought it up to date: there is one with checksums.
-    static_assert(sqlite::schema_version == sqlite::first_version_with_checksums);
     for (const auto& [run, line] : lines_of) {
       if (line.columns == columns) continue;
       problems.push_back(std::string(table) + ": a checksum is of " + std::to_string(line.columns) + " of its " +
@@ -260,11 +254,6 @@ void check_ranges(const Findings& found, const std::string& place, const RangeCh
 
 void check_checksums(const Findings& found, const OriginMap& rows, const Checksums& checksums) {
   const RunInfo& info = found.report.info;
-  if (info.format < sqlite::first_version_with_checksums) {
-    if (found.report.rows != 0)
-      found.note("Values are not checked: an older version recorded them, without checksums.");
-    return;
-  }
   check_accounts(found, checksums);
   std::uint64_t unknown = 0, open = 0;
   std::map<std::string, std::uint64_t> outside;  // by place

@@ -48,7 +48,6 @@ struct Checksums {
   std::map<std::string, std::map<std::int64_t, Line>, std::less<>> accounts;                // by table, run
   std::vector<std::string> strays;                                                          // lines of nothing
 
-  /// Empty when the recording has none, as those of older versions.
   static Result<Checksums> load(const RecordingFile& file);
   /// Hashes the tables of the account. `problems`: rows of runs that are not there.
   Result<void> scan_accounts(const RecordingFile& file, const std::vector<std::int64_t>& runs,
