@@ -19,7 +19,7 @@ for table in tables:  # one, unless the fields changed between runs
         if rows > 5:
             continue
         when = datetime.fromtimestamp(row["time"] / 1e9, timezone.utc)
-        fields = {key: row[key] for key in row.keys() if key not in ("run", "time", "origin", "sequence")}
+        fields = {key: row[key] for key in row.keys() if key not in ("run", "time", "origin", "sequence", "checksum~")}
         print(when.isoformat(timespec="milliseconds"), row["origin"], row["sequence"], fields)
 print(rows, "rows")
 

@@ -129,33 +129,28 @@ std::string refusal(const SqliteConfig& config) {
 
 TEST_SUITE("sinks") {
   TEST_CASE("a kept value is the one before or the one after, wherever its writing stops") {
-    struct alignas(64) Memory {
-      sqlite::Kept<sqlite::LiveRange> kept;
+    struct Two {
+      int a, b;
     };
-    Memory memory;
+    struct alignas(64) Memory {
+      sqlite::Kept<Two> kept;
+    };
+    Memory memory, before;
     std::memset(static_cast<void*>(&memory), 0, sizeof memory);
     auto& kept = memory.kept;
-    CHECK(!kept.settled());
-    CHECK(!kept.staged());
-    kept.settle();  // nothing
-    CHECK(!kept.settled());
-    kept.stage({1, 10, 10, 55});
-    CHECK(!kept.settled());
-    CHECK(kept.staged()->last_sequence == 10);
-    kept.settle();
-    CHECK(kept.settled()->last_sequence == 10);
-    CHECK(!kept.staged());
-    kept.stage({1, 20, 20, 66});  // and rolled back
-    CHECK(kept.settled()->last_sequence == 10);
-    CHECK(kept.staged()->last_sequence == 20);
-    kept.stage({1, 25, 25, 77});
-    CHECK(kept.settled()->last_sequence == 10);
-    CHECK(kept.staged()->last_sequence == 25);
-    kept.settle();
-    CHECK(kept.settled()->sum == 77);
-    kept.set({26, 30, 5, 1});
-    CHECK(kept.settled()->first_sequence == 26);
-    CHECK(!kept.staged());
+    CHECK(!kept.value());
+    for (int i = 1; i <= 4; ++i) {
+      std::memcpy(static_cast<void*>(&before), &memory, sizeof memory);
+      kept.set({i, -i});
+      CHECK(kept.value()->a == i);
+      CHECK(kept.value()->b == -i);
+      // What it writes before the last word of all leaves the value before as it was.
+      constexpr std::size_t word = sizeof(std::atomic<std::uint64_t>);
+      std::memcpy(reinterpret_cast<std::byte*>(&before) + word, reinterpret_cast<const std::byte*>(&memory) + word,
+                  sizeof memory - word);
+      CHECK(before.kept.value().has_value() == (i > 1));
+      if (i > 1) CHECK(before.kept.value()->a == i - 1);
+    }
   }
 
   TEST_CASE("while it records, nobody but its user can touch the counts; after a clean end nothing is left") {

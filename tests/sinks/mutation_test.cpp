@@ -263,13 +263,17 @@ TEST_SUITE("sinks") {
              // Of another type, which reads alike.
              "UPDATE climate SET origin = CAST(origin AS BLOB) WHERE sequence % 2",
              "UPDATE climate SET origin = CAST(origin AS BLOB)",
-             "UPDATE rtdata_checksum SET origin = CAST(origin AS BLOB) WHERE table_name = 'rtdata_gap'",
-             "UPDATE rtdata_checksum SET origin = CAST(origin AS BLOB) WHERE table_name = 'climate'",
-             "UPDATE rtdata_checksum SET table_name = CAST(table_name AS BLOB)",
-             "UPDATE rtdata_checksum SET columns = columns + 1 WHERE table_name = 'rtdata_topic'",
-             "UPDATE rtdata_checksum SET columns = columns + 1 WHERE table_name = 'climate' AND run = 1",
-             "UPDATE rtdata_checksum SET columns = columns - 1 WHERE table_name = 'rtdata_escaped'",
-             "UPDATE rtdata_checksum SET columns = -5 WHERE table_name = 'climate'",
+             "UPDATE climate SET \"checksum~\" = CAST(\"checksum~\" AS BLOB)",
+             "UPDATE rtdata_checksum SET sum = CAST(sum AS BLOB)",
+             "UPDATE rtdata_run SET \"checksum~\" = CAST(\"checksum~\" AS BLOB)",
+             // A whole transaction, its checksum with it: the last, one in the middle, one twice, one of another run.
+             "DELETE FROM climate WHERE rowid > (SELECT rowid FROM climate WHERE \"checksum~\" IS NOT NULL ORDER BY "
+             "rowid DESC LIMIT 1 OFFSET 1)",
+             "DELETE FROM climate WHERE rowid <= (SELECT min(rowid) FROM climate WHERE \"checksum~\" IS NOT NULL)",
+             "INSERT INTO climate SELECT * FROM climate WHERE rowid > (SELECT rowid FROM climate WHERE \"checksum~\" "
+             "IS "
+             "NOT NULL ORDER BY rowid DESC LIMIT 1 OFFSET 1)",
+             "UPDATE climate SET run = 2 WHERE run = 1",
              // What came after the rows.
              "ALTER TABLE climate ADD COLUMN pressure REAL; UPDATE climate SET pressure = 1 WHERE sequence = 7",
              // What is beside the tables.

@@ -5,6 +5,7 @@
 #include <sqlite3.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <cmath>
 #include <filesystem>
 #include <fstream>
@@ -23,7 +24,6 @@
 #include "sinks/sqlite/account_sums.hpp"
 #include "sinks/sqlite/database.hpp"
 #include "sinks/sqlite/schema.hpp"
-#include "sinks/sqlite/value_ranges.hpp"
 
 namespace recordings {
 
@@ -65,47 +65,43 @@ inline VerifyReport verified(const std::string& path) { return verify(Recording:
 /// Makes all checksums those of what is there: as if it had been written so, by a recorder that made a mistake.
 inline void write_checksums(const std::string& path) {
   auto database = sqlite::Database::open(path, sqlite::Database::Mode::write).or_throw();
-  database.execute("BEGIN; DELETE FROM rtdata_checksum").or_throw();
-  const auto columns = [&](std::string_view table) {
-    return static_cast<int>(sqlite::columns_of(database, table).or_throw().size());
-  };
+  database.execute("BEGIN; UPDATE rtdata_checksum SET sum = 0; UPDATE rtdata_run SET \"checksum~\" = 0").or_throw();
   const auto all_of = [&](const std::string& query) {
     std::vector<std::string> found;
     auto statement = database.prepare(query).or_throw();
     while (statement.step().or_throw()) found.emplace_back(statement.text(0));
     return found;
   };
-  sqlite::RowHash hash;
-  sqlite::RowSum topics;
-  auto topic = database.prepare("SELECT * FROM rtdata_topic").or_throw();
-  while (topic.step().or_throw()) topics.add(sqlite::hash_of(hash, topic.raw(), 0, columns("rtdata_topic")));
-  sqlite::insert_line(database, {0, "rtdata_topic", "", 0, 0, columns("rtdata_topic"), topics}).or_throw();
-  for (const std::string& run : all_of("SELECT run FROM rtdata_run WHERE state <> 'recording'")) {
-    const auto sums = sqlite::sums_found(database, std::stoll(run)).or_throw();
-    for (std::size_t i = 0; i < sums.size(); ++i) {
-      const std::string_view table = sqlite::account_tables[i];
-      sqlite::insert_line(database, {std::stoll(run), table, "", 0, 0, columns(table), sums[i]}).or_throw();
-    }
-  }
+  sqlite::AccountSums sums;
+  for (const std::string& run : all_of("SELECT run FROM rtdata_run"))
+    sums.add_run(database, std::stoll(run)).or_throw();
   for (const std::string& table : all_of("SELECT table_name FROM rtdata_topic")) {
-    if (columns(table) == 0) continue;
-    std::map<std::pair<std::int64_t, std::string>, sqlite::ChecksumLine> lines;
-    auto row = database.prepare("SELECT * FROM " + sqlite::quoted(table)).or_throw();
+    sums.add_topic(database, table).or_throw();
+    const auto columns = sqlite::columns_of(database, table).or_throw();
+    if (std::find(columns.begin(), columns.end(), sqlite::checksum_column) == columns.end()) continue;
+    sqlite::RowHash hash;
+    std::map<std::int64_t, std::uint64_t> ends;  // by row number
+    std::uint64_t sum = 0;
+    std::int64_t last = 0;
+    auto row = database.prepare("SELECT rowid, * FROM " + sqlite::quoted(table) + " ORDER BY rowid").or_throw();
     while (row.step().or_throw()) {
-      auto& line = lines[{row.integer(0), std::string(row.text(2))}];
-      const auto sequence = static_cast<std::uint64_t>(row.integer(3));
-      if (line.sum.rows == 0 || sequence < line.first_sequence) line.first_sequence = sequence;
-      line.last_sequence = std::max(line.last_sequence, sequence);
-      line.sum.add(sqlite::hash_of(hash, row.raw(), 1, columns(table)));
+      hash.begin();
+      for (std::size_t i = 0; i < columns.size(); ++i) {
+        if (columns[i] != sqlite::checksum_column) hash.column(row.raw(), static_cast<int>(i) + 1);
+      }
+      sum += hash.hash_of_values();
+      last = row.integer(0);
+      if (!row.is_null(sqlite::columns_before_fields)) ends[last] = std::exchange(sum, 0);
     }
-    for (auto& [key, line] : lines) {
-      line.run = key.first;
-      line.table = table;
-      line.origin = key.second;
-      line.columns = columns(table);
-      sqlite::insert_line(database, line).or_throw();
-    }
+    if (sum != 0) ends[last] = sum;
+    auto update = database
+                      .prepare("UPDATE " + sqlite::quoted(table) + " SET " + sqlite::quoted(sqlite::checksum_column) +
+                               " = ? WHERE rowid = ?")
+                      .or_throw();
+    for (const auto& [number, of] : ends)
+      update.bind(1, static_cast<std::int64_t>(of)).bind(2, number).run().or_throw();
   }
+  sums.write(database).or_throw();
   database.execute("COMMIT").or_throw();
 }
 

@@ -140,8 +140,8 @@ TEST_CASE("FW-5 what is replayed is recorded as a copy: events, account, schedul
   const std::string path = make(folder);
   const std::string copy = copied(folder, path);
   check_balanced(copy);
-  for (const char* query : {"SELECT * FROM \"room/climate\" ORDER BY run, sequence",
-                            "SELECT * FROM \"every/thing\" ORDER BY run, sequence", account, schedule, gaps})
+  for (const char* query : {"SELECT * FROM \"room/climate~utc\" ORDER BY run, sequence",
+                            "SELECT * FROM \"every/thing~utc\" ORDER BY run, sequence", account, schedule, gaps})
     CHECK(listed(copy, query) == listed(path, query));
   const char* const health = "SELECT time, kind, name, state, reason FROM rtdata_health WHERE kind = 'sensor'";
   CHECK(listed(copy, health) == listed(path, health));

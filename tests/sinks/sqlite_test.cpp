@@ -22,6 +22,7 @@
 #include "rtdata/sensors/sensor.hpp"
 #include "rtdata/sinks/verify.hpp"
 #include "sinks/killed.hpp"
+#include "sinks/recordings.hpp"
 #include "sinks/sink_kinds.hpp"
 #include "sinks/sqlite/database.hpp"
 
@@ -398,10 +399,7 @@ TEST_SUITE("sinks") {
     const std::string path = directory / "run.db";
     record(path, 20);
     // As the cut leaves it: the run is open, and the counts in memory are gone.
-    Database::open(path, Database::Mode::write)
-        .or_throw()
-        .execute("UPDATE rtdata_run SET state = 'recording'; DELETE FROM rtdata_checksum WHERE run = 1")
-        .or_throw();
+    recordings::written_as(path, "UPDATE rtdata_run SET state = 'recording'");
     std::vector<std::string> log;
     record(path, 10, &log);
     REQUIRE(log.size() == 1);

@@ -515,10 +515,11 @@ TEST_SUITE("sinks") {
     {
       auto database = Database::open(path, Database::Mode::write).or_throw();
       sqlite::Pruner pruner(SqliteConfig::least_max_bytes, Duration{0});
-      sqlite::ValueRanges ranges;
+      sqlite::AccountSums sums;
       do {
         database.execute("BEGIN IMMEDIATE").or_throw();
-        pruner.make_room(database, ranges, from_nanoseconds(100'000'000'000)).or_throw();
+        pruner.make_room(database, sums, from_nanoseconds(100'000'000'000)).or_throw();
+        sums.write(database).or_throw();
         database.execute("COMMIT").or_throw();
       } while (pruner.has_more());
     }

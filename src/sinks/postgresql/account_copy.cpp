@@ -10,7 +10,6 @@
 #include "sinks/postgresql/layout.hpp"
 #include "sinks/sqlite/checksum.hpp"
 #include "sinks/sqlite/schema.hpp"
-#include "sinks/sqlite/value_ranges.hpp"
 
 namespace rtdata::postgresql {
 namespace {
@@ -268,6 +267,7 @@ std::vector<std::vector<AccountColumn>> account_columns() {
     query.bind(1, table);
     std::vector<AccountColumn>& columns = all.emplace_back();
     while (query.step().or_throw()) {
+      if (query.text(0) == sqlite::checksum_column) continue;  // the server has its own
       const std::string_view type = query.text(1);
       columns.push_back({std::string(query.text(0)), type == "INTEGER" ? "bigint"
                                                      : type == "REAL"  ? "double precision"

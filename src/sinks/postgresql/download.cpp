@@ -24,7 +24,6 @@
 #include "sinks/sqlite/schema.hpp"
 #include "sinks/sqlite/topic_table.hpp"
 #include "sinks/sqlite/utc_line.hpp"
-#include "sinks/sqlite/value_ranges.hpp"
 #include "sinks/sqlite/verify_run.hpp"
 
 namespace rtdata {
@@ -191,7 +190,7 @@ class Download {
   void copy_account(const Run& run);
   void set_rows_up_to(const Run& run);
   void make_account(const Run& run);
-  void finish_account(const Run& run);
+  void compare_account(const Run& run);
   void compare(const Run& run);
 
   Connection& connection_;
@@ -222,8 +221,6 @@ void Download::all() {
       .execute(std::string("PRAGMA journal_mode=OFF;PRAGMA synchronous=OFF;BEGIN;") + sqlite::schema +
                sqlite::run_view())
       .or_throw();
-  sums_.watch(database_).or_throw();
-  sums_.begin(no_run);
   read_layout();
   read_topics();
   const Reply rows = connection_.run("SELECT run, account_at IS NOT NULL, uuid, machine FROM rtdata_run ORDER BY run");
@@ -233,8 +230,8 @@ void Download::all() {
                     std::string(rows.text(row, 3))});
   look_for_other_runs();
   for (const Run& run : runs) copy_run(run);
-  sums_.write_changes(database_).or_throw();
-  for (const Run& run : runs) finish_account(run);
+  for (const Run& run : runs) sums_.add_run(database_, run.run).or_throw();
+  sums_.write(database_).or_throw();
   sqlite::write_utc_lines(database_).or_throw();
   database_
       .execute(sqlite::account_views() + ";PRAGMA application_id=" + std::to_string(sqlite::application_id) +
@@ -317,8 +314,6 @@ void Download::copy_run(const Run& run) {
 
 void Download::copy_rows(const Run& run, const Topic& topic) {
   detail::EscapedTexts escaped;
-  sqlite::ValueRanges ranges;
-  ranges.begin(run.run, Time{});
   std::optional<sqlite::TopicTable> table;
   std::vector<std::unique_ptr<SlotInfo>> slots;
   std::vector<std::vector<std::byte>> payloads(64, std::vector<std::byte>(topic.description->size()));
@@ -334,7 +329,7 @@ void Download::copy_rows(const Run& run, const Topic& topic) {
     }
     if (!table) {
       sqlite::NewUtcViews views;
-      table.emplace(sqlite::TopicTable::prepare(database_, *slots.back(), run.run, escaped, ranges, views).or_throw());
+      table.emplace(sqlite::TopicTable::prepare(database_, *slots.back(), run.run, escaped, sums_, views).or_throw());
       views.make(database_).or_throw();
     }
     const auto sequence = load_big<std::uint64_t>(reply.text(0, 4).data());
@@ -385,7 +380,6 @@ void Download::copy_rows(const Run& run, const Topic& topic) {
                        run.is_of() + " ORDER BY run, origin, sequence",
                    row);
   if (table) table->flush().or_throw();
-  ranges.write(database_, sqlite::ValueRanges::Close::all, Time{}).or_throw();
 }
 
 void Download::compare(const Run& run) {
@@ -436,8 +430,11 @@ void Download::copy_account(const Run& run) {
       insert.run().or_throw();
     }
   }
-  if (database_.integer("SELECT state = 'recording' FROM rtdata_run" + run.is_of()).or_throw() != 0)
+  if (database_.integer("SELECT state = 'recording' FROM rtdata_run" + run.is_of()).or_throw() != 0) {
     set_rows_up_to(run);
+  } else {
+    compare_account(run);
+  }
 }
 
 /// Of a run that goes on, rows may have come since: of each origin the first so many are in the account.
@@ -485,16 +482,26 @@ void Download::make_account(const Run& run) {
                      "whole, what never came is not known.");
 }
 
-void Download::finish_account(const Run& run) {
-  if (!run.has_account || !tables_.contains("rtdata_checksum")) return;
-  // One that goes on gets them when it ends.
-  if (database_.integer("SELECT state <> 'recording' FROM rtdata_run" + run.is_of()).or_throw() == 0) return;
+/// The account of a run that has ended, to the checksums that came with it.
+void Download::compare_account(const Run& run) {
+  if (!tables_.contains("rtdata_checksum")) return;
   const Reply lines = connection_.run("SELECT table_name, columns, rows, sum FROM rtdata_checksum" + run.is_of());
-  for (int line = 0; line < lines.rows(); ++line) {
-    const auto at = [&](int column) { return static_cast<std::uint64_t>(lines.integer(line, column)); };
-    const int columns = static_cast<int>(lines.integer(line, 1));
-    sqlite::insert_line(database_, {run.run, std::string(lines.text(line, 0)), "", 0, 0, columns, {at(2), at(3)}})
-        .or_throw();
+  sqlite::RowHash hash;
+  for (const std::string_view table : account_tables) {
+    auto rows = prepared(database_, "SELECT * FROM " + std::string(table) + run.is_of());
+    const int columns = sqlite::hashed_columns(rows.raw());
+    sqlite::RowSum found;
+    while (rows.step().or_throw()) found.add(sqlite::hash_of(hash, rows.raw(), 1, columns));
+    bool agrees = false;
+    for (int line = 0; line < lines.rows(); ++line) {
+      const auto at = [&](int column) { return static_cast<std::uint64_t>(lines.integer(line, column)); };
+      agrees = agrees || (lines.text(line, 0) == table && lines.integer(line, 1) == columns && at(2) == found.rows &&
+                          at(3) == found.sum);
+    }
+    if (!agrees)
+      problems.emplace_back(run.run, std::string(table) + ": the checksum of its " + std::to_string(found.rows) +
+                                         " rows is another than when they were sent, or is not there: a row was "
+                                         "changed, added or deleted.");
   }
 }
 
@@ -533,7 +540,7 @@ Result<ServerRecording> download(const PostgresqlConfig& config) try {
     all.all();
     problems = std::move(all.problems);
     notes = std::move(all.notes);
-    database = sqlite::Database();  // before what its triggers call
+    database = sqlite::Database();
   }
   return ServerRecording{folder, Recording::open(path).or_throw(), std::move(problems), std::move(notes)};
 } catch (const SetupError& error) {

@@ -75,7 +75,7 @@ Result<std::int64_t> look_at(Database& database, const Table& table, std::vector
 }
 
 /// Joins the older half of an object's rows by twos. How many are less.
-Result<std::size_t> join(Database& database, const Object& object) {
+Result<std::size_t> join(Database& database, AccountSums& sums, const Object& object) {
   const Table& table = *object.table;
   std::vector<std::pair<std::int64_t, std::int64_t>> pairs;
   {
@@ -112,22 +112,25 @@ Result<std::size_t> join(Database& database, const Object& object) {
       }
     }
   }
-  auto grow = database.prepare(table.join);
+  auto before = database.prepare(std::string("SELECT * FROM ") + table.name + " WHERE _rowid_ = ?");
+  if (!before) return std::move(before).error();
+  auto grow = database.prepare(std::string(table.join) + " RETURNING *");
   if (!grow) return std::move(grow).error();
-  auto remove = database.prepare(std::string("DELETE FROM ") + table.name + " WHERE _rowid_ = ?");
+  auto remove = database.prepare(std::string("DELETE FROM ") + table.name + " WHERE _rowid_ = ? RETURNING *");
   if (!remove) return std::move(remove).error();
   for (const auto& [first, second] : pairs) {
+    before->bind(1, first);
     grow->bind(1, first).bind(2, second);
-    if (auto done = grow->run(); !done) return std::move(done).error();
+    if (auto done = sums.replace(*before, *grow); !done) return std::move(done).error();
     remove->bind(1, second);
-    if (auto done = remove->run(); !done) return std::move(done).error();
+    if (auto done = sums.run(*remove, AccountSums::Rows::go); !done) return std::move(done).error();
   }
   return pairs.size();
 }
 
 }  // namespace
 
-Result<void> AccountShare::hold(Database& database) {
+Result<void> AccountShare::hold(Database& database, AccountSums& sums) {
   if (most_ == 0) return {};
   std::array<std::int64_t, tables> now{};
   std::int64_t added = 0;
@@ -158,7 +161,7 @@ Result<void> AccountShare::hold(Database& database) {
   if (!is_too_much) return {};
   std::sort(objects.begin(), objects.end(), [](const Object& a, const Object& b) { return a.bytes > b.bytes; });
   for (const Object& object : objects) {
-    auto joined = join(database, object);
+    auto joined = join(database, sums, object);
     if (!joined) return std::move(joined).error();
     has_more_ = *joined != 0;
     if (has_more_) break;  // otherwise its schedule has changed between any two of them

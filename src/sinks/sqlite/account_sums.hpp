@@ -1,68 +1,46 @@
-// The checksums of the tables of the account: of each, one for all rows of a run. The lane's.
-//
-// Whatever this connection does to these tables is seen by triggers that exist in it alone (TEMP), so that no statement
-// needs to say what it changes, and the sums stay exact when rows are joined, sealed or pruned.
+// What hashing the rows of the account gives: a sum for each run, in its row of rtdata_run, changed in the transaction
+// that changes the rows. The lane's.
 #pragma once
 
-#include <array>
 #include <cstdint>
 #include <map>
 #include <string_view>
+#include <utility>
 
 #include "sinks/sqlite/checksum.hpp"
 #include "sinks/sqlite/database.hpp"
 
 namespace rtdata::sqlite {
 
-/// rtdata_topic is of all runs.
-inline constexpr std::string_view topic_table_name = "rtdata_topic";
+/// The sum of rtdata_topic, which is of all runs, and of the columns of the tables that it names: in rtdata_checksum.
 inline constexpr std::int64_t all_runs = 0;
 
+/// How many columns of these rows are hashed: all but the checksum of rtdata_run, its last.
+int hashed_columns(sqlite3_stmt* rows) noexcept;
+
+/// Sums are changed by what comes and what goes: of rows that somebody else has changed they stay wrong.
 class AccountSums {
  public:
-  AccountSums() = default;
-  AccountSums(const AccountSums&) = delete;
-  AccountSums& operator=(const AccountSums&) = delete;
-
-  /// In a transaction: watches the account tables of this connection from now on. They have all their columns. It must
-  /// outlive the connection's last statement.
-  Result<void> watch(Database& database);
-  /// The run whose lines are written when it ends; 0: none.
-  void begin(std::int64_t run) { open_run_ = run; }
-  /// As it was made; the connection that was watched is closed.
-  void forget() noexcept {
-    open_run_ = 0;
-    settled_ = {};
-    pending_.clear();
-  }
-  /// What its lines would say now, with what the transaction under way did.
-  RunSums sums_of(std::int64_t run) const;
-  /// From here on the run's sums are these: of one that is to be sealed.
-  void set(std::int64_t run, const RunSums& sums) { pending_[run].sums = sums; }
-
-  /// In a transaction, after its changes: brings the lines of ended runs in line with what it did to their accounts.
-  Result<void> write_changes(Database& database);
-  /// In a transaction: the run has ended. Of the open one, as the last change of its account.
-  Result<void> write_lines(Database& database, std::int64_t run);
-  void committed();
-  void rolled_back() { pending_.clear(); }
+  enum class Rows { come, go };
+  /// Runs a statement that gives whole rows of a table whose first column is the run, such as one with RETURNING *.
+  Result<void> run(Statement& statement, Rows rows = Rows::come);
+  /// Takes out the rows that `before` finds, and adds what `change` makes of them.
+  Result<void> replace(Statement& before, Statement& change);
+  /// All rows of a run, around what changes many of them.
+  Result<void> add_run(const Database& database, std::int64_t run, Rows rows = Rows::come);
+  Result<void> add_topic(const Database& database, std::string_view table, Rows rows = Rows::come);
+  /// In the transaction, after its changes.
+  Result<void> write(Database& database);
+  /// The transaction was given up.
+  void clear() noexcept { changes_.clear(); }
+  /// By run: what has come, less what has gone, since the last `write`.
+  const std::map<std::int64_t, std::uint64_t>& changes() const noexcept { return changes_; }
+  /// To what `changes` gave: what came after it was undone.
+  void undo_to(std::map<std::int64_t, std::uint64_t> changes) noexcept { changes_ = std::move(changes); }
 
  private:
-  struct Change {
-    RunSums sums{};
-    RowSum topics;
-    bool has_ended = false;  // the open run
-  };
-  static void changed(sqlite3_context* context, int count, sqlite3_value** values);
-
   RowHash hash_;
-  std::int64_t open_run_ = 0;
-  RunSums settled_{};                       // of the open run, as the last transaction left it
-  std::map<std::int64_t, Change> pending_;  // by run: what the transaction under way added and took away
-  std::array<int, account_tables.size() + 1> columns_{};
+  std::map<std::int64_t, std::uint64_t> changes_;
 };
-
-/// What is in the account tables of a run.
-Result<RunSums> sums_found(const Database& database, std::int64_t run);
 
 }  // namespace rtdata::sqlite

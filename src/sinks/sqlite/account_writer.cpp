@@ -18,8 +18,10 @@ std::int64_t last_row_of(const SlotInfo& slot, const TopicTables& tables) {
 
 }  // namespace
 
-Result<void> AccountWriter::prepare(Database& database, std::int64_t run, const std::string& boot_id) {
+Result<void> AccountWriter::prepare(Database& database, AccountSums& sums, std::int64_t run,
+                                    const std::string& boot_id) {
   database_ = &database;
+  sums_ = &sums;
   run_ = run;
   boot_id_ = boot_id;
   struct Prepared {
@@ -43,27 +45,38 @@ Result<void> AccountWriter::prepare(Database& database, std::int64_t run, const 
        "dropped_refused=excluded.dropped_refused, "
        "first_sequence=excluded.first_sequence, last_sequence=excluded.last_sequence, rows_up_to=excluded.rows_up_to, "
        "carried=excluded.carried, unreadable=excluded.unreadable, one_a_read=excluded.one_a_read, "
-       "lateness=excluded.lateness, first_lines=excluded.first_lines"},
+       "lateness=excluded.lateness, first_lines=excluded.first_lines RETURNING *"},
+      {ledger_before_, "SELECT * FROM rtdata_ledger WHERE run = ? AND topic = ? AND origin = ?"},
       {schedule_,
        "INSERT INTO rtdata_schedule(run, origin, topic, first_due, period, end, scheduled, late_after) "
        "VALUES(?,?,?,?,?,?,?,?) "
        "ON CONFLICT(run, origin, first_due) DO UPDATE SET end=excluded.end, scheduled=excluded.scheduled, "
-       "period=excluded.period, late_after=excluded.late_after"},
+       "period=excluded.period, late_after=excluded.late_after RETURNING *"},
+      {schedule_before_, "SELECT * FROM rtdata_schedule WHERE run = ? AND origin = ? AND first_due = ?"},
       {slot_,
        "INSERT OR IGNORE INTO rtdata_ledger(run, topic, origin, slot, has_schedule, scheduled, taken, missed, failed, "
        "in_flight, late, "
        "received, published, repeated, filtered, offered, stored, dropped_newest, dropped_oldest, dropped_refused, "
        "first_sequence, "
-       "last_sequence, rows_up_to) VALUES(?,?,?,?,0,0,0,0,0,0,0,0,0,0,0,0,0,0,0,0,0,0,?)"},
-      {gap_, "INSERT INTO rtdata_gap(run, topic, origin, kind, reason, first, last, count) VALUES(?,?,?,?,?,?,?,?)"},
+       "last_sequence, rows_up_to) VALUES(?,?,?,?,0,0,0,0,0,0,0,0,0,0,0,0,0,0,0,0,0,0,?) RETURNING *"},
+      {gap_,
+       "INSERT INTO rtdata_gap(run, topic, origin, kind, reason, first, last, count) VALUES(?,?,?,?,?,?,?,?) RETURNING "
+       "*"},
       {grown_gap_,
        "UPDATE rtdata_gap SET run = ?, topic = ?, origin = ?, kind = ?, reason = ?, first = ?, last = ?, count = ? "
-       "WHERE _rowid_ = ?9 AND run = ?1 AND topic = ?2 AND origin = ?3 AND first = ?10"},
-      {clock_, "INSERT INTO rtdata_clock(run, monotonic, realtime, source, occasion, accuracy) VALUES(?,?,?,?,?,?)"},
-      {error_, "INSERT INTO rtdata_error(run, time, object, id, text, count, last) VALUES(?,?,?,?,?,?,?)"},
-      {health_, "INSERT INTO rtdata_health(run, time, kind, name, state, reason, count, last) VALUES(?,?,?,?,?,?,?,?)"},
-      {configuration_, "INSERT INTO rtdata_configuration(run, time, object, text) VALUES(?,?,?,?)"},
-      {run_end_, "UPDATE rtdata_run SET ended = ?, state = ?, remark = ? WHERE run = ?"},
+       "WHERE _rowid_ = ?9 AND run = ?1 AND topic = ?2 AND origin = ?3 AND first = ?10 RETURNING *"},
+      {gap_before_,
+       "SELECT * FROM rtdata_gap WHERE _rowid_ = ?9 AND run = ?1 AND topic = ?2 AND origin = ?3 AND first = ?10"},
+      {clock_,
+       "INSERT INTO rtdata_clock(run, monotonic, realtime, source, occasion, accuracy) VALUES(?,?,?,?,?,?) RETURNING "
+       "*"},
+      {error_, "INSERT INTO rtdata_error(run, time, object, id, text, count, last) VALUES(?,?,?,?,?,?,?) RETURNING *"},
+      {health_,
+       "INSERT INTO rtdata_health(run, time, kind, name, state, reason, count, last) VALUES(?,?,?,?,?,?,?,?) RETURNING "
+       "*"},
+      {configuration_, "INSERT INTO rtdata_configuration(run, time, object, text) VALUES(?,?,?,?) RETURNING *"},
+      {run_end_, "UPDATE rtdata_run SET ended = ?, state = ?, remark = ? WHERE run = ? RETURNING *"},
+      {run_before_, "SELECT * FROM rtdata_run WHERE run = ?"},
   };
   for (const Prepared& one : all) {
     if (one.statement) continue;
@@ -81,7 +94,7 @@ Result<void> AccountWriter::write_slots(const Batch& batch, const TopicTables& t
     const SlotInfo& slot = batch.slot(i);
     slot_.bind(1, run_).bind(2, slot.topic).bind(3, slot.origin).bind(4, std::int64_t{i});
     slot_.bind(5, last_row_of(slot, tables));
-    if (auto done = slot_.run(); !done) return done;
+    if (auto done = sums_->run(slot_); !done) return done;
   }
   return {};
 }
@@ -90,11 +103,14 @@ Result<void> AccountWriter::write_escaped(const Batch& batch, const detail::Esca
   for (const auto& [number, count] : escaped.in_batch()) {
     auto add = database_->prepare(
         "INSERT INTO rtdata_escaped(run, topic, origin, texts) VALUES(?,?,?,?) "
-        "ON CONFLICT(run, topic, origin) DO UPDATE SET texts = texts + excluded.texts");
+        "ON CONFLICT(run, topic, origin) DO UPDATE SET texts = texts + excluded.texts RETURNING *");
     if (!add) return std::move(add).error();
+    auto before = database_->prepare("SELECT * FROM rtdata_escaped WHERE run = ? AND topic = ? AND origin = ?");
+    if (!before) return std::move(before).error();
     const SlotInfo& slot = batch.slot(number);
     add->bind(1, run_).bind(2, slot.topic).bind(3, slot.origin).bind(4, as_integer(count));
-    if (auto done = add->run(); !done) return done;
+    before->bind(1, run_).bind(2, slot.topic).bind(3, slot.origin);
+    if (auto done = sums_->replace(*before, *add); !done) return done;
   }
   return {};
 }
@@ -107,7 +123,8 @@ Result<void> AccountWriter::write(const Batch& batch, const Account& account, co
         .bind(6, to_nanoseconds(segment.end))
         .bind(7, as_integer(segment.scheduled))
         .bind(8, segment.late_after.count());
-    return schedule_.run();
+    schedule_before_.bind(1, run_).bind(2, slot.origin).bind(3, to_nanoseconds(segment.first_due));
+    return sums_->replace(schedule_before_, schedule_);
   };
   for (const Account::SegmentEntry& entry : account.segments) {
     if (auto done = put_segment(batch.slot(entry.slot), entry.segment); !done) return done;
@@ -143,7 +160,8 @@ Result<void> AccountWriter::write(const Batch& batch, const Account& account, co
     } else {
       ledger_.bind_null(29);
     }
-    if (auto done = ledger_.run(); !done) return done;
+    ledger_before_.bind(1, run_).bind(2, slot.topic).bind(3, slot.origin);
+    if (auto done = sums_->replace(ledger_before_, ledger_); !done) return done;
     if (origin.segment.scheduled > 0) {  // one without ticks says nothing, and another may begin before its first
       if (auto done = put_segment(slot, origin.segment); !done) return done;
     }
@@ -166,7 +184,7 @@ Result<void> AccountWriter::write(const Batch& batch, const Account& account, co
     } else {
       clock_.bind_null(6);
     }
-    if (auto done = clock_.run(); !done) return done;
+    if (auto done = sums_->run(clock_); !done) return done;
   }
   if (!account.clock.empty()) {
     if (auto done = write_utc_line(*database_, boot_id_); !done) return done;
@@ -179,7 +197,7 @@ Result<void> AccountWriter::write(const Batch& batch, const Account& account, co
         .bind(5, entry.text)
         .bind(6, as_integer(entry.count))
         .bind(7, to_nanoseconds(entry.last));
-    if (auto done = error_.run(); !done) return done;
+    if (auto done = sums_->run(error_); !done) return done;
   }
   for (const Account::HealthEntry& entry : account.health) {
     health_.bind(1, run_)
@@ -188,18 +206,19 @@ Result<void> AccountWriter::write(const Batch& batch, const Account& account, co
         .bind(4, entry.change.name.view());
     health_.bind(5, name_of(entry.change.state)).bind(6, entry.change.reason.view());
     health_.bind(7, as_integer(entry.count)).bind(8, to_nanoseconds(entry.last));
-    if (auto done = health_.run(); !done) return done;
+    if (auto done = sums_->run(health_); !done) return done;
   }
   for (const ConfigurationChange& change : account.configurations) {
     configuration_.bind(1, run_)
         .bind(2, to_nanoseconds(change.time))
         .bind(3, std::string_view(change.object))
         .bind(4, std::string_view(change.text));
-    if (auto done = configuration_.run(); !done) return done;
+    if (auto done = sums_->run(configuration_); !done) return done;
   }
   const std::string_view state = !account.is_last ? "recording" : account.unknown.empty() ? "closed" : "sealed";
   run_end_.bind(1, to_nanoseconds(account.at)).bind(2, state).bind(3, std::string_view(account.unknown)).bind(4, run_);
-  return run_end_.run();
+  run_before_.bind(1, run_);
+  return sums_->replace(run_before_, run_end_);
 }
 
 /// One that an account had while it was under way has a row, which grows.
@@ -212,14 +231,20 @@ Result<void> AccountWriter::write_gap(std::uint32_t number, const SlotInfo& slot
     } else {
       statement.bind_null(8);
     }
-    return statement.run();
+    return sums_->run(statement);
   };
   const auto known = next_gaps_.find(number);
   // Gaps of an origin do not overlap; one that is joined may begin earlier than it did.
   if (known != next_gaps_.end() && gap.first <= known->second.first && known->second.first <= gap.last) {
     const Time before = std::exchange(known->second.first, gap.first);
-    grown_gap_.bind(9, known->second.second).bind(10, to_nanoseconds(before));
-    if (auto done = run_with(grown_gap_); !done) return done;
+    const auto grow = [&]() -> Result<void> {
+      for (Statement* statement : {&gap_before_, &grown_gap_})
+        statement->bind(9, known->second.second).bind(10, to_nanoseconds(before));
+      gap_before_.bind(1, run_).bind(2, slot.topic).bind(3, slot.origin);
+      auto gone = sums_->run(gap_before_, AccountSums::Rows::go);
+      return gone ? run_with(grown_gap_) : gone;
+    };
+    if (auto done = grow(); !done) return done;
     if (sqlite3_changes(database_->raw()) == 0) {  // VACUUM has given it another number
       auto row = database_->prepare(
           "SELECT _rowid_ FROM rtdata_gap WHERE run = ? AND topic = ? AND origin = ? AND first = ?");
@@ -228,8 +253,7 @@ Result<void> AccountWriter::write_gap(std::uint32_t number, const SlotInfo& slot
       auto found = row->step();
       if (!found) return std::move(found).error();
       known->second.second = *found ? row->integer(0) : 0;
-      grown_gap_.bind(9, known->second.second).bind(10, to_nanoseconds(before));
-      if (auto done = run_with(grown_gap_); !done) return done;
+      if (auto done = grow(); !done) return done;
     }
     if (what == GapIs::closed) next_gaps_.erase(known);
     return {};
@@ -245,7 +269,8 @@ void AccountWriter::committed(const Batch& batch) noexcept {
 
 void AccountWriter::close() noexcept {
   for (Statement* statement :
-       {&slot_, &ledger_, &schedule_, &gap_, &grown_gap_, &clock_, &error_, &health_, &configuration_, &run_end_})
+       {&slot_, &ledger_, &schedule_, &gap_, &grown_gap_, &clock_, &error_, &health_, &configuration_, &run_end_,
+        &ledger_before_, &schedule_before_, &gap_before_, &run_before_})
     *statement = Statement();
 }
 

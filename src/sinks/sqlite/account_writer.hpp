@@ -20,8 +20,9 @@ using TopicTables = std::vector<std::unique_ptr<TopicTable>>;  // by topic numbe
 /// when it has committed; of one that is rolled back nothing is left here.
 class AccountWriter {
  public:
-  /// The statements, as far as they are not there. `database` outlives them, see `close`.
-  Result<void> prepare(Database& database, std::int64_t run, const std::string& boot_id);
+  /// The statements, as far as they are not there. `database` outlives them, see `close`;
+  /// `sums` gets what they change.
+  Result<void> prepare(Database& database, AccountSums& sums, std::int64_t run, const std::string& boot_id);
   /// Each origin has its place in the ledger before it has rows: sealing finds its live counts by the slot.
   Result<void> write_slots(const Batch& batch, const TopicTables& tables);
   Result<void> write(const Batch& batch, const Account& account, const TopicTables& tables);
@@ -39,6 +40,7 @@ class AccountWriter {
   Result<void> write_gap(std::uint32_t number, const SlotInfo& slot, const Gap& gap, GapIs what);
 
   Database* database_ = nullptr;
+  AccountSums* sums_ = nullptr;
   std::int64_t run_ = 0;
   std::string boot_id_;
   Statement slot_;
@@ -51,6 +53,11 @@ class AccountWriter {
   Statement health_;
   Statement configuration_;
   Statement run_end_;
+  // The rows as they were before.
+  Statement ledger_before_;
+  Statement schedule_before_;
+  Statement gap_before_;
+  Statement run_before_;
   // Gaps under way that the recording has, by slot: when they began, and their rows.
   using GrownGaps = std::unordered_map<std::uint32_t, std::pair<Time, std::int64_t>>;
   GrownGaps grown_gaps_;

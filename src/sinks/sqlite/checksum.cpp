@@ -41,25 +41,6 @@ void RowHash::column(sqlite3_stmt* row, int column) {
   }
 }
 
-void RowHash::value(sqlite3_value* value) {
-  const auto bytes_of = [&] {
-    const void* data = sqlite3_value_blob(value);
-    return std::string_view(static_cast<const char*>(data), static_cast<std::size_t>(sqlite3_value_bytes(value)));
-  };
-  switch (sqlite3_value_type(value)) {
-    case SQLITE_INTEGER:
-      return integer(sqlite3_value_int64(value));
-    case SQLITE_FLOAT:
-      return real(sqlite3_value_double(value));
-    case SQLITE_TEXT:
-      return text(bytes_of());
-    case SQLITE_BLOB:
-      return blob(bytes_of());
-    default:
-      return null();
-  }
-}
-
-std::uint64_t RowHash::hash() const noexcept { return XXH3_64bits(buffer_.get(), size_); }
+std::uint64_t RowHash::hash_of(std::size_t bytes) const noexcept { return XXH3_64bits(buffer_.get(), bytes); }
 
 }  // namespace rtdata::sqlite

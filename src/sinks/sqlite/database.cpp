@@ -97,6 +97,12 @@ Error error_of(sqlite3* database, std::string_view doing) {
   return {kind, std::string(doing), file != nullptr ? file : "", std::move(why), advice_of(kind)};
 }
 
+Result<std::vector<std::string>> columns_of(const Database& database, std::string_view table) {
+  auto query = database.prepare("SELECT name FROM pragma_table_info(?) ORDER BY cid");
+  if (!query) return std::move(query).error();
+  return query->bind(1, table).texts();
+}
+
 std::string Quoted::operator()(std::string_view name) const {
   std::string text = "\"";
   for (const char c : name) {

@@ -74,6 +74,9 @@ class Database {
   std::string path_;
 };
 
+/// The columns of a table.
+Result<std::vector<std::string>> columns_of(const Database& database, std::string_view table);
+
 /// The error that a call on this database has just returned.
 Error error_of(sqlite3* database, std::string_view doing);
 /// quoted(name): "name" with quotes doubled, for use in SQL. An object, since arguments of namespace std do not bring

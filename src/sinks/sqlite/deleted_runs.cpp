@@ -73,7 +73,7 @@ Result<std::vector<std::int64_t>> runs_without_rows(const Database& database, st
   auto query = database.prepare(
       "SELECT run, boot_id, state <> 'recording' AND coalesce(ended, started) < ?2 AND run <= (SELECT "
       "run FROM rtdata_run ORDER BY run DESC LIMIT 1 OFFSET ?1) AND run NOT IN (SELECT run FROM rtdata_ledger WHERE "
-      "stored <> pruned) AND run NOT IN (SELECT run FROM rtdata_checksum WHERE origin <> '' AND rows > 0) "
+      "stored <> pruned) "
       "FROM rtdata_run ORDER BY run");
   if (!query) return std::move(query).error();
   query->bind(1, std::int64_t{kept_runs}).bind(2, ended_before);
@@ -118,7 +118,6 @@ Result<void> delete_run(Database& database, std::int64_t run) {
   for (const std::string_view table : account_tables) {
     if (auto done = run_with(database, "DELETE FROM " + std::string(table) + " WHERE run = ?", run); !done) return done;
   }
-  if (auto done = run_with(database, "DELETE FROM rtdata_checksum WHERE run = ?", run); !done) return done;
   if (auto written = write_utc_line(database, boot); !written) return written;
   return {};
 }

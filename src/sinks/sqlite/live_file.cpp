@@ -30,13 +30,12 @@ struct LiveFile::Header {
   std::atomic<std::uint64_t> lacks_room;
   std::atomic<std::uint64_t> is_counting;
   std::atomic<std::uint64_t> slots;
-  Kept<RunSums> sums;
 };
 
 namespace {
 
 constexpr char magic[8] = {'r', 't', 'd', 'a', 't', 'a', 'L', '\0'};
-constexpr std::uint64_t layout = (std::uint64_t{5} << 32) | sizeof(LiveSlot);
+constexpr std::uint64_t layout = (std::uint64_t{6} << 32) | sizeof(LiveSlot);
 constexpr std::size_t header_bytes = 8192;
 constexpr std::size_t unit = 64 * 1024;  // a multiple of every page size
 constexpr const char* suffix = ".live";
@@ -266,8 +265,6 @@ bool LiveFile::lacks_room() const noexcept {
 bool LiveFile::is_complete() const noexcept {
   return !lacks_room() && header_->is_counting.load(std::memory_order_acquire) != 0;
 }
-
-Kept<RunSums>& LiveFile::sums() noexcept { return header_->sums; }
 
 void LiveFile::remove() noexcept {
   if (fd_ < 0) return;

@@ -15,67 +15,30 @@
 
 #include "rtdata/data/error.hpp"
 #include "rtdata/sinks/recording_writer.hpp"
-#include "sinks/sqlite/checksum.hpp"
 
 namespace rtdata::sqlite {
 
 /// A value that a kill in the middle of writing leaves as it was before. One writer. All zero is a value that was never
 /// written.
-///
-/// A value that stands for rows is staged before their transaction commits and settled after it has: a kill in between
-/// leaves both, and the rows tell which one holds.
 template <class T>
 class Kept {
   static_assert(std::is_trivially_copyable_v<T>);
 
  public:
-  void stage(const T& value) noexcept {
-    const std::uint64_t state = state_.load(std::memory_order_relaxed);
-    const std::uint64_t settled = state & settled_mask;
-    state_.store(settled, std::memory_order_release);  // what is staged is no value while it is written
-    std::atomic_signal_fence(std::memory_order_seq_cst);
-    copies_[settled == 1 ? 1 : 0] = value;
-    std::atomic_signal_fence(std::memory_order_seq_cst);
-    state_.store(settled | staged_bit, std::memory_order_release);
-  }
-  /// Makes the staged value the value; does nothing when none is staged.
-  void settle() noexcept {
-    const std::uint64_t state = state_.load(std::memory_order_relaxed);
-    if ((state & staged_bit) != 0) state_.store((state & settled_mask) == 1 ? 2 : 1, std::memory_order_release);
-  }
   void set(const T& value) noexcept {
-    stage(value);
-    settle();
+    const std::uint64_t next = which_.load(std::memory_order_relaxed) == 1 ? 2 : 1;
+    copies_[next - 1] = value;
+    std::atomic_signal_fence(std::memory_order_seq_cst);
+    which_.store(next, std::memory_order_release);
   }
-  std::optional<T> settled() const noexcept {
-    switch (state_.load(std::memory_order_acquire) & settled_mask) {
-      case 1:
-        return copies_[0];
-      case 2:
-        return copies_[1];
-      default:
-        return std::nullopt;
-    }
-  }
-  std::optional<T> staged() const noexcept {
-    const std::uint64_t state = state_.load(std::memory_order_acquire);
-    if ((state & staged_bit) == 0) return std::nullopt;
-    return copies_[(state & settled_mask) == 1 ? 1 : 0];
+  std::optional<T> value() const noexcept {
+    const std::uint64_t which = which_.load(std::memory_order_acquire);
+    return which == 0 ? std::nullopt : std::optional<T>(copies_[which - 1]);
   }
 
  private:
-  static constexpr std::uint64_t settled_mask = 3;  // 0: none; 1: the first copy; 2: the second
-  static constexpr std::uint64_t staged_bit = 4;    // the other copy is staged
-  std::atomic<std::uint64_t> state_;
+  std::atomic<std::uint64_t> which_;  // 0: none; 1: the first copy; 2: the second
   std::array<T, 2> copies_;
-};
-
-/// The range of an origin's rows whose checksum is not in the recording yet.
-struct LiveRange {
-  std::uint64_t first_sequence;
-  std::uint64_t last_sequence;
-  std::uint64_t rows;
-  std::uint64_t sum;
 };
 
 struct LiveGap {
@@ -99,7 +62,7 @@ struct LiveAccount {
 
 /// What lies apart from the counts of each event, because it is touched less often.
 struct alignas(64) LiveSlot {
-  Kept<LiveRange> range;      ///< the lane's
+  std::uint64_t committed;    ///< rows of the run that the recording has, or had; the lane's
   Kept<LiveAccount> account;  ///< the loop's
 };
 
@@ -144,9 +107,6 @@ class LiveFile {
   bool lacks_room() const noexcept;
   /// Whether all that was counted is here: of each slot, from the beginning on.
   bool is_complete() const noexcept;
-
-  /// The checksums of the run's account, which are not in the recording before it ends. The lane's.
-  Kept<RunSums>& sums() noexcept;
 
   // The slot must exist.
   LiveCounts& counts(std::uint32_t slot) noexcept { return blocks_[block_of(slot)].counts[offset_of(slot)]; }

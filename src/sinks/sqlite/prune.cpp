@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "sinks/sqlite/deleted_runs.hpp"
+#include "sinks/sqlite/schema.hpp"
 
 namespace rtdata::sqlite {
 namespace {
@@ -54,8 +55,12 @@ Pruner::Line Pruner::line_of(std::int64_t run) const {
   return found != lines_.end() ? found->second : Line{};
 }
 
+bool Pruner::is_beyond(std::int64_t time, std::int64_t run, const Limit& limit) const {
+  return time < limit.time || line_of(run).run_since > limit.age;
+}
+
 bool Pruner::is_beyond(const Table& table, const Limit& limit) const {
-  return table.has_rows() && (table.first_time < limit.time || line_of(table.first_run).run_since > limit.age);
+  return table.has_rows() && is_beyond(table.first_time, table.first_run, limit);
 }
 
 Result<void> Pruner::find_tables(Database& database, std::int64_t now) {
@@ -64,9 +69,12 @@ Result<void> Pruner::find_tables(Database& database, std::int64_t now) {
   if (!count) return std::move(count).error();
   if (!count_pruned_) {
     auto made = database.prepare(
-        "UPDATE rtdata_ledger SET pruned = pruned + ? WHERE run = ? AND topic = ? AND origin = ?");
+        "UPDATE rtdata_ledger SET pruned = pruned + ?4 WHERE run = ?1 AND topic = ?2 AND origin = ?3 RETURNING *");
     if (!made) return std::move(made).error();
     count_pruned_ = std::move(*made);
+    auto before = database.prepare("SELECT * FROM rtdata_ledger WHERE run = ?1 AND topic = ?2 AND origin = ?3");
+    if (!before) return std::move(before).error();
+    ledger_before_ = std::move(*before);
   }
   if (static_cast<std::int64_t>(tables_.size()) != *count) {
     tables_.clear();
@@ -80,9 +88,11 @@ Result<void> Pruner::find_tables(Database& database, std::int64_t now) {
       table.topic = query->text(0);
       table.name = query->text(1);
       const std::string name = rtdata::sqlite::quoted(table.name);
+      const std::string ends = "SELECT _rowid_ FROM " + name + " WHERE " + rtdata::sqlite::quoted(checksum_column) +
+                               " IS NOT NULL ";
       const std::pair<Statement*, std::string> all[] = {
           {&table.first, "SELECT _rowid_, time, run FROM " + name + " ORDER BY _rowid_ LIMIT 1"},
-          {&table.last, "SELECT max(_rowid_) FROM " + name},
+          {&table.last, ends + "ORDER BY _rowid_ DESC LIMIT 1 OFFSET 1"},
           {&table.at, "SELECT time, run FROM " + name + " WHERE _rowid_ >= ? ORDER BY _rowid_ LIMIT 1"},
           // Up to the first that is not older, whatever comes after it: a clock may have been wrong in a later run.
           {&table.up_to,
@@ -90,6 +100,9 @@ Result<void> Pruner::find_tables(Database& database, std::int64_t now) {
            "time, run "
            "FROM " +
                name + " ORDER BY _rowid_ LIMIT ?1)"},
+          {&table.ends[0], ends + "AND _rowid_ >= ? ORDER BY _rowid_ LIMIT 1"},
+          {&table.ends[1], ends + "AND _rowid_ < ? ORDER BY _rowid_ DESC LIMIT 1"},
+          {&table.count, "SELECT run, origin, count(*) FROM " + name + " WHERE _rowid_ <= ? GROUP BY run, origin"},
           {&table.remove, "DELETE FROM " + name + " WHERE _rowid_ <= ?"},
       };
       for (const auto& [statement, sql] : all) {
@@ -116,7 +129,7 @@ Result<void> Pruner::look_at(Table& table) {
   table.first.reset();
   auto last = table.last.step();
   if (!last) return std::move(last).error();
-  table.last_rowid = table.last.integer(0);
+  table.last_rowid = *last ? table.last.integer(0) : 0;
   table.last.reset();
   return {};
 }
@@ -143,16 +156,36 @@ Result<Pruner::Pages> Pruner::pages(Database& database) {
   return now;
 }
 
-Result<std::int64_t> Pruner::delete_rows(Database& database, ValueRanges& ranges, Table& table, std::int64_t up_to) {
-  auto sums = sums_before_delete(database, table.name, up_to, ranges);
-  if (!sums) return std::move(sums).error();
-  std::int64_t deleted = 0;
-  for (const DeletedRows& rows : *sums) {
-    const auto count = static_cast<std::int64_t>(rows.rows);
-    deleted += count;
-    count_pruned_.bind(1, count).bind(2, rows.run).bind(3, table.topic).bind(4, rows.origin);
-    if (auto done = count_pruned_.run(); !done) return std::move(done).error();
+Result<std::int64_t> Pruner::delete_rows(AccountSums& sums, Table& table, std::int64_t row, const Limit& limit) {
+  std::int64_t up_to = 0;
+  for (Statement& end : table.ends) {
+    auto found = end.bind(1, row).step();
+    if (!found) return std::move(found).error();
+    up_to = *found ? end.integer(0) : 0;
+    end.reset();
+    if (up_to == 0 || !limit.is_exact) break;
+    auto at = table.at.bind(1, up_to).step();
+    if (!at) return std::move(at).error();
+    const std::int64_t run = table.at.integer(1), time = table.at.integer(0) + line_of(run).shift;
+    table.at.reset();
+    if (is_beyond(time, run, limit)) break;
   }
+  up_to = std::min(up_to, table.last_rowid);
+  if (up_to < table.first_rowid) return 0;
+  std::int64_t deleted = 0;
+  table.count.bind(1, up_to);
+  for (;;) {
+    auto of = table.count.step();
+    if (!of) return std::move(of).error();
+    if (!*of) break;
+    const std::string origin(table.count.text(1));
+    for (Statement* statement : {&ledger_before_, &count_pruned_})
+      statement->bind(1, table.count.integer(0)).bind(2, table.topic).bind(3, origin);
+    count_pruned_.bind(4, table.count.integer(2));
+    if (auto done = sums.replace(ledger_before_, count_pruned_); !done) return std::move(done).error();
+    deleted += table.count.integer(2);
+  }
+  table.count.reset();
   table.remove.bind(1, up_to);
   if (auto done = table.remove.run(); !done) return std::move(done).error();
   if (deleted > 0) deleted_.push_back({table.topic, table.name, up_to});
@@ -160,7 +193,7 @@ Result<std::int64_t> Pruner::delete_rows(Database& database, ValueRanges& ranges
   return deleted;
 }
 
-Result<std::int64_t> Pruner::delete_beyond(Database& database, ValueRanges& ranges, const Limit& limit) {
+Result<std::int64_t> Pruner::delete_beyond(AccountSums& sums, const Limit& limit) {
   const std::int64_t most = std::max(least_rows, most_rows / std::max<std::int64_t>(std::ssize(tables_), 1));
   std::int64_t deleted = 0;
   for (Table& table : tables_) {
@@ -172,24 +205,25 @@ Result<std::int64_t> Pruner::delete_beyond(Database& database, ValueRanges& rang
           .bind(3, table.first_run);
       auto row = table.up_to.step();
       if (!row) return std::move(row).error();
-      const std::int64_t up_to = std::min(table.up_to.integer(table.up_to.is_null(0) ? 1 : 0), table.last_rowid - 1);
+      const std::int64_t last = table.up_to.integer(table.up_to.is_null(0) ? 1 : 0);
       table.up_to.reset();
-      auto count = delete_rows(database, ranges, table, up_to);
+      auto count = delete_rows(sums, table, std::min(last, table.last_rowid), limit);
       if (!count) return count;
+      if (*count == 0) break;
       deleted += *count;
-      left -= std::max<std::int64_t>(*count, 1);
+      left -= *count;
     }
   }
   return deleted;
 }
 
-Result<std::int64_t> Pruner::delete_part_of_future(Database& database, ValueRanges& ranges, std::int64_t now) {
+Result<std::int64_t> Pruner::delete_part_of_future(AccountSums& sums, std::int64_t now) {
   std::int64_t deleted = 0;
   for (Table& table : tables_) {
     if (!table.has_rows() || table.first_time < now) continue;
     const std::int64_t part = (table.last_rowid - table.first_rowid) / steps_of_a_span;
-    auto count = delete_rows(database, ranges, table,
-                             std::min(table.first_rowid + std::min(part, most_rows), table.last_rowid - 1));
+    auto count = delete_rows(sums, table, std::min(table.first_rowid + std::min(part, most_rows), table.last_rowid),
+                             {now});
     if (!count) return count;
     deleted += *count;
   }
@@ -198,7 +232,8 @@ Result<std::int64_t> Pruner::delete_part_of_future(Database& database, ValueRang
 
 Result<std::int64_t> Pruner::end_of_step(std::int64_t time, const Pages& now, std::int64_t goal) {
   std::int64_t rows = 0;
-  for (const Table& table : tables_) rows += table.last_rowid - table.first_rowid + 1;
+  for (const Table& table : tables_)
+    if (table.has_rows()) rows += table.last_rowid - table.first_rowid + 1;
   const auto part = static_cast<double>(now.used() - goal) / static_cast<double>(now.used());
   const auto most = static_cast<std::int64_t>(static_cast<double>(rows) * part) + 1;
   for (Table& table : tables_) {
@@ -212,10 +247,10 @@ Result<std::int64_t> Pruner::end_of_step(std::int64_t time, const Pages& now, st
   return time;
 }
 
-Result<void> Pruner::make_room(Database& database, ValueRanges& ranges, Time now) {
+Result<void> Pruner::make_room(Database& database, AccountSums& sums, Time now) {
   has_more_ = is_exhausted_ = false;
   const std::int64_t at = to_nanoseconds(now);
-  if (auto held = share_.hold(database); !held) return held;
+  if (auto held = share_.hold(database, sums); !held) return held;
   auto begin = pages(database);
   if (!begin) return std::move(begin).error();
   Pages left = *begin;
@@ -234,11 +269,11 @@ Result<void> Pruner::make_room(Database& database, ValueRanges& ranges, Time now
   // About as much as came since, so that one transaction's log stays small: what is left follows.
   const std::int64_t enough = std::max({least_pages, 2 * (left.used() - used_before_), of_limit(40)});
   if (is_time) {
-    const Limit limit{at - max_age_.count(), max_age_.count()};
-    auto deleted = delete_beyond(database, ranges, limit);
+    const Limit limit{at - max_age_.count(), max_age_.count(), true};
+    auto deleted = delete_beyond(sums, limit);
     if (!deleted) return std::move(deleted).error();
-    has_more_ = std::any_of(tables_.begin(), tables_.end(),
-                            [&](const Table& table) { return is_beyond(table, limit); });
+    has_more_ = *deleted > 0 && std::any_of(tables_.begin(), tables_.end(),
+                                            [&](const Table& table) { return is_beyond(table, limit); });
     if (!has_more_) {
       if (auto removed = delete_runs(database, at - max_age_.count(), 0, enough); !removed) return removed;
     }
@@ -268,11 +303,11 @@ Result<void> Pruner::make_room(Database& database, ValueRanges& ranges, Time now
         const std::int64_t step = std::max<std::int64_t>(1, (at - first) / steps_of_a_span);
         auto end = end_of_step(first + step * (std::int64_t{1} << shift), left, goal);
         if (!end) return std::move(end).error();
-        auto old = delete_beyond(database, ranges, {std::max(*end, first + 1)});
+        auto old = delete_beyond(sums, {std::max(*end, first + 1)});
         if (!old) return std::move(old).error();
         deleted += *old;
       }
-      auto ahead = delete_part_of_future(database, ranges, at);
+      auto ahead = delete_part_of_future(sums, at);
       if (!ahead) return std::move(ahead).error();
       deleted += *ahead;
       shift = deleted > 0 ? 0 : shift + 1;

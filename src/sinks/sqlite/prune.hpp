@@ -10,14 +10,14 @@
 
 #include "rtdata/data/time.hpp"
 #include "sinks/sqlite/account_share.hpp"
+#include "sinks/sqlite/account_sums.hpp"
 #include "sinks/sqlite/database.hpp"
-#include "sinks/sqlite/value_ranges.hpp"
 
 namespace rtdata::sqlite {
 
 /// Runs of which no row is left go first. Then, of all topics alike, the rows before one instant are deleted, so that a
-/// fast sensor does not take the room of a slow one. The last row of each table stays, so that row numbers go on
-/// ascending. Thread: the writer's.
+/// fast sensor does not take the room of a slow one. In each table whole transactions go, and the last one stays, so
+/// that row numbers go on ascending. Thread: the writer's.
 class Pruner {
  public:
   Pruner() noexcept = default;
@@ -31,9 +31,8 @@ class Pruner {
   std::uint64_t log_bytes() const noexcept { return max_bytes_ / 10; }
 
   /// Within a transaction: deletes rows beyond the limits, about as much as a transaction may write. `now` is on the
-  /// line of the recorded times. What is deleted is taken out of the checksums; `ranges`: those that are not written
-  /// yet.
-  Result<void> make_room(Database& database, ValueRanges& ranges, Time now);
+  /// line of the recorded times. `sums` gets what changes in the account.
+  Result<void> make_room(Database& database, AccountSums& sums, Time now);
   /// The last call did not delete all that is beyond the limits.
   bool has_more() const noexcept { return has_more_; }
   /// All rows that may be deleted are, and what is left is still too large.
@@ -51,23 +50,26 @@ class Pruner {
     deleted_.clear();
     share_.close();
     may_have_runs_ = true;
-    for (Statement* statement : {&count_pruned_, &page_count_, &free_pages_}) *statement = Statement();
+    for (Statement* statement : {&count_pruned_, &ledger_before_, &page_count_, &free_pages_}) *statement = Statement();
   }
 
  private:
   struct Table {
     std::string topic;
     std::string name;
-    Statement first;   // row number, time and run of its first row
-    Statement last;    // row number of its last row
-    Statement at;      // time and run of a row, or of the next one that is there
-    Statement up_to;   // row number of the last of its first rows that are all of a run and before a time
+    Statement first;  // row number, time and run of its first row
+    Statement last;   // row number of the last row that may go: the end of the transaction before the last
+    Statement at;     // time and run of a row, or of the next one that is there
+    Statement up_to;  // row number of the last of its first rows that are all of a run and before a time
+    /// Row number of the end of a transaction: of the first at a row or behind it, of the last before it.
+    Statement ends[2];
+    Statement count;   // rows up to a row number, by run and origin
     Statement remove;  // up to a row number
     std::int64_t first_rowid = 0;
     std::int64_t first_time = 0;  // on the line of the present run
     std::int64_t first_run = 0;
     std::int64_t last_rowid = 0;
-    bool has_rows() const noexcept { return last_rowid > first_rowid; }
+    bool has_rows() const noexcept { return first_rowid != 0 && last_rowid >= first_rowid; }
   };
   /// A run as the present one sees it.
   struct Line {
@@ -84,7 +86,9 @@ class Pruner {
   struct Limit {
     std::int64_t time;
     std::int64_t age = std::numeric_limits<std::int64_t>::max();
+    bool is_exact = false;  // a transaction that is not all beyond it stays
   };
+  bool is_beyond(std::int64_t time, std::int64_t run, const Limit& limit) const;
   bool is_beyond(const Table& table, const Limit& limit) const;
   Result<void> find_tables(Database& database, std::int64_t now);
   Result<void> look_at(Table& table);
@@ -93,12 +97,12 @@ class Pruner {
   /// pauses.
   Result<std::int64_t> end_of_step(std::int64_t time, const Pages& now, std::int64_t goal);
   /// Deletes some thousand rows of what is beyond the limit at most. The number of rows.
-  Result<std::int64_t> delete_beyond(Database& database, ValueRanges& ranges, const Limit& limit);
+  Result<std::int64_t> delete_beyond(AccountSums& sums, const Limit& limit);
   /// Of tables that begin later than now (a device's clock is wrong, or the computer's was) the first rows: as much of
   /// them as of the time that the others span.
-  Result<std::int64_t> delete_part_of_future(Database& database, ValueRanges& ranges, std::int64_t now);
-  /// The only place where rows are deleted.
-  Result<std::int64_t> delete_rows(Database& database, ValueRanges& ranges, Table& table, std::int64_t up_to);
+  Result<std::int64_t> delete_part_of_future(AccountSums& sums, std::int64_t now);
+  /// The only place where rows are deleted: up to the end of the transaction that has this row, or of the one before.
+  Result<std::int64_t> delete_rows(AccountSums& sums, Table& table, std::int64_t row, const Limit& limit);
   /// Deletes runs of which no row is left, until enough pages are free. `ended_before`: only those.
   Result<void> delete_runs(Database& database, std::int64_t ended_before, std::int64_t goal, std::int64_t enough);
   Result<void> shrink(Database& database, const Pages& now);
@@ -112,6 +116,7 @@ class Pruner {
   std::int64_t run_ = 0;
   std::int64_t run_for_ = 0;  // ns that it has taken until now
   Statement count_pruned_;
+  Statement ledger_before_;
   Statement page_count_;
   Statement free_pages_;
   std::int64_t used_before_ = 0;  // pages, after the last call

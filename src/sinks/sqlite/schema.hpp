@@ -3,8 +3,10 @@
 // too.
 //
 // One table a topic, named as the topic (rtdata_topic maps the exceptions), columns:
-//   run, time, origin, sequence, then one column a leaf of the description, named by its path ("position.x",
-//   "accel[0]").
+//   run, time, origin, sequence, "checksum~", then one column a leaf of the description, named by its path
+//   ("position.x", "accel[0]").
+// "checksum~" is NULL but in the last row of each transaction: there it is the sum of the hashes of the rows that the
+// transaction stored in this table.
 // A row's key is (run, origin, sequence). Values: bool 0/1; integers INTEGER (uint64 bit for bit as int64); float and
 // double REAL, NaN as NULL where the field is not optional and as the text 'NaN' where it is; text TEXT,
 // escaped where it is no UTF-8 (data/utf8.hpp); char TEXT of
@@ -16,6 +18,10 @@ namespace rtdata::sqlite {
 
 inline constexpr int application_id = 0x72744442;  // "rtDB"
 inline constexpr int schema_version = 1;           // PRAGMA user_version
+
+inline constexpr const char* checksum_column = "checksum~";
+/// Columns of a topic's table before those of its fields: run, time, origin, sequence and the checksum.
+inline constexpr int columns_before_fields = 5;
 
 /// Of what was recorded before version 0.1.0.
 inline constexpr int application_id_before = 0x52544441;
@@ -35,7 +41,8 @@ CREATE TABLE IF NOT EXISTS rtdata_run(
   state TEXT NOT NULL,              -- recording, closed, sealed (not closed, or a tier hung at its beginning or end)
   lost INTEGER,                     -- of a sealed run: events published and not stored; NULL: not known
   remark TEXT NOT NULL DEFAULT '',  -- what is known of what is not known
-  format INTEGER NOT NULL           -- the version of this layout in which it was written
+  format INTEGER NOT NULL,          -- the version of this layout in which it was written
+  "checksum~" INTEGER NOT NULL DEFAULT 0  -- sum of the hashes of the run's rows in all tables of the account, mod 2^64
 );
 CREATE TABLE IF NOT EXISTS rtdata_topic(
   topic TEXT NOT NULL, version INTEGER NOT NULL,
@@ -97,14 +104,9 @@ CREATE TABLE IF NOT EXISTS rtdata_health(  -- each change, or several of one obj
   reason TEXT NOT NULL,             -- empty when ok
   count INTEGER NOT NULL DEFAULT 1, -- changes
   last INTEGER NOT NULL DEFAULT 0); -- of `count` that are joined, `time` is that of the first; 0: as `time`
-CREATE TABLE IF NOT EXISTS rtdata_checksum(  -- what hashing the rows of a table must give again
-  run INTEGER NOT NULL,             -- 0: of all runs
-  table_name TEXT NOT NULL,         -- a topic's table, or one of the account
-  origin TEXT NOT NULL,             -- of a topic's table; otherwise empty: all rows of the run
-  first_sequence INTEGER NOT NULL, last_sequence INTEGER NOT NULL,
-  columns INTEGER NOT NULL,         -- so many of the table's first columns are hashed, without `run`
-  rows INTEGER NOT NULL,
-  sum INTEGER);                     -- of the rows' hashes mod 2^64, as a signed number; NULL: not known
+CREATE TABLE IF NOT EXISTS rtdata_checksum(
+  sum INTEGER NOT NULL);            -- of the hashes of the rows of rtdata_topic, each with the columns of its table
+INSERT INTO rtdata_checksum VALUES(0);
 )sql"
                                       // Texts of events that were no UTF-8.
                                       R"sql(

@@ -6,7 +6,6 @@
 
 #include "rtdata/data/time.hpp"
 #include "sinks/sqlite/seal_account.hpp"
-#include "sinks/sqlite/seal_checksums.hpp"
 #include "sinks/sqlite/sqlite_writer.hpp"
 
 namespace rtdata::sqlite {
@@ -24,6 +23,30 @@ Result<std::vector<std::string>> tables_of(Database& database, const std::string
   auto query = database.prepare("SELECT table_name FROM rtdata_topic WHERE topic = ? ORDER BY version DESC");
   if (!query) return std::move(query).error();
   return query->bind(1, topic).texts();
+}
+
+/// The last row of a data table that is of an earlier run than this; 0: there is none. Found by halving, since runs
+/// follow each other: sealing need not look at rows of others.
+Result<std::int64_t> rows_before(const Database& database, const std::string& table, std::int64_t run) {
+  auto last = database.integer("SELECT max(_rowid_) FROM " + quoted(table));
+  if (!last) return last;
+  auto next = database.prepare("SELECT _rowid_, run FROM " + quoted(table) +
+                               " WHERE _rowid_ >= ? ORDER BY _rowid_ LIMIT 1");
+  if (!next) return std::move(next).error();
+  std::int64_t before = 0;
+  for (std::int64_t end = *last + 1; end - before > 1;) {
+    const std::int64_t middle = before + (end - before) / 2;
+    next->reset();
+    next->bind(1, middle);
+    auto row = next->step();
+    if (!row) return std::move(row).error();
+    if (*row && next->integer(1) < run) {
+      before = next->integer(0);
+    } else {
+      end = middle;
+    }
+  }
+  return before;
 }
 
 struct LedgerRow {
@@ -111,9 +134,10 @@ Result<void> add_pruned_rows(Database& database, const std::vector<std::string>&
 }
 
 /// Brings the ledger of one topic in line with its rows. Adds to `lost`; it stays unknown (negative) without live
-/// counts.
+/// counts. A disk that is taken away, or fails, may lose the last transactions although it said that it had them: adds
+/// the rows that had been committed and are not there to `lost_by_disk`.
 Result<void> seal_topic(Database& database, const OpenRun& run, const std::string& topic, LiveFile* live,
-                        std::int64_t& lost, std::int64_t& last_time) {
+                        std::int64_t& lost, std::int64_t& lost_by_disk, std::int64_t& last_time) {
   auto rows = ledger_of(database, run.run, topic);
   if (!rows) return std::move(rows).error();
   if (rows->empty()) return {};
@@ -143,7 +167,9 @@ Result<void> seal_topic(Database& database, const OpenRun& run, const std::strin
       offered = std::max(offered + dropped_more, static_cast<std::int64_t>(counts.offered));
       unsaved = offered - (row.stored + row.added) - row.dropped - dropped_more;
       lost += unsaved;
-      if (const auto kept = live->slot(static_cast<std::uint32_t>(row.slot)).account.settled()) {
+      const LiveSlot& slot = live->slot(static_cast<std::uint32_t>(row.slot));
+      lost_by_disk += std::max<std::int64_t>(0, static_cast<std::int64_t>(slot.committed) - row.stored - row.added);
+      if (const auto kept = slot.account.value()) {
         const KilledOrigin killed{run.run, topic, row.origin, offered};
         if (auto sealed = seal_account(database, killed, *kept, last_time); !sealed) return sealed;
         if (first_sequence == 0) first_sequence = static_cast<std::int64_t>(kept->first_sequence);
@@ -164,18 +190,15 @@ Result<void> seal_topic(Database& database, const OpenRun& run, const std::strin
 
 Result<std::string> seal_run(Database& database, const OpenRun& run, LiveFile* live, AccountSums& sums) {
   const bool is_known = live != nullptr && live->is_complete();
-  auto lost_by_disk = rows_lost_by_disk(database, run.run, live);
-  if (!lost_by_disk) return std::move(lost_by_disk).error();
-  if (auto taken = take_over_sums(database, run.run, live, sums, *lost_by_disk); !taken)
-    return std::move(taken).error();
+  if (auto taken = sums.add_run(database, run.run, AccountSums::Rows::go); !taken) return std::move(taken).error();
   auto query = database.prepare("SELECT DISTINCT topic FROM rtdata_ledger WHERE run = ?");
   if (!query) return std::move(query).error();
   auto topics = query->bind(1, run.run).texts();
   if (!topics) return std::move(topics).error();
-  std::int64_t lost = 0;
+  std::int64_t lost = 0, lost_by_disk = 0;
   std::int64_t last_time = run.ended;
   for (const std::string& topic : *topics) {
-    if (auto sealed = seal_topic(database, run, topic, live, lost, last_time); !sealed)
+    if (auto sealed = seal_topic(database, run, topic, live, lost, lost_by_disk, last_time); !sealed)
       return std::move(sealed).error();
   }
   std::uint64_t unnamed = 0;  // events of origins that have no place in the ledger yet
@@ -184,18 +207,19 @@ Result<std::string> seal_run(Database& database, const OpenRun& run, LiveFile* l
     if (!next) return std::move(next).error();
     next->bind(1, run.run);
     if (auto row = next->step(); !row) return std::move(row).error();
-    for (auto slot = static_cast<std::uint32_t>(next->integer(0)); slot < live->slots() && live->has(slot); ++slot)
+    for (auto slot = static_cast<std::uint32_t>(next->integer(0)); slot < live->slots() && live->has(slot); ++slot) {
       unnamed += live->counts(slot).offered;
+      lost_by_disk += static_cast<std::int64_t>(live->slot(slot).committed);
+    }
   }
-  if (auto sealed = seal_ranges(database, run.run, live); !sealed) return std::move(sealed).error();
   std::string remark = (run.remark.empty() ? "" : run.remark + "; ") + "run " + std::to_string(run.run) +
                        " ended without closing";
   remark += !is_known     ? "; what was published after that is unknown"
             : unnamed > 0 ? "; lost " + std::to_string(lost) + " events, and " + std::to_string(unnamed) +
                                 " of sensors that had only begun, whose names are unknown"
                           : "; lost " + std::to_string(lost) + " events, published and not yet committed";
-  if (*lost_by_disk != 0) {
-    remark += "; at least " + std::to_string(*lost_by_disk) +
+  if (lost_by_disk != 0) {
+    remark += "; at least " + std::to_string(lost_by_disk) +
               " of them had been committed, and the disk has lost them: what it holds is up to an earlier transaction";
   }
   auto update = database.prepare(
@@ -208,7 +232,7 @@ Result<std::string> seal_run(Database& database, const OpenRun& run, LiveFile* l
     update->bind_null(2);
   }
   if (auto done = update->run(); !done) return std::move(done).error();
-  if (auto written = sums.write_lines(database, run.run); !written) return std::move(written).error();
+  if (auto added = sums.add_run(database, run.run); !added) return std::move(added).error();
   return remark;
 }
 

@@ -65,16 +65,15 @@ Result<void> SqliteWriter::begin_in(const std::string& recording) {
   if (auto done = database_.execute("BEGIN IMMEDIATE"); !done) return done;
   is_in_transaction_ = true;
   if (auto done = make_schema(); !done) return done;
-  if (auto done = sums_.watch(database_); !done) return done;
   std::vector<LiveFile> used;
   auto remarks = seal_runs(database_, recording, lock_.noted(), sums_, used);
   if (!remarks) return std::move(remarks).error();
   if (auto done = begin_run(uuid); !done) return done;
   // A program that is killed again and again as soon as it has started stores nothing, but its runs take room.
   if (pruner_.has_limits()) {
-    if (auto done = pruner_.make_room(database_, ranges_, info_.started); !done) return done;
+    if (auto done = pruner_.make_room(database_, sums_, info_.started); !done) return done;
   }
-  if (auto done = sums_.write_changes(database_); !done) return done;
+  if (auto done = sums_.write(database_); !done) return done;
   if (auto made = LiveFile::make(recording, uuid)) {
     const std::lock_guard lock(opening_mutex_);
     live_ = std::move(*made);
@@ -91,10 +90,8 @@ Result<void> SqliteWriter::begin_in(const std::string& recording) {
   }
   {
     const std::lock_guard lock(opening_mutex_);
-    if (live_) live_.sums().set(sums_.sums_of(run_));
     lock_.note(live_.path());
   }
-  sums_.committed();
   remarks_ = std::move(*remarks);
   // The start after a power cut is to find this run, and what was known of those that were killed, whose live files go.
   if (config_.profile == SqliteProfile::normal) {
@@ -157,7 +154,7 @@ Result<void> SqliteWriter::begin_run(const std::string& uuid) {
   auto insert = database_.prepare(
       "INSERT INTO rtdata_run(uuid, name, notes, configuration, program, host, boot_id, pid, started, ended, "
       "clock_offset, state, format) "
-      "VALUES(?,?,?,?,?,?,?,?,?,?,?,'recording',?)");
+      "VALUES(?,?,?,?,?,?,?,?,?,?,?,'recording',?) RETURNING *");
   if (!insert) return std::move(insert).error();
   const std::string host = host_name();
   const std::string program = "rtdata " RTDATA_VERSION;
@@ -165,12 +162,10 @@ Result<void> SqliteWriter::begin_run(const std::string& uuid) {
   insert->bind(7, run.boot_id).bind(8, std::int64_t{::getpid()}).bind(9, to_nanoseconds(run.started));
   insert->bind(10, to_nanoseconds(run.started)).bind(11, run.clock_offset.count());
   insert->bind(12, std::int64_t{schema_version});
-  if (auto done = insert->run(); !done) return done;
+  if (auto done = sums_.run(*insert); !done) return done;
   run_ = database_.last_rowid();
-  sums_.begin(run_);
   positions_->begin_run(run_);
   pruner_.begin(run_);
-  ranges_.begin(run_, run.started);
   return {};
 }
 

@@ -62,7 +62,7 @@ Result<void> SqliteWriter::open() {
     if (!made) return std::move(made).error();
     *statement = std::move(*made);
   }
-  return account_.prepare(database_, run_, info_.boot_id);
+  return account_.prepare(database_, sums_, run_, info_.boot_id);
 }
 
 void SqliteWriter::forget() noexcept {
@@ -74,7 +74,7 @@ void SqliteWriter::forget() noexcept {
     live_ = LiveFile();
   }
   database_ = Database();
-  sums_.forget();
+  sums_.clear();
   remarks_.clear();
   if (lock_.noted().empty()) lock_.remove();
   lock_ = RecordingLock();
@@ -146,6 +146,8 @@ Result<void> SqliteWriter::write(Batch& batch) {
     if (auto done = write_part(batch, next); !done) return done;
   } while (next != batch.end());
   stored_rows_ = 0;
+  for (std::uint32_t slot = 0; slot < batch.slots() && live_.has(slot); ++slot)
+    live_.slot(slot).committed = batch.stored_after(slot);
   account_.committed(batch);
   if (batch.account() != nullptr) now_ = std::max(now_, batch.account()->at);
   // It is stored: whatever happens from here on, it must not come again.
@@ -211,15 +213,14 @@ Result<std::size_t> SqliteWriter::store(Batch& batch, Batch::Iterator& next) {
   auto done = begin_transaction();
   if (done) done = positions_->write_begins(database_);
   // Before the rows, so that new ones take the pages of the old ones within one transaction.
-  if (done && pruner_.has_limits()) done = pruner_.make_room(database_, ranges_, now_);
+  if (done && pruner_.has_limits()) done = pruner_.make_room(database_, sums_, now_);
   if (done) done = account_.write_slots(batch, tables_);
   if (done) done = write_rows(batch, next, rows);
   if (done) done = account_.write_escaped(batch, escaped_);
   const Account* const account = next != batch.end() ? nullptr : batch.account();  // with the last of its rows
   if (done && account != nullptr) done = account_.write(batch, *account, tables_);
-  if (done) done = write_checksums(account);
+  if (done) done = sums_.write(database_);
   if (done) done = positions_->write(database_);
-  if (done) stage();
   if (done) done = commit();
   if (!done) return std::move(done).error();
   return rows;
@@ -255,7 +256,8 @@ Result<TopicTable*> SqliteWriter::table_of(const Record& record) {
   const std::uint32_t number = record.info->topic_number;
   if (untaken_.contains(number)) return nullptr;
   if (auto done = database_.execute("SAVEPOINT topic"); !done) return std::move(done).error();
-  auto table = TopicTable::prepare(database_, *record.info, run_, escaped_, ranges_, new_views_);
+  auto sums_before = sums_.changes();
+  auto table = TopicTable::prepare(database_, *record.info, run_, escaped_, sums_, new_views_);
   // What SQLite itself refuses (there is something else of that name) stays so; all else may get better.
   const bool is_refused = !table && (sqlite3_errcode(database_.raw()) == SQLITE_ERROR ||
                                      table.error().code == Errc::bad_description);
@@ -265,6 +267,7 @@ Result<TopicTable*> SqliteWriter::table_of(const Record& record) {
     why.what = "cannot make a table for topic " + record.info->topic;
     why.advice = "give the topic another name, or record into another file";
     untaken_.emplace(number, std::move(why));
+    sums_.undo_to(std::move(sums_before));
     if (auto undone = database_.execute("ROLLBACK TO topic"); !undone) return std::move(undone).error();
   }
   if (auto done = database_.execute("RELEASE topic"); !done) return std::move(done).error();
@@ -272,23 +275,6 @@ Result<TopicTable*> SqliteWriter::table_of(const Record& record) {
   if (number >= tables_.size()) tables_.resize(number + 1);
   tables_[number] = std::make_unique<TopicTable>(std::move(*table));
   return tables_[number].get();
-}
-
-Result<void> SqliteWriter::write_checksums(const Account* account) {
-  const bool is_last = account != nullptr && account->is_last;
-  const auto which = is_last              ? ValueRanges::Close::all
-                     : account != nullptr ? ValueRanges::Close::aged
-                                          : ValueRanges::Close::full;
-  if (auto done = ranges_.write(database_, which, account != nullptr ? account->at : Time{}); !done) return done;
-  if (is_last) {
-    if (auto done = sums_.write_lines(database_, run_); !done) return done;
-  }
-  return sums_.write_changes(database_);
-}
-
-void SqliteWriter::stage() {
-  ranges_.stage(live_);
-  if (live_) live_.sums().stage(sums_.sums_of(run_));
 }
 
 void SqliteWriter::committed() {
@@ -299,17 +285,13 @@ void SqliteWriter::committed() {
     for (const auto& table : tables_)
       if (table != nullptr) positions_->set_last_row(table->name(), table->topic(), table->last_rowid());
   }
-  ranges_.committed(live_);
-  sums_.committed();
-  if (live_) live_.sums().settle();
   log_bytes_ = std::max<std::int64_t>(log_size(), 0);
 }
 
 void SqliteWriter::rolled_back() {
   new_views_.clear();
   positions_->rolled_back();
-  ranges_.rolled_back(live_);
-  sums_.rolled_back();
+  sums_.clear();
 }
 
 Result<void> SqliteWriter::flush() {
@@ -332,7 +314,7 @@ Result<void> SqliteWriter::write_positions() {
 }
 
 Result<void> SqliteWriter::prune() {
-  auto done = transaction([this] { return pruner_.make_room(database_, ranges_, now_); });
+  auto done = transaction([this] { return pruner_.make_room(database_, sums_, now_); });
   return done ? tend_log() : done;
 }
 
@@ -342,8 +324,7 @@ Result<void> SqliteWriter::transaction(Work&& work) {
   try {
     done = begin_transaction();
     if (done) done = work();
-    if (done) done = sums_.write_changes(database_);
-    if (done) stage();
+    if (done) done = sums_.write(database_);
     if (done) done = commit();
   } catch (...) {  // no memory
     roll_back();

@@ -21,7 +21,6 @@
 #include "sinks/sqlite/prune.hpp"
 #include "sinks/sqlite/recording_lock.hpp"
 #include "sinks/sqlite/topic_table.hpp"
-#include "sinks/sqlite/value_ranges.hpp"
 
 namespace rtdata::sqlite {
 
@@ -83,9 +82,7 @@ class SqliteWriter final : public RecordingWriter {
   /// The log was truncated from outside before all of it was in the file.
   bool is_log_cut_off();
   std::int64_t log_size();
-  Result<void> write_checksums(const Account* account);
-  /// Of the checksums: before a transaction commits, after it has, and after it was given up.
-  void stage();
+  /// After a transaction has committed, and after it was given up.
   void committed();
   void rolled_back();
   Result<void> begin_transaction();
@@ -106,8 +103,7 @@ class SqliteWriter final : public RecordingWriter {
   const SqliteConfig config_;
   const RunInfo info_;
   const mode_t permissions_;
-  AccountSums sums_;  // the connection calls it
-  ValueRanges ranges_;
+  AccountSums sums_;
   RecordingLock lock_;  // given up last of what follows
   LiveFile live_;
   // While it is opened the loop counts in memory of its own: the live file tells all only if there is no topic yet.

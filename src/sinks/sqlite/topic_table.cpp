@@ -5,6 +5,7 @@
 #include <cstring>
 
 #include "rtdata/data/value.hpp"
+#include "sinks/sqlite/schema.hpp"
 
 namespace rtdata::sqlite {
 namespace {
@@ -13,7 +14,6 @@ constexpr std::size_t most_rows_per_statement = 16;
 constexpr std::size_t most_parameters = 32766;  // SQLITE_MAX_VARIABLE_NUMBER of stock builds
 constexpr std::size_t most_columns = 1990;      // SQLITE_MAX_COLUMN is 2000
 constexpr int fixed_parameters = 3;             // time, origin, sequence
-constexpr int fixed_columns = 4;                // and the run
 
 const char* type_of(const Leaf& leaf) {
   switch (leaf.kind) {
@@ -59,7 +59,8 @@ std::string table_name(const std::string& topic, std::int64_t version) {
 
 Result<void> make_table(Database& database, const std::string& name, const Description& description) {
   std::string sql = "CREATE TABLE " + quoted(name) +
-                    "(run INTEGER NOT NULL, time INTEGER NOT NULL, origin TEXT NOT NULL, sequence INTEGER NOT NULL";
+                    "(run INTEGER NOT NULL, time INTEGER NOT NULL, origin TEXT NOT NULL, sequence INTEGER NOT NULL, " +
+                    quoted(checksum_column) + " INTEGER";
   for (const Leaf& leaf : description.leaves()) sql += ", " + column_of(leaf);
   return database.execute(sql + ")");
 }
@@ -161,7 +162,7 @@ Result<void> check_columns(std::string_view topic, const Description& descriptio
 }
 
 Result<TopicTable> TopicTable::prepare(Database& database, const SlotInfo& slot, std::int64_t run,
-                                       detail::EscapedTexts& escaped, ValueRanges& ranges, NewUtcViews& views) {
+                                       detail::EscapedTexts& escaped, AccountSums& sums, NewUtcViews& views) {
   const Description& description = *slot.description;
   if (auto fits = check_columns(slot.topic, description); !fits) return std::move(fits).error();
   auto known = database.prepare(
@@ -198,13 +199,16 @@ Result<TopicTable> TopicTable::prepare(Database& database, const SlotInfo& slot,
     if (!insert) return std::move(insert).error();
     insert->bind(1, slot.topic).bind(2, version).bind(3, name).bind(4, json).bind(5, run);
     if (auto done = insert->run(); !done) return std::move(done).error();
+    if (auto added = sums.add_topic(database, name); !added) return std::move(added).error();
   } else if (!widen.empty()) {
+    if (auto gone = sums.add_topic(database, name, AccountSums::Rows::go); !gone) return std::move(gone).error();
     if (auto added = add_columns(database, name, **Description::from_json(widen), description); !added)
       return std::move(added).error();
     auto update = database.prepare("UPDATE rtdata_topic SET description = ? WHERE topic = ? AND version = ?");
     if (!update) return std::move(update).error();
     update->bind(1, json).bind(2, slot.topic).bind(3, version);
     if (auto done = update->run(); !done) return std::move(done).error();
+    if (auto added = sums.add_topic(database, name); !added) return std::move(added).error();
     if (auto made = make_utc_view(database, name, description); !made) return std::move(made).error();
   }
 
@@ -213,7 +217,7 @@ Result<TopicTable> TopicTable::prepare(Database& database, const SlotInfo& slot,
   table.escaped_ = &escaped;
   table.name_ = name;
   table.topic_ = slot.topic;
-  table.ranges_ = &ranges;
+  table.run_ = run;
   auto order = leaves_in_order(database, name, description);
   if (!order) return std::move(order).error();
   // Whatever fails, the batch is rolled back and comes again: OR ROLLBACK spares SQLite a journal for each statement.
@@ -225,20 +229,20 @@ Result<TopicTable> TopicTable::prepare(Database& database, const SlotInfo& slot,
     into += ", " + quoted(leaf->path);
     values += ",?";
   }
-  into += ") VALUES ";
-  values += ")";
   const std::size_t width = table.columns_.size() + fixed_parameters;
   const std::size_t most_rows = std::clamp<std::size_t>(most_parameters / width, 1, most_rows_per_statement);
   const auto prepare_rows = [&](Insert& insert, std::size_t rows) -> Result<void> {
-    std::string sql = into;
-    for (std::size_t i = 0; i < rows; ++i) sql += (i == 0 ? "" : ",") + values;
+    std::string sql = into + ") VALUES ";
+    for (std::size_t i = 0; i < rows; ++i) sql += (i == 0 ? "" : ",") + values + ")";
     auto statement = database.prepare(sql);
     if (!statement) return std::move(statement).error();
     insert = {std::move(*statement), std::vector<const SlotInfo*>(rows)};
     return {};
   };
-  if (auto made = prepare_rows(table.one_, 1); !made) return std::move(made).error();
   if (auto made = prepare_rows(table.many_, most_rows); !made) return std::move(made).error();
+  into += ", " + quoted(checksum_column);
+  values += ",?";
+  if (auto made = prepare_rows(table.one_, 1); !made) return std::move(made).error();
   table.pending_.reserve(most_rows);
   auto last = database.integer("SELECT max(_rowid_) FROM " + quoted(name));
   if (!last) return std::move(last).error();
@@ -257,6 +261,7 @@ void TopicTable::bind(sqlite3_stmt* statement, int index, const Record& record) 
     hash_.real(value);
   };
   hash_.begin();
+  hash_.integer(run_);
   integer(to_nanoseconds(record.header.time));
   ++index;
   hash_.text(record.info->origin);  // bound already
@@ -314,10 +319,10 @@ void TopicTable::bind(sqlite3_stmt* statement, int index, const Record& record) 
     }
     ++index;
   }
-  ranges_->add(record, name_, static_cast<int>(columns_.size()) + fixed_columns, hash_.hash());
+  sum_ += hash_.hash_of_values();
 }
 
-Result<void> TopicTable::run(Insert& insert, std::span<const Record> records) {
+void TopicTable::bind(Insert& insert, std::span<const Record> records) {
   sqlite3_stmt* const statement = insert.statement.raw();
   const SlotInfo** bound = insert.bound.data();
   int index = 1;
@@ -331,24 +336,37 @@ Result<void> TopicTable::run(Insert& insert, std::span<const Record> records) {
     bind(statement, index, record);
     index += static_cast<int>(columns_.size()) + fixed_parameters;
   }
+}
+
+Result<void> TopicTable::run(Insert& insert) {
   auto done = insert.statement.run();
   if (done) last_rowid_ = database_->last_rowid();
   return done;
 }
 
 Result<void> TopicTable::insert(const Record& record) {
+  if (pending_.size() == many_.bound.size()) {  // not before there is another one, which may be the last
+    bind(many_, pending_);
+    pending_.clear();
+    if (auto done = run(many_); !done) return done;
+  }
   pending_.push_back(record);
-  if (pending_.size() < many_.bound.size()) return {};
-  auto done = run(many_, pending_);
-  pending_.clear();
-  return done;
+  return {};
 }
 
 Result<void> TopicTable::flush() {
+  const int checksum = static_cast<int>(columns_.size()) + fixed_parameters + 1;
   for (const Record& record : pending_) {
-    if (auto done = run(one_, {&record, 1}); !done) return done;
+    bind(one_, {&record, 1});
+    if (&record == &pending_.back()) {
+      one_.statement.bind(checksum, static_cast<std::int64_t>(sum_));
+    } else {
+      one_.statement.bind_null(checksum);
+    }
+    if (auto done = run(one_); !done) return done;
   }
   pending_.clear();
+  sum_ = 0;
   return {};
 }
 

@@ -9,10 +9,9 @@
 #include "rtdata/data/description.hpp"
 #include "rtdata/sinks/sink.hpp"
 #include "sinks/core/escaped_texts.hpp"
-#include "sinks/sqlite/checksum.hpp"
+#include "sinks/sqlite/account_sums.hpp"
 #include "sinks/sqlite/database.hpp"
 #include "sinks/sqlite/utc_line.hpp"
-#include "sinks/sqlite/value_ranges.hpp"
 
 namespace rtdata::sqlite {
 
@@ -23,13 +22,14 @@ class TopicTable {
  public:
   /// Within a transaction. Finds the table that this description fits; one whose fields are the first part of it gets
   /// the further columns; otherwise a new table is made. Errors: those of the database, bad-name.
-  /// Texts that are no UTF-8 are counted in `escaped`, and the checksum of each row goes to `ranges`;
-  /// both outlive the table. The view of a new table is left in `views`, to be made within the same transaction.
+  /// Texts that are no UTF-8 are counted in `escaped`, which outlives the table. What changes in rtdata_topic goes into
+  /// `sums`. The view of a new table is left in `views`, to be made within the same transaction.
   static Result<TopicTable> prepare(Database& database, const SlotInfo& slot, std::int64_t run,
-                                    detail::EscapedTexts& escaped, ValueRanges& ranges, NewUtcViews& views);
+                                    detail::EscapedTexts& escaped, AccountSums& sums, NewUtcViews& views);
 
   /// Inserts the record, at the latest with `flush`: its payload must live until then.
   Result<void> insert(const Record& record);
+  /// At the end of the transaction: its last row takes the checksum.
   Result<void> flush();
   std::int64_t last_rowid() const noexcept { return last_rowid_; }
   const std::string& name() const noexcept { return name_; }
@@ -47,15 +47,17 @@ class TopicTable {
   };
   /// All but the origin. Hashes the row, the origin too.
   void bind(sqlite3_stmt* statement, int first, const Record& record);
-  Result<void> run(Insert& insert, std::span<const Record> records);
+  void bind(Insert& insert, std::span<const Record> records);
+  Result<void> run(Insert& insert);
 
   Database* database_ = nullptr;
   detail::EscapedTexts* escaped_ = nullptr;
   std::string name_;
   std::string topic_;
   std::vector<Column> columns_;  // in the order of the table's
-  ValueRanges* ranges_ = nullptr;
+  std::int64_t run_ = 0;
   RowHash hash_;
+  std::uint64_t sum_ = 0;  // of the rows of the transaction under way
   Insert one_;
   Insert many_;
   std::vector<Record> pending_;

@@ -92,28 +92,21 @@ void OriginRows::add(std::int64_t rowid, std::int64_t time, std::uint64_t sequen
   say(outside_sentences, text);
 }
 
-Result<void> scan_rows(const RecordingFile& file, const RecordedTopic& topic, std::map<std::int64_t, OriginMap>& runs,
-                       Checksums& checksums, std::vector<std::string>& problems) {
-  const bool has_checksums = checksums.values.contains(topic.table);
-  auto statement = file.prepare(std::string("SELECT t._rowid_, ") +
-                                (has_checksums ? "t.*" : "t.run, t.time, t.origin, t.sequence") + " FROM " +
-                                sqlite::quoted(topic.table) + " t ORDER BY t._rowid_");
+Result<void> scan_rows(const RecordingFile& file, const RecordedTopic& topic, RunsRows& runs,
+                       std::vector<std::string>& problems) {
+  auto statement = file.prepare("SELECT t._rowid_, t.* FROM " + sqlite::quoted(topic.table) + " t ORDER BY t._rowid_");
   if (!statement) return std::move(statement).error();
-  if (has_checksums) checksums.check_widths(topic.table, sqlite3_column_count(statement->raw()) - 1);
-  struct Origin {
-    OriginRows* rows = nullptr;
-    RangeCheck* ranges = nullptr;
-  };
-  Origin current;
-  sqlite::RowHash hash;
+  OriginRows* current = nullptr;
+  ValueSums sums(topic.table);
   std::map<std::int64_t, std::uint64_t> strays;  // rows of runs that are not there
-  std::unordered_map<std::string, Origin> known;
+  std::unordered_map<std::string, OriginRows*> known;
   std::int64_t known_run = 0;
   std::string name;
   for (;;) {
     auto row = statement->step();
     if (!row) return std::move(row).error();
     if (!*row) break;
+    sums.add(statement->raw(), 1, runs);
     const std::int64_t run = statement->integer(1);
     if (sqlite3_column_type(statement->raw(), 1) != SQLITE_INTEGER) [[unlikely]] {
       problems.push_back(topic.topic + ": row " + std::to_string(statement->integer(0)) + " has no number as its run.");
@@ -129,36 +122,35 @@ Result<void> scan_rows(const RecordingFile& file, const RecordedTopic& topic, st
     }
     const std::string_view origin = statement->text(3);
     const auto sequence = static_cast<std::uint64_t>(statement->integer(4));
-    if (current.rows == nullptr || current.rows->run != run || current.rows->origin != origin) {
+    if (current == nullptr || current->run != run || current->origin != origin) {
       if (run != known_run) known.clear();
       known_run = run;
       name.assign(origin);
-      Origin& found = known[name];
-      if (found.rows == nullptr) {
+      OriginRows*& found = known[name];
+      if (found == nullptr) {
         const auto of_run = runs.find(run);
         if (of_run == runs.end()) {
           ++strays[run];
           known.erase(name);
-          current = {};
+          current = nullptr;
           continue;
         }
-        OriginRows& rows = of_run->second[origin_key(topic.topic, name)];
+        OriginRows& rows = of_run->second.origins[origin_key(topic.topic, name)];
         if (rows.topic.empty()) {  // no account knows it
           rows.topic = topic.topic;
           rows.origin = name;
           rows.run = run;
         }
-        found = {&rows, checksums.find(topic.table, run, name)};
+        found = &rows;
       }
       current = found;
     }
-    current.rows->add(statement->integer(0), statement->integer(2), sequence);
-    if (current.ranges != nullptr) {
-      current.ranges->add(statement->raw(), sequence, hash);
-    } else {
-      ++current.rows->not_covered;
-    }
+    current->add(statement->integer(0), statement->integer(2), sequence);
   }
+  if (sums.rest() != 0)
+    problems.push_back(
+        topic.topic + ": " + plural(sums.rest(), "row") +
+        " at its end have no checksum: there are rows behind the last transaction, or its end is not there.");
   for (const auto& [run, rows] : strays) {
     problems.push_back(topic.topic + ": " + plural(rows, "row") + " of run " + std::to_string(run) +
                        ", which is not in the list of runs.");
@@ -276,14 +268,14 @@ Result<VerifyReport> verify_contents(const Recording& recording) {
   report.path = recording.path();
   auto infos = recording.runs();
   if (!infos) return std::move(infos).error();
-  std::map<std::int64_t, OriginMap> rows;
+  RunsRows rows;
   std::map<std::int64_t, OfRun> accounts;
   for (RunInfo& info : *infos) {
     const bool has_ticks = info.state == RunState::closed;
     auto loaded = OfRun::load(recording, info.run);
     if (!loaded) return std::move(loaded).error();
     const OfRun& of_run = accounts.emplace(info.run, std::move(*loaded)).first->second;
-    OriginMap& origins = rows[info.run];
+    OriginMap& origins = rows[info.run].origins;
     const bool is_ended = info.state != RunState::recording;
     for (const LedgerEntry& entry : of_run.ledger) {
       OriginRows& origin = origins[origin_key(entry.topic, entry.origin)];
@@ -308,10 +300,8 @@ Result<VerifyReport> verify_contents(const Recording& recording) {
   }
   auto topics = recording.topics();
   if (!topics) return std::move(topics).error();
-  auto checksums = Checksums::load(*recording.file());
-  if (!checksums) return std::move(checksums).error();
   for (const RecordedTopic& topic : *topics) {
-    if (auto scanned = scan_rows(*recording.file(), topic, rows, *checksums, report.problems); !scanned)
+    if (auto scanned = scan_rows(*recording.file(), topic, rows, report.problems); !scanned)
       return std::move(scanned).error();
   }
   auto odd = recording.file()->database.integer(
@@ -327,18 +317,15 @@ Result<VerifyReport> verify_contents(const Recording& recording) {
     if (!*agrees)
       report.problems.push_back("The UTC line of boot " + boot + " (rtdata_utc) is not what rtdata_clock says.");
   }
-  std::vector<std::int64_t> numbers;
-  for (const RunReport& run : report.runs) numbers.push_back(run.info.run);
-  if (auto scanned = checksums->scan_accounts(*recording.file(), numbers, report.problems); !scanned)
-    return std::move(scanned).error();
-  if (auto looked = check_layout(*recording.file(), *topics, report.problems); !looked)
+  auto are_topics_changed = check_account_sums(*recording.file(), *topics, report);
+  if (!are_topics_changed) return std::move(are_topics_changed).error();
+  if (auto looked = check_layout(*recording.file(), *topics, *are_topics_changed, report.problems); !looked)
     return std::move(looked).error();
-  check_topics(*checksums, *topics, numbers, report.problems);
   auto deleted = recording.deleted_runs();
   if (!deleted) return std::move(deleted).error();
   verify_deleted(std::move(*deleted), report);
   for (RunReport& run : report.runs) {
-    if (auto done = verify_run(accounts.at(run.info.run), rows[run.info.run], *checksums, run); !done)
+    if (auto done = verify_run(accounts.at(run.info.run), rows[run.info.run], run); !done)
       return std::move(done).error();
     if (run.info.state != RunState::sealed) continue;
     auto health = recording.health(run.info.run);

@@ -2,35 +2,20 @@
 #include <algorithm>
 #include <set>
 
-#include "sinks/sqlite/value_ranges.hpp"
+#include "sinks/sqlite/schema.hpp"
 #include "sinks/sqlite/verify_run.hpp"
-#include "sinks/sqlite/verify_sums.hpp"
 
 namespace rtdata::detail {
 
 namespace {
 
-constexpr std::size_t fixed_columns = 4;  // run, time, origin, sequence
-
-/// A run with more fields adds its columns at the end, wherever the fields are. That none has done so is known when the
-/// run that made the table has all of its rows, and all are as wide as the table is.
-Result<bool> is_as_made(const RecordingFile& file, const RecordedTopic& topic, std::size_t columns) {
-  auto query = file.prepare(
-      "SELECT (SELECT min(columns) FROM rtdata_checksum WHERE table_name = ?1 AND run = ?3) = ?4 AND "
-      "(SELECT sum(pruned) FROM rtdata_ledger WHERE topic = ?2 AND run = ?3) = 0");
-  if (!query) return std::move(query).error();
-  query->bind(1, topic.table).bind(2, topic.topic).bind(3, topic.first_run);
-  query->bind(4, static_cast<std::int64_t>(columns));
-  if (auto row = query->step(); !row) return std::move(row).error();
-  return query->integer(0) != 0;
-}
-
-/// Rows are hashed by position: that each value is under its name stands in the columns alone.
-Result<void> check_columns_of(const RecordingFile& file, const RecordedTopic& topic,
+/// Rows are hashed by position: that each value is under its name stands in the columns alone. A run with more fields
+/// adds its columns at the end, wherever the fields are: `is_changed` says that it was not so.
+Result<void> check_columns_of(const RecordingFile& file, const RecordedTopic& topic, bool is_changed,
                               std::vector<std::string>& problems) {
   auto columns = sqlite::columns_of(file.database, topic.table);
   if (!columns) return std::move(columns).error();
-  std::vector<std::string> wanted{"run", "time", "origin", "sequence"};
+  std::vector<std::string> wanted{"run", "time", "origin", "sequence", sqlite::checksum_column};
   for (const Leaf& leaf : topic.description->leaves()) wanted.push_back(leaf.path);
   const std::set<std::string> there(columns->begin(), columns->end());
   const std::set<std::string> described(wanted.begin(), wanted.end());
@@ -42,10 +27,7 @@ Result<void> check_columns_of(const RecordingFile& file, const RecordedTopic& to
     if (!there.contains(column)) problems.push_back(topic.topic + ": the table has no column \"" + column + "\".");
   }
   if (there != described || columns->size() != wanted.size()) return {};
-  auto is_in_order = is_as_made(file, topic, columns->size());
-  if (!is_in_order) return std::move(is_in_order).error();
-  const std::size_t held = *is_in_order ? wanted.size() : fixed_columns;
-  for (std::size_t i = 0; i < held; ++i) {
+  for (std::size_t i = 0; is_changed && i < wanted.size(); ++i) {
     if ((*columns)[i] == wanted[i]) continue;
     problems.push_back(topic.topic + ": column " + std::to_string(i + 1) + " of the table is \"" + (*columns)[i] +
                        "\", where \"" + wanted[i] + "\" was recorded: names of columns were exchanged.");
@@ -79,7 +61,7 @@ Result<void> check_positions(const RecordingFile& file, std::vector<std::string>
 
 }  // namespace
 
-Result<void> check_layout(const RecordingFile& file, const std::vector<RecordedTopic>& topics,
+Result<void> check_layout(const RecordingFile& file, const std::vector<RecordedTopic>& topics, bool are_topics_changed,
                           std::vector<std::string>& problems) {
   auto query = file.prepare("SELECT type, name FROM sqlite_schema ORDER BY name");
   if (!query) return std::move(query).error();
@@ -96,8 +78,12 @@ Result<void> check_layout(const RecordingFile& file, const std::vector<RecordedT
       views.emplace(name);
     }
   }
+  const std::size_t before = problems.size();
   for (const RecordedTopic& topic : topics)
-    if (auto checked = check_columns_of(file, topic, problems); !checked) return checked;
+    if (auto checked = check_columns_of(file, topic, are_topics_changed, problems); !checked) return checked;
+  if (are_topics_changed && problems.size() == before)
+    problems.push_back("rtdata_topic: the checksum of its " + plural(topics.size(), "row") +
+                       " is another than when they were written: a row was changed, added or deleted.");
   if (auto checked = check_positions(file, problems); !checked) return checked;
   std::vector<std::string> wanted{"rtdata_run_utc", "rtdata_gap~utc", "rtdata_health~utc", "rtdata_error~utc",
                                   "rtdata_field"};

@@ -33,7 +33,6 @@ struct OriginRows {
   bool may_begin_early = false;   // so may more of them have been, where a tier hung
   std::uint64_t rows = 0;         // up to account_ends
   std::uint64_t rows_after = 0;
-  std::uint64_t not_covered = 0;  // by a checksum, since its origin has none
   std::uint64_t first_sequence = 0, last_sequence = 0;
   std::int64_t last_time = INT64_MIN;
   std::uint64_t missing = 0;  // between first_sequence and last_sequence
@@ -51,15 +50,18 @@ struct OriginRows {
 std::string origin_key(std::string_view topic, std::string_view origin);
 using OriginMap = std::unordered_map<std::string, OriginRows>;
 
-struct Checksums;
+/// What the rows of one run say.
+struct RunRows {
+  OriginMap origins;
+  std::uint64_t checked = 0;         // rows that agree with their checksum
+  std::vector<std::string> changed;  // those that do not
+  std::uint64_t more_changed = 0;    // that these are not told of
+};
+using RunsRows = std::map<std::int64_t, RunRows>;
 
-/// What the rows of a table say, into the map of their run, and their checksums.
-Result<void> scan_rows(const RecordingFile& file, const RecordedTopic& topic, std::map<std::int64_t, OriginMap>& runs,
-                       Checksums& checksums, std::vector<std::string>& problems);
-
-/// What the checksums say of rtdata_topic, and of tables and runs that are not there.
-void check_topics(const Checksums& checksums, const std::vector<RecordedTopic>& topics,
-                  const std::vector<std::int64_t>& runs, std::vector<std::string>& problems);
+/// What the rows of a table say.
+Result<void> scan_rows(const RecordingFile& file, const RecordedTopic& topic, RunsRows& runs,
+                       std::vector<std::string>& problems);
 
 /// Collects what does not agree in a run.
 struct Findings {
@@ -83,12 +85,10 @@ struct Findings {
   void inexact(std::string text) const { is_exact ? problem(std::move(text)) : open.push_back(std::move(text)); }
 };
 
-/// Triggers, views that are not there, columns that are others.
-Result<void> check_layout(const RecordingFile& file, const std::vector<RecordedTopic>& topics,
+/// Triggers, views that are not there, columns that are others. `are_topics_changed`: rtdata_topic or the columns of
+/// its tables are not as they were written.
+Result<void> check_layout(const RecordingFile& file, const std::vector<RecordedTopic>& topics, bool are_topics_changed,
                           std::vector<std::string>& problems);
-
-/// Compares the checksums of one run with what was found.
-void check_checksums(const Findings& found, const OriginMap& rows, const Checksums& checksums);
 
 /// The account of a run, by origin.
 struct OfRun {
@@ -106,7 +106,7 @@ struct OfRun {
 };
 
 /// Compares the account of one run with its rows. Fills everything of the report but `info`.
-Result<void> verify_run(const OfRun& of_run, const OriginMap& rows, const Checksums& checksums, RunReport& report);
+Result<void> verify_run(const OfRun& of_run, const RunRows& rows, RunReport& report);
 
 TopicLoss loss_of(const LedgerEntry& entry, const Outages& outages);
 

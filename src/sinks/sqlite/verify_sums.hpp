@@ -1,60 +1,36 @@
 // The part of verify that hashes everything again: values of rows, and tables of the account.
 #pragma once
 
-#include <map>
 #include <string>
-#include <unordered_map>
+#include <utility>
 #include <vector>
 
-#include "sinks/sqlite/account_sums.hpp"
 #include "sinks/sqlite/checksum.hpp"
 #include "sinks/sqlite/recording_file.hpp"
+#include "sinks/sqlite/verify_run.hpp"
 
 namespace rtdata::detail {
 
-/// The checksums of one origin's rows in one table.
-class RangeCheck {
+/// The rows of a topic's table in their order, of which the last one of each transaction has the sum.
+class ValueSums {
  public:
-  struct Range {
-    std::uint64_t first_sequence, last_sequence;
-    int columns;
-    sqlite::RowSum said;
-    bool is_known;
-    sqlite::RowSum found = {};
-    std::uint64_t first_found = 0, last_found = 0;
-  };
-  std::vector<Range> ranges;  // in the order of the sequences
-  std::uint64_t beyond = 0;   // rows with a value in a column that their table did not have yet
-  std::uint64_t outside = 0;  // rows in no range
-  std::uint64_t first_outside = 0;
-
-  /// The statement is at the row; its columns begin with the rowid, then come those of the table.
-  void add(sqlite3_stmt* row, std::uint64_t sequence, sqlite::RowHash& hash);
+  explicit ValueSums(std::string table) : table_(std::move(table)) {}
+  /// The statement is at the next row; its columns are those of the table from `first` on.
+  void add(sqlite3_stmt* row, int first, RunsRows& runs);
+  /// Rows that no sum has followed.
+  std::uint64_t rest() const noexcept { return found_.rows; }
 
  private:
-  std::size_t current_ = 0;
+  void tell_changed(sqlite3_stmt* row, int first, RunRows& run) const;
+
+  std::string table_;
+  sqlite::RowHash hash_;
+  sqlite::RowSum found_;  // since the last sum
 };
 
-/// What the checksums of a recording say, and what is found.
-struct Checksums {
-  struct Line {
-    std::uint64_t count = 0;  // 1, or there is a mistake
-    int columns = 0;
-    sqlite::RowSum said;
-    sqlite::RowSum found = {};
-  };
-  using Origins = std::unordered_map<std::string, RangeCheck>;
-  std::map<std::string, std::map<std::int64_t, Origins, std::less<>>, std::less<>> values;  // by table, run, origin
-  std::map<std::string, std::map<std::int64_t, Line>, std::less<>> accounts;                // by table, run
-  std::vector<std::string> strays;                                                          // lines of nothing
-
-  static Result<Checksums> load(const RecordingFile& file);
-  /// Hashes the tables of the account. `problems`: rows of runs that are not there.
-  Result<void> scan_accounts(const RecordingFile& file, const std::vector<std::int64_t>& runs,
-                             std::vector<std::string>& problems);
-  /// Adds to `strays` each checksum that covers fewer than the fixed columns or more than `columns`, all of `table`.
-  void check_widths(const std::string& table, int columns);
-  RangeCheck* find(std::string_view table, std::int64_t run, const std::string& origin);
-};
+/// Holds the tables of the account to their checksums. True: what is of all runs, rtdata_topic and the columns of its
+/// tables, was changed; that is told by `check_layout`.
+Result<bool> check_account_sums(const RecordingFile& file, const std::vector<RecordedTopic>& topics,
+                                VerifyReport& report);
 
 }  // namespace rtdata::detail
