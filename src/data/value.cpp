@@ -8,18 +8,14 @@
 #include <type_traits>
 
 #include "data/character.hpp"
+#include "data/load.hpp"
 #include "data/nearest.hpp"
 #include "rtdata/data/text.hpp"
 
 namespace rtdata {
 namespace {
 
-template <class T>
-T load(const std::byte* from) {
-  T value;
-  std::memcpy(&value, from, sizeof value);
-  return value;
-}
+using detail::load;
 
 template <class T>
 void store(std::byte* to, T value) {

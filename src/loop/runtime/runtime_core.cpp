@@ -1,9 +1,9 @@
 #include "loop/runtime/runtime_core.hpp"
 
 #include <algorithm>
-#include <cctype>
 #include <utility>
 
+#include "data/lower_case.hpp"
 #include "loop/core/loop_core.hpp"
 #include "loop/support/fatal.hpp"
 #include "loop/support/first_line.hpp"
@@ -96,10 +96,7 @@ TopicCore& RuntimeCore::find_or_make_topic(std::string_view name, PayloadType ty
     throw SetupError({Errc::bad_name, "cannot make topic", "\"" + std::string(name) + "\"", "not a topic name",
                       "use letters, digits, _ . - in levels joined by /, such as \"room/climate\""});
   }
-  std::string lower(name);
-  std::transform(lower.begin(), lower.end(), lower.begin(),
-                 [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
-  if (const auto [other, is_new] = name_by_lower_case_.try_emplace(lower, name); !is_new) {
+  if (const auto [other, is_new] = name_by_lower_case_.try_emplace(lower_case(name), name); !is_new) {
     throw SetupError({Errc::bad_name, "cannot make topic", std::string(name),
                       "topic " + other->second + " differs from it in case only", "choose another name"});
   }

@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "data/character.hpp"
+#include "data/lower_case.hpp"
 #include "data/number_text.hpp"
 #include "data/utf8.hpp"
 #include "sensors/core/sysfs_file.hpp"
@@ -103,9 +104,7 @@ std::errc parse_number(Kind kind, std::string_view text, std::byte* to, double s
 /// for a comment.
 bool begins_a_number(std::string_view text) noexcept {
   if (!text.empty() && (text.front() == '+' || text.front() == '-')) text.remove_prefix(1);
-  std::string lower(text);
-  for (char& c : lower)
-    if (c >= 'A' && c <= 'Z') c = static_cast<char>(c | 0x20);
+  const std::string lower = detail::lower_case(text);
   for (const std::string_view word : {"nan", "infinity"})
     if (word.starts_with(lower)) return true;
   if (lower.starts_with("nan(")) return true;
