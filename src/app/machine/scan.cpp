@@ -37,10 +37,14 @@ std::string Scanner::text(const std::string& file) const {
   return fitted(printable(files.text(file).value_or("")), 80);
 }
 
-std::string Scanner::new_name(const std::string& wanted) {
-  std::string name = wanted;
-  for (unsigned number = 2; !names_.insert(name).second; ++number) name = wanted + "-" + std::to_string(number);
-  return name;
+void Scanner::sensor(FoundDevice& device, const std::string& name, const std::string& type, const std::string& members,
+                     const std::string& bus) {
+  std::string unused = name;  // "bmp280", "bmp280-2"
+  for (unsigned number = 2; !names_.insert(unused).second; ++number) unused = name + "-" + std::to_string(number);
+  line(device, "sensors",
+       R"({"name": )" + json_text(unused) + R"(, "type": )" + json_text(type) + (members.empty() ? "" : ", ") +
+           members + "}",
+       bus);
 }
 
 std::string json_text(const std::string& text) { return ConfigItem::of(text).to_json(ConfigItem::Layout::one_line); }
@@ -61,9 +65,7 @@ void scan_clocks(Scanner& scanner) {
                                        known.empty() ? what : known, R_OK);
       if (std::string_view(kind) != "pps") continue;
       found.obstacle = found.advice = "";  // the sensor reads /sys, which every user may
-      scanner.line(found, "sensors",
-                   R"({"name": )" + json_text(scanner.new_name(name)) + R"(, "type": "pps", "device": )" +
-                       json_text(name) + "}");
+      scanner.sensor(found, name, "pps", R"("device": )" + json_text(name));
     }
   };
   all_of("pps", "/sys/class/pps", "pulse per second");

@@ -66,13 +66,9 @@ void scan_gpio(Scanner& scanner) {
     for (std::size_t i = 0; i < info->lines.size(); ++i) {
       if (info->lines[i].is_used) continue;
       const std::string name = line_name(known, info->lines[i].name, chip, i);
-      const std::string common = R"(, "line": )" + json_text(name) + R"(, "bias": "pull-up")";
-      scanner.line(found, "sensors",
-                   R"({"name": )" + json_text(scanner.new_name("button")) + R"(, "type": "edge")" + common +
-                       R"(, "active_low": true})");
-      scanner.line(found, "sensors",
-                   R"({"name": )" + json_text(scanner.new_name("pulses")) + R"(, "type": "counter", "rate": "1 Hz")" +
-                       common + "}");
+      const std::string common = R"("line": )" + json_text(name) + R"(, "bias": "pull-up")";
+      scanner.sensor(found, "button", "edge", common + R"(, "active_low": true)");
+      scanner.sensor(found, "pulses", "counter", R"("rate": "1 Hz", )" + common);
       break;
     }
   }

@@ -29,8 +29,7 @@ void scan_gpsd(Scanner& scanner) {
   ::close(fd);
   if (status != 0) return scanner.hint("gpsd", "no gpsd: " + std::string(detail::how_to_start_gpsd));
   scanner.add({"gpsd", "localhost:2947", "a GPS service"});
-  scanner.line(scanner.scan.devices.back(), "sensors",
-               R"({"name": )" + json_text(scanner.new_name("gps")) + R"(, "type": "gps"})");
+  scanner.sensor(scanner.scan.devices.back(), "gps", "gps");
 }
 
 }  // namespace rtdata::app

@@ -133,11 +133,10 @@ void probe(Scanner& scanner, const std::string& adapter, const std::string& bus_
     for (const Driven& one : likely.drivers) {
       if (one.type.empty()) continue;
       const std::string type(one.type), members(one.members);
-      scanner.line(scanner.scan.devices.back(), "sensors",
-                   R"({"name": )" + json_text(scanner.new_name(type)) + R"(, "type": )" + json_text(type) +
-                       R"(, "bus": )" + json_text(bus_name) + R"(, "address": )" + json_text(text) +
-                       (members.empty() ? "" : ", ") + members + R"(, "rate": "1 Hz"})",
-                   bus_line);
+      scanner.sensor(scanner.scan.devices.back(), type, type,
+                     R"("bus": )" + json_text(bus_name) + R"(, "address": )" + json_text(text) +
+                         (members.empty() ? "" : ", ") + members + R"(, "rate": "1 Hz")",
+                     bus_line);
     }
   }
 }

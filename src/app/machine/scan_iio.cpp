@@ -23,10 +23,9 @@ void hwmon_chips(Scanner& scanner) {
         "hwmon", folder, scanner.text(folder + "/name") + ", " + std::to_string(inputs.size()) + " values", R_OK);
     for (const HostSensorInfo& input : known) {
       if (!input.file.starts_with(scanner.files.path(folder) + "/")) continue;
-      scanner.line(found, "sensors",
-                   R"({"name": )" + json_text(scanner.new_name(printable(input.device))) +
-                       R"(, "type": "host", "quantity": )" + json_text(std::string(name_of(input.quantity))) +
-                       R"(, "device": )" + json_text(input.device) + R"(, "rate": "1 Hz"})");
+      scanner.sensor(found, printable(input.device), "host",
+                     R"("quantity": )" + json_text(std::string(name_of(input.quantity))) + R"(, "device": )" +
+                         json_text(input.device) + R"(, "rate": "1 Hz")");
     }
   }
 }
@@ -62,10 +61,9 @@ void iio_line(Scanner& scanner, FoundDevice& found, const std::string& device) {
   }
   if (channels.empty()) return;
   const std::string which = name.empty() || alike != 1 ? device : name;
-  scanner.line(found, "sensors",
-               R"({"name": )" + json_text(scanner.new_name(which)) + R"(, "type": ")" +
-                   (is_buffered ? R"(iio_buffer")" : R"(iio", "rate": "10 Hz")") + R"(, "device": )" +
-                   json_text(which) + R"(, "channels": [)" + channels + "]}");
+  scanner.sensor(found, which, is_buffered ? "iio_buffer" : "iio",
+                 (is_buffered ? R"("device": )" : R"("rate": "10 Hz", "device": )") + json_text(which) +
+                     R"(, "channels": [)" + channels + "]");
 }
 
 }  // namespace
@@ -81,10 +79,9 @@ void scan_iio(Scanner& scanner) {
         "iio", folder, scanner.text(folder + "/name") + ", " + std::to_string(channels.size()) + " channels", R_OK);
     for (const std::string& channel : channels) {
       if (!channel.starts_with("in_voltage") || !channel.ends_with("_raw")) continue;
-      scanner.line(found, "sensors",
-                   R"({"name": )" + json_text(scanner.new_name("adc" + std::to_string(count++))) +
-                       R"(, "type": "analog", "rate": "10 Hz", "file": )" + json_text(folder + "/" + channel) +
-                       R"(, "scale": 3.3, "unit": "V"})");
+      scanner.sensor(
+          found, "adc" + std::to_string(count++), "analog",
+          R"("rate": "10 Hz", "file": )" + json_text(folder + "/" + channel) + R"(, "scale": 3.3, "unit": "V")");
     }
     iio_line(scanner, found, device);
   }
@@ -109,9 +106,7 @@ void scan_counters(Scanner& scanner) {
     const std::string which = name.empty() || alike != 1 ? device : name;
     for (const std::string& count : counts) {
       const std::string channel = counts.size() == 1 ? "" : R"(, "channel": )" + json_text(count);
-      scanner.line(found, "sensors",
-                   R"({"name": )" + json_text(scanner.new_name(which)) + R"(, "type": "encoder", "device": )" +
-                       json_text(which) + channel + R"(, "rate": "10 Hz"})");
+      scanner.sensor(found, which, "encoder", R"("device": )" + json_text(which) + channel + R"(, "rate": "10 Hz")");
     }
   }
 }
@@ -139,9 +134,7 @@ void scan_one_wire(Scanner& scanner) {
       }
       continue;
     }
-    scanner.line(found, "sensors",
-                 R"({"name": )" + json_text(scanner.new_name(device)) +
-                     R"(, "type": "w1", "rate": "0.5 Hz", "device": )" + json_text(device) + "}");
+    scanner.sensor(found, device, "w1", R"("rate": "0.5 Hz", "device": )" + json_text(device));
   }
 }
 

@@ -30,9 +30,8 @@ void serial_port(Scanner& scanner, const std::string& path, const std::string& t
     found.advice = "take `console=" + tty + "` out of the kernel's command line" +
                    (enabling.empty() ? "" : "; " + enabling);
   }
-  scanner.line(found, "sensors",
-               R"({"name": )" + json_text(scanner.new_name(tty)) + R"(, "type": "serial", "device": )" +
-                   json_text(path) + R"(, "baud_rate": 9600, "fields": [{"name": "value"}]})");
+  scanner.sensor(found, tty, "serial",
+                 R"("device": )" + json_text(path) + R"(, "baud_rate": 9600, "fields": [{"name": "value"}])");
 }
 
 }  // namespace

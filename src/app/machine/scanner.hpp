@@ -28,10 +28,11 @@ class Scanner {
 
   /// A line to paste, if this program takes it; one of a type that it lacks is left out. `bus`: the item that it is on.
   void line(FoundDevice& device, const char* list, const std::string& text, const std::string& bus = {}) const;
+  /// The same of a sensor, with a name like this one. `members`: what follows its name and type, in JSON.
+  void sensor(FoundDevice& device, const std::string& name, const std::string& type, const std::string& members = {},
+              const std::string& bus = {});
   /// The file's text, for people: at most 80 characters, none of them a control character.
   std::string text(const std::string& file) const;
-  /// A name that no line had before: "bmp280", "bmp280-2".
-  std::string new_name(const std::string& wanted);
 
  private:
   const Registry& registry_;
