@@ -152,6 +152,39 @@ TEST_SUITE("config") {
     CHECK(has(change(plain, sensors(R"({"name": "a", "type": "fed"})")), "sensor a: refused: one with a schedule"));
   }
 
+  TEST_CASE("US-8 US-5 a name that another tier is to have is refused whole, also when its sensor is gone") {
+    const auto with = [](const std::string& list) { return sensors(list, R"(, "tiers": {"fast": {}, "slow": {}})"); };
+    const auto on = [&](const std::string& tier, const std::string& rate = "100 Hz") {
+      return R"({"name": "a", "type": "tallied", "rate": ")" + rate + "\"" +
+             (tier.empty() ? "" : R"(, "tier": ")" + tier + "\"") + "}";
+    };
+    const std::string other = R"({"name": "b", "type": "tallied", "rate": "1 Hz", "tier": "fast"})";
+    const std::string belongs = " until the end of the run; start the program again, or give it another name\n";
+    CHECK(change(with(on("fast")), with(on("slow"))) == "sensor a: refused: its name belongs to tier fast" + belongs);
+    CHECK(change(with(on("fast")), with(on(""))) == "sensor a: refused: its name belongs to tier fast" + belongs);
+    CHECK(change(with(on("")), with(on("slow"))) == "sensor a: refused: its name belongs to the main loop" + belongs);
+    CHECK(change(with(on("fast")), with(other)) == "sensor b: added\nsensor a: removed\n");
+
+    Running run(with(on("fast") + ", " + other));
+    run.loop.advance(100ms);
+    const auto refused = [&](const std::string& text) {
+      const SystemPlan plan = run.next(text);
+      const PlanChange all = run.system.change_to(plan);
+      CHECK(all.refused() == 1);
+      CHECK(has(all.text(), "sensor a: refused: its name belongs to tier fast" + belongs));
+      CHECK_THROWS_AS(run.system.apply(plan), SetupError);
+    };
+    refused(with(on("slow") + R"(, {"name": "c", "type": "tallied", "rate": "1 Hz"})"));
+    CHECK(run.runtime.sensors().size() == 2);
+    CHECK(run.system.apply(run.next(with(other))).refused() == 0);
+    refused(with(on("slow") + ", " + other));
+    refused(with(on("") + ", " + other));
+    CHECK(run.system.apply(run.next(with(on("fast", "50 Hz") + ", " + other))).refused() == 0);
+    run.loop.advance(100ms);
+    CHECK(run.runtime.balances());
+    CHECK(run.system.parts().get<AnySensor>("sensor", "a").status().counts.taken > 10);
+  }
+
   TEST_CASE(
       "US-5 another configuration is applied in one turn: the ledger balances, and the recording says what was "
       "changed") {

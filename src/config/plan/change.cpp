@@ -82,8 +82,13 @@ std::string obstacle(const PlannedChange& planned, const RunSoFar& run) {
   const auto is_scheduled = [](const PartPlan& plan) {
     return plan.publishes && plan.publishes->load && plan.publishes->load->period > Duration{0};
   };
-  if (const std::string earlier = run.topic_of(part.name); !earlier.empty() && earlier != topic)
-    return "earlier in this run it published on topic " + earlier + "; give it another name, or that topic";
+  if (const RunSoFar::Published earlier = run.published(part.name); !earlier.topic.empty()) {
+    if (earlier.topic != topic)
+      return "earlier in this run it published on topic " + earlier.topic + "; give it another name, or that topic";
+    if (earlier.tier != part.tier())
+      return "its name belongs to " + (earlier.tier.empty() ? "the main loop" : "tier " + earlier.tier) +
+             " until the end of the run; start the program again, or give it another name";
+  }
   if (planned.now != nullptr && is_scheduled(*planned.now) != is_scheduled(part))
     return "one with a schedule and one without are accounted for in different ways; give it another name";
   if (part.publishes->description == nullptr) return "";
@@ -208,10 +213,10 @@ PlanChange plan_change(const SystemPlan& now, const SystemPlan& next) {
     return parts;
   };
   std::map<std::string_view, const Description*> carried;
-  std::map<std::string_view, std::string> topic_of;
+  std::map<std::string_view, config_detail::RunSoFar::Published> published;
   for (const PartPlan& part : now.parts) {
     if (!part.publishes) continue;
-    topic_of.emplace(part.name, part.publishes->topic);
+    published.emplace(part.name, config_detail::RunSoFar::Published{part.publishes->topic, std::string(part.tier())});
     if (part.publishes->description != nullptr)
       carried.emplace(part.publishes->topic, part.publishes->description.get());
   }
@@ -221,7 +226,7 @@ PlanChange plan_change(const SystemPlan& now, const SystemPlan& next) {
   };
   return config_detail::compare({parts_of(now), now.document.root}, {parts_of(next), next.document.root},
                                 {[&](const std::string& topic) { return found_in(carried, topic); },
-                                 [&](const std::string& origin) { return found_in(topic_of, origin); }})
+                                 [&](const std::string& origin) { return found_in(published, origin); }})
       .all();
 }
 

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <functional>
+#include <string>
 #include <vector>
 
 #include "rtdata/config/change.hpp"
@@ -32,8 +33,12 @@ struct ComparedPlans {
 struct RunSoFar {
   /// What the topic carries; null: not known.
   std::function<const Description*(const std::string& topic)> carried;
-  /// The topic of this name's events; empty: there were none.
-  std::function<std::string(const std::string& origin)> topic_of;
+  /// Where events of this name were published.
+  struct Published {
+    std::string topic = {};  ///< empty: there were none
+    std::string tier = {};   ///< empty: on the main loop
+  };
+  std::function<Published(const std::string& origin)> published;
   /// Whether what holds a part (PartPlan::hold) is so. Empty: not known.
   std::function<bool(const PartPlan& part)> is_held = {};
 };

@@ -133,8 +133,8 @@ config_detail::ComparedPlans System::compared_to(const SystemPlan& next) const {
          return known != nullptr ? known->type.description.get() : nullptr;
        },
        [&](const std::string& origin) {
-         const detail::OriginCore* known = loop_.runtime().core().find_origin(origin);
-         return known != nullptr ? known->topic.name : std::string();
+         auto [topic, tier] = loop_.runtime().core().names.published(origin);
+         return config_detail::RunSoFar::Published{std::move(topic), std::move(tier)};
        },
        [&](const PartPlan& part) { return part.hold->is_so(parts_.part_named(part.kind, part.name).object); }});
 }

@@ -94,7 +94,7 @@ class OriginCore {
   /// Null: none.
   const Gap* gap_under_way() const noexcept { return gap_is_open_ ? &gaps_->gap : nullptr; }
 
-  /// What goes on when the name is claimed again, on this loop or another.
+  /// What goes on when the name is claimed again, on this loop or a tier that is made again.
   struct State {
     SensorCounts counts;
     std::uint64_t sequence = 0;
@@ -104,7 +104,7 @@ class OriginCore {
     Outages outages{};  // that have ended
   };
   State state() const noexcept { return {counts, sequence, last_time, free_from(), supply, ended_outages()}; }
-  /// It publishes on this loop from here on. Nothing changes when it is this loop that gave up the name.
+  /// It goes on there. Nothing changes of an origin of this loop.
   void adopt(const State& state);
   /// Sets a mirror's account to the one that the origin's loop has sent. `under_way`: the segment that has not ended;
   /// period 0: none. `gap`: under way; null: none.

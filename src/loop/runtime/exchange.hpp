@@ -17,20 +17,17 @@ namespace rtdata::detail {
 
 class Bridge;
 class Channel;
-struct FinalAccount;
 struct Passage;
 class RuntimeCore;
 class TopicCore;
 
-/// The sending side of a bridge announces each topic and origin before it sends anything of it, and that it has given
-/// up the name of an origin.
+/// The sending side of a bridge announces each topic and origin before it sends anything of it.
 struct Announcement {
   Bridge* bridge;
   Channel* channel;  ///< of a topic; null: its payload cannot cross
   Passage* passage;  ///< of one of its origins; null: the topic itself
   std::string name;
-  PayloadType type;                               ///< of a topic
-  std::shared_ptr<const FinalAccount> last = {};  ///< of an origin whose name is given up; null: it is published
+  PayloadType type;  ///< of a topic
 };
 
 /// Thread: the loop's, but for `announce` and `forget`.
@@ -39,8 +36,7 @@ class Exchange {
   explicit Exchange(RuntimeCore& runtime) : runtime_(runtime) {}  // a deque allocates when it is made
 
   // Any thread
-  /// The loop takes announcements in this order. Of the loops that hold a name one after the other, each has announced
-  /// that it gave up the name before the next one announces that it has it.
+  /// The loop takes announcements in this order.
   void announce(Announcement announcement);
   void forget(const Bridge& of);
 

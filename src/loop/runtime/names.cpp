@@ -1,6 +1,7 @@
 #include "loop/runtime/names.hpp"
 
 #include <mutex>
+#include <string>
 #include <utility>
 
 #include "loop/core/loop_core.hpp"
@@ -17,7 +18,6 @@ OriginCore& Names::claim(std::string_view name, TopicCore& topic, OriginCore::Su
   const OriginCore::State state = take(name, topic, supply);
   OriginCore* origin = nullptr;
   try {
-    runtime_.exchange.take_announcements();  // that the last holder gave up the name: what it published comes first
     origin = &runtime_.find_or_make_origin(name, topic);
     if (supply == OriginCore::Supply::feed) origin->expect_gaps();
     origin->adopt(state);
@@ -27,11 +27,12 @@ OriginCore& Names::claim(std::string_view name, TopicCore& topic, OriginCore::Su
     for (Bridge* bridge : runtime_.outbound) bridge->sending.open(*origin);
   } catch (...) {  // out of memory: nothing was published
     if (origin != nullptr) {
+      origin->is_claimed = false;
       origin->supply = state.supply;
-      release(*origin);
-    } else {
-      give_back(name);
     }
+    Names& all = runtime_.main().names;
+    const std::lock_guard lock(all.mutex_);
+    all.claims_.find(name)->second.is_there = false;
     throw;
   }
   return *origin;
@@ -42,61 +43,68 @@ OriginCore::State Names::take(std::string_view name, const TopicCore& topic, Ori
     throw SetupError({Errc::busy, "cannot make sensor", std::string(name), why, advice});
   };
   Names& all = runtime_.main().names;
+  const std::string here = runtime_.hub != nullptr ? runtime_.own_loop->config.name : std::string();
   const std::lock_guard lock(all.mutex_);
   Claim& claim = all.claims_[std::string(name)];
-  const OriginCore* kept = claim.holder == &runtime_ ? runtime_.find_origin(name) : nullptr;  // see `release`
-  if (claim.holder != nullptr && (kept == nullptr || kept->is_claimed)) {
-    refuse("there is one of that name already" +
-               (claim.holder == &runtime_ ? "" : " on loop " + claim.holder->own_loop->config.name),
+  const auto on_loop = [&] {
+    const std::string& tier = claim.where.tier;
+    return " on loop " + (tier.empty() ? runtime_.main().own_loop->config.name : tier);
+  };
+  const bool is_elsewhere = !claim.where.topic.empty() && claim.where.tier != here;
+  if (claim.is_there)
+    refuse("there is one of that name already" + (is_elsewhere ? on_loop() : ""),
            "give each sensor a `name` of its own");
-  }
+  if (is_elsewhere)
+    refuse("earlier in this run it was" + on_loop() + ", to which its name belongs",
+           "start the program again, or give it another name");
   OriginCore::State state;
+  const OriginCore* const kept = claim.where.topic.empty() ? nullptr : runtime_.find_origin(name);
   if (kept != nullptr) {
     state = kept->state();
   } else if (claim.left != nullptr) {
     state = *claim.left;
   }
-  if (!claim.topic.empty() && claim.topic != topic.name)
-    refuse("earlier in this run it published on topic " + claim.topic, "choose another name or that topic");
+  if (!claim.where.topic.empty() && claim.where.topic != topic.name)
+    refuse("earlier in this run it published on topic " + claim.where.topic, "choose another name or that topic");
   const bool is_unused = !state.counts.has_schedule && state.counts.received == 0;
   if (!is_unused && state.supply != OriginCore::Supply::none && state.supply != supply) {
     refuse(state.supply == OriginCore::Supply::feed ? "earlier in this run it was fed, here it is to have a schedule"
                                                     : "earlier in this run it had a schedule, here it is to be fed",
            "choose another name: the two are accounted for in different ways");
   }
-  claim.topic = topic.name;
-  claim.holder = &runtime_;
+  claim.where = {topic.name, here};
+  claim.is_there = true;
   return state;
 }
 
-void Names::give_back(std::string_view name) noexcept {
+Names::Published Names::published(std::string_view name) const {
   Names& all = runtime_.main().names;
   const std::lock_guard lock(all.mutex_);
-  for (auto& [known, claim] : all.claims_) {
-    if (known == name) claim.holder = nullptr;
-  }
+  const auto found = all.claims_.find(name);
+  return found != all.claims_.end() ? found->second.where : Published{};
 }
 
-void Names::release(OriginCore& origin) noexcept try {
+void Names::release(OriginCore& origin) noexcept {
   origin.is_claimed = false;
-  auto left = std::make_unique<OriginCore::State>(origin.state());
-  for (Bridge* bridge : runtime_.outbound) bridge->sending.give_up(origin);
+  for (Bridge* bridge : runtime_.outbound) bridge->sending.tell_soon();
   Names& all = runtime_.main().names;
   const std::lock_guard lock(all.mutex_);
-  Claim& claim = all.claims_.find(origin.name)->second;
-  claim.left = std::move(left);
-  claim.holder = nullptr;
-} catch (...) {  // out of memory: the name stays with this loop, where alone it can be claimed again
+  all.claims_.find(origin.name)->second.is_there = false;
 }
 
 void Names::release_all() noexcept {
-  for (const OriginCore& origin : runtime_.origins()) {
-    if (origin.is_claimed) release(*runtime_.find_origin(origin.name));
-  }
   Names& all = runtime_.main().names;
   const std::lock_guard lock(all.mutex_);
-  for (auto& [name, claim] : all.claims_) {
-    if (claim.holder == &runtime_) claim.holder = nullptr;
+  for (const OriginCore& origin : runtime_.origins()) {
+    const auto found = all.claims_.find(origin.name);
+    if (found == all.claims_.end() || found->second.where.tier != runtime_.own_loop->config.name) continue;
+    Claim& claim = found->second;
+    try {
+      claim.left = std::make_unique<OriginCore::State>(origin.state());
+      claim.is_there = false;
+    } catch (...) {  // no memory: no sensor has this name any more
+      claim.is_there = true;
+    }
   }
 }
 

@@ -1,17 +1,14 @@
 // A bridge: takes what is published on one loop to another, through a ring of copies. One for each ordered pair of
 // loops.
 //
-//   1. The sending side announces each topic of its loop, and each origin whose name its loop has claimed (a short
+//   1. The sending side announces each topic of its loop, and each origin of whose name its loop is (a short
 //      lock; no event is on its way yet).
 //   2. The receiving side makes topic and origin of the same names, the mirrors. Whether anybody there wants the
 //      topic's events is a flag of its channel, which the sending side looks at for each event.
 //   3. Events, gaps, ended segments and accounts go through the ring in the order in which they happened. A full ring
 //      drops the event and counts it with its sensor; before the sensor's next event, or with its next account, goes
 //      how many there were.
-//   4. A loop that gives up a name announces that, with the last account of it and what found no room, before the name
-//      is free. The receiving side takes the rest of that origin's ring, then the last account. Announcements are
-//      heard in the order in which they were made, from all loops: that another loop has the name comes after it.
-//   5. After the sending loop's callbacks, or earlier when much waits, all that waits can be seen by the receiving
+//   4. After the sending loop's callbacks, or earlier when much waits, all that waits can be seen by the receiving
 //      loop, which is woken once for it: through the kernel only when it sleeps (wake.hpp).
 #pragma once
 

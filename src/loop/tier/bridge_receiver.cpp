@@ -18,8 +18,7 @@ BridgeReceiver::~BridgeReceiver() {
 
 void BridgeReceiver::hear(const Announcement& announcement) {
   if (announcement.passage == nullptr) return hear_topic(announcement);
-  if (announcement.last == nullptr) return hear_origin(*announcement.passage, announcement.name);
-  hear_given_up(*announcement.passage, *announcement.last);
+  hear_origin(*announcement.passage, announcement.name);
 }
 
 void BridgeReceiver::hear_topic(const Announcement& announcement) {
@@ -50,19 +49,6 @@ void BridgeReceiver::hear_origin(Passage& passage, const std::string& name) {
   }
   if (open_.size() <= passage.number) open_.resize(passage.number + 1);
   open_[passage.number] = &passage;
-}
-
-void BridgeReceiver::hear_given_up(Passage& passage, const FinalAccount& last) {
-  ring_.look_up_to(last.position);
-  take_seen();
-  if (OriginCore* const mirror = passage.receiving.mirror; mirror != nullptr) {
-    for (const LedgerEntry& entry : last.entries) take_entry(entry.entry, *mirror);
-    take_drops(last.drops, passage);
-    if (last.has_account) take_account(last.account, passage);
-  }
-  if (passage.receiving.mirror != nullptr && passage.receiving.mirror->comes_from == &from_)
-    passage.receiving.mirror->comes_from = nullptr;
-  open_[passage.number] = nullptr;
 }
 
 // ---- records

@@ -25,15 +25,13 @@ class BridgeReceiver {
   void receive();
   /// Takes what was sent before `BridgeSender::send_all_accounts` returned this position.
   void receive_up_to(std::size_t position);
-  /// The position up to which it has received. A name that is given up takes what was sent up to then with it, which
-  /// may be beyond a position that was asked for.
+  /// The position up to which it has received.
   std::size_t received() const noexcept { return ring_.seen(); }
   void add_statuses(std::vector<SensorStatus>& all) const;
 
  private:
   void hear_topic(const Announcement& announcement);
   void hear_origin(Passage& passage, const std::string& name);
-  void hear_given_up(Passage& passage, const FinalAccount& final_account);
   /// Of what was looked at, up to the first record of a passage that is not open. False: there is one.
   bool take_seen();
   /// The front of the ring, and those alike behind it.

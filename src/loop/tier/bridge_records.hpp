@@ -1,9 +1,8 @@
-// What goes over a bridge: the records in its ring, and the final account that goes with an announcement.
+// What goes over a bridge: the records in its ring.
 #pragma once
 
 #include <cstdint>
 #include <variant>
-#include <vector>
 
 #include "loop/events/topic_core.hpp"
 #include "rtdata/loop/health.hpp"
@@ -74,15 +73,6 @@ struct DropsRecord : BridgeRecord {
 struct LedgerEntry {
   Passage* passage;
   std::variant<Gap, Segment> entry;
-};
-
-/// All that is left to be said of an origin when its loop gives up the name.
-struct FinalAccount {
-  std::size_t position;  // up to which its records are in the ring
-  std::vector<LedgerEntry> entries;
-  Drops drops;
-  bool has_account;  // the receiving loop is the main loop
-  OriginSnapshot account;
 };
 
 }  // namespace rtdata::detail

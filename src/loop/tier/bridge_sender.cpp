@@ -91,31 +91,10 @@ void BridgeSender::open(OriginCore& origin) {
   if (passage == nullptr) {
     const auto number = static_cast<std::uint32_t>(passages_.size());
     passage = &passages_.emplace_back(number, origin, *channel, channel->record_bytes);
+    announce({&bridge_, channel, passage, origin.name, {}});
   }
-  announce({&bridge_, channel, passage, origin.name, {}});
-  passage->sending.is_open = true;
-  next_accounts_ = {};  // it has a schedule before it has events: with the end of this turn
+  tell_soon();  // it has a schedule before it has events
   origin.topic.find_way(origin);
-}
-
-void BridgeSender::give_up(OriginCore& origin) {
-  Passage* const passage = open_passage_of(origin);
-  if (passage == nullptr) return;
-  Passage::Sending& sending = passage->sending;
-  auto last = std::make_shared<FinalAccount>();
-  const auto is_of_it = [&](const LedgerEntry& entry) { return entry.passage == passage; };
-  std::copy_if(waiting_.begin(), waiting_.end(), std::back_inserter(last->entries), is_of_it);
-  last->drops = sending.drops;
-  last->has_account = is_to_main_;
-  if (is_to_main_) take_snapshot(origin, last->account);
-  ring_.publish();
-  last->position = ring_.published();
-  announce({&bridge_, passage->channel, passage, {}, {}, std::move(last)});
-  std::erase_if(waiting_, is_of_it);
-  sending.reported_dropped = sending.drops.dropped;
-  sending.last_account = summary_of(origin);
-  sending.is_open = false;
-  wake();
 }
 
 Channel* BridgeSender::channel_of(const TopicCore& topic) noexcept {
@@ -123,10 +102,9 @@ Channel* BridgeSender::channel_of(const TopicCore& topic) noexcept {
   return found != channel_by_topic_.end() ? found->second : nullptr;
 }
 
-Passage* BridgeSender::open_passage_of(const OriginCore& origin) noexcept {
+Passage* BridgeSender::passage_of(const OriginCore& origin) noexcept {
   const Channel* channel = channel_of(origin.topic);
-  Passage* passage = channel != nullptr ? channel->passage_of(origin) : nullptr;
-  return passage != nullptr && passage->sending.is_open ? passage : nullptr;
+  return channel != nullptr ? channel->passage_of(origin) : nullptr;
 }
 
 void BridgeSender::wake() noexcept {
@@ -164,7 +142,7 @@ void BridgeSender::on_gap(OriginCore& origin, const Gap& gap) { add_entry(origin
 void BridgeSender::on_segment(OriginCore& origin, const Segment& segment) { add_entry(origin, segment); }
 
 void BridgeSender::add_entry(const OriginCore& origin, const std::variant<Gap, Segment>& entry) {
-  Passage* passage = is_to_main_ ? open_passage_of(origin) : nullptr;
+  Passage* passage = is_to_main_ ? passage_of(origin) : nullptr;
   if (passage == nullptr) return;
   const LedgerEntry one{passage, entry};
   if (send_waiting_entries() && send_entry(one)) return;
@@ -258,7 +236,6 @@ void BridgeSender::take_snapshot(const OriginCore& origin, OriginSnapshot& to) c
 }
 
 bool BridgeSender::send_account(Passage& passage, ByteRing::Room room) noexcept {
-  if (!passage.sending.is_open) return true;
   if (!send_drops(passage, room)) return false;
   if (!is_to_main_) return true;
   const AccountSummary summary = summary_of(*passage.sending.source);
@@ -285,9 +262,7 @@ std::size_t BridgeSender::send_accounts() {
 }
 
 BridgeSender::AccountsSent BridgeSender::send_all_accounts() {
-  for (const Passage& passage : passages_) {
-    if (passage.sending.is_open) passage.sending.source->divide_gaps();
-  }
+  for (const Passage& passage : passages_) passage.sending.source->divide_gaps();
   const std::size_t left = send_accounts();
   return {left, ring_.published()};
 }

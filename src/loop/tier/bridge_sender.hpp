@@ -33,9 +33,8 @@ class BridgeSender final : public Listener {
 
   /// This loop has claimed the name: announces that it publishes under it. std::bad_alloc.
   void open(OriginCore& origin);
-  /// This loop gives up the name: announces that with all that is left to be said of it, so that nothing of it follows.
-  /// std::bad_alloc, when nothing was done.
-  void give_up(OriginCore& origin);
+  /// How the sensors do goes with the end of this turn.
+  void tell_soon() noexcept { next_accounts_ = {}; }
 
   /// What was sent can be taken by the other side, which is woken for it.
   void wake() noexcept;
@@ -61,8 +60,8 @@ class BridgeSender final : public Listener {
  private:
   using Sort = BridgeRecord::Sort;
   Channel* channel_of(const TopicCore& topic) noexcept;
-  /// Null: it is not open.
-  Passage* open_passage_of(const OriginCore& origin) noexcept;
+  /// Null: it has none.
+  Passage* passage_of(const OriginCore& origin) noexcept;
   /// `room`: all for gaps, segments and last accounts, which have to find some when events have filled the ring.
   template <class RecordType>
   RecordType* reserve(Sort sort, const Passage& passage, ByteRing::Room room) noexcept;

@@ -29,8 +29,7 @@ struct AccountSummary {
   bool operator==(const AccountSummary&) const = default;
 };
 
-/// An origin and its mirror. It is open from when its loop claims the name until it gives it up, on the receiving side
-/// from and until the announcements that say so.
+/// An origin and its mirror, open on the receiving side from the announcement on.
 struct Passage {
   Passage(std::uint32_t number_, OriginCore& source, Channel& channel_, std::uint32_t event_bytes)
       : number(number_),
@@ -46,7 +45,6 @@ struct Passage {
     Drops drops{};                       // for want of room in the ring
     std::uint64_t reported_dropped = 0;  // of these, those reported to the other side
     AccountSummary last_account = {};
-    bool is_open = false;
   } sending;
 
   struct alignas(64) Receiving {   // a cache line of its own
