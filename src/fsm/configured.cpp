@@ -147,6 +147,7 @@ void ConfiguredMachine::Core::listen() {
   subscriptions = inputs.subscribe(loop, "machine " + settings.name, [this](std::size_t input, const EventView& event) {
     take(input, event, event.time());
   });
+  for (const std::string& topic : settings.inputs) detail::is_made_of(detail::node_of_open(machine, topic), topic);
   if (sync)
     patience = Timer(loop, {.name = "machine " + settings.name}, [this] {
       report(Errc::timed_out, "what acts on a change does not wait for the card any longer",

@@ -7,6 +7,7 @@
 #include "data/nearest.hpp"
 #include "fsm/machine_table.hpp"
 #include "loop/core/loop_core.hpp"
+#include "loop/events/made_of.hpp"
 #include "loop/runtime/runtime_core.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/sensors/feed.hpp"
@@ -114,6 +115,14 @@ class MachineNode final : public Node {
   void look() {
     check_use("cannot look");
     take_now(no_event);
+  }
+  void is_made_of(std::string_view topic) {
+    rtdata::detail::OriginCore* const origin = feed_ ? loop()->runtime.find_origin(config_.name) : nullptr;
+    if (origin == nullptr) return;
+    std::vector<std::string> topics = origin->made_of;
+    if (std::find(topics.begin(), topics.end(), topic) != topics.end()) return;
+    topics.emplace_back(topic);
+    set_made_of(*origin, std::move(topics));
   }
   /// In a delivery of the loop.
   void begin_hold_anew(std::size_t way) {
@@ -463,6 +472,9 @@ rtdata::detail::Node& node_of_open(const Machine& machine, std::string_view inpu
   rtdata::detail::Node* const node = machine.node();
   if (node != nullptr && node->is_open()) return *node;
   throw SetupError({Errc::closed, "cannot make an input", std::string(input), "its machine is closed", ""});
+}
+void is_made_of(rtdata::detail::Node& machine, std::string_view topic) {
+  if (machine.is_open()) static_cast<MachineNode&>(machine).is_made_of(topic);
 }
 Loop& loop_of(rtdata::detail::Node& machine) { return machine.loop()->face; }
 MonotonicTime now_of(rtdata::detail::Node& machine) { return machine.loop()->now(); }

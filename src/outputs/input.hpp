@@ -38,6 +38,7 @@ class OutputInput {
   /// good as those loops turn.
   std::vector<LoopCore*> loops_of_held(Loop& loop) const;
   bool has_held() const noexcept;
+  std::vector<std::string> topics() const { return sources_.topics(); }
   struct Silence {
     const std::string* topic;  ///< null: none of them may be silent
     MonotonicTime since;

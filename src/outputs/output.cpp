@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "loop/core/loop_core.hpp"
+#include "loop/events/made_of.hpp"
 #include "loop/runtime/runtime_core.hpp"
 #include "loop/support/fitting.hpp"
 #include "loop/tier/turn_watch.hpp"
@@ -62,9 +63,11 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     Loop& loop = this->loop()->face;
     if (guard != nullptr && !guarded.empty()) take_guard(loop, *guard, guarded);
     if (port_ == nullptr) port_ = make_lane_port(loop, name(), make_, *this);
-    if (input_)
+    if (input_) {
       subscriptions_ = input_->subscribe(
           loop, name(), [this](std::size_t topic, const EventView& event) { take(topic, event, event.time()); });
+      set_made_of(origin_, input_->topics());
+    }
     if (takes == Output::Takes::later) {
       begin_taking();
     } else {

@@ -22,6 +22,7 @@
 
 #include "has.hpp"
 #include "rtdata/sensors/feed.hpp"
+#include "rtdata/sensors/limit.hpp"
 #include "rtdata/sinks/postgresql_recording.hpp"
 #include "sinks/killed.hpp"
 #include "sinks/postgresql/connection.hpp"
@@ -847,6 +848,35 @@ TEST_SUITE("sinks") {
     CHECK(has(error_after("ALTER TABLE rtdata_topic RENAME TO other", "ALTER TABLE other RENAME TO rtdata_topic"),
               "it has no table rtdata_topic"));
     CHECK(verify_server(config).or_throw().exit_code() == 0);
+  }
+
+  TEST_CASE("FW-4 a server that takes what is made of a topic has the account of that topic, and none of its rows") {
+    SERVER_OR_SKIP(server);
+    const std::string database = server.make_database();
+    recordings::Folder folder;
+    const std::string path = folder / "run.db";
+    const PostgresqlConfig config{
+        .url = server.url(database), .machine = "node", .sink = {.topics = {"plant/alarm"}, .through = "recording"}};
+    {
+      Node node(path, config);
+      const LimitSensor alarm(node.loop, {.name = "alarm", .topic = "plant/alarm"},
+                              {.on = "plant/shaky", .field = "count", .high = 100});
+      node.loop.advance(20s);
+      node.loop.close();
+      CHECK(node.all_errors() == "");
+    }
+    const VerifyReport recorded = recordings::verified(path), served = verify_server(config).or_throw();
+    INFO(served.text());
+    REQUIRE(served.runs.size() == 1);
+    CHECK(served.verdict() == Verdict::balanced);
+    REQUIRE(served.runs[0].losses.size() == 1);
+    REQUIRE(recorded.runs[0].losses.size() == 1);
+    CHECK(served.runs[0].losses[0].topic == "plant/shaky");
+    CHECK(served.runs[0].losses[0].failed == recorded.runs[0].losses[0].failed);
+    CHECK(served.runs[0].losses[0].made_of_it == std::vector<std::string>{"plant/alarm"});
+    CHECK(server.sql(database, "SELECT string_agg(topic, ' ' ORDER BY topic) FROM rtdata_ledger") ==
+          "plant/alarm plant/shaky");
+    CHECK(server.number(database, "SELECT offered + published FROM rtdata_ledger WHERE topic = 'plant/shaky'") == 0);
   }
 
   TEST_CASE("FW-4 verify counts rows that the server has refused as refused there, and all is balanced") {

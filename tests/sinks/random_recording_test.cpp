@@ -3,12 +3,14 @@
 // also how the loops are interleaved, and brings it again.
 #include <array>
 #include <cstdlib>
+#include <map>
 #include <random>
 #include <string>
 #include <thread>
 
 #include "loop/core/loop_core.hpp"
 #include "loop/lane_sensor.hpp"
+#include "loop/runtime/runtime_core.hpp"
 #include "recordings.hpp"
 #include "rtdata/loop/tier.hpp"
 
@@ -45,6 +47,13 @@ class Chaos {
     CHECK(loop_.runtime().balances());
     CHECK(sink_.counts().balances());
     CHECK(other_.counts().balances());
+  }
+  /// What the recordings in this file said of their runs at their ends.
+  std::map<std::int64_t, std::vector<std::string>> said_of(const std::string& path) const {
+    std::map<std::int64_t, std::vector<std::string>> said;
+    for (const detail::ClosedSink& sink : loop_runtime().core().closed_sinks)
+      if (sink.name == path && sink.recorded != nullptr) said[sink.recorded->info.run] = sink.recorded->lines;
+    return said;
   }
   /// What came of it all.
   std::string account() const {
@@ -236,16 +245,21 @@ TEST_SUITE("sinks") {
       std::string account;
       for (int time = 0; time < (seed == first ? 2 : 1); ++time) {
         const Folder folder;
+        std::map<std::string, std::map<std::int64_t, std::vector<std::string>>> said;
         {
           Chaos chaos(folder / "all.db", folder / "some.db", static_cast<unsigned>(seed), Chaos::Time::manual);
           chaos.run(1s);
           chaos.end();
+          for (const char* name : {"all.db", "some.db"}) said[name] = chaos.said_of(folder / name);
           if (time == 1) CHECK(chaos.account() == account);  // the same again
           account = chaos.account();
         }
         for (const char* name : {"all.db", "some.db"}) {
           CAPTURE(name);
-          check_balanced(folder / name);
+          const VerifyReport report = check_balanced(folder / name);
+          std::map<std::int64_t, std::vector<std::string>> found;
+          for (const RunReport& run : report.runs) found[run.info.run] = run.lines;
+          CHECK(said[name] == found);
         }
       }
     }

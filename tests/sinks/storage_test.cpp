@@ -339,7 +339,8 @@ TEST_SUITE("sinks") {
       REQUIRE(report.deleted);
       CHECK(report.deleted->runs.runs == static_cast<std::uint64_t>(starts + 1 - runs));
       std::uint64_t lost = 0;
-      for (const TopicLoss& loss : report.losses()) lost += loss.by_source;
+      for (const RunReport& run : report.runs)
+        for (const TopicLoss& loss : run.losses) lost += loss.by_source;
       CHECK(lost == 1 + starts * 9 / 10);  // of those that were killed, no account was written
       const std::int64_t offered = number(path,
                                           "SELECT coalesce((SELECT sum(offered) FROM rtdata_deleted), 0) + "

@@ -316,24 +316,26 @@ TEST_CASE(
     const VerifyReport report = verified(path);
     CHECK_MESSAGE(report.verdict() == Verdict::balanced, report.text());
     TopicLoss sum;
-    for (const TopicLoss& loss : report.losses()) sum.add(loss);
+    for (const TopicLoss& loss : report.runs.at(0).losses) sum.add(loss);
     CHECK(sum.failed == failed);
     CHECK(sum.by_source == lost);
     CHECK(sum.outages.number == outages);
     CHECK(has(report.text(), "60 samples of daq (lost by the source 60)"));
     CHECK(number(path, "SELECT count(*) FROM rtdata_topic WHERE topic IN ('daq', 'adc', 'bar')") == 0);
     CHECK(number(path, "SELECT count(*) FROM rtdata_ledger WHERE topic IN ('daq', 'adc', 'bar')") == 3);
-    CHECK(verified(other).losses().empty());  // which has nothing to do with them
+    CHECK(verified(other).runs.at(0).losses.empty());  // which has nothing to do with them
     CHECK(number(other, "SELECT count(*) FROM rtdata_ledger") == 1);
   }
 }
 
-TEST_CASE("US-26 verify says first what was lost, of which topic and where, and what is not known") {
+TEST_CASE("US-26 verify says first of each run what was lost, of which topic and where, and what is not known") {
   const Folder folder;
   const std::string path = folder / "run.db";
-  const auto first_lines = [&](const VerifyReport& report) {
+  const auto first_lines = [&](const VerifyReport& report) {  // of the newest run
     const std::string text = report.text();
-    return text.substr(report.path.size() + 1, text.find("\n\n") - report.path.size());
+    const std::size_t heading = text.rfind("\nrun " + std::to_string(report.runs.back().info.run) + "  ");
+    const std::size_t begin = text.find('\n', heading + 1) + 1;
+    return text.substr(begin, text.find(" rows of ", begin) - begin);
   };
   {
     Loop loop{Loop::Manual{}};
@@ -348,13 +350,18 @@ TEST_CASE("US-26 verify says first what was lost, of which topic and where, and 
   }
   VerifyReport report = verified(path);
   CHECK(first_lines(report) ==
-        "nothing lost: 12 rows\n"
-        "not detectable: what the sources of lab/board lost before it came here: they do\n"
-        "                not number it\n");
+        "  nothing lost: 12 rows\n"
+        "  not detectable: what the sources of lab/board lost before it came here: they\n"
+        "                  do not number it\n"
+        "  12");
+  CHECK(report.runs.at(0).lines ==
+        std::vector<std::string>{"nothing lost: 12 rows",
+                                 "not detectable: what the sources of lab/board lost before it came here: they do "
+                                 "not number it"});
   auto json = nlohmann::json::parse(report.to_json());
-  CHECK(json["nothing_lost"] == true);
-  CHECK(json["losses"].empty());
   CHECK(json["runs"][0]["nothing_lost"] == true);
+  CHECK(json["runs"][0]["losses"].empty());
+  CHECK(json["runs"][0]["lines"].size() == 2);
   CHECK(json["runs"][0]["not_detectable"] == nlohmann::json{"lab/board"});
 
   {
@@ -385,28 +392,49 @@ TEST_CASE("US-26 verify says first what was lost, of which topic and where, and 
   const std::uint64_t dropped = report.runs.at(1).dropped;
   REQUIRE(dropped > 0);
   std::string joined = first_lines(report);
-  for (std::size_t at; (at = joined.find("\n      ")) != std::string::npos && joined[at + 7] != '3';)
-    joined.replace(at, 7, " ");
-  CHECK(has(joined, "LOST: " + std::to_string(dropped + 10) +
+  for (std::size_t at; (at = joined.find("\n        ")) != std::string::npos && joined[at + 9] != '3';)
+    joined.replace(at, 9, " ");
+  CHECK(has(joined, "  LOST: " + std::to_string(dropped + 10) +
                         " samples of lab/board (lost by the source 10, dropped "
                         "by the queue " +
                         std::to_string(dropped) +
                         ") and 1 outage of 1 s (how many samples did not come "
                         "is not known)\n"
-                        "      3 ticks of room/climate (failed 3)\n"));
+                        "        3 ticks of room/climate (failed 3)\n"));
   json = nlohmann::json::parse(report.to_json());
-  CHECK(json["nothing_lost"] == false);
-  REQUIRE(json["losses"].size() == 2);
-  CHECK(json["losses"][0]["topic"] == "lab/board");
-  CHECK(json["losses"][1]["failed"] == 3);
+  CHECK(json["runs"][0]["nothing_lost"] == true);  // what one run loses, no other has lost
+  CHECK(json["runs"][1]["nothing_lost"] == false);
+  REQUIRE(json["runs"][1]["losses"].size() == 2);
+  CHECK(json["runs"][1]["losses"][0]["topic"] == "lab/board");
+  CHECK(json["runs"][1]["losses"][1]["failed"] == 3);
 
   // A run that was not closed: the end of it is not known, and that is no promise that nothing was lost.
   written_as(path, "UPDATE rtdata_run SET state = 'recording', pid = 0 WHERE run = 2");
   report = verified(path);
   CHECK(has(first_lines(report), "LOST: "));
   CHECK(has(first_lines(report),
-            "NOT KNOWN: of run 2: what it lost after its last account: it is not sealed yet;\n"
-            "           recording into the file again seals it\n"));
+            "  NOT KNOWN: what it lost after its last account: it is not sealed yet;\n"
+            "             recording into the file again seals it\n"));
+  CHECK(report.exit_code() == 1);
+
+  // One that is bad is so for good, and no later run is called bad for it.
+  sql(path, "UPDATE rtdata_ledger SET stored = stored + 1 WHERE run = 1 AND topic = 'room/climate'");
+  {
+    Loop loop{Loop::Manual{}};
+    SqliteSink sink(loop, {.path = path});
+    Sensor<Climate> room(loop, {.name = "room", .topic = "room/climate", .rate = 10_Hz}, [] { return Climate{1, 2}; });
+    loop.advance(1s);
+    loop.close();
+  }
+  report = verified(path);
+  REQUIRE(report.runs.size() == 3);
+  CHECK(report.runs[0].verdict == Verdict::not_balanced);
+  CHECK(report.runs[2].verdict == Verdict::balanced);
+  CHECK(report.runs[2].lines == std::vector<std::string>{"nothing lost: 11 rows"});
+  CHECK(report.exit_code() == 1);
+  CHECK(has(report.text(),
+            "\nrun 3: balanced: rows, gaps and schedule agree with the account.\n"
+            "But run 1 is not balanced: see above. So the status is 1; `--run` looks at one\nrun.\n"));
   CHECK(nlohmann::json::parse(report.to_json())["runs"][1]["not_known"].size() == 1);
 }
 
@@ -437,7 +465,7 @@ TEST_CASE("US-26 verify does not know what was lost on a tier that hung when the
   REQUIRE(report.runs[0].not_known.size() == 1);
   CHECK(report.runs[0].not_known[0].starts_with("what the sensors of tier fast lost from 2023-11-14T22:13:23"));
   CHECK(report.runs[1].not_known.empty());
-  CHECK(has(report.text(), "NOT KNOWN: of run 1: what the sensors of tier fast lost"));
+  CHECK(has(report.text(), "  NOT KNOWN: what the sensors of tier fast lost"));
 }
 
 TEST_CASE("US-26 verify names what was deleted, added or changed in the rows") {

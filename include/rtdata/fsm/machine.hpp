@@ -150,6 +150,8 @@ void input_event(rtdata::detail::Node& machine, Time time, MonotonicTime came);
 void begin_hold_anew(rtdata::detail::Node& machine, std::size_t way);
 /// SetupError (closed).
 rtdata::detail::Node& node_of_open(const Machine& machine, std::string_view input);
+/// The topic is one of its inputs: recordings of its changes keep the account of it, too.
+void is_made_of(rtdata::detail::Node& machine, std::string_view topic);
 Loop& loop_of(rtdata::detail::Node& machine);
 MonotonicTime now_of(rtdata::detail::Node& machine);
 const std::string& name_of(rtdata::detail::Node& machine);
@@ -230,6 +232,7 @@ class Input {
     latest->subscription = loop.topic<T>(topic).subscribe(loop,
                                                           [latest](const Event<T>& event) { latest->take(event); });
     latest->subscription.set_name("machine " + detail::name_of(latest->machine));
+    detail::is_made_of(latest->machine, topic);
   }
 
   /// There is one that is not too old.

@@ -79,7 +79,8 @@ struct LedgerEntry {
   std::uint64_t dropped_newest = 0, dropped_oldest = 0, dropped_refused = 0, dropped_unsaved = 0;
   std::uint64_t first_sequence = 0, last_sequence = 0;  ///< offered; 0: none
   std::uint64_t pruned = 0;
-  std::int64_t rows_up_to = 0;  ///< rows after this rowid came after the account
+  std::int64_t rows_up_to = 0;            ///< rows after this rowid came after the account
+  std::vector<std::string> made_of = {};  ///< topics of whose events its own are made
   std::uint64_t dropped() const noexcept { return dropped_newest + dropped_oldest + dropped_refused + dropped_unsaved; }
 };
 
@@ -390,9 +391,10 @@ struct TopicSummary {
   std::uint64_t first_lines = 0;  ///< no loss: as of SensorCounts
   std::uint64_t pruned = 0;       ///< stored, and deleted again by `max_age` or `max_bytes`; reached_hertz counts them
   Outages outages;                ///< of origins without a schedule
-  bool is_complete = false;       ///< those counts are of the whole run; else up to its last account
-  std::optional<std::uint64_t> lost;  ///< none: the sources number nothing
-  std::optional<Time> first, last;    ///< none without rows
+  std::vector<std::string> made_of_it;  ///< recorded topics, of one that is not recorded itself
+  bool is_complete = false;             ///< those counts are of the whole run; else up to its last account
+  std::optional<std::uint64_t> lost;    ///< none: the sources number nothing
+  std::optional<Time> first, last;      ///< none without rows
 };
 
 /// One entry a topic that has an account or rows in the run, in order of name. Reads every row's time once.

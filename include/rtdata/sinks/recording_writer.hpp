@@ -44,6 +44,10 @@ struct Account {
     std::uint32_t slot;
     Segment segment;
   };
+  struct MadeOfEntry {
+    std::uint32_t slot;
+    std::string topics;  ///< of whose events its own are made, with spaces between
+  };
   struct ErrorEntry {
     Time time;
     std::string object;
@@ -64,6 +68,7 @@ struct Account {
   std::vector<OriginAccount> origins;  ///< those that changed; of many, a part
   std::vector<GapEntry> gaps;          ///< closed since the last account
   std::vector<SegmentEntry> segments;  ///< ended since the last account
+  std::vector<MadeOfEntry> made_of;    ///< that became known since the last account
   std::vector<ErrorEntry> errors;
   std::vector<ClockPair> clock;
   std::vector<HealthEntry> health;  ///< changes since the last account
@@ -71,7 +76,7 @@ struct Account {
 
   bool is_empty() const noexcept {
     return origins.empty() && gaps.empty() && segments.empty() && errors.empty() && clock.empty() && health.empty() &&
-           configurations.empty() && !is_last;
+           configurations.empty() && made_of.empty() && !is_last;
   }
 };
 
@@ -93,6 +98,8 @@ struct StorePace {
   /// `RecordingWriter::sync` is called this long after the first batch that was stored since its last call; 0: never.
   Duration sync_time{0};
 };
+
+struct RunReport;
 
 namespace detail {
 struct RowFeedConfig;
@@ -137,6 +144,8 @@ class RecordingWriter : public Writer {
   virtual bool is_recording() const noexcept { return false; }
   /// For a sink that goes through this recording; null: none can. Once for each of these sinks.
   virtual std::unique_ptr<detail::RowFeed> feed(const detail::RowFeedConfig& config);
+  /// Once it was closed: what the recording says of the run. Null: that is not known.
+  virtual std::shared_ptr<const RunReport> recorded() const { return nullptr; }
 
   // ---- on the lane
   /// What was stored is to survive a power cut from now on: called by time, `StorePace::sync_time`.

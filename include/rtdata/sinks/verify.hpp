@@ -58,6 +58,7 @@ struct TopicLoss {
   std::uint64_t dropped_newest = 0, dropped_oldest = 0, refused = 0;  ///< by the recording, as DropReason
   std::uint64_t not_saved = 0;                                        ///< when the run ended without closing
   Outages outages;                                                    ///< how many samples they cost is not known
+  std::vector<std::string> made_of_it = {};  ///< recorded topics, of one that is not recorded itself
 
   std::uint64_t ticks() const noexcept { return missed + failed; }
   std::uint64_t samples() const noexcept {
@@ -83,9 +84,12 @@ struct RunReport {
   std::vector<std::string> not_known;  ///< of what it is not known whether it was lost; empty: all is known
   /// Topics of which some source has no schedule and numbers nothing: what it lost itself is not detectable.
   std::vector<std::string> not_detectable;
+  /// What it lost, and what is not known: as the text has it, and `rtdata run` at its end. At least one.
+  std::vector<std::string> lines;
   std::vector<std::string> problems;  ///< a sentence each; the first 100
   std::vector<std::string> notes;     ///< worth knowing, no problem; the first 100
   std::uint64_t more_problems = 0;    ///< beyond these
+  bool has_open_equations = false;    ///< of a sealed run: see its notes
 };
 
 /// What is left of the runs whose rows and accounts were deleted.
@@ -106,12 +110,14 @@ struct VerifyReport {
   Verdict verdict() const noexcept;
   /// 0: balanced, sealed or being recorded; 1: not balanced, or not sealed.
   int exit_code() const noexcept;
-  /// Of each topic that lost something, in all runs together, the most first.
-  std::vector<TopicLoss> losses() const;
-  /// As a person reads it, what was lost first, at most 80 columns wide where the names allow.
+  /// As a person reads it, the newest run last, at most 80 columns wide where the names allow.
   std::string text() const;
   std::string to_json() const;
 };
+
+/// What the account of one run says by itself: no row is read, and nothing is compared. `rows`: those that are to be
+/// there. Errors: not-found, those of `Recording`.
+Result<RunReport> account_of(const Recording& recording, std::int64_t run);
 
 /// Errors: damaged (pages that cannot be read), those of `Recording`. A program exits with 2 then.
 Result<VerifyReport> verify(const Recording& recording);

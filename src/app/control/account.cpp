@@ -7,6 +7,7 @@
 #include "app/core/table.hpp"
 #include "loop/runtime/final_account.hpp"
 #include "loop/runtime/runtime_core.hpp"
+#include "sinks/core/account_text.hpp"
 
 namespace rtdata::app {
 
@@ -55,6 +56,8 @@ RunAccount account_of(Runtime& runtime) {
     RunAccount::Files& files = account.closed_sinks.emplace_back();
     if (closed.path) files.own = core.hide(*closed.path);
     files.recording = core.hide(closed.recording);
+    files.is_recording = closed.is_recording;
+    files.recorded = closed.recorded;
   }
   for (const SinkStatus& sink : account.sinks) {
     account.dropped += sink.counts.all_dropped();
@@ -187,6 +190,39 @@ std::string verdict(const RunAccount& account, const Ending& ending) {
 
 namespace {
 
+/// Empty: it has none.
+std::string path_of(const RunAccount& account, std::size_t sink, const std::map<std::string, std::string>& paths) {
+  if (sink < account.closed_sinks.size() && account.closed_sinks[sink].own) return *account.closed_sinks[sink].own;
+  const auto known = paths.find(account.sinks[sink].name);
+  return known == paths.end() ? std::string() : known->second;
+}
+
+/// What the recordings have of a topic: the runs of one sink follow each other, and of several the one that has most.
+TopicLoss held_of(const RunAccount& account, const std::string& topic) {
+  std::map<std::string, TopicLoss> by_sink;
+  for (std::size_t i = 0; i < account.closed_sinks.size(); ++i) {
+    if (account.closed_sinks[i].recorded == nullptr) continue;
+    for (const TopicLoss& loss : account.closed_sinks[i].recorded->losses) {
+      if (loss.topic != topic) continue;
+      TopicLoss& sum = by_sink[account.sinks[i].name];
+      sum.missed += loss.missed;
+      sum.failed += loss.failed;
+      sum.unreadable += loss.unreadable;
+      sum.by_source += loss.by_source;
+      sum.outages.add(loss.outages);
+    }
+  }
+  TopicLoss most;
+  for (const auto& [sink, sum] : by_sink) {
+    most.missed = std::max(most.missed, sum.missed);
+    most.failed = std::max(most.failed, sum.failed);
+    most.unreadable = std::max(most.unreadable, sum.unreadable);
+    most.by_source = std::max(most.by_source, sum.by_source);
+    if (sum.outages.number > most.outages.number) most.outages = sum.outages;
+  }
+  return most;
+}
+
 /// "12 (queue full, newest)"
 std::string dropped_text(const SinkStatus& sink) {
   std::string text = std::to_string(sink.counts.all_dropped());
@@ -198,7 +234,55 @@ std::string dropped_text(const SinkStatus& sink) {
   return text;
 }
 
+/// The losses that no recording has.
+std::vector<std::string> unrecorded_lines(const RunAccount& account) {
+  const auto beyond = [](std::uint64_t all, std::uint64_t held) { return all - std::min(all, held); };
+  std::vector<TopicLoss> losses;
+  for (const TopicAccount& topic : account.topics) {
+    const TopicLoss held = held_of(account, topic.topic);
+    TopicLoss left;
+    left.topic = topic.topic;
+    left.missed = beyond(topic.missed, held.missed);
+    left.failed = beyond(topic.failed, held.failed);
+    left.unreadable = beyond(topic.unreadable, held.unreadable);
+    left.by_source = beyond(topic.lost, held.by_source);
+    left.outages.number = beyond(topic.outages.number, held.outages.number);
+    if (left.outages.number != 0) left.outages.time = std::max(topic.outages.time - held.outages.time, Duration{0});
+    if (left.has_loss()) losses.push_back(std::move(left));
+  }
+  std::vector<std::string> lines = detail::loss_lines(losses, {}, {});
+  for (std::size_t i = 0; i < account.sinks.size(); ++i) {
+    const SinkStatus& sink = account.sinks[i];
+    const bool has_account = i < account.closed_sinks.size() && account.closed_sinks[i].recorded != nullptr;
+    if (!has_account && sink.counts.all_dropped() != 0)
+      lines.push_back("LOST: " + dropped_text(sink) + " events dropped by sink " + sink.name);
+  }
+  return lines;
+}
+
 }  // namespace
+
+std::string recorded_text(const RunAccount& account, const std::map<std::string, std::string>& paths) {
+  std::string text;
+  for (std::size_t i = 0; i < account.closed_sinks.size(); ++i) {
+    const RunAccount::Files& of = account.closed_sinks[i];
+    if (!of.is_recording) continue;
+    text += path_of(account, i, paths);
+    if (of.recorded != nullptr) {
+      text += ", run " + std::to_string(of.recorded->info.run) + "\n";
+      detail::add_lines(text, of.recorded->lines);
+    } else {
+      text += "\n";
+      detail::add_lines(text, {"NOT KNOWN: what it holds, since it was not closed; the next start seals it"});
+    }
+  }
+  if (text.empty()) return text;
+  if (const std::vector<std::string> left = unrecorded_lines(account); !left.empty()) {
+    text += "in no recording\n";
+    detail::add_lines(text, left);
+  }
+  return text;
+}
 
 std::string summary(const RunAccount& account, const std::map<std::string, std::string>& paths, std::size_t columns) {
   std::string text;
@@ -223,9 +307,7 @@ std::string summary(const RunAccount& account, const std::map<std::string, std::
   for (std::size_t i = 0; i < account.sinks.size(); ++i) {
     const SinkStatus& sink = account.sinks[i];
     const RunAccount::Files* const closed = i < account.closed_sinks.size() ? &account.closed_sinks[i] : nullptr;
-    const auto known = paths.find(sink.name);
-    std::string where = known == paths.end() ? std::string() : known->second;
-    if (closed != nullptr && closed->own) where = *closed->own;
+    std::string where = path_of(account, i, paths);
     if (where.empty() || where == "-") where = where.empty() ? "-" : "standard output";
     std::string note = sink.health == Health::ok ? "" : sink.reason;
     if (sink.backlog && sink.counts.queued > 0)

@@ -3,11 +3,13 @@
 
 #include <cstdint>
 #include <map>
+#include <memory>
 #include <optional>
 #include <string>
 #include <vector>
 
 #include "rtdata/loop/runtime.hpp"
+#include "rtdata/sinks/verify.hpp"
 
 namespace rtdata::app {
 
@@ -34,6 +36,8 @@ struct RunAccount {
   struct Files {
     std::optional<std::string> own;
     std::string recording;
+    bool is_recording = false;
+    std::shared_ptr<const RunReport> recorded = {};  ///< what that says of its run; null: it was not closed
   };
   std::vector<Files> closed_sinks;
   std::uint64_t events = 0, late = 0, missed = 0, failed = 0, unreadable = 0, lost = 0, dropped = 0, queued = 0;
@@ -53,6 +57,14 @@ RunAccount account_of(Runtime& runtime);
 /// The tables printed at the end, at most `columns` wide where names allow (0: as wide as they are); what was
 /// unreadable has a column if there is any. `paths`: of the sinks that are there last, by name.
 std::string summary(const RunAccount& account, const std::map<std::string, std::string>& paths, std::size_t columns);
+
+/// What each recording says of its run, in the lines of `rtdata verify`, and what none of them holds.
+///
+///     run.db, run 3
+///       LOST: 660 ticks of host/process (missed 660)
+///     in no recording
+///       LOST: 12 samples of board (lost by the source 12)
+std::string recorded_text(const RunAccount& account, const std::map<std::string, std::string>& paths);
 
 /// What the verdict says beside the account.
 struct Ending {

@@ -30,12 +30,14 @@ CLI::Validator at_least(std::int64_t least) {
 Action prepare_verify(CLI::App& command) {
   const auto options = std::make_shared<VerifyOptions>();
   command.footer(
-      "examples:\n  rtdata verify bench.db\n  rtdata verify postgresql://rt@db.example/plant\nexit status:\n"
+      "examples:\n  rtdata verify bench.db\n  rtdata verify bench.db --run 3\n  rtdata verify "
+      "postgresql://rt@db.example/plant\nexit status:\n"
       "  0  balanced: every tick and event is accounted for, losses too; or sealed:\n"
       "     so up to the kill or power cut that ended it; or being recorded\n"
-      "  1  not balanced, or not sealed yet: record into it again\n"
+      "  1  a run is not balanced, or not sealed yet: record into it again\n"
       "  2  unreadable or damaged");
   command.add_option("DB", options->database, "The recording, or a server: postgresql://...")->required();
+  command.add_option("--run", options->run, "Only this run; default: all, the newest last")->type_name("NUMBER");
   add_json(command, options);
   return [options](const Registry&) {
     std::optional<ForPeople> wrapped;

@@ -15,9 +15,11 @@ namespace rtdata::app {
 
 struct VerifyOptions {
   std::string database;
+  std::optional<std::int64_t> run = {};  // all of them unless given
   ShowAs show_as = ShowAs::text;
 };
-/// 0 balanced, sealed or being recorded; 1 not balanced or not sealed; 2 unreadable.
+/// 0 balanced, sealed or being recorded; 1 a run is not balanced or not sealed, or there is none of that number; 2
+/// unreadable.
 int verify(const VerifyOptions& options, std::ostream& out, std::ostream& err);
 
 struct InfoOptions {

@@ -81,6 +81,10 @@ void print_table(const std::vector<TopicSummary>& topics, std::ostream& out) {
                 " more rows were pruned (max_age, max_bytes)";
     if (topic.repeated != 0)
       losses += (losses.empty() ? "" : "; ") + count_of(topic.repeated) + " repeated by the source, which is no loss";
+    std::string made_of_it;
+    for (const std::string& of : topic.made_of_it) made_of_it += (made_of_it.empty() ? "" : ", ") + of;
+    if (!made_of_it.empty())
+      losses += (losses.empty() ? "" : "; ") + ("not recorded itself: account of what is made of it, " + made_of_it);
     if (!losses.empty()) {
       std::string lines;
       detail::wrap(lines, "    ", losses);
@@ -147,6 +151,7 @@ Json json_of(const TopicSummary& topic) {
             {"outages", topic.outages.number},
             {"outage_time_ns", topic.outages.time.count()},
             {"late", topic.late},
+            {"made_of_it", topic.made_of_it},
             {"is_complete", topic.is_complete}};
   if (!(topic.wanted_hertz > 0)) json["wanted_hz"] = Json();
   if (!(topic.reached_hertz > 0)) json["reached_hz"] = Json();

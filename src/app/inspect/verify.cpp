@@ -1,6 +1,7 @@
 #include "rtdata/sinks/verify.hpp"
 
 #include <ostream>
+#include <vector>
 
 #include "app/core/recording_commands.hpp"
 
@@ -27,6 +28,15 @@ int verify(const VerifyOptions& options, std::ostream& out, std::ostream& err) {
   if (!report) {
     err << "rtdata: " << report.error().text() << "\n";
     return 2;
+  }
+  if (options.run) {
+    std::erase_if(report->runs, [&](const RunReport& run) { return run.info.run != *options.run; });
+    report->deleted.reset();
+    if (report->runs.empty()) {
+      err << "rtdata: " << options.database << ": there is no run " << *options.run
+          << "; `rtdata verify` without --run has them all\n";
+      return 1;
+    }
   }
   out << (options.show_as == ShowAs::json ? report->to_json() + "\n" : report->text());
   return report->exit_code();

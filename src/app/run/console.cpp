@@ -103,10 +103,16 @@ void RunConsole::close_view() {
 
 void RunConsole::report(LogLevel level, const RunAccount& account, const std::map<std::string, std::string>& paths,
                         const std::string& verdict) {
+  const std::string recorded = recorded_text(account, paths);
+  for (std::size_t at = 0; at < recorded.size();) {
+    const std::size_t end = recorded.find('\n', at);
+    log_.write(LogLevel::info, "program", recorded.substr(at, end - at));
+    at = end + 1;
+  }
   log_.write(level, "program", verdict);
   if (options_.talk == Talk::normal) {
     const std::size_t columns = columns_of(uses_stdout_ ? STDERR_FILENO : STDOUT_FILENO);
-    const std::string text = summary(account, paths, columns) + "\n" + for_terminal(verdict, columns) + "\n";
+    const std::string text = summary(account, paths, columns) + "\n" + recorded + for_terminal(verdict, columns) + "\n";
     (uses_stdout_ ? messages_ : terminal()).write(text);
   } else if (level != LogLevel::info) {
     tell("rtdata: " + std::string(name_of(level)) + ": " + verdict + "\n");

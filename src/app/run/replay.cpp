@@ -86,11 +86,12 @@ SystemPlan takers_of(const Registry& registry, const ReplayOptions& options) {
 /// Leaves out the parts whose events the replay gives.
 void leave_out_recorded(SystemPlan& plan, const Recording& recording, const RunInfo& run, const ReplayConfig& config,
                         bool is_quiet) {
-  std::set<std::string> given;
+  std::set<std::string> given, recorded;
+  for (const RecordedTopic& topic : recording.topics().or_throw()) recorded.insert(topic.topic);
   for (const LedgerEntry& entry : recording.ledger(run.run).or_throw()) {
     const bool is_wanted = std::any_of(config.topics.begin(), config.topics.end(),
                                        [&](const std::string& pattern) { return topic_matches(pattern, entry.topic); });
-    if (is_wanted) given.insert(config.prefix + entry.origin);
+    if (is_wanted && recorded.contains(entry.topic)) given.insert(config.prefix + entry.origin);
   }
   std::erase_if(plan.parts, [&](const PartPlan& part) {
     if (!follows_others(part) || !given.contains(part.name)) return false;

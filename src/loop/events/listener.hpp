@@ -26,6 +26,8 @@ class Listener {
   /// Error: it cannot take the topic. Then `on_refusal` is called with it, when user code may run.
   virtual Result<void> on_topic(TopicCore& topic) = 0;
   virtual void on_refusal(const Error&) {}
+  /// `OriginCore::made_of` was set.
+  virtual void on_made_of(OriginCore&) {}
   virtual void on_gap(OriginCore& origin, const Gap& gap) = 0;
   virtual void on_segment(OriginCore& origin, const Segment& segment) = 0;
   /// `count` of them, alike, from `first` to `last`.

@@ -1,14 +1,17 @@
 #include "loop/events/made_of.hpp"
 
+#include <utility>
+
 #include "loop/events/origin_core.hpp"
 #include "loop/events/topic_core.hpp"
 #include "loop/runtime/runtime_core.hpp"
 
 namespace rtdata::detail {
 
-void tell_followers(OriginCore& origin) {
-  for (Recorder* const recorder : origin.topic.runtime().recorders)
-    if (auto* const follower = dynamic_cast<FollowsSources*>(recorder)) follower->follow(origin);
+void set_made_of(OriginCore& origin, std::vector<std::string> topics) {
+  origin.made_of = std::move(topics);
+  const auto& listeners = origin.topic.runtime().listeners;
+  for (std::size_t i = 0; i < listeners.size(); ++i) listeners[i]->on_made_of(origin);
 }
 
 }  // namespace rtdata::detail

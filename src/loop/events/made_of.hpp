@@ -1,4 +1,4 @@
-// What makes its events of those of other topics, and who wants to know of what: recordings keep the account of both.
+// What makes its events of those of other topics: recordings keep the account of these, too.
 #pragma once
 
 #include <string>
@@ -8,25 +8,8 @@ namespace rtdata::detail {
 
 class OriginCore;
 
-/// A sensor (OriginCore::sensor) that does.
-class MadeOf {
- public:
-  virtual std::vector<std::string> made_of() const = 0;  ///< topics
-
- protected:
-  ~MadeOf() = default;
-};
-
-/// A recorder (RuntimeCore::recorders) that wants to know.
-class FollowsSources {
- public:
-  virtual void follow(OriginCore& origin) = 0;
-
- protected:
-  ~FollowsSources() = default;
-};
-
-/// To be called once the origin's sensor is there, a MadeOf.
-void tell_followers(OriginCore& origin);
+/// Says so of an origin that is claimed; the sinks and the main loop hear it. Loop's thread. Throws; may be called
+/// again.
+void set_made_of(OriginCore& origin, std::vector<std::string> topics);
 
 }  // namespace rtdata::detail

@@ -4,6 +4,7 @@
 
 #include <memory>
 #include <string>
+#include <vector>
 
 #include "loop/support/allowance.hpp"
 #include "rtdata/loop/ledger.hpp"
@@ -167,7 +168,8 @@ class OriginCore {
   std::unique_ptr<Gaps> gaps_;
 
  public:
-  LoopCore* comes_from = nullptr;  ///< of a mirror, the loop that it publishes on, while there is a bridge to that
+  std::vector<std::string> made_of;  ///< topics of whose events it makes its own, while it is claimed: `set_made_of`
+  LoopCore* comes_from = nullptr;    ///< of a mirror, the loop that it publishes on, while there is a bridge to that
 };
 
 }  // namespace rtdata::detail

@@ -151,13 +151,14 @@ void TopicCore::miss(OriginCore& mirror, std::uint64_t count, std::uint64_t last
 
 void TopicCore::followers_changed() noexcept {
   const Followers before = followers_;
-  const bool is_wanted = !taps_.empty() || !links_.empty() || runtime_.exchange.is_wanted(name);
+  const bool is_wanted = !links_.empty() || runtime_.exchange.is_wanted(name) ||
+                         std::any_of(taps_.begin(), taps_.end(), [](const Tap* tap) { return tap->takes_events(); });
   if (change_ != nullptr) {
     followers_ = Followers::several;
   } else if (taps_.empty() && channels_out_.empty()) {
     followers_ = links_.empty() ? Followers::none : Followers::handlers;
   } else {
-    followers_ = !is_wanted && channels_out_.size() == 1 ? Followers::one_channel : Followers::several;
+    followers_ = taps_.empty() && !is_wanted && channels_out_.size() == 1 ? Followers::one_channel : Followers::several;
   }
   if (followers_ != before) {
     for (OriginCore* origin : origins_) find_way(*origin);

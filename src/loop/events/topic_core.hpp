@@ -28,6 +28,8 @@ class Tap {
   virtual void expect(OriginCore& origin) = 0;
   /// Something has become of a tick, or of the schedule, that no event tells of.
   virtual void note_change(OriginCore& origin) noexcept = 0;
+  /// False: it needs the accounts of the topic's origins alone. Those of other loops come without the events.
+  virtual bool takes_events() const noexcept { return true; }
 
  protected:
   ~Tap() = default;

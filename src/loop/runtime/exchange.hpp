@@ -27,7 +27,8 @@ struct Announcement {
   Channel* channel;  ///< of a topic; null: its payload cannot cross
   Passage* passage;  ///< of one of its origins; null: the topic itself
   std::string name;
-  PayloadType type;  ///< of a topic
+  PayloadType type;                       ///< of a topic
+  std::vector<std::string> made_of = {};  ///< of an origin, once that is known
 };
 
 /// Thread: the loop's, but for `announce` and `forget`.

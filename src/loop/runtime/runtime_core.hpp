@@ -23,7 +23,11 @@
 #include "loop/support/placed_list.hpp"
 #include "rtdata/loop/runtime.hpp"
 
-namespace rtdata::detail {
+namespace rtdata {
+
+struct RunReport;
+
+namespace detail {
 
 class TierCore;
 
@@ -46,6 +50,8 @@ struct ClosedSink : SinkStatus {
   std::string recording = {};  ///< the file of the one that it went through; empty: none
   /// Of its own file, empty for none, when another configuration took its place; else the one of its name has it.
   std::optional<std::string> path = {};
+  bool is_recording = false;
+  std::shared_ptr<const RunReport> recorded = {};  ///< what its recording says of its run; null: that was not closed
 };
 
 class RuntimeCore {
@@ -159,4 +165,5 @@ class RuntimeCore {
   std::unordered_set<OriginCore, ByName, ByName> origins_;
 };
 
-}  // namespace rtdata::detail
+}  // namespace detail
+}  // namespace rtdata

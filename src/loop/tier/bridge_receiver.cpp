@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "loop/core/loop_core.hpp"
+#include "loop/events/made_of.hpp"
 #include "loop/runtime/runtime_core.hpp"
 
 namespace rtdata::detail {
@@ -18,7 +19,7 @@ BridgeReceiver::~BridgeReceiver() {
 
 void BridgeReceiver::hear(const Announcement& announcement) {
   if (announcement.passage == nullptr) return hear_topic(announcement);
-  hear_origin(*announcement.passage, announcement.name);
+  hear_origin(announcement);
 }
 
 void BridgeReceiver::hear_topic(const Announcement& announcement) {
@@ -38,14 +39,16 @@ void BridgeReceiver::hear_topic(const Announcement& announcement) {
   }
 }
 
-void BridgeReceiver::hear_origin(Passage& passage, const std::string& name) {
+void BridgeReceiver::hear_origin(const Announcement& announcement) {
+  Passage& passage = *announcement.passage;
   if (TopicCore* const topic = passage.channel->receiving.mirror; topic != nullptr) {
-    OriginCore& origin = to_.runtime.find_or_make_origin(name, *topic);
+    OriginCore& origin = to_.runtime.find_or_make_origin(announcement.name, *topic);
     topic->expect(origin);
     origin.expect_gaps();
     origin.is_mirror = true;
     origin.comes_from = &from_;
     passage.receiving.mirror = &origin;
+    if (!announcement.made_of.empty()) set_made_of(origin, announcement.made_of);
   }
   if (open_.size() <= passage.number) open_.resize(passage.number + 1);
   open_[passage.number] = &passage;

@@ -31,7 +31,7 @@ class BridgeReceiver {
 
  private:
   void hear_topic(const Announcement& announcement);
-  void hear_origin(Passage& passage, const std::string& name);
+  void hear_origin(const Announcement& announcement);
   /// Of what was looked at, up to the first record of a passage that is not open. False: there is one.
   bool take_seen();
   /// The front of the ring, and those alike behind it.

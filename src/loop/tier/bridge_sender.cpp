@@ -91,10 +91,15 @@ void BridgeSender::open(OriginCore& origin) {
   if (passage == nullptr) {
     const auto number = static_cast<std::uint32_t>(passages_.size());
     passage = &passages_.emplace_back(number, origin, *channel, channel->record_bytes);
-    announce({&bridge_, channel, passage, origin.name, {}});
+    announce({&bridge_, channel, passage, origin.name, {}, origin.made_of});
   }
   tell_soon();  // it has a schedule before it has events
   origin.topic.find_way(origin);
+}
+
+void BridgeSender::on_made_of(OriginCore& origin) {
+  Passage* const passage = is_to_main_ ? passage_of(origin) : nullptr;
+  if (passage != nullptr) announce({&bridge_, passage->channel, passage, origin.name, {}, origin.made_of});
 }
 
 Channel* BridgeSender::channel_of(const TopicCore& topic) noexcept {

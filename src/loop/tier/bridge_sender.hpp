@@ -28,6 +28,7 @@ class BridgeSender final : public Listener {
   Result<void> on_topic(TopicCore& topic) override;
   void on_gap(OriginCore& origin, const Gap& gap) override;
   void on_segment(OriginCore& origin, const Segment& segment) override;
+  void on_made_of(OriginCore& origin) override;
   void on_error(Time first, Time last, std::string_view object, const Error& error, std::uint64_t count) override;
   void on_health(Time first, Time last, const HealthChange& change, std::uint64_t count) override;
 

@@ -49,7 +49,7 @@ const ConfigItem& expression_item(const DerivedConfig& config, const ConfigItem&
 
 namespace detail {
 
-class DerivedNode final : public FeedNode, public MadeOf {
+class DerivedNode final : public FeedNode {
  public:
   DerivedNode(Loop& loop, const FeedConfig& feed, const DerivedConfig& config,
               const std::shared_ptr<const Description>& description)
@@ -69,10 +69,9 @@ class DerivedNode final : public FeedNode, public MadeOf {
   void subscribe(Loop& loop) {
     subscriptions_ = sources_.subscribe(loop, "sensor " + origin_.name,
                                         [this](std::size_t from, const EventView& event) { take(from, event); });
-    tell_followers(origin_);
+    set_made_of(origin_, sources_.topics());
     recall();
   }
-  std::vector<std::string> made_of() const override { return sources_.topics(); }
 
   void start() override {
     if (is_running() || !is_open()) return;

@@ -36,7 +36,7 @@ bool are_opposite(LimitLevel a, LimitLevel b) {
 
 namespace detail {
 
-class LimitNode final : public FeedNode, public MadeOf {
+class LimitNode final : public FeedNode {
  public:
   LimitNode(Loop& loop, const FeedConfig& feed, const LimitConfig& config)
       : FeedNode(loop.core(), feed, payload_type<Alarm>()),
@@ -51,10 +51,9 @@ class LimitNode final : public FeedNode, public MadeOf {
   void subscribe(Loop& loop) {
     subscription_ = loop.subscribe(config_.on, [this](const EventView& event) { take(event); });
     subscription_.set_name("sensor " + origin_.name + " on " + config_.on);
-    tell_followers(origin_);
+    set_made_of(origin_, {config_.on});
     begin();
   }
-  std::vector<std::string> made_of() const override { return {config_.on}; }
 
   void start() override {
     if (is_running() || !is_open()) return;

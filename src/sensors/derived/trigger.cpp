@@ -76,7 +76,7 @@ class EventRing {
   std::uint64_t begin_ = 0, end_ = 0;
 };
 
-class TriggerNode final : public FeedNode, public MadeOf {
+class TriggerNode final : public FeedNode {
  public:
   TriggerNode(Loop& loop, const FeedConfig& feed, const TriggerConfig& config,
               const std::shared_ptr<const Description>& description)
@@ -97,10 +97,9 @@ class TriggerNode final : public FeedNode, public MadeOf {
   void subscribe(Loop& loop) {
     subscriptions_ = sources_.subscribe(loop, "sensor " + origin_.name,
                                         [this](std::size_t from, const EventView& event) { take(from, event); });
-    tell_followers(origin_);
+    set_made_of(origin_, sources_.topics());
     recall();
   }
-  std::vector<std::string> made_of() const override { return sources_.topics(); }
 
   void start() override {
     if (is_running() || !is_open()) return;

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <vector>
 
+#include "loop/events/made_of.hpp"
 #include "process/number_field.hpp"
 #include "rtdata/data/config_value.hpp"
 #include "rtdata/loop/topic.hpp"
@@ -76,11 +77,14 @@ class VerticalNode final : public FeedNode {
 
   /// Apart, since a subscription may fail.
   void subscribe(Loop& loop) {
+    std::vector<std::string> sources;
     for (const std::string* const topic : {&config_.barometer, &config_.accelerometer}) {
       if (topic->empty() || (topic == &config_.accelerometer && config_.barometer == *topic)) continue;
       subscriptions_.push_back(loop.subscribe(*topic, [this, topic](const EventView& event) { take(*topic, event); }));
       subscriptions_.back().set_name("sensor " + origin_.name + " on " + *topic);
+      sources.push_back(*topic);
     }
+    set_made_of(origin_, std::move(sources));
   }
 
   void start() override {

@@ -3,7 +3,6 @@
 #include <algorithm>
 
 #include "loop/core/loop_core.hpp"
-#include "loop/events/made_of.hpp"
 #include "loop/runtime/runtime_core.hpp"
 
 namespace rtdata::detail {
@@ -37,28 +36,41 @@ void SinkAccount::add_tap(TopicCore& topic, SinkNode& sink, SinkTap::Takes takes
   }
 }
 
-void SinkAccount::follow(OriginCore& origin, SinkNode& sink) {
-  const auto* const made = dynamic_cast<const MadeOf*>(origin.sensor);
-  if (made == nullptr || !queue_->is_recording() || find_tap(origin) == nullptr) return;
-  for (const std::string& name : made->made_of()) {
+void SinkAccount::follow(OriginCore& origin, SinkNode& sink, Tiers tiers) {
+  const SinkTap* const tap = origin.made_of.empty() || !queue_->is_recording() ? nullptr : find_tap(origin);
+  if (tap == nullptr || !tap->knows(origin)) return;
+  std::string all;
+  for (const std::string& name : origin.made_of) {
+    all += (all.empty() ? "" : " ") + name;
     TopicCore* const topic = origin.topic.runtime().find_topic(name);
-    topic != nullptr ? follow(*topic, sink) : void(awaited_.insert(name));
+    topic != nullptr ? follow(*topic, sink, tiers) : void(awaited_.insert(name));
+  }
+  notes.add_made_of(tap->slot_of(origin), std::move(all));
+}
+
+void SinkAccount::follow(TopicCore& topic, SinkNode& sink, Tiers tiers) {
+  if (tap_of_.contains(&topic) || topic.type.description == nullptr) return;
+  const auto is_ahead = [](const OriginCore* origin) {
+    return origin->is_mirror && origin->counts.scheduled + origin->counts.received != 0;
+  };
+  if (tiers == Tiers::ahead && std::any_of(topic.origins().begin(), topic.origins().end(), is_ahead)) {
+    is_follow_due_ = true;
+    return;
+  }
+  add_tap(topic, sink, SinkTap::Takes::account);
+  for (OriginCore* const origin : topic.origins()) follow(*origin, sink, tiers);
+}
+
+void SinkAccount::follow(OriginCore& origin, SinkNode& sink) { follow(origin, sink, Tiers::ahead); }
+
+void SinkAccount::follow_all(SinkNode& sink) {
+  for (std::size_t i = 0; i < taps_.size(); ++i) {
+    for (OriginCore* const origin : taps_[i]->topic().origins()) follow(*origin, sink, Tiers::caught_up);
   }
 }
 
-void SinkAccount::follow(TopicCore& topic, SinkNode& sink) {
-  if (tap_of_.contains(&topic) || topic.type.description == nullptr) return;
-  add_tap(topic, sink, SinkTap::Takes::account);
-  for (OriginCore* const origin : topic.origins()) follow(*origin, sink);
-}
-
-void SinkAccount::follow_all(SinkNode& sink) {
-  for (std::size_t i = 0, taken = taps_.size(); i < taken; ++i)
-    for (OriginCore* const origin : taps_[i]->topic().origins()) follow(*origin, sink);
-}
-
 void SinkAccount::follow_new(TopicCore& topic, SinkNode& sink) {
-  if (awaited_.erase(topic.name) != 0) follow(topic, sink);
+  if (awaited_.erase(topic.name) != 0) follow(topic, sink, Tiers::ahead);
 }
 
 void SinkAccount::move_counts(LoopCore& loop) noexcept {

@@ -6,6 +6,7 @@
 #include <set>
 #include <string>
 #include <unordered_map>
+#include <utility>
 #include <vector>
 
 #include "sinks/core/sink_notes.hpp"
@@ -25,9 +26,12 @@ class SinkAccount {
   /// Keeps the accounts of the topics that the origin, if it is of a topic taken here, is made of; and of those that
   /// these are made of. No rows of them. Of a recording only.
   void follow(OriginCore& origin, SinkNode& sink);
+  /// The same of all that there are now. All that tiers have counted so far was taken.
   void follow_all(SinkNode& sink);
   /// A topic has been made that is not taken: it may be one of them.
   void follow_new(TopicCore& topic, SinkNode& sink);
+  /// One of them is counted on another loop already, and `follow_all` is to be called. Asked once.
+  bool is_follow_due() noexcept { return std::exchange(is_follow_due_, false); }
   /// The writer has been opened at set-up: what was counted so far goes to where it keeps counts.
   void move_counts(LoopCore& loop) noexcept;
   /// Takes none any more.
@@ -58,14 +62,17 @@ class SinkAccount {
  private:
   void add_tap(TopicCore& topic, SinkNode& sink, SinkTap::Takes takes);
   SinkTap* find_tap(const OriginCore& origin) const;
-  void follow(TopicCore& topic, SinkNode& sink);
+  enum class Tiers { caught_up, ahead };
+  void follow(OriginCore& origin, SinkNode& sink, Tiers tiers);
+  void follow(TopicCore& topic, SinkNode& sink, Tiers tiers);
 
   const std::shared_ptr<SinkQueue> queue_;
   std::vector<std::unique_ptr<SinkTap>> taps_;
   std::unordered_map<const TopicCore*, SinkTap*> tap_of_;
   std::set<std::string, std::less<>> awaited_;  // topics that others are made of, and that are not there yet
-  std::uint64_t accounts_ = 0;                  // handed over
-  std::size_t next_topic_ = 0;                  // where the next part begins
+  bool is_follow_due_ = false;
+  std::uint64_t accounts_ = 0;  // handed over
+  std::size_t next_topic_ = 0;  // where the next part begins
   std::size_t next_origin_ = 0;
 };
 

@@ -31,6 +31,14 @@ void SinkNode::set_account_timer() {
   }
 }
 
+/// As when it was attached: what tiers have counted before belongs to no recording.
+void SinkNode::follow_timer_fired() {
+  if (life_ != Life::attached) return;
+  const std::string unknown = loop()->runtime.exchange.catch_up(std::chrono::seconds{1});
+  if (!unknown.empty()) unknown_ += (unknown_.empty() ? "" : "; ") + ("it took more accounts although " + unknown);
+  if (life_ == Life::attached) account_.follow_all(*this);
+}
+
 void SinkNode::account_is_due() {
   const MonotonicTime now = loop()->now();
   if (life_ != Life::attached || early_at_ || now < next_early_) return;

@@ -90,6 +90,8 @@ std::uint64_t SinkNode::leave() noexcept {
     last_->dropped = queue_->dropped_by_topic(is_fed() ? SinkQueue::Queued::waits : SinkQueue::Queued::lost);
     static_cast<SinkStatus&>(end) = *last_;
     if (is_fed()) end.recording = queue_->feed()->path();
+    end.is_recording = queue_->is_recording() && !is_fed();
+    if (is_closed) end.recorded = queue_->recorded();
   });
   runtime.closed_sinks.push_back(std::move(end));  // there is room for it
   note([&] {
@@ -137,7 +139,7 @@ void SinkNode::on_close() noexcept {
   job_->sink = nullptr;
   if (is_at_work()) lane_->leave_behind();
   lane_ = nullptr;
-  for (Timer* timer : {&work_timer_, &account_timer_, &deadline_}) timer->close();
+  for (Timer* timer : {&work_timer_, &account_timer_, &deadline_, &follow_}) timer->close();
   auto done = std::move(drained_);
   drained_.clear();
   for (auto& tell_end : done) tell_end(lost);

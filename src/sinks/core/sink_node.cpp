@@ -24,6 +24,7 @@ SinkNode::SinkNode(LoopCore& loop, SinkConfig config, std::unique_ptr<Writer> wr
       work_timer_(loop.face, [this] { work_timer_fired(); }),
       account_timer_(loop.face, [this] { account_timer_fired(); }),
       deadline_(loop.face, [this] { finish_drain(); }),
+      follow_(loop.face, [this] { follow_timer_fired(); }),
       is_to_open_(queue_->opens_at_set_up()) {
   drained_.reserve(1);
   if (Sender* sender = queue_->sender()) transfer_ = std::make_shared<Transfer>(loop, *sender, config_, *this);
@@ -78,6 +79,7 @@ Result<void> SinkNode::on_topic(TopicCore& topic) {
   try {
     taken = take_topic(topic);
     if (!wants(topic.name)) account_.follow_new(topic, *this);
+    if (account_.is_follow_due()) follow_.start(Duration{0});
   } catch (const std::exception& e) {
     taken = threw(e.what());
   } catch (...) {
@@ -88,6 +90,12 @@ Result<void> SinkNode::on_topic(TopicCore& topic) {
     fault_for_good(taken.error().text());
   }
   return taken;
+}
+
+void SinkNode::on_made_of(OriginCore& origin) {
+  if (is_closing() || is_fed()) return;
+  account_.follow(origin, *this);
+  if (account_.is_follow_due()) follow_.start(Duration{0});
 }
 
 void SinkNode::on_refusal(const Error& error) {

@@ -11,7 +11,6 @@
 #include <vector>
 
 #include "loop/core/loop_core.hpp"
-#include "loop/events/made_of.hpp"
 #include "loop/runtime/runtime_core.hpp"
 #include "loop/support/handler.hpp"
 #include "loop/support/retry.hpp"
@@ -25,7 +24,7 @@
 
 namespace rtdata::detail {
 
-class SinkNode final : public Node, public Recorder, public FollowsSources, public RateMember, public Transfer::Owner {
+class SinkNode final : public Node, public Recorder, public RateMember, public Transfer::Owner {
  public:
   SinkNode(LoopCore& loop, SinkConfig config, std::unique_ptr<Writer> writer);
 
@@ -40,6 +39,7 @@ class SinkNode final : public Node, public Recorder, public FollowsSources, publ
   void on_segment(OriginCore& origin, const Segment& segment) override;
   void on_clock(const ClockPair& pair) override;
   void on_configuration(const ConfigurationChange& change) override;
+  void on_made_of(OriginCore& origin) override;
   void on_error(Time first, Time last, std::string_view object, const Error& error, std::uint64_t count) override;
   void on_health(Time first, Time last, const HealthChange& change, std::uint64_t count) override;
   SinkStatus status() const override;
@@ -50,9 +50,6 @@ class SinkNode final : public Node, public Recorder, public FollowsSources, publ
   }
   bool wants(std::string_view topic) const noexcept override;
   SinkNode* as_sink() noexcept override { return this; }
-  void follow(OriginCore& origin) override {
-    if (!is_closing() && !is_fed()) account_.follow(origin, *this);
-  }
 
   // ---- batches by time
   void tick(const Tick&) override;
@@ -157,6 +154,7 @@ class SinkNode final : public Node, public Recorder, public FollowsSources, publ
   /// Hands over a part of the account, or all. False: there is nothing to report; or no memory, then it is due again.
   bool enqueue_account(SinkAccount::Part part) noexcept;
   void account_timer_fired();
+  void follow_timer_fired();
   /// Starts it for what is next, if anything.
   void set_account_timer();
 
@@ -227,6 +225,7 @@ class SinkNode final : public Node, public Recorder, public FollowsSources, publ
   Timer work_timer_;  // while the lane waits: tries again; while it opens: tells that this takes long
   Timer account_timer_;
   Timer deadline_;  // of a drain
+  Timer follow_;    // for what its topics are made of, when tiers have counted some of it already
 
   // storing
   bool is_to_open_;                              // in a turn of its own, before anything is stored

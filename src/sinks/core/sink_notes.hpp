@@ -20,6 +20,7 @@ class SinkNotes {
   static constexpr std::size_t most_health_changes = 1024;
   static constexpr std::size_t most_configurations = 1024;
   static constexpr std::size_t most_configuration_bytes = std::size_t{16} << 20;
+  static constexpr std::size_t most_made_of = 16384;
   static constexpr std::size_t most_errors = 512;  // from the half of it on, those alike are counted
 
   void add(std::uint32_t slot, const Gap& gap, std::size_t slots) {
@@ -85,9 +86,17 @@ class SinkNotes {
     configurations_.push_back(change);
     configuration_bytes_ += bytes;
   }
+  /// What the events of a slot are made of, from here on.
+  void add_made_of(std::uint32_t slot, std::string topics) {
+    if (made_of_.size() == most_made_of) {
+      ++lost_made_of_;
+    } else {
+      made_of_.push_back({slot, std::move(topics)});
+    }
+  }
   bool is_empty() const noexcept {
     return gaps_.empty() && segments_.empty() && errors_.empty() && clock_.empty() && health_.empty() &&
-           configurations_.empty();
+           configurations_.empty() && made_of_.empty();
   }
   bool has_end() const noexcept { return !clock_.empty() && std::string_view(clock_.back().occasion) == "end"; }
 
@@ -98,6 +107,7 @@ class SinkNotes {
     tell_lost(at, lost_clock_pairs_, "pairs of clocks");
     tell_lost(at, lost_health_changes_, "changes of health");
     tell_lost(at, lost_configurations_, "changes of the configuration");
+    tell_lost(at, lost_made_of_, "topics of which others are made");
   }
   void move_into(Account& account) noexcept {
     move(gaps_, account.gaps);
@@ -106,6 +116,7 @@ class SinkNotes {
     move(clock_, account.clock);
     move(health_, account.health);
     move(configurations_, account.configurations);
+    move(made_of_, account.made_of);
     configuration_bytes_ = 0;
   }
 
@@ -142,6 +153,8 @@ class SinkNotes {
   std::vector<ConfigurationChange> configurations_;
   std::size_t configuration_bytes_ = 0;
   std::uint64_t lost_configurations_ = 0;
+  std::vector<Account::MadeOfEntry> made_of_;
+  std::uint64_t lost_made_of_ = 0;
 };
 
 }  // namespace rtdata::detail

@@ -208,6 +208,8 @@ class SinkQueue {
   }
   bool keeps_account() const noexcept { return recording_ != nullptr && feed_ == nullptr; }
   bool is_recording() const noexcept { return recording_ != nullptr && recording_->is_recording(); }
+  /// Of a recording that was closed.
+  std::shared_ptr<const RunReport> recorded() const { return recording_ != nullptr ? recording_->recorded() : nullptr; }
   /// For a sink that goes through this recording; null: this is none.
   std::unique_ptr<RowFeed> make_feed(const RowFeedConfig& config) {
     return recording_ != nullptr ? recording_->feed(config) : nullptr;

@@ -25,6 +25,7 @@ class SinkTap final : public Tap {
   void miss(OriginCore& origin, std::uint64_t count, std::uint64_t last_sequence) override;
   void expect(OriginCore& origin) override;
   void note_change(OriginCore& origin) noexcept override { keep(origin, Now::between_events); }
+  bool takes_events() const noexcept override { return takes_ != Takes::account; }
   /// A gap of the origin has closed. `accounts`: the number of accounts handed over so far.
   void note_closed(OriginCore& origin, const Gap& gap, std::uint64_t accounts) noexcept;
   /// A segment of the origin has ended; `segment` is the part to record. The writer keeps it until the next one begins,

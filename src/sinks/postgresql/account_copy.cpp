@@ -82,6 +82,9 @@ class RunCopy {
 
  private:
   bool read_table(std::size_t table, const Positions& positions);
+  bool takes(const std::string& topic);
+  /// The topics that it does not take, and of which others are made that it takes.
+  void find_sources();
   /// How many rows of the origin the server refused, as far as the recording remembers.
   std::uint64_t refused(std::string_view topic, std::string_view origin) const;
   /// Whether the sink is done with all rows of the origin that are in the recording.
@@ -95,13 +98,46 @@ class RunCopy {
   std::vector<std::string> rows_;
   std::vector<sqlite::RowSum> sums_;
   std::map<std::string, bool> takes_;  // by topic
+  std::set<std::string> sources_;
 };
 
 bool RunCopy::read(const Positions& positions) {
+  find_sources();
   for (std::size_t table = 0; table < account_tables.size(); ++table) {
     if (!read_table(table, positions)) return false;
   }
   return true;
+}
+
+bool RunCopy::takes(const std::string& topic) {
+  const auto [takes, is_new] = takes_.try_emplace(topic, false);
+  if (is_new) {
+    takes->second = std::any_of(copy_.topics.begin(), copy_.topics.end(),
+                                [&](const std::string& pattern) { return topic_matches(pattern, topic); });
+  }
+  return takes->second;
+}
+
+void RunCopy::find_sources() {
+  auto query = prepared(database_, "SELECT topic, made_of FROM rtdata_ledger WHERE run = ? AND made_of IS NOT NULL");
+  query.bind(1, local_);
+  std::multimap<std::string, std::string> made_of;
+  std::vector<std::string> next;
+  while (query.step().or_throw()) {
+    const std::string topic(query.text(0));
+    std::string_view all = query.text(1);
+    for (std::size_t end; !all.empty(); all.remove_prefix(std::min(end + 1, all.size()))) {
+      end = std::min(all.find(' '), all.size());
+      made_of.emplace(topic, all.substr(0, end));
+    }
+    if (takes(topic)) next.push_back(topic);
+  }
+  while (!next.empty()) {
+    const std::string topic = std::move(next.back());
+    next.pop_back();
+    for (auto [at, end] = made_of.equal_range(topic); at != end; ++at)
+      if (!takes(at->second) && sources_.insert(at->second).second) next.push_back(at->second);
+  }
 }
 
 std::uint64_t RunCopy::refused(std::string_view topic, std::string_view origin) const {
@@ -144,17 +180,19 @@ bool RunCopy::read_table(std::size_t table, const Positions& positions) {
   sqlite::RowHash hash;
   const int width = static_cast<int>(columns_[table].size());
   while (query.step().or_throw()) {
+    bool is_source = false;
     if (topic != at.end()) {
       const std::string of(query.text(topic->second));
-      const auto [takes, is_new] = takes_.try_emplace(of, false);
-      if (is_new) {
-        takes->second = std::any_of(copy_.topics.begin(), copy_.topics.end(),
-                                    [&](const std::string& pattern) { return topic_matches(pattern, of); });
-      }
-      if (!takes->second) continue;
+      is_source = !takes(of) && sources_.contains(of);
+      if (!takes(of) && !is_source) continue;
     }
     std::map<int, std::int64_t> replaced;  // by column
-    if (is_ledger) {
+    if (is_ledger && is_source) {          // none of its rows is there: as in a recording that does not take it
+      replaced[at.at("filtered")] = query.integer(at.at("filtered")) + query.integer(at.at("published"));
+      for (const char* column : {"published", "offered", "stored", "dropped_newest", "dropped_oldest",
+                                 "dropped_refused", "dropped_unsaved", "first_sequence", "last_sequence", "pruned"})
+        replaced[at.at(column)] = 0;
+    } else if (is_ledger) {
       // What the recording has deleted again is on the server if it was sent before. Rows are missing here when they
       // were deleted unsent, or when the sink was attached later: these are what the server calls pruned.
       const auto number = [&](const char* column) { return static_cast<std::uint64_t>(query.integer(at.at(column))); };

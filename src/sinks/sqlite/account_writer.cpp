@@ -75,6 +75,7 @@ Result<void> AccountWriter::prepare(Database& database, AccountSums& sums, std::
        "INSERT INTO rtdata_health(run, time, kind, name, state, reason, count, last) VALUES(?,?,?,?,?,?,?,?) RETURNING "
        "*"},
       {configuration_, "INSERT INTO rtdata_configuration(run, time, object, text) VALUES(?,?,?,?) RETURNING *"},
+      {made_of_, "UPDATE rtdata_ledger SET made_of = ? WHERE run = ? AND topic = ? AND origin = ? RETURNING *"},
       {run_end_, "UPDATE rtdata_run SET ended = ?, state = ?, remark = ? WHERE run = ? RETURNING *"},
       {run_before_, "SELECT * FROM rtdata_run WHERE run = ?"},
   };
@@ -165,6 +166,12 @@ Result<void> AccountWriter::write(const Batch& batch, const Account& account, co
     if (origin.segment.scheduled > 0) {  // one without ticks says nothing, and another may begin before its first
       if (auto done = put_segment(slot, origin.segment); !done) return done;
     }
+  }
+  for (const Account::MadeOfEntry& entry : account.made_of) {
+    const SlotInfo& slot = batch.slot(entry.slot);
+    made_of_.bind(1, entry.topics).bind(2, run_).bind(3, slot.topic).bind(4, slot.origin);
+    ledger_before_.bind(1, run_).bind(2, slot.topic).bind(3, slot.origin);
+    if (auto done = sums_->replace(ledger_before_, made_of_); !done) return done;
   }
   for (const Account::GapEntry& entry : account.gaps) {
     if (auto done = write_gap(entry.slot, batch.slot(entry.slot), entry.gap, GapIs::closed); !done) return done;
@@ -270,7 +277,7 @@ void AccountWriter::committed(const Batch& batch) noexcept {
 void AccountWriter::close() noexcept {
   for (Statement* statement :
        {&slot_, &ledger_, &schedule_, &gap_, &grown_gap_, &clock_, &error_, &health_, &configuration_, &run_end_,
-        &ledger_before_, &schedule_before_, &gap_before_, &run_before_})
+        &made_of_, &ledger_before_, &schedule_before_, &gap_before_, &run_before_})
     *statement = Statement();
 }
 

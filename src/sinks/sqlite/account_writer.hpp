@@ -53,6 +53,7 @@ class AccountWriter {
   Statement health_;
   Statement configuration_;
   Statement run_end_;
+  Statement made_of_;
   // The rows as they were before.
   Statement ledger_before_;
   Statement schedule_before_;

@@ -3,7 +3,9 @@
 #include <algorithm>
 #include <utility>
 
+#include "loop/events/made_of.hpp"
 #include "loop/support/fitting.hpp"
+#include "rtdata/loop/account.hpp"
 #include "rtdata/loop/topic.hpp"
 #include "sinks/sqlite/replay_node.hpp"
 
@@ -262,6 +264,34 @@ void ReplayNode::end_account(Origin& origin, bool is_complete) noexcept {
   core.topic.tell_taps_of_change(core);
 }
 
+void ReplayNode::give_sources() noexcept {
+  RuntimeCore& runtime = loop()->runtime;
+  for (const Source& source : sources_) {
+    const SensorCounts& counts = source.ledger.sensor;
+    const auto supply = counts.has_schedule ? OriginCore::Supply::schedule : OriginCore::Supply::feed;
+    loop()->call_own(callback_name_, [&] {
+      try {
+        const std::string name = renamed(source.ledger.topic);
+        TopicCore* topic = runtime.find_topic(name);
+        if (topic == nullptr) topic = &runtime.topic(name, payload_type<FinalCounts>());  // of which no event comes
+        origins_.reserve(origins_.size() + 1);
+        OriginCore& core = runtime.names.claim(config_.prefix + source.ledger.origin, *topic, supply);
+        origins_.push_back({});
+        origins_.back().core = &core;
+        core.is_mirror = true;
+        if (!source.ledger.made_of.empty()) set_made_of(core, renamed(source.ledger.made_of));
+        for (const Gap& gap : source.gaps)
+          for (Listener* listener : runtime.recorders) listener->on_gap(core, gap);
+        core.counts = counts;
+        for (const Segment& segment : source.segments)
+          for (Listener* listener : runtime.recorders) listener->on_segment(core, segment);
+        core.topic.tell_taps_of_change(core);
+      } catch (const SetupError&) {  // something of that name is there, and has an account of its own
+      }
+    });
+  }
+}
+
 Result<void> ReplayNode::look_whether_all_came() const {
   for (const Origin& origin : origins_) {
     if (!origin.ledger) continue;
@@ -278,7 +308,9 @@ Result<void> ReplayNode::look_whether_all_came() const {
 void ReplayNode::finish(const Result<void>& came) {
   const Result<void> how = came ? look_whether_all_came() : came;
   give_health(INT64_MAX);
-  for (Origin& origin : origins_) end_account(origin, how && counts_.refused == 0);
+  const bool is_complete = how && counts_.refused == 0;
+  for (Origin& origin : origins_) end_account(origin, is_complete);
+  if (is_complete) give_sources();
   is_done_ = true;
   loop()->deadlines.remove(*this);
   if (!how) {

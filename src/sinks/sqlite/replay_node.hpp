@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <map>
 #include <memory>
 #include <optional>
 #include <string>
@@ -59,7 +60,11 @@ class ReplayNode final : public SensorEntry, public Deadline {
 
   void choose_topics(const Recording& recording);
   void find_origins(const Recording& recording, RowFilter& filter, std::vector<ReplayOrigin>& known);
+  /// Of what is made of others: these, as far as their events are not given.
+  void find_sources(const Recording& recording, const std::vector<LedgerEntry>& ledger,
+                    std::map<std::pair<std::string, std::string>, std::vector<Segment>>& segments);
   std::string renamed(const std::string& topic) const;
+  std::vector<std::string> renamed(const std::vector<std::string>& topics) const;
   void add_origin(const ReplayOrigin& found, std::optional<LedgerEntry> ledger, std::vector<Segment> segments);
   void leave() noexcept;
 
@@ -81,6 +86,8 @@ class ReplayNode final : public SensorEntry, public Deadline {
   /// The end of a whole run, whose accounts say how many events there are.
   Result<void> look_whether_all_came() const;
   void end_account(Origin& origin, bool is_complete) noexcept;
+  /// The accounts of what the events are made of and that has none itself, of a whole run.
+  void give_sources() noexcept;
   void tell_end(bool is_complete);
 
   void on_close() noexcept override;
@@ -93,6 +100,12 @@ class ReplayNode final : public SensorEntry, public Deadline {
   Time base_{};  // is given when it starts
   std::vector<Topic> topics_;
   std::vector<Origin> origins_;
+  struct Source {
+    LedgerEntry ledger;
+    std::vector<Segment> segments;
+    std::vector<Gap> gaps;
+  };
+  std::vector<Source> sources_;
   std::vector<RecordedHealth> health_changes_;
   std::size_t next_health_ = 0;
   OriginCore* own_ = nullptr;

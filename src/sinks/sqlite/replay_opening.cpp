@@ -1,8 +1,10 @@
 // How a replay begins: the recording is opened, and its topics and origins are made on this loop.
 #include <algorithm>
 #include <map>
+#include <set>
 #include <utility>
 
+#include "loop/events/made_of.hpp"
 #include "sinks/sqlite/replay_choice.hpp"
 #include "sinks/sqlite/replay_node.hpp"
 #include "sinks/sqlite/schema.hpp"
@@ -79,6 +81,12 @@ std::string ReplayNode::renamed(const std::string& topic) const {
   return topic;
 }
 
+std::vector<std::string> ReplayNode::renamed(const std::vector<std::string>& topics) const {
+  std::vector<std::string> all;
+  for (const std::string& topic : topics) all.push_back(renamed(topic));
+  return all;
+}
+
 void ReplayNode::choose_topics(const Recording& recording) {
   for (RecordedTopic& topic : chosen_topics(recording, config_, run_.run).or_throw()) {
     PayloadType type;
@@ -101,9 +109,13 @@ void ReplayNode::find_origins(const Recording& recording, RowFilter& filter, std
   for (RecordedSegment& of : recording.schedule(run_.run).or_throw())
     segments[{of.topic, of.origin}].push_back(of.segment);
   bool has_all = is_whole;
-  for (LedgerEntry& entry : recording.ledger(run_.run).or_throw()) {
-    const auto topic = std::find_if(topics_.begin(), topics_.end(),
-                                    [&](const Topic& of) { return of.recorded.topic == entry.topic; });
+  std::vector<LedgerEntry> ledger = recording.ledger(run_.run).or_throw();
+  const auto chosen = [&](const std::string& name) {
+    return std::find_if(topics_.begin(), topics_.end(), [&](const Topic& of) { return of.recorded.topic == name; });
+  };
+  if (is_whole) find_sources(recording, ledger, segments);
+  for (LedgerEntry& entry : ledger) {
+    const auto topic = chosen(entry.topic);
     if (topic == topics_.end()) continue;
     ReplayOrigin origin{static_cast<std::size_t>(topic - topics_.begin()), entry.origin};
     auto& of_origin = segments[{entry.topic, entry.origin}];
@@ -121,6 +133,33 @@ void ReplayNode::find_origins(const Recording& recording, RowFilter& filter, std
                           ": what is recorded of it again has no schedule, its gaps are silent ones");
 }
 
+void ReplayNode::find_sources(const Recording& recording, const std::vector<LedgerEntry>& ledger,
+                              std::map<std::pair<std::string, std::string>, std::vector<Segment>>& segments) {
+  std::set<std::string> given, wanted;
+  for (const Topic& topic : topics_) given.insert(topic.recorded.topic);
+  for (bool has_more = true; has_more;) {
+    has_more = false;
+    for (const LedgerEntry& entry : ledger) {
+      if (!given.contains(entry.topic) && !wanted.contains(entry.topic)) continue;
+      for (const std::string& source : entry.made_of)
+        has_more = (!given.contains(source) && wanted.insert(source).second) || has_more;
+    }
+  }
+  if (wanted.empty()) return;
+  const std::vector<RecordedGap> gaps = recording.gaps(run_.run).or_throw();
+  for (const LedgerEntry& entry : ledger) {
+    if (!wanted.contains(entry.topic) || entry.carried != 0) continue;
+    Source& source = sources_.emplace_back(Source{entry, std::move(segments[{entry.topic, entry.origin}]), {}});
+    SensorCounts& counts = source.ledger.sensor;
+    counts.filtered += std::exchange(counts.published, 0);  // no event of it is given
+    for (const RecordedGap& gap : gaps) {
+      const auto kind = gap_kind(gap.kind);
+      if (kind && gap.topic == entry.topic && gap.origin == entry.origin)
+        source.gaps.push_back({*kind, kept_reason(gap.reason), gap.first, gap.last, gap.count});
+    }
+  }
+}
+
 void ReplayNode::add_origin(const ReplayOrigin& found, std::optional<LedgerEntry> ledger,
                             std::vector<Segment> segments) {
   RuntimeCore& runtime = loop()->runtime;
@@ -132,6 +171,7 @@ void ReplayNode::add_origin(const ReplayOrigin& found, std::optional<LedgerEntry
   origin.core->counts.has_schedule = has_schedule;
   origin.core->counts.is_one_a_read = !ledger || ledger->sensor.is_one_a_read;
   origin.core->counts.lost_is_known = ledger && ledger->sensor.lost_is_known;
+  if (ledger && !ledger->made_of.empty()) set_made_of(*origin.core, renamed(ledger->made_of));
   origin.ledger = std::move(ledger);
   origin.segments = std::move(segments);
   origins_.push_back(std::move(origin));

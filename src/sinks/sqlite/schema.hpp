@@ -75,6 +75,7 @@ CREATE TABLE IF NOT EXISTS rtdata_ledger(
   one_a_read INTEGER NOT NULL DEFAULT 0,       -- each read taken brought one sample, with the time at which it began
   lateness INTEGER NOT NULL DEFAULT 0,         -- of what was published, time minus when its read was due, summed mod 2^64
   first_lines INTEGER,                         -- thrown away, since a port was opened in their middle; NULL: none
+  made_of TEXT,                                -- the topics of whose events its own are made, with spaces between
   PRIMARY KEY(run, topic, origin)) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS rtdata_gap(
   run INTEGER NOT NULL, topic TEXT NOT NULL, origin TEXT NOT NULL,

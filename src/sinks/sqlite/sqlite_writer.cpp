@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "data/permissions.hpp"
+#include "rtdata/sinks/verify.hpp"
 #include "sinks/sqlite/sqlite_feed.hpp"
 
 namespace rtdata::sqlite {
@@ -338,6 +339,14 @@ Result<void> SqliteWriter::transaction(Work&& work) {
   return {};
 }
 
+void SqliteWriter::read_account() noexcept try {
+  auto recording = Recording::open(config_.path);
+  if (!recording) return;
+  auto report = account_of(*recording, run_);
+  if (report) recorded_ = std::make_shared<const RunReport>(*std::move(report));
+} catch (...) {  // no memory: it is not known here
+}
+
 Result<void> SqliteWriter::close() {
   if (is_closed_) return {};
   tables_.clear();
@@ -345,6 +354,7 @@ Result<void> SqliteWriter::close() {
   account_.close();
   begin_ = Statement();
   commit_ = Statement();
+  read_account();
   if (!is_log_lost_)
     (void)checkpoint(SQLITE_CHECKPOINT_TRUNCATE);  // what stays in the log is read from there: nothing is lost
   database_ = Database();

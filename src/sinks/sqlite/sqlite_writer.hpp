@@ -52,6 +52,7 @@ class SqliteWriter final : public RecordingWriter {
   void keep(const OriginAccount& now, const Gap* closed) override;
   void begin_counting() override;
   bool is_recording() const noexcept override { return true; }
+  std::shared_ptr<const RunReport> recorded() const override { return recorded_; }
   std::unique_ptr<detail::RowFeed> feed(const detail::RowFeedConfig& config) override;
   std::optional<Error> take_warning() override {
     return warning_ ? std::exchange(warning_, std::nullopt) : escaped_.take_warning();
@@ -99,6 +100,7 @@ class SqliteWriter final : public RecordingWriter {
   void look_at_space();
   void look_at_size();
   void tell_of_live_file(const Error& why);
+  void read_account() noexcept;
 
   const SqliteConfig config_;
   const RunInfo info_;
@@ -141,6 +143,7 @@ class SqliteWriter final : public RecordingWriter {
   bool has_told_of_live_file_ = false;
   bool is_closed_ = false;
   bool is_log_lost_ = false;
+  std::shared_ptr<const RunReport> recorded_;  // once it is closed
 };
 
 /// SQLite opens the path, and not something else that it takes it for; and there is room in it for the names beside.

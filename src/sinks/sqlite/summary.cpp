@@ -176,6 +176,8 @@ Result<std::vector<TopicSummary>> summary(const Recording& recording, std::int64
       sum.outages.add(detail::outages_of(of_run->gaps_in(detail::origin_key(entry.topic, entry.origin))));
     if (entry.sensor.lost_is_known) sum.lost = sum.lost.value_or(0) + entry.sensor.lost;
   }
+  for (auto& [topic, made_of_it] : detail::made_of_unrecorded(of_run->ledger))
+    topics[topic].summary.made_of_it = std::move(made_of_it);
   for (const RecordedSegment& segment : of_run->schedule)
     topics[segment.topic].origins[segment.origin].segments.push_back(segment.segment);
   for (auto& [name, topic] : topics) {

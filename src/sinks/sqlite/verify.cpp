@@ -210,23 +210,6 @@ void TopicLoss::add(const TopicLoss& other) noexcept {
   outages.add(other.outages);
 }
 
-std::vector<TopicLoss> VerifyReport::losses() const {
-  std::map<std::string, TopicLoss> by_topic;
-  const auto add = [&](const std::vector<TopicLoss>& losses) {
-    for (const TopicLoss& loss : losses) {
-      TopicLoss& sum = by_topic[loss.topic];
-      sum.topic = loss.topic;
-      sum.add(loss);
-    }
-  };
-  for (const RunReport& run : runs) add(run.losses);
-  if (deleted) add(deleted->losses);
-  std::vector<TopicLoss> all;
-  for (auto& [topic, loss] : by_topic) all.push_back(std::move(loss));
-  detail::most_first(all);
-  return all;
-}
-
 std::string_view name_of(Verdict verdict) noexcept {
   switch (verdict) {
     case Verdict::balanced:
@@ -243,18 +226,6 @@ std::string_view name_of(Verdict verdict) noexcept {
 }
 
 namespace detail {
-
-/// A tier that hung when its program was killed: nobody counted what its sensors missed.
-void note_hanging(const std::vector<RecordedHealth>& health, RunReport& run) {
-  std::map<std::string, const RecordedHealth*> last;
-  for (const RecordedHealth& one : health)
-    if (one.kind == "tier") last[one.name] = &one;
-  for (const auto& [name, one] : last)
-    if (one->state == "faulted")
-      run.not_known.push_back("what the sensors of tier " + name + " lost from " +
-                              to_iso8601(run.line.utc(std::max(one->time, one->last))) +
-                              " on: it hung, and the program was ended");
-}
 
 Result<VerifyReport> verify_contents(const Recording& recording) {
   auto snapshot = Snapshot::take(recording.file());
@@ -327,15 +298,23 @@ Result<VerifyReport> verify_contents(const Recording& recording) {
   for (RunReport& run : report.runs) {
     if (auto done = verify_run(accounts.at(run.info.run), rows[run.info.run], run); !done)
       return std::move(done).error();
-    if (run.info.state != RunState::sealed) continue;
-    auto health = recording.health(run.info.run);
-    if (!health) return std::move(health).error();
-    note_hanging(*health, run);
+    if (auto done = finish_account(recording, run); !done) return std::move(done).error();
   }
   return report;
 }
 
 }  // namespace detail
+
+Result<RunReport> account_of(const Recording& recording, std::int64_t run) {
+  auto snapshot = detail::Snapshot::take(recording.file());
+  if (!snapshot) return std::move(snapshot).error();
+  auto infos = recording.runs();
+  if (!infos) return std::move(infos).error();
+  for (const RunInfo& info : *infos)
+    if (info.run == run) return detail::account_of_run(recording, info);
+  return Error{Errc::not_found, "cannot read the account", recording.path(), "there is no run " + std::to_string(run),
+               ""};
+}
 
 Result<VerifyReport> verify(const Recording& recording) {
   auto report = detail::verify_contents(recording);

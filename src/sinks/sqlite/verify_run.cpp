@@ -4,6 +4,7 @@
 #include <array>
 #include <set>
 
+#include "sinks/core/account_text.hpp"
 #include "sinks/sqlite/recorded_outages.hpp"
 #include "sinks/sqlite/recording_file.hpp"
 
@@ -313,42 +314,42 @@ void add_up(RunReport& report, const LedgerEntry& entry) {
   if (entry.sensor.lost_is_known) report.lost_by_source = report.lost_by_source.value_or(0) + entry.sensor.lost;
 }
 
-/// What was lost of each topic, and what is not known of it.
-class Losses {
- public:
-  void add(const LedgerEntry& entry, const Outages& outages) {
+/// What the account says, without a look at the rows: all of the report but `rows`, problems and notes, and `not_known`
+/// and `lines`, which follow at the end.
+void read_account(const OfRun& of_run, RunReport& report) {
+  const RunInfo& info = report.info;
+  report.verdict = info.state == RunState::closed   ? Verdict::balanced
+                   : info.state == RunState::sealed ? Verdict::sealed
+                   : is_alive(info)                 ? Verdict::recording
+                                                    : Verdict::unsealed;
+  report.gaps = of_run.gaps.size();
+  std::map<std::string, TopicLoss> by_topic;
+  std::set<std::string> not_detectable;
+  for (const LedgerEntry& entry : of_run.ledger) {
+    add_up(report, entry);
+    const auto& gaps = of_run.gaps_in(origin_key(entry.topic, entry.origin));
     const SensorCounts& s = entry.sensor;
-    TopicLoss loss = loss_of(entry, outages);
+    const Outages outages = s.has_schedule ? Outages{} : outages_of(gaps);
+    if (outages.number != 0) report.outages.push_back({entry.topic, entry.origin, outages, gaps.size()});
     if (!s.has_schedule && !s.lost_is_known && s.published + s.repeated + s.filtered != 0)
-      not_detectable_.insert(entry.topic);
-    if (!loss.has_loss()) return;
-    const auto [known, is_new] = by_topic_.try_emplace(entry.topic, std::move(loss));
+      not_detectable.insert(entry.topic);
+    TopicLoss loss = loss_of(entry, outages);
+    if (!loss.has_loss()) continue;
+    const auto [known, is_new] = by_topic.try_emplace(entry.topic, loss);
     if (!is_new) known->second.add(loss);
   }
-  void finish(RunReport& report, bool has_open_equations) {
-    const RunInfo& info = report.info;
-    for (auto& [topic, loss] : by_topic_) report.losses.push_back(std::move(loss));
-    report.not_detectable.assign(not_detectable_.begin(), not_detectable_.end());
-    if (info.state == RunState::sealed && info.lost && *info.lost > report.unsaved)
-      report.losses.emplace_back().not_saved = *info.lost - report.unsaved;
-    detail::most_first(report.losses);
-    if (report.verdict == Verdict::not_balanced)
-      report.not_known.emplace_back("what it lost besides, since it does not agree with its account (! below)");
-    if (info.state == RunState::recording) {
-      report.not_known.emplace_back(is_alive(info) ? "what it loses after its last account: it is being recorded"
-                                                   : "what it lost after its last account: it is not sealed yet; "
-                                                     "recording into the file again seals it");
-    } else if (info.state == RunState::sealed && !info.lost) {
-      report.not_known.emplace_back("what it lost at its end, since its account is not complete");
-    } else if (info.state == RunState::sealed && has_open_equations) {
-      report.not_known.emplace_back("which ticks it missed after its last account");
-    }
+  std::stable_sort(report.outages.begin(), report.outages.end(),
+                   [](const auto& a, const auto& b) { return a.outages.time > b.outages.time; });
+  const auto unrecorded = made_of_unrecorded(of_run.ledger);
+  for (auto& [topic, loss] : by_topic) {
+    if (const auto made = unrecorded.find(topic); made != unrecorded.end()) loss.made_of_it = made->second;
+    report.losses.push_back(std::move(loss));
   }
-
- private:
-  std::map<std::string, TopicLoss> by_topic_;
-  std::set<std::string> not_detectable_;
-};
+  report.not_detectable.assign(not_detectable.begin(), not_detectable.end());
+  if (info.state == RunState::sealed && info.lost && *info.lost > report.unsaved)
+    report.losses.emplace_back().not_saved = *info.lost - report.unsaved;
+  most_first(report.losses);
+}
 
 /// What is known of the end of a run that was not closed.
 void note_end(const Findings& found) {
@@ -385,29 +386,17 @@ Result<void> verify_run(const OfRun& of_run, const RunRows& run_rows, RunReport&
   const RunInfo& info = report.info;
   std::vector<std::string> left_open;
   const Findings found{report, info.state == RunState::closed, left_open};
-  report.verdict = info.state == RunState::closed   ? Verdict::balanced
-                   : info.state == RunState::sealed ? Verdict::sealed
-                   : is_alive(info)                 ? Verdict::recording
-                                                    : Verdict::unsealed;
-  report.gaps = of_run.gaps.size();
-  Losses losses;
+  read_account(of_run, report);
   std::unordered_map<std::string, bool> has_account;
   for (const LedgerEntry& entry : of_run.ledger) {
     const std::string key = origin_key(entry.topic, entry.origin);
     has_account[key] = true;
-    add_up(report, entry);
     check_rows(found, entry, rows.at(key));
     check_account(found, entry);
     const auto& segments = of_run.segments(key);
     if (entry.sensor.has_schedule || !segments.empty()) check_schedule(found, entry, segments);
-    const auto& gaps = of_run.gaps_in(key);
-    check_gaps(found, entry, segments, gaps);
-    const Outages outages = entry.sensor.has_schedule ? Outages{} : outages_of(gaps);
-    losses.add(entry, outages);
-    if (outages.number != 0) report.outages.push_back({entry.topic, entry.origin, outages, gaps.size()});
+    check_gaps(found, entry, segments, of_run.gaps_in(key));
   }
-  std::stable_sort(report.outages.begin(), report.outages.end(),
-                   [](const auto& a, const auto& b) { return a.outages.time > b.outages.time; });
   std::vector<std::string> unaccounted;
   for (const auto& [key, origin] : rows) {
     report.rows += origin.rows + origin.rows_after;
@@ -446,7 +435,77 @@ Result<void> verify_run(const OfRun& of_run, const RunRows& run_rows, RunReport&
         plural(left_open.size(), "equation") + " left open, for example " + left_open.front());
   }
   if (!report.problems.empty()) report.verdict = Verdict::not_balanced;
-  losses.finish(report, !left_open.empty());
+  report.has_open_equations = !left_open.empty();
+  return {};
+}
+
+std::map<std::string, std::vector<std::string>> made_of_unrecorded(const std::vector<LedgerEntry>& ledger) {
+  std::map<std::string, std::set<std::string>> made_of_it;
+  std::map<std::string, std::uint64_t> offered;
+  for (const LedgerEntry& entry : ledger) {
+    offered[entry.topic] += entry.offered;
+    for (const std::string& source : entry.made_of) made_of_it[source].insert(entry.topic);
+  }
+  std::map<std::string, std::vector<std::string>> unrecorded;
+  for (const auto& [source, direct] : made_of_it) {
+    if (offered[source] != 0) continue;
+    std::set<std::string> all(direct);
+    for (std::vector<std::string> next(direct.begin(), direct.end()); !next.empty();) {
+      const auto further = made_of_it.find(next.back());
+      next.pop_back();
+      if (further == made_of_it.end()) continue;
+      for (const std::string& topic : further->second)
+        if (all.insert(topic).second) next.push_back(topic);
+    }
+    for (const std::string& topic : all)
+      if (topic != source && (offered[topic] != 0 || !made_of_it.contains(topic))) unrecorded[source].push_back(topic);
+  }
+  return unrecorded;
+}
+
+Result<RunReport> account_of_run(const Recording& recording, const RunInfo& info) {
+  auto of_run = OfRun::load(recording, info.run);
+  if (!of_run) return std::move(of_run).error();
+  RunReport report;
+  report.info = info;
+  report.line = of_run->line;
+  read_account(*of_run, report);
+  for (const LedgerEntry& entry : of_run->ledger) report.rows += entry.stored - entry.pruned;
+  if (auto finished = finish_account(recording, report); !finished) return std::move(finished).error();
+  return report;
+}
+
+/// A tier that hung when its program was killed: nobody counted what its sensors missed.
+static void add_hanging(const std::vector<RecordedHealth>& health, RunReport& run) {
+  std::map<std::string, const RecordedHealth*> last;
+  for (const RecordedHealth& one : health)
+    if (one.kind == "tier") last[one.name] = &one;
+  for (const auto& [name, one] : last)
+    if (one->state == "faulted")
+      run.not_known.push_back("what the sensors of tier " + name + " lost from " +
+                              to_iso8601(run.line.utc(std::max(one->time, one->last))) +
+                              " on: it hung, and the program was ended");
+}
+
+Result<void> finish_account(const Recording& recording, RunReport& report) {
+  const RunInfo& info = report.info;
+  if (report.verdict == Verdict::not_balanced)
+    report.not_known.emplace_back("what it lost besides, since it does not agree with its account (! below)");
+  if (info.state == RunState::recording) {
+    report.not_known.emplace_back(is_alive(info) ? "what it loses after its last account: it is being recorded"
+                                                 : "what it lost after its last account: it is not sealed yet; "
+                                                   "recording into the file again seals it");
+  } else if (info.state == RunState::sealed && !info.lost) {
+    report.not_known.emplace_back("what it lost at its end, since its account is not complete");
+  } else if (info.state == RunState::sealed && report.has_open_equations) {
+    report.not_known.emplace_back("which ticks it missed after its last account");
+  }
+  if (info.state == RunState::sealed) {
+    auto health = recording.health(info.run);
+    if (!health) return std::move(health).error();
+    add_hanging(*health, report);
+  }
+  report.lines = account_lines(report);
   return {};
 }
 

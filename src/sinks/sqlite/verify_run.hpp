@@ -105,8 +105,16 @@ struct OfRun {
   const std::vector<const RecordedGap*>& gaps_in(const std::string& key) const;
 };
 
-/// Compares the account of one run with its rows. Fills everything of the report but `info`.
+/// Compares the account of one run with its rows. Fills everything of the report but `info`, `line`, and what
+/// `finish_account` does.
 Result<void> verify_run(const OfRun& of_run, const RunRows& rows, RunReport& report);
+
+/// What is not known of the run, and the report's lines.
+Result<void> finish_account(const Recording& recording, RunReport& report);
+Result<RunReport> account_of_run(const Recording& recording, const RunInfo& info);
+
+/// Of those topics whose events are not there, since only others that are made of them are recorded: these.
+std::map<std::string, std::vector<std::string>> made_of_unrecorded(const std::vector<LedgerEntry>& ledger);
 
 TopicLoss loss_of(const LedgerEntry& entry, const Outages& outages);
 

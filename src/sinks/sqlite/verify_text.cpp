@@ -4,10 +4,13 @@
 
 #include "data/wrap.hpp"
 #include "rtdata/sinks/verify.hpp"
+#include "sinks/core/account_text.hpp"
+#include "sinks/sqlite/verify_run.hpp"
 
 namespace rtdata {
 namespace {
 
+using detail::plural;
 using detail::wrap;
 
 std::string times_of(const RunReport& run) {
@@ -21,12 +24,12 @@ std::string conclusion(Verdict verdict) {
     case Verdict::balanced:
       return "balanced: rows, gaps and schedule agree with the account.";
     case Verdict::sealed:
-      return "sealed: a run was not closed, or a tier hung; what is there agrees with the account, and what is known "
+      return "sealed: it was not closed, or a tier hung; what is there agrees with the account, and what is known "
              "of the rest is written down.";
     case Verdict::recording:
       return "recording: what is there agrees with the last account; look again when it is closed.";
     case Verdict::unsealed:
-      return "not sealed: a run ended without closing, and what it lost is not written down yet.";
+      return "not sealed: it ended without closing, and what it lost is not written down yet.";
     default:
       return "not balanced: see above.";
   }
@@ -48,83 +51,6 @@ std::string outages_text(const std::vector<OriginOutages>& all) {
   return to_string(sum) + ", in which nothing came that could be recorded: " + names;
 }
 
-/// "missed 2, failed 1": the parts that are not 0.
-std::string parts_of(std::initializer_list<std::pair<const char*, std::uint64_t>> parts) {
-  std::string text;
-  for (const auto& [what, count] : parts)
-    if (count != 0) text += (text.empty() ? "" : ", ") + std::string(what) + " " + std::to_string(count);
-  return text;
-}
-
-std::string counted(std::uint64_t count, const char* one) {
-  return std::to_string(count) + " " + one + (count == 1 ? "" : "s");
-}
-
-/// "12 samples of room/climate (lost by the source 10, dropped by the queue 2) and 3 ticks (missed 3)".
-std::string loss_text(const TopicLoss& loss) {
-  std::vector<std::string> parts;
-  if (loss.samples() != 0) {
-    parts.push_back(counted(loss.samples(), "sample"));
-    parts.back() += " (" +
-                    parts_of({{"lost by the source", loss.by_source},
-                              {"unreadable", loss.unreadable},
-                              {"dropped by the queue", loss.dropped_newest + loss.dropped_oldest},
-                              {"refused on storing", loss.refused},
-                              {"not saved", loss.not_saved}}) +
-                    ")";
-  }
-  if (loss.ticks() != 0)
-    parts.push_back(counted(loss.ticks(), "tick") + " (" +
-                    parts_of({{"missed", loss.missed}, {"failed", loss.failed}}) + ")");
-  if (loss.outages.number != 0)
-    parts.push_back(to_string(loss.outages) + " (how many samples did not come is not known)");
-  std::string text;
-  for (std::size_t i = 0; i < parts.size(); ++i)
-    text += (i == 0 ? "" : i + 1 < parts.size() ? ", " : " and ") + parts[i];
-  const std::string of = loss.topic.empty() ? "sensors that had only begun" : loss.topic;
-  const std::size_t at = text.find(" (");
-  return text.insert(at, " of " + of);
-}
-
-/// What users ask first: what was lost, of which topic, and what is not known.
-void add_losses(const VerifyReport& report, std::string& out) {
-  constexpr std::size_t most = 8;
-  const std::vector<TopicLoss> losses = report.losses();
-  std::uint64_t rows = 0;
-  std::vector<std::string> not_known, not_detectable;
-  const auto add_topics = [&](const std::vector<std::string>& topics) {
-    for (const std::string& topic : topics)
-      if (std::find(not_detectable.begin(), not_detectable.end(), topic) == not_detectable.end())
-        not_detectable.push_back(topic);
-  };
-  if (report.deleted) {
-    not_known = report.deleted->not_known;
-    add_topics(report.deleted->not_detectable);
-  }
-  for (const RunReport& run : report.runs) {
-    rows += run.rows;
-    for (const std::string& what : run.not_known)
-      not_known.push_back((report.runs.size() > 1 ? "of run " + std::to_string(run.info.run) + ": " : "") + what);
-    add_topics(run.not_detectable);
-  }
-  if (!report.problems.empty()) not_known.emplace_back("what else was lost, since the file does not agree (! below)");
-  if (losses.empty())
-    wrap(out, "",
-         std::string(not_known.empty() ? "nothing lost: " : "nothing lost that is known: ") + counted(rows, "row"));
-  for (std::size_t i = 0; i < losses.size() && i < most; ++i)
-    wrap(out, i == 0 ? "LOST: " : "      ", loss_text(losses[i]));
-  if (losses.size() > most)
-    wrap(out, "      ", "and of " + counted(losses.size() - most, "more topic") + " (--json has them all)");
-  for (std::size_t i = 0; i < not_known.size() && i < most; ++i) wrap(out, "NOT KNOWN: ", not_known[i]);
-  if (not_known.size() > most)
-    wrap(out, "NOT KNOWN: ", "and of " + counted(not_known.size() - most, "more run") + " (--json has them all)");
-  if (not_detectable.empty()) return;
-  std::string names;
-  for (std::size_t i = 0; i < not_detectable.size() && i < most; ++i) names += (i == 0 ? "" : ", ") + not_detectable[i];
-  if (not_detectable.size() > most) names += " and " + std::to_string(not_detectable.size() - most) + " more";
-  wrap(out, "not detectable: ", "what the sources of " + names + " lost before it came here: they do not number it");
-}
-
 nlohmann::ordered_json json_of(const TopicLoss& loss) {
   return {{"topic", loss.topic},
           {"samples", loss.samples()},
@@ -138,20 +64,14 @@ nlohmann::ordered_json json_of(const TopicLoss& loss) {
           {"missed", loss.missed},
           {"failed", loss.failed},
           {"outages", loss.outages.number},
-          {"outage_time_ns", loss.outages.time.count()}};
+          {"outage_time_ns", loss.outages.time.count()},
+          {"made_of_it", loss.made_of_it}};
 }
 
 nlohmann::ordered_json json_of(const std::vector<TopicLoss>& losses) {
   auto json = nlohmann::ordered_json::array();
   for (const TopicLoss& loss : losses) json.push_back(json_of(loss));
   return json;
-}
-
-/// false: something was; null: nothing that is known.
-nlohmann::ordered_json nothing_lost(bool has_losses, bool is_all_known) {
-  return has_losses     ? nlohmann::ordered_json(false)
-         : is_all_known ? nlohmann::ordered_json(true)
-                        : nlohmann::ordered_json();
 }
 
 nlohmann::ordered_json json_of(const OriginOutages& of) {
@@ -191,8 +111,11 @@ nlohmann::ordered_json json_of(const RunReport& run) {
   json["gaps"] = run.gaps;
   json["outages"] = nlohmann::ordered_json::array();
   for (const OriginOutages& one : run.outages) json["outages"].push_back(json_of(one));
-  json["nothing_lost"] = nothing_lost(!run.losses.empty(), run.not_known.empty());
+  json["nothing_lost"] = !run.losses.empty()     ? nlohmann::ordered_json(false)
+                         : run.not_known.empty() ? nlohmann::ordered_json(true)
+                                                 : nlohmann::ordered_json();
   json["losses"] = json_of(run.losses);
+  json["lines"] = run.lines;
   json["not_known"] = run.not_known;
   json["not_detectable"] = run.not_detectable;
   json["lost_by_source"] = run.lost_by_source ? nlohmann::ordered_json(*run.lost_by_source) : nlohmann::ordered_json();
@@ -222,27 +145,29 @@ nlohmann::ordered_json json_of(const DeletedReport& deleted) {
 
 std::string VerifyReport::text() const {
   std::string out = path + "\n";
-  if (!runs.empty() || !problems.empty()) add_losses(*this, out);
   if (deleted) {
     const DeletedRuns& of = deleted->runs;
     const auto n = [](std::uint64_t value) { return std::to_string(value); };
+    out += "\n";
     wrap(out, "",
-         "\n" + counted(of.runs, "run") + " from run " + std::to_string(of.first_run) + " to " +
-             std::to_string(of.last_run) + ", " + to_iso8601(of.started).substr(0, 19) + "Z to " +
-             to_iso8601(of.ended).substr(0, 19) + "Z, deleted since none of their rows was left; " +
-             n(deleted->offered) + " offered = " + n(deleted->stored) + " stored and pruned + " + n(deleted->dropped) +
-             " dropped" + (deleted->unsaved != 0 ? " + " + n(deleted->unsaved) + " not saved" : ""));
+         plural(of.runs, "run") + " from run " + std::to_string(of.first_run) + " to " + std::to_string(of.last_run) +
+             ", " + to_iso8601(of.started).substr(0, 19) + "Z to " + to_iso8601(of.ended).substr(0, 19) +
+             "Z, deleted since none of their rows was left; " + n(deleted->offered) +
+             " offered = " + n(deleted->stored) + " stored and pruned + " + n(deleted->dropped) + " dropped" +
+             (deleted->unsaved != 0 ? " + " + n(deleted->unsaved) + " not saved" : ""));
+    detail::add_lines(out, detail::loss_lines(deleted->losses, deleted->not_known, deleted->not_detectable));
   }
   for (const RunReport& run : runs) {
     out += "\nrun " + std::to_string(run.info.run) + (run.info.name.empty() ? "" : " \"" + run.info.name + "\"") +
            "  " + times_of(run) + "  " + std::string(name_of(run.verdict)) + "\n";
     const auto n = [](std::uint64_t value) { return std::to_string(value); };
+    detail::add_lines(out, run.lines);
     wrap(out, "  ",
          n(run.rows) + " rows of " + n(run.origins) + (run.origins == 1 ? " origin" : " origins") + "; " +
              n(run.offered) + " offered = " + n(run.stored) + " stored + " + n(run.dropped) + " dropped" +
              (run.unsaved != 0 ? " + " + n(run.unsaved) + " not saved" : "") +
              (run.pruned != 0 ? "; " + n(run.pruned) + " pruned" : ""));
-    const std::string gaps = counted(run.gaps, "gap");
+    const std::string gaps = plural(run.gaps, "gap");
     if (run.scheduled != 0) {
       wrap(out, "  ",
            n(run.scheduled) + " ticks scheduled; " + n(run.missed) + " missed, " + n(run.failed) + " failed, " +
@@ -253,7 +178,7 @@ std::string VerifyReport::text() const {
       wrap(out, "  ", n(run.received) + " received, " + n(run.unreadable) + " of them unreadable");
     for (const auto& [topic, count] : run.first_lines)
       wrap(out, "  ",
-           counted(count, "first line") + " of " + topic + " thrown away: the port was opened in the middle of a line");
+           plural(count, "first line") + " of " + topic + " thrown away: the port was opened in the middle of a line");
     for (const std::string& problem : run.problems) wrap(out, "  ! ", problem);
     if (run.more_problems != 0) wrap(out, "  ! ", n(run.more_problems) + " more problems.");
     for (const std::string& note : run.notes) wrap(out, "  - ", note);
@@ -261,8 +186,16 @@ std::string VerifyReport::text() const {
   for (const std::string& problem : problems) wrap(out, "! ", problem);
   out += "\n";
   if (runs.empty() && problems.empty()) out += "No run was recorded yet.\n";
-  wrap(out, "", conclusion(verdict()));
-  if (verdict() == Verdict::balanced || verdict() == Verdict::sealed) {
+  const auto is_bad = [](const RunReport& run) { return run.verdict >= Verdict::unsealed; };
+  const Verdict newest = !problems.empty() ? Verdict::not_balanced : runs.empty() ? verdict() : runs.back().verdict;
+  wrap(out, runs.size() > 1 ? "run " + std::to_string(runs.back().info.run) + ": " : "", conclusion(newest));
+  if (const auto bad = std::find_if(runs.begin(), runs.end(), is_bad);
+      newest < Verdict::unsealed && bad != runs.end()) {
+    wrap(out, "",
+         "But run " + std::to_string(bad->info.run) + " is " + std::string(name_of(bad->verdict)) +
+             ": see above. So the status is 1; `--run` looks at one run.");
+  }
+  if (newest == Verdict::balanced || newest == Verdict::sealed) {
     wrap(out, "", "This shows that the recording is consistent with itself; it does not prove that nobody forged it.");
   }
   return out;
@@ -273,12 +206,6 @@ std::string VerifyReport::to_json() const {
   json["path"] = path;
   json["verdict"] = name_of(verdict());
   json["exit_code"] = exit_code();
-  const std::vector<TopicLoss> lost = losses();
-  const bool is_all_known = problems.empty() && (!deleted || deleted->not_known.empty()) &&
-                            std::all_of(runs.begin(), runs.end(),
-                                        [](const RunReport& run) { return run.not_known.empty(); });
-  json["nothing_lost"] = nothing_lost(!lost.empty(), is_all_known);
-  json["losses"] = json_of(lost);
   json["proves"] = "consistency, not that nobody forged it";
   json["problems"] = problems;
   json["deleted_runs"] = deleted ? json_of(*deleted) : nlohmann::ordered_json();
