@@ -243,7 +243,7 @@ TEST_SUITE("app") {
     check_verifies(folder, "all.db");
     Process rows(folder, program, {"export", "all.db", "--topic", "a"});
     CHECK(rows.end() == 0);
-    CHECK(has(rows.out, "a,4,4\n"));
+    CHECK(has(rows.out, "a,4,4,1\n"));
   }
 
   TEST_CASE("FW-5 import: each row that got another time than its own is counted") {

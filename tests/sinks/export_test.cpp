@@ -128,7 +128,39 @@ TEST_CASE("FW-5 a topic whose fields changed has a file for each description") {
   REQUIRE(files.size() == 2);
   CHECK(files[0].rows == 999);
   CHECK(files[1].rows == 1);
-  CHECK(lines_of(content_of(folder / "out/room/climate~2.csv"))[0] == "time,origin,sequence,temperature");
+  CHECK(lines_of(content_of(folder / "out/room/climate~2.csv"))[0] == "time,origin,sequence,temperature,run");
+}
+
+TEST_CASE("FW-5 an export of several runs says of each row which it is of, and says so") {
+  const Folder folder;
+  const std::string path = make(folder);
+  make(folder);
+  const auto recording = Recording::open(path).or_throw();
+  REQUIRE(recording.runs().or_throw().size() == 2);
+  for (const Duration step : {Duration{0}, Duration{1h}}) {
+    CAPTURE(step.count());
+    std::ostringstream all, one;
+    const std::uint64_t
+        rows = export_rows(recording, {.filter = {.topic = "room/climate"}, .step = step}, all).or_throw().rows;
+    const auto lines = lines_of(all.str());
+    REQUIRE(lines.size() == rows + 1);
+    CHECK(lines.front().ends_with(",run"));
+    CHECK(lines[1].ends_with(",1"));
+    CHECK(lines.back().ends_with(",2"));
+    (void)export_rows(recording, {.filter = {.topic = "room/climate", .run = 2}, .step = step}, one).or_throw();
+    CHECK_FALSE(lines_of(one.str()).front().ends_with(",run"));
+    CHECK(lines_of(one.str()).back() + ",2" == lines.back());
+  }
+  std::ostringstream json;
+  (void)export_rows(recording, {.format = "jsonl", .filter = {.topic = "room/climate"}}, json).or_throw();
+  CHECK(lines_of(json.str()).back().find("\"run\":\"" + recording.runs().or_throw()[1].uuid + "\"") !=
+        std::string::npos);
+  std::ostringstream out, err;
+  CHECK(app::export_recording({.database = path, .topic = "room/climate"}, out, err) == 0);
+  CHECK(err.str() == "rtdata: of 2 runs: `run` says of which each row is; --run takes one\n");
+  err.str("");
+  CHECK(app::export_recording({.database = path, .topic = "room/climate", .run = 1}, out, err) == 0);
+  CHECK(err.str() == "");
 }
 
 TEST_CASE("FW-5 --utc gives rows from before the clock was set the right time") {

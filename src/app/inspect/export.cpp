@@ -98,6 +98,14 @@ int tell_refused(std::ostream& err, const ExportCount& count) {
   return 1;
 }
 
+/// Rows of several runs: what says which they are of.
+void tell_runs(std::ostream& err, const Recording& recording, const ExportOptions& options) {
+  const auto runs = recording.runs();
+  if (!runs || runs->size() < 2 || options.run || options.format == "raw") return;
+  err << "rtdata: of " << runs->size() << " runs: `run` says of which each row is"
+      << (options.format == "csv" ? "" : ", by its uuid") << "; --run takes one\n";
+}
+
 /// A line on a terminal that says how far it is, once it has taken a second.
 class Progress {
  public:
@@ -169,6 +177,7 @@ int export_recording(const ExportOptions& options, std::ostream& out, std::ostre
     progress.clear();
     if (!count && !out) return 1;
     if (!count) return fail(err, count.error(), code_of(count.error()));
+    if (count->rows != 0) tell_runs(err, *recording, options);
     if (count->rows + count->refused == 0)
       err << "rtdata: no rows: " << recording->path() << " has none of what was asked for\n";
     return tell_refused(err, *count);
@@ -177,6 +186,7 @@ int export_recording(const ExportOptions& options, std::ostream& out, std::ostre
   progress.clear();
   if (!counts) return fail(err, counts.error(), code_of(counts.error()));
   int status = 0;
+  if (!counts->empty()) tell_runs(err, *recording, options);
   for (const ExportCount& count : *counts) {
     out << count.path << ": " << count.rows << (count.rows == 1 ? " row\n" : " rows\n");
     status = std::max(status, tell_refused(err, count));

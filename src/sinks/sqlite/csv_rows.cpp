@@ -62,14 +62,15 @@ bool fits(Kind kind, std::int64_t number) {
 
 }  // namespace
 
-CsvRows::CsvRows(const Recording& recording, RecordedTopic topic, const ExportConfig& config)
+CsvRows::CsvRows(const Recording& recording, RecordedTopic topic, const ExportConfig& config, Runs runs)
     : recording_(&recording),
       topic_(std::move(topic)),
       filter_(config.filter),
+      runs_(runs),
       is_utc_(config.time == ExportTime::utc),
       is_iso8601_(config.time_text == ExportConfig::TimeText::iso8601),
       codec_(make_csv_codec({is_iso8601_ ? CsvConfig::TimeFormat::iso8601 : CsvConfig::TimeFormat::nanoseconds})),
-      longest_(4 * longest_number) {
+      longest_(5 * longest_number) {
   for (const Leaf& leaf : topic_.description->leaves()) {
     columns_.push_back({leaf.kind, leaf.optional != nullptr, &leaf});
     longest_ += longest_number + 1;
@@ -77,8 +78,8 @@ CsvRows::CsvRows(const Recording& recording, RecordedTopic topic, const ExportCo
   payload_.resize(topic_.description->size());
 }
 
-Result<CsvRows> CsvRows::make(const Recording& recording, RecordedTopic topic, const ExportConfig& config) {
-  CsvRows rows(recording, std::move(topic), config);
+Result<CsvRows> CsvRows::make(const Recording& recording, RecordedTopic topic, const ExportConfig& config, Runs runs) {
+  CsvRows rows(recording, std::move(topic), config, runs);
   auto selection = Selection::make(recording, rows.filter_);
   if (!selection) return std::move(selection).error();
   auto statement = rows_in_order(*recording.file(), rows.topic_, *selection, RowReader(rows.topic_).columns());
@@ -106,6 +107,7 @@ Result<void> CsvRows::append_by_codec(std::string& out, Time time) {
   if (auto encoded = codec_->encode(EventView(topic_.topic, header, *topic_.description, payload_), bytes_); !encoded)
     return encoded;
   out.append(reinterpret_cast<const char*>(bytes_.data()), bytes_.size());
+  if (runs_ == Runs::named) out.replace(out.size() - 1, 1, "," + std::to_string(run_) + "\n");
   return {};
 }
 
@@ -198,6 +200,10 @@ char* CsvRows::put_row(char* to, Time time, std::string& out) {
         break;
       }
     }
+  }
+  if (runs_ == Runs::named) {
+    *to++ = ',';
+    to = put_number(to, run_);
   }
   *to++ = '\n';
   return to;

@@ -16,7 +16,9 @@ namespace rtdata::detail {
 /// before escapes were introduced, a value that does not fit) is left to that codec and to `RowReader`.
 class CsvRows {
  public:
-  static Result<CsvRows> make(const Recording& recording, RecordedTopic topic, const ExportConfig& config);
+  /// `Runs::named`: the last column is the number of the run.
+  enum class Runs { left_out, named };
+  static Result<CsvRows> make(const Recording& recording, RecordedTopic topic, const ExportConfig& config, Runs runs);
 
   /// Appends rows to `out` until it has `enough` bytes or no row is left. Returns the number of rows; 0 at the end.
   /// With an error `out` has the rows before it.
@@ -30,7 +32,7 @@ class CsvRows {
     bool is_optional;
     const Leaf* leaf;
   };
-  CsvRows(const Recording& recording, RecordedTopic topic, const ExportConfig& config);
+  CsvRows(const Recording& recording, RecordedTopic topic, const ExportConfig& config, Runs runs);
   /// Loads what the rows of this run need: its `line_`, when times are in UTC.
   Result<void> begin_run(std::int64_t run);
   /// Appends the current row by means of `codec_`.
@@ -40,6 +42,7 @@ class CsvRows {
   const Recording* recording_;
   RecordedTopic topic_;
   RowFilter filter_;
+  Runs runs_;
   bool is_utc_;
   bool is_iso8601_;
   std::unique_ptr<Codec> codec_;

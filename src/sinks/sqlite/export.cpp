@@ -37,14 +37,27 @@ std::string cell(const std::string& text) {
   return in_quotes + '"';
 }
 
+/// The runs of the recording, by number, with their uuids; none when the rows are of one alone.
+using NamedRuns = std::map<std::int64_t, std::string>;
+Result<NamedRuns> named_runs(const Recording& recording, const ExportConfig& config) {
+  NamedRuns named;
+  if (config.filter.run) return named;
+  auto runs = recording.runs();
+  if (!runs) return std::move(runs).error();
+  if (runs->size() > 1)
+    for (const RunInfo& run : *runs) named.emplace(run.run, run.uuid);
+  return named;
+}
+
 /// Of CSV: what the times are stands above them. `fields`: null when there are none.
-std::string csv_head(const ExportConfig& config, const Description* fields) {
+std::string csv_head(const ExportConfig& config, const NamedRuns& runs, const Description* fields) {
   const bool is_utc = config.time == ExportTime::utc;
   const bool has_units = config.header == ExportConfig::Header::names_and_units;
   std::string head = is_utc ? "utc" : "time";
   if (has_units && config.time_text == ExportConfig::TimeText::nanoseconds) head += " [ns]";
   head += ",origin,sequence";
-  if (fields == nullptr) return head + "\n";
+  const std::string end = runs.empty() ? "\n" : ",run\n";
+  if (fields == nullptr) return head + end;
   for (const Leaf& leaf : fields->leaves()) {
     std::string name = leaf.path;
     std::transform(name.begin(), name.end(), name.begin(),
@@ -53,7 +66,7 @@ std::string csv_head(const ExportConfig& config, const Description* fields) {
     if (has_units && !leaf.unit.empty()) name += " [" + leaf.unit + "]";
     head += ',' + cell(name);
   }
-  return head + "\n";
+  return head + end;
 }
 
 /// The UTC lines of the runs, read when they are first needed.
@@ -92,12 +105,14 @@ void tell(const ExportConfig& config, std::uint64_t before, std::uint64_t rows, 
 }
 
 /// One description's rows, under a header.
-Result<ExportCount> write_csv(const Recording& recording, const ExportConfig& config, const RecordedTopic& topic,
-                              std::ostream& out, const std::string& path, std::uint64_t before = 0) {
-  auto rows = detail::CsvRows::make(recording, topic, config);
+Result<ExportCount> write_csv(const Recording& recording, const ExportConfig& config, const NamedRuns& runs,
+                              const RecordedTopic& topic, std::ostream& out, const std::string& path,
+                              std::uint64_t before = 0) {
+  using Runs = detail::CsvRows::Runs;
+  auto rows = detail::CsvRows::make(recording, topic, config, runs.empty() ? Runs::left_out : Runs::named);
   if (!rows) return std::move(rows).error();
   ExportCount count;
-  std::string text = csv_head(config, topic.description.get());
+  std::string text = csv_head(config, runs, topic.description.get());
   for (std::uint64_t added = 1; added > 0;) {
     auto more = rows->append(text, flush_bytes);
     if (auto done = put(out, text, path); !done) return std::move(done).error();
@@ -116,9 +131,9 @@ Result<ExportCount> write_csv(const Recording& recording, const ExportConfig& co
 
 /// Writes the rows through a codec: those of formats other than CSV, and steps. One that does not fit is left out.
 /// `version`: of the topic's descriptions; 0: all.
-Result<ExportCount> write_rows(const Recording& recording, const ExportConfig& config, const RowFilter& filter,
-                               std::int64_t version, Codec& codec, std::ostream& out, const std::string& path,
-                               std::uint64_t before = 0) {
+Result<ExportCount> write_rows(const Recording& recording, const ExportConfig& config, const NamedRuns& runs,
+                               const RowFilter& filter, std::int64_t version, Codec& codec, std::ostream& out,
+                               const std::string& path, std::uint64_t before = 0) {
   RowFilter unlimited = filter;  // rows of another description do not count
   unlimited.limit = 0;
   const bool is_in_steps = config.step > Duration{0};
@@ -152,18 +167,25 @@ Result<ExportCount> write_rows(const Recording& recording, const ExportConfig& c
       header.time = *utc;
     }
     if (std::exchange(headed, given.topic().description.get()) == nullptr) {
-      const std::string text = is_csv(config) ? csv_head(config, headed) : codec.header(*headed);
+      const std::string text = is_csv(config) ? csv_head(config, runs, headed) : codec.header(*headed);
       const auto* begin = reinterpret_cast<const std::byte*>(text.data());
       bytes.insert(bytes.end(), begin, begin + text.size());
     }
     const EventView event = given.event();
-    if (auto encoded = codec.encode(EventView(event.topic(), header, event.description(), event.payload()), bytes);
+    const auto run = runs.find(given.run());
+    const std::string_view uuid = run == runs.end() ? std::string_view() : std::string_view(run->second);
+    if (auto encoded = codec.encode(EventView(event.topic(), header, event.description(), event.payload(), uuid),
+                                    bytes);
         !encoded) {
       if (count.refused++ > 0) continue;
       count.refusal = std::move(encoded).error();
       count.refusal.where = "topic " + given.topic().topic + ", origin " + std::string(header.origin) + ", sequence " +
                             std::to_string(header.sequence) + ", " + count.refusal.where;
       continue;
+    }
+    if (is_csv(config) && !runs.empty()) {
+      bytes.pop_back();
+      for (const char c : "," + std::to_string(given.run())) bytes.push_back(static_cast<std::byte>(c));
     }
     if (codec.is_text() && (bytes.empty() || bytes.back() != std::byte{'\n'})) bytes.push_back(std::byte{'\n'});
     ++count.rows;
@@ -172,7 +194,7 @@ Result<ExportCount> write_rows(const Recording& recording, const ExportConfig& c
     tell(config, before, count.rows, header.time);
   }
   if (headed == nullptr && is_csv(config)) {
-    const std::string text = csv_head(config, nullptr);
+    const std::string text = csv_head(config, runs, nullptr);
     if (auto done = put(out, text, path); !done) return std::move(done).error();
   }
   if (auto done = flush(); !done) return std::move(done).error();
@@ -256,11 +278,13 @@ Result<ExportCount> export_rows(const Recording& recording, const ExportConfig& 
                               : "it holds one topic, and there are " + std::to_string(topics->size()) + ": " + names,
                  is_one_topic ? "choose a run, or export into a folder" : "choose a topic, or export into a folder"};
   }
+  auto runs = named_runs(recording, config);
+  if (!runs) return std::move(runs).error();
   const std::string path = "standard output";
   if (!is_csv(config) || config.step > Duration{0})
-    return write_rows(recording, config, config.filter, 0, **codec, out, path);
-  if (!topics->empty()) return write_csv(recording, config, topics->front(), out, path);
-  if (auto done = put(out, csv_head(config, nullptr), path); !done) return std::move(done).error();
+    return write_rows(recording, config, *runs, config.filter, 0, **codec, out, path);
+  if (!topics->empty()) return write_csv(recording, config, *runs, topics->front(), out, path);
+  if (auto done = put(out, csv_head(config, *runs, nullptr), path); !done) return std::move(done).error();
   return ExportCount{};
 }
 
@@ -281,6 +305,8 @@ Result<std::vector<ExportCount>> export_files(const Recording& recording, const 
   if (config.existing == ExportConfig::Existing::refuse) {
     if (auto free = look_for_files(paths); !free) return std::move(free).error();
   }
+  auto runs = named_runs(recording, config);
+  if (!runs) return std::move(runs).error();
   std::vector<ExportCount> counts;
   std::uint64_t before = 0;
   for (std::size_t i = 0; i < topics->size(); ++i) {
@@ -297,8 +323,9 @@ Result<std::vector<ExportCount>> export_files(const Recording& recording, const 
     RowFilter filter = config.filter;
     filter.topic = topic.topic;
     auto written = is_csv(config) && config.step <= Duration{0}
-                       ? write_csv(recording, config, topic, file, path.string(), before)
-                       : write_rows(recording, config, filter, topic.version, **codec, file, path.string(), before);
+                       ? write_csv(recording, config, *runs, topic, file, path.string(), before)
+                       : write_rows(recording, config, *runs, filter, topic.version, **codec, file, path.string(),
+                                    before);
     if (!written) return std::move(written).error();
     written->path = path.string();
     before += written->rows;
