@@ -6,6 +6,7 @@
 
 #include "app/core/amounts.hpp"
 #include "app/core/recording_commands.hpp"
+#include "app/inspect/course.hpp"
 #include "data/wrap.hpp"
 #include "rtdata/sinks/recording.hpp"
 
@@ -165,6 +166,21 @@ Json json_of(const TopicSummary& topic) {
   return json;
 }
 
+Json json_of(const Value& value) {
+  return std::visit(
+      [](const auto& held) -> Json {
+        using Held = std::decay_t<decltype(held)>;
+        if constexpr (std::is_same_v<Held, std::monostate>) {
+          return {};
+        } else if constexpr (std::is_same_v<Held, char>) {
+          return std::string(1, held);
+        } else {
+          return held;
+        }
+      },
+      value);
+}
+
 /// What is read of a recording before anything is printed.
 struct Content {
   std::vector<RunInfo> runs;
@@ -179,6 +195,7 @@ struct Content {
   std::vector<RecordedConfiguration> configurations;
   std::vector<RecordedBacklog> backlogs;
   std::vector<RecordedGap> gaps;
+  Course course;
   UtcLine line{{}};  // of the run that is shown
 };
 
@@ -217,6 +234,9 @@ Result<Content> read(const Recording& recording, std::optional<std::int64_t> wan
   auto health = recording.health(content.shown->run);
   if (!health) return std::move(health).error();
   content.health = std::move(*health);
+  auto course = course_of(recording, content.topics, content.shown->run);
+  if (!course) return std::move(course).error();
+  content.course = *std::move(course);
   auto escaped = recording.escaped(content.shown->run);
   if (!escaped) return std::move(escaped).error();
   content.escaped = std::move(*escaped);
@@ -315,6 +335,15 @@ void print(const Recording& recording, const Content& content, InfoOptions::Gaps
                 ? ""
                 : " (" + std::to_string(change.count) + " changes up to " + shown_time(change.last) + ")");
   });
+  const auto print_course = [&](const CourseEvents& events, const char* what) {
+    print_first(events.first, 20, what + of_run, out, [&](const CourseEvent& event) {
+      return shown_time(event.time) + " " + event.object + ": " + event.text;
+    });
+    if (events.count > events.first.size()) out << "  of " << events.count << "\n";
+  };
+  print_course(content.course.notes, "notes in");
+  print_course(content.course.alarms, "alarms in");
+  print_course(content.course.states, "changes of state in");
   print_first(content.configurations, 20, "changes of the configuration in" + of_run + " (texts: --json)", out,
               [&](const RecordedConfiguration& change) {
                 return shown_time(change.time) + " " +
@@ -367,6 +396,19 @@ void print_json(const Recording& recording, const Content& content, InfoOptions:
                                   {"last", to_nanoseconds(change.last)},
                                   {"utc", utc_json(content.line, change.time)}});
   }
+  const auto add_course = [&](const char* name, const char* object, const CourseEvents& events) {
+    json[name] = Json::array();
+    for (const CourseEvent& event : events.first) {
+      Json one{{"time", to_nanoseconds(event.time)}, {object, event.object}};
+      for (const auto& [field, value] : event.values) one[field] = json_of(value);
+      one["utc"] = utc_json(content.line, event.time);
+      json[name].push_back(std::move(one));
+    }
+    json[std::string(name) + "_count"] = events.count;
+  };
+  add_course("notes", "by", content.course.notes);
+  add_course("alarms", "limit_of", content.course.alarms);
+  add_course("states", "machine", content.course.states);
   json["escaped"] = Json::array();
   for (const RecordedEscapes& of : content.escaped)
     json["escaped"].push_back(Json{{"topic", of.topic}, {"origin", of.origin}, {"texts", of.texts}});

@@ -1,0 +1,102 @@
+#include "app/inspect/course.hpp"
+
+#include <algorithm>
+#include <set>
+#include <string_view>
+
+namespace rtdata::app {
+namespace {
+
+constexpr std::size_t most_kept = 1000;
+
+/// Of a payload that has these fields.
+std::string word(const CourseEvent& event, std::string_view field) {
+  for (const auto& [name, value] : event.values)
+    if (name == field) return std::holds_alternative<std::monostate>(value) ? std::string() : to_string(value);
+  return {};
+}
+
+/// False: a command that is no note.
+bool tell_note(CourseEvent& event) {
+  constexpr std::string_view verb = "note ";
+  const std::string command = word(event, "command");
+  event.text = command.substr(std::min(verb.size(), command.size()));
+  event.object = word(event, "by");
+  event.values = {{"text", event.text}};
+  return command.starts_with(verb);
+}
+
+bool tell_alarm(CourseEvent& event) {
+  const std::string value = word(event, "value"), limit = word(event, "limit");
+  const bool is_active = word(event, "is_active") == "true";
+  event.text = is_active ? word(event, "alarm") : "normal";
+  if (!value.empty()) event.text += ", at " + value;
+  if (is_active && !limit.empty()) event.text += ", limit " + limit;
+  if (is_active && word(event, "acknowledged") == "true") event.text += ", acknowledged";
+  return true;
+}
+
+bool tell_state(CourseEvent& event) {
+  const std::string from = word(event, "from"), cause = word(event, "cause");
+  event.text = (from.empty() ? "" : from + " -> ") + word(event, "to") + (cause.empty() ? "" : " (" + cause + ")");
+  return true;
+}
+
+struct Kind {
+  std::string_view payload;
+  std::vector<std::string> fields;
+  bool (*tell)(CourseEvent&);
+  CourseEvents Course::*events;
+};
+
+const std::vector<Kind>& kinds() {
+  static const std::vector<Kind> all{
+      {"command", {"command", "by"}, tell_note, &Course::notes},
+      {"alarm", {"level", "alarm", "is_active", "acknowledged", "value", "limit"}, tell_alarm, &Course::alarms},
+      {"state_change", {"from", "to", "cause", "lasted"}, tell_state, &Course::states}};
+  return all;
+}
+
+Result<void> add(const Recording& recording, const std::string& topic, std::int64_t run, const Kind& kind,
+                 CourseEvents& events) {
+  auto rows = recording.rows({.topic = topic, .run = run});
+  if (!rows) return std::move(rows).error();
+  for (std::size_t taken = 0;;) {
+    auto row = rows->next();
+    if (!row) return std::move(row).error();
+    if (*row == nullptr) return {};
+    const EventView event = (*row)->event();
+    CourseEvent one{event.time(), std::string(event.origin()), {}, {}};
+    for (const std::string& field : kind.fields) {
+      auto value = event.value(field);
+      if (!value) break;  // another payload of that name
+      one.values.emplace_back(field, *std::move(value));
+    }
+    if (one.values.size() != kind.fields.size() || !kind.tell(one)) continue;
+    ++events.count;
+    if (taken++ < most_kept) events.first.push_back(std::move(one));
+  }
+}
+
+}  // namespace
+
+Result<Course> course_of(const Recording& recording, const std::vector<RecordedTopic>& topics, std::int64_t run) {
+  Course course;
+  std::set<std::string> known;
+  for (const RecordedTopic& topic : topics) {
+    for (const Kind& kind : kinds()) {
+      if (topic.description->name() != kind.payload || !known.insert(topic.topic).second) continue;
+      if (auto added = add(recording, topic.topic, run, kind, course.*kind.events); !added)
+        return std::move(added).error();
+    }
+  }
+  for (const Kind& kind : kinds()) {
+    std::vector<CourseEvent>& first = (course.*kind.events).first;
+    std::stable_sort(first.begin(), first.end(),
+                     [](const CourseEvent& a, const CourseEvent& b) { return a.time < b.time; });
+    if (first.size() > most_kept) first.erase(first.begin() + most_kept, first.end());
+  }
+  return course;
+}
+
+}  // namespace rtdata::app

@@ -1,0 +1,34 @@
+// The course of a recorded run for `rtdata info`: notes, alarms, changes of state.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "rtdata/data/value.hpp"
+#include "rtdata/sinks/recording.hpp"
+
+namespace rtdata::app {
+
+struct CourseEvent {
+  Time time{};         ///< as recorded
+  std::string object;  ///< the limit or machine; of a note who made it
+  std::string text;    ///< for people, without the object
+  std::vector<std::pair<std::string, Value>> values;
+};
+
+/// In order of time; the first 1000.
+struct CourseEvents {
+  std::vector<CourseEvent> first;
+  std::uint64_t count = 0;  ///< of all
+};
+
+struct Course {
+  CourseEvents notes, alarms, states;
+};
+
+/// `topics`: of the recording. What is in their payloads says which they are.
+Result<Course> course_of(const Recording& recording, const std::vector<RecordedTopic>& topics, std::int64_t run);
+
+}  // namespace rtdata::app
