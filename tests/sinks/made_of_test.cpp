@@ -85,6 +85,20 @@ unsigned seed_of_test() {
   return wanted != nullptr ? static_cast<unsigned>(std::strtoul(wanted, nullptr, 10)) : 1;
 }
 
+/// Keeps of each event the run that it is of.
+class Runs final : public Writer {
+ public:
+  explicit Runs(std::vector<std::string>& to) : to_(to) {}
+  Result<void> open() override { return {}; }
+  Result<void> write(Batch& batch) override {
+    for (const Record& record : batch) to_.push_back(record.info->topic + " " + record.info->run);
+    return {};
+  }
+
+ private:
+  std::vector<std::string>& to_;
+};
+
 #define NEEDS_EXPRESSIONS()                                            \
   if (!Expression::available()) {                                      \
     MESSAGE("skipped: the library was built without libmuparser-dev"); \
@@ -382,5 +396,38 @@ TEST_SUITE("sinks") {
       }
     }
     CHECK(losses > 12);
+  }
+
+  TEST_CASE("FW-5 what is sent from memory is of the run of the first recording that takes it, else of the program's") {
+    const Folder folder;
+    std::vector<std::string> sent;
+    std::string own;
+    {
+      Loop loop{Loop::Manual{}};
+      const SinkConfig config{.name = "peer", .batch_time = 1ms};
+      const Sink memory(loop, config, std::make_unique<Runs>(sent));
+      Feed<Climate> a(loop, {.name = "a"}), b(loop, {.name = "b"});
+      const auto publish = [&] {
+        a.publish({1, 2});
+        b.publish({1, 2});
+        loop.advance(10ms);
+      };
+      own = loop.runtime().core().run_uuid();
+      publish();
+      SqliteSink first(loop, {.path = folder / "first.db", .sink = {.topics = {"a"}}});
+      publish();
+      const SqliteSink second(loop, {.path = folder / "second.db"});
+      publish();
+      first.close();
+      publish();
+      loop.close();
+    }
+    const auto run_in = [&](const char* name) {
+      return Recording::open(folder / name).or_throw().runs().or_throw().at(0).uuid;
+    };
+    const std::string first = run_in("first.db"), second = run_in("second.db");
+    CHECK(first != second);
+    CHECK(sent == std::vector<std::string>{"a " + own, "b " + own, "a " + first, "b " + own, "a " + first,
+                                           "b " + second, "a " + second, "b " + second});
   }
 }

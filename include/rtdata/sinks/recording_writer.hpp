@@ -142,6 +142,8 @@ class RecordingWriter : public Writer {
   virtual void begin_counting() {}
   /// Whether other sinks can go through it.
   virtual bool is_recording() const noexcept { return false; }
+  /// Of a recording: the uuid of its run, from the beginning on. Any thread.
+  virtual std::string run() const { return {}; }
   /// For a sink that goes through this recording; null: none can. Once for each of these sinks.
   virtual std::unique_ptr<detail::RowFeed> feed(const detail::RowFeedConfig& config);
   /// Once it was closed: what the recording says of the run. Null: that is not known.

@@ -34,6 +34,10 @@ class SinkAccount {
   bool is_follow_due() noexcept { return std::exchange(is_follow_due_, false); }
   /// The writer has been opened at set-up: what was counted so far goes to where it keeps counts.
   void move_counts(LoopCore& loop) noexcept;
+  /// A recording has begun, or ended.
+  void look_at_runs() {
+    for (const auto& tap : taps_) tap->look_at_run();
+  }
   /// Takes none any more.
   void end() noexcept;
 

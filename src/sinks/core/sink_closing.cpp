@@ -31,6 +31,7 @@ void SinkNode::begin_closing(MonotonicTime deadline) {
     if (!unknown.empty()) unknown_ += (unknown_.empty() ? "" : "; ") + unknown;
   });
   life_ = Life::closing;
+  tell_of_run();
   account_.end();
   note([&] {
     if (!account_.notes.has_end() && !runtime.clock_log.is_repeated())

@@ -61,11 +61,29 @@ void SinkNode::attach() {
   for (const auto& [sensor, change] : runtime.configurations.processes()) account_.notes.add(change);
   loop()->schedule().add(*this);
   life_ = Life::attached;
+  tell_of_run();
   if (is_to_open_) {
     start_work();
     if (loop()->is_being_set_up() && !loop()->is_in_user_code()) wait_for_opening();
   }
   if (!unknown.empty()) runtime.log(LogLevel::warning, object_name(), "begins although " + unknown);
+}
+
+std::string SinkNode::run_of(const TopicCore& topic) const {
+  if (queue_->is_recording() || is_fed()) return {};
+  RuntimeCore& runtime = loop()->runtime.main();
+  for (Recorder* const recorder : runtime.recorders)
+    if (const SinkNode* const sink = recorder->as_sink(); sink != nullptr && sink->records(topic.name))
+      return sink->queue_->run();
+  return runtime.run_uuid();
+}
+
+void SinkNode::tell_of_run() noexcept {
+  if (!queue_->is_recording()) return;
+  for (Recorder* const recorder : loop()->runtime.recorders) {
+    SinkNode* const sink = recorder->as_sink();
+    if (sink != nullptr && !sink->is_fed() && !sink->is_closing()) sink->note([&] { sink->account_.look_at_runs(); });
+  }
 }
 
 // ---- Recorder

@@ -68,6 +68,9 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   /// An origin that no account has yet: the next account comes soon, as after a changed schedule, so that a kill in the
   /// first second leaves them too.
   void account_is_due();
+  /// The run of the events of a topic, for who gets them elsewhere: that of the first recording that takes it, else the
+  /// program's. Of a recording, and of what goes through one: empty.
+  std::string run_of(const TopicCore& topic) const;
 
   Handler<ErrorReport> on_error_;
   const std::string& name() const noexcept override { return config_.name; }
@@ -126,6 +129,11 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   bool is_waiting() const noexcept { return work_ == Work::waiting || work_ == Work::waiting_for_thread; }
   std::string object_name() const { return "sink " + config_.name; }
   Result<void> take_topic(TopicCore& topic);
+  bool records(std::string_view topic) const noexcept {
+    return queue_->is_recording() && is_attached() && !is_closing() && wants(topic);
+  }
+  /// This recording has begun, or ended: tells the other sinks.
+  void tell_of_run() noexcept;
 
   /// Calls a function that needs memory for a report: when there is none, the account says that it does not know.
   template <class Function>

@@ -208,6 +208,7 @@ class SinkQueue {
   }
   bool keeps_account() const noexcept { return recording_ != nullptr && feed_ == nullptr; }
   bool is_recording() const noexcept { return recording_ != nullptr && recording_->is_recording(); }
+  std::string run() const { return recording_ != nullptr ? recording_->run() : std::string(); }
   /// Of a recording that was closed.
   std::shared_ptr<const RunReport> recorded() const { return recording_ != nullptr ? recording_->recorded() : nullptr; }
   /// For a sink that goes through this recording; null: this is none.

@@ -47,7 +47,8 @@ SinkTap::SinkTap(SinkNode& sink, std::shared_ptr<SinkQueue> queue, TopicCore& to
       number_(number),
       takes_(takes),
       payload_bytes_(topic.type.size),
-      record_bytes_(record_bytes_of(topic.type.size)) {
+      record_bytes_(record_bytes_of(topic.type.size)),
+      run_(sink.run_of(topic)) {
   for (OriginCore* origin : topic.origins()) {
     origin->divide_gaps();  // what follows begins another
     if (origin->sensor != nullptr) origin->sensor->count_read_begun();
@@ -104,13 +105,24 @@ void SinkTap::expect(OriginCore& origin) {
     ended_.resize(count);
     places_.resize(count);
   }
+  begin_slot(origin);
+  sink_.account_is_due();
+}
+
+void SinkTap::begin_slot(const OriginCore& origin) {
   const std::uint32_t slot = [&] {
     const LoopCore::OffLimits off_limits(*topic_.runtime().own_loop);  // to what the writer does in `live_counts`
-    return queue_->add_slot({number_, origin.name, topic_.name, topic_.type.description,
-                             queue_->is_recording() ? std::string() : topic_.runtime().main().run_uuid()});
+    return queue_->add_slot({number_, origin.name, topic_.name, topic_.type.description, run_});
   }();
   places_[origin.index] = {queue_->slot(slot).live, &queue_->stored(slot), 0, 0, 0, slot};
-  sink_.account_is_due();
+}
+
+void SinkTap::look_at_run() {
+  std::string now = sink_.run_of(topic_);
+  if (is_ended_ || now == run_) return;
+  run_ = std::move(now);
+  for (const OriginCore* origin : topic_.origins())
+    if (knows(*origin)) begin_slot(*origin);
 }
 
 void SinkTap::move_counts() noexcept {

@@ -3,6 +3,7 @@
 
 #include <cstdint>
 #include <memory>
+#include <string>
 #include <vector>
 
 #include "loop/events/origin_core.hpp"
@@ -33,6 +34,8 @@ class SinkTap final : public Tap {
   void note_ended(const OriginCore& origin, const Segment& segment) noexcept;
   /// The queue has moved the counts of all slots into the writer's memory: counts there from here on.
   void move_counts() noexcept;
+  /// A recording has begun, or ended: what comes from here on may be of another run.
+  void look_at_run();
   /// From here on the origins' accounts that the writer keeps are not changed any more.
   void end() noexcept { is_ended_ = true; }
 
@@ -71,6 +74,7 @@ class SinkTap final : public Tap {
     bool is_any = false;
   };
   enum class Now { at_an_event, between_events };
+  void begin_slot(const OriginCore& origin);
   void keep(const OriginCore& origin, Now now) noexcept;
 
   SinkNode& sink_;
@@ -85,6 +89,7 @@ class SinkTap final : public Tap {
   std::vector<Before> before_;            // of those that were there
   std::vector<Closed> closed_;
   std::vector<Segment> ended_;  // the last one, while none is under way
+  std::string run_;             // that the slots are of; of a recording, which has its own, empty
   bool is_ended_ = false;
 };
 

@@ -1,15 +1,12 @@
 // How the SQLite writer begins: opens and locks the file, makes its tables, seals older runs, begins its own.
 #include <unistd.h>
 
-#include "loop/support/first_line.hpp"
 #include "sinks/sqlite/schema.hpp"
 #include "sinks/sqlite/sqlite_writer.hpp"
 #include "sinks/sqlite/utc_line.hpp"
 
 namespace rtdata::sqlite {
 namespace {
-
-std::string random_uuid() { return detail::first_line("/proc/sys/kernel/random/uuid"); }
 
 /// The version of the recording's format; 0: the file is empty.
 Result<std::int64_t> format_of(const Database& database, const std::string& path) {
@@ -61,20 +58,19 @@ Result<void> SqliteWriter::begin() {
 
 Result<void> SqliteWriter::begin_in(const std::string& recording) {
   if (auto done = configure(); !done) return done;
-  const std::string uuid = random_uuid();
   if (auto done = database_.execute("BEGIN IMMEDIATE"); !done) return done;
   is_in_transaction_ = true;
   if (auto done = make_schema(); !done) return done;
   std::vector<LiveFile> used;
   auto remarks = seal_runs(database_, recording, lock_.noted(), sums_, used);
   if (!remarks) return std::move(remarks).error();
-  if (auto done = begin_run(uuid); !done) return done;
+  if (auto done = begin_run(); !done) return done;
   // A program that is killed again and again as soon as it has started stores nothing, but its runs take room.
   if (pruner_.has_limits()) {
     if (auto done = pruner_.make_room(database_, sums_, info_.started); !done) return done;
   }
   if (auto done = sums_.write(database_); !done) return done;
-  if (auto made = LiveFile::make(recording, uuid)) {
+  if (auto made = LiveFile::make(recording, info_.uuid)) {
     const std::lock_guard lock(opening_mutex_);
     live_ = std::move(*made);
     counts_without_topics_ = !has_topics_;
@@ -149,7 +145,7 @@ Result<void> SqliteWriter::make_schema() {
                            std::to_string(application_id) + ";PRAGMA user_version=" + std::to_string(schema_version));
 }
 
-Result<void> SqliteWriter::begin_run(const std::string& uuid) {
+Result<void> SqliteWriter::begin_run() {
   const RunInfo& run = info_;
   auto insert = database_.prepare(
       "INSERT INTO rtdata_run(uuid, name, notes, configuration, program, host, boot_id, pid, started, ended, "
@@ -158,7 +154,12 @@ Result<void> SqliteWriter::begin_run(const std::string& uuid) {
   if (!insert) return std::move(insert).error();
   const std::string host = host_name();
   const std::string program = "rtdata " RTDATA_VERSION;
-  insert->bind(1, uuid).bind(2, run.name).bind(3, run.notes).bind(4, run.configuration).bind(5, program).bind(6, host);
+  insert->bind(1, run.uuid)
+      .bind(2, run.name)
+      .bind(3, run.notes)
+      .bind(4, run.configuration)
+      .bind(5, program)
+      .bind(6, host);
   insert->bind(7, run.boot_id).bind(8, std::int64_t{::getpid()}).bind(9, to_nanoseconds(run.started));
   insert->bind(10, to_nanoseconds(run.started)).bind(11, run.clock_offset.count());
   insert->bind(12, std::int64_t{schema_version});

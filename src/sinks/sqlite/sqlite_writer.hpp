@@ -26,6 +26,7 @@ namespace rtdata::sqlite {
 
 /// What a run is called in the recording.
 struct RunInfo {
+  std::string uuid;
   std::string name;
   std::string notes;
   std::string configuration;
@@ -52,6 +53,7 @@ class SqliteWriter final : public RecordingWriter {
   void keep(const OriginAccount& now, const Gap* closed) override;
   void begin_counting() override;
   bool is_recording() const noexcept override { return true; }
+  std::string run() const override { return info_.uuid; }
   std::shared_ptr<const RunReport> recorded() const override { return recorded_; }
   std::unique_ptr<detail::RowFeed> feed(const detail::RowFeedConfig& config) override;
   std::optional<Error> take_warning() override {
@@ -68,7 +70,7 @@ class SqliteWriter final : public RecordingWriter {
   void forget() noexcept;
   Result<void> configure();
   Result<void> make_schema();
-  Result<void> begin_run(const std::string& uuid);
+  Result<void> begin_run();
   /// Up to the end of the batch, or until enough new tables are made; the views of these too.
   Result<void> write_rows(Batch& batch, Batch::Iterator& next, std::size_t& rows);
   /// The topic's table; null when it can never be made: then `untaken_` has the reason.
