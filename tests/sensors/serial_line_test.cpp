@@ -441,16 +441,6 @@ TEST_CASE("US-5 a first line that was thrown away is in the recording, and no lo
   CHECK(has(report.text(), "1 first line of line thrown away: the port was opened in the middle of a line"));
   CHECK(has(report.to_json(), R"("first_lines": {)"));
   CHECK(summary(Recording::open(path).or_throw(), 1).or_throw().at(0).first_lines == 1);
-
-  // A file that was made before there was such a count is read, and gets it when it is recorded into.
-  sqlite::Database::open(path, sqlite::Database::Mode::write)
-      .or_throw()
-      .execute("ALTER TABLE rtdata_ledger DROP COLUMN first_lines")
-      .or_throw();
-  CHECK(first_lines(1) == 0);
-  record();
-  CHECK(first_lines(1) == 0);
-  CHECK(first_lines(2) == 1);
 }
 
 TEST_CASE("US-5 the first lines can be kept, or skipped as a heading") {

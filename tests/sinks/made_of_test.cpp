@@ -99,17 +99,10 @@ class Runs final : public Writer {
   std::vector<std::string>& to_;
 };
 
-#define NEEDS_EXPRESSIONS()                                            \
-  if (!Expression::available()) {                                      \
-    MESSAGE("skipped: the library was built without libmuparser-dev"); \
-    return;                                                            \
-  }
-
 }  // namespace
 
 TEST_SUITE("sinks") {
   TEST_CASE("US-26 a recording has the account of what its topics are made of on tiers, whatever is made first") {
-    NEEDS_EXPRESSIONS();
     enum class First { sink, sources, derived };
     for (const First first : {First::sink, First::sources, First::derived}) {
       CAPTURE(static_cast<int>(first));
@@ -198,7 +191,6 @@ TEST_SUITE("sinks") {
   }
 
   TEST_CASE("US-26 what is made of others comes and goes while a recording goes on, which balances") {
-    NEEDS_EXPRESSIONS();
     const Folder folder;
     const std::string path = folder / "run.db";
     std::uint64_t before = 0, after = 0, failed_b = 0;
@@ -231,7 +223,6 @@ TEST_SUITE("sinks") {
   }
 
   TEST_CASE("US-26 events of a topic whose account alone is kept do not come over from its tier") {
-    NEEDS_EXPRESSIONS();
     const Folder folder;
     const std::string path = folder / "run.db";
     std::uint64_t published = 0;
@@ -262,7 +253,6 @@ TEST_SUITE("sinks") {
   }
 
   TEST_CASE("FW-5 a replay of what is made of others has the account of these, too") {
-    NEEDS_EXPRESSIONS();
     const Folder folder;
     const std::string path = folder / "run.db", copy = folder / "copy.db";
     {
@@ -310,7 +300,6 @@ TEST_SUITE("sinks") {
   }
 
   TEST_CASE("US-26 what a recording says at its end is what verify says of it, whatever is recorded") {
-    NEEDS_EXPRESSIONS();
     std::size_t losses = 0;
     for (unsigned seed = seed_of_test(); seed < seed_of_test() + 12; ++seed) {
       CAPTURE(seed);
