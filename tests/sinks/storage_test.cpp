@@ -341,6 +341,7 @@ TEST_SUITE("sinks") {
       std::uint64_t lost = 0;
       for (const RunReport& run : report.runs)
         for (const TopicLoss& loss : run.losses) lost += loss.by_source;
+      for (const TopicLoss& loss : report.deleted->losses) lost += loss.by_source;
       CHECK(lost == 1 + starts * 9 / 10);  // of those that were killed, no account was written
       const std::int64_t offered = number(path,
                                           "SELECT coalesce((SELECT sum(offered) FROM rtdata_deleted), 0) + "

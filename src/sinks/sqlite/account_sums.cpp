@@ -10,6 +10,10 @@ int hashed_columns(sqlite3_stmt* rows) noexcept {
 }
 
 Result<void> AccountSums::run(Statement& statement, Rows rows) {
+  const struct Reset {  // also when there is no memory for a sum: what is not reset takes no values
+    ~Reset() { of.reset(); }
+    Statement& of;
+  } reset{statement};
   const int end = hashed_columns(statement.raw());
   for (;;) {
     auto row = statement.step();
@@ -19,7 +23,6 @@ Result<void> AccountSums::run(Statement& statement, Rows rows) {
     const std::uint64_t hash = hash_of(hash_, statement.raw(), has_run ? 1 : 0, end);
     changes_[statement.integer(0)] += rows == Rows::come ? hash : -hash;
   }
-  statement.reset();
   return {};
 }
 
