@@ -339,8 +339,8 @@ TEST_SUITE("sinks") {
       REQUIRE(report.deleted);
       CHECK(report.deleted->runs.runs == static_cast<std::uint64_t>(starts + 1 - runs));
       std::uint64_t lost = 0;
-      for (const RunReport& run : report.runs)
-        for (const TopicLoss& loss : run.losses) lost += loss.by_source;
+      for (const RunReport& one : report.runs)
+        for (const TopicLoss& loss : one.losses) lost += loss.by_source;
       for (const TopicLoss& loss : report.deleted->losses) lost += loss.by_source;
       CHECK(lost == 1 + starts * 9 / 10);  // of those that were killed, no account was written
       const std::int64_t offered = number(path,
