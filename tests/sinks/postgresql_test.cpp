@@ -833,9 +833,9 @@ TEST_SUITE("sinks") {
     CHECK(has(problem_after("DELETE FROM rtdata_layout", "INSERT INTO rtdata_layout VALUES(1)"), "rtdata_layout"));
     const auto error_after = [&](const std::string& change, const std::string& undo) {
       server.sql(database, change);
-      const auto served = verify_server(config);
+      const auto found = verify_server(config);
       server.sql(database, undo);
-      return served ? "none" : std::string(served.error().id()) + ": " + served.error().text();
+      return found ? "none" : std::string(found.error().id()) + ": " + found.error().text();
     };
     CHECK(has(error_after("UPDATE rtdata_layout SET version = 2", "UPDATE rtdata_layout SET version = 1"),
               "newer-version"));
