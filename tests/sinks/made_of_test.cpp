@@ -367,7 +367,9 @@ TEST_SUITE("sinks") {
         losses += report.runs.at(0).losses.size();
       }
       CHECK(all_said == all_verified);
-      for (const auto& [path, taken] : recorded) {  // all that its topics are made of, and nothing else
+      for (const auto& one : recorded) {  // all that its topics are made of, and nothing else
+        const auto& path = one.first;
+        const auto& taken = one.second;
         CAPTURE(path);
         std::set<std::string> all(taken.begin(), taken.end());
         for (std::vector<std::string> next = taken; !next.empty();) {
@@ -377,7 +379,9 @@ TEST_SUITE("sinks") {
             if (all.insert(source).second) next.push_back(source);
         }
         const RunReport run = verified(path).runs.at(0);
-        for (const auto& [topic, count] : failed) {
+        for (const auto& of : failed) {
+          const auto& topic = of.first;
+          const auto& count = of.second;
           CAPTURE(topic);
           const TopicLoss* const loss = loss_of(run, topic);
           CHECK((loss != nullptr ? loss->failed : 0) == (all.contains(topic) ? count : 0));

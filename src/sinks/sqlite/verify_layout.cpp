@@ -2,6 +2,8 @@
 #include <algorithm>
 #include <set>
 
+#include "sinks/sqlite/database.hpp"
+#include "sinks/sqlite/recording_file.hpp"
 #include "sinks/sqlite/schema.hpp"
 #include "sinks/sqlite/verify_run.hpp"
 
