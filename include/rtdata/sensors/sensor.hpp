@@ -232,9 +232,9 @@ class AnySensor : public Handle {
   AnySensor() noexcept = default;
 
   /// Acquires the device and begins a new stretch of schedule. Nothing on a running or closed sensor. SetupError when
-  /// the sensor is `required` and the device cannot be opened. Returns whether it ran not yet.
+  /// the sensor is `required` and the device cannot be opened. Returns whether it was this call that started it.
   bool start();
-  /// Ends its activity: see "The life of a sensor". Returns whether it ran.
+  /// Ends its activity: see "The life of a sensor". Returns whether it was this call that stopped it.
   bool stop();
   bool is_running() const noexcept;
   /// While running too: a new stretch of schedule begins now. Undoes what `on_overrun` did to the rate. SetupError

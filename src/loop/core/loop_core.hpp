@@ -243,8 +243,8 @@ class LoopCore {
     LoopCore& core_;
   };
   struct CallThere;
-  /// Waits until it is done. False: nobody has come to it within the time, and nobody will.
   void call_there(Callback<void()> function, Begun begun);
+  /// Waits until it is done, or is given up since `at_most` has passed.
   Called wait_for(CallThere& call, Duration at_most, Begun begun);
   /// What it is in, for people.
   std::string where() const;

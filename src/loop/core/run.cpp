@@ -44,6 +44,7 @@ LoopCore::Called LoopCore::wait_for(CallThere& call, Duration at_most, Begun beg
     if (waited >= told_after && !std::exchange(is_told, true))
       runtime.main().log(LogLevel::warning, "loop " + config.name, "is waited for: " + where() + " for 1 s");
     if (waited < at_most) continue;
+    if (begun == Begun::is_awaited && call.state.load() != State::waits) continue;
     note_standing(began);
     if (call.become(State::given_up, State::waits)) {
       call.function = {};
