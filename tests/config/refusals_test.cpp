@@ -431,7 +431,7 @@ TEST_SUITE("config") {
          "there is no folder \"/nope\", to which \"dangling\" is a symbolic link: make it first"},
         {sinks(R"({"type": "file", "path": "dangling"})"), "there is no folder \"/nope\", to which \"dangling\" is"},
         {sinks(R"({"type": "file", "path": "{topic}/x.csv"})"), "a placeholder stands in the name of a folder"},
-        {sinks(R"({"type": "file", "path": "other.csv", "format": "csv"})"),
+        {sinks(R"({"type": "file", "path": "other.csv", "format": "csv", "rotate": {"time": "1 d"}})"),
          "its header is \"time,origin,sequence,speed\""},
         {sinks(R"({"type": "file", "path": "bad.json"})"), "this is the configuration; choose another file"},
         {sinks(R"({"type": "file", "path": "x"}, {"type": "sqlite", "path": "./folder/../x"})"),

@@ -105,11 +105,57 @@ TEST_SUITE("sinks") {
     }
   }
 
-  TEST_CASE("US-30 a second start appends; a CSV keeps its one header") {
+  TEST_CASE("US-30 a second start begins a new file, and the earlier ones are kept under their numbers") {
     for (const char* format : {"json", "csv", "raw"}) {
       CAPTURE(format);
       Bench bench;
-      const FileConfig config{.path = bench.directory / "run", .format = format};
+      const FileConfig config{.path = bench.directory / "run.txt", .format = format};
+      bench.record(config, 1, 2);
+      bench.record(config, 3, 0);  // it has no event: the next start goes on in it
+      bench.record(config, 4, 1);
+      bench.record(config, 5, 1);
+      CHECK(values(bench.directory / "run-00000001.txt", format) == std::vector<double>{1, 2});
+      const bool has_header = std::string_view(format) == "csv";
+      CHECK(values(bench.directory / "run-00000002.txt", format) == std::vector<double>{4});
+      CHECK(values(config.path, format) == std::vector<double>{5});
+      CHECK(std::filesystem::exists(bench.directory / "run-00000003.txt") == false);
+      CHECK(content(bench.directory / "run-00000002.txt").starts_with("time,") == has_header);
+      CHECK(bench.errors.empty());
+    }
+  }
+
+  TEST_CASE("US-30 a new run may have other columns, and a file that is a link stays one") {
+    Bench bench;
+    std::filesystem::create_directory(bench.directory / "disk");
+    std::ofstream(bench.directory / "disk/run.csv") << "time,origin,sequence,speed\n1,a,1,2\n";
+    std::filesystem::create_symlink("disk/run.csv", bench.directory / "run.csv");
+    bench.record({.path = bench.directory / "run.csv", .format = "csv"}, 1, 2);
+    CHECK(std::filesystem::is_symlink(bench.directory / "run.csv"));
+    CHECK(values(bench.directory / "disk/run.csv", "csv") == std::vector<double>{1, 2});
+    CHECK(content(bench.directory / "disk/run-00000001.csv") == "time,origin,sequence,speed\n1,a,1,2\n");
+    CHECK(bench.errors.empty());
+  }
+
+  TEST_CASE("US-30 a file is named by the day and by the number of its run") {
+    Bench bench;
+    const std::string today = to_iso8601(wall_clock_now()).substr(0, 10);
+    std::ofstream(bench.directory / ("test-" + today + "-9x.csv")) << "a note\n";
+    const FileConfig config{.path = bench.directory / "test-{date}-{run}.csv"};
+    bench.record(config, 1, 1);
+    bench.record(config, 2, 1);
+    if (to_iso8601(wall_clock_now()).substr(0, 10) != today) return;  // midnight came in between
+    CHECK(values(bench.directory / ("test-" + today + "-10.csv"), "csv") == std::vector<double>{1});
+    CHECK(values(bench.directory / ("test-" + today + "-11.csv"), "csv") == std::vector<double>{2});
+    CHECK(content(bench.directory / ("test-" + today + "-9x.csv")) == "a note\n");
+    CHECK(bench.refusal({.path = bench.directory / "{run}/x.csv"}).find("{run} stands in the name of a directory") !=
+          std::string::npos);
+  }
+
+  TEST_CASE("US-30 a second start appends where files rotate; a CSV keeps its one header") {
+    for (const char* format : {"json", "csv", "raw"}) {
+      CAPTURE(format);
+      Bench bench;
+      const FileConfig config{.path = bench.directory / "run", .format = format, .rotate = {.time = 24h * 360}};
       bench.record(config, 1, 2);
       bench.record(config, 3, 0);
       bench.record(config, 3, 2);
@@ -175,7 +221,10 @@ TEST_SUITE("sinks") {
            "cannot record topic b/c: " + directory +
                "/run.csv: the columns of a file are those of one topic, here a: write {topic}");
     std::ofstream(directory + "/other.csv") << "time,origin,sequence,speed\n1,a,1,2\n";
-    starts({.path = directory + "/other.csv", .format = "csv", .sink = {.topics = {"a"}}},
+    starts({.path = directory + "/other.csv",
+            .format = "csv",
+            .rotate = {.time = 24h * 360},
+            .sink = {.topics = {"a"}}},
            "cannot append to: " + directory + "/other.csv: its header is \"time,origin,sequence,speed\"");
     std::ofstream(directory + "/text") << "this is a text and not raw bytes\n";
     starts({.path = directory + "/text", .format = "raw"},
@@ -223,7 +272,7 @@ TEST_SUITE("sinks") {
     Bench bench;
     for (const char* format : {"json", "csv", "raw"}) {
       SUBCASE(format) {
-        const FileConfig config{.path = bench.directory / "run", .format = format};
+        const FileConfig config{.path = bench.directory / "run", .format = format, .rotate = {.time = 24h * 360}};
         bench.record(config, 1, 2);
         const auto size = std::filesystem::file_size(config.path);
         std::filesystem::resize_file(config.path, size - 1);
@@ -245,7 +294,10 @@ TEST_SUITE("sinks") {
     for (const char* format : {"json", "csv", "raw"}) {
       CAPTURE(format);
       Bench bench;
-      const FileConfig config{.path = bench.directory / "run", .format = format, .sink = {.batch_rows = 10}};
+      const FileConfig config{.path = bench.directory / "run",
+                              .format = format,
+                              .rotate = {.time = 24h * 360},
+                              .sink = {.batch_rows = 10}};
       const pid_t child = fork_without_threads();
       if (child == 0) {
         Loop loop{Loop::Manual{}};

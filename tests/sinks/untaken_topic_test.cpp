@@ -77,7 +77,7 @@ TEST_SUITE("sinks") {
     Loop loop{Loop::Manual{}};
     std::vector<std::string> errors;
     loop.on_error([&](const ErrorReport& report) { errors.push_back(report.error.text()); });
-    FileSink sink(loop, {.path = directory / "{topic}.csv", .format = "csv"});
+    FileSink sink(loop, {.path = directory / "{topic}.csv", .format = "csv", .rotate = {.time = 24h * 360}});
     publish(loop, "a", 3);
     publish(loop, "b", 4);
     loop.advance(2s);
@@ -297,10 +297,12 @@ TEST_SUITE("sinks") {
     }
     SUBCASE("a CSV file that is there with another header") {
       std::ofstream(directory / "x.csv") << "time,origin,sequence,speed\n";
-      const std::string problems = configured(two, csv("x.csv", R"(, "topics": ["a"])"));
+      const std::string goes_on = R"(, "topics": ["a"], "rotate": {"time": "1 d"})";
+      const std::string problems = configured(two, csv("x.csv", goes_on));
       CHECK(has(problems, "its header is \"time,origin,sequence,speed\""));
-      std::ofstream(directory / "x.csv") << "time,origin";  // half a header is repaired
-      CHECK(configured(two, csv("x.csv", R"(, "topics": ["a"])")).empty());
+      CHECK(configured(two, csv("x.csv", R"(, "topics": ["a"])")).empty());  // it gets a number
+      std::ofstream(directory / "x.csv") << "time,origin";                    // half a header is repaired
+      CHECK(configured(two, csv("x.csv", goes_on)).empty());
     }
     SUBCASE("more values than a table has columns") {
       std::string fields;

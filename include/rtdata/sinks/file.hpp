@@ -3,13 +3,16 @@
 ///     rtdata::FileSink recording(loop, {.path = "run.jsonl"});
 ///     rtdata::FileSink table(loop, {.path = "run-{topic}.csv", .format = "csv"});
 ///
-/// The file is made when it is not there and appended to when it is. Half an event that a kill or a power cut left at
-/// its end is seen to at the next start, and reported: half an event could be taken for values that were never
-/// measured, so it is moved to FILE.half. (To find the end, CSV and raw bytes are read through once at the start.)
+/// A file holds one run: each time that a sink begins, a file that is there already is given the next number
+/// ("run-00000001.jsonl", which sorts before "run.jsonl"), and a new one takes its name. With `rotate` the sink goes on
+/// in the file that is there. Half an event that a kill or a power cut left at its end is seen to at the next start,
+/// and reported: half an event could be taken for values that were never measured, so it is moved to FILE.half. (To
+/// find the end, CSV and raw bytes are read through once at the start.)
 ///
-/// `{topic}` in the file's name stands for the topic, its `/` written as `-`: a file each. A format with a header (CSV)
-/// holds one topic a file: a second topic on one path is an error that says so. The header is written into a new or
-/// empty file only; a file with another header is an error: choose another name.
+/// In the file's name, `{topic}` stands for the topic, its `/` written as `-`: a file each. `{date}` is the day of the
+/// start (UTC), `{run}` one more than the largest number there is at its place among the files of the folder. A format
+/// with a header (CSV) holds one topic a file: a second topic on one path is an error that says so. Where `rotate` goes
+/// on in a file with another header, that is an error: choose another name.
 ///
 /// One process at a time writes a file: it is locked (flock), and a second start is refused with the holder's process
 /// id. When the disk is full the events wait in the queue; a batch goes on where it stopped, so that each event is
@@ -17,8 +20,8 @@
 /// does not fit the format (raw: a value over 255 bytes, an absent optional) is dropped as refused, counted and
 /// reported. A file that is deleted or moved is made anew, and that is reported, at the next batch.
 ///
-/// With `rotate` a file that is full, or whose time is over, is given the next number ("run-00000001.jsonl", which
-/// sorts before "run.jsonl"), and a new one takes its name and its header. Each event is in one of them as a whole.
+/// With `rotate` a file that is full, or whose time is over, is given the next number, and a new one takes its name and
+/// its header. Each event is in one of them as a whole.
 /// When no new file can be made, the old one grows on, and that is reported. After a restart, the time of a file from
 /// before is that of its last change.
 ///
@@ -72,20 +75,20 @@ struct FileRotation {
 };
 
 struct FileConfig {
-  std::string path;  ///< may hold {topic} in its last part
+  std::string path;  ///< may hold {topic}, {date} and {run} in its last part
   /// "jsonl" (or "json"), "csv", "cbor", "influx", "raw", or a name of the registry; empty: csv or cbor where the path
   /// ends with .csv or .cbor, else jsonl
   std::string format = {};
   FileSync sync = FileSync::at_close;
   FileRotation rotate = {};  ///< run.csv is the file that is written; those before are run-00000001.csv and so on
-  std::uint64_t keep = 0;    ///< how many earlier files are kept; 0: all
+  std::uint64_t keep = 0;    ///< with `rotate`: how many earlier files are kept; 0: all
   std::string permissions = "0640";  ///< of a file that is made, less the umask; one that is there keeps its own
   SinkConfig sink = {};              ///< name: the file's by default
 
   friend constexpr auto parameters(type_tag<FileConfig>) {
     return parameter_list(
-        parameter("path", &FileConfig::path, "the file; {topic} in its name makes a file a topic", required,
-                  TextIs::output_file, placeholders("topic")),
+        parameter("path", &FileConfig::path, "the file; {topic} in its name makes a file a topic, {date} and {run} one a run", required,
+                  TextIs::output_file, placeholders("topic", "date", "run")),
         parameter(
             "format", &FileConfig::format,
             "jsonl (a JSON object a line), csv, cbor, influx, raw, or a format added by the program; without it as "
@@ -109,9 +112,9 @@ std::vector<Error> refused_topics(const FileConfig& config, std::span<const Topi
 
 /// The name of its format, which `format` or the end of `path` says.
 std::string format_of(const FileConfig& config);
-/// The path of the file that this topic's events go to.
+/// The path of the file that this topic's events go to, {date} and {run} as they are written.
 std::string file_of_topic(const FileConfig& config, std::string_view topic);
-/// Whether `other` goes with `file`, one of the sink's: FILE.half, and those before it when it is rotated.
+/// Whether `other` goes with `file`, one of the sink's: FILE.half, and those before it.
 bool is_companion_file(const FileConfig& config, const std::string& file, const std::string& other);
 
 /// Whether the sink can begin now to write `file`, which may be there or not, and no other process writes it. Makes and

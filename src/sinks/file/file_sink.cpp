@@ -1,6 +1,9 @@
 #include "rtdata/sinks/file.hpp"
 
+#include <unistd.h>
+
 #include <algorithm>
+#include <charconv>
 #include <climits>
 #include <filesystem>
 #include <map>
@@ -12,6 +15,7 @@
 #include "data/permissions.hpp"
 #include "rtdata/data/config_item.hpp"
 #include "rtdata/data/problem.hpp"
+#include "rtdata/data/time.hpp"
 #include "rtdata/sinks/recording_writer.hpp"
 #include "sinks/core/escaped_texts.hpp"
 #include "sinks/file/output_file.hpp"
@@ -26,15 +30,45 @@ using detail::Rotation;
 namespace {
 
 constexpr std::string_view topic_mark = "{topic}";
+constexpr std::string_view date_mark = "{date}";
+constexpr std::string_view run_mark = "{run}";
 constexpr std::size_t piece_bytes = std::size_t{1} << 20;  // a batch is written in pieces of this size
 
-std::string path_of(std::string path, std::string_view topic) {
+std::string replaced(std::string path, std::string_view mark, std::string_view part) {
+  for (std::size_t at = path.find(mark); at != std::string::npos; at = path.find(mark, at + part.size()))
+    path.replace(at, mark.size(), part);
+  return path;
+}
+
+std::string path_of(const std::string& path, std::string_view topic) {
   std::string part(topic);
   std::replace(part.begin(), part.end(), '/', '-');
-  for (std::size_t at = path.find(topic_mark); at != std::string::npos; at = path.find(topic_mark, at + part.size())) {
-    path.replace(at, topic_mark.size(), part);
+  return replaced(path, topic_mark, part);
+}
+
+/// One more than the largest number that stands in a file's name where the mark stands in the path.
+std::uint64_t next_run(const std::filesystem::path& path) {
+  const std::string name = path.filename().string();
+  const std::string before = name.substr(0, name.find(run_mark));
+  std::uint64_t last = 0;
+  std::error_code failed;  // opening a file reports what is wrong
+  const std::filesystem::path folder = path.has_parent_path() ? path.parent_path() : ".";
+  for (std::filesystem::directory_iterator entry(folder, failed), end; entry != end; entry.increment(failed)) {
+    const std::string there = entry->path().filename().string();
+    std::uint64_t number = 0;
+    if (there.starts_with(before)) std::from_chars(there.data() + before.size(), there.data() + there.size(), number);
+    last = std::max(last, number);
+    if (failed) break;
   }
-  return path;
+  return last + 1;
+}
+
+/// The path of this run: all but the topic is in it.
+std::string path_of_run(const std::string& pattern) {
+  const std::string today = to_iso8601(wall_clock_now()).substr(0, 10);
+  const std::string path = replaced(pattern, date_mark, today);
+  if (path.find(run_mark) == std::string::npos) return path;
+  return replaced(path, run_mark, std::to_string(next_run(path)));
 }
 
 /// Whether no file system of Linux takes the path. The disk is not asked: it may not answer, and the loop would wait.
@@ -72,18 +106,12 @@ class FileWriter final : public RecordingWriter {
         header_codec_(std::move(header_codec)),
         is_text_(codec_->is_text()),
         permissions_(detail::permissions_of(config.permissions, config.path).or_throw()),
+        is_pattern_(config.path.find(topic_mark) != std::string::npos),
         rotation_(config) {
-    const std::size_t mark = config_.path.find(topic_mark);
-    is_pattern_ = mark != std::string::npos;
     if (config_.path.empty()) {
       throw SetupError({Errc::bad_argument, "cannot make file sink", "", "`path` is empty", "name a file"});
     }
-    if (!is_pattern_) {
-      files_.emplace_back();
-    } else if (config_.path.find('/', mark) != std::string::npos) {
-      throw SetupError({Errc::bad_argument, "cannot make file sink", config_.path,
-                        "{topic} stands in the name of a directory", "put it into the file's name"});
-    }
+    if (!is_pattern_) files_.emplace_back();
   }
 
   Opening opening() const override { return Opening::at_set_up; }
@@ -249,7 +277,10 @@ class FileWriter final : public RecordingWriter {
     OutputFile& file = files_[by_topic_[number]];
     if (auto done = open(file, path); !done) return done;
     if (file.has_begun()) return {};
-    if (auto done = file.begin(header); !done) {
+    Result<void> done;
+    if (!rotation_.is_on() && file.holds_earlier_run(header)) done = Rotation::set_aside(file);
+    if (done) done = file.begin(header);
+    if (!done) {
       file.close();
       return done;
     }
@@ -269,7 +300,7 @@ class FileWriter final : public RecordingWriter {
   std::unique_ptr<Codec> header_codec_;  // loop
   const bool is_text_;                   // texts that are no UTF-8 are escaped, and reported
   const mode_t permissions_;
-  bool is_pattern_ = false;
+  const bool is_pattern_;
   // loop
   std::map<std::string, std::string> topic_by_path_;
   // both
@@ -292,7 +323,14 @@ std::string codec_name(const FileConfig& config, const CodecRegistry& formats) {
   return format == "jsonl" && formats.find("jsonl") == nullptr ? "json" : format;
 }
 
-std::unique_ptr<Writer> make_writer(const FileConfig& config, const CodecRegistry& formats) {
+std::unique_ptr<Writer> make_writer(FileConfig config, const CodecRegistry& formats) {
+  for (const std::string_view mark : {topic_mark, date_mark, run_mark}) {
+    const std::size_t at = config.path.find(mark);
+    if (at == std::string::npos || config.path.find('/', at) == std::string::npos) continue;
+    throw SetupError({Errc::bad_argument, "cannot make file sink", config.path,
+                      std::string(mark) + " stands in the name of a directory", "put it into the file's name"});
+  }
+  config.path = path_of_run(config.path);
   const std::string format = codec_name(config, formats);
   auto codec = formats.make(format).or_throw();
   return std::make_unique<FileWriter>(config, std::move(codec), formats.make(format).or_throw());
@@ -319,7 +357,7 @@ std::vector<Error> refused_topics(const FileConfig& config, std::span<const Topi
     const std::string path = path_of(config.path, topic.name);
     Result<void> taken = take_path(topic_by_path, config.path, path, topic.name);
     if (taken && is_pattern) taken = OutputFile::check_content(path, **codec);
-    if (taken && !header.empty()) taken = OutputFile::check_header(path, header);
+    if (taken && !header.empty() && config.rotate.is_on()) taken = OutputFile::check_header(path, header);
     if (!taken) refused.push_back(std::move(taken).error());
   }
   return refused;
@@ -336,10 +374,20 @@ std::string file_of_topic(const FileConfig& config, std::string_view topic) { re
 
 bool is_companion_file(const FileConfig& config, const std::string& file, const std::string& other) {
   return (other.starts_with(file) && std::string_view(other).substr(file.size()) == ".half") ||
-         (config.rotate.is_on() && Rotation::is_numbered(file, other));
+         Rotation::is_numbered(file, other);
 }
 
-Result<void> check_openable(const FileConfig&, const std::string& file) { return OutputFile::check_openable(file); }
+Result<void> check_openable(const FileConfig& config, const std::string& file) {
+  auto openable = OutputFile::check_openable(file);
+  std::error_code absent;
+  const bool is_set_aside = !config.rotate.is_on() && std::filesystem::file_size(file, absent) > 0 && !absent;
+  if (!openable || !is_set_aside) return openable;
+  const std::string folder = std::filesystem::canonical(file, absent).parent_path().string();
+  if (absent || ::access(folder.c_str(), W_OK | X_OK) == 0) return {};
+  return Error{Errc::not_permitted, "cannot begin a new file", file,
+               "an earlier run wrote this one, and nothing can be made in " + folder,
+               "choose a folder where this user may write"};
+}
 
 void check_config(const FileConfig& config, const ConfigItem& item, Problems& problems) {
   const auto codec = CodecRegistry::standard().make(codec_name(config, CodecRegistry::standard()));

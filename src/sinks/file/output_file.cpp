@@ -125,6 +125,7 @@ OutputFile::OutputFile(OutputFile&& other) noexcept
       header_(std::move(other.header_)),
       header_left_(other.header_left_),
       has_begun_(other.has_begun_),
+      has_ever_begun_(other.has_ever_begun_),
       size_(other.size_),
       passed_(other.passed_),
       done_(other.done_),
@@ -141,7 +142,10 @@ Error OutputFile::failed(int errno_value, const char* what) const { return syste
 
 Result<void> OutputFile::open(const std::string& path, mode_t permissions) {
   if (fd_ >= 0) return {};
-  path_ = path;
+  // Of a symbolic link, the file gets another name, not the link.
+  std::error_code no_link;
+  path_ = std::filesystem::is_symlink(path, no_link) ? std::filesystem::canonical(path, no_link).string() : path;
+  if (no_link) path_ = path;
   permissions_ = permissions;
   if (is_unmounted()) {  // a new file would be on another disk
     return Error{Errc::not_found, "cannot open the file", path, "what was mounted at " + mounted_at_ + " is not there",
@@ -239,9 +243,14 @@ Result<void> OutputFile::begin(const std::string& header) {
   header_ = header;
   header_left_ = size_at_open_ == 0 ? header.size() : 0;
   size_ = static_cast<std::uint64_t>(size_at_open_);
-  has_begun_ = true;
+  has_begun_ = has_ever_begun_ = true;
   if (size_at_open_ == 0 || header.empty()) return {};
   return compare_header(fd_, path_, header);
+}
+
+bool OutputFile::holds_earlier_run(const std::string& header) const {
+  if (has_ever_begun_ || size_at_open_ == 0) return false;
+  return static_cast<std::size_t>(size_at_open_) != header.size() || !compare_header(fd_, path_, header);
 }
 
 Result<void> OutputFile::check_header(const std::string& path, const std::string& header) {

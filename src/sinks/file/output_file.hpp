@@ -39,6 +39,9 @@ class OutputFile {
   static Result<void> check_openable(const std::string& path);
   bool is_open() const noexcept { return fd_ >= 0; }
   bool has_begun() const noexcept { return has_begun_; }
+  /// Whether what is in it was written before this object wrote any of it: by an earlier run, and more than this
+  /// header.
+  bool holds_earlier_run(const std::string& header) const;
   const std::string& path() const noexcept { return path_; }
 
   void begin_batch();
@@ -80,6 +83,7 @@ class OutputFile {
   std::string header_;           // to stand before the first event
   std::size_t header_left_ = 0;  // of it, to be written
   bool has_begun_ = false;
+  bool has_ever_begun_ = false;
   std::uint64_t size_ = 0;         // of the file
   std::uint64_t passed_ = 0;       // bytes of this batch that went through the buffer in this pass
   std::uint64_t done_ = 0;         // bytes of this batch in the file, or in those before it

@@ -88,7 +88,7 @@ bool Rotation::is_numbered(const std::string& path, const std::string& other) {
   return whole.parent_path() == parts.folder && number_in(whole.filename().string(), parts) != 0;
 }
 
-std::map<std::uint64_t, std::string> Rotation::numbered(const std::string& path) const {
+std::map<std::uint64_t, std::string> Rotation::numbered(const std::string& path) {
   const Parts parts = parts_of(path);
   std::map<std::uint64_t, std::string> found;
   std::error_code ignored;
@@ -100,6 +100,19 @@ std::map<std::uint64_t, std::string> Rotation::numbered(const std::string& path)
     if (ignored) break;
   }
   return found;
+}
+
+std::uint64_t Rotation::last_number(const std::string& path) {
+  auto files = numbered(path);
+  if (files.empty()) return 0;
+  // One that was made for a name that it then did not get: the program was killed in between.
+  const auto removed = remove_unless_held(files.rbegin()->second, 0);
+  if (removed && *removed) files.erase(std::prev(files.end()));
+  return files.empty() ? 0 : files.rbegin()->first;
+}
+
+Result<void> Rotation::set_aside(OutputFile& file) {
+  return file.go_on_as_new(name(file.path(), last_number(file.path()) + 1));
 }
 
 void Rotation::tell(const Error& error) {
@@ -138,13 +151,7 @@ Result<void> Rotation::see_to(OutputFile& file, std::size_t index, std::size_t f
   auto done = file.write_out();
   if (done && config_.sync != FileSync::never) done = file.sync();
   if (done) {
-    auto files = numbered(file.path());
-    // One that was made for a name that it then did not get: the program was killed in between.
-    if (!files.empty()) {
-      const auto removed = remove_unless_held(files.rbegin()->second, 0);
-      if (removed && *removed) files.erase(std::prev(files.end()));
-    }
-    if (!files.empty()) state.last_number = std::max(state.last_number, files.rbegin()->first);
+    state.last_number = std::max(state.last_number, last_number(file.path()));
     if (auto renamed = file.go_on_as_new(name(file.path(), state.last_number + 1)); renamed) {
       ++state.last_number;
       is_in_trouble_ = false;

@@ -24,6 +24,8 @@ class Rotation {
   /// belong into this one. Errors: of writing what is before it.
   /// `index` counts the files of the sink.
   Result<void> see_to(OutputFile& file, std::size_t index, std::size_t from, Time time);
+  /// Gives a file that an earlier run wrote the next number, and goes on with a new one.
+  static Result<void> set_aside(OutputFile& file);
   /// What went wrong and is tried again with the next event, or was left: once, until it goes well.
   std::string take_trouble() { return std::exchange(trouble_, {}); }
 
@@ -41,7 +43,8 @@ class Rotation {
     bool is_known = false;
   };
   /// Numbers of the files that are there, in order.
-  std::map<std::uint64_t, std::string> numbered(const std::string& path) const;
+  static std::map<std::uint64_t, std::string> numbered(const std::string& path);
+  static std::uint64_t last_number(const std::string& path);
   void remove_old(const std::string& path);
   void tell(const Error& error);
 
