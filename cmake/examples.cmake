@@ -7,7 +7,7 @@ function(rtdata_example_test name)
   set(folder ${CMAKE_CURRENT_BINARY_DIR}/examples/run/${arg_FOLDER})
   file(MAKE_DIRECTORY ${folder})  # ctest changes into it before the command makes it fresh
   add_test(NAME example_${name} COMMAND ${arg_COMMAND} WORKING_DIRECTORY ${folder})
-  set_tests_properties(example_${name} PROPERTIES TIMEOUT 60 LABELS example)
+  set_tests_properties(example_${name} PROPERTIES TIMEOUT 300 LABELS example)
 endfunction()
 
 # A fixture that empties the folder of an example.

@@ -94,7 +94,7 @@ if(NOT RTDATA_SANITIZE)
     target_link_libraries(rtdata_fault_tests PRIVATE rtdata_options rtdata::sqlite doctest::doctest PkgConfig::sqlite3)
     target_compile_definitions(rtdata_fault_tests PRIVATE DOCTEST_CONFIG_USE_STD_HEADERS)
     add_test(NAME faults COMMAND rtdata_fault_tests)
-    set_tests_properties(faults PROPERTIES TIMEOUT 300)
+    set_tests_properties(faults PROPERTIES TIMEOUT 900)
   endif()
 endif()
 
@@ -109,7 +109,7 @@ endif()
 if(Python3_FOUND AND TARGET rtdata_main)
   add_test(NAME schema COMMAND ${Python3_EXECUTABLE} ${CMAKE_CURRENT_SOURCE_DIR}/tests/config/schema_test.py
     $<TARGET_FILE:rtdata_main> ${CMAKE_CURRENT_SOURCE_DIR})
-  set_tests_properties(schema PROPERTIES TIMEOUT 300 SKIP_RETURN_CODE 77)
+  set_tests_properties(schema PROPERTIES TIMEOUT 900 SKIP_RETURN_CODE 77)
 endif()
 
 include(cmake/examples.cmake)
@@ -118,7 +118,7 @@ include(cmake/examples.cmake)
 if(Python3_FOUND)
   add_test(NAME docs COMMAND ${Python3_EXECUTABLE} ${CMAKE_CURRENT_SOURCE_DIR}/tests/docs/docs_test.py
     ${CMAKE_CURRENT_SOURCE_DIR} ${CMAKE_CURRENT_BINARY_DIR} ${CMAKE_CXX_COMPILER})
-  set_tests_properties(docs PROPERTIES TIMEOUT 300)
+  set_tests_properties(docs PROPERTIES TIMEOUT 900)
 endif()
 
 # Projects of others find and use what is installed. Sanitized libraries would want sanitized users.
