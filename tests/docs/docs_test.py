@@ -7,9 +7,8 @@ A comment on the line before a code block says what is done with it:
   <!-- test: python [MODULE...] -->  it runs in that folder, and prints something; skipped where a module is not installed
   <!-- test: file PATH -->       the file has it, word for word
   <!-- test: fresh machine -->   tests/bare/run.sh runs it, in the source tree, on a machine with nothing installed
-Parts that need the program are skipped, and that is said, when it is not built. `--write-requirements` puts the tests
-that there are into the tables of docs/requirements.md, `--write-types` what the program says of its drivers into
-docs/chips.md.
+Parts that need the program are skipped, and that is said, when it is not built. `--write-types` puts what the program says of
+its drivers into docs/chips.md. The tests of each requirement are listed in BUILD_DIR/requirements.txt.
 """
 import os
 import re
@@ -267,36 +266,26 @@ def check_handles(source):
             problem("docs/handles.md", f"there is no test {test!r}")
 
 
-def check_requirements(source, rewrite):
+def check_requirements(source, build):
+    """Each row names a test or two; all of them are listed in the build's folder."""
     page, names = source / "docs/requirements.md", test_names(source)
-    for name in names:
-        if "`" in name and re.search(r"\b(?:US|NFR|FW)-\d", name):
-            problem("docs/requirements.md", f"a test that a row names has no ` in its name: {name!r}")
-    lines = []
+    full = []
     for line in page.read_text().splitlines():
         match = re.match(r"\| ((?:US|NFR|FW)-[\d/]+) \| ([^|]*) \|(.*)\|$", line)
-        if match and rewrite:
-            scripts = [test for test in re.findall(r"`([^`]+)`", match[3]) if (source / test).exists()]
-            tests = tests_of(match[1], names) + scripts
-            shown = "<br>".join(f"`{test}`" for test in tests) or match[3].strip()
-            line = f"| {match[1]} | {match[2]} | {shown} |"
-        elif match:
-            listed = re.findall(r"`([^`]+)`", match[3])
-            for test in listed:
-                if test not in names and not (source / test).exists():
-                    problem(f"docs/requirements.md, {match[1]}", f"there is no test {test!r}")
-            if not listed and "later" not in match[3]:
-                problem(f"docs/requirements.md, {match[1]}", "names no test and does not say later")
-        lines.append(line)
-    if rewrite:
-        page.write_text("\n".join(lines) + "\n")
+        if not match:
+            continue
+        tests, shown = tests_of(match[1], names), re.findall(r"`([^`]+)`", match[3])
+        for test in shown:
+            if test not in tests and not (source / test).exists():
+                problem(f"docs/requirements.md, {match[1]}", f"there is no test {test!r} of it")
+        if not 1 <= len(shown) <= 2:
+            problem(f"docs/requirements.md, {match[1]}", "names no test, or more than two")
+        full.append("\n".join([f"{match[1]} {match[2].strip()}"] + [f"  {test}" for test in tests]))
+    (build / "requirements.txt").write_text("\n".join(full) + "\n")
 
 
 def main():
     source, build, compiler = Path(sys.argv[1]).resolve(), Path(sys.argv[2]).resolve(), sys.argv[3]
-    if "--write-requirements" in sys.argv:
-        check_requirements(source, rewrite=True)
-        return 0
     program = build / "rtdata" if (build / "rtdata").exists() else None
     if "--write-types" in sys.argv:
         check_drivers_page(source, program, rewrite=True)
@@ -307,7 +296,7 @@ def main():
     check_errors(source)
     check_types(source, program, check_drivers_page(source, program, rewrite=False))
     check_handles(source)
-    check_requirements(source, rewrite=False)
+    check_requirements(source, build)
     print("\n".join(problems))
     print(f"{len(problems)} problems" if problems else "the documentation agrees with the product")
     return 1 if problems else 0
