@@ -2,7 +2,10 @@
 find_package(CLI11 REQUIRED)
 find_package(spdlog REQUIRED)
 rtdata_sources(RTDATA_PROGRAM_SOURCES src/rtdata_program.sources)
-rtdata_library(rtdata_program program ${RTDATA_PROGRAM_SOURCES})
+file(READ docs/errors.md page)
+set_property(DIRECTORY APPEND PROPERTY CMAKE_CONFIGURE_DEPENDS docs/errors.md)
+configure_file(cmake/errors_page.cpp.in units/errors_page.cpp @ONLY)
+rtdata_library(rtdata_program program ${RTDATA_PROGRAM_SOURCES} ${CMAKE_CURRENT_BINARY_DIR}/units/errors_page.cpp)
 # None of it runs while sampling: small rather than fast.
 target_compile_options(rtdata_program PRIVATE $<$<CONFIG:Release>:-Os>)
 target_link_libraries(rtdata_program PUBLIC rtdata PRIVATE $<BUILD_INTERFACE:CLI11::CLI11> spdlog::spdlog

@@ -844,7 +844,7 @@ TEST_SUITE("app") {
         {{"record", "x"},
          "rtdata: there is no command \"record\"; there are init, run, top, ctl, scan, doctor, bench, check, graph, "
          "types, "
-         "verify, info, export, replay, import, forward; "
+         "explain, verify, info, export, replay, import, forward; "
          "`rtdata --help` explains them\n"},
         {{"bench.json"},
          "rtdata: there is no command \"bench.json\"; that configuration is run by: rtdata run bench.json\n"},
@@ -865,12 +865,37 @@ TEST_SUITE("app") {
     }
     // Each command's help has examples of its own.
     for (const char* command :
-         {"init", "check", "verify", "info", "export", "import", "run", "top", "bench", "types"}) {
+         {"init", "check", "verify", "info", "export", "import", "run", "top", "bench", "types", "explain"}) {
       Process help(folder, shipped, {command, "--help"});
       CHECK(help.end() == 0);
       CHECK_MESSAGE(has(help.out, std::string("\n  rtdata ") + command), command);
       CHECK_MESSAGE(!has(help.out, "look at it while it runs"), command);
     }
+  }
+
+  TEST_CASE("NFR-5 explain says what an error means, by the id that stands behind it") {
+    const Folder folder;
+    folder.write("bad.json", R"({"sensors": [], "snks": []})");
+    Process check(folder, shipped, {"check", "bad.json"});
+    CHECK(check.end() == 2);
+    REQUIRE(has(check.err + check.out, "[unknown-key]"));
+    Process unknown_key(folder, shipped, {"explain", "[unknown-key]"});
+    CHECK(unknown_key.end() == 0);
+    CHECK(unknown_key.out.starts_with("unknown-key\n"));
+    CHECK(unknown_key.out.find_first_of("`*#") == std::string::npos);
+    Process ids(folder, shipped, {"explain"});
+    CHECK(ids.end() == 0);
+    CHECK(has(ids.out, "\nnot-permitted\n"));
+    for (std::size_t begin = 0; begin < ids.out.size(); begin = ids.out.find('\n', begin) + 1) {
+      const std::string id = ids.out.substr(begin, ids.out.find('\n', begin) - begin);
+      Process one(folder, shipped, {"explain", id});
+      CAPTURE(id);
+      CHECK(one.end() == 0);
+      CHECK(one.out.size() > id.size() + 40);
+    }
+    Process wrong(folder, shipped, {"explain", "not-permited"});
+    CHECK(wrong.end() == 1);
+    CHECK(wrong.err == "rtdata explain: no error has the id \"not-permited\"; did you mean \"not-permitted\"?\n");
   }
 
   TEST_CASE("NFR-5 types host says what this machine has") {

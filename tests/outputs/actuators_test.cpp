@@ -148,7 +148,8 @@ TEST_SUITE("outputs") {
     {
       Terminal slow;
       const std::string long_text = "VALUE " + std::string(300, 'p') + "{value};\n";
-      SerialActuatorConfig settings{.device = slow.name, .text = long_text, .timeout = 1s};  // a busy kernel moves bytes late
+      // A busy kernel moves bytes late.
+      SerialActuatorConfig settings{.device = slow.name, .text = long_text, .timeout = 1s};
       int taken = 0;
       {
         SerialActuator valve(settings);

@@ -41,7 +41,11 @@ std::string record_numbers(const std::string& path, const char* format, int firs
   Loop loop{Loop::Manual{}};
   loop.runtime().on_log([](const LogRecord&) {});
   loop.on_error([&](const ErrorReport& report) { told += report.error.text() + '\n'; });
-  FileSink sink(loop, {.path = path, .format = format, .sync = FileSync::batch, .rotate = {.time = 24h * 360}, .sink = {.batch_rows = 4}});
+  FileSink sink(loop, {.path = path,
+                       .format = format,
+                       .sync = FileSync::batch,
+                       .rotate = {.time = 24h * 360},
+                       .sink = {.batch_rows = 4}});
   const auto topic = loop.topic<Number>("a");
   for (int i = 0; i < count; ++i) {
     topic.publish({static_cast<double>(first + i)});

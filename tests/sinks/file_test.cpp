@@ -221,11 +221,9 @@ TEST_SUITE("sinks") {
            "cannot record topic b/c: " + directory +
                "/run.csv: the columns of a file are those of one topic, here a: write {topic}");
     std::ofstream(directory + "/other.csv") << "time,origin,sequence,speed\n1,a,1,2\n";
-    starts({.path = directory + "/other.csv",
-            .format = "csv",
-            .rotate = {.time = 24h * 360},
-            .sink = {.topics = {"a"}}},
-           "cannot append to: " + directory + "/other.csv: its header is \"time,origin,sequence,speed\"");
+    starts(
+        {.path = directory + "/other.csv", .format = "csv", .rotate = {.time = 24h * 360}, .sink = {.topics = {"a"}}},
+        "cannot append to: " + directory + "/other.csv: its header is \"time,origin,sequence,speed\"");
     std::ofstream(directory + "/text") << "this is a text and not raw bytes\n";
     starts({.path = directory + "/text", .format = "raw"},
            "cannot append to: " + directory + "/text: what it holds is no raw");
@@ -294,10 +292,8 @@ TEST_SUITE("sinks") {
     for (const char* format : {"json", "csv", "raw"}) {
       CAPTURE(format);
       Bench bench;
-      const FileConfig config{.path = bench.directory / "run",
-                              .format = format,
-                              .rotate = {.time = 24h * 360},
-                              .sink = {.batch_rows = 10}};
+      const FileConfig config{
+          .path = bench.directory / "run", .format = format, .rotate = {.time = 24h * 360}, .sink = {.batch_rows = 10}};
       const pid_t child = fork_without_threads();
       if (child == 0) {
         Loop loop{Loop::Manual{}};

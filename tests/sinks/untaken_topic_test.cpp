@@ -301,7 +301,7 @@ TEST_SUITE("sinks") {
       const std::string problems = configured(two, csv("x.csv", goes_on));
       CHECK(has(problems, "its header is \"time,origin,sequence,speed\""));
       CHECK(configured(two, csv("x.csv", R"(, "topics": ["a"])")).empty());  // it gets a number
-      std::ofstream(directory / "x.csv") << "time,origin";                    // half a header is repaired
+      std::ofstream(directory / "x.csv") << "time,origin";                   // half a header is repaired
       CHECK(configured(two, csv("x.csv", goes_on)).empty());
     }
     SUBCASE("more values than a table has columns") {

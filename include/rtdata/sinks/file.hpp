@@ -87,7 +87,8 @@ struct FileConfig {
 
   friend constexpr auto parameters(type_tag<FileConfig>) {
     return parameter_list(
-        parameter("path", &FileConfig::path, "the file; {topic} in its name makes a file a topic, {date} and {run} one a run", required,
+        parameter("path", &FileConfig::path,
+                  "the file; {topic} in its name makes a file a topic, {date} and {run} one a run", required,
                   TextIs::output_file, placeholders("topic", "date", "run")),
         parameter(
             "format", &FileConfig::format,

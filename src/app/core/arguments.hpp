@@ -37,6 +37,7 @@ Action prepare_run(CLI::App& command);
 Action prepare_check(CLI::App& command);
 Action prepare_graph(CLI::App& command);
 Action prepare_types(CLI::App& command);
+Action prepare_explain(CLI::App& command);
 Action prepare_top(CLI::App& command);
 Action prepare_ctl(CLI::App& command);
 Action prepare_bench(CLI::App& command);

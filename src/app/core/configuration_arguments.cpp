@@ -119,6 +119,16 @@ Action prepare_types(CLI::App& command) {
   };
 }
 
+Action prepare_explain(CLI::App& command) {
+  const auto id = std::make_shared<std::string>();
+  command.add_option("ID", *id, "As it stands in brackets behind an error; without it all are listed");
+  command.footer("example:\n  rtdata explain not-permitted");
+  return [id](const Registry&) {
+    const ForPeople wrapped;
+    return explain(*id);
+  };
+}
+
 Action prepare_top(CLI::App& command) {
   const auto options = std::make_shared<TopOptions>();
   command.add_option("NAME|PID", options->instance, "Which instance; needed when several are running");

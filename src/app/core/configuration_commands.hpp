@@ -54,6 +54,9 @@ enum class TypesAs { text, all, schema, markdown };
 /// `name`: only this type, or those that a chip or a word stands for; empty: all, a line each (`all`: with parameters).
 int types(const Registry& registry, const std::string& name, TypesAs format);
 
+/// Prints what docs/errors.md says of an error's id; empty: the ids. exit_other: there is no such id.
+int explain(std::string id);
+
 enum class HowOften { live, once };
 struct TopOptions {
   std::string instance;  ///< name or pid; empty: the only one

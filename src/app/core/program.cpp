@@ -31,6 +31,7 @@ constexpr const char* examples = R"(examples:
   rtdata verify bench.db                  prove that its recording is complete
   rtdata export bench.db --topic host/cpu --format csv
   rtdata types analog                     what can be configured
+  rtdata explain not-permitted            what an error means, and what to do
 exit status:
   0  good
   1  an error; verify: the recording is not balanced, or not sealed
@@ -56,6 +57,7 @@ constexpr Command commands[] = {
     {"check", "Find every mistake in a configuration; exit 2 if there is any", app::prepare_check},
     {"graph", "Draw the machines of a configuration", app::prepare_graph},
     {"types", "List the types of sensors, sinks and formats with their parameters", app::prepare_types},
+    {"explain", "Say what an error means, by the id in brackets behind it", app::prepare_explain},
 #ifdef RTDATA_WITH_SQLITE
     {"verify", "Check a recording: exit 0 balanced or sealed, 1 not, 2 unreadable", app::prepare_verify},
     {"info", "Sum up a recording", app::prepare_info},
