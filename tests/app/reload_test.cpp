@@ -136,9 +136,8 @@ TEST_SUITE("app") {
     Process run(folder, built("rtdata_test_program"), {"run", "rig.json"});
     REQUIRE(run.wait_for("running rig"));
     {
-      auto other = rtdata::sqlite::Database::open(folder.path() + "/run.db", rtdata::sqlite::Database::Mode::write)
-                       .or_throw();
-      other.execute("BEGIN IMMEDIATE").or_throw();
+      auto other = rtdata::sqlite::Database::open(folder.path() + "/run.db", rtdata::sqlite::Database::Mode::write);
+      other.execute("BEGIN IMMEDIATE");
       folder.write("rig.json", text("200 Hz", recording));  // while which ticks pass
       run.signal(SIGHUP);
       REQUIRE(run.wait_for("rig.json is applied"));
@@ -173,9 +172,8 @@ TEST_SUITE("app") {
     CHECK(has(reload({"give-up", "db"}, 1), "sink db cannot be given up: the change does not close it"));
     CHECK(has(reload({"give-up"}, 1), "it is written `reload [give-up SINK ...]`"));
     {
-      auto other = rtdata::sqlite::Database::open(folder.path() + "/first.db", rtdata::sqlite::Database::Mode::write)
-                       .or_throw();
-      other.execute("BEGIN IMMEDIATE").or_throw();
+      auto other = rtdata::sqlite::Database::open(folder.path() + "/first.db", rtdata::sqlite::Database::Mode::write);
+      other.execute("BEGIN IMMEDIATE");
       folder.write("rig.json", text("second.db", "30 s"));
       CHECK(has(reload({}, 1), "`rtdata ctl reload give-up db`"));
       CHECK(has(reload({"give-up", "db"}, 0), "sink db: restarted (path, close_deadline)"));
@@ -218,9 +216,8 @@ TEST_SUITE("app") {
     }
     std::string told;
     {
-      auto other = rtdata::sqlite::Database::open(folder.path() + "/first.db", rtdata::sqlite::Database::Mode::write)
-                       .or_throw();
-      other.execute("BEGIN IMMEDIATE").or_throw();
+      auto other = rtdata::sqlite::Database::open(folder.path() + "/first.db", rtdata::sqlite::Database::Mode::write);
+      other.execute("BEGIN IMMEDIATE");
       folder.write("rig.json", text("second.db"));
       CHECK(has(reload({}, 1), "`rtdata ctl reload give-up db`"));
       told = reload({"give-up", "db"}, 0);
@@ -350,9 +347,8 @@ while True:
       return one.out;
     };
     {
-      auto other = rtdata::sqlite::Database::open(folder.path() + "/run.db", rtdata::sqlite::Database::Mode::write)
-                       .or_throw();
-      other.execute("BEGIN IMMEDIATE").or_throw();
+      auto other = rtdata::sqlite::Database::open(folder.path() + "/run.db", rtdata::sqlite::Database::Mode::write);
+      other.execute("BEGIN IMMEDIATE");
       CHECK(has(ctl({"event", "m", "back"}), "in the state a nothing waits for it"));
       CHECK(ctl({"event", "m", "go"}) == "machine m has got the event go\n");
       folder.write("rig.json", text("two"));
@@ -361,11 +357,10 @@ while True:
     CHECK(ctl({"event", "m", "back"}) == "machine m has got the event back\n");
     run.signal(SIGTERM);
     CHECK(run.end() == 0);
-    auto recorded = rtdata::sqlite::Database::open(folder.path() + "/run.db", rtdata::sqlite::Database::Mode::read)
-                        .or_throw();
-    auto rows = recorded.prepare("SELECT \"to\" FROM m ORDER BY sequence").or_throw();
+    auto recorded = rtdata::sqlite::Database::open(folder.path() + "/run.db", rtdata::sqlite::Database::Mode::read);
+    auto rows = recorded.prepare("SELECT \"to\" FROM m ORDER BY sequence");
     std::string states;
-    while (rows.step().or_throw()) states += std::string(rows.text(0));
+    while (rows.step()) states += std::string(rows.text(0));
     CHECK(states == "abba");
 
     // What was commanded is commanded again.
@@ -375,11 +370,10 @@ while True:
     Process replay(folder, built("rtdata"),
                    {"replay", "run.db", "again.json", "--topic", "rtdata/commands", "--speed", "max"});
     CHECK(replay.end() == 0);
-    auto replayed = rtdata::sqlite::Database::open(folder.path() + "/new.db", rtdata::sqlite::Database::Mode::read)
-                        .or_throw();
-    auto changes = replayed.prepare("SELECT \"to\" FROM m ORDER BY sequence").or_throw();
+    auto replayed = rtdata::sqlite::Database::open(folder.path() + "/new.db", rtdata::sqlite::Database::Mode::read);
+    auto changes = replayed.prepare("SELECT \"to\" FROM m ORDER BY sequence");
     states.clear();
-    while (changes.step().or_throw()) states += std::string(changes.text(0));
+    while (changes.step()) states += std::string(changes.text(0));
     CHECK(states == "aba");
   }
 
@@ -459,14 +453,13 @@ while True:
     folder.write("rig.json", text("first.db"));
     Process run(folder, program, {"run", "rig.json"});
     REQUIRE(run.wait_for("running rig"));
-    auto other = rtdata::sqlite::Database::open(folder.path() + "/second.db", rtdata::sqlite::Database::Mode::write)
-                     .or_throw();
-    other.execute("BEGIN IMMEDIATE").or_throw();  // no program that records, and so without its lock
+    auto other = rtdata::sqlite::Database::open(folder.path() + "/second.db", rtdata::sqlite::Database::Mode::write);
+    other.execute("BEGIN IMMEDIATE");  // no program that records, and so without its lock
     folder.write("rig.json", text("second.db"));
     const std::string said = reloaded(folder, program, {}, 0);
     CHECK_MESSAGE(has(said, "sink second.db stores nothing yet"), said);
     CHECK(has(said, "sink second.db: added"));
-    other.execute("ROLLBACK").or_throw();
+    other.execute("ROLLBACK");
     run.signal(SIGTERM);
     run.end();
     CHECK(has(run.out, "ledger balances"));
@@ -484,9 +477,8 @@ while True:
     {
       // The last one that closes a database removes its log: another program must see that this is not the last.
       const auto reader = rtdata::sqlite::Database::open(folder.path() + "/run.db",
-                                                         rtdata::sqlite::Database::Mode::write)
-                              .or_throw();
-      CHECK(reader.integer("SELECT count(*) FROM rtdata_run").or_throw() == 1);
+                                                         rtdata::sqlite::Database::Mode::write);
+      CHECK(reader.integer("SELECT count(*) FROM rtdata_run") == 1);
     }
     CHECK(folder.has("run.db-wal"));
     run.signal(SIGTERM);

@@ -212,13 +212,11 @@ TEST_CASE("FW-5 US-34 replay: all pairs of clocks of a long boot come along") {
   const Folder folder;
   const std::string path = recorded(folder);
   {
-    auto database = sqlite::Database::open(path, sqlite::Database::Mode::write).or_throw();
-    database
-        .execute(
-            "INSERT INTO rtdata_clock(run, monotonic, realtime, source, occasion, accuracy) WITH RECURSIVE n(i) AS "
-            "(SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 5000) SELECT run, monotonic + i, realtime + i, "
-            "'gps', 'regular', i FROM rtdata_clock, n WHERE run = 1 AND occasion = 'start'")
-        .or_throw();
+    auto database = sqlite::Database::open(path, sqlite::Database::Mode::write);
+    database.execute(
+        "INSERT INTO rtdata_clock(run, monotonic, realtime, source, occasion, accuracy) WITH RECURSIVE n(i) AS "
+        "(SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 5000) SELECT run, monotonic + i, realtime + i, "
+        "'gps', 'regular', i FROM rtdata_clock, n WHERE run = 1 AND occasion = 'start'");
   }
   folder.write("again.json", R"({"sinks": [{"type": "sqlite", "path": "again.db"}]})");
   Process again(folder, program, {"replay", "run.db", "again.json", "--speed", "max", "--run", "1"});
@@ -310,8 +308,8 @@ TEST_CASE(
   REQUIRE(replayed("run.db").first == 0);
   {
     std::filesystem::copy_file(path, folder.path() + "/fewer.db");
-    const auto database = sqlite::Database::open(folder.path() + "/fewer.db", sqlite::Database::Mode::write).or_throw();
-    database.execute("DELETE FROM room WHERE _rowid_ > 500").or_throw();
+    const auto database = sqlite::Database::open(folder.path() + "/fewer.db", sqlite::Database::Mode::write);
+    database.execute("DELETE FROM room WHERE _rowid_ > 500");
   }
   const auto fewer = replayed("fewer.db");
   CHECK(fewer.first == 1);
@@ -319,8 +317,8 @@ TEST_CASE(
                 fewer.second);
   {
     std::filesystem::copy_file(path, folder.path() + "/empty.db");
-    const auto database = sqlite::Database::open(folder.path() + "/empty.db", sqlite::Database::Mode::write).or_throw();
-    database.execute("DELETE FROM rtdata_run").or_throw();
+    const auto database = sqlite::Database::open(folder.path() + "/empty.db", sqlite::Database::Mode::write);
+    database.execute("DELETE FROM rtdata_run");
   }
   const auto empty = replayed("empty.db");
   CHECK(empty.first != 0);

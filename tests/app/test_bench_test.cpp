@@ -55,13 +55,7 @@ struct Bench {
   }
   std::int64_t number(const std::string& query) const { return recordings::number(path(), query); }
   std::string text(const std::string& query) const {
-    return rtdata::sqlite::Database::open(path(), rtdata::sqlite::Database::Mode::read)
-        .or_throw()
-        .prepare(query)
-        .or_throw()
-        .texts()
-        .or_throw()
-        .at(0);
+    return rtdata::sqlite::Database::open(path(), rtdata::sqlite::Database::Mode::read).prepare(query).texts().at(0);
   }
   std::string path() const { return folder.path() + "/test_bench.db"; }
   std::string states() const {

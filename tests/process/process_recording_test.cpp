@@ -16,9 +16,9 @@ using namespace recordings;
 namespace {
 
 std::string text_in(const std::string& path, const std::string& query) {
-  auto database = sqlite::Database::open(path, sqlite::Database::Mode::read).or_throw();
-  auto statement = database.prepare(query).or_throw();
-  REQUIRE(statement.step().or_throw());
+  auto database = sqlite::Database::open(path, sqlite::Database::Mode::read);
+  auto statement = database.prepare(query);
+  REQUIRE(statement.step());
   return std::string(statement.text(0));
 }
 

@@ -107,8 +107,8 @@ TEST_SUITE("sinks") {
       std::filesystem::copy_file(path, forgotten, std::filesystem::copy_options::overwrite_existing);
       CHECK(is_seen(forgotten, std::string("UPDATE \"room/climate\" SET ") + change));
     }
-    auto database = sqlite::Database::open(path, sqlite::Database::Mode::read).or_throw();
-    for (const std::string& column : sqlite::columns_of(database, "every/thing").or_throw()) {
+    auto database = sqlite::Database::open(path, sqlite::Database::Mode::read);
+    for (const std::string& column : sqlite::columns_of(database, "every/thing")) {
       if (column == "run") continue;
       CAPTURE(column);
       const std::string changed = folder / "changed.db";
@@ -208,7 +208,7 @@ TEST_SUITE("sinks") {
   TEST_CASE("US-26 the account of a run has a checksum, of each column of its tables") {
     const Folder folder;
     const std::string path = make(folder);
-    auto database = sqlite::Database::open(path, sqlite::Database::Mode::read).or_throw();
+    auto database = sqlite::Database::open(path, sqlite::Database::Mode::read);
     const std::string changed = folder / "changed.db";
     const auto try_change = [&](const std::string& change) {
       CAPTURE(change);
@@ -217,8 +217,8 @@ TEST_SUITE("sinks") {
     };
     for (const std::string_view name : sqlite::account_tables) {
       const std::string table(name);
-      if (database.integer("SELECT count(*) FROM " + table).or_throw() == 0) continue;
-      for (const std::string& column : sqlite::columns_of(database, table).or_throw()) {
+      if (database.integer("SELECT count(*) FROM " + table) == 0) continue;
+      for (const std::string& column : sqlite::columns_of(database, table)) {
         if (column == "run") continue;
         try_change("UPDATE " + table + " SET \"" + column + "\" = ifnull(\"" + column + "\", 0) || '1'");
       }

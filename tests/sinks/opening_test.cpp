@@ -105,9 +105,9 @@ struct Adding {
 };
 
 std::string remark(const std::string& path) {
-  const auto database = sqlite::Database::open(path, sqlite::Database::Mode::read).or_throw();
-  auto statement = database.prepare("SELECT remark FROM rtdata_run WHERE run = 1").or_throw();
-  return statement.step().or_throw() ? std::string(statement.text(0)) : std::string();
+  const auto database = sqlite::Database::open(path, sqlite::Database::Mode::read);
+  auto statement = database.prepare("SELECT remark FROM rtdata_run WHERE run = 1");
+  return statement.step() ? std::string(statement.text(0)) : std::string();
 }
 
 }  // namespace
@@ -145,8 +145,8 @@ TEST_SUITE("sinks") {
   TEST_CASE("NFR-1 while a recording that is added waits for another program, the loop goes on") {
     Directory directory;
     const std::string path = directory / "run.db";
-    auto other = sqlite::Database::open(path, sqlite::Database::Mode::write).or_throw();
-    other.execute("PRAGMA journal_mode = WAL; BEGIN IMMEDIATE").or_throw();
+    auto other = sqlite::Database::open(path, sqlite::Database::Mode::write);
+    other.execute("PRAGMA journal_mode = WAL; BEGIN IMMEDIATE");
     int ticks = 0;
     std::int64_t stored = 0;
     {
@@ -158,7 +158,7 @@ TEST_SUITE("sinks") {
       Ticker ticker(loop, 1ms, [&](const Tick&) {
         if (++ticks == 1) sink.emplace(loop, SqliteConfig{.path = path, .sink = {.batch_time = 10ms}});
         topic.publish({1});
-        if (ticks == 100) other.execute("COMMIT").or_throw();
+        if (ticks == 100) other.execute("COMMIT");
         if (sink->counts().stored >= 100) loop.stop();
       });
       Timer limit(loop, 60s, [&] { loop.stop(); });

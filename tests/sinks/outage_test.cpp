@@ -427,7 +427,7 @@ TEST_SUITE("sinks") {
         ::raise(SIGKILL);
       });
       std::int64_t steps = 0;
-      auto database = sqlite::Database::open(path, sqlite::Database::Mode::write).or_throw();
+      auto database = sqlite::Database::open(path, sqlite::Database::Mode::write);
       ::sqlite3_trace_v2(
           database.raw(), SQLITE_TRACE_PROFILE,
           [](unsigned, void* sum, void* statement, void*) {
@@ -438,9 +438,9 @@ TEST_SUITE("sinks") {
           &steps);
       sqlite::AccountSums sums;
       std::vector<sqlite::LiveFile> used;
-      database.execute("BEGIN").or_throw();
-      const auto remarks = sqlite::seal_runs(database, path, "", sums, used).or_throw();
-      database.execute("COMMIT").or_throw();
+      database.execute("BEGIN");
+      const auto remarks = sqlite::seal_runs(database, path, "", sums, used);
+      database.execute("COMMIT");
       CHECK(remarks.size() == 1);
       CHECK(number(path, "SELECT lost FROM rtdata_run WHERE run = 2") == 5);
       CHECK(number(path, "SELECT stored FROM rtdata_ledger WHERE run = 2 AND origin <> 'feed'") == 20);

@@ -52,39 +52,38 @@ class Folder {
 };
 
 inline void sql(const std::string& path, const std::string& statements) {
-  auto database = sqlite::Database::open(path, sqlite::Database::Mode::write).or_throw();
-  database.execute(statements).or_throw();
+  auto database = sqlite::Database::open(path, sqlite::Database::Mode::write);
+  database.execute(statements);
 }
 
 inline std::int64_t number(const std::string& path, const std::string& query) {
-  return sqlite::Database::open(path, sqlite::Database::Mode::read).or_throw().integer(query).or_throw();
+  return sqlite::Database::open(path, sqlite::Database::Mode::read).integer(query);
 }
 
 inline VerifyReport verified(const std::string& path) { return verify(Recording::open(path).or_throw()).or_throw(); }
 
 /// Makes all checksums those of what is there: as if it had been written so, by a recorder that made a mistake.
 inline void write_checksums(const std::string& path) {
-  auto database = sqlite::Database::open(path, sqlite::Database::Mode::write).or_throw();
-  database.execute("BEGIN; UPDATE rtdata_checksum SET sum = 0; UPDATE rtdata_run SET \"checksum~\" = 0").or_throw();
+  auto database = sqlite::Database::open(path, sqlite::Database::Mode::write);
+  database.execute("BEGIN; UPDATE rtdata_checksum SET sum = 0; UPDATE rtdata_run SET \"checksum~\" = 0");
   const auto all_of = [&](const std::string& query) {
     std::vector<std::string> found;
-    auto statement = database.prepare(query).or_throw();
-    while (statement.step().or_throw()) found.emplace_back(statement.text(0));
+    auto statement = database.prepare(query);
+    while (statement.step()) found.emplace_back(statement.text(0));
     return found;
   };
   sqlite::AccountSums sums;
-  for (const std::string& run : all_of("SELECT run FROM rtdata_run"))
-    sums.add_run(database, std::stoll(run)).or_throw();
+  for (const std::string& run : all_of("SELECT run FROM rtdata_run")) sums.add_run(database, std::stoll(run));
   for (const std::string& table : all_of("SELECT table_name FROM rtdata_topic")) {
-    sums.add_topic(database, table).or_throw();
-    const auto columns = sqlite::columns_of(database, table).or_throw();
+    sums.add_topic(database, table);
+    const auto columns = sqlite::columns_of(database, table);
     if (std::find(columns.begin(), columns.end(), sqlite::checksum_column) == columns.end()) continue;
     sqlite::RowHash hash;
     std::map<std::int64_t, std::uint64_t> ends;  // by row number
     std::uint64_t sum = 0;
     std::int64_t last = 0;
-    auto row = database.prepare("SELECT rowid, * FROM " + sqlite::quoted(table) + " ORDER BY rowid").or_throw();
-    while (row.step().or_throw()) {
+    auto row = database.prepare("SELECT rowid, * FROM " + sqlite::quoted(table) + " ORDER BY rowid");
+    while (row.step()) {
       hash.begin();
       for (std::size_t i = 0; i < columns.size(); ++i) {
         if (columns[i] != sqlite::checksum_column) hash.column(row.raw(), static_cast<int>(i) + 1);
@@ -94,15 +93,12 @@ inline void write_checksums(const std::string& path) {
       if (!row.is_null(sqlite::columns_before_fields)) ends[last] = std::exchange(sum, 0);
     }
     if (sum != 0) ends[last] = sum;
-    auto update = database
-                      .prepare("UPDATE " + sqlite::quoted(table) + " SET " + sqlite::quoted(sqlite::checksum_column) +
-                               " = ? WHERE rowid = ?")
-                      .or_throw();
-    for (const auto& [number, of] : ends)
-      update.bind(1, static_cast<std::int64_t>(of)).bind(2, number).run().or_throw();
+    auto update = database.prepare("UPDATE " + sqlite::quoted(table) + " SET " +
+                                   sqlite::quoted(sqlite::checksum_column) + " = ? WHERE rowid = ?");
+    for (const auto& [number, of] : ends) update.bind(1, static_cast<std::int64_t>(of)).bind(2, number).run();
   }
-  sums.write(database).or_throw();
-  database.execute("COMMIT").or_throw();
+  sums.write(database);
+  database.execute("COMMIT");
 }
 
 /// Changes a recording, and makes its checksums fit.

@@ -72,10 +72,10 @@ std::string copied(const Folder& folder, const std::string& path, ReplayConfig c
 
 /// The rows of a query, a line each.
 std::string listed(const std::string& path, const std::string& query) {
-  const auto database = sqlite::Database::open(path, sqlite::Database::Mode::read).or_throw();
-  auto statement = database.prepare(query).or_throw();
+  const auto database = sqlite::Database::open(path, sqlite::Database::Mode::read);
+  auto statement = database.prepare(query);
   std::string all;
-  while (statement.step().or_throw()) {
+  while (statement.step()) {
     for (int column = 0; column < sqlite3_column_count(statement.raw()); ++column)
       all += (statement.is_null(column) ? "NULL" : std::string(statement.text(column))) + "|";
     all += "\n";

@@ -100,12 +100,11 @@ class SqliteStore final : public Store {
   }
   std::vector<Row> rows() override {
     std::vector<Row> all;
-    const auto database = sqlite::Database::open(directory_ / "run.db", sqlite::Database::Mode::read).or_throw();
-    auto topics = database.prepare("SELECT topic, table_name FROM rtdata_topic").or_throw();
-    while (topics.step().or_throw()) {
-      auto rows = database.prepare("SELECT sequence, value FROM " + sqlite::quoted(topics.text(1)) + " ORDER BY rowid")
-                      .or_throw();
-      while (rows.step().or_throw()) {
+    const auto database = sqlite::Database::open(directory_ / "run.db", sqlite::Database::Mode::read);
+    auto topics = database.prepare("SELECT topic, table_name FROM rtdata_topic");
+    while (topics.step()) {
+      auto rows = database.prepare("SELECT sequence, value FROM " + sqlite::quoted(topics.text(1)) + " ORDER BY rowid");
+      while (rows.step()) {
         all.push_back({std::string(topics.text(0)), static_cast<std::uint64_t>(rows.integer(0)), rows.real(1)});
       }
     }

@@ -34,13 +34,13 @@ using sqlite::Database;
 namespace {
 
 std::int64_t query(const std::string& path, const std::string& sql) {
-  return Database::open(path, Database::Mode::read).or_throw().integer(sql).or_throw();
+  return Database::open(path, Database::Mode::read).integer(sql);
 }
 
 std::string query_text(const std::string& path, const std::string& sql) {
-  const auto database = Database::open(path, Database::Mode::read).or_throw();
-  auto statement = database.prepare(sql).or_throw();
-  return statement.step().or_throw() ? std::string(statement.text(0)) : std::string();
+  const auto database = Database::open(path, Database::Mode::read);
+  auto statement = database.prepare(sql);
+  return statement.step() ? std::string(statement.text(0)) : std::string();
 }
 
 Verdict verdict_of(const std::string& path) {
@@ -197,10 +197,7 @@ TEST_SUITE("sinks") {
     Directory directory;
     const std::string path = directory / "run.db";
     record(path, 200);
-    Database::open(path, Database::Mode::write)
-        .or_throw()
-        .execute("DELETE FROM \"room/climate\" WHERE sequence = 77")
-        .or_throw();
+    Database::open(path, Database::Mode::write).execute("DELETE FROM \"room/climate\" WHERE sequence = 77");
     CHECK(verdict_of(path) == Verdict::not_balanced);
   }
 
@@ -257,12 +254,12 @@ TEST_SUITE("sinks") {
     std::ofstream(directory / "text.db")
         << "this is a text and no database, whatever it is called; it has to be long enough";
     CHECK(refusal({.path = directory / "text.db"}).starts_with("not-a-recording: "));
-    Database::open(directory / "other.db", Database::Mode::write).or_throw().execute("CREATE TABLE t(x)").or_throw();
+    Database::open(directory / "other.db", Database::Mode::write).execute("CREATE TABLE t(x)");
     CHECK(refusal({.path = directory / "other.db"}).find("another program's SQLite database") != std::string::npos);
     record(path, 10);
-    Database::open(path, Database::Mode::write).or_throw().execute("PRAGMA user_version = 99").or_throw();
+    Database::open(path, Database::Mode::write).execute("PRAGMA user_version = 99");
     CHECK(refusal({.path = path}).starts_with("newer-version: "));
-    Database::open(path, Database::Mode::write).or_throw().execute("PRAGMA application_id = 0x52544441").or_throw();
+    Database::open(path, Database::Mode::write).execute("PRAGMA application_id = 0x52544441");
     CHECK(refusal({.path = path}).find("from before version 0.1.0") != std::string::npos);
     CHECK(refusal({.path = path}).find("export it with the rtdata that recorded it") != std::string::npos);
     CHECK(query(path, "SELECT count(*) FROM \"room/climate\"") == 10);
@@ -387,9 +384,7 @@ TEST_SUITE("sinks") {
       CHECK(query(path, "SELECT lost FROM rtdata_run WHERE run = 1") == 2 * feeds + 7 - rows);
       CHECK(verdict_of(path) == Verdict::sealed);
       sqlite::Database::open(path, Database::Mode::write)
-          .or_throw()
-          .execute("DELETE FROM \"a\" WHERE run = 1 AND origin = 'f700' AND sequence = 1")
-          .or_throw();
+          .execute("DELETE FROM \"a\" WHERE run = 1 AND origin = 'f700' AND sequence = 1");
       CHECK(verdict_of(path) == Verdict::not_balanced);
     }
   }
@@ -418,15 +413,15 @@ TEST_SUITE("sinks") {
       SqliteSink sink(loop, {.path = path, .sink = {.batch_time = 10ms}});
       const auto topic = loop.topic<Number>("a");
       loop.advance(1s);
-      auto other = Database::open(path, Database::Mode::write).or_throw();
-      other.execute("BEGIN IMMEDIATE").or_throw();
+      auto other = Database::open(path, Database::Mode::write);
+      other.execute("BEGIN IMMEDIATE");
       for (int i = 0; i < 50; ++i) topic.publish({static_cast<double>(i)});
       loop.advance(10ms);
       CHECK(sink.health() == Health::faulted);
       REQUIRE(!errors.empty());
       CHECK(errors[0] == "busy");
       CHECK(sink.counts().queued == 50);
-      other.execute("COMMIT").or_throw();
+      other.execute("COMMIT");
       loop.advance(20s);
       CHECK(sink.health() == Health::ok);
       CHECK(sink.counts().stored == 50);

@@ -74,10 +74,10 @@ std::uint64_t size_of(const std::string& path) {
 /// All rows that were stored and not pruned are there.
 void check_counts(const std::string& path) {
   std::int64_t rows = 0;
-  auto database = Database::open(path, Database::Mode::read).or_throw();
-  auto tables = database.prepare("SELECT table_name FROM rtdata_topic").or_throw();
-  while (tables.step().or_throw()) {
-    rows += database.integer("SELECT count(*) FROM " + sqlite::quoted(tables.text(0))).or_throw();
+  auto database = Database::open(path, Database::Mode::read);
+  auto tables = database.prepare("SELECT table_name FROM rtdata_topic");
+  while (tables.step()) {
+    rows += database.integer("SELECT count(*) FROM " + sqlite::quoted(tables.text(0)));
   }
   CHECK(number(path, "SELECT sum(stored - pruned) FROM rtdata_ledger") == rows);
   check_balanced(path);
@@ -515,14 +515,14 @@ TEST_SUITE("sinks") {
     // As if the second half came from a run on a board whose clock began at 1970.
     sql(path, "UPDATE a SET time = time - 1700000000000000000 WHERE rowid > 75000");
     {
-      auto database = Database::open(path, Database::Mode::write).or_throw();
+      auto database = Database::open(path, Database::Mode::write);
       sqlite::Pruner pruner(SqliteConfig::least_max_bytes, Duration{0});
       sqlite::AccountSums sums;
       do {
-        database.execute("BEGIN IMMEDIATE").or_throw();
-        pruner.make_room(database, sums, from_nanoseconds(100'000'000'000)).or_throw();
-        sums.write(database).or_throw();
-        database.execute("COMMIT").or_throw();
+        database.execute("BEGIN IMMEDIATE");
+        pruner.make_room(database, sums, from_nanoseconds(100'000'000'000));
+        sums.write(database);
+        database.execute("COMMIT");
       } while (pruner.has_more());
     }
     CHECK(number(path, "SELECT count(*) FROM a WHERE rowid > 75000") ==
@@ -549,9 +549,9 @@ TEST_SUITE("sinks") {
       });
       loop.advance(3s);
       {
-        auto reader = Database::open(path, Database::Mode::read).or_throw();
-        reader.execute("BEGIN").or_throw();
-        reader.integer("SELECT count(*) FROM a").or_throw();
+        auto reader = Database::open(path, Database::Mode::read);
+        reader.execute("BEGIN");
+        reader.integer("SELECT count(*) FROM a");
         loop.advance(10s);
         CHECK(size_of(path) > max_bytes * 11 / 10);
         REQUIRE(warnings.size() == 1);
@@ -579,14 +579,14 @@ TEST_SUITE("sinks") {
     Feed<Number> feed(loop, {.name = "feed", .topic = "a"});
     feed.publish({1});
     loop.advance(1s);
-    auto reader = Database::open(path, Database::Mode::read).or_throw();
-    reader.execute("BEGIN").or_throw();
-    CHECK(reader.integer("SELECT count(*) FROM a").or_throw() == 1);
+    auto reader = Database::open(path, Database::Mode::read);
+    reader.execute("BEGIN");
+    CHECK(reader.integer("SELECT count(*) FROM a") == 1);
     feed.publish({2});
     loop.advance(1s);
     CHECK(errors.empty());
     CHECK(sink.counts().stored == 2);
-    CHECK(reader.integer("SELECT count(*) FROM a").or_throw() == 1);  // as it was when its transaction began
+    CHECK(reader.integer("SELECT count(*) FROM a") == 1);  // as it was when its transaction began
   }
 
   TEST_CASE("US-30 a limit that is too small is refused by check and by the constructor") {

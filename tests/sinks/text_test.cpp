@@ -52,13 +52,13 @@ std::string bytes_of(const std::string& path) {
 
 /// Of every column of every table that SQLite calls text; "" when all of it is UTF-8 without zero bytes.
 std::string wrong_texts(const std::string& path) {
-  const auto database = sqlite::Database::open(path, sqlite::Database::Mode::read).or_throw();
-  auto tables = database.prepare("SELECT name FROM sqlite_schema WHERE type IN ('table', 'view')").or_throw();
+  const auto database = sqlite::Database::open(path, sqlite::Database::Mode::read);
+  auto tables = database.prepare("SELECT name FROM sqlite_schema WHERE type IN ('table', 'view')");
   std::string wrong;
-  while (tables.step().or_throw()) {
+  while (tables.step()) {
     const std::string table(tables.text(0));
-    auto rows = database.prepare("SELECT * FROM " + sqlite::quoted(table)).or_throw();
-    while (rows.step().or_throw()) {
+    auto rows = database.prepare("SELECT * FROM " + sqlite::quoted(table));
+    while (rows.step()) {
       for (int i = 0; i < sqlite3_column_count(rows.raw()); ++i) {
         if (sqlite3_column_type(rows.raw(), i) != SQLITE_TEXT || detail::is_readable(rows.text(i))) continue;
         wrong += table + "." + sqlite3_column_name(rows.raw(), i) + " ";

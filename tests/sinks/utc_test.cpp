@@ -49,11 +49,11 @@ std::vector<Time> utc_of(const std::string& path) {
   const auto recording = Recording::open(path).or_throw();
   const auto report = verify(recording).or_throw();
   CHECK_MESSAGE(report.verdict() == Verdict::balanced, report.text());
-  const auto database = sqlite::Database::open(path, sqlite::Database::Mode::read).or_throw();
-  auto view = database.prepare("SELECT utc_ns, utc, time FROM \"room~utc\" ORDER BY run, time").or_throw();
+  const auto database = sqlite::Database::open(path, sqlite::Database::Mode::read);
+  auto view = database.prepare("SELECT utc_ns, utc, time FROM \"room~utc\" ORDER BY run, time");
   auto rows = recording.rows({.topic = "room"}).or_throw();
   std::vector<Time> all;
-  while (view.step().or_throw()) {
+  while (view.step()) {
     const Time utc = from_nanoseconds(view.integer(0));
     CHECK(view.text(1) == to_iso8601(utc));
     const RecordedRow* row = rows.next().or_throw();
@@ -279,8 +279,8 @@ TEST_CASE("US-34 info, verify, gaps, errors, health, views and exports of a run 
   CHECK(problems.find("2030") == std::string::npos);
   // And what is left of a run that was deleted.
   {
-    auto database = sqlite::Database::open(path, sqlite::Database::Mode::write).or_throw();
-    sqlite::delete_run(database, 1).or_throw();
+    auto database = sqlite::Database::open(path, sqlite::Database::Mode::write);
+    sqlite::delete_run(database, 1);
   }
   CHECK(number(path, "SELECT min(started) FROM rtdata_deleted") == to_nanoseconds(noon));
   CHECK(number(path, "SELECT max(ended) FROM rtdata_deleted") == to_nanoseconds(noon + 20s));

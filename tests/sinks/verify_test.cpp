@@ -511,18 +511,16 @@ TEST_CASE("US-26 verify notices that a whole run is missing, but not that the ne
   const auto without = [&](const std::string& runs) {
     const std::string changed = folder / "changed.db";
     std::filesystem::copy_file(path, changed, std::filesystem::copy_options::overwrite_existing);
-    auto database = sqlite::Database::open(changed, sqlite::Database::Mode::write).or_throw();
+    auto database = sqlite::Database::open(changed, sqlite::Database::Mode::write);
     std::vector<std::string> tables;
-    auto query = database
-                     .prepare(
-                         "SELECT m.name FROM sqlite_schema m, pragma_table_info(m.name) c WHERE m.type = 'table' "
-                         "AND c.name = 'run'")
-                     .or_throw();
-    while (query.step().or_throw()) tables.emplace_back(query.text(0));
+    auto query = database.prepare(
+        "SELECT m.name FROM sqlite_schema m, pragma_table_info(m.name) c WHERE m.type = 'table' "
+        "AND c.name = 'run'");
+    while (query.step()) tables.emplace_back(query.text(0));
     CHECK(tables.size() > 10);
     query = {};
     for (const std::string& table : tables)
-      database.execute("DELETE FROM " + sqlite::quoted(table) + " WHERE run IN (" + runs + ")").or_throw();
+      database.execute("DELETE FROM " + sqlite::quoted(table) + " WHERE run IN (" + runs + ")");
     database = {};
     return problems_of(verified(changed));
   };

@@ -13,10 +13,10 @@ using namespace recordings;
 namespace {
 
 std::vector<std::string> rows_of(const std::string& path, const std::string& query) {
-  const auto database = sqlite::Database::open(path, sqlite::Database::Mode::read).or_throw();
-  auto statement = database.prepare(query).or_throw();
+  const auto database = sqlite::Database::open(path, sqlite::Database::Mode::read);
+  auto statement = database.prepare(query);
   std::vector<std::string> rows;
-  while (statement.step().or_throw()) {
+  while (statement.step()) {
     std::string& row = rows.emplace_back();
     for (int i = 0; i < sqlite3_column_count(statement.raw()); ++i) {
       if (i > 0) row += "|";

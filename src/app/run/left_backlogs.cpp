@@ -22,20 +22,10 @@ bool contains(const std::vector<std::string>& names, const std::string& name) {
 }
 
 /// Those that have come to the recording; fast, however much waits. Of formats without them: none.
-Result<std::vector<std::string>> known_sinks(const Recording& recording) {
-  std::vector<std::string> names;
-  auto has_table = recording.file()->database.integer(
-      "SELECT count(*) FROM sqlite_schema WHERE name = 'rtdata_position'");
-  if (!has_table) return std::move(has_table).error();
-  if (*has_table == 0) return names;
-  auto query = recording.file()->prepare("SELECT DISTINCT sink FROM rtdata_position");
-  if (!query) return std::move(query).error();
-  for (;;) {
-    auto row = query->step();
-    if (!row) return std::move(row).error();
-    if (!*row) return names;
-    names.emplace_back(query->text(0));
-  }
+std::vector<std::string> known_sinks(const Recording& recording) {
+  const detail::RecordingFile& file = *recording.file();
+  if (file.database.integer("SELECT count(*) FROM sqlite_schema WHERE name = 'rtdata_position'") == 0) return {};
+  return file.prepare("SELECT DISTINCT sink FROM rtdata_position").texts();
 }
 
 }  // namespace
@@ -47,15 +37,16 @@ std::string sink_name(const ConfigItem& sink) {
 }
 
 Result<std::vector<RecordedBacklog>> backlogs_of_others(const Recording& recording,
-                                                        const std::vector<std::string>& names) {
+                                                        const std::vector<std::string>& names) try {
   const auto known = known_sinks(recording);
-  if (!known) return known.error();
-  if (std::all_of(known->begin(), known->end(), [&](const std::string& name) { return contains(names, name); }))
+  if (std::all_of(known.begin(), known.end(), [&](const std::string& name) { return contains(names, name); }))
     return std::vector<RecordedBacklog>{};
   auto backlogs = recording.backlogs();
   if (!backlogs) return backlogs;
   std::erase_if(*backlogs, [&](const RecordedBacklog& one) { return one.events == 0 || contains(names, one.sink); });
   return backlogs;
+} catch (const SetupError& error) {
+  return error.error();
 }
 
 std::vector<std::string> recordings_left(const std::vector<const PartPlan*>& now, const SystemPlan& next) {

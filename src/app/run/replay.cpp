@@ -213,7 +213,7 @@ class ReplayRun {
     ReplayConfig config = options_.config;
     config.run = run.run;
     // Its line is that of the run, so that whoever asks for the time gets that at which it was recorded.
-    const Time asked = detail::beginning_of(recording, run, config).or_throw();
+    const Time asked = detail::beginning_of(recording, run, config);
     const Time begin = std::clamp(asked, run.started, std::max(run.started, run.ended.value_or(asked)));
     ManualClock clock = clock_of(run, begin);
     RunClock real_clock(begin - std::chrono::seconds{1});  // while sinks are opened time passes

@@ -119,11 +119,11 @@ bool RunCopy::takes(const std::string& topic) {
 }
 
 void RunCopy::find_sources() {
-  auto query = prepared(database_, "SELECT topic, made_of FROM rtdata_ledger WHERE run = ? AND made_of IS NOT NULL");
+  auto query = database_.prepare("SELECT topic, made_of FROM rtdata_ledger WHERE run = ? AND made_of IS NOT NULL");
   query.bind(1, local_);
   std::multimap<std::string, std::string> made_of;
   std::vector<std::string> next;
-  while (query.step().or_throw()) {
+  while (query.step()) {
     const std::string topic(query.text(0));
     std::string_view all = query.text(1);
     for (std::size_t end; !all.empty(); all.remove_prefix(std::min(end + 1, all.size()))) {
@@ -141,27 +141,25 @@ void RunCopy::find_sources() {
 }
 
 std::uint64_t RunCopy::refused(std::string_view topic, std::string_view origin) const {
-  if (database_.integer(there_are_positions).or_throw() == 0) return 0;
-  auto count = prepared(
-      database_,
+  if (database_.integer(there_are_positions) == 0) return 0;
+  auto count = database_.prepare(
       "SELECT count(*) FROM rtdata_refused WHERE sink = ? AND topic = ? AND origin = ? AND run = (SELECT uuid FROM "
       "rtdata_run WHERE run = ?)");
-  count.bind(1, copy_.sink).bind(2, topic).bind(3, origin).bind(4, local_).step().or_throw();
+  count.bind(1, copy_.sink).bind(2, topic).bind(3, origin).bind(4, local_).step();
   return static_cast<std::uint64_t>(count.integer(0));
 }
 
 bool RunCopy::is_done_with(std::string_view topic, std::string_view origin) const {
-  if (database_.integer(there_are_positions).or_throw() == 0) return false;
-  auto tables = prepared(
-      database_,
+  if (database_.integer(there_are_positions) == 0) return false;
+  auto tables = database_.prepare(
       "SELECT t.table_name, p.row FROM rtdata_topic t LEFT JOIN rtdata_position p ON p.table_name = t.table_name AND "
       "p.sink = ? WHERE t.topic = ?");
   tables.bind(1, copy_.sink).bind(2, topic);
-  while (tables.step().or_throw()) {
+  while (tables.step()) {
     if (tables.is_null(1)) return false;
-    auto left = prepared(database_, "SELECT 1 FROM " + sqlite::quoted(tables.text(0)) +
-                                        " WHERE _rowid_ > ? AND run = ? AND origin = ? LIMIT 1");
-    if (left.bind(1, tables.integer(1)).bind(2, local_).bind(3, origin).step().or_throw()) return false;
+    auto left = database_.prepare("SELECT 1 FROM " + sqlite::quoted(tables.text(0)) +
+                                  " WHERE _rowid_ > ? AND run = ? AND origin = ? LIMIT 1");
+    if (left.bind(1, tables.integer(1)).bind(2, local_).bind(3, origin).step()) return false;
   }
   return true;
 }
@@ -170,8 +168,8 @@ bool RunCopy::read_table(std::size_t table, const Positions& positions) {
   const std::string_view name = account_tables[table];
   std::map<std::string_view, int> at;
   for (const AccountColumn& column : columns_[table]) at.emplace(column.name, static_cast<int>(at.size()));
-  auto query = prepared(database_,
-                        "SELECT " + names_of(columns_[table]) + " FROM " + std::string(name) + " WHERE run = ?");
+  auto query = database_.prepare("SELECT " + names_of(columns_[table]) + " FROM " + std::string(name) +
+                                 " WHERE run = ?");
   query.bind(1, local_);
   const auto topic = at.find("topic");
   const bool is_ledger = name == "rtdata_ledger";
@@ -179,7 +177,7 @@ bool RunCopy::read_table(std::size_t table, const Positions& positions) {
   sqlite::RowSum& sum = sums_.emplace_back();
   sqlite::RowHash hash;
   const int width = static_cast<int>(columns_[table].size());
-  while (query.step().or_throw()) {
+  while (query.step()) {
     bool is_source = false;
     if (topic != at.end()) {
       const std::string of(query.text(topic->second));
@@ -297,14 +295,14 @@ void make_tables(Connection& connection, const std::vector<std::vector<AccountCo
 }  // namespace
 
 std::vector<std::vector<AccountColumn>> account_columns() {
-  const auto database = sqlite::Database::open("", sqlite::Database::Mode::write).or_throw();  // in memory
-  database.execute(sqlite::schema).or_throw();
+  const auto database = sqlite::Database::open("", sqlite::Database::Mode::write);  // in memory
+  database.execute(sqlite::schema);
   std::vector<std::vector<AccountColumn>> all;
   for (const std::string_view table : account_tables) {
-    auto query = prepared(database, "SELECT name, type FROM pragma_table_info(?) ORDER BY cid");
+    auto query = database.prepare("SELECT name, type FROM pragma_table_info(?) ORDER BY cid");
     query.bind(1, table);
     std::vector<AccountColumn>& columns = all.emplace_back();
-    while (query.step().or_throw()) {
+    while (query.step()) {
       if (query.text(0) == sqlite::checksum_column) continue;  // the server has its own
       const std::string_view type = query.text(1);
       columns.push_back({std::string(query.text(0)), type == "INTEGER" ? "bigint"
@@ -322,7 +320,7 @@ std::string names_of(const std::vector<AccountColumn>& columns) {
 }
 
 void copy_accounts(Connection& connection, const AccountCopy& copy) {
-  const auto database = sqlite::Database::open(copy.recording, sqlite::Database::Mode::read).or_throw();
+  const auto database = sqlite::Database::open(copy.recording, sqlite::Database::Mode::read);
   const auto columns = account_columns();
   make_tables(connection, columns);
 
@@ -336,8 +334,8 @@ void copy_accounts(Connection& connection, const AccountCopy& copy) {
   };
   std::vector<Wanted> wanted;
   std::int64_t last = 0;
-  auto runs = prepared(database, "SELECT run, uuid, state FROM rtdata_run ORDER BY run");
-  while (runs.step().or_throw()) {
+  auto runs = database.prepare("SELECT run, uuid, state FROM rtdata_run ORDER BY run");
+  while (runs.step()) {
     last = runs.integer(0);
     if (!done.contains(runs.text(1))) wanted.push_back({last, std::string(runs.text(1)), runs.text(2) != "recording"});
   }
@@ -349,10 +347,10 @@ void copy_accounts(Connection& connection, const AccountCopy& copy) {
     if (run == 0) continue;
     const Positions positions = positions_of(connection, run);
     // All of it at one moment, into memory: the recording's log is not held while the network is waited for.
-    database.execute("BEGIN").or_throw();
+    database.execute("BEGIN");
     RunCopy account(database, copy, {one.run, run, one.has_ended}, columns);
     const bool has_all = account.read(positions);
-    database.execute("COMMIT").or_throw();
+    database.execute("COMMIT");
     if (has_all) account.write(connection);
   }
 }

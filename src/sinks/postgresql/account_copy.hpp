@@ -24,9 +24,6 @@ struct AccountColumn {
 std::vector<std::vector<AccountColumn>> account_columns();
 /// Their names, as SQL lists them.
 std::string names_of(const std::vector<AccountColumn>& columns);
-inline sqlite::Statement prepared(const sqlite::Database& database, std::string_view sql) {
-  return database.prepare(sql).or_throw();
-}
 
 struct AccountCopy {
   std::string recording;            ///< path

@@ -217,10 +217,8 @@ void Download::all() {
            "into"});
     }
   }
-  database_
-      .execute(std::string("PRAGMA journal_mode=OFF;PRAGMA synchronous=OFF;BEGIN;") + sqlite::schema +
-               sqlite::run_view())
-      .or_throw();
+  database_.execute(std::string("PRAGMA journal_mode=OFF;PRAGMA synchronous=OFF;BEGIN;") + sqlite::schema +
+                    sqlite::run_view());
   read_layout();
   read_topics();
   const Reply rows = connection_.run("SELECT run, account_at IS NOT NULL, uuid, machine FROM rtdata_run ORDER BY run");
@@ -230,13 +228,11 @@ void Download::all() {
                     std::string(rows.text(row, 3))});
   look_for_other_runs();
   for (const Run& run : runs) copy_run(run);
-  for (const Run& run : runs) sums_.add_run(database_, run.run).or_throw();
-  sums_.write(database_).or_throw();
-  sqlite::write_utc_lines(database_).or_throw();
-  database_
-      .execute(sqlite::account_views() + ";PRAGMA application_id=" + std::to_string(sqlite::application_id) +
-               ";PRAGMA user_version=" + std::to_string(sqlite::schema_version) + ";COMMIT")
-      .or_throw();
+  for (const Run& run : runs) sums_.add_run(database_, run.run);
+  sums_.write(database_);
+  sqlite::write_utc_lines(database_);
+  database_.execute(sqlite::account_views() + ";PRAGMA application_id=" + std::to_string(sqlite::application_id) +
+                    ";PRAGMA user_version=" + std::to_string(sqlite::schema_version) + ";COMMIT");
 }
 
 void Download::read_layout() {
@@ -329,8 +325,8 @@ void Download::copy_rows(const Run& run, const Topic& topic) {
     }
     if (!table) {
       sqlite::NewUtcViews views;
-      table.emplace(sqlite::TopicTable::prepare(database_, *slots.back(), run.run, escaped, sums_, views).or_throw());
-      views.make(database_).or_throw();
+      table.emplace(sqlite::TopicTable::prepare(database_, *slots.back(), run.run, escaped, sums_, views));
+      views.make(database_);
     }
     const auto sequence = load_big<std::uint64_t>(reply.text(0, 4).data());
     const auto time = load_big<std::int64_t>(reply.text(0, 1).data());
@@ -373,13 +369,12 @@ void Download::copy_rows(const Run& run, const Topic& topic) {
     header.time = from_nanoseconds(time);
     header.sequence = sequence;
     header.origin = slots.back()->origin;
-    table->insert({static_cast<std::uint32_t>(slots.size() - 1), slots.back().get(), header, std::span(payload)})
-        .or_throw();
+    table->insert({static_cast<std::uint32_t>(slots.size() - 1), slots.back().get(), header, std::span(payload)});
   };
   connection_.each(std::string("SELECT ") + fixed_columns + topic.columns + " FROM " + quoted_name(topic.table) +
                        run.is_of() + " ORDER BY run, origin, sequence",
                    row);
-  if (table) table->flush().or_throw();
+  if (table) table->flush();
 }
 
 void Download::compare(const Run& run) {
@@ -416,7 +411,7 @@ void Download::copy_account(const Run& run) {
     std::string marks = "?";
     for (std::size_t i = 1; i < columns_[table].size(); ++i) marks += ",?";
     const Reply rows = connection_.run("SELECT " + columns + " FROM " + name + run.is_of());
-    auto insert = prepared(database_, "INSERT INTO " + name + "(" + columns + ") VALUES(" + marks + ")");
+    auto insert = database_.prepare("INSERT INTO " + name + "(" + columns + ") VALUES(" + marks + ")");
     for (int row = 0; row < rows.rows(); ++row) {
       for (int column = 0; column < static_cast<int>(columns_[table].size()); ++column) {
         if (rows.is_null(row, column)) {
@@ -427,10 +422,10 @@ void Download::copy_account(const Run& run) {
           insert.bind(column + 1, rows.text(row, column));
         }
       }
-      insert.run().or_throw();
+      insert.run();
     }
   }
-  if (database_.integer("SELECT state = 'recording' FROM rtdata_run" + run.is_of()).or_throw() != 0) {
+  if (database_.integer("SELECT state = 'recording' FROM rtdata_run" + run.is_of()) != 0) {
     set_rows_up_to(run);
   } else {
     compare_account(run);
@@ -444,39 +439,38 @@ void Download::set_rows_up_to(const Run& run) {
     std::int64_t rows;
   };
   std::vector<Entry> entries;
-  auto ledger = prepared(database_, "SELECT topic, origin, stored - pruned FROM rtdata_ledger" + run.is_of());
-  while (ledger.step().or_throw())
+  auto ledger = database_.prepare("SELECT topic, origin, stored - pruned FROM rtdata_ledger" + run.is_of());
+  while (ledger.step())
     entries.push_back({std::string(ledger.text(0)), std::string(ledger.text(1)), ledger.integer(2)});
   ledger.reset();
-  auto update = prepared(database_,
-                         "UPDATE rtdata_ledger SET rows_up_to = ?" + run.is_of() + " AND topic = ? AND origin = ?");
-  auto tables = prepared(database_, "SELECT table_name FROM rtdata_topic WHERE topic = ? ORDER BY version DESC");
+  auto update = database_.prepare("UPDATE rtdata_ledger SET rows_up_to = ?" + run.is_of() +
+                                  " AND topic = ? AND origin = ?");
+  auto tables = database_.prepare("SELECT table_name FROM rtdata_topic WHERE topic = ? ORDER BY version DESC");
   for (const Entry& entry : entries) {
-    const auto names = tables.bind(1, entry.topic).texts().or_throw();
+    const auto names = tables.bind(1, entry.topic).texts();
     tables.reset();
     std::int64_t last = 0;
     for (const std::string& name : names) {
-      auto rowid = prepared(database_, "SELECT _rowid_ FROM " + sqlite::quoted(name) + run.is_of() +
-                                           " AND origin = ? ORDER BY _rowid_ LIMIT 1 OFFSET ?");
+      auto rowid = database_.prepare("SELECT _rowid_ FROM " + sqlite::quoted(name) + run.is_of() +
+                                     " AND origin = ? ORDER BY _rowid_ LIMIT 1 OFFSET ?");
       rowid.bind(1, entry.origin).bind(2, std::max<std::int64_t>(entry.rows - 1, 0));
-      if (rowid.step().or_throw() && entry.rows > 0) last = rowid.integer(0);
+      if (rowid.step() && entry.rows > 0) last = rowid.integer(0);
     }
-    update.bind(1, last).bind(2, entry.topic).bind(3, entry.origin).run().or_throw();
+    update.bind(1, last).bind(2, entry.topic).bind(3, entry.origin).run();
   }
 }
 
 /// Of a run whose events came from memory, or whose account has not come yet: what rtdata_position says, and the times
 /// of its rows.
 void Download::make_account(const Run& run) {
-  auto insert = prepared(
-      database_,
+  auto insert = database_.prepare(
       "INSERT INTO rtdata_run(run, uuid, name, notes, configuration, program, host, boot_id, pid, started, "
       "ended, clock_offset, state, format) VALUES(?,?,'','','','',?,'',0,?,?,0,'recording',?)");
   insert.bind(1, run.run).bind(2, run.uuid).bind(3, run.machine).bind(6, std::int64_t{sqlite::schema_version});
   const bool has_rows = first_ <= last_;
   insert.bind(4, to_nanoseconds(has_rows ? first_ : Time{}));
   has_rows ? insert.bind(5, to_nanoseconds(last_)) : insert.bind_null(5);
-  insert.run().or_throw();
+  insert.run();
   notes.emplace_back(run.run,
                      "No account came along, as of events that are sent from memory: what is here is "
                      "whole, what never came is not known.");
@@ -488,10 +482,10 @@ void Download::compare_account(const Run& run) {
   const Reply lines = connection_.run("SELECT table_name, columns, rows, sum FROM rtdata_checksum" + run.is_of());
   sqlite::RowHash hash;
   for (const std::string_view table : account_tables) {
-    auto rows = prepared(database_, "SELECT * FROM " + std::string(table) + run.is_of());
+    auto rows = database_.prepare("SELECT * FROM " + std::string(table) + run.is_of());
     const int columns = sqlite::hashed_columns(rows.raw());
     sqlite::RowSum found;
-    while (rows.step().or_throw()) found.add(sqlite::hash_of(hash, rows.raw(), 1, columns));
+    while (rows.step()) found.add(sqlite::hash_of(hash, rows.raw(), 1, columns));
     bool agrees = false;
     for (int line = 0; line < lines.rows(); ++line) {
       const auto at = [&](int column) { return static_cast<std::uint64_t>(lines.integer(line, column)); };
@@ -535,7 +529,7 @@ Result<ServerRecording> download(const PostgresqlConfig& config) try {
   const std::string path = folder->path + "/server.db";
   postgresql::Sentences problems, notes;
   {
-    auto database = sqlite::Database::open(path, sqlite::Database::Mode::write, 0600).or_throw();
+    auto database = sqlite::Database::open(path, sqlite::Database::Mode::write, 0600);
     postgresql::Download all(connection, database);
     all.all();
     problems = std::move(all.problems);
@@ -549,7 +543,7 @@ Result<ServerRecording> download(const PostgresqlConfig& config) try {
 
 Result<VerifyReport> verify_server(const PostgresqlConfig& config) try {
   const ServerRecording server = download(config).or_throw();
-  VerifyReport report = detail::verify_contents(server.recording).or_throw();
+  VerifyReport report = detail::verify_contents(server.recording);
   report.path = shown_url(config.url);
   for (const auto& [number, problem] : server.problems)
     if (number == postgresql::no_run) report.problems.push_back(problem);

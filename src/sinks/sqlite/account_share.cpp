@@ -58,24 +58,21 @@ struct Object {
 };
 
 /// The bytes of all of a table's rows; `objects`: gets those that have rows to be joined.
-Result<std::int64_t> look_at(Database& database, const Table& table, std::vector<Object>& objects) {
+std::int64_t look_at(Database& database, const Table& table, std::vector<Object>& objects) {
   const std::string query = std::string("SELECT max(_rowid_), count(*), sum(40 + ") + table.texts + ") FROM " +
                             table.name + " GROUP BY " + table.object;
   auto object = database.prepare(query);
-  if (!object) return std::move(object).error();
   std::int64_t all = 0;
-  for (;;) {
-    auto row = object->step();
-    if (!row) return std::move(row).error();
-    if (!*row) return all;
-    const Object one{&table, object->integer(0), object->integer(1), object->integer(2)};
+  while (object.step()) {
+    const Object one{&table, object.integer(0), object.integer(1), object.integer(2)};
     all += one.bytes;
     if (one.rows >= AccountShare::least_rows) objects.push_back(one);
   }
+  return all;
 }
 
 /// Joins the older half of an object's rows by twos. How many are less.
-Result<std::size_t> join(Database& database, AccountSums& sums, const Object& object) {
+std::size_t join(Database& database, AccountSums& sums, const Object& object) {
   const Table& table = *object.table;
   std::vector<std::pair<std::int64_t, std::int64_t>> pairs;
   {
@@ -90,83 +87,65 @@ Result<std::size_t> join(Database& database, AccountSums& sums, const Object& ob
                                  table.end + " FROM " + table.name + " t, " + table.name +
                                  " o WHERE o._rowid_ = ?1 AND " + same + " ORDER BY " + table.begin +
                                  ", t._rowid_ LIMIT ?2");
-    if (!rows) return std::move(rows).error();
-    rows->bind(1, object.any_row).bind(2, std::min<std::int64_t>(object.rows / 2, 2 * most_pairs));
+    rows.bind(1, object.any_row).bind(2, std::min<std::int64_t>(object.rows / 2, 2 * most_pairs));
     struct {
       std::int64_t row = 0, stretch = 0, end = 0;
       bool has_two = false;
     } into;
-    for (;;) {
-      auto row = rows->step();
-      if (!row) return std::move(row).error();
-      if (!*row) break;
-      if (rows->is_null(1)) continue;
-      const bool is_same = into.row != 0 && rows->integer(1) == into.stretch;
+    while (rows.step()) {
+      if (rows.is_null(1)) continue;
+      const bool is_same = into.row != 0 && rows.integer(1) == into.stretch;
       // What lies within the one before goes with it, so that those that are joined do not overlap.
-      if (is_same && (!into.has_two || rows->integer(2) <= into.end)) {
-        pairs.emplace_back(into.row, rows->integer(0));
+      if (is_same && (!into.has_two || rows.integer(2) <= into.end)) {
+        pairs.emplace_back(into.row, rows.integer(0));
         into.has_two = true;
-        into.end = std::max(into.end, rows->integer(3));
+        into.end = std::max(into.end, rows.integer(3));
       } else {
-        into = {rows->integer(0), rows->integer(1), rows->integer(3), false};
+        into = {rows.integer(0), rows.integer(1), rows.integer(3), false};
       }
     }
   }
   auto before = database.prepare(std::string("SELECT * FROM ") + table.name + " WHERE _rowid_ = ?");
-  if (!before) return std::move(before).error();
   auto grow = database.prepare(std::string(table.join) + " RETURNING *");
-  if (!grow) return std::move(grow).error();
   auto remove = database.prepare(std::string("DELETE FROM ") + table.name + " WHERE _rowid_ = ? RETURNING *");
-  if (!remove) return std::move(remove).error();
   for (const auto& [first, second] : pairs) {
-    before->bind(1, first);
-    grow->bind(1, first).bind(2, second);
-    if (auto done = sums.replace(*before, *grow); !done) return std::move(done).error();
-    remove->bind(1, second);
-    if (auto done = sums.run(*remove, AccountSums::Rows::go); !done) return std::move(done).error();
+    before.bind(1, first);
+    grow.bind(1, first).bind(2, second);
+    sums.replace(before, grow);
+    remove.bind(1, second);
+    sums.run(remove, AccountSums::Rows::go);
   }
   return pairs.size();
 }
 
 }  // namespace
 
-Result<void> AccountShare::hold(Database& database, AccountSums& sums) {
-  if (most_ == 0) return {};
+void AccountShare::hold(Database& database, AccountSums& sums) {
+  if (most_ == 0) return;
   std::array<std::int64_t, tables> now{};
   std::int64_t added = 0;
   for (std::size_t i = 0; i < tables; ++i) {
-    if (!newest_[i]) {
-      auto made = database.prepare(std::string("SELECT max(_rowid_) FROM ") + all_tables[i].name);
-      if (!made) return std::move(made).error();
-      newest_[i] = std::move(*made);
-    }
-    auto row = newest_[i].step();
-    if (!row) return std::move(row).error();
+    if (!newest_[i]) newest_[i] = database.prepare(std::string("SELECT max(_rowid_) FROM ") + all_tables[i].name);
+    newest_[i].step();
     now[i] = newest_[i].integer(0);
     newest_[i].reset();
     added += now[i] - known_[i];
   }
-  if (has_looked_ && !has_more_ && added < most_ / (16 * bytes_a_row)) return {};
+  if (has_looked_ && !has_more_ && added < most_ / (16 * bytes_a_row)) return;
   std::vector<Object> objects;
   std::int64_t bytes = 0;
-  for (const Table& table : all_tables) {
-    auto found = look_at(database, table, objects);
-    if (!found) return std::move(found).error();
-    bytes += *found;
-  }
+  for (const Table& table : all_tables) bytes += look_at(database, table, objects);
   has_looked_ = true;
   known_ = now;
   const bool is_too_much = bytes > (has_more_ ? most_ - most_ / 8 : most_);
   has_more_ = false;
-  if (!is_too_much) return {};
+  if (!is_too_much) return;
   std::sort(objects.begin(), objects.end(), [](const Object& a, const Object& b) { return a.bytes > b.bytes; });
   for (const Object& object : objects) {
     auto joined = join(database, sums, object);
-    if (!joined) return std::move(joined).error();
-    has_more_ = *joined != 0;
+    has_more_ = joined != 0;
     if (has_more_) break;  // otherwise its schedule has changed between any two of them
   }
-  return {};
 }
 
 }  // namespace rtdata::sqlite

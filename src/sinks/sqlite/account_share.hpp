@@ -23,7 +23,7 @@ class AccountShare {
   explicit AccountShare(std::uint64_t max_bytes) : most_(static_cast<std::int64_t>(max_bytes / part)) {}
 
   /// Within a transaction: joins as much as one may write, if anything is to be joined.
-  Result<void> hold(Database& database, AccountSums& sums);
+  void hold(Database& database, AccountSums& sums);
   /// The statements are gone; before the database is closed.
   void close() noexcept { newest_ = {}; }
 

@@ -9,67 +9,53 @@ int hashed_columns(sqlite3_stmt* rows) noexcept {
   return columns - (sqlite3_column_name(rows, columns - 1) == std::string_view(checksum_column) ? 1 : 0);
 }
 
-Result<void> AccountSums::run(Statement& statement, Rows rows) {
+void AccountSums::run(Statement& statement, Rows rows) {
   const struct Reset {  // also when there is no memory for a sum: what is not reset takes no values
     ~Reset() { of.reset(); }
     Statement& of;
   } reset{statement};
   const int end = hashed_columns(statement.raw());
-  for (;;) {
-    auto row = statement.step();
-    if (!row) return std::move(row).error();
-    if (!*row) break;
+  while (statement.step()) {
     const bool has_run = sqlite3_column_type(statement.raw(), 0) == SQLITE_INTEGER;  // "1x" reads as 1
     const std::uint64_t hash = hash_of(hash_, statement.raw(), has_run ? 1 : 0, end);
     changes_[statement.integer(0)] += rows == Rows::come ? hash : -hash;
   }
-  return {};
 }
 
-Result<void> AccountSums::replace(Statement& before, Statement& change) {
-  auto gone = run(before, Rows::go);
-  return gone ? run(change) : gone;
+void AccountSums::replace(Statement& before, Statement& change) {
+  run(before, Rows::go);
+  run(change);
 }
 
-Result<void> AccountSums::add_run(const Database& database, std::int64_t run_number, Rows rows) {
+void AccountSums::add_run(const Database& database, std::int64_t run_number, Rows rows) {
   for (const std::string_view table : account_tables) {
     auto query = database.prepare("SELECT * FROM " + std::string(table) + " WHERE run = ?");
-    if (!query) return std::move(query).error();
-    query->bind(1, run_number);
-    if (auto added = run(*query, rows); !added) return added;
+    query.bind(1, run_number);
+    run(query, rows);
   }
-  return {};
 }
 
-Result<void> AccountSums::add_topic(const Database& database, std::string_view table, Rows rows) {
+void AccountSums::add_topic(const Database& database, std::string_view table, Rows rows) {
   auto topic = database.prepare("SELECT * FROM rtdata_topic WHERE table_name = ?");
-  if (!topic) return std::move(topic).error();
-  auto row = topic->bind(1, table).step();
-  if (!row) return std::move(row).error();
+  const bool row = topic.bind(1, table).step();
   hash_.begin();
-  for (int column = 0; *row && column < sqlite3_column_count(topic->raw()); ++column)
-    hash_.column(topic->raw(), column);
+  for (int column = 0; row && column < sqlite3_column_count(topic.raw()); ++column) hash_.column(topic.raw(), column);
   auto columns = columns_of(database, table);
-  if (!columns) return std::move(columns).error();
-  for (const std::string& name : *columns) hash_.text(name);
+  for (const std::string& name : columns) hash_.text(name);
   changes_[all_runs] += rows == Rows::come ? hash_.hash() : -hash_.hash();
-  return {};
 }
 
-Result<void> AccountSums::write(Database& database) {
+void AccountSums::write(Database& database) {
   for (const auto& [number, change] : changes_) {
     const std::string sum = number == all_runs ? "sum" : quoted(checksum_column);
     const std::string where = number == all_runs ? "" : " WHERE run = " + std::to_string(number);
     const std::string table = number == all_runs ? "rtdata_checksum" : "rtdata_run";
     auto before = database.integer("SELECT " + sum + " FROM " + table + where);
-    if (!before) return std::move(before).error();
     auto update = database.prepare("UPDATE " + table + " SET " + sum + " = ?" + where);
-    if (!update) return std::move(update).error();
-    update->bind(1, static_cast<std::int64_t>(static_cast<std::uint64_t>(*before) + change));
-    if (auto done = update->run(); !done) return done;
+    update.bind(1, static_cast<std::int64_t>(static_cast<std::uint64_t>(before) + change));
+    update.run();
   }
   changes_.clear();
-  return {};
 }
 
 }  // namespace rtdata::sqlite

@@ -23,14 +23,14 @@ class AccountSums {
  public:
   enum class Rows { come, go };
   /// Runs a statement that gives whole rows of a table whose first column is the run, such as one with RETURNING *.
-  Result<void> run(Statement& statement, Rows rows = Rows::come);
+  void run(Statement& statement, Rows rows = Rows::come);
   /// Takes out the rows that `before` finds, and adds what `change` makes of them.
-  Result<void> replace(Statement& before, Statement& change);
+  void replace(Statement& before, Statement& change);
   /// All rows of a run, around what changes many of them.
-  Result<void> add_run(const Database& database, std::int64_t run, Rows rows = Rows::come);
-  Result<void> add_topic(const Database& database, std::string_view table, Rows rows = Rows::come);
+  void add_run(const Database& database, std::int64_t run, Rows rows = Rows::come);
+  void add_topic(const Database& database, std::string_view table, Rows rows = Rows::come);
   /// In the transaction, after its changes.
-  Result<void> write(Database& database);
+  void write(Database& database);
   /// The transaction was given up.
   void clear() noexcept { changes_.clear(); }
   /// By run: what has come, less what has gone, since the last `write`.

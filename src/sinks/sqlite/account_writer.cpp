@@ -18,8 +18,7 @@ std::int64_t last_row_of(const SlotInfo& slot, const TopicTables& tables) {
 
 }  // namespace
 
-Result<void> AccountWriter::prepare(Database& database, AccountSums& sums, std::int64_t run,
-                                    const std::string& boot_id) {
+void AccountWriter::prepare(Database& database, AccountSums& sums, std::int64_t run, const std::string& boot_id) {
   database_ = &database;
   sums_ = &sums;
   run_ = run;
@@ -81,42 +80,35 @@ Result<void> AccountWriter::prepare(Database& database, AccountSums& sums, std::
   };
   for (const Prepared& one : all) {
     if (one.statement) continue;
-    auto made = database.prepare(one.sql);
-    if (!made) return std::move(made).error();
-    one.statement = std::move(*made);
+    one.statement = database.prepare(one.sql);
   }
-  return {};
 }
 
-Result<void> AccountWriter::write_slots(const Batch& batch, const TopicTables& tables) {
+void AccountWriter::write_slots(const Batch& batch, const TopicTables& tables) {
   // Each origin has its place in the ledger before it has rows: sealing finds its live counts by the slot.
   slots_in_transaction_ = static_cast<std::uint32_t>(batch.slots());  // the loop adds more meanwhile
   for (std::uint32_t i = known_slots_; i < slots_in_transaction_; ++i) {
     const SlotInfo& slot = batch.slot(i);
     slot_.bind(1, run_).bind(2, slot.topic).bind(3, slot.origin).bind(4, std::int64_t{i});
     slot_.bind(5, last_row_of(slot, tables));
-    if (auto done = sums_->run(slot_); !done) return done;
+    sums_->run(slot_);
   }
-  return {};
 }
 
-Result<void> AccountWriter::write_escaped(const Batch& batch, const detail::EscapedTexts& escaped) {
+void AccountWriter::write_escaped(const Batch& batch, const detail::EscapedTexts& escaped) {
   for (const auto& [number, count] : escaped.in_batch()) {
     auto add = database_->prepare(
         "INSERT INTO rtdata_escaped(run, topic, origin, texts) VALUES(?,?,?,?) "
         "ON CONFLICT(run, topic, origin) DO UPDATE SET texts = texts + excluded.texts RETURNING *");
-    if (!add) return std::move(add).error();
     auto before = database_->prepare("SELECT * FROM rtdata_escaped WHERE run = ? AND topic = ? AND origin = ?");
-    if (!before) return std::move(before).error();
     const SlotInfo& slot = batch.slot(number);
-    add->bind(1, run_).bind(2, slot.topic).bind(3, slot.origin).bind(4, as_integer(count));
-    before->bind(1, run_).bind(2, slot.topic).bind(3, slot.origin);
-    if (auto done = sums_->replace(*before, *add); !done) return done;
+    add.bind(1, run_).bind(2, slot.topic).bind(3, slot.origin).bind(4, as_integer(count));
+    before.bind(1, run_).bind(2, slot.topic).bind(3, slot.origin);
+    sums_->replace(before, add);
   }
-  return {};
 }
 
-Result<void> AccountWriter::write(const Batch& batch, const Account& account, const TopicTables& tables) {
+void AccountWriter::write(const Batch& batch, const Account& account, const TopicTables& tables) {
   next_gaps_ = grown_gaps_;
   const auto put_segment = [&](const SlotInfo& slot, const Segment& segment) {
     schedule_.bind(1, run_).bind(2, slot.origin).bind(3, slot.topic).bind(4, to_nanoseconds(segment.first_due));
@@ -125,11 +117,9 @@ Result<void> AccountWriter::write(const Batch& batch, const Account& account, co
         .bind(7, as_integer(segment.scheduled))
         .bind(8, segment.late_after.count());
     schedule_before_.bind(1, run_).bind(2, slot.origin).bind(3, to_nanoseconds(segment.first_due));
-    return sums_->replace(schedule_before_, schedule_);
+    sums_->replace(schedule_before_, schedule_);
   };
-  for (const Account::SegmentEntry& entry : account.segments) {
-    if (auto done = put_segment(batch.slot(entry.slot), entry.segment); !done) return done;
-  }
+  for (const Account::SegmentEntry& entry : account.segments) put_segment(batch.slot(entry.slot), entry.segment);
   for (const OriginAccount& origin : account.origins) {
     const SlotInfo& slot = batch.slot(origin.slot);
     const SensorCounts& s = origin.sensor;
@@ -162,23 +152,23 @@ Result<void> AccountWriter::write(const Batch& batch, const Account& account, co
       ledger_.bind_null(29);
     }
     ledger_before_.bind(1, run_).bind(2, slot.topic).bind(3, slot.origin);
-    if (auto done = sums_->replace(ledger_before_, ledger_); !done) return done;
+    sums_->replace(ledger_before_, ledger_);
     if (origin.segment.scheduled > 0) {  // one without ticks says nothing, and another may begin before its first
-      if (auto done = put_segment(slot, origin.segment); !done) return done;
+      put_segment(slot, origin.segment);
     }
   }
   for (const Account::MadeOfEntry& entry : account.made_of) {
     const SlotInfo& slot = batch.slot(entry.slot);
     made_of_.bind(1, entry.topics).bind(2, run_).bind(3, slot.topic).bind(4, slot.origin);
     ledger_before_.bind(1, run_).bind(2, slot.topic).bind(3, slot.origin);
-    if (auto done = sums_->replace(ledger_before_, made_of_); !done) return done;
+    sums_->replace(ledger_before_, made_of_);
   }
   for (const Account::GapEntry& entry : account.gaps) {
-    if (auto done = write_gap(entry.slot, batch.slot(entry.slot), entry.gap, GapIs::closed); !done) return done;
+    write_gap(entry.slot, batch.slot(entry.slot), entry.gap, GapIs::closed);
   }
   for (const OriginAccount& origin : account.origins) {  // those that are under way are the last
     if (!origin.has_gap) continue;
-    if (auto done = write_gap(origin.slot, batch.slot(origin.slot), origin.gap, GapIs::under_way); !done) return done;
+    write_gap(origin.slot, batch.slot(origin.slot), origin.gap, GapIs::under_way);
   }
   for (const ClockPair& pair : account.clock) {
     clock_.bind(1, run_)
@@ -191,11 +181,9 @@ Result<void> AccountWriter::write(const Batch& batch, const Account& account, co
     } else {
       clock_.bind_null(6);
     }
-    if (auto done = sums_->run(clock_); !done) return done;
+    sums_->run(clock_);
   }
-  if (!account.clock.empty()) {
-    if (auto done = write_utc_line(*database_, boot_id_); !done) return done;
-  }
+  if (!account.clock.empty()) write_utc_line(*database_, boot_id_);
   for (const Account::ErrorEntry& entry : account.errors) {
     error_.bind(1, run_)
         .bind(2, to_nanoseconds(entry.time))
@@ -204,7 +192,7 @@ Result<void> AccountWriter::write(const Batch& batch, const Account& account, co
         .bind(5, entry.text)
         .bind(6, as_integer(entry.count))
         .bind(7, to_nanoseconds(entry.last));
-    if (auto done = sums_->run(error_); !done) return done;
+    sums_->run(error_);
   }
   for (const Account::HealthEntry& entry : account.health) {
     health_.bind(1, run_)
@@ -213,23 +201,23 @@ Result<void> AccountWriter::write(const Batch& batch, const Account& account, co
         .bind(4, entry.change.name.view());
     health_.bind(5, name_of(entry.change.state)).bind(6, entry.change.reason.view());
     health_.bind(7, as_integer(entry.count)).bind(8, to_nanoseconds(entry.last));
-    if (auto done = sums_->run(health_); !done) return done;
+    sums_->run(health_);
   }
   for (const ConfigurationChange& change : account.configurations) {
     configuration_.bind(1, run_)
         .bind(2, to_nanoseconds(change.time))
         .bind(3, std::string_view(change.object))
         .bind(4, std::string_view(change.text));
-    if (auto done = sums_->run(configuration_); !done) return done;
+    sums_->run(configuration_);
   }
   const std::string_view state = !account.is_last ? "recording" : account.unknown.empty() ? "closed" : "sealed";
   run_end_.bind(1, to_nanoseconds(account.at)).bind(2, state).bind(3, std::string_view(account.unknown)).bind(4, run_);
   run_before_.bind(1, run_);
-  return sums_->replace(run_before_, run_end_);
+  sums_->replace(run_before_, run_end_);
 }
 
 /// One that an account had while it was under way has a row, which grows.
-Result<void> AccountWriter::write_gap(std::uint32_t number, const SlotInfo& slot, const Gap& gap, GapIs what) {
+void AccountWriter::write_gap(std::uint32_t number, const SlotInfo& slot, const Gap& gap, GapIs what) {
   const auto run_with = [&](Statement& statement) {
     statement.bind(1, run_).bind(2, slot.topic).bind(3, slot.origin).bind(4, name_of(gap.kind)).bind(5, gap.reason);
     statement.bind(6, to_nanoseconds(gap.first)).bind(7, to_nanoseconds(gap.last));
@@ -238,36 +226,32 @@ Result<void> AccountWriter::write_gap(std::uint32_t number, const SlotInfo& slot
     } else {
       statement.bind_null(8);
     }
-    return sums_->run(statement);
+    sums_->run(statement);
   };
   const auto known = next_gaps_.find(number);
   // Gaps of an origin do not overlap; one that is joined may begin earlier than it did.
   if (known != next_gaps_.end() && gap.first <= known->second.first && known->second.first <= gap.last) {
     const Time before = std::exchange(known->second.first, gap.first);
-    const auto grow = [&]() -> Result<void> {
+    const auto grow = [&] {
       for (Statement* statement : {&gap_before_, &grown_gap_})
         statement->bind(9, known->second.second).bind(10, to_nanoseconds(before));
       gap_before_.bind(1, run_).bind(2, slot.topic).bind(3, slot.origin);
-      auto gone = sums_->run(gap_before_, AccountSums::Rows::go);
-      return gone ? run_with(grown_gap_) : gone;
+      sums_->run(gap_before_, AccountSums::Rows::go);
+      run_with(grown_gap_);
     };
-    if (auto done = grow(); !done) return done;
+    grow();
     if (sqlite3_changes(database_->raw()) == 0) {  // VACUUM has given it another number
       auto row = database_->prepare(
           "SELECT _rowid_ FROM rtdata_gap WHERE run = ? AND topic = ? AND origin = ? AND first = ?");
-      if (!row) return std::move(row).error();
-      row->bind(1, run_).bind(2, slot.topic).bind(3, slot.origin).bind(4, to_nanoseconds(before));
-      auto found = row->step();
-      if (!found) return std::move(found).error();
-      known->second.second = *found ? row->integer(0) : 0;
-      if (auto done = grow(); !done) return done;
+      row.bind(1, run_).bind(2, slot.topic).bind(3, slot.origin).bind(4, to_nanoseconds(before));
+      known->second.second = row.step() ? row.integer(0) : 0;
+      grow();
     }
     if (what == GapIs::closed) next_gaps_.erase(known);
-    return {};
+    return;
   }
-  if (auto done = run_with(gap_); !done) return done;
+  run_with(gap_);
   if (what == GapIs::under_way) next_gaps_[number] = {gap.first, database_->last_rowid()};
-  return {};
 }
 
 void AccountWriter::committed(const Batch& batch) noexcept {

@@ -22,12 +22,12 @@ class AccountWriter {
  public:
   /// The statements, as far as they are not there. `database` outlives them, see `close`;
   /// `sums` gets what they change.
-  Result<void> prepare(Database& database, AccountSums& sums, std::int64_t run, const std::string& boot_id);
+  void prepare(Database& database, AccountSums& sums, std::int64_t run, const std::string& boot_id);
   /// Each origin has its place in the ledger before it has rows: sealing finds its live counts by the slot.
-  Result<void> write_slots(const Batch& batch, const TopicTables& tables);
-  Result<void> write(const Batch& batch, const Account& account, const TopicTables& tables);
+  void write_slots(const Batch& batch, const TopicTables& tables);
+  void write(const Batch& batch, const Account& account, const TopicTables& tables);
   /// How many texts of a batch were no UTF-8.
-  Result<void> write_escaped(const Batch& batch, const detail::EscapedTexts& escaped);
+  void write_escaped(const Batch& batch, const detail::EscapedTexts& escaped);
   /// What `write_slots` has written is committed; of the batch, more may follow.
   void slots_committed() noexcept { known_slots_ = slots_in_transaction_; }
   /// All of the batch is.
@@ -37,7 +37,7 @@ class AccountWriter {
 
  private:
   enum class GapIs { closed, under_way };
-  Result<void> write_gap(std::uint32_t number, const SlotInfo& slot, const Gap& gap, GapIs what);
+  void write_gap(std::uint32_t number, const SlotInfo& slot, const Gap& gap, GapIs what);
 
   Database* database_ = nullptr;
   AccountSums* sums_ = nullptr;

@@ -20,20 +20,17 @@ struct Stored {
   Position position;
 };
 
-Result<std::vector<Stored>> positions_in(const detail::RecordingFile& file) {
+std::vector<Stored> positions_in(const detail::RecordingFile& file) {
   std::vector<Stored> stored;
   auto query = file.prepare(
       "SELECT sink, table_name, host, row, run, origin, sequence FROM rtdata_position ORDER BY sink, table_name");
-  if (!query) return std::move(query).error();
-  for (;;) {
-    auto row = query->step();
-    if (!row) return std::move(row).error();
-    if (!*row) return stored;
-    stored.push_back({std::string(query->text(0)),
-                      std::string(query->text(1)),
-                      std::string(query->text(2)),
-                      {query->integer(3), query->integer(4), std::string(query->text(5)), query->integer(6)}});
+  while (query.step()) {
+    stored.push_back({std::string(query.text(0)),
+                      std::string(query.text(1)),
+                      std::string(query.text(2)),
+                      {query.integer(3), query.integer(4), std::string(query.text(5)), query.integer(6)}});
   }
+  return stored;
 }
 
 /// With the tables of a sink's topics that have no row: all of theirs waits.
@@ -54,77 +51,63 @@ std::vector<Stored> with_other_tables(std::vector<Stored> stored, const std::vec
 }
 
 /// The number that the row of the position has now: VACUUM changes them. 0: all rows come after it.
-Result<std::int64_t> row_of(const detail::RecordingFile& file, const std::string& table, const Position& position) {
+std::int64_t row_of(const detail::RecordingFile& file, const std::string& table, const Position& position) {
   if (position.row == 0) return std::int64_t{0};
   const std::string from = " FROM " + quoted(table) + " WHERE run = ?2 AND origin = ?3 AND sequence = ?4";
   auto query = file.prepare("SELECT coalesce((SELECT _rowid_" + from + " AND _rowid_ = ?1), (SELECT _rowid_" + from +
                             "), (SELECT ?1 WHERE (SELECT min(_rowid_) FROM " + quoted(table) + ") > ?1), 0)");
-  if (!query) return std::move(query).error();
-  query->bind(1, position.row).bind(2, position.run).bind(3, position.origin).bind(4, position.sequence);
-  auto row = query->step();
-  if (!row) return std::move(row).error();
-  return query->integer(0);
+  query.bind(1, position.row).bind(2, position.run).bind(3, position.origin).bind(4, position.sequence);
+  query.step();
+  return query.integer(0);
 }
 
 }  // namespace
 
-Result<std::vector<RecordedBacklog>> Recording::backlogs() const {
+Result<std::vector<RecordedBacklog>> Recording::backlogs() const try {
   std::vector<RecordedBacklog> backlogs;
   const auto number = [&](const std::string& sql) { return file_->database.integer(sql); };
   auto has_tables = number("SELECT count(*) FROM sqlite_schema WHERE name IN ('rtdata_position', 'rtdata_refused')");
-  if (!has_tables) return std::move(has_tables).error();
-  if (*has_tables != 2) return backlogs;
+  if (has_tables != 2) return backlogs;
   auto has_before = number("SELECT count(*) FROM sqlite_schema WHERE name = 'rtdata_refused_before'");
-  if (!has_before) return std::move(has_before).error();
-  const auto count_of = [&](const std::string& sink, const char* sql) -> Result<std::uint64_t> {
+  const auto count_of = [&](const std::string& sink, const char* sql) {
     auto query = file_->prepare(sql);
-    if (!query) return std::move(query).error();
-    query->bind(1, sink);
-    auto row = query->step();
-    if (!row) return std::move(row).error();
-    return static_cast<std::uint64_t>(query->integer(0));
+    query.bind(1, sink);
+    query.step();
+    return static_cast<std::uint64_t>(query.integer(0));
   };
   auto stored = positions_in(*file_);
-  if (!stored) return std::move(stored).error();
-  auto topics = this->topics();
-  if (!topics) return std::move(topics).error();
-  for (Stored& one : with_other_tables(std::move(*stored), *topics)) {
+  auto topics = this->topics().or_throw();
+  for (Stored& one : with_other_tables(std::move(stored), topics)) {
     if (backlogs.empty() || backlogs.back().sink != one.sink) {
       RecordedBacklog& made = backlogs.emplace_back();
       made.sink = one.sink;
       made.host = one.host;
       auto kept = count_of(one.sink, "SELECT count(*) FROM rtdata_refused WHERE sink = ?");
-      if (!kept) return std::move(kept).error();
-      made.refused = made.refused_keys = *kept;
-      if (*has_before != 0) {
-        auto before = count_of(one.sink, "SELECT coalesce(sum(count), 0) FROM rtdata_refused_before WHERE sink = ?");
-        if (!before) return std::move(before).error();
-        made.refused += *before;
+      made.refused = made.refused_keys = kept;
+      if (has_before != 0) {
+        made.refused += count_of(one.sink, "SELECT coalesce(sum(count), 0) FROM rtdata_refused_before WHERE sink = ?");
       }
     }
     RecordedBacklog& backlog = backlogs.back();
-    for (const RecordedTopic& topic : *topics) {
+    for (const RecordedTopic& topic : topics) {
       if (topic.table != one.table) continue;
       auto after = row_of(*file_, one.table, one.position);
-      if (!after) return std::move(after).error();
-      const std::string rows = " FROM " + quoted(one.table) + " WHERE _rowid_ > " + std::to_string(*after);
+      const std::string rows = " FROM " + quoted(one.table) + " WHERE _rowid_ > " + std::to_string(after);
       auto waits = number("SELECT count(*)" + rows);
-      if (!waits) return std::move(waits).error();
-      if (*waits == 0) continue;
-      backlog.events += static_cast<std::uint64_t>(*waits);
-      backlog.bytes += static_cast<std::uint64_t>(*waits) * topic.description->size();
+      if (waits == 0) continue;
+      backlog.events += static_cast<std::uint64_t>(waits);
+      backlog.bytes += static_cast<std::uint64_t>(waits) * topic.description->size();
       auto oldest = file_->prepare("SELECT run, time" + rows + " ORDER BY _rowid_ LIMIT 1");
-      if (!oldest) return std::move(oldest).error();
-      auto row = oldest->step();
-      if (!row) return std::move(row).error();
-      if (!*row) continue;
-      auto line = utc_line(oldest->integer(0));
-      const Time recorded = from_nanoseconds(oldest->integer(1));
+      if (!oldest.step()) continue;
+      auto line = utc_line(oldest.integer(0));
+      const Time recorded = from_nanoseconds(oldest.integer(1));
       const Time time = line ? line->utc(recorded) : recorded;
       backlog.oldest = backlog.oldest ? std::min(*backlog.oldest, time) : time;
     }
   }
   return backlogs;
+} catch (const SetupError& error) {
+  return error.error();
 }
 
 }  // namespace rtdata

@@ -78,37 +78,32 @@ CsvRows::CsvRows(const Recording& recording, RecordedTopic topic, const ExportCo
   payload_.resize(topic_.description->size());
 }
 
-Result<CsvRows> CsvRows::make(const Recording& recording, RecordedTopic topic, const ExportConfig& config, Runs runs) {
+CsvRows CsvRows::make(const Recording& recording, RecordedTopic topic, const ExportConfig& config, Runs runs) {
   CsvRows rows(recording, std::move(topic), config, runs);
   auto selection = Selection::make(recording, rows.filter_);
-  if (!selection) return std::move(selection).error();
-  auto statement = rows_in_order(*recording.file(), rows.topic_, *selection, RowReader(rows.topic_).columns());
-  if (!statement) return std::move(statement).error();
-  rows.statement_ = std::move(*statement);
+  rows.statement_ = rows_in_order(*recording.file(), rows.topic_, selection, RowReader(rows.topic_).columns());
   return rows;
 }
 
-Result<void> CsvRows::begin_run(std::int64_t run) {
+void CsvRows::begin_run(std::int64_t run) {
   run_ = run;
-  if (!is_utc_) return {};
-  auto line = utc_line_of(*recording_->file(), run);
-  if (!line) return std::move(line).error();
-  line_ = *std::move(line);
-  return {};
+  if (!is_utc_) return;
+  line_ = utc_line_of(*recording_->file(), run);
 }
 
-Result<void> CsvRows::append_by_codec(std::string& out, Time time) {
+void CsvRows::append_by_codec(std::string& out, Time time) {
   const std::string origin(statement_.text(origin_column));
   const auto sequence = static_cast<std::uint64_t>(statement_.integer(sequence_column));
-  if (auto read = RowReader(topic_).read(statement_.raw(), fixed_columns, payload_.data()); !read)
-    return at_row(*recording_->file(), topic_, run_, origin, sequence, std::move(read).error());
+  try {
+    RowReader(topic_).read(statement_.raw(), fixed_columns, payload_.data());
+  } catch (const SetupError& error) {
+    throw SetupError(at_row(*recording_->file(), topic_, run_, origin, sequence, error.error()));
+  }
   bytes_.clear();
   const EventHeader header{time, sequence, origin};
-  if (auto encoded = codec_->encode(EventView(topic_.topic, header, *topic_.description, payload_), bytes_); !encoded)
-    return encoded;
+  codec_->encode(EventView(topic_.topic, header, *topic_.description, payload_), bytes_).or_throw();
   out.append(reinterpret_cast<const char*>(bytes_.data()), bytes_.size());
   if (runs_ == Runs::named) out.replace(out.size() - 1, 1, "," + std::to_string(run_) + "\n");
-  return {};
 }
 
 /// Writes the current row to `to`, which points into `out`; returns the end, or null for a row that is unusual. `out`
@@ -209,21 +204,22 @@ char* CsvRows::put_row(char* to, Time time, std::string& out) {
   return to;
 }
 
-Result<std::uint64_t> CsvRows::append(std::string& out, std::size_t enough) {
+std::uint64_t CsvRows::append(std::string& out, std::size_t enough) {
   std::uint64_t rows = 0;
   std::size_t used = out.size();
-  const auto failed = [&](Error error) {
-    out.resize(used);
-    return error;
-  };
+  const struct Rest {  // of what was made ready for a row
+    ~Rest() { text.resize(end); }
+    std::string& text;
+    const std::size_t& end;
+  } rest{out, used};
   while (!has_ended_ && used < enough && (filter_.limit == 0 || given_ < filter_.limit)) {
-    auto more = statement_.step();
-    if (!more) return failed(behind_row(*recording_->file(), topic_, run_, last_sequence_, std::move(more).error()));
-    has_ended_ = !*more;  // another step would begin anew
-    if (has_ended_) break;
-    if (const std::int64_t run = statement_.integer(run_column); run != run_) {
-      if (auto begun = begin_run(run); !begun) return failed(std::move(begun).error());
+    try {
+      has_ended_ = !statement_.step();  // another step would begin anew
+    } catch (const SetupError& error) {
+      throw SetupError(behind_row(*recording_->file(), topic_, run_, last_sequence_, error.error()));
     }
+    if (has_ended_) break;
+    if (const std::int64_t run = statement_.integer(run_column); run != run_) begin_run(run);
     Time time = from_nanoseconds(statement_.integer(time_column));
     if (is_utc_) time = line_.utc(time);
     if (out.size() < used + longest_) out.resize(2 * out.size() + longest_);
@@ -231,7 +227,7 @@ Result<std::uint64_t> CsvRows::append(std::string& out, std::size_t enough) {
       used = static_cast<std::size_t>(end - out.data());
     } else {
       out.resize(used);
-      if (auto done = append_by_codec(out, time); !done) return failed(std::move(done).error());
+      append_by_codec(out, time);
       used = out.size();
     }
     last_time_ = time;
@@ -239,7 +235,6 @@ Result<std::uint64_t> CsvRows::append(std::string& out, std::size_t enough) {
     ++rows;
     ++given_;
   }
-  out.resize(used);
   return rows;
 }
 

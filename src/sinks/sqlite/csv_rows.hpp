@@ -18,11 +18,11 @@ class CsvRows {
  public:
   /// `Runs::named`: the last column is the number of the run.
   enum class Runs { left_out, named };
-  static Result<CsvRows> make(const Recording& recording, RecordedTopic topic, const ExportConfig& config, Runs runs);
+  static CsvRows make(const Recording& recording, RecordedTopic topic, const ExportConfig& config, Runs runs);
 
   /// Appends rows to `out` until it has `enough` bytes or no row is left. Returns the number of rows; 0 at the end.
   /// With an error `out` has the rows before it.
-  Result<std::uint64_t> append(std::string& out, std::size_t enough);
+  std::uint64_t append(std::string& out, std::size_t enough);
   /// Of the row that was appended last.
   Time last_time() const noexcept { return last_time_; }
 
@@ -34,9 +34,9 @@ class CsvRows {
   };
   CsvRows(const Recording& recording, RecordedTopic topic, const ExportConfig& config, Runs runs);
   /// Loads what the rows of this run need: its `line_`, when times are in UTC.
-  Result<void> begin_run(std::int64_t run);
+  void begin_run(std::int64_t run);
   /// Appends the current row by means of `codec_`.
-  Result<void> append_by_codec(std::string& out, Time time);
+  void append_by_codec(std::string& out, Time time);
   char* put_row(char* to, Time time, std::string& out);
 
   const Recording* recording_;

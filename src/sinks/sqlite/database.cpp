@@ -97,10 +97,9 @@ Error error_of(sqlite3* database, std::string_view doing) {
   return {kind, std::string(doing), file != nullptr ? file : "", std::move(why), advice_of(kind)};
 }
 
-Result<std::vector<std::string>> columns_of(const Database& database, std::string_view table) {
+std::vector<std::string> columns_of(const Database& database, std::string_view table) {
   auto query = database.prepare("SELECT name FROM pragma_table_info(?) ORDER BY cid");
-  if (!query) return std::move(query).error();
-  return query->bind(1, table).texts();
+  return query.bind(1, table).texts();
 }
 
 std::string Quoted::operator()(std::string_view name) const {
@@ -135,38 +134,32 @@ Statement& Statement::bind_null(int index) noexcept {
   return *this;
 }
 
-Result<bool> Statement::step() {
+bool Statement::step() {
   switch (sqlite3_step(raw())) {
     case SQLITE_ROW:
       return true;
     case SQLITE_DONE:
       return false;
     default: {
-      Error error = error_of(sqlite3_db_handle(raw()), "cannot use the recording");
+      const SetupError error(error_of(sqlite3_db_handle(raw()), "cannot use the recording"));
       sqlite3_reset(raw());
-      return error;
+      throw error;
     }
   }
 }
 
-Result<std::vector<std::string>> Statement::texts() {
+std::vector<std::string> Statement::texts() {
   std::vector<std::string> all;
-  for (;;) {
-    auto row = step();
-    if (!row) return std::move(row).error();
-    if (!*row) return all;
+  while (step()) {
     all.emplace_back(text(0));
   }
+  return all;
 }
 
-Result<void> Statement::run() {
-  for (;;) {
-    auto more = step();
-    if (!more) return std::move(more).error();
-    if (!*more) break;
+void Statement::run() {
+  while (step()) {
   }
   sqlite3_reset(raw());
-  return {};
 }
 
 void Statement::reset() noexcept { sqlite3_reset(raw()); }
@@ -181,13 +174,13 @@ std::string_view Statement::text(int column) const noexcept {
 }
 bool Statement::is_null(int column) const noexcept { return sqlite3_column_type(raw(), column) == SQLITE_NULL; }
 
-Result<Database> Database::open(const std::string& path, Mode mode, mode_t permissions) {
+Database Database::open(const std::string& path, Mode mode, mode_t permissions) {
   struct stat status {};
   const bool is_there = ::stat(path.c_str(), &status) == 0;
   const bool is_read = mode != Mode::write;
   const char* doing = is_read ? "cannot read the recording" : "cannot open the recording";
-  if (is_there && S_ISDIR(status.st_mode)) return system_error(EISDIR, doing, path, "name a file");
-  if (!is_there && is_read) return system_error(errno, doing, path, "check the path");
+  if (is_there && S_ISDIR(status.st_mode)) throw SetupError(system_error(EISDIR, doing, path, "name a file"));
+  if (!is_there && is_read) throw SetupError(system_error(errno, doing, path, "check the path"));
   if (!is_there) {  // SQLite would let everybody read it; its log and its index of that follow
     const int fd = ::open(path.c_str(), O_RDWR | O_CREAT | O_EXCL | O_CLOEXEC, permissions);
     if (fd >= 0) ::close(fd);
@@ -201,41 +194,37 @@ Result<Database> Database::open(const std::string& path, Mode mode, mode_t permi
       is_read ? uri_of(path, mode == Mode::read_at_rest ? "?immutable=1" : "").c_str() : path.c_str(), &raw, flags,
       nullptr);
   made.database_.reset(raw);
-  if (raw == nullptr) return system_error(ENOMEM, doing, path, "free memory");  // there is none for the handle either
+  if (raw == nullptr) throw SetupError(system_error(ENOMEM, doing, path, "free memory"));  // none for the handle either
   if (status_code != SQLITE_OK) {
     Error error = error_of(raw, doing);
     error.where = path;
     const int system = sqlite3_system_errno(raw);
     if (system != 0) error = system_error(system, doing, path, "check the path and its permissions");
-    return error;
+    throw SetupError(std::move(error));
   }
   sqlite3_extended_result_codes(raw, 1);
   sqlite3_busy_timeout(raw, 2000);
   return made;
 }
 
-Result<Statement> Database::prepare(std::string_view sql) const {
+Statement Database::prepare(std::string_view sql) const {
   sqlite3_stmt* raw = nullptr;
   if (sqlite3_prepare_v3(database_.get(), sql.data(), static_cast<int>(sql.size()), SQLITE_PREPARE_PERSISTENT, &raw,
                          nullptr) != SQLITE_OK) {
-    return error_of(database_.get(), "cannot use the recording");
+    throw SetupError(error_of(database_.get(), "cannot use the recording"));
   }
   return Statement(raw);
 }
 
-Result<void> Database::execute(const std::string& sql) const {
+void Database::execute(const std::string& sql) const {
   if (sqlite3_exec(database_.get(), sql.c_str(), nullptr, nullptr, nullptr) != SQLITE_OK) {
-    return error_of(database_.get(), "cannot use the recording");
+    throw SetupError(error_of(database_.get(), "cannot use the recording"));
   }
-  return {};
 }
 
-Result<std::int64_t> Database::integer(std::string_view sql) const {
+std::int64_t Database::integer(std::string_view sql) const {
   auto statement = prepare(sql);
-  if (!statement) return std::move(statement).error();
-  auto row = statement->step();
-  if (!row) return std::move(row).error();
-  return *row ? statement->integer(0) : 0;
+  return statement.step() ? statement.integer(0) : 0;
 }
 
 }  // namespace rtdata::sqlite

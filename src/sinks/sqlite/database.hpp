@@ -1,4 +1,5 @@
-// A small RAII wrapper over the sqlite3 C API. Not thread-safe: one user at a time.
+// A small RAII wrapper over the sqlite3 C API. Not thread-safe: one user at a time. Errors are thrown as SetupError; a
+// call from outside (a writer's, Recording's, verify, a replay's) returns them.
 #pragma once
 
 #include <sqlite3.h>
@@ -26,12 +27,12 @@ class Statement {
   Statement& bind(int index, std::string_view value);
   Statement& bind_null(int index) noexcept;
 
-  /// Runs up to the next row: true when there is one. Errors are those of the database.
-  Result<bool> step();
+  /// Runs up to the next row: true when there is one. One that fails is reset.
+  bool step();
   /// Runs to the end and resets.
-  Result<void> run();
+  void run();
   /// Runs to the end: the first column of each row.
-  Result<std::vector<std::string>> texts();
+  std::vector<std::string> texts();
   void reset() noexcept;
 
   std::int64_t integer(int column) const noexcept;
@@ -54,14 +55,14 @@ class Database {
   Database() = default;
   /// Opens the file; in write mode it is made when it is not there. Waits up to two seconds for other programs' locks.
   /// `permissions`: of a file that is made, less the umask.
-  static Result<Database> open(const std::string& path, Mode mode, mode_t permissions = 0640);
+  static Database open(const std::string& path, Mode mode, mode_t permissions = 0640);
 
   explicit operator bool() const noexcept { return database_ != nullptr; }
-  Result<Statement> prepare(std::string_view sql) const;
+  Statement prepare(std::string_view sql) const;
   /// One or more statements without results.
-  Result<void> execute(const std::string& sql) const;
+  void execute(const std::string& sql) const;
   /// The first column of the first row; 0 when there is none.
-  Result<std::int64_t> integer(std::string_view sql) const;
+  std::int64_t integer(std::string_view sql) const;
   std::int64_t last_rowid() const noexcept { return sqlite3_last_insert_rowid(database_.get()); }
   sqlite3* raw() const noexcept { return database_.get(); }
   const std::string& path() const noexcept { return path_; }
@@ -75,7 +76,7 @@ class Database {
 };
 
 /// The columns of a table.
-Result<std::vector<std::string>> columns_of(const Database& database, std::string_view table);
+std::vector<std::string> columns_of(const Database& database, std::string_view table);
 
 /// The error that a call on this database has just returned.
 Error error_of(sqlite3* database, std::string_view doing);

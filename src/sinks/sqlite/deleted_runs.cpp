@@ -56,41 +56,35 @@ std::string sums_of_origins() {
          " FROM rtdata_ledger l JOIN rtdata_run d ON d.run = l.run WHERE l.run = ?1" + add_up;
 }
 
-Result<void> run_with(Database& database, const std::string& sql, std::int64_t run) {
+void run_with(Database& database, const std::string& sql, std::int64_t run) {
   auto statement = database.prepare(sql);
-  if (!statement) return std::move(statement).error();
-  statement->bind(1, run);
-  return statement->run();
+  statement.bind(1, run);
+  statement.run();
 }
 
 }  // namespace
 
-Result<std::vector<std::int64_t>> runs_without_rows(const Database& database, std::int64_t ended_before) {
+std::vector<std::int64_t> runs_without_rows(const Database& database, std::int64_t ended_before) {
   std::vector<std::int64_t> found;
   auto count = database.integer("SELECT count(*) FROM rtdata_run");
-  if (!count) return std::move(count).error();
-  if (*count <= kept_runs) return found;
+  if (count <= kept_runs) return found;
   auto query = database.prepare(
       "SELECT run, boot_id, state <> 'recording' AND coalesce(ended, started) < ?2 AND run <= (SELECT "
       "run FROM rtdata_run ORDER BY run DESC LIMIT 1 OFFSET ?1) AND run NOT IN (SELECT run FROM rtdata_ledger WHERE "
       "stored <> pruned) "
       "FROM rtdata_run ORDER BY run");
-  if (!query) return std::move(query).error();
-  query->bind(1, std::int64_t{kept_runs}).bind(2, ended_before);
+  query.bind(1, std::int64_t{kept_runs}).bind(2, ended_before);
   struct Boot {
     std::int64_t newest = 0;
     bool has_kept = false;  // a run that stays, before `newest` too
   };
   std::map<std::string, Boot, std::less<>> boots;
   std::vector<std::pair<std::int64_t, std::string>> without;
-  for (;;) {
-    auto row = query->step();
-    if (!row) return std::move(row).error();
-    if (!*row) break;
-    Boot& boot = boots[std::string(query->text(1))];
-    boot.newest = query->integer(0);
-    if (query->integer(2) != 0) {
-      without.emplace_back(query->integer(0), query->text(1));
+  while (query.step()) {
+    Boot& boot = boots[std::string(query.text(1))];
+    boot.newest = query.integer(0);
+    if (query.integer(2) != 0) {
+      without.emplace_back(query.integer(0), query.text(1));
     } else {
       boot.has_kept = true;
     }
@@ -102,58 +96,49 @@ Result<std::vector<std::int64_t>> runs_without_rows(const Database& database, st
   return found;
 }
 
-Result<void> delete_run(Database& database, std::int64_t run) {
-  if (auto made = database.execute(deleted_schema); !made) return made;
-  for (const std::string& sum : {sums_of_origins(), sum_of_run()}) {
-    if (auto done = run_with(database, sum, run); !done) return done;
-  }
+void delete_run(Database& database, std::int64_t run) {
+  database.execute(deleted_schema);
+  for (const std::string& sum : {sums_of_origins(), sum_of_run()}) run_with(database, sum, run);
   std::string boot;
   {
     auto query = database.prepare("SELECT boot_id FROM rtdata_run WHERE run = ?");
-    if (!query) return std::move(query).error();
-    query->bind(1, run);
-    if (auto row = query->step(); !row) return std::move(row).error();
-    boot = query->text(0);
+    query.bind(1, run);
+    query.step();
+    boot = query.text(0);
   }
   for (const std::string_view table : account_tables) {
-    if (auto done = run_with(database, "DELETE FROM " + std::string(table) + " WHERE run = ?", run); !done) return done;
+    run_with(database, "DELETE FROM " + std::string(table) + " WHERE run = ?", run);
   }
-  if (auto written = write_utc_line(database, boot); !written) return written;
-  return {};
+  write_utc_line(database, boot);
 }
 
 }  // namespace sqlite
 
-Result<DeletedRuns> Recording::deleted_runs() const {
+Result<DeletedRuns> Recording::deleted_runs() const try {
   DeletedRuns deleted;
   auto has_table = file_->database.integer("SELECT count(*) FROM sqlite_schema WHERE name = 'rtdata_deleted'");
-  if (!has_table) return std::move(has_table).error();
-  if (*has_table == 0) return deleted;
+  if (has_table == 0) return deleted;
   auto query = file_->prepare(
       "SELECT topic, origin, runs, first_run, last_run, started, ended, sealed, scheduled, missed, failed, late, "
       "received, published, unreadable, lost, offered, stored, dropped_newest, dropped_oldest, dropped_refused, "
       "dropped_unsaved, pruned, not_detectable, outages, outage_time, outages_joined FROM rtdata_deleted "
       "ORDER BY topic, origin");
-  if (!query) return std::move(query).error();
-  for (;;) {
-    auto row = query->step();
-    if (!row) return std::move(row).error();
-    if (!*row) return deleted;
-    const auto count = [&](int column) { return static_cast<std::uint64_t>(query->integer(column)); };
-    if (query->text(0).empty()) {
+  while (query.step()) {
+    const auto count = [&](int column) { return static_cast<std::uint64_t>(query.integer(column)); };
+    if (query.text(0).empty()) {
       deleted.runs = count(2);
-      deleted.first_run = query->integer(3);
-      deleted.last_run = query->integer(4);
-      deleted.started = from_nanoseconds(query->integer(5));
-      deleted.ended = from_nanoseconds(query->integer(6));
+      deleted.first_run = query.integer(3);
+      deleted.last_run = query.integer(4);
+      deleted.started = from_nanoseconds(query.integer(5));
+      deleted.ended = from_nanoseconds(query.integer(6));
       deleted.sealed = count(7);
       deleted.unsaved = count(21);
       continue;
     }
     DeletedOrigin& of = deleted.origins.emplace_back();
     LedgerEntry& entry = of.account;
-    entry.topic = query->text(0);
-    entry.origin = query->text(1);
+    entry.topic = query.text(0);
+    entry.origin = query.text(1);
     SensorCounts& sensor = entry.sensor;
     std::uint64_t* const counts[] = {
         &sensor.scheduled,     &sensor.missed,        &sensor.failed,         &sensor.late,           &sensor.received,
@@ -162,9 +147,12 @@ Result<DeletedRuns> Recording::deleted_runs() const {
     int column = 8;
     for (std::uint64_t* one : counts) *one = count(column++);
     sensor.has_schedule = sensor.scheduled != 0;
-    sensor.lost_is_known = query->integer(23) == 0;
-    of.outages = {count(24), Duration{query->integer(25)}, query->integer(26) != 0};
+    sensor.lost_is_known = query.integer(23) == 0;
+    of.outages = {count(24), Duration{query.integer(25)}, query.integer(26) != 0};
   }
+  return deleted;
+} catch (const SetupError& error) {
+  return error.error();
 }
 
 }  // namespace rtdata

@@ -32,9 +32,9 @@ CREATE TABLE IF NOT EXISTS rtdata_deleted(
 
 /// Runs that have ended, of which no row is left, and which are not among the newest; the oldest first. `ended_before`:
 /// only those. The newest of a boot that has older runs is none of them: it may know best what their UTC is.
-Result<std::vector<std::int64_t>> runs_without_rows(const Database& database, std::int64_t ended_before);
+std::vector<std::int64_t> runs_without_rows(const Database& database, std::int64_t ended_before);
 
 /// Within a transaction: adds the run's account to rtdata_deleted, and deletes it.
-Result<void> delete_run(Database& database, std::int64_t run);
+void delete_run(Database& database, std::int64_t run);
 
 }  // namespace rtdata::sqlite

@@ -18,16 +18,17 @@ constexpr std::size_t flush_bytes = std::size_t{1} << 18;
 
 bool is_csv(const ExportConfig& config) { return config.format == "csv"; }
 
-Result<std::unique_ptr<Codec>> codec_of(const ExportConfig& config, const CodecRegistry& registry) {
+std::unique_ptr<Codec> codec_of(const ExportConfig& config, const CodecRegistry& registry) {
   if (is_csv(config)) {
     return make_csv_codec({config.time_text == ExportConfig::TimeText::iso8601 ? CsvConfig::TimeFormat::iso8601
                                                                                : CsvConfig::TimeFormat::nanoseconds});
   }
   auto codec = registry.make(config.format == "jsonl" ? "json" : config.format);
-  if (codec || registry.find("json") == nullptr) return codec;
+  if (codec) return *std::move(codec);
+  if (registry.find("json") == nullptr) throw SetupError(codec.error());
   Error error = std::move(codec).error();
   error.advice += " (json and jsonl are one: an object a line)";
-  return error;
+  throw SetupError(std::move(error));
 }
 
 std::string cell(const std::string& text) {
@@ -39,13 +40,12 @@ std::string cell(const std::string& text) {
 
 /// The runs of the recording, by number, with their uuids; none when the rows are of one alone.
 using NamedRuns = std::map<std::int64_t, std::string>;
-Result<NamedRuns> named_runs(const Recording& recording, const ExportConfig& config) {
+NamedRuns named_runs(const Recording& recording, const ExportConfig& config) {
   NamedRuns named;
   if (config.filter.run) return named;
-  auto runs = recording.runs();
-  if (!runs) return std::move(runs).error();
-  if (runs->size() > 1)
-    for (const RunInfo& run : *runs) named.emplace(run.run, run.uuid);
+  auto runs = recording.runs().or_throw();
+  if (runs.size() > 1)
+    for (const RunInfo& run : runs) named.emplace(run.run, run.uuid);
   return named;
 }
 
@@ -73,12 +73,11 @@ std::string csv_head(const ExportConfig& config, const NamedRuns& runs, const De
 class UtcLines {
  public:
   explicit UtcLines(const Recording& recording) : recording_(recording) {}
-  Result<Time> utc(std::int64_t run, Time recorded) {
+  Time utc(std::int64_t run, Time recorded) {
     auto found = lines_.find(run);
     if (found == lines_.end()) {
       auto line = detail::utc_line_of(*recording_.file(), run);
-      if (!line) return std::move(line).error();
-      found = lines_.emplace(run, *std::move(line)).first;
+      found = lines_.emplace(run, std::move(line)).first;
     }
     return found->second.utc(recorded);
   }
@@ -88,15 +87,14 @@ class UtcLines {
   std::map<std::int64_t, UtcLine> lines_;
 };
 
-Error cannot_write(const std::string& path) {
-  return system_error(errno == 0 ? EIO : errno, "cannot write the export", path,
-                      "check the folder, its permissions and the room left");
+[[noreturn]] void cannot_write(const std::string& path) {
+  throw SetupError(system_error(errno == 0 ? EIO : errno, "cannot write the export", path,
+                                "check the folder, its permissions and the room left"));
 }
 
-Result<void> put(std::ostream& out, std::string_view text, const std::string& path) {
+void put(std::ostream& out, std::string_view text, const std::string& path) {
   errno = 0;
-  if (!out.write(text.data(), static_cast<std::streamsize>(text.size()))) return cannot_write(path);
-  return {};
+  if (!out.write(text.data(), static_cast<std::streamsize>(text.size()))) cannot_write(path);
 }
 
 /// `before`: rows of the files before this one.
@@ -105,67 +103,61 @@ void tell(const ExportConfig& config, std::uint64_t before, std::uint64_t rows, 
 }
 
 /// One description's rows, under a header.
-Result<ExportCount> write_csv(const Recording& recording, const ExportConfig& config, const NamedRuns& runs,
-                              const RecordedTopic& topic, std::ostream& out, const std::string& path,
-                              std::uint64_t before = 0) {
+ExportCount write_csv(const Recording& recording, const ExportConfig& config, const NamedRuns& runs,
+                      const RecordedTopic& topic, std::ostream& out, const std::string& path,
+                      std::uint64_t before = 0) {
   using Runs = detail::CsvRows::Runs;
   auto rows = detail::CsvRows::make(recording, topic, config, runs.empty() ? Runs::left_out : Runs::named);
-  if (!rows) return std::move(rows).error();
   ExportCount count;
   std::string text = csv_head(config, runs, topic.description.get());
   for (std::uint64_t added = 1; added > 0;) {
-    auto more = rows->append(text, flush_bytes);
-    if (auto done = put(out, text, path); !done) return std::move(done).error();
-    text.clear();
-    if (!more) {
+    try {
+      added = rows.append(text, flush_bytes);
+    } catch (const SetupError&) {  // what came before it is good
+      put(out, text, path);
       out.flush();
-      return std::move(more).error();
+      throw;
     }
-    added = *more;
+    put(out, text, path);
+    text.clear();
     count.rows += added;
-    if (added > 0) tell(config, before, count.rows, rows->last_time());
+    if (added > 0) tell(config, before, count.rows, rows.last_time());
   }
-  if (!out.flush()) return cannot_write(path);
+  if (!out.flush()) cannot_write(path);
   return count;
 }
 
 /// Writes the rows through a codec: those of formats other than CSV, and steps. One that does not fit is left out.
 /// `version`: of the topic's descriptions; 0: all.
-Result<ExportCount> write_rows(const Recording& recording, const ExportConfig& config, const NamedRuns& runs,
-                               const RowFilter& filter, std::int64_t version, Codec& codec, std::ostream& out,
-                               const std::string& path, std::uint64_t before = 0) {
+ExportCount write_rows(const Recording& recording, const ExportConfig& config, const NamedRuns& runs,
+                       const RowFilter& filter, std::int64_t version, Codec& codec, std::ostream& out,
+                       const std::string& path, std::uint64_t before = 0) {
   RowFilter unlimited = filter;  // rows of another description do not count
   unlimited.limit = 0;
   const bool is_in_steps = config.step > Duration{0};
   const bool is_utc = config.time == ExportTime::utc;
   if (is_in_steps && is_utc) unlimited.times = RowFilter::Times::utc;
-  auto rows = is_in_steps ? recording.steps(unlimited, config.step) : recording.rows(unlimited);
-  if (!rows) return std::move(rows).error();
+  auto rows = (is_in_steps ? recording.steps(unlimited, config.step) : recording.rows(unlimited)).or_throw();
   UtcLines lines(recording);
   std::vector<std::byte> bytes;
   ExportCount count;
   const auto flush = [&] {
-    auto done = put(out, {reinterpret_cast<const char*>(bytes.data()), bytes.size()}, path);
+    put(out, {reinterpret_cast<const char*>(bytes.data()), bytes.size()}, path);
     bytes.clear();
-    return done;
   };
   const Description* headed = nullptr;
   while (filter.limit == 0 || count.rows + count.refused < filter.limit) {
-    auto row = rows->next();
+    auto row = rows.next();
     if (!row) {  // what came before it is good
-      if (auto done = flush(); !done) return std::move(done).error();
+      flush();
       out.flush();
-      return std::move(row).error();
+      throw SetupError(row.error());
     }
     if (*row == nullptr) break;
     const RecordedRow& given = **row;
     if (version != 0 && given.topic().version != version) continue;
     EventHeader header = given.header();
-    if (is_utc && !is_in_steps) {
-      auto utc = lines.utc(given.run(), header.time);
-      if (!utc) return std::move(utc).error();
-      header.time = *utc;
-    }
+    if (is_utc && !is_in_steps) header.time = lines.utc(given.run(), header.time);
     if (std::exchange(headed, given.topic().description.get()) == nullptr) {
       const std::string text = is_csv(config) ? csv_head(config, runs, headed) : codec.header(*headed);
       const auto* begin = reinterpret_cast<const std::byte*>(text.data());
@@ -190,36 +182,32 @@ Result<ExportCount> write_rows(const Recording& recording, const ExportConfig& c
     if (codec.is_text() && (bytes.empty() || bytes.back() != std::byte{'\n'})) bytes.push_back(std::byte{'\n'});
     ++count.rows;
     if (bytes.size() < flush_bytes) continue;
-    if (auto done = flush(); !done) return std::move(done).error();
+    flush();
     tell(config, before, count.rows, header.time);
   }
   if (headed == nullptr && is_csv(config)) {
     const std::string text = csv_head(config, runs, nullptr);
-    if (auto done = put(out, text, path); !done) return std::move(done).error();
+    put(out, text, path);
   }
-  if (auto done = flush(); !done) return std::move(done).error();
-  if (!out.flush()) return cannot_write(path);
+  flush();
+  if (!out.flush()) cannot_write(path);
   return count;
 }
 
 /// The topics and descriptions that a filter takes and that have rows; when none has, those that it takes.
-Result<std::vector<RecordedTopic>> taken_topics(const Recording& recording, const RowFilter& filter) {
+std::vector<RecordedTopic> taken_topics(const Recording& recording, const RowFilter& filter) {
   if (!is_topic_pattern(filter.topic)) {
-    return Error{Errc::bad_name, "cannot export", "topic " + filter.topic, "it is neither a topic nor a pattern",
-                 "write room/climate, room/+ or room/#"};
+    throw SetupError({Errc::bad_name, "cannot export", "topic " + filter.topic, "it is neither a topic nor a pattern",
+                      "write room/climate, room/+ or room/#"});
   }
-  auto topics = recording.topics();
-  if (!topics) return std::move(topics).error();
+  auto topics = recording.topics().or_throw();
   std::vector<RecordedTopic> taken, empty;
-  for (RecordedTopic& topic : *topics) {
+  for (RecordedTopic& topic : topics) {
     if (!topic_matches(filter.topic, topic.topic)) continue;
     auto statement = recording.file()->prepare("SELECT 1 FROM " + sqlite::quoted(topic.table) + " t WHERE " +
                                                (filter.run ? "t.run = " + std::to_string(*filter.run) : "1") +
                                                " LIMIT 1");
-    if (!statement) return std::move(statement).error();
-    auto row = statement->step();
-    if (!row) return std::move(row).error();
-    if (*row) {
+    if (statement.step()) {
       taken.push_back(std::move(topic));
     } else {
       if (!empty.empty() && empty.back().topic == topic.topic) empty.pop_back();  // the last description is the one
@@ -230,12 +218,12 @@ Result<std::vector<RecordedTopic>> taken_topics(const Recording& recording, cons
 }
 
 /// Where the rows of one description go.
-Result<std::filesystem::path> file_of(const RecordedTopic& topic, const Codec& codec, const std::string& folder) {
+std::filesystem::path file_of(const RecordedTopic& topic, const Codec& codec, const std::string& folder) {
   std::filesystem::path path(folder);
   for (const auto& segment : std::filesystem::path(topic.topic)) {
     if (segment == "." || segment == "..") {
-      return Error{Errc::bad_name, "cannot export into a folder", "topic " + topic.topic,
-                   "its name would leave the folder", "export it by itself"};
+      throw SetupError({Errc::bad_name, "cannot export into a folder", "topic " + topic.topic,
+                        "its name would leave the folder", "export it by itself"});
     }
     path /= segment;
   }
@@ -244,94 +232,87 @@ Result<std::filesystem::path> file_of(const RecordedTopic& topic, const Codec& c
   return path;
 }
 
-Result<void> look_for_files(const std::vector<std::filesystem::path>& paths) {
+void look_for_files(const std::vector<std::filesystem::path>& paths) {
   const auto exists = [](const std::filesystem::path& path) {
     std::error_code ignored;
     return std::filesystem::exists(std::filesystem::symlink_status(path, ignored));
   };
   const auto first = std::find_if(paths.begin(), paths.end(), exists);
-  if (first == paths.end()) return {};
+  if (first == paths.end()) return;
   const auto others = std::count_if(first + 1, paths.end(), exists);
-  return Error{Errc::bad_argument, "cannot export into the folder", first->string(),
-               others == 0 ? "the file exists"
-                           : "the file exists, and so " + std::string(others == 1 ? "does " : "do ") +
-                                 std::to_string(others) + " more",
-               "choose another folder, or have them replaced (--overwrite)"};
+  throw SetupError({Errc::bad_argument, "cannot export into the folder", first->string(),
+                    others == 0 ? "the file exists"
+                                : "the file exists, and so " + std::string(others == 1 ? "does " : "do ") +
+                                      std::to_string(others) + " more",
+                    "choose another folder, or have them replaced (--overwrite)"});
 }
 
 }  // namespace
 
-Result<ExportCount> export_rows(const Recording& recording, const ExportConfig& config, std::ostream& out) {
+Result<ExportCount> export_rows(const Recording& recording, const ExportConfig& config, std::ostream& out) try {
   auto codec = codec_of(config, CodecRegistry::standard());
-  if (!codec) return std::move(codec).error();
-  auto snapshot = detail::Snapshot::take(recording.file());
-  if (!snapshot) return std::move(snapshot).error();
+  const detail::Snapshot snapshot(recording.file());
   auto topics = taken_topics(recording, config.filter);
-  if (!topics) return std::move(topics).error();
-  if (is_csv(config) && topics->size() > 1) {
-    const bool is_one_topic = topics->front().topic == topics->back().topic;
+  if (is_csv(config) && topics.size() > 1) {
+    const bool is_one_topic = topics.front().topic == topics.back().topic;
     std::string names;
-    for (std::size_t i = 0; i < topics->size() && i < 5; ++i) names += (i == 0 ? "" : ", ") + (*topics)[i].topic;
-    if (topics->size() > 5) names += ", ...";
-    return Error{Errc::bad_argument, "cannot export to one CSV text", recording.path(),
-                 is_one_topic ? "the fields of " + topics->front().topic + " changed between runs"
-                              : "it holds one topic, and there are " + std::to_string(topics->size()) + ": " + names,
-                 is_one_topic ? "choose a run, or export into a folder" : "choose a topic, or export into a folder"};
+    for (std::size_t i = 0; i < topics.size() && i < 5; ++i) names += (i == 0 ? "" : ", ") + topics[i].topic;
+    if (topics.size() > 5) names += ", ...";
+    throw SetupError(
+        {Errc::bad_argument, "cannot export to one CSV text", recording.path(),
+         is_one_topic ? "the fields of " + topics.front().topic + " changed between runs"
+                      : "it holds one topic, and there are " + std::to_string(topics.size()) + ": " + names,
+         is_one_topic ? "choose a run, or export into a folder" : "choose a topic, or export into a folder"});
   }
   auto runs = named_runs(recording, config);
-  if (!runs) return std::move(runs).error();
   const std::string path = "standard output";
   if (!is_csv(config) || config.step > Duration{0})
-    return write_rows(recording, config, *runs, config.filter, 0, **codec, out, path);
-  if (!topics->empty()) return write_csv(recording, config, *runs, topics->front(), out, path);
-  if (auto done = put(out, csv_head(config, *runs, nullptr), path); !done) return std::move(done).error();
+    return write_rows(recording, config, runs, config.filter, 0, *codec, out, path);
+  if (!topics.empty()) return write_csv(recording, config, runs, topics.front(), out, path);
+  put(out, csv_head(config, runs, nullptr), path);
   return ExportCount{};
+} catch (const SetupError& error) {
+  return error.error();
 }
 
 Result<std::vector<ExportCount>> export_files(const Recording& recording, const ExportConfig& config,
-                                              const std::string& folder, const CodecRegistry& registry) {
+                                              const std::string& folder, const CodecRegistry& registry) try {
   auto codec = codec_of(config, registry);
-  if (!codec) return std::move(codec).error();
-  auto snapshot = detail::Snapshot::take(recording.file());
-  if (!snapshot) return std::move(snapshot).error();
+  const detail::Snapshot snapshot(recording.file());
   auto topics = taken_topics(recording, config.filter);
-  if (!topics) return std::move(topics).error();
   std::vector<std::filesystem::path> paths;
-  for (const RecordedTopic& topic : *topics) {
-    auto path = file_of(topic, **codec, folder);
-    if (!path) return std::move(path).error();
-    paths.push_back(std::move(*path));
+  for (const RecordedTopic& topic : topics) {
+    auto path = file_of(topic, *codec, folder);
+    paths.push_back(std::move(path));
   }
-  if (config.existing == ExportConfig::Existing::refuse) {
-    if (auto free = look_for_files(paths); !free) return std::move(free).error();
-  }
+  if (config.existing == ExportConfig::Existing::refuse) look_for_files(paths);
   auto runs = named_runs(recording, config);
-  if (!runs) return std::move(runs).error();
   std::vector<ExportCount> counts;
   std::uint64_t before = 0;
-  for (std::size_t i = 0; i < topics->size(); ++i) {
-    const RecordedTopic& topic = (*topics)[i];
+  for (std::size_t i = 0; i < topics.size(); ++i) {
+    const RecordedTopic& topic = topics[i];
     const std::filesystem::path& path = paths[i];
     std::error_code failed;
     std::filesystem::create_directories(path.parent_path(), failed);
     if (failed)
-      return system_error(failed.value(), "cannot make the folder", path.parent_path().string(),
-                          "check its permissions");
+      throw SetupError(
+          system_error(failed.value(), "cannot make the folder", path.parent_path().string(), "check its permissions"));
     errno = 0;
     std::ofstream file(path, std::ios::binary | std::ios::trunc);
-    if (!file) return cannot_write(path.string());
+    if (!file) cannot_write(path.string());
     RowFilter filter = config.filter;
     filter.topic = topic.topic;
     auto written = is_csv(config) && config.step <= Duration{0}
-                       ? write_csv(recording, config, *runs, topic, file, path.string(), before)
-                       : write_rows(recording, config, *runs, filter, topic.version, **codec, file, path.string(),
+                       ? write_csv(recording, config, runs, topic, file, path.string(), before)
+                       : write_rows(recording, config, runs, filter, topic.version, *codec, file, path.string(),
                                     before);
-    if (!written) return std::move(written).error();
-    written->path = path.string();
-    before += written->rows;
-    counts.push_back(std::move(*written));
+    written.path = path.string();
+    before += written.rows;
+    counts.push_back(std::move(written));
   }
   return counts;
+} catch (const SetupError& error) {
+  return error.error();
 }
 
 }  // namespace rtdata

@@ -108,7 +108,7 @@ bool Positions::is_dirty() const {
          std::any_of(sinks_.begin(), sinks_.end(), [](const auto& sink) { return !sink.second.is_known; });
 }
 
-Result<void> Positions::write_begins(Database& database) {
+void Positions::write_begins(Database& database) {
   std::map<std::string, GoingThrough> begins;
   {
     const std::lock_guard lock(mutex_);
@@ -118,103 +118,81 @@ Result<void> Positions::write_begins(Database& database) {
       begins.emplace(name, sink);
     }
   }
-  if (begins.empty()) return {};
-  if (auto made = database.execute(position_schema); !made) return made;
-  for (const auto& [name, sink] : begins) {
-    if (auto done = write_begin(database, name, sink); !done) return done;
-  }
-  return {};
+  if (begins.empty()) return;
+  database.execute(position_schema);
+  for (const auto& [name, sink] : begins) write_begin(database, name, sink);
 }
 
-Result<void> Positions::write_begin(Database& database, const std::string& name, const GoingThrough& sink) {
+void Positions::write_begin(Database& database, const std::string& name, const GoingThrough& sink) {
   auto known = database.prepare("SELECT origin, host FROM rtdata_position WHERE sink = ? AND table_name = ''");
-  if (!known) return std::move(known).error();
-  known->bind(1, name);
-  auto row = known->step();
-  if (!row) return std::move(row).error();
-  const bool is_known = *row;
-  const std::string topics_before(is_known ? known->text(0) : "");
-  const std::string host(is_known ? std::string(known->text(1)) : host_name());
-  known->reset();
-  if (is_known && topics_before == sink.topics) return {};
+  known.bind(1, name);
+  const bool is_known = known.step();
+  const std::string topics_before(is_known ? known.text(0) : "");
+  const std::string host(is_known ? std::string(known.text(1)) : host_name());
+  known.reset();
+  if (is_known && topics_before == sink.topics) return;
   auto come = database.prepare("INSERT OR REPLACE INTO rtdata_position VALUES(?, '', 0, 0, ?, 0, ?)");
-  if (!come) return std::move(come).error();
-  come->bind(1, name).bind(2, sink.topics).bind(3, host);
-  if (auto done = come->run(); !done) return done;
+  come.bind(1, name).bind(2, sink.topics).bind(3, host);
+  come.run();
   auto topics = database.prepare("SELECT topic, table_name FROM rtdata_topic");
-  if (!topics) return std::move(topics).error();
-  for (;;) {
-    auto topic = topics->step();
-    if (!topic) return std::move(topic).error();
-    if (!*topic) return {};
-    if (!has_topic(sink.topics, topics->text(0)) || has_topic(topics_before, topics->text(0))) continue;
-    const std::string table(topics->text(1)), rows = " FROM " + quoted(table) + " ORDER BY _rowid_";
+  while (topics.step()) {
+    if (!has_topic(sink.topics, topics.text(0)) || has_topic(topics_before, topics.text(0))) continue;
+    const std::string table(topics.text(1)), rows = " FROM " + quoted(table) + " ORDER BY _rowid_";
     auto begin = database.prepare("INSERT OR IGNORE INTO rtdata_position SELECT ?1, ?2, * FROM (SELECT " +
                                   (sink.at_beginning ? "_rowid_ - 1, 0, '', 0, ?3" + rows
                                                      : "_rowid_, run, origin, sequence, ?3" + rows + " DESC") +
                                   " LIMIT 1)");
-    if (!begin) return std::move(begin).error();
-    begin->bind(1, name).bind(2, table).bind(3, host);
-    if (auto done = begin->run(); !done) return done;
+    begin.bind(1, name).bind(2, table).bind(3, host);
+    begin.run();
   }
 }
 
-Result<void> Positions::write(Database& database) {
-  if (auto done = write_begins(database); !done) return done;
+void Positions::write(Database& database) {
+  write_begins(database);
   {
     const std::lock_guard lock(mutex_);
-    if (dirty_.empty() && refusals_.empty()) return {};
+    if (dirty_.empty() && refusals_.empty()) return;
     in_transaction_ = dirty_;
     refusals_in_transaction_.swap(refusals_);
   }
-  if (auto made = database.execute(position_schema); !made) return made;
+  database.execute(position_schema);
   const std::string host = host_name();
   auto position = database.prepare("INSERT OR REPLACE INTO rtdata_position VALUES(?,?,?,?,?,?,?)");
-  if (!position) return std::move(position).error();
   for (const auto& [key, at] : in_transaction_) {
-    position->bind(1, key.first).bind(2, key.second).bind(3, at.row).bind(4, at.run).bind(5, at.origin);
-    position->bind(6, at.sequence).bind(7, host);
-    if (auto done = position->run(); !done) return done;
+    position.bind(1, key.first).bind(2, key.second).bind(3, at.row).bind(4, at.run).bind(5, at.origin);
+    position.bind(6, at.sequence).bind(7, host);
+    position.run();
   }
   auto refused = database.prepare("INSERT OR REPLACE INTO rtdata_refused VALUES(?,?,?,?,?,?)");
-  if (!refused) return std::move(refused).error();
   for (const auto& [one, reason] : refusals_in_transaction_) {
-    refused->bind(1, one.sink).bind(2, one.topic).bind(3, one.run).bind(4, one.origin).bind(5, one.sequence);
-    refused->bind(6, reason);
-    if (auto done = refused->run(); !done) return done;
+    refused.bind(1, one.sink).bind(2, one.topic).bind(3, one.run).bind(4, one.origin).bind(5, one.sequence);
+    refused.bind(6, reason);
+    refused.run();
     if (refused_bytes_ >= 0) refused_bytes_ += bytes_of_refusal + static_cast<std::int64_t>(reason.size());
   }
-  return refusals_in_transaction_.empty() || most_refused_bytes_ == 0 ? Result<void>{} : forget_refusals(database);
+  if (!refusals_in_transaction_.empty() && most_refused_bytes_ != 0) forget_refusals(database);
 }
 
 /// A peer that takes nothing for a night must not cost the recording its data. More than is
 /// needed, so that not each transaction has to look for the oldest.
-Result<void> Positions::forget_refusals(Database& database) {
-  const auto measure = [&]() -> Result<void> {
-    auto bytes = database.integer("SELECT count(*) * " + std::to_string(bytes_of_refusal) +
-                                  " + coalesce(sum(length(reason)), 0) FROM rtdata_refused");
-    if (!bytes) return std::move(bytes).error();
-    refused_bytes_ = *bytes;
-    return {};
+void Positions::forget_refusals(Database& database) {
+  const auto measure = [&] {
+    refused_bytes_ = database.integer("SELECT count(*) * " + std::to_string(bytes_of_refusal) +
+                                      " + coalesce(sum(length(reason)), 0) FROM rtdata_refused");
   };
-  if (refused_bytes_ < 0) {
-    if (auto done = measure(); !done) return done;
-  }
-  if (refused_bytes_ <= most_refused_bytes_) return {};
+  if (refused_bytes_ < 0) measure();
+  if (refused_bytes_ <= most_refused_bytes_) return;
   const std::string oldest =
       " FROM rtdata_refused ORDER BY (SELECT run FROM rtdata_run WHERE uuid = rtdata_refused.run), sequence, sink, "
       "topic, origin LIMIT (SELECT count(*) FROM rtdata_refused) * " +
       std::to_string(refused_bytes_ - most_refused_bytes_ / 4 * 3) + " / " + std::to_string(refused_bytes_) + " + 1";
-  if (auto done = database.execute("INSERT INTO rtdata_refused_before SELECT sink, count(*) FROM (SELECT sink" +
-                                   oldest +
-                                   ") WHERE true GROUP BY sink ON CONFLICT(sink) DO UPDATE SET count = "
-                                   "rtdata_refused_before.count + excluded.count;"
-                                   "DELETE FROM rtdata_refused WHERE (sink, topic, run, origin, sequence) IN "
-                                   "(SELECT sink, topic, run, origin, sequence" +
-                                   oldest + ")");
-      !done)
-    return done;
-  return measure();
+  database.execute("INSERT INTO rtdata_refused_before SELECT sink, count(*) FROM (SELECT sink" + oldest +
+                   ") WHERE true GROUP BY sink ON CONFLICT(sink) DO UPDATE SET count = "
+                   "rtdata_refused_before.count + excluded.count;"
+                   "DELETE FROM rtdata_refused WHERE (sink, topic, run, origin, sequence) IN "
+                   "(SELECT sink, topic, run, origin, sequence" +
+                   oldest + ")");
+  measure();
 }
 
 void Positions::committed() noexcept {

@@ -97,9 +97,9 @@ class Positions {
   std::vector<std::string> end();
   bool is_dirty() const;
   /// In a transaction, before its rows: where sinks begin that the file does not know.
-  Result<void> write_begins(Database& database);
+  void write_begins(Database& database);
   /// In a transaction: stores what has changed.
-  Result<void> write(Database& database);
+  void write(Database& database);
   void committed() noexcept;
   void rolled_back() noexcept;
 
@@ -128,7 +128,7 @@ class Positions {
   };
 
  private:
-  Result<void> forget_refusals(Database& database);
+  void forget_refusals(Database& database);
 
   using Key = std::pair<std::string, std::string>;
   struct GoingThrough {
@@ -138,7 +138,7 @@ class Positions {
     bool is_known = false;    // the file knows it
     bool is_written = false;  // in this transaction
   };
-  Result<void> write_begin(Database& database, const std::string& name, const GoingThrough& sink);
+  void write_begin(Database& database, const std::string& name, const GoingThrough& sink);
   mutable std::mutex mutex_;
   std::condition_variable changed_;
   std::map<Key, Position> dirty_;

@@ -24,30 +24,25 @@ Pruner::Pruner(std::uint64_t max_bytes, Duration max_age)
 
 /// Each run has a clock of its own, which may have been wrong when it began: what its times are on the line of the
 /// present run is told by the last that is known of the UTC of both.
-Result<void> Pruner::find_lines(Database& database, std::int64_t now) {
+void Pruner::find_lines(Database& database, std::int64_t now) {
   lines_.clear();
   auto query = database.prepare(
       "SELECT r.run, r.clock_offset, coalesce((SELECT u.\"offset\" FROM rtdata_utc u WHERE u.boot_id = r.boot_id ORDER "
       "BY u.since DESC LIMIT 1), r.clock_offset), r.started, max(coalesce(r.ended, r.started) - r.started, 0) "
       "FROM rtdata_run r ORDER BY r.run DESC");
-  if (!query) return std::move(query).error();
   std::int64_t present = 0, run_since = run_for_;
-  for (;;) {
-    auto row = query->step();
-    if (!row) return std::move(row).error();
-    if (!*row) break;
-    const std::int64_t run = query->integer(0), to_utc = query->integer(2) - query->integer(1);
+  while (query.step()) {
+    const std::int64_t run = query.integer(0), to_utc = query.integer(2) - query.integer(1);
     if (run == run_) {
       present = to_utc;
-      run_for_ = std::max<std::int64_t>(now - query->integer(3), 0);
+      run_for_ = std::max<std::int64_t>(now - query.integer(3), 0);
       run_since = run_for_;
       continue;
     }
     lines_[run] = {to_utc, run_since};
-    run_since += query->integer(4);
+    run_since += query.integer(4);
   }
   for (auto& [run, line] : lines_) line.shift -= present;
-  return {};
 }
 
 Pruner::Line Pruner::line_of(std::int64_t run) const {
@@ -63,30 +58,21 @@ bool Pruner::is_beyond(const Table& table, const Limit& limit) const {
   return table.has_rows() && is_beyond(table.first_time, table.first_run, limit);
 }
 
-Result<void> Pruner::find_tables(Database& database, std::int64_t now) {
-  if (auto found = find_lines(database, now); !found) return found;
+void Pruner::find_tables(Database& database, std::int64_t now) {
+  find_lines(database, now);
   auto count = database.integer("SELECT count(*) FROM rtdata_topic");
-  if (!count) return std::move(count).error();
   if (!count_pruned_) {
-    auto made = database.prepare(
+    count_pruned_ = database.prepare(
         "UPDATE rtdata_ledger SET pruned = pruned + ?4 WHERE run = ?1 AND topic = ?2 AND origin = ?3 RETURNING *");
-    if (!made) return std::move(made).error();
-    count_pruned_ = std::move(*made);
-    auto before = database.prepare("SELECT * FROM rtdata_ledger WHERE run = ?1 AND topic = ?2 AND origin = ?3");
-    if (!before) return std::move(before).error();
-    ledger_before_ = std::move(*before);
+    ledger_before_ = database.prepare("SELECT * FROM rtdata_ledger WHERE run = ?1 AND topic = ?2 AND origin = ?3");
   }
-  if (static_cast<std::int64_t>(tables_.size()) != *count) {
+  if (static_cast<std::int64_t>(tables_.size()) != count) {
     tables_.clear();
     auto query = database.prepare("SELECT topic, table_name FROM rtdata_topic");
-    if (!query) return std::move(query).error();
-    for (;;) {
-      auto row = query->step();
-      if (!row) return std::move(row).error();
-      if (!*row) break;
+    while (query.step()) {
       Table table;
-      table.topic = query->text(0);
-      table.name = query->text(1);
+      table.topic = query.text(0);
+      table.name = query.text(1);
       const std::string name = rtdata::sqlite::quoted(table.name);
       const std::string ends = "SELECT _rowid_ FROM " + name + " WHERE " + rtdata::sqlite::quoted(checksum_column) +
                                " IS NOT NULL ";
@@ -105,67 +91,48 @@ Result<void> Pruner::find_tables(Database& database, std::int64_t now) {
           {&table.count, "SELECT run, origin, count(*) FROM " + name + " WHERE _rowid_ <= ? GROUP BY run, origin"},
           {&table.remove, "DELETE FROM " + name + " WHERE _rowid_ <= ?"},
       };
-      for (const auto& [statement, sql] : all) {
-        auto made = database.prepare(sql);
-        if (!made) return std::move(made).error();
-        *statement = std::move(*made);
-      }
+      for (const auto& [statement, sql] : all) *statement = database.prepare(sql);
       tables_.push_back(std::move(table));
     }
   }
-  for (Table& table : tables_) {
-    if (auto looked = look_at(table); !looked) return looked;
-  }
-  return {};
+  for (Table& table : tables_) look_at(table);
 }
 
-Result<void> Pruner::look_at(Table& table) {
-  auto first = table.first.step();
-  if (!first) return std::move(first).error();
-  table.first_rowid = *first ? table.first.integer(0) : 0;
-  const std::int64_t run = *first ? table.first.integer(2) : 0;
+void Pruner::look_at(Table& table) {
+  const bool first = table.first.step();
+  table.first_rowid = first ? table.first.integer(0) : 0;
+  const std::int64_t run = first ? table.first.integer(2) : 0;
   if (std::exchange(table.first_run, run) != run) may_have_runs_ = true;
-  table.first_time = *first ? table.first.integer(1) + line_of(run).shift : 0;
+  table.first_time = first ? table.first.integer(1) + line_of(run).shift : 0;
   table.first.reset();
-  auto last = table.last.step();
-  if (!last) return std::move(last).error();
-  table.last_rowid = *last ? table.last.integer(0) : 0;
+  const bool last = table.last.step();
+  table.last_rowid = last ? table.last.integer(0) : 0;
   table.last.reset();
-  return {};
 }
 
-Result<Pruner::Pages> Pruner::pages(Database& database) {
+Pruner::Pages Pruner::pages(Database& database) {
   Pages now;
   if (!page_count_) {
-    auto count = database.prepare("PRAGMA page_count");
-    if (!count) return std::move(count).error();
-    page_count_ = std::move(*count);
-    auto free = database.prepare("PRAGMA freelist_count");
-    if (!free) return std::move(free).error();
-    free_pages_ = std::move(*free);
+    page_count_ = database.prepare("PRAGMA page_count");
+    free_pages_ = database.prepare("PRAGMA freelist_count");
   }
-  auto size = database.integer("PRAGMA page_size");
-  if (!size) return std::move(size).error();
-  now.bytes = *size;
+  now.bytes = database.integer("PRAGMA page_size");
   for (auto& [statement, number] : {std::pair{&page_count_, &now.all}, std::pair{&free_pages_, &now.free}}) {
-    auto row = statement->step();
-    if (!row) return std::move(row).error();
+    statement->step();
     *number = statement->integer(0);
     statement->reset();
   }
   return now;
 }
 
-Result<std::int64_t> Pruner::delete_rows(AccountSums& sums, Table& table, std::int64_t row, const Limit& limit) {
+std::int64_t Pruner::delete_rows(AccountSums& sums, Table& table, std::int64_t row, const Limit& limit) {
   std::int64_t up_to = 0;
   for (Statement& end : table.ends) {
-    auto found = end.bind(1, row).step();
-    if (!found) return std::move(found).error();
-    up_to = *found ? end.integer(0) : 0;
+    const bool found = end.bind(1, row).step();
+    up_to = found ? end.integer(0) : 0;
     end.reset();
     if (up_to == 0 || !limit.is_exact) break;
-    auto at = table.at.bind(1, up_to).step();
-    if (!at) return std::move(at).error();
+    table.at.bind(1, up_to).step();
     const std::int64_t run = table.at.integer(1), time = table.at.integer(0) + line_of(run).shift;
     table.at.reset();
     if (is_beyond(time, run, limit)) break;
@@ -174,26 +141,23 @@ Result<std::int64_t> Pruner::delete_rows(AccountSums& sums, Table& table, std::i
   if (up_to < table.first_rowid) return 0;
   std::int64_t deleted = 0;
   table.count.bind(1, up_to);
-  for (;;) {
-    auto of = table.count.step();
-    if (!of) return std::move(of).error();
-    if (!*of) break;
+  while (table.count.step()) {
     const std::string origin(table.count.text(1));
     for (Statement* statement : {&ledger_before_, &count_pruned_})
       statement->bind(1, table.count.integer(0)).bind(2, table.topic).bind(3, origin);
     count_pruned_.bind(4, table.count.integer(2));
-    if (auto done = sums.replace(ledger_before_, count_pruned_); !done) return std::move(done).error();
+    sums.replace(ledger_before_, count_pruned_);
     deleted += table.count.integer(2);
   }
   table.count.reset();
   table.remove.bind(1, up_to);
-  if (auto done = table.remove.run(); !done) return std::move(done).error();
+  table.remove.run();
   if (deleted > 0) deleted_.push_back({table.topic, table.name, up_to});
-  if (auto looked = look_at(table); !looked) return std::move(looked).error();
+  look_at(table);
   return deleted;
 }
 
-Result<std::int64_t> Pruner::delete_beyond(AccountSums& sums, const Limit& limit) {
+std::int64_t Pruner::delete_beyond(AccountSums& sums, const Limit& limit) {
   const std::int64_t most = std::max(least_rows, most_rows / std::max<std::int64_t>(std::ssize(tables_), 1));
   std::int64_t deleted = 0;
   for (Table& table : tables_) {
@@ -203,34 +167,30 @@ Result<std::int64_t> Pruner::delete_beyond(AccountSums& sums, const Limit& limit
       table.up_to.bind(1, left)
           .bind(2, is_whole_run ? std::numeric_limits<std::int64_t>::max() : limit.time - shift)
           .bind(3, table.first_run);
-      auto row = table.up_to.step();
-      if (!row) return std::move(row).error();
+      table.up_to.step();
       const std::int64_t last = table.up_to.integer(table.up_to.is_null(0) ? 1 : 0);
       table.up_to.reset();
       auto count = delete_rows(sums, table, std::min(last, table.last_rowid), limit);
-      if (!count) return count;
-      if (*count == 0) break;
-      deleted += *count;
-      left -= *count;
+      if (count == 0) break;
+      deleted += count;
+      left -= count;
     }
   }
   return deleted;
 }
 
-Result<std::int64_t> Pruner::delete_part_of_future(AccountSums& sums, std::int64_t now) {
+std::int64_t Pruner::delete_part_of_future(AccountSums& sums, std::int64_t now) {
   std::int64_t deleted = 0;
   for (Table& table : tables_) {
     if (!table.has_rows() || table.first_time < now) continue;
     const std::int64_t part = (table.last_rowid - table.first_rowid) / steps_of_a_span;
-    auto count = delete_rows(sums, table, std::min(table.first_rowid + std::min(part, most_rows), table.last_rowid),
-                             {now});
-    if (!count) return count;
-    deleted += *count;
+    deleted += delete_rows(sums, table, std::min(table.first_rowid + std::min(part, most_rows), table.last_rowid),
+                           {now});
   }
   return deleted;
 }
 
-Result<std::int64_t> Pruner::end_of_step(std::int64_t time, const Pages& now, std::int64_t goal) {
+std::int64_t Pruner::end_of_step(std::int64_t time, const Pages& now, std::int64_t goal) {
   std::int64_t rows = 0;
   for (const Table& table : tables_)
     if (table.has_rows()) rows += table.last_rowid - table.first_rowid + 1;
@@ -239,21 +199,18 @@ Result<std::int64_t> Pruner::end_of_step(std::int64_t time, const Pages& now, st
   for (Table& table : tables_) {
     if (!table.has_rows() || table.first_time >= time || table.first_rowid + most >= table.last_rowid) continue;
     table.at.bind(1, table.first_rowid + most);
-    auto row = table.at.step();
-    if (!row) return std::move(row).error();
-    if (*row) time = std::min(time, table.at.integer(0) + line_of(table.at.integer(1)).shift);
+    if (table.at.step()) time = std::min(time, table.at.integer(0) + line_of(table.at.integer(1)).shift);
     table.at.reset();
   }
   return time;
 }
 
-Result<void> Pruner::make_room(Database& database, AccountSums& sums, Time now) {
+void Pruner::make_room(Database& database, AccountSums& sums, Time now) {
   has_more_ = is_exhausted_ = false;
   const std::int64_t at = to_nanoseconds(now);
-  if (auto held = share_.hold(database, sums); !held) return held;
+  share_.hold(database, sums);
   auto begin = pages(database);
-  if (!begin) return std::move(begin).error();
-  Pages left = *begin;
+  Pages left = begin;
   if (used_before_ == 0) used_before_ = left.used();
   // The log takes a tenth, and the rows of the transactions until the next call some more.
   const auto of_limit = [&](std::uint64_t part) {
@@ -263,20 +220,15 @@ Result<void> Pruner::make_room(Database& database, AccountSums& sums, Time now) 
                                             : of_limit(1) - of_limit(10) - of_limit(20);
   const bool is_too_large = left.used() > most;
   const bool is_time = max_age_.count() > 0 && at >= next_look_;
-  if (is_too_large || is_time) {
-    if (auto found = find_tables(database, at); !found) return found;
-  }
+  if (is_too_large || is_time) find_tables(database, at);
   // About as much as came since, so that one transaction's log stays small: what is left follows.
   const std::int64_t enough = std::max({least_pages, 2 * (left.used() - used_before_), of_limit(40)});
   if (is_time) {
     const Limit limit{at - max_age_.count(), max_age_.count(), true};
     auto deleted = delete_beyond(sums, limit);
-    if (!deleted) return std::move(deleted).error();
-    has_more_ = *deleted > 0 && std::any_of(tables_.begin(), tables_.end(),
-                                            [&](const Table& table) { return is_beyond(table, limit); });
-    if (!has_more_) {
-      if (auto removed = delete_runs(database, at - max_age_.count(), 0, enough); !removed) return removed;
-    }
+    has_more_ = deleted > 0 && std::any_of(tables_.begin(), tables_.end(),
+                                           [&](const Table& table) { return is_beyond(table, limit); });
+    if (!has_more_) delete_runs(database, at - max_age_.count(), 0, enough);
     // Not for each row: that would write its page each time.
     if (!has_more_) next_look_ = at + max_age_.count() / 100;
   }
@@ -286,10 +238,8 @@ Result<void> Pruner::make_room(Database& database, AccountSums& sums, Time now) 
     while (left.used() > goal) {
       if (may_have_runs_) {
         constexpr std::int64_t at_any_time = std::numeric_limits<std::int64_t>::max();
-        if (auto removed = delete_runs(database, at_any_time, goal, enough); !removed) return removed;
-        auto after = pages(database);
-        if (!after) return std::move(after).error();
-        left = *after;
+        delete_runs(database, at_any_time, goal, enough);
+        left = pages(database);
         if (has_more_ || left.used() <= goal) break;
       }
       std::int64_t first = std::numeric_limits<std::int64_t>::max();
@@ -302,61 +252,44 @@ Result<void> Pruner::make_room(Database& database, AccountSums& sums, Time now) 
       if (first < at) {
         const std::int64_t step = std::max<std::int64_t>(1, (at - first) / steps_of_a_span);
         auto end = end_of_step(first + step * (std::int64_t{1} << shift), left, goal);
-        if (!end) return std::move(end).error();
-        auto old = delete_beyond(sums, {std::max(*end, first + 1)});
-        if (!old) return std::move(old).error();
-        deleted += *old;
+        deleted += delete_beyond(sums, {std::max(end, first + 1)});
       }
-      auto ahead = delete_part_of_future(sums, at);
-      if (!ahead) return std::move(ahead).error();
-      deleted += *ahead;
+      deleted += delete_part_of_future(sums, at);
       shift = deleted > 0 ? 0 : shift + 1;
-      auto after = pages(database);
-      if (!after) return std::move(after).error();
-      left = *after;
-      if (begin->used() - left.used() >= enough && left.used() > goal) {
+      left = pages(database);
+      if (begin.used() - left.used() >= enough && left.used() > goal) {
         has_more_ = true;
         break;
       }
     }
   }
-  if (max_bytes_ > 0) {
-    if (auto shrunk = shrink(database, left); !shrunk) return shrunk;
-  }
+  if (max_bytes_ > 0) shrink(database, left);
   used_before_ = left.used();
-  return {};
 }
 
-Result<void> Pruner::delete_runs(Database& database, std::int64_t ended_before, std::int64_t goal,
-                                 std::int64_t enough) {
+void Pruner::delete_runs(Database& database, std::int64_t ended_before, std::int64_t goal, std::int64_t enough) {
   auto begin = pages(database);
-  if (!begin) return std::move(begin).error();
   auto runs = runs_without_rows(database, ended_before);
-  if (!runs) return std::move(runs).error();
-  for (const std::int64_t run : *runs) {
-    if (auto done = delete_run(database, run); !done) return done;
+  for (const std::int64_t run : runs) {
+    delete_run(database, run);
     auto left = pages(database);
-    if (!left) return std::move(left).error();
-    if (left->used() <= goal) return {};
-    has_more_ = begin->used() - left->used() >= enough && run != runs->back();
-    if (has_more_) return {};
+    if (left.used() <= goal) return;
+    has_more_ = begin.used() - left.used() >= enough && run != runs.back();
+    if (has_more_) return;
   }
   if (ended_before == std::numeric_limits<std::int64_t>::max()) may_have_runs_ = false;
-  return {};
 }
 
 /// Free pages are used again by the rows to come; those that make the file larger than it may be are given back.
-Result<void> Pruner::shrink(Database& database, const Pages& now) {
+void Pruner::shrink(Database& database, const Pages& now) {
   const auto most = static_cast<std::int64_t>((max_bytes_ - max_bytes_ / 10) / static_cast<std::uint64_t>(now.bytes));
   const std::int64_t too_many = std::min(now.all - most, now.free);
-  if (too_many <= 0) return {};
+  if (too_many <= 0) return;
   const std::int64_t at_once = std::max(least_pages, static_cast<std::int64_t>(max_bytes_ / 40) / now.bytes);
-  auto done = database.execute("PRAGMA incremental_vacuum(" + std::to_string(std::min(too_many, at_once)) + ")");
-  if (!done || too_many <= at_once) return done;
+  database.execute("PRAGMA incremental_vacuum(" + std::to_string(std::min(too_many, at_once)) + ")");
+  if (too_many <= at_once) return;
   auto after = pages(database);
-  if (!after) return std::move(after).error();
-  has_more_ = has_more_ || after->all < now.all;  // a file made without auto_vacuum stays as large as it is
-  return {};
+  has_more_ = has_more_ || after.all < now.all;  // a file made without auto_vacuum stays as large as it is
 }
 
 }  // namespace rtdata::sqlite

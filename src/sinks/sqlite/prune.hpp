@@ -32,7 +32,7 @@ class Pruner {
 
   /// Within a transaction: deletes rows beyond the limits, about as much as a transaction may write. `now` is on the
   /// line of the recorded times. `sums` gets what changes in the account.
-  Result<void> make_room(Database& database, AccountSums& sums, Time now);
+  void make_room(Database& database, AccountSums& sums, Time now);
   /// The last call did not delete all that is beyond the limits.
   bool has_more() const noexcept { return has_more_; }
   /// All rows that may be deleted are, and what is left is still too large.
@@ -80,7 +80,7 @@ class Pruner {
     std::int64_t all = 0, free = 0, bytes = 1;  // bytes: of one
     std::int64_t used() const noexcept { return all - free; }
   };
-  Result<void> find_lines(Database& database, std::int64_t now);
+  void find_lines(Database& database, std::int64_t now);
   Line line_of(std::int64_t run) const;
   /// What is to go: rows from before `time`, and all of an earlier run that are `age` old at least.
   struct Limit {
@@ -90,22 +90,22 @@ class Pruner {
   };
   bool is_beyond(std::int64_t time, std::int64_t run, const Limit& limit) const;
   bool is_beyond(const Table& table, const Limit& limit) const;
-  Result<void> find_tables(Database& database, std::int64_t now);
-  Result<void> look_at(Table& table);
-  Result<Pages> pages(Database& database);
+  void find_tables(Database& database, std::int64_t now);
+  void look_at(Table& table);
+  Pages pages(Database& database);
   /// `time`, or before it when no more rows need to go for the pages to come down to `goal`: the recording may have
   /// pauses.
-  Result<std::int64_t> end_of_step(std::int64_t time, const Pages& now, std::int64_t goal);
+  std::int64_t end_of_step(std::int64_t time, const Pages& now, std::int64_t goal);
   /// Deletes some thousand rows of what is beyond the limit at most. The number of rows.
-  Result<std::int64_t> delete_beyond(AccountSums& sums, const Limit& limit);
+  std::int64_t delete_beyond(AccountSums& sums, const Limit& limit);
   /// Of tables that begin later than now (a device's clock is wrong, or the computer's was) the first rows: as much of
   /// them as of the time that the others span.
-  Result<std::int64_t> delete_part_of_future(AccountSums& sums, std::int64_t now);
+  std::int64_t delete_part_of_future(AccountSums& sums, std::int64_t now);
   /// The only place where rows are deleted: up to the end of the transaction that has this row, or of the one before.
-  Result<std::int64_t> delete_rows(AccountSums& sums, Table& table, std::int64_t row, const Limit& limit);
+  std::int64_t delete_rows(AccountSums& sums, Table& table, std::int64_t row, const Limit& limit);
   /// Deletes runs of which no row is left, until enough pages are free. `ended_before`: only those.
-  Result<void> delete_runs(Database& database, std::int64_t ended_before, std::int64_t goal, std::int64_t enough);
-  Result<void> shrink(Database& database, const Pages& now);
+  void delete_runs(Database& database, std::int64_t ended_before, std::int64_t goal, std::int64_t enough);
+  void shrink(Database& database, const Pages& now);
 
   std::uint64_t max_bytes_ = 0;
   Duration max_age_{0};

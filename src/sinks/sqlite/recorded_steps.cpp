@@ -73,7 +73,7 @@ struct Statistics {
   Integers integers;
 };
 
-Result<std::shared_ptr<const Description>> statistics_of(const Field& field) {
+std::shared_ptr<const Description> statistics_of(const Field& field) {
   constexpr auto optional = DescriptionBuilder::Presence::optional;
   const Kind kind = field.kind == Kind::boolean ? Kind::u8 : field.kind;
   return DescriptionBuilder("statistics")
@@ -81,7 +81,8 @@ Result<std::shared_ptr<const Description>> statistics_of(const Field& field) {
       .field("min", kind, field.unit, optional)
       .field("max", kind, field.unit, optional)
       .field("mean", Kind::f64, field.unit, optional)
-      .build();
+      .build()
+      .or_throw();
 }
 
 /// Of one record.
@@ -98,11 +99,11 @@ class Names {
 };
 
 /// What a field becomes; null: nothing, since there is no number in it.
-Result<std::shared_ptr<const Description>> steps_of(const Field& field);
+std::shared_ptr<const Description> steps_of(const Field& field);
 
 /// Adds what the fields become; returns whether there is any. `own`, where it is not empty, is a field of the row
 /// itself, which comes first; the fields keep their names before it, and those without a point before those with one.
-Result<bool> add_fields(DescriptionBuilder& builder, const std::vector<Field>& fields, const std::string& own = "") {
+bool add_fields(DescriptionBuilder& builder, const std::vector<Field>& fields, const std::string& own = "") {
   struct Part {
     const Field* field;
     std::shared_ptr<const Description> steps;
@@ -111,8 +112,7 @@ Result<bool> add_fields(DescriptionBuilder& builder, const std::vector<Field>& f
   std::vector<Part> parts;
   for (const Field& field : fields) {
     auto steps = steps_of(field);
-    if (!steps) return std::move(steps).error();
-    if (*steps != nullptr) parts.push_back({&field, *std::move(steps), field.name});
+    if (steps != nullptr) parts.push_back({&field, std::move(steps), field.name});
   }
   Names names;
   const auto has_point = [](const Part& part) { return part.name.find('.') != std::string::npos; };
@@ -135,19 +135,18 @@ Result<bool> add_fields(DescriptionBuilder& builder, const std::vector<Field>& f
   return !parts.empty();
 }
 
-Result<std::shared_ptr<const Description>> steps_of(const Field& field) {
+std::shared_ptr<const Description> steps_of(const Field& field) {
   std::shared_ptr<const Description> none;
   if (field.kind != Kind::record) return is_number(field.kind) ? statistics_of(field) : none;
   DescriptionBuilder nested(field.name);
   auto has_any = add_fields(nested, field.fields);
-  if (!has_any) return std::move(has_any).error();
-  return *has_any ? nested.build() : none;
+  return has_any ? nested.build().or_throw() : none;
 }
 
-Result<std::shared_ptr<const Description>> description_of_steps(const Description& of) {
+std::shared_ptr<const Description> description_of_steps(const Description& of) {
   DescriptionBuilder builder(of.name() + "_steps");
-  if (auto added = add_fields(builder, of.fields(), "events"); !added) return std::move(added).error();
-  return builder.build();
+  add_fields(builder, of.fields(), "events");
+  return builder.build().or_throw();
 }
 
 class StepCursor final : public RowCursor {
@@ -165,17 +164,16 @@ class StepCursor final : public RowCursor {
     for (const Leaf* leaf : leaves_) kinds_.push_back(leaf->kind);
   }
 
-  Result<bool> advance() override {
+  bool advance() override {
     if (next_ready_ == ready_.size()) {
-      auto read = read_step();
-      if (!read || !*read) return read;
+      if (!read_step()) return false;
     }
     run = run_of_step_;
     time = begin_;
     return true;
   }
 
-  Result<void> give(RecordedRow& row) override {
+  void give(RecordedRow& row) override {
     Origin& origin = origins_[ready_[next_ready_++]];
     std::byte* const payload = set_event(row, origin.name, ++origin.sequence, out_);
     std::fill(payload, payload + out_.description->size(), std::byte{0});
@@ -191,11 +189,10 @@ class StepCursor final : public RowCursor {
       const Value least = has_reals ? Value{of.reals.min} : Integers::value(of.integers.min, is_unsigned);
       const Value most = has_reals ? Value{of.reals.max} : Integers::value(of.integers.max, is_unsigned);
       for (const auto& done : {write(to[1], payload, least), write(to[2], payload, most)}) {
-        if (!done) return done;
+        done.or_throw();
       }
       (void)write(to[3], payload, Value{has_reals ? of.reals.mean(of.count) : of.integers.mean(of.count)});
     }
-    return {};
   }
 
  private:
@@ -207,18 +204,17 @@ class StepCursor final : public RowCursor {
   };
 
   /// Reads the next step that has rows. False: there is none.
-  Result<bool> read_step() {
+  bool read_step() {
     ready_.clear();
     next_ready_ = 0;
     if (!is_begun_) {
-      auto more = statement_.step();
-      if (!more) return more;
+      const bool more = statement_.step();
       is_begun_ = true;
-      has_row_ = *more;
+      has_row_ = more;
     }
     if (!has_row_) return false;
     if (const std::int64_t row_run = statement_.integer(run_column); row_run != run_of_step_ || !has_line_) {
-      if (auto begun = begin_run(row_run); !begun) return std::move(begun).error();
+      begin_run(row_run);
     }
     for (Origin& origin : origins_) {
       origin.events = 0;
@@ -226,10 +222,8 @@ class StepCursor final : public RowCursor {
     }
     const std::int64_t end = begin_step(statement_.integer(time_column));
     do {
-      if (auto added = add_row(); !added) return std::move(added).error();
-      auto more = statement_.step();
-      if (!more) return more;
-      has_row_ = *more;
+      add_row();
+      has_row_ = statement_.step();
     } while (has_row_ && statement_.integer(run_column) == run_of_step_ && statement_.integer(time_column) < end);
     for (std::size_t i = 0; i < origins_.size(); ++i)
       if (origins_[i].events != 0) ready_.push_back(i);
@@ -238,16 +232,13 @@ class StepCursor final : public RowCursor {
     return true;
   }
 
-  Result<void> begin_run(std::int64_t row_run) {
+  void begin_run(std::int64_t row_run) {
     run_of_step_ = row_run;
     has_line_ = true;
     origins_.clear();
     current_ = 0;
-    if (times_ == RowFilter::Times::recorded) return {};
-    auto line = utc_line_of(*file_, row_run);
-    if (!line) return std::move(line).error();
-    line_ = *std::move(line);
-    return {};
+    if (times_ == RowFilter::Times::recorded) return;
+    line_ = utc_line_of(*file_, row_run);
   }
 
   /// Sets the beginning of the step with this recorded time; returns its end on the recorded line.
@@ -261,7 +252,7 @@ class StepCursor final : public RowCursor {
     return is_utc ? std::max(to_nanoseconds(line_.recorded(from_nanoseconds(end))), recorded + 1) : end;
   }
 
-  Result<void> add_row() {
+  void add_row() {
     const std::string_view name = statement_.text(origin_column);
     if (current_ >= origins_.size() || origins_[current_].name != name) {
       current_ = static_cast<std::size_t>(
@@ -285,13 +276,12 @@ class StepCursor final : public RowCursor {
         ++of.count;
         of.integers.add(sqlite3_value_int64(value), kinds_[i] == Kind::u64);
       } else if (type != SQLITE_NULL && !(type == SQLITE_TEXT && has_reals)) {
-        return at_row(*file_, topic_, run_of_step_, origin.name,
-                      static_cast<std::uint64_t>(statement_.integer(sequence_column)),
-                      {Errc::damaged, "cannot read a row", "field " + leaves_[i]->path,
-                       "it holds what is no " + std::string(name_of(kinds_[i])), ""});
+        throw SetupError(at_row(*file_, topic_, run_of_step_, origin.name,
+                                static_cast<std::uint64_t>(statement_.integer(sequence_column)),
+                                {Errc::damaged, "cannot read a row", "field " + leaves_[i]->path,
+                                 "it holds what is no " + std::string(name_of(kinds_[i])), ""}));
       }
     }
-    return {};
   }
 
   const std::shared_ptr<RecordingFile> file_;
@@ -316,10 +306,9 @@ class StepCursor final : public RowCursor {
 
 }  // namespace
 
-Result<std::unique_ptr<RowCursor>> make_step_cursor(const Recording& recording, RecordedTopic topic,
-                                                    const Selection& selection, Duration step) {
+std::unique_ptr<RowCursor> make_step_cursor(const Recording& recording, RecordedTopic topic, const Selection& selection,
+                                            Duration step) {
   auto steps = description_of_steps(*topic.description);
-  if (!steps) return std::move(steps).error();
   std::vector<const Leaf*> leaves;
   std::string columns;
   for (const Leaf& leaf : topic.description->leaves()) {
@@ -328,9 +317,8 @@ Result<std::unique_ptr<RowCursor>> make_step_cursor(const Recording& recording, 
     columns += ", t." + sqlite::quoted(leaf.path);
   }
   auto statement = rows_in_order(*recording.file(), topic, selection, columns);
-  if (!statement) return std::move(statement).error();
-  return std::unique_ptr<RowCursor>(std::make_unique<StepCursor>(recording, std::move(topic), *std::move(steps),
-                                                                 std::move(leaves), *std::move(statement),
+  return std::unique_ptr<RowCursor>(std::make_unique<StepCursor>(recording, std::move(topic), std::move(steps),
+                                                                 std::move(leaves), std::move(statement),
                                                                  selection.filter.times, step));
 }
 

@@ -37,22 +37,23 @@ Error RecordingFile::damaged(std::string where, std::string why) const {
           std::move(why), "keep it as it is, and record into another file"};
 }
 
-Result<Statement> RecordingFile::prepare(const std::string& sql) const {
-  auto made = database.prepare(sql);
-  if (!made && sqlite3_errcode(database.raw()) == SQLITE_ERROR) return damaged("", std::string(made.error().why));
-  return made;
+Statement RecordingFile::prepare(const std::string& sql) const {
+  try {
+    return database.prepare(sql);
+  } catch (const SetupError& error) {
+    if (sqlite3_errcode(database.raw()) != SQLITE_ERROR) throw;
+    throw SetupError(damaged("", error.error().why));
+  }
 }
 
-Result<Snapshot> Snapshot::take(std::shared_ptr<RecordingFile> file) {
-  if (file->snapshots == 0) {
-    if (auto begun = file->database.execute("BEGIN"); !begun) return std::move(begun).error();
-  }
-  ++file->snapshots;
-  return Snapshot(std::move(file));
+Snapshot::Snapshot(std::shared_ptr<RecordingFile> file) : file_(std::move(file)) {
+  if (file_->snapshots == 0) file_->database.execute("BEGIN");
+  ++file_->snapshots;
 }
 
 Snapshot::~Snapshot() {
-  if (file_ != nullptr && --file_->snapshots == 0) (void)file_->database.execute("COMMIT");
+  if (file_ != nullptr && --file_->snapshots == 0)
+    sqlite3_exec(file_->database.raw(), "COMMIT", nullptr, nullptr, nullptr);
 }
 
 }  // namespace detail
@@ -71,58 +72,68 @@ bool is_at_rest(const std::string& path) {
   return ::access((path + "-wal").c_str(), F_OK) != 0 && ::access((path + "-journal").c_str(), F_OK) != 0;
 }
 
-Result<Database> open_file(const std::string& path) {
+/// Opens it once more where that helps.
+std::int64_t application_id_of(Database& opened, const std::string& path) {
+  constexpr const char* query = "PRAGMA application_id";
+  try {
+    return opened.integer(query);
+  } catch (const SetupError& error) {
+    const int code = sqlite3_errcode(opened.raw()) & 0xff;
+    if (sqlite3_extended_errcode(opened.raw()) == SQLITE_READONLY_ROLLBACK)
+      throw SetupError(no_recording(
+          path, "it was being made when its program ended, and nothing is in it: the next run makes it anew"));
+    Error why = error.error();
+    if ((code == SQLITE_CANTOPEN || code == SQLITE_READONLY) && is_at_rest(path)) {
+      opened = Database::open(path, Database::Mode::read_at_rest);
+      try {
+        return opened.integer(query);
+      } catch (const SetupError& again) {
+        why = again.error();
+      }
+    }
+    if (why.code == make_error_code(Errc::not_a_recording))
+      throw SetupError(no_recording(path, "it is no SQLite file"));
+    why.what = doing;
+    why.where = path;
+    throw SetupError(std::move(why));
+  }
+}
+
+Database open_file(const std::string& path) {
   struct stat status {};
   if (::stat(path.c_str(), &status) == 0) {
-    if (!S_ISDIR(status.st_mode) && !S_ISREG(status.st_mode)) return no_recording(path, "it is no regular file");
-    if (S_ISREG(status.st_mode) && status.st_size == 0) return no_recording(path, "the file is empty");
+    if (!S_ISDIR(status.st_mode) && !S_ISREG(status.st_mode))
+      throw SetupError(no_recording(path, "it is no regular file"));
+    if (S_ISREG(status.st_mode) && status.st_size == 0) throw SetupError(no_recording(path, "the file is empty"));
     if (S_ISREG(status.st_mode) && ::access(path.c_str(), R_OK) != 0) {
-      return system_error(errno, doing, path, "check the permissions of the file");
+      throw SetupError(system_error(errno, doing, path, "check the permissions of the file"));
     }
   }
   auto opened = Database::open(path, Database::Mode::read);
-  if (!opened) return opened;
-  auto application = opened->integer("PRAGMA application_id");
-  if (!application && sqlite3_extended_errcode(opened->raw()) == SQLITE_READONLY_ROLLBACK) {
-    return no_recording(path,
-                        "it was being made when its program ended, and nothing is in it: the next run makes it anew");
+  const std::int64_t application = application_id_of(opened, path);
+  if (application == sqlite::application_id_before) {
+    std::string writer;
+    try {
+      auto query = opened.prepare("SELECT program FROM rtdata_run ORDER BY run DESC LIMIT 1");
+      if (query.step()) writer = " (\"" + std::string(query.text(0)) + "\" wrote it)";
+    } catch (const SetupError&) {  // it does not say
+    }
+    throw SetupError({Errc::not_a_recording, doing, path, sqlite::written_before + writer, sqlite::advice_before});
   }
-  const int code = sqlite3_errcode(opened->raw()) & 0xff;
-  if (!application && (code == SQLITE_CANTOPEN || code == SQLITE_READONLY) && is_at_rest(path)) {
-    opened = Database::open(path, Database::Mode::read_at_rest);
-    if (!opened) return opened;
-    application = opened->integer("PRAGMA application_id");
+  if (application != sqlite::application_id) {
+    const bool is_empty = opened.integer("SELECT count(*) FROM sqlite_schema") == 0;
+    throw SetupError(
+        no_recording(path, is_empty ? "it is a SQLite file without content" : "it is another program's SQLite file"));
   }
-  if (!application) {
-    Error error = std::move(application).error();
-    if (error.code == make_error_code(Errc::not_a_recording)) return no_recording(path, "it is no SQLite file");
-    error.what = doing;
-    error.where = path;
-    return error;
-  }
-  if (*application == sqlite::application_id_before) {
-    auto query = opened->prepare("SELECT program FROM rtdata_run ORDER BY run DESC LIMIT 1");
-    auto row = query ? query->step() : Result<bool>(false);
-    return Error{
-        Errc::not_a_recording, doing, path,
-        sqlite::written_before + (row && *row ? " (\"" + std::string(query->text(0)) + "\" wrote it)" : std::string()),
-        sqlite::advice_before};
-  }
-  if (*application != sqlite::application_id) {
-    auto tables = opened->integer("SELECT count(*) FROM sqlite_schema");
-    return no_recording(
-        path, tables && *tables == 0 ? "it is a SQLite file without content" : "it is another program's SQLite file");
-  }
-  auto version = opened->integer("PRAGMA user_version");
-  if (!version) return std::move(version).error();
-  if (*version < 1)
-    return Error{Errc::damaged, doing, path, "its format is version " + std::to_string(*version) + ": there is none",
-                 "keep it as it is"};
-  if (*version > sqlite::schema_version) {
-    return Error{Errc::newer_version, doing, path,
-                 "its format is version " + std::to_string(*version) + ", this program knows up to " +
-                     std::to_string(sqlite::schema_version),
-                 "read it with the version of rtdata that recorded it, or a newer one"};
+  auto version = opened.integer("PRAGMA user_version");
+  if (version < 1)
+    throw SetupError({Errc::damaged, doing, path,
+                      "its format is version " + std::to_string(version) + ": there is none", "keep it as it is"});
+  if (version > sqlite::schema_version) {
+    throw SetupError({Errc::newer_version, doing, path,
+                      "its format is version " + std::to_string(version) + ", this program knows up to " +
+                          std::to_string(sqlite::schema_version),
+                      "read it with the version of rtdata that recorded it, or a newer one"});
   }
   return opened;
 }
@@ -131,20 +142,17 @@ std::uint64_t count_of(const Statement& row, int column) { return static_cast<st
 Time time_of(const Statement& row, int column) { return from_nanoseconds(row.integer(column)); }
 std::string string_of(const Statement& row, int column) { return std::string(row.text(column)); }
 
+constexpr std::int64_t every_run = -1;
 /// Every row of a statement through `make`, collected.
 template <class T, class Make>
-Result<std::vector<T>> all(const RecordingFile& file, const std::string& sql, std::optional<std::int64_t> run,
-                           Make make) {
+Result<std::vector<T>> all(const RecordingFile& file, const std::string& sql, std::int64_t run, Make make) try {
   auto statement = file.prepare(sql);
-  if (!statement) return std::move(statement).error();
-  if (run) statement->bind(1, *run);
+  if (run != every_run) statement.bind(1, run);
   std::vector<T> found;
-  for (;;) {
-    auto row = statement->step();
-    if (!row) return std::move(row).error();
-    if (!*row) return found;
-    found.push_back(make(*statement));
-  }
+  while (statement.step()) found.push_back(make(statement));
+  return found;
+} catch (const SetupError& error) {
+  return error.error();
 }
 
 }  // namespace
@@ -154,18 +162,18 @@ Recording::Recording(Recording&&) noexcept = default;
 Recording& Recording::operator=(Recording&&) noexcept = default;
 Recording::~Recording() = default;
 
-Result<Recording> Recording::open(const std::string& path) {
+Result<Recording> Recording::open(const std::string& path) try {
   auto database = open_file(path);
-  if (!database) return std::move(database).error();
   auto file = std::make_shared<RecordingFile>();
-  file->database = std::move(*database);
-  if (auto provided = detail::RowBatch::provide(file->database); !provided) return std::move(provided).error();
+  file->database = std::move(database);
+  detail::RowBatch::provide(file->database);
   for (const char* table : {"run", "topic", "schedule", "ledger", "gap", "clock", "error"}) {
     auto there = file->prepare("SELECT 1 FROM rtdata_" + std::string(table) + " LIMIT 1");
-    if (!there) return std::move(there).error();
-    if (auto row = there->step(); !row) return std::move(row).error();
+    there.step();
   }
   return Recording(std::move(file));
+} catch (const SetupError& error) {
+  return error.error();
 }
 
 const std::string& Recording::path() const noexcept { return file_->database.path(); }
@@ -174,7 +182,7 @@ Result<std::vector<RunInfo>> Recording::runs() const {
   return all<RunInfo>(*file_,
                       "SELECT run, uuid, name, notes, configuration, program, host, boot_id, pid, started, ended, "
                       "clock_offset, state, lost, remark FROM rtdata_run ORDER BY run",
-                      {}, [](const Statement& row) {
+                      every_run, [](const Statement& row) {
                         RunInfo run;
                         run.run = row.integer(0);
                         run.uuid = string_of(row, 1);
@@ -197,24 +205,23 @@ Result<std::vector<RunInfo>> Recording::runs() const {
                       });
 }
 
-Result<std::vector<RecordedTopic>> Recording::topics() const {
+Result<std::vector<RecordedTopic>> Recording::topics() const try {
   auto statement = file_->prepare(
       "SELECT topic, version, table_name, description, first_run FROM rtdata_topic ORDER BY topic, version");
-  if (!statement) return std::move(statement).error();
   std::vector<RecordedTopic> topics;
-  for (;;) {
-    auto row = statement->step();
-    if (!row) return std::move(row).error();
-    if (!*row) return topics;
-    RecordedTopic topic{string_of(*statement, 0), statement->integer(1), string_of(*statement, 2), nullptr,
-                        statement->integer(4)};
+  while (statement.step()) {
+    RecordedTopic topic{string_of(statement, 0), statement.integer(1), string_of(statement, 2), nullptr,
+                        statement.integer(4)};
     if (!is_topic_name(topic.topic))
-      return file_->damaged("table rtdata_topic", "\"" + topic.topic + "\" is no name of a topic");
-    auto description = Description::from_json(statement->text(3));
-    if (!description) return file_->damaged("topic " + topic.topic, description.error().text());
+      throw SetupError(file_->damaged("table rtdata_topic", "\"" + topic.topic + "\" is no name of a topic"));
+    auto description = Description::from_json(statement.text(3));
+    if (!description) throw SetupError(file_->damaged("topic " + topic.topic, description.error().text()));
     topic.description = std::move(*description);
     topics.push_back(std::move(topic));
   }
+  return topics;
+} catch (const SetupError& error) {
+  return error.error();
 }
 
 Result<std::vector<LedgerEntry>> Recording::ledger(std::int64_t run) const {
@@ -279,38 +286,36 @@ Result<std::vector<RecordedSegment>> Recording::schedule(std::int64_t run) const
                               });
 }
 
-Result<std::vector<RecordedClock>> Recording::clock(std::int64_t run) const {
+Result<std::vector<RecordedClock>> Recording::clock(std::int64_t run) const try {
   return sqlite::clock_pairs(file_->database, "r.run = " + std::to_string(run));
+} catch (const SetupError& error) {
+  return error.error();
 }
 
 namespace {
 
 /// None: there is no such run.
-Result<std::optional<UtcLine>> find_utc_line(const RecordingFile& file, std::int64_t run) {
+std::optional<UtcLine> find_utc_line(const RecordingFile& file, std::int64_t run) {
   auto info = file.prepare("SELECT boot_id, clock_offset FROM rtdata_run WHERE run = ?");
-  if (!info) return std::move(info).error();
-  info->bind(1, run);
-  auto row = info->step();
-  if (!row) return std::move(row).error();
-  if (!*row) return std::optional<UtcLine>{};
-  auto pairs = sqlite::clock_pairs_of_boot(file.database, info->text(0));
-  if (!pairs) return std::move(pairs).error();
-  return std::optional<UtcLine>(UtcLine(*pairs, Duration{info->integer(1)}));
+  info.bind(1, run);
+  if (!info.step()) return std::optional<UtcLine>{};
+  auto pairs = sqlite::clock_pairs_of_boot(file.database, info.text(0));
+  return std::optional<UtcLine>(UtcLine(pairs, Duration{info.integer(1)}));
 }
 
 }  // namespace
 
-Result<UtcLine> detail::utc_line_of(const RecordingFile& file, std::int64_t run) {
+UtcLine detail::utc_line_of(const RecordingFile& file, std::int64_t run) {
   auto line = find_utc_line(file, run);
-  if (!line) return std::move(line).error();
-  return line->value_or(UtcLine({}));
+  return line.value_or(UtcLine({}));
 }
 
-Result<UtcLine> Recording::utc_line(std::int64_t run) const {
+Result<UtcLine> Recording::utc_line(std::int64_t run) const try {
   auto line = find_utc_line(*file_, run);
-  if (!line) return std::move(line).error();
-  if (*line) return **std::move(line);
+  if (line) return *std::move(line);
   return Error{Errc::not_found, doing, path(), "it has no run " + std::to_string(run), "see `rtdata info`"};
+} catch (const SetupError& error) {
+  return error.error();
 }
 
 Result<std::vector<RecordedHealth>> Recording::health(std::int64_t run) const {

@@ -17,20 +17,19 @@ struct RecordingFile {
   int snapshots = 0;
 
   /// Like Database::prepare; what does not fit the schema is damaged.
-  Result<sqlite::Statement> prepare(const std::string& sql) const;
+  sqlite::Statement prepare(const std::string& sql) const;
   Error damaged(std::string where, std::string why) const;
 };
 
 /// While one lives, all reads see the same state of the file. They nest.
 class Snapshot {
  public:
-  static Result<Snapshot> take(std::shared_ptr<RecordingFile> file);
+  explicit Snapshot(std::shared_ptr<RecordingFile> file);
   Snapshot(Snapshot&& other) noexcept = default;
   Snapshot& operator=(Snapshot&&) = delete;
   ~Snapshot();
 
  private:
-  explicit Snapshot(std::shared_ptr<RecordingFile> file) : file_(std::move(file)) {}
   std::shared_ptr<RecordingFile> file_;
 };
 
@@ -39,7 +38,7 @@ enum FixedColumn { run_column, time_column, origin_column, sequence_column, fixe
 /// A filter, and what its times are on the line of each run.
 struct Selection {
   /// Errors: bad-name, bad-argument, those of reading.
-  static Result<Selection> make(const Recording& recording, const RowFilter& filter);
+  static Selection make(const Recording& recording, const RowFilter& filter);
   RowFilter filter;
   struct Bounds {
     std::int64_t run;
@@ -55,13 +54,13 @@ std::string row_conditions(const Selection& selection);
 void bind_conditions(sqlite::Statement& statement, const Selection& selection);
 /// Whether these rows lie in the table run by run, each in order of time: else SQLite has to sort them, which takes
 /// longer.
-Result<bool> lies_in_order(const RecordingFile& file, const RecordedTopic& topic, const Selection& selection);
+bool lies_in_order(const RecordingFile& file, const RecordedTopic& topic, const Selection& selection);
 /// A statement that gives the rows of a topic's table, run by run, each in order of time. `columns`: SQL of those after
 /// the fixed ones, as `RowReader::columns` has it.
-Result<sqlite::Statement> rows_in_order(const RecordingFile& file, const RecordedTopic& topic,
-                                        const Selection& selection, const std::string& columns);
+sqlite::Statement rows_in_order(const RecordingFile& file, const RecordedTopic& topic, const Selection& selection,
+                                const std::string& columns);
 /// The line of the boot of a run that was recorded. A run that is not listed has none: its times stay.
-Result<UtcLine> utc_line_of(const RecordingFile& file, std::int64_t run);
+UtcLine utc_line_of(const RecordingFile& file, std::int64_t run);
 /// An error with the row that it is of.
 Error at_row(const RecordingFile& file, const RecordedTopic& topic, std::int64_t run, std::string_view origin,
              std::uint64_t sequence, Error error);
@@ -77,9 +76,9 @@ class RowReader {
   /// ", t."temperature", t."position.x"": what follows other columns in a SELECT from the table called t.
   std::string columns() const;
   /// `first`: the column where those begin. Errors: damaged, which names the field.
-  Result<void> read(sqlite3_stmt* row, int first, std::byte* payload) const;
+  void read(sqlite3_stmt* row, int first, std::byte* payload) const;
   /// Some of these columns, from this one on, into a payload whose bytes were set to zero.
-  Result<void> read(std::span<sqlite3_value*> stored, std::size_t first, std::byte* payload) const;
+  void read(std::span<sqlite3_value*> stored, std::size_t first, std::byte* payload) const;
 
  private:
   const RecordedTopic* topic_;

@@ -12,24 +12,22 @@ namespace detail {
 
 // ---- selecting
 
-Result<Selection> Selection::make(const Recording& recording, const RowFilter& filter) {
+Selection Selection::make(const Recording& recording, const RowFilter& filter) {
   if (!is_topic_pattern(filter.topic)) {
-    return Error{Errc::bad_name, "cannot select rows", "topic " + filter.topic, "it is neither a topic nor a pattern",
-                 "write room/climate, room/+ or room/#"};
+    throw SetupError({Errc::bad_name, "cannot select rows", "topic " + filter.topic,
+                      "it is neither a topic nor a pattern", "write room/climate, room/+ or room/#"});
   }
   if (filter.every == 0)
-    return Error{Errc::bad_argument, "cannot select rows", "every", "it is 0", "1 takes every row"};
+    throw SetupError({Errc::bad_argument, "cannot select rows", "every", "it is 0", "1 takes every row"});
   Selection selection{filter, {}};
   if (filter.times == RowFilter::Times::recorded || (!filter.from && !filter.until)) return selection;
-  auto runs = recording.runs();
-  if (!runs) return std::move(runs).error();
-  for (const RunInfo& run : *runs) {
+  auto runs = recording.runs().or_throw();
+  for (const RunInfo& run : runs) {
     if (filter.run && run.run != *filter.run) continue;
-    auto line = recording.utc_line(run.run);
-    if (!line) return std::move(line).error();
+    auto line = recording.utc_line(run.run).or_throw();
     Bounds& bounds = selection.bounds.emplace_back(Bounds{run.run, {}, {}});
-    if (filter.from) bounds.from = line->recorded(*filter.from);
-    if (filter.until) bounds.until = line->recorded(*filter.until);
+    if (filter.from) bounds.from = line.recorded(*filter.from);
+    if (filter.until) bounds.until = line.recorded(*filter.until);
   }
   return selection;
 }
@@ -79,57 +77,50 @@ std::string row_conditions(const Selection& selection) {
 namespace {
 
 /// Whether the rows of each run are of one origin, which publishes in order of time.
-Result<bool> has_one_origin(const RecordingFile& file, const RecordedTopic& topic, const RowFilter& filter) {
+bool has_one_origin(const RecordingFile& file, const RecordedTopic& topic, const RowFilter& filter) {
   if (filter.origin) return true;
   // A run that goes on, or was killed, may have origins that no account has yet.
   auto statement = file.prepare(
       "SELECT EXISTS(SELECT 1 FROM rtdata_run r WHERE r.state = 'recording' AND ifnull(r.run = :run, 1))"
       " OR EXISTS(SELECT 1 FROM rtdata_ledger t WHERE t.topic = :topic AND ifnull(t.run = :run, 1)"
       " GROUP BY t.run HAVING count(*) > 1)");
-  if (!statement) return std::move(statement).error();
-  statement->bind(sqlite3_bind_parameter_index(statement->raw(), ":topic"), std::string_view(topic.topic));
-  if (filter.run) statement->bind(sqlite3_bind_parameter_index(statement->raw(), ":run"), *filter.run);
-  auto row = statement->step();
-  if (!row) return std::move(row).error();
-  return statement->integer(0) == 0;
+  statement.bind(sqlite3_bind_parameter_index(statement.raw(), ":topic"), std::string_view(topic.topic));
+  if (filter.run) statement.bind(sqlite3_bind_parameter_index(statement.raw(), ":run"), *filter.run);
+  statement.step();
+  return statement.integer(0) == 0;
 }
 
 /// Whether all rows are in order. They are written in the order in which they were published. That is the order of time
 /// unless several origins share the table and one of them measures long.
-Result<bool> has_order(const RecordingFile& file, const RecordedTopic& topic, const Selection& selection) {
+bool has_order(const RecordingFile& file, const RecordedTopic& topic, const Selection& selection) {
   auto statement = file.prepare("SELECT t.run, t.time FROM " + sqlite::quoted(topic.table) + " t WHERE " +
                                 row_conditions(selection) + " ORDER BY t._rowid_");
-  if (!statement) return std::move(statement).error();
-  bind_conditions(*statement, selection);
+  bind_conditions(statement, selection);
   std::int64_t run = INT64_MIN, time = INT64_MIN;
-  for (;;) {
-    auto more = statement->step();
-    if (!more) return std::move(more).error();
-    if (!*more) return true;
-    const std::int64_t next_run = statement->integer(0), next_time = statement->integer(1);
+  while (statement.step()) {
+    const std::int64_t next_run = statement.integer(0), next_time = statement.integer(1);
     if (next_run < run || (next_run == run && next_time < time)) return false;
     run = next_run;
     time = next_time;
   }
+  return true;
 }
 
 }  // namespace
 
-Result<bool> lies_in_order(const RecordingFile& file, const RecordedTopic& topic, const Selection& selection) {
-  auto one_origin = has_one_origin(file, topic, selection.filter);
-  return one_origin && !*one_origin ? has_order(file, topic, selection) : one_origin;
+bool lies_in_order(const RecordingFile& file, const RecordedTopic& topic, const Selection& selection) {
+  return has_one_origin(file, topic, selection.filter) || has_order(file, topic, selection);
 }
 
-Result<sqlite::Statement> rows_in_order(const RecordingFile& file, const RecordedTopic& topic,
-                                        const Selection& selection, const std::string& columns) {
+sqlite::Statement rows_in_order(const RecordingFile& file, const RecordedTopic& topic, const Selection& selection,
+                                const std::string& columns) {
   auto in_order = lies_in_order(file, topic, selection);
-  if (!in_order) return std::move(in_order).error();
   // SQLite would take the run out of each row for `WHERE`, and once more to give it.
   const char* const run = selection.filter.run ? ":run" : "t.run";
   auto statement = file.prepare("SELECT " + std::string(run) + ", t.time, t.origin, t.sequence" + columns + " FROM " +
                                 sqlite::quoted(topic.table) + " t WHERE " + row_conditions(selection) +
-                                (*in_order ? " ORDER BY t._rowid_" : " ORDER BY t.run, t.time, t._rowid_"));
-  if (statement) bind_conditions(*statement, selection);
+                                (in_order ? " ORDER BY t._rowid_" : " ORDER BY t.run, t.time, t._rowid_"));
+  bind_conditions(statement, selection);
   return statement;
 }
 
@@ -158,32 +149,34 @@ class TableCursor final : public RowCursor {
     batch_.bind_to(statement_);
   }
 
-  Result<bool> advance() override {
+  bool advance() override {
     if (next_ == batch_.size()) {
       next_ = 0;
-      auto more = batch_.fill(statement_);
-      if (!more) return behind_row(file_, topic_, run, last_sequence_, std::move(more).error());
-      if (!*more) return false;
+      try {
+        if (!batch_.fill(statement_)) return false;
+      } catch (const SetupError& error) {
+        throw SetupError(behind_row(file_, topic_, run, last_sequence_, error.error()));
+      }
     }
     const RowBatch::Row& next = batch_[next_++];
     const std::int64_t last_run = std::exchange(run, next.run);
     const std::int64_t last_time = std::exchange(time, next.time);
     if (!is_first_ && run == last_run && time < last_time) [[unlikely]] {
-      return at_row(file_, topic_, run, batch_.origin(next), next.sequence,
-                    {Errc::damaged, "cannot read the rows in order", "time",
-                     "it is before that of the row before it, of the same origin", "see `rtdata verify`"});
+      throw SetupError(at_row(file_, topic_, run, batch_.origin(next), next.sequence,
+                              {Errc::damaged, "cannot read the rows in order", "time",
+                               "it is before that of the row before it, of the same origin", "see `rtdata verify`"}));
     }
     is_first_ = false;
     last_sequence_ = next.sequence;
     return true;
   }
 
-  Result<void> give(RecordedRow& row) override {
+  void give(RecordedRow& row) override {
     const RowBatch::Row& given = batch_[next_ - 1];
     std::byte* const payload = set_event(row, batch_.origin(given), given.sequence, topic_);
-    if (given.is_damaged) return at_row(file_, topic_, run, row.header().origin, row.header().sequence, batch_.error());
+    if (given.is_damaged)
+      throw SetupError(at_row(file_, topic_, run, row.header().origin, row.header().sequence, batch_.error()));
     std::memcpy(payload, batch_.payload(next_ - 1), topic_.description->size());
-    return {};
   }
 
  private:
@@ -201,17 +194,15 @@ class GapCursor final : public RowCursor {
   GapCursor(std::string pattern, sqlite::Statement statement)
       : pattern_(std::move(pattern)), statement_(std::move(statement)) {}
 
-  Result<bool> advance() override {
-    for (;;) {
-      auto more = statement_.step();
-      if (!more || !*more) return more;
-      if (topic_matches(pattern_, statement_.text(1))) break;
-    }
+  bool advance() override {
+    do {
+      if (!statement_.step()) return false;
+    } while (!topic_matches(pattern_, statement_.text(1)));
     run = statement_.integer(0);
     time = statement_.integer(5);
     return true;
   }
-  Result<void> give(RecordedRow& row) override {
+  void give(RecordedRow& row) override {
     const auto text = [&](int column) { return std::string(statement_.text(column)); };
     gap_ = {text(1),
             text(2),
@@ -222,7 +213,6 @@ class GapCursor final : public RowCursor {
             static_cast<std::uint64_t>(statement_.integer(7))};
     topic_.topic = gap_.topic;
     set_gap(row, gap_, topic_);
-    return {};
   }
   bool is_gap() const noexcept override { return true; }
 
@@ -240,23 +230,21 @@ namespace {
 constexpr std::size_t most_batch_bytes = std::size_t{64} << 10, most_bytes_of_all = std::size_t{4} << 20;
 }  // namespace
 
-Result<std::unique_ptr<RowCursor>> make_table_cursor(const RecordingFile& file, RecordedTopic topic,
-                                                     const Selection& selection, std::size_t topics) {
+std::unique_ptr<RowCursor> make_table_cursor(const RecordingFile& file, RecordedTopic topic, const Selection& selection,
+                                             std::size_t topics) {
   auto statement = RowBatch::query(file, topic, selection);
-  if (!statement) return std::move(statement).error();
   return std::unique_ptr<RowCursor>(
-      std::make_unique<TableCursor>(file, std::move(topic), *std::move(statement),
+      std::make_unique<TableCursor>(file, std::move(topic), std::move(statement),
                                     std::min(most_batch_bytes, most_bytes_of_all / std::max<std::size_t>(topics, 1))));
 }
 
-Result<std::unique_ptr<RowCursor>> make_gap_cursor(const RecordingFile& file, const Selection& selection) {
+std::unique_ptr<RowCursor> make_gap_cursor(const RecordingFile& file, const Selection& selection) {
   auto statement = file.prepare(
       "SELECT t.run, t.topic, t.origin, t.kind, t.reason, t.first, t.last, t.count"
       " FROM rtdata_gap t WHERE " +
       conditions(selection, "t.last", "t.first") + " ORDER BY t.run, t.first, t._rowid_");
-  if (!statement) return std::move(statement).error();
-  bind_conditions(*statement, selection);
-  return std::unique_ptr<RowCursor>(std::make_unique<GapCursor>(selection.filter.topic, *std::move(statement)));
+  bind_conditions(statement, selection);
+  return std::unique_ptr<RowCursor>(std::make_unique<GapCursor>(selection.filter.topic, std::move(statement)));
 }
 
 // ---- merging
@@ -271,22 +259,17 @@ bool is_later(const RowCursor* a, const RowCursor* b) noexcept {
 
 }  // namespace
 
-Result<void> RowsMerge::add(std::unique_ptr<RowCursor> cursor) {
+void RowsMerge::add(std::unique_ptr<RowCursor> cursor) {
   cursor->place = cursors.size();
   cursors.push_back(std::move(cursor));
-  auto more = cursors.back()->advance();
-  if (!more) return std::move(more).error();
-  if (!*more) return {};
+  if (!cursors.back()->advance()) return;
   heap.push_back(cursors.back().get());
   std::push_heap(heap.begin(), heap.end(), is_later);
-  return {};
 }
 
-Result<RowCursor*> RowsMerge::next() {
+RowCursor* RowsMerge::next() {
   if (RowCursor* const gone_on = std::exchange(last, nullptr)) {
-    auto more = gone_on->advance();
-    if (!more) return std::move(more).error();
-    if (*more) {
+    if (gone_on->advance()) {
       if (heap.empty() || !is_later(gone_on, heap.front())) return last = gone_on;
       heap.push_back(gone_on);
       std::push_heap(heap.begin(), heap.end(), is_later);
@@ -306,67 +289,54 @@ Rows::Rows(Rows&&) noexcept = default;
 Rows& Rows::operator=(Rows&&) noexcept = default;
 Rows::~Rows() = default;
 
-Result<const RecordedRow*> Rows::next() {
+Result<const RecordedRow*> Rows::next() try {
   detail::RowsMerge& merge = *merge_;
   if (merge.limit != 0 && merge.given >= merge.limit) return nullptr;
-  auto found = merge.next();
-  if (!found) return std::move(found).error();
-  detail::RowCursor* const cursor = *found;
+  detail::RowCursor* const cursor = merge.next();
   if (cursor == nullptr) return nullptr;
   if (!cursor->is_gap()) ++merge.given;
   RecordedRow& row = merge.row;
   row.run_ = cursor->run;
   row.header_.time = from_nanoseconds(cursor->time);
-  if (auto given = cursor->give(row); !given) return std::move(given).error();
+  cursor->give(row);
   return &row;
+} catch (const SetupError& error) {
+  return error.error();
 }
 
 namespace {
 
 /// A merge of the gaps, if they are asked for, and of what `make` gives for each table.
 template <class Make>
-Result<std::unique_ptr<detail::RowsMerge>> merged(const Recording& recording, const RowFilter& filter, Make make) {
-  auto snapshot = detail::Snapshot::take(recording.file());
-  if (!snapshot) return std::move(snapshot).error();
-  auto selection = detail::Selection::make(recording, filter);
-  if (!selection) return std::move(selection).error();
-  auto merge = std::make_unique<detail::RowsMerge>(recording.file(), *std::move(snapshot), filter.limit);
-  const auto add = [&](Result<std::unique_ptr<detail::RowCursor>> cursor) -> Result<void> {
-    if (!cursor) return std::move(cursor).error();
-    return merge->add(*std::move(cursor));
-  };
-  if (filter.gaps == RowFilter::Gaps::in_place) {
-    if (auto added = add(detail::make_gap_cursor(*merge->file, *selection)); !added) return std::move(added).error();
-  }
-  auto all = recording.topics();
-  if (!all) return std::move(all).error();
-  std::erase_if(*all, [&](const RecordedTopic& topic) { return !topic_matches(filter.topic, topic.topic); });
-  for (RecordedTopic& topic : *all) {
-    if (auto added = add(make(*merge->file, std::move(topic), *selection, all->size())); !added)
-      return std::move(added).error();
-  }
+std::unique_ptr<detail::RowsMerge> merged(const Recording& recording, const RowFilter& filter, Make make) {
+  auto merge = std::make_unique<detail::RowsMerge>(recording.file(), detail::Snapshot(recording.file()), filter.limit);
+  const auto selection = detail::Selection::make(recording, filter);
+  if (filter.gaps == RowFilter::Gaps::in_place) merge->add(detail::make_gap_cursor(*merge->file, selection));
+  auto all = recording.topics().or_throw();
+  std::erase_if(all, [&](const RecordedTopic& topic) { return !topic_matches(filter.topic, topic.topic); });
+  for (RecordedTopic& topic : all) merge->add(make(*merge->file, std::move(topic), selection, all.size()));
   return merge;
 }
 
 }  // namespace
 
-Result<Rows> Recording::rows(const RowFilter& filter) const {
-  auto merge = merged(*this, filter, detail::make_table_cursor);
-  if (!merge) return std::move(merge).error();
-  return Rows(*std::move(merge));
+Result<Rows> Recording::rows(const RowFilter& filter) const try {
+  return Rows(merged(*this, filter, detail::make_table_cursor));
+} catch (const SetupError& error) {
+  return error.error();
 }
 
-Result<Rows> Recording::steps(const RowFilter& filter, Duration step) const {
+Result<Rows> Recording::steps(const RowFilter& filter, Duration step) const try {
   if (step < Duration{1}) {
-    return Error{Errc::bad_argument, "cannot select steps", "step " + to_string(step), "it is not above 0",
-                 "give the length of a step, such as 1 s"};
+    throw SetupError({Errc::bad_argument, "cannot select steps", "step " + to_string(step), "it is not above 0",
+                      "give the length of a step, such as 1 s"});
   }
-  auto merge = merged(*this, filter,
-                      [&](const auto&, RecordedTopic topic, const detail::Selection& selection, std::size_t) {
-                        return detail::make_step_cursor(*this, std::move(topic), selection, step);
-                      });
-  if (!merge) return std::move(merge).error();
-  return Rows(*std::move(merge));
+  return Rows(
+      merged(*this, filter, [&](const auto&, RecordedTopic topic, const detail::Selection& selection, std::size_t) {
+        return detail::make_step_cursor(*this, std::move(topic), selection, step);
+      }));
+} catch (const SetupError& error) {
+  return error.error();
 }
 
 // ---- of a type
@@ -387,11 +357,10 @@ void apply_recorded_map(const void* map, const std::byte* from, std::byte* to) n
 
 }  // namespace detail
 
-Result<void> Recording::check_type(const RowFilter& filter, const Description& wanted) const {
-  auto all = topics();
-  if (!all) return std::move(all).error();
+Result<void> Recording::check_type(const RowFilter& filter, const Description& wanted) const try {
+  auto all = topics().or_throw();
   bool is_any = false;
-  for (const RecordedTopic& topic : *all) {
+  for (const RecordedTopic& topic : all) {
     if (!is_topic_pattern(filter.topic)) break;  // which `rows` refuses
     if (!topic_matches(filter.topic, topic.topic)) continue;
     is_any = true;
@@ -399,16 +368,15 @@ Result<void> Recording::check_type(const RowFilter& filter, const Description& w
     if (map) continue;
     auto statement = file_->prepare("SELECT 1 FROM " + sqlite::quoted(topic.table) + " t" +
                                     (filter.run ? " WHERE t.run = " + std::to_string(*filter.run) : "") + " LIMIT 1");
-    if (!statement) return std::move(statement).error();
-    auto row = statement->step();
-    if (!row) return std::move(row).error();
-    if (*row) return std::move(map).error();
+    if (statement.step()) return std::move(map).error();
   }
   if (is_any || !is_topic_name(filter.topic)) return {};
   std::vector<std::string_view> names;
-  for (const RecordedTopic& topic : *all) names.push_back(topic.topic);
+  for (const RecordedTopic& topic : all) names.push_back(topic.topic);
   return Error{Errc::not_found, "cannot read events", path(), "it has no topic " + filter.topic,
                detail::suggestion(filter.topic, names)};
+} catch (const SetupError& error) {
+  return error.error();
 }
 
 }  // namespace rtdata

@@ -40,87 +40,79 @@ Result<std::pair<std::string, std::string>> renaming_of(const std::string& text)
   return std::pair(text.substr(0, at), text.substr(at + 1));
 }
 
-Result<RunInfo> chosen_run(const Recording& recording, const ReplayConfig& config) {
-  auto runs = recording.runs();
-  if (!runs) return std::move(runs).error();
+RunInfo chosen_run(const Recording& recording, const ReplayConfig& config) {
+  auto runs = recording.runs().or_throw();
   std::string numbers;
   RunInfo chosen;
-  for (RunInfo& run : *runs) {
+  for (RunInfo& run : runs) {
     if (run.state == RunState::recording && run.pid == ::getpid()) {
-      return replay_refused(config.file, "this program records into it: what is replayed would be recorded again",
-                            "record into another file");
+      throw SetupError(replay_refused(config.file,
+                                      "this program records into it: what is replayed would be recorded again",
+                                      "record into another file"));
     }
     numbers += (numbers.empty() ? "" : ", ") + std::to_string(run.run);
     if (config.run == 0 || run.run == config.run) chosen = std::move(run);
   }
   if (chosen.run != 0) return chosen;
-  return Error{Errc::not_found, "cannot replay", config.file,
-               numbers.empty() ? "it has no run" : "it has no run " + std::to_string(config.run),
-               numbers.empty() ? "" : "its runs are " + numbers};
+  throw SetupError({Errc::not_found, "cannot replay", config.file,
+                    numbers.empty() ? "it has no run" : "it has no run " + std::to_string(config.run),
+                    numbers.empty() ? "" : "its runs are " + numbers});
 }
 
-Result<Time> beginning_of(const Recording& recording, const RunInfo& run, const ReplayConfig& config) {
-  auto from = given_time("from", config.from);
-  if (!from) return std::move(from).error();
-  if (!*from) return run.started;
-  Time time = (*from)->time;
-  if ((*from)->line == RowFilter::Times::utc) {
-    auto line = recording.utc_line(run.run);
-    if (!line) return std::move(line).error();
-    time = line->recorded(time);
+Time beginning_of(const Recording& recording, const RunInfo& run, const ReplayConfig& config) {
+  auto from = given_time("from", config.from).or_throw();
+  if (!from) return run.started;
+  Time time = from->time;
+  if (from->line == RowFilter::Times::utc) {
+    auto line = recording.utc_line(run.run).or_throw();
+    time = line.recorded(time);
   }
   return std::max(run.started, time);
 }
 
-Result<std::vector<RecordedTopic>> chosen_topics(const Recording& recording, const ReplayConfig& config,
-                                                 std::int64_t run) {
+std::vector<RecordedTopic> chosen_topics(const Recording& recording, const ReplayConfig& config, std::int64_t run) {
   for (const std::string& pattern : config.topics) {
     if (!is_topic_pattern(pattern)) {
-      return Error{Errc::bad_name, "cannot replay", "topic " + pattern, "it is neither a topic nor a pattern",
-                   "write room/climate, room/+ or room/#"};
+      throw SetupError({Errc::bad_name, "cannot replay", "topic " + pattern, "it is neither a topic nor a pattern",
+                        "write room/climate, room/+ or room/#"});
     }
   }
-  auto all = recording.topics();
-  if (!all) return std::move(all).error();
+  auto all = recording.topics().or_throw();
   std::set<std::string> all_names;  // one whose fields changed is there several times
-  for (const RecordedTopic& topic : *all) all_names.insert(topic.topic);
+  for (const RecordedTopic& topic : all) all_names.insert(topic.topic);
   std::string names;
   for (const std::string& name : all_names)
     if (names.size() < 200) names += (names.empty() ? "" : ", ") + name;
   std::vector<RecordedTopic> chosen;
-  for (RecordedTopic& topic : *all) {
+  for (RecordedTopic& topic : all) {
     const bool is_wanted = std::any_of(config.topics.begin(), config.topics.end(),
                                        [&](const std::string& pattern) { return topic_matches(pattern, topic.topic); });
     // Of one whose fields changed between runs, those of this run.
     auto rows = recording.file()->prepare("SELECT EXISTS(SELECT 1 FROM " + sqlite::quoted(topic.table) +
                                           " t WHERE t.run = " + std::to_string(run) + ")");
-    if (!rows) return std::move(rows).error();
-    auto row = rows->step();
-    if (!row) return std::move(row).error();
-    if (!is_wanted || !*row || rows->integer(0) == 0) continue;
+    if (!is_wanted || !rows.step() || rows.integer(0) == 0) continue;
     if (topic.description->size() > max_payload_size) {
-      return Error{Errc::bad_description, "cannot replay", config.file + ", topic " + topic.topic,
-                   "its events have " + std::to_string(topic.description->size()) + " bytes, 4096 at most",
-                   "choose the other topics"};
+      throw SetupError({Errc::bad_description, "cannot replay", config.file + ", topic " + topic.topic,
+                        "its events have " + std::to_string(topic.description->size()) + " bytes, 4096 at most",
+                        "choose the other topics"});
     }
     chosen.push_back(std::move(topic));
   }
   if (!chosen.empty()) return chosen;
-  return Error{Errc::not_found, "cannot replay", config.file + ", run " + std::to_string(run),
-               "it has no events on the topics that are asked for",
-               names.empty() ? "it has no topics" : "its topics are " + names};
+  throw SetupError({Errc::not_found, "cannot replay", config.file + ", run " + std::to_string(run),
+                    "it has no events on the topics that are asked for",
+                    names.empty() ? "it has no topics" : "its topics are " + names});
 }
 
 }  // namespace detail
 
-Result<void> check_replayable(const ReplayConfig& config) {
-  auto recording = Recording::open(config.file);
-  if (!recording) return std::move(recording).error();
-  auto run = detail::chosen_run(*recording, config);
-  if (!run) return std::move(run).error();
-  auto topics = detail::chosen_topics(*recording, config, run->run);
-  if (!topics) return std::move(topics).error();
+Result<void> check_replayable(const ReplayConfig& config) try {
+  auto recording = Recording::open(config.file).or_throw();
+  auto run = detail::chosen_run(recording, config);
+  (void)detail::chosen_topics(recording, config, run.run);
   return {};
+} catch (const SetupError& error) {
+  return error.error();
 }
 
 void check_config(const ReplayConfig& config, const ConfigItem& item, Problems& problems) {

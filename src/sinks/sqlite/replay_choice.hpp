@@ -25,14 +25,13 @@ Result<std::optional<GivenTime>> given_time(const char* key, const std::string& 
 Result<std::pair<std::string, std::string>> renaming_of(const std::string& text);
 
 /// The last one, if none is asked for. Errors: not-found, bad-argument (it records in this program), those of reading.
-Result<RunInfo> chosen_run(const Recording& recording, const ReplayConfig& config);
+RunInfo chosen_run(const Recording& recording, const ReplayConfig& config);
 
 /// When what is asked for of the run begins, on the run's line: not before its start. Errors: bad-argument, those of
 /// reading.
-Result<Time> beginning_of(const Recording& recording, const RunInfo& run, const ReplayConfig& config);
+Time beginning_of(const Recording& recording, const RunInfo& run, const ReplayConfig& config);
 
 /// Those with rows in the run. Errors: not-found (none), bad-name, bad-description, those of reading.
-Result<std::vector<RecordedTopic>> chosen_topics(const Recording& recording, const ReplayConfig& config,
-                                                 std::int64_t run);
+std::vector<RecordedTopic> chosen_topics(const Recording& recording, const ReplayConfig& config, std::int64_t run);
 
 }  // namespace rtdata::detail

@@ -31,9 +31,9 @@ ReplayNode::ReplayNode(LoopCore& loop, ReplayConfig config)
     throw SetupError(replay_refused("from " + config_.from + ", until " + config_.until,
                                     "it ends before it begins, or one is UTC and the other in ns", "correct them"));
   Recording recording = Recording::open(config_.file).or_throw();
-  run_ = chosen_run(recording, config_).or_throw();
+  run_ = chosen_run(recording, config_);
   filter.run = run_.run;
-  base_ = beginning_of(recording, run_, config_).or_throw();
+  base_ = beginning_of(recording, run_, config_);
   last_given_ = base_;
   const std::string from_utc = to_iso8601(recording.utc_line(run_.run).or_throw().utc(base_));
   const Time time_now = loop.runtime.event_now();
@@ -88,7 +88,7 @@ std::vector<std::string> ReplayNode::renamed(const std::vector<std::string>& top
 }
 
 void ReplayNode::choose_topics(const Recording& recording) {
-  for (RecordedTopic& topic : chosen_topics(recording, config_, run_.run).or_throw()) {
+  for (RecordedTopic& topic : chosen_topics(recording, config_, run_.run)) {
     PayloadType type;
     type.size = topic.description->size();
     type.alignment = topic.description->alignment();

@@ -51,25 +51,25 @@ void ReplaySource::cancel() noexcept {
 void ReplaySource::read(ReplayPortion& portion) noexcept {
   portion.clear();
   try {
-    if (auto done = read_rows(portion); !done) portion.error = std::move(done).error();
+    read_rows(portion);
+  } catch (const SetupError& error) {
+    portion.error = error.error();
   } catch (const std::exception& error) {
     portion.error = Error{Errc::io_failed, "cannot read the recording", recording_.path(), error.what(), ""};
   }
   portion.is_last = portion.is_last || portion.error.has_value();
 }
 
-Result<void> ReplaySource::read_rows(ReplayPortion& portion) {
-  if (!rows_ && is_cancelled_.load()) return {};
+void ReplaySource::read_rows(ReplayPortion& portion) {
+  if (!rows_ && is_cancelled_.load()) return;
   if (!rows_) {
-    auto rows = recording_.rows(filter_);
-    if (!rows) return std::move(rows).error();
-    rows_.emplace(*std::move(rows));
+    auto rows = recording_.rows(filter_).or_throw();
+    rows_.emplace(std::move(rows));
   }
   while (portion.entries.size() < rows_at_once && portion.payloads.size() < bytes_at_once &&
          !is_cancelled_.load(std::memory_order_relaxed)) {
-    auto next = rows_->next();
-    if (!next) return std::move(next).error();
-    const RecordedRow* const row = *next;
+    auto next = rows_->next().or_throw();
+    const RecordedRow* const row = next;
     portion.is_last = row == nullptr;
     if (portion.is_last) {
       rows_.reset();  // the recording is not held any longer
@@ -86,16 +86,16 @@ Result<void> ReplaySource::read_rows(ReplayPortion& portion) {
       continue;
     }
     if (end_ && row->header().time > later(*end_, end_tolerance)) {
-      return at_row(
+      throw SetupError(at_row(
           *recording_.file(), row->topic(), row->run(), row->header().origin, row->header().sequence,
           {Errc::damaged, "cannot replay", "time " + to_iso8601(row->header().time),
-           "it is after the end of the run, " + to_iso8601(*end_), "see `rtdata verify`; `--until` leaves it out"});
+           "it is after the end of the run, " + to_iso8601(*end_), "see `rtdata verify`; `--until` leaves it out"}));
     }
     Topic& topic = topic_of(row->topic());
     if (topic.place == topics_.size()) {
       if (!is_chosen(row->topic().topic)) continue;
-      return Error{Errc::damaged, "cannot replay", recording_.path() + ", topic " + row->topic().topic,
-                   "the run has rows with other fields, too", "see `rtdata verify`"};
+      throw SetupError({Errc::damaged, "cannot replay", recording_.path() + ", topic " + row->topic().topic,
+                        "the run has rows with other fields, too", "see `rtdata verify`"});
     }
     if (topic.last_name != row->header().origin || topic.last_name.empty()) {
       topic.last = origin_of(topic.place, row->header().origin, portion);
@@ -107,7 +107,6 @@ Result<void> ReplaySource::read_rows(ReplayPortion& portion) {
                                static_cast<std::uint32_t>(portion.payloads.size())});
     portion.payloads.insert(portion.payloads.end(), payload.begin(), payload.end());
   }
-  return {};
 }
 
 ReplaySource::Topic& ReplaySource::topic_of(const RecordedTopic& read_as) {

@@ -68,7 +68,7 @@ class ReplaySource {
     std::string last_name;  // of the last origin
     std::uint32_t last = 0;
   };
-  Result<void> read_rows(ReplayPortion& portion);
+  void read_rows(ReplayPortion& portion);
   Topic& topic_of(const RecordedTopic& read_as);
   bool is_chosen(std::string_view topic) const;
   std::optional<std::size_t> place_of(const RecordedTopic& topic) const;

@@ -38,27 +38,24 @@ RowBatch::RowBatch(const RecordedTopic& topic, std::size_t most_bytes)
   payloads_.resize(most_rows_ * payload_bytes_);
 }
 
-Result<void> RowBatch::provide(const sqlite::Database& database) {
+void RowBatch::provide(const sqlite::Database& database) {
   if (sqlite3_create_function_v2(database.raw(), function_name, -1, SQLITE_UTF8 | SQLITE_DIRECTONLY, nullptr, &take,
-                                 nullptr, nullptr, nullptr) == SQLITE_OK)
-    return {};
-  return sqlite::error_of(database.raw(), "cannot read the recording");
+                                 nullptr, nullptr, nullptr) != SQLITE_OK)
+    throw SetupError(sqlite::error_of(database.raw(), "cannot read the recording"));
 }
 
-Result<sqlite::Statement> RowBatch::query(const RecordingFile& file, const RecordedTopic& topic,
-                                          const Selection& selection) {
+sqlite::Statement RowBatch::query(const RecordingFile& file, const RecordedTopic& topic, const Selection& selection) {
   auto in_order = lies_in_order(file, topic, selection);
-  if (!in_order) return std::move(in_order).error();
   const std::string table = sqlite::quoted(topic.table) + " t", rows = row_conditions(selection);
   // Only a row that is wanted is taken, and when its turn has come: SQLite would choose another order for two
   // conditions side by side, and sorts what was computed before. It sorts first where a limit, though it is none,
   // follows.
-  auto statement = file.prepare(*in_order ? "SELECT 1 FROM " + table + " WHERE CASE WHEN " + rows + " THEN " +
-                                                calls(topic, selection) + " END ORDER BY t._rowid_"
-                                          : "SELECT 1 FROM (SELECT * FROM " + table + " WHERE " + rows +
-                                                " ORDER BY t.run, t.time, t._rowid_ LIMIT -1) t WHERE " +
-                                                calls(topic, selection));
-  if (statement) bind_conditions(*statement, selection);
+  auto statement = file.prepare(in_order ? "SELECT 1 FROM " + table + " WHERE CASE WHEN " + rows + " THEN " +
+                                               calls(topic, selection) + " END ORDER BY t._rowid_"
+                                         : "SELECT 1 FROM (SELECT * FROM " + table + " WHERE " + rows +
+                                               " ORDER BY t.run, t.time, t._rowid_ LIMIT -1) t WHERE " +
+                                               calls(topic, selection));
+  bind_conditions(statement, selection);
   return statement;
 }
 
@@ -67,19 +64,20 @@ void RowBatch::bind_to(sqlite::Statement& statement) noexcept {
                        nullptr);
 }
 
-Result<bool> RowBatch::fill(sqlite::Statement& statement) {
+bool RowBatch::fill(sqlite::Statement& statement) {
   rows_.clear();
   origins_.clear();
   error_.reset();
   if (!has_ended_) {
-    auto more = statement.step();
-    has_ended_ = !more || !*more;
-    if (!more) {
-      failed_ = std::move(more).error();
+    try {
+      has_ended_ = !statement.step();
+    } catch (const SetupError& error) {
+      has_ended_ = true;
+      failed_ = error.error();
       if (!rows_.empty() && !is_row_whole_) rows_.pop_back();  // the rest of it cannot be read
     }
   }
-  if (rows_.empty() && failed_) return *failed_;
+  if (rows_.empty() && failed_) throw SetupError(*failed_);
   return !rows_.empty();
 }
 
@@ -121,10 +119,11 @@ bool RowBatch::take(std::size_t first, std::span<sqlite3_value*> columns) {
   }
   Row& row = rows_.back();
   if (!row.is_damaged) {
-    auto read = reader_.read(columns, first - fixed_columns, payloads_.data() + (rows_.size() - 1) * payload_bytes_);
-    if (!read) {
+    try {
+      reader_.read(columns, first - fixed_columns, payloads_.data() + (rows_.size() - 1) * payload_bytes_);
+    } catch (const SetupError& error) {
       row.is_damaged = true;
-      error_ = std::move(read).error();
+      error_ = error.error();
     }
   }
   is_row_whole_ = is_last;

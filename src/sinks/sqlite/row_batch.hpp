@@ -26,7 +26,7 @@ class RowBatch {
   };
 
   /// So that queries on this connection may call the function.
-  static Result<void> provide(const sqlite::Database& database);
+  static void provide(const sqlite::Database& database);
 
   /// `most_bytes`: of the payloads that it keeps; at least one row.
   RowBatch(const RecordedTopic& topic, std::size_t most_bytes);
@@ -34,13 +34,12 @@ class RowBatch {
   RowBatch& operator=(const RowBatch&) = delete;
 
   /// The rows of a topic's table in their order, taken by a batch: true when it has no room for another one.
-  static Result<sqlite::Statement> query(const RecordingFile& file, const RecordedTopic& topic,
-                                         const Selection& selection);
+  static sqlite::Statement query(const RecordingFile& file, const RecordedTopic& topic, const Selection& selection);
   /// The statement that `query` made fills this batch.
   void bind_to(sqlite::Statement& statement) noexcept;
   /// Some more rows, from the first that the statement has not given. None: there are no more. Errors: those of the
   /// database, once the rows before are out.
-  Result<bool> fill(sqlite::Statement& statement);
+  bool fill(sqlite::Statement& statement);
 
   std::size_t size() const noexcept { return rows_.size(); }
   const Row& operator[](std::size_t row) const noexcept { return rows_[row]; }

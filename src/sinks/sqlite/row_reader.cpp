@@ -104,25 +104,24 @@ bool read_plain(sqlite3_value* stored, const Leaf& leaf, std::byte* payload) {
   return false;
 }
 
-Result<void> read_any(sqlite3_value* stored, const Leaf& leaf, std::byte* payload) {
+void read_any(sqlite3_value* stored, const Leaf& leaf, std::byte* payload) {
   if (sqlite3_value_type(stored) == SQLITE_NULL) {
     // Absent, NaN, or a field of a later run: zero bytes are zero, empty and absent.
     if (leaf.optional == nullptr && leaf.kind == Kind::f64)
       store(payload + leaf.offset, std::numeric_limits<double>::quiet_NaN());
     if (leaf.optional == nullptr && leaf.kind == Kind::f32)
       store(payload + leaf.offset, std::numeric_limits<float>::quiet_NaN());
-    return {};
+    return;
   }
   Value value;
   if (!convert(stored, leaf, value)) {
-    return Error{Errc::damaged, "cannot read a row", "field " + leaf.path,
-                 "it holds " + found(stored) + ", which is no " + std::string(name_of(leaf.kind)), ""};
+    throw SetupError({Errc::damaged, "cannot read a row", "field " + leaf.path,
+                      "it holds " + found(stored) + ", which is no " + std::string(name_of(leaf.kind)), ""});
   }
   if (auto done = write(leaf, payload, value); !done) {
     Error error = std::move(done).error();
-    return Error{Errc::damaged, "cannot read a row", std::move(error.where), std::move(error.why), ""};
+    throw SetupError({Errc::damaged, "cannot read a row", std::move(error.where), std::move(error.why), ""});
   }
-  return {};
 }
 
 }  // namespace
@@ -133,26 +132,22 @@ std::string RowReader::columns() const {
   return sql;
 }
 
-Result<void> RowReader::read(sqlite3_stmt* row, int first, std::byte* payload) const {
+void RowReader::read(sqlite3_stmt* row, int first, std::byte* payload) const {
   std::memset(payload, 0, topic_->description->size());
   int column = first;
   for (const Leaf& leaf : topic_->description->leaves()) {
     sqlite3_value* const stored = sqlite3_column_value(row, column++);  // no other thread uses the connection meanwhile
     if (read_plain(stored, leaf, payload)) continue;
-    if (auto done = read_any(stored, leaf, payload); !done) return done;
+    read_any(stored, leaf, payload);
   }
-  return {};
 }
 
-Result<void> RowReader::read(std::span<sqlite3_value*> stored, std::size_t first, std::byte* payload) const {
+void RowReader::read(std::span<sqlite3_value*> stored, std::size_t first, std::byte* payload) const {
   const Leaf* leaf = topic_->description->leaves().data() + first;
   for (sqlite3_value* const one : stored) {
-    if (!read_plain(one, *leaf, payload)) {
-      if (auto done = read_any(one, *leaf, payload); !done) return done;
-    }
+    if (!read_plain(one, *leaf, payload)) read_any(one, *leaf, payload);
     ++leaf;
   }
-  return {};
 }
 
 }  // namespace rtdata::detail

@@ -15,9 +15,9 @@ namespace rtdata::detail {
 struct RowCursor {
   virtual ~RowCursor() = default;
   /// Goes to the next row, whose run and time are then set. False: there is none.
-  virtual Result<bool> advance() = 0;
+  virtual bool advance() = 0;
   /// Makes `row` what is at hand; its run and time are set.
-  virtual Result<void> give(RecordedRow& row) = 0;
+  virtual void give(RecordedRow& row) = 0;
   virtual bool is_gap() const noexcept { return false; }
 
   std::size_t place = 0;  // among the cursors: which comes first at one time
@@ -61,18 +61,18 @@ struct RowsMerge {
   std::uint64_t given = 0;
   RecordedRow row;
 
-  Result<void> add(std::unique_ptr<RowCursor> cursor);
+  void add(std::unique_ptr<RowCursor> cursor);
   /// Null: there is none.
-  Result<RowCursor*> next();
+  RowCursor* next();
 };
 
 /// The rows of a topic's table, which is one of so many that are read at once.
-Result<std::unique_ptr<RowCursor>> make_table_cursor(const RecordingFile& file, RecordedTopic topic,
-                                                     const Selection& selection, std::size_t topics);
+std::unique_ptr<RowCursor> make_table_cursor(const RecordingFile& file, RecordedTopic topic, const Selection& selection,
+                                             std::size_t topics);
 /// The gaps of all topics that are selected.
-Result<std::unique_ptr<RowCursor>> make_gap_cursor(const RecordingFile& file, const Selection& selection);
+std::unique_ptr<RowCursor> make_gap_cursor(const RecordingFile& file, const Selection& selection);
 /// A topic's table in steps.
-Result<std::unique_ptr<RowCursor>> make_step_cursor(const Recording& recording, RecordedTopic topic,
-                                                    const Selection& selection, Duration step);
+std::unique_ptr<RowCursor> make_step_cursor(const Recording& recording, RecordedTopic topic, const Selection& selection,
+                                            Duration step);
 
 }  // namespace rtdata::detail

@@ -19,29 +19,24 @@ struct OpenRun {
 };
 
 /// The tables of a topic that may hold rows of the run, newest version first.
-Result<std::vector<std::string>> tables_of(Database& database, const std::string& topic) {
+std::vector<std::string> tables_of(Database& database, const std::string& topic) {
   auto query = database.prepare("SELECT table_name FROM rtdata_topic WHERE topic = ? ORDER BY version DESC");
-  if (!query) return std::move(query).error();
-  return query->bind(1, topic).texts();
+  return query.bind(1, topic).texts();
 }
 
 /// The last row of a data table that is of an earlier run than this; 0: there is none. Found by halving, since runs
 /// follow each other: sealing need not look at rows of others.
-Result<std::int64_t> rows_before(const Database& database, const std::string& table, std::int64_t run) {
+std::int64_t rows_before(const Database& database, const std::string& table, std::int64_t run) {
   auto last = database.integer("SELECT max(_rowid_) FROM " + quoted(table));
-  if (!last) return last;
   auto next = database.prepare("SELECT _rowid_, run FROM " + quoted(table) +
                                " WHERE _rowid_ >= ? ORDER BY _rowid_ LIMIT 1");
-  if (!next) return std::move(next).error();
   std::int64_t before = 0;
-  for (std::int64_t end = *last + 1; end - before > 1;) {
+  for (std::int64_t end = last + 1; end - before > 1;) {
     const std::int64_t middle = before + (end - before) / 2;
-    next->reset();
-    next->bind(1, middle);
-    auto row = next->step();
-    if (!row) return std::move(row).error();
-    if (*row && next->integer(1) < run) {
-      before = next->integer(0);
+    next.reset();
+    next.bind(1, middle);
+    if (next.step() && next.integer(1) < run) {
+      before = next.integer(0);
     } else {
       end = middle;
     }
@@ -56,26 +51,23 @@ struct LedgerRow {
   std::int64_t there = 0;  // rows, if some were pruned
 };
 
-Result<std::vector<LedgerRow>> ledger_of(Database& database, std::int64_t run, const std::string& topic) {
+std::vector<LedgerRow> ledger_of(Database& database, std::int64_t run, const std::string& topic) {
   auto query = database.prepare(
       "SELECT origin, slot, offered, stored, dropped_newest + dropped_oldest + dropped_refused, first_sequence, "
       "last_sequence, rows_up_to, pruned "
       "FROM rtdata_ledger WHERE run = ? AND topic = ?");
-  if (!query) return std::move(query).error();
-  query->bind(1, run).bind(2, topic);
+  query.bind(1, run).bind(2, topic);
   std::vector<LedgerRow> rows;
-  for (;;) {
-    auto row = query->step();
-    if (!row) return std::move(row).error();
-    if (!*row) return rows;
-    rows.push_back({std::string(query->text(0)), query->integer(1), query->integer(2), query->integer(3),
-                    query->integer(4), query->integer(5), query->integer(6), query->integer(7), query->integer(8)});
+  while (query.step()) {
+    rows.push_back({std::string(query.text(0)), query.integer(1), query.integer(2), query.integer(3), query.integer(4),
+                    query.integer(5), query.integer(6), query.integer(7), query.integer(8)});
   }
+  return rows;
 }
 
 /// Counts the rows of the run that came after what the ledger says of their origin.
-Result<void> add_later_rows(Database& database, const std::string& table, std::int64_t run,
-                            std::vector<LedgerRow>& ledger, std::int64_t& last_time) {
+void add_later_rows(Database& database, const std::string& table, std::int64_t run, std::vector<LedgerRow>& ledger,
+                    std::int64_t& last_time) {
   std::unordered_map<std::string_view, LedgerRow*> by_origin;
   std::int64_t above = std::numeric_limits<std::int64_t>::max();
   for (LedgerRow& row : ledger) {
@@ -83,44 +75,34 @@ Result<void> add_later_rows(Database& database, const std::string& table, std::i
     above = std::min(above, row.rows_up_to);
   }
   auto before = rows_before(database, table, run);  // of an origin without an account, `above` is of no run
-  if (!before) return std::move(before).error();
-  above = std::max(above, *before);
+  above = std::max(above, before);
   auto query = database.prepare("SELECT _rowid_, origin, sequence, time FROM " + quoted(table) +
                                 " WHERE _rowid_ > ? AND run = ?");
-  if (!query) return std::move(query).error();
-  query->bind(1, above).bind(2, run);
-  for (;;) {
-    auto is_row = query->step();
-    if (!is_row) return std::move(is_row).error();
-    if (!*is_row) return {};
-    const auto found = by_origin.find(query->text(1));
-    if (found == by_origin.end() || query->integer(0) <= found->second->rows_up_to) continue;
+  query.bind(1, above).bind(2, run);
+  while (query.step()) {
+    const auto found = by_origin.find(query.text(1));
+    if (found == by_origin.end() || query.integer(0) <= found->second->rows_up_to) continue;
     LedgerRow& row = *found->second;
-    const std::int64_t sequence = query->integer(2);
+    const std::int64_t sequence = query.integer(2);
     ++row.added;
     if (row.first_sequence == 0) row.first_sequence = sequence;
     row.last_sequence = std::max(row.last_sequence, sequence);
-    last_time = std::max(last_time, query->integer(3));
+    last_time = std::max(last_time, query.integer(3));
   }
 }
 
 /// Of what came after the account, a limit may have deleted rows, too.
-Result<void> add_pruned_rows(Database& database, const std::vector<std::string>& tables, std::int64_t run,
-                             std::vector<LedgerRow>& ledger) {
-  if (std::none_of(ledger.begin(), ledger.end(), [](const LedgerRow& row) { return row.pruned > 0; })) return {};
+void add_pruned_rows(Database& database, const std::vector<std::string>& tables, std::int64_t run,
+                     std::vector<LedgerRow>& ledger) {
+  if (std::none_of(ledger.begin(), ledger.end(), [](const LedgerRow& row) { return row.pruned > 0; })) return;
   for (const std::string& table : tables) {
     auto before = rows_before(database, table, run);
-    if (!before) return std::move(before).error();
     auto query = database.prepare("SELECT origin, count(*) FROM " + quoted(table) +
                                   " WHERE _rowid_ > ? AND run = ? GROUP BY origin");
-    if (!query) return std::move(query).error();
-    query->bind(1, *before).bind(2, run);
-    for (;;) {
-      auto is_row = query->step();
-      if (!is_row) return std::move(is_row).error();
-      if (!*is_row) break;
+    query.bind(1, before).bind(2, run);
+    while (query.step()) {
       for (LedgerRow& row : ledger)
-        if (row.origin == query->text(0)) row.there += query->integer(1);
+        if (row.origin == query.text(0)) row.there += query.integer(1);
     }
   }
   for (LedgerRow& row : ledger) {
@@ -130,31 +112,25 @@ Result<void> add_pruned_rows(Database& database, const std::vector<std::string>&
     if (row.stored == 0 && row.first_sequence != 0) row.first_sequence -= std::min(missing, row.first_sequence - 1);
     row.added += missing;
   }
-  return {};
 }
 
 /// Brings the ledger of one topic in line with its rows. Adds to `lost`; it stays unknown (negative) without live
 /// counts. A disk that is taken away, or fails, may lose the last transactions although it said that it had them: adds
 /// the rows that had been committed and are not there to `lost_by_disk`.
-Result<void> seal_topic(Database& database, const OpenRun& run, const std::string& topic, LiveFile* live,
-                        std::int64_t& lost, std::int64_t& lost_by_disk, std::int64_t& last_time) {
+void seal_topic(Database& database, const OpenRun& run, const std::string& topic, LiveFile* live, std::int64_t& lost,
+                std::int64_t& lost_by_disk, std::int64_t& last_time) {
   auto rows = ledger_of(database, run.run, topic);
-  if (!rows) return std::move(rows).error();
-  if (rows->empty()) return {};
+  if (rows.empty()) return;
   auto tables = tables_of(database, topic);
-  if (!tables) return std::move(tables).error();
-  for (const std::string& table : *tables) {
-    if (auto added = add_later_rows(database, table, run.run, *rows, last_time); !added) return added;
-  }
-  if (auto added = add_pruned_rows(database, *tables, run.run, *rows); !added) return added;
+  for (const std::string& table : tables) add_later_rows(database, table, run.run, rows, last_time);
+  add_pruned_rows(database, tables, run.run, rows);
   // Its account may be older than its rows, or not there yet: what it publishes at least is what was offered.
   auto update = database.prepare(
       "UPDATE rtdata_ledger SET offered = ?1, stored = ?2, published = max(published, ?1), "
       "received = max(received, ?1 + repeated + filtered + unreadable), "
       "dropped_newest = dropped_newest + ?3, "
       "dropped_unsaved = ?4, first_sequence = ?5, last_sequence = ?6 WHERE run = ?7 AND topic = ?8 AND origin = ?9");
-  if (!update) return std::move(update).error();
-  for (const LedgerRow& row : *rows) {
+  for (const LedgerRow& row : rows) {
     std::int64_t first_sequence = row.first_sequence;
     std::int64_t last_sequence = row.last_sequence;
     std::int64_t offered = row.stored + row.added + row.dropped;
@@ -171,43 +147,36 @@ Result<void> seal_topic(Database& database, const OpenRun& run, const std::strin
       lost_by_disk += std::max<std::int64_t>(0, static_cast<std::int64_t>(slot.committed) - row.stored - row.added);
       if (const auto kept = slot.account.value()) {
         const KilledOrigin killed{run.run, topic, row.origin, offered};
-        if (auto sealed = seal_account(database, killed, *kept, last_time); !sealed) return sealed;
+        seal_account(database, killed, *kept, last_time);
         if (first_sequence == 0) first_sequence = static_cast<std::int64_t>(kept->first_sequence);
       }
       if (first_sequence != 0) last_sequence = std::max(last_sequence, first_sequence + offered - 1);
     }
-    update->bind(1, offered)
+    update.bind(1, offered)
         .bind(2, row.stored + row.added)
         .bind(3, dropped_more)
         .bind(4, unsaved)
         .bind(5, first_sequence)
         .bind(6, last_sequence);
-    update->bind(7, run.run).bind(8, topic).bind(9, row.origin);
-    if (auto done = update->run(); !done) return done;
+    update.bind(7, run.run).bind(8, topic).bind(9, row.origin);
+    update.run();
   }
-  return {};
 }
 
-Result<std::string> seal_run(Database& database, const OpenRun& run, LiveFile* live, AccountSums& sums) {
+std::string seal_run(Database& database, const OpenRun& run, LiveFile* live, AccountSums& sums) {
   const bool is_known = live != nullptr && live->is_complete();
-  if (auto taken = sums.add_run(database, run.run, AccountSums::Rows::go); !taken) return std::move(taken).error();
+  sums.add_run(database, run.run, AccountSums::Rows::go);
   auto query = database.prepare("SELECT DISTINCT topic FROM rtdata_ledger WHERE run = ?");
-  if (!query) return std::move(query).error();
-  auto topics = query->bind(1, run.run).texts();
-  if (!topics) return std::move(topics).error();
+  auto topics = query.bind(1, run.run).texts();
   std::int64_t lost = 0, lost_by_disk = 0;
   std::int64_t last_time = run.ended;
-  for (const std::string& topic : *topics) {
-    if (auto sealed = seal_topic(database, run, topic, live, lost, lost_by_disk, last_time); !sealed)
-      return std::move(sealed).error();
-  }
+  for (const std::string& topic : topics) seal_topic(database, run, topic, live, lost, lost_by_disk, last_time);
   std::uint64_t unnamed = 0;  // events of origins that have no place in the ledger yet
   if (live != nullptr) {
     auto next = database.prepare("SELECT coalesce(max(slot) + 1, 0) FROM rtdata_ledger WHERE run = ?");
-    if (!next) return std::move(next).error();
-    next->bind(1, run.run);
-    if (auto row = next->step(); !row) return std::move(row).error();
-    for (auto slot = static_cast<std::uint32_t>(next->integer(0)); slot < live->slots() && live->has(slot); ++slot) {
+    next.bind(1, run.run);
+    next.step();
+    for (auto slot = static_cast<std::uint32_t>(next.integer(0)); slot < live->slots() && live->has(slot); ++slot) {
       unnamed += live->counts(slot).offered;
       lost_by_disk += static_cast<std::int64_t>(live->slot(slot).committed);
     }
@@ -224,41 +193,34 @@ Result<std::string> seal_run(Database& database, const OpenRun& run, LiveFile* l
   }
   auto update = database.prepare(
       "UPDATE rtdata_run SET state = 'sealed', ended = ?, lost = ?, remark = ? WHERE run = ?");
-  if (!update) return std::move(update).error();
-  update->bind(1, last_time).bind(3, remark).bind(4, run.run);
+  update.bind(1, last_time).bind(3, remark).bind(4, run.run);
   if (is_known && run.remark.empty()) {
-    update->bind(2, lost + static_cast<std::int64_t>(unnamed));
+    update.bind(2, lost + static_cast<std::int64_t>(unnamed));
   } else {
-    update->bind_null(2);
+    update.bind_null(2);
   }
-  if (auto done = update->run(); !done) return std::move(done).error();
-  if (auto added = sums.add_run(database, run.run); !added) return std::move(added).error();
+  update.run();
+  sums.add_run(database, run.run);
   return remark;
 }
 
 }  // namespace
 
-Result<std::vector<std::string>> seal_runs(Database& database, const std::string& recording, const std::string& noted,
-                                           AccountSums& sums, std::vector<LiveFile>& used) {
+std::vector<std::string> seal_runs(Database& database, const std::string& recording, const std::string& noted,
+                                   AccountSums& sums, std::vector<LiveFile>& used) {
   std::vector<OpenRun> open;
   {
     auto query = database.prepare("SELECT run, uuid, ended, remark FROM rtdata_run WHERE state = 'recording'");
-    if (!query) return std::move(query).error();
-    for (;;) {
-      auto row = query->step();
-      if (!row) return std::move(row).error();
-      if (!*row) break;
-      open.push_back({query->integer(0), std::string(query->text(1)), query->integer(2), std::string(query->text(3))});
+    while (query.step()) {
+      open.push_back({query.integer(0), std::string(query.text(1)), query.integer(2), std::string(query.text(3))});
     }
   }
   std::vector<std::string> remarks;
   for (const OpenRun& run : open) {
-    auto live = LiveFile::find(recording, run.uuid, noted);
-    if (!live) return std::move(live).error();
-    auto remark = seal_run(database, run, *live ? &**live : nullptr, sums);
-    if (!remark) return std::move(remark).error();
-    if (*live) used.push_back(std::move(**live));
-    remarks.push_back(*remark);
+    auto live = LiveFile::find(recording, run.uuid, noted).or_throw();
+    auto remark = seal_run(database, run, live ? &*live : nullptr, sums);
+    if (live) used.push_back(std::move(*live));
+    remarks.push_back(remark);
   }
   return remarks;
 }

@@ -8,9 +8,9 @@ namespace rtdata::sqlite {
 namespace {
 
 /// A statement of one origin: its first three parameters are run, topic and origin.
-Result<Statement> prepare(Database& database, const KilledOrigin& killed, std::string_view sql) {
+Statement prepare(Database& database, const KilledOrigin& killed, std::string_view sql) {
   auto statement = database.prepare(sql);
-  if (statement) statement->bind(1, killed.run).bind(2, killed.topic).bind(3, killed.origin);
+  statement.bind(1, killed.run).bind(2, killed.topic).bind(3, killed.origin);
   return statement;
 }
 
@@ -23,7 +23,7 @@ std::int64_t signed_of(std::uint64_t count) { return static_cast<std::int64_t>(c
 std::uint64_t count_of(const Statement& row, int column) { return static_cast<std::uint64_t>(row.integer(column)); }
 
 /// The recording's own account, with what it says of the segment that is under way in `kept`.
-Result<Account> last_account(Database& database, const KilledOrigin& killed, const LiveAccount& kept) {
+Account last_account(Database& database, const KilledOrigin& killed, const LiveAccount& kept) {
   Account account;
   SensorCounts& s = account.counts;
   {
@@ -31,16 +31,13 @@ Result<Account> last_account(Database& database, const KilledOrigin& killed, con
                          "SELECT scheduled, taken, missed, failed, in_flight, late, received, published, repeated, "
                          "filtered, unreadable, lost, has_schedule FROM rtdata_ledger WHERE run = ? AND topic = ? AND "
                          "origin = ?");
-    if (!query) return std::move(query).error();
-    auto row = query->step();
-    if (!row) return std::move(row).error();
-    if (*row) {
+    if (query.step()) {
       int column = 0;
       for (std::uint64_t* count : {&s.scheduled, &s.taken, &s.missed, &s.failed, &s.in_flight, &s.late, &s.received,
                                    &s.published, &s.repeated, &s.filtered, &s.unreadable, &s.lost})
-        *count = count_of(*query, column++);
-      s.lost_is_known = !query->is_null(11);
-      s.has_schedule = query->integer(12) != 0;
+        *count = count_of(query, column++);
+      s.lost_is_known = !query.is_null(11);
+      s.has_schedule = query.integer(12) != 0;
     }
   }
   account.segment = kept.segment;
@@ -48,11 +45,8 @@ Result<Account> last_account(Database& database, const KilledOrigin& killed, con
   auto query = prepare(database, killed,
                        "SELECT scheduled FROM rtdata_schedule WHERE run = ? AND topic = ? AND origin = ? AND first_due "
                        "= ?");
-  if (!query) return std::move(query).error();
-  query->bind(4, to_nanoseconds(kept.segment.first_due));
-  auto row = query->step();
-  if (!row) return std::move(row).error();
-  if (*row) account.segment.scheduled = count_of(*query, 0);
+  query.bind(4, to_nanoseconds(kept.segment.first_due));
+  if (query.step()) account.segment.scheduled = count_of(query, 0);
   return account;
 }
 
@@ -69,34 +63,32 @@ void add_events(Account& account, std::uint64_t events) {
   account.segment.scheduled += ticks;
 }
 
-Result<void> write(Database& database, const KilledOrigin& killed, const Account& account) {
+void write(Database& database, const KilledOrigin& killed, const Account& account) {
   const SensorCounts& s = account.counts;
   auto ledger = prepare(
       database, killed,
       "UPDATE rtdata_ledger SET scheduled = ?4, taken = ?5, missed = ?6, failed = ?7, in_flight = ?8, "
       "late = ?9, received = ?10, published = ?11, repeated = ?12, filtered = ?13, unreadable = ?14, "
       "lost = ?15, has_schedule = ?16 WHERE run = ?1 AND topic = ?2 AND origin = ?3");
-  if (!ledger) return std::move(ledger).error();
   int column = 4;
   for (const std::uint64_t count : {s.scheduled, s.taken, s.missed, s.failed, s.in_flight, s.late, s.received,
                                     s.published, s.repeated, s.filtered, s.unreadable, s.lost})
-    ledger->bind(column++, signed_of(count));
-  if (!s.lost_is_known) ledger->bind_null(15);
-  ledger->bind(16, std::int64_t{s.has_schedule});
-  if (auto done = ledger->run(); !done) return done;
+    ledger.bind(column++, signed_of(count));
+  if (!s.lost_is_known) ledger.bind_null(15);
+  ledger.bind(16, std::int64_t{s.has_schedule});
+  ledger.run();
   const Segment& segment = account.segment;
-  if (segment.period.count() <= 0 || segment.scheduled == 0) return {};
+  if (segment.period.count() <= 0 || segment.scheduled == 0) return;
   auto schedule = prepare(
       database, killed,
       "INSERT INTO rtdata_schedule(run, topic, origin, first_due, period, end, scheduled, "
       "late_after) VALUES(?,?,?,?,?,?,?,?) ON CONFLICT(run, origin, first_due) DO UPDATE SET end = excluded.end, "
       "scheduled = excluded.scheduled, period = excluded.period, late_after = "
       "excluded.late_after");
-  if (!schedule) return std::move(schedule).error();
-  schedule->bind(4, to_nanoseconds(segment.first_due)).bind(5, segment.period.count());
-  schedule->bind(6, to_nanoseconds(segment.first_due + (signed_of(segment.scheduled) - 1) * segment.period));
-  schedule->bind(7, signed_of(segment.scheduled)).bind(8, segment.late_after.count());
-  return schedule->run();
+  schedule.bind(4, to_nanoseconds(segment.first_due)).bind(5, segment.period.count());
+  schedule.bind(6, to_nanoseconds(segment.first_due + (signed_of(segment.scheduled) - 1) * segment.period));
+  schedule.bind(7, signed_of(segment.scheduled)).bind(8, segment.late_after.count());
+  return schedule.run();
 }
 
 /// What the recording has of gaps.
@@ -107,26 +99,22 @@ struct Known {
   bool is_any = false;
 };
 
-Result<Known> known_gaps(Database& database, const KilledOrigin& killed) {
+Known known_gaps(Database& database, const KilledOrigin& killed) {
   auto query = prepare(database, killed,
                        "SELECT total(count), max(first), max(last), count(*) FROM rtdata_gap WHERE run = ? AND topic = "
                        "? AND origin = ?");
-  if (!query) return std::move(query).error();
-  auto row = query->step();
-  if (!row) return std::move(row).error();
-  return Known{query->integer(0), query->integer(1), query->integer(2), query->integer(3) > 0};
+  query.step();
+  return Known{query.integer(0), query.integer(1), query.integer(2), query.integer(3) > 0};
 }
 
 /// The ticks of the rows that begin within this gap.
-Result<std::int64_t> ticks_in(Database& database, const KilledOrigin& killed, const LiveGap& gap) {
+std::int64_t ticks_in(Database& database, const KilledOrigin& killed, const LiveGap& gap) {
   auto query = prepare(database, killed,
                        "SELECT total(count) FROM rtdata_gap WHERE run = ? AND topic = ? AND origin = ? AND "
                        "first BETWEEN ? AND ?");
-  if (!query) return std::move(query).error();
-  query->bind(4, gap.first).bind(5, gap.last);
-  auto row = query->step();
-  if (!row) return std::move(row).error();
-  return query->integer(0);
+  query.bind(4, gap.first).bind(5, gap.last);
+  query.step();
+  return query.integer(0);
 }
 
 /// What all gaps of the origin have.
@@ -135,20 +123,17 @@ struct GapTicks {
   std::int64_t last = 0;
 };
 
-Result<GapTicks> gap_ticks(Database& database, const KilledOrigin& killed) {
+GapTicks gap_ticks(Database& database, const KilledOrigin& killed) {
   auto query = prepare(database, killed,
                        "SELECT kind, total(count), max(last) FROM rtdata_gap WHERE run = ? AND topic = ? AND origin = "
                        "? GROUP BY kind");
-  if (!query) return std::move(query).error();
   GapTicks ticks;
-  for (;;) {
-    auto row = query->step();
-    if (!row) return std::move(row).error();
-    if (!*row) return ticks;
-    const std::string_view kind = query->text(0);
-    (kind == "missed" ? ticks.missed : kind == "failed" ? ticks.failed : ticks.joined) += count_of(*query, 1);
-    ticks.last = std::max(ticks.last, query->integer(2));
+  while (query.step()) {
+    const std::string_view kind = query.text(0);
+    (kind == "missed" ? ticks.missed : kind == "failed" ? ticks.failed : ticks.joined) += count_of(query, 1);
+    ticks.last = std::max(ticks.last, query.integer(2));
   }
+  return ticks;
 }
 
 /// Raises the counts to what the gaps prove: those of a sensor on another loop come later than its gaps and its events.
@@ -181,96 +166,86 @@ void add_gaps(Account& account, const GapTicks& gaps, bool has_events) {
 }
 
 /// Adds a gap, or what has grown of one that is there: the row with the same beginning.
-Result<void> put_gap(Database& database, const KilledOrigin& killed, const LiveGap& gap) {
+void put_gap(Database& database, const KilledOrigin& killed, const LiveGap& gap) {
   const std::string reason(gap.reason);
-  const auto run = [&](std::string_view sql) -> Result<void> {
+  const auto run = [&](std::string_view sql) {
     auto statement = prepare(database, killed, sql);
-    if (!statement) return std::move(statement).error();
-    statement->bind(4, gap.first).bind(5, gap.last).bind(6, name_of(gap.kind)).bind(7, std::string_view(reason));
+    statement.bind(4, gap.first).bind(5, gap.last).bind(6, name_of(gap.kind)).bind(7, std::string_view(reason));
     if (gap.count != 0) {
-      statement->bind(8, signed_of(gap.count));
+      statement.bind(8, signed_of(gap.count));
     } else {
-      statement->bind_null(8);
+      statement.bind_null(8);
     }
-    return statement->run();
+    return statement.run();
   };
-  if (auto done = run("UPDATE rtdata_gap SET first = ?4, last = ?5, kind = ?6, reason = ?7, count = ?8 WHERE run = ?1 "
-                      "AND topic = ?2 AND origin = ?3 AND first BETWEEN ?4 AND ?5");
-      !done)
-    return done;
-  if (sqlite3_changes(database.raw()) > 0) return {};
+  run("UPDATE rtdata_gap SET first = ?4, last = ?5, kind = ?6, reason = ?7, count = ?8 WHERE run = ?1 "
+      "AND topic = ?2 AND origin = ?3 AND first BETWEEN ?4 AND ?5");
+  if (sqlite3_changes(database.raw()) > 0) return;
   return run("INSERT INTO rtdata_gap(run, topic, origin, first, last, kind, reason, count) VALUES(?,?,?,?,?,?,?,?)");
 }
 
 }  // namespace
 
-Result<void> seal_account(Database& database, const KilledOrigin& killed, const LiveAccount& kept,
-                          std::int64_t& last_time) {
+void seal_account(Database& database, const KilledOrigin& killed, const LiveAccount& kept, std::int64_t& last_time) {
   auto account = last_account(database, killed, kept);
-  if (!account) return std::move(account).error();
   const auto told = [](const SensorCounts& s) { return s.scheduled + s.received; };
-  if (told(kept.sensor) >= told(account->counts)) *account = {kept.sensor, kept.segment};
+  if (told(kept.sensor) >= told(account.counts)) account = {kept.sensor, kept.segment};
   // Events offered after the account was made: of a sensor on another loop, events come before the account that counts
   // them.
   const auto offered = static_cast<std::uint64_t>(killed.offered);
-  const std::uint64_t events = offered - std::min(offered, account->counts.published);
-  add_events(*account, events);
-  const Segment& segment = account->segment;
+  const std::uint64_t events = offered - std::min(offered, account.counts.published);
+  add_events(account, events);
+  const Segment& segment = account.segment;
   // The row of a gap that was under way at the last account may have grown, or closed, and others have followed.
   auto known = known_gaps(database, killed);
-  if (!known) return std::move(known).error();
   LiveGap closed = kept.closed;
-  if (closed.is_there && known->is_any && closed.first < known->first) {  // its first ones are in the recording
+  if (closed.is_there && known.is_any && closed.first < known.first) {  // its first ones are in the recording
     closed.kind = Gap::Kind::joined;
-    closed.first = known->last + segment.period.count();
+    closed.first = known.last + segment.period.count();
   }
   LiveGap open = kept.under_way;
-  if (open.is_there && !account->counts.has_schedule) open.last = std::max(open.last, last_time);
-  if (account->counts.has_schedule && closed.is_there) {
+  if (open.is_there && !account.counts.has_schedule) open.last = std::max(open.last, last_time);
+  if (account.counts.has_schedule && closed.is_there) {
     // Ticks that neither the recording nor the gap under way has. That of the recording with the same beginning counts
     // as what it has become.
     auto closed_there = ticks_in(database, killed, closed);
-    if (!closed_there) return std::move(closed_there).error();
-    std::int64_t others = known->count - *closed_there;
+    std::int64_t others = known.count - closed_there;
     if (open.is_there) {
       auto open_there = ticks_in(database, killed, open);
-      if (!open_there) return std::move(open_there).error();
-      others -= *open_there;
+      others -= open_there;
     }
     auto whole = ticks_in(database, killed, kept.closed);
-    if (!whole) return std::move(whole).error();
-    const auto by_counts = signed_of(account->counts.missed + account->counts.failed) - others -
+    const auto by_counts = signed_of(account.counts.missed + account.counts.failed) - others -
                            (open.is_there ? signed_of(open.count) : 0);
     // The counts of a sensor on another loop are older than its gaps, which are stored at once.
-    const auto lacking = std::max(by_counts, signed_of(kept.closed.count) - (*whole - *closed_there));
+    const auto lacking = std::max(by_counts, signed_of(kept.closed.count) - (whole - closed_there));
     closed.is_there = lacking > 0 && closed.first <= closed.last;
     if (closed.is_there && lacking != signed_of(closed.count)) {
       closed.kind = Gap::Kind::joined;
       closed.count = static_cast<std::uint64_t>(lacking);
       // Gaps before it had been stored, and went with the disk: it begins after what is left.
       const std::int64_t period = segment.period.count();
-      const std::int64_t after = known->is_any ? known->last + period : 0;
+      const std::int64_t after = known.is_any ? known.last + period : 0;
       if (period > 0 && lacking > (closed.last - closed.first) / period + 1)
         closed.first = std::min(closed.first, std::max(after, to_nanoseconds(segment.first_due)));
     }
-  } else if (closed.is_there && known->is_any && closed.first <= known->last && closed.first != known->first) {
+  } else if (closed.is_there && known.is_any && closed.first <= known.last && closed.first != known.first) {
     closed.is_there = false;  // it is in the recording
   }
   for (const LiveGap* gap : {&closed, &open}) {
     if (!gap->is_there) continue;
     last_time = std::max(last_time, gap->last);
-    if (auto done = put_gap(database, killed, *gap); !done) return done;
+    put_gap(database, killed, *gap);
   }
-  if (account->counts.has_schedule) {
+  if (account.counts.has_schedule) {
     auto ticks = gap_ticks(database, killed);
-    if (!ticks) return std::move(ticks).error();
-    add_gaps(*account, *ticks, events != 0);
+    add_gaps(account, ticks, events != 0);
   }
   if (segment.period.count() > 0 && segment.scheduled > 0) {
     last_time = std::max(last_time,
                          to_nanoseconds(segment.first_due + (signed_of(segment.scheduled) - 1) * segment.period));
   }
-  return write(database, killed, *account);
+  return write(database, killed, account);
 }
 
 }  // namespace rtdata::sqlite

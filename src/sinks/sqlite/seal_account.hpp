@@ -18,7 +18,6 @@ struct KilledOrigin {
 
 /// Within a transaction: brings ledger, schedule and gaps of the origin up to what is known of its end. `last_time`
 /// becomes that of its last tick, if it is later.
-Result<void> seal_account(Database& database, const KilledOrigin& killed, const LiveAccount& kept,
-                          std::int64_t& last_time);
+void seal_account(Database& database, const KilledOrigin& killed, const LiveAccount& kept, std::int64_t& last_time);
 
 }  // namespace rtdata::sqlite

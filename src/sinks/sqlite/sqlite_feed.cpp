@@ -23,66 +23,57 @@ SqliteFeed::~SqliteFeed() { positions_->leave(config_.sink, this); }
 
 // ---- opening
 
-Result<void> SqliteFeed::open() {
-  auto opened = Recording::open(path_);
-  if (!opened) return std::move(opened).error();
-  const detail::RecordingFile& file = *opened->file();
-  auto version = file.prepare("PRAGMA schema_version");
-  if (!version) return std::move(version).error();
-  get_schema_version_ = std::move(*version);
-  recording_.emplace(std::move(*opened));
-  return {};
+void SqliteFeed::open() {
+  auto opened = Recording::open(path_).or_throw();
+  const detail::RecordingFile& file = *opened.file();
+  get_schema_version_ = file.prepare("PRAGMA schema_version");
+  recording_.emplace(std::move(opened));
 }
 
-Result<void> SqliteFeed::look_at_beginning() {
+void SqliteFeed::look_at_beginning() {
   const detail::RecordingFile& file = *recording_->file();
   auto has_table = file.database.integer("SELECT count(*) FROM sqlite_schema WHERE name = 'rtdata_position'");
-  if (!has_table) return std::move(has_table).error();
   is_new_ = true;
   topics_before_.clear();
-  if (*has_table == 0) return {};
+  if (has_table == 0) return;
   auto known = file.prepare("SELECT host, origin FROM rtdata_position WHERE sink = ? AND table_name = ''");
-  if (!known) return std::move(known).error();
-  known->bind(1, config_.sink);
-  auto row = known->step();
-  if (!row) return std::move(row).error();
-  is_new_ = !*row;
-  if (!*row) return {};
-  topics_before_ = known->text(1);
-  if (known->text(0) != host_name()) {
-    remarks_.push_back("goes on where the machine " + std::string(known->text(0)) +
+  known.bind(1, config_.sink);
+  const bool row = known.step();
+  is_new_ = !row;
+  if (!row) return;
+  topics_before_ = known.text(1);
+  if (known.text(0) != host_name()) {
+    remarks_.push_back("goes on where the machine " + std::string(known.text(0)) +
                        " has got to in this recording; if that machine still sends it, events arrive twice");
     positions_->set(config_.sink, no_table, {0, 0, lines_of(config_.topics), 0});  // from now on it is this machine's
   }
-  return {};
 }
 
-Result<void> SqliteFeed::look() {
-  if (!has_looked_) {
-    if (auto looked = look_at_beginning(); !looked) return looked;
-  }
-  auto row = get_schema_version_.step();
-  if (!row) return std::move(row).error();
+void SqliteFeed::look() {
+  if (!has_looked_) look_at_beginning();
+  get_schema_version_.step();
   const std::int64_t version = get_schema_version_.integer(0);
   get_schema_version_.reset();
   if (version != schema_version_ && !has_rows_in_queue()) {  // a table more, or VACUUM
-    for (Table& table : tables_) {
-      if (auto found = find_again(table); !found) return found;
-    }
+    for (Table& table : tables_) find_again(table);
     schema_version_ = version;
   }
   auto count = recording_->file()->database.integer("SELECT count(*) FROM rtdata_topic");
-  if (!count) return std::move(count).error();
-  if (*count != topics_known_) {
-    auto topics = recording_->topics();
-    if (!topics) return std::move(topics).error();
-    for (RecordedTopic& topic : *topics) {
+  if (count != topics_known_) {
+    auto topics = recording_->topics().or_throw();
+    for (RecordedTopic& topic : topics) {
       const bool is_known = std::any_of(tables_.begin(), tables_.end(),
                                         [&](const Table& table) { return table.topic.table == topic.table; });
       if (is_known || !is_wanted(topic.topic)) continue;
-      if (auto added = add(std::move(topic)); !added) return added;
+      tables_.emplace_back();
+      try {
+        prepare(tables_.back(), std::move(topic));
+      } catch (...) {
+        tables_.pop_back();
+        throw;
+      }
     }
-    topics_known_ = *count;
+    topics_known_ = count;
     rows_of_new_tables_ = removed_of_new_tables_ = 0;
   }
   is_new_ = false;  // tables that are made from now on are new themselves
@@ -90,25 +81,19 @@ Result<void> SqliteFeed::look() {
   has_looked_ = true;
   if (config_.times == detail::RowFeedConfig::Times::utc) {
     auto pairs = recording_->file()->database.integer("SELECT coalesce(max(_rowid_), 0) FROM rtdata_clock");
-    if (!pairs) return std::move(pairs).error();
-    if (std::exchange(clock_pairs_, *pairs) != *pairs) {
+    if (std::exchange(clock_pairs_, pairs) != pairs) {
       for (auto& [number, run] : runs_) run.utc.reset();
     }
   }
-  for (Table& table : tables_) {
-    if (auto looked = look_at(table); !looked) return looked;
-  }
-  return {};
+  for (Table& table : tables_) look_at(table);
 }
 
-Result<void> SqliteFeed::look_at(Table& table) {
-  auto row = table.ends.step();
-  if (!row) return std::move(row).error();
+void SqliteFeed::look_at(Table& table) {
+  table.ends.step();
   count_deleted(table, table.ends.integer(0) - 1);
   table.last_row = std::max(table.last_row, table.ends.integer(1));
   table.ends.reset();
   if (!has_rows_in_queue()) pass_deleted(table);
-  return {};
 }
 
 void SqliteFeed::count_deleted(Table& table, std::int64_t up_to) noexcept {
@@ -124,30 +109,26 @@ void SqliteFeed::pass_deleted(Table& table) {
   positions_->set(config_.sink, table.topic.table, table.done);
 }
 
-Result<void> SqliteFeed::find_again(Table& table) {
+void SqliteFeed::find_again(Table& table) {
   auto now = position_now(table, table.done);
-  if (!now) return std::move(now).error();
-  if (now->row == table.done.row) return {};
-  table.begin += now->row - table.done.row;
-  table.done = *std::move(now);
+  if (now.row == table.done.row) return;
+  table.begin += now.row - table.done.row;
+  table.done = std::move(now);
   table.read = table.deleted_to = table.last_row = table.done.row;  // those after it are looked for next
   positions_->set(config_.sink, table.topic.table, table.done);
-  return {};
 }
 
-Result<void> SqliteFeed::look_at_oldest() {
+void SqliteFeed::look_at_oldest() {
   std::int64_t oldest = 0;
   for (Table& table : tables_) {
     if (table.done.row >= table.last_row) continue;
     table.next.bind(1, table.done.row).bind(2, std::int64_t{1});
-    auto row = table.next.step();
-    const std::int64_t time = row && *row ? table.next.integer(time_column) : 0;
+    const bool row = table.next.step();
+    const std::int64_t time = row ? table.next.integer(time_column) : 0;
     table.next.reset();
-    if (!row) return std::move(row).error();
     if (time != 0 && (oldest == 0 || time < oldest)) oldest = time;
   }
   oldest_.store(oldest, std::memory_order_relaxed);
-  return {};
 }
 
 bool SqliteFeed::is_wanted(std::string_view topic) const noexcept {
@@ -155,105 +136,81 @@ bool SqliteFeed::is_wanted(std::string_view topic) const noexcept {
                      [&](const std::string& pattern) { return topic_matches(pattern, topic); });
 }
 
-Result<void> SqliteFeed::add(RecordedTopic topic) {
-  Table& table = tables_.emplace_back();
-  const auto undo = [this](Error error) {
-    tables_.pop_back();
-    return error;
-  };
+void SqliteFeed::prepare(Table& table, RecordedTopic topic) {
   table.topic = std::move(topic);
   table.reader.emplace(table.topic);
   const detail::RecordingFile& file = *recording_->file();
   auto next = file.prepare("SELECT t._rowid_, t.run, t.time, t.origin, t.sequence" + table.reader->columns() +
                            " FROM " + quoted(table.topic.table) + " t WHERE t._rowid_ > ? ORDER BY t._rowid_ LIMIT ?");
-  if (!next) return undo(std::move(next).error());
-  table.next = std::move(*next);
+  table.next = std::move(next);
   const std::string name = quoted(table.topic.table);  // apart, each is found in the index alone
   auto ends = file.prepare("SELECT coalesce((SELECT min(_rowid_) FROM " + name + "), 1), " +
                            "coalesce((SELECT max(_rowid_) FROM " + name + "), 0)");
-  if (!ends) return undo(std::move(ends).error());
-  table.ends = std::move(*ends);
-  auto position = position_in(table);
-  if (!position) return undo(std::move(position).error());
-  table.done = *position;
-  table.begin = table.read = table.last_row = table.deleted_to = position->row;
+  table.ends = std::move(ends);
+  table.done = position_in(table);
+  table.begin = table.read = table.last_row = table.deleted_to = table.done.row;
   const auto committed = positions_->last_rows();
   if (const auto known = committed.find(table.topic.table); known != committed.end()) table.seen = known->second;
   const auto number = static_cast<std::uint32_t>(topic_numbers_.size());
   table.topic_number = topic_numbers_.try_emplace(table.topic.topic, number).first->second;
-  return {};
 }
 
-Result<std::int64_t> SqliteFeed::number(const std::string& sql, const Position& position) {
+std::int64_t SqliteFeed::number(const std::string& sql, const Position& position) {
   auto statement = recording_->file()->prepare(sql);
-  if (!statement) return std::move(statement).error();
-  const auto index = [&](const char* name) { return sqlite3_bind_parameter_index(statement->raw(), name); };
-  if (index(":row") != 0) statement->bind(index(":row"), position.row);
-  if (index(":run") != 0) statement->bind(index(":run"), position.run);
-  if (index(":origin") != 0) statement->bind(index(":origin"), position.origin);
-  if (index(":sequence") != 0) statement->bind(index(":sequence"), position.sequence);
-  auto row = statement->step();
-  if (!row) return std::move(row).error();
-  return *row ? statement->integer(0) : 0;
+  const auto index = [&](const char* name) { return sqlite3_bind_parameter_index(statement.raw(), name); };
+  if (index(":row") != 0) statement.bind(index(":row"), position.row);
+  if (index(":run") != 0) statement.bind(index(":run"), position.run);
+  if (index(":origin") != 0) statement.bind(index(":origin"), position.origin);
+  if (index(":sequence") != 0) statement.bind(index(":sequence"), position.sequence);
+  return statement.step() ? statement.integer(0) : 0;
 }
 
-Result<Position> SqliteFeed::position_in(const Table& table) {
+Position SqliteFeed::position_in(const Table& table) {
   const detail::RecordingFile& file = *recording_->file();
   auto has_table = file.database.integer("SELECT count(*) FROM sqlite_schema WHERE name = 'rtdata_position'");
-  if (!has_table) return std::move(has_table).error();
   Position position;
   bool is_stored = false;
-  if (*has_table != 0) {
+  if (has_table != 0) {
     auto stored = file.prepare(
         "SELECT row, run, origin, sequence FROM rtdata_position WHERE sink = ? AND table_name = ?");
-    if (!stored) return std::move(stored).error();
-    stored->bind(1, config_.sink).bind(2, table.topic.table);
-    auto row = stored->step();
-    if (!row) return std::move(row).error();
-    is_stored = *row;
-    if (*row) position = {stored->integer(0), stored->integer(1), std::string(stored->text(2)), stored->integer(3)};
+    stored.bind(1, config_.sink).bind(2, table.topic.table);
+    const bool row = stored.step();
+    is_stored = row;
+    if (row) position = {stored.integer(0), stored.integer(1), std::string(stored.text(2)), stored.integer(3)};
   }
   if (is_stored && position.row != 0) return position_now(table, std::move(position));
   if (!is_stored) {
     const bool is_new = is_new_ || (!topics_before_.empty() && !has_topic(topics_before_, table.topic.topic));
-    auto first = !is_new ? Result(Position{}) : config_.from == From::beginning ? beginning_of(table) : end_of(table);
-    if (!first) return first;
-    position = *std::move(first);
+    if (is_new) position = config_.from == From::beginning ? beginning_of(table) : end_of(table);
   }
   positions_->set(config_.sink, table.topic.table, position);  // so that the file says that it is to be sent
   return position;
 }
 
-Result<Position> SqliteFeed::end_of(const Table& table) {
+Position SqliteFeed::end_of(const Table& table) {
   auto last = recording_->file()->prepare("SELECT _rowid_, run, origin, sequence FROM " + quoted(table.topic.table) +
                                           " ORDER BY _rowid_ DESC LIMIT 1");
-  if (!last) return std::move(last).error();
-  auto row = last->step();
-  if (!row) return std::move(row).error();
-  if (!*row) return Position{};
-  return Position{last->integer(0), last->integer(1), std::string(last->text(2)), last->integer(3)};
+  if (!last.step()) return Position{};
+  return Position{last.integer(0), last.integer(1), std::string(last.text(2)), last.integer(3)};
 }
 
-Result<Position> SqliteFeed::position_now(const Table& table, Position position) {
+Position SqliteFeed::position_now(const Table& table, Position position) {
   if (position.row == 0) return position;
   const std::string name = quoted(table.topic.table);
   constexpr const char* is_key = " AND run = :run AND origin = :origin AND sequence = :sequence";
   auto same = number("SELECT count(*) FROM " + name + " WHERE _rowid_ = :row" + is_key, position);
-  if (!same) return std::move(same).error();
-  if (*same != 0) return position;
+  if (same != 0) return position;
   auto first = number("SELECT coalesce(min(_rowid_), 0) FROM " + name, position);
-  if (!first) return std::move(first).error();
   auto elsewhere = number("SELECT _rowid_ FROM " + name + " WHERE 1" + is_key, position);
-  if (!elsewhere) return std::move(elsewhere).error();
   const std::string of = "topic " + table.topic.topic + ": ";
-  if (*elsewhere != 0) {
+  if (elsewhere != 0) {
     remarks_.push_back(of +
                        "the rows of the recording have other numbers than before; goes on after the event that "
                        "was sent last");
-    position.row = *elsewhere;
+    position.row = elsewhere;
     return position;
   }
-  if (*first > position.row) return position;  // deleted by a limit, with all before it
+  if (first > position.row) return position;  // deleted by a limit, with all before it
   // Deleted by a limit before VACUUM; or another file of that name, or an older copy of it.
   const std::string last = position.sequence == 0 ? ""
                                                   : "the event that was sent last, " + position.origin + " " +
@@ -264,28 +221,20 @@ Result<Position> SqliteFeed::position_now(const Table& table, Position position)
   return beginning_of(table);
 }
 
-Result<Position> SqliteFeed::beginning_of(const Table& table) {
+Position SqliteFeed::beginning_of(const Table& table) {
   auto first = number("SELECT coalesce(min(_rowid_), 1) FROM " + quoted(table.topic.table), {});
-  if (!first) return std::move(first).error();
-  return Position{*first - 1, 0, {}, 0};
+  return Position{first - 1, 0, {}, 0};
 }
 
 // ---- rows
 
-Result<SqliteFeed::Run*> SqliteFeed::run_of(std::int64_t number) {
+SqliteFeed::Run* SqliteFeed::run_of(std::int64_t number) {
   Run& run = runs_[number];
-  if (config_.times == detail::RowFeedConfig::Times::utc && !run.utc) {
-    auto line = recording_->utc_line(number);
-    if (!line) return std::move(line).error();
-    run.utc = std::move(*line);
-  }
+  if (config_.times == detail::RowFeedConfig::Times::utc && !run.utc) run.utc = recording_->utc_line(number).or_throw();
   if (!run.uuid.empty()) return &run;
   auto query = recording_->file()->prepare("SELECT uuid FROM rtdata_run WHERE run = ?");
-  if (!query) return std::move(query).error();
-  query->bind(1, number);
-  auto row = query->step();
-  if (!row) return std::move(row).error();
-  run.uuid = *row ? std::string(query->text(0)) : std::string();
+  query.bind(1, number);
+  run.uuid = query.step() ? std::string(query.text(0)) : std::string();
   return &run;
 }
 
@@ -307,8 +256,7 @@ std::uint32_t SqliteFeed::slot_of(Table& table, detail::SinkQueue& queue, std::i
   return table.slot = found->second;
 }
 
-Result<std::size_t> SqliteFeed::take(Table& table, detail::SinkQueue& queue, std::size_t most,
-                                     std::size_t& bytes_left) {
+std::size_t SqliteFeed::take(Table& table, detail::SinkQueue& queue, std::size_t most, std::size_t& bytes_left) {
   const std::size_t payload_bytes = table.topic.description->size();
   const std::size_t record_bytes = detail::record_bytes_of(payload_bytes);
   struct Reset {
@@ -319,31 +267,29 @@ Result<std::size_t> SqliteFeed::take(Table& table, detail::SinkQueue& queue, std
   table.next.bind(1, table.read).bind(2, static_cast<std::int64_t>(most));
   std::size_t taken = 0;
   while (taken < most && (record_bytes <= bytes_left || marks_.empty())) {
-    auto more = table.next.step();
-    if (!more) return std::move(more).error();
-    if (!*more) break;
+    if (!table.next.step()) break;
     const std::int64_t row = table.next.integer(row_column);
     const std::int64_t before = std::max(table.read, table.deleted_to);
     if (row > before + 1) removed_ahead_ += static_cast<std::uint64_t>(row - before - 1);
     const std::int64_t run_number = table.next.integer(run_column);
     auto of_run = run_of(run_number);
-    if (!of_run) return std::move(of_run).error();
     const std::string_view origin = table.next.text(origin_column);
-    const std::uint32_t slot = slot_of(table, queue, run_number, origin, **of_run);
+    const std::uint32_t slot = slot_of(table, queue, run_number, origin, *of_run);
     std::byte* const to = queue.room(slot, record_bytes);
     if (to == nullptr) break;  // cannot be: the queue was empty
     const std::int64_t sequence = table.next.integer(sequence_column);
     const std::int64_t recorded = table.next.integer(time_column);
-    const auto& utc = (*of_run)->utc;
+    const auto& utc = of_run->utc;
     const std::int64_t time = utc ? to_nanoseconds(utc->utc(from_nanoseconds(recorded))) : recorded;
     const detail::RecordHeader record{&queue.stored(slot), time, static_cast<std::uint64_t>(sequence)};
     std::memcpy(to, &record, sizeof record);
-    if (auto read = table.reader->read(table.next.raw(), fixed_columns, to + sizeof record); !read) {
-      // A row that cannot be read must not hold up those after it.
+    try {
+      table.reader->read(table.next.raw(), fixed_columns, to + sizeof record);
+    } catch (const SetupError& error) {  // a row that cannot be read must not hold up those after it
       ++removed_ahead_;
       remarks_.push_back(
           "left out: " +
-          at_row(*recording_->file(), table.topic, run_number, origin, record.sequence, std::move(read).error()).text());
+          at_row(*recording_->file(), table.topic, run_number, origin, record.sequence, error.error()).text());
       table.read = row;
       table.left_out = {row, run_number, std::string(origin), sequence};
       continue;
@@ -358,55 +304,47 @@ Result<std::size_t> SqliteFeed::take(Table& table, detail::SinkQueue& queue, std
   return taken;
 }
 
-Result<void> SqliteFeed::attach() {
+Result<void> SqliteFeed::attach() try {
   const Positions::Reading reading(*positions_);
-  if (!recording_) {
-    if (auto opened = open(); !opened) {
-      recording_.reset();
-      return opened;
-    }
-  }
-  auto snapshot = detail::Snapshot::take(recording_->file());
-  if (!snapshot) return std::move(snapshot).error();
-  if (auto looked = look(); !looked) return looked;
-  if (!has_rows_in_queue()) {
-    if (auto looked = look_at_oldest(); !looked) return looked;
-  }
+  if (!recording_) open();
+  const detail::Snapshot snapshot(recording_->file());
+  look();
+  if (!has_rows_in_queue()) look_at_oldest();
   update_counts();
   is_known_.store(true, std::memory_order_release);
   return {};
+} catch (const SetupError& error) {
+  return error.error();
 }
 
-Result<bool> SqliteFeed::fill(detail::SinkQueue& queue) {
+Result<bool> SqliteFeed::fill(detail::SinkQueue& queue) try {
   if (has_rows_in_queue()) forget();
   marks_.clear();
   settled_ = 0;
   if (positions_->is_full()) return false;  // the recording's next transaction calls again
   const Positions::Reading reading(*positions_);
   // All of it sees the same state of the file: the numbers of the rows, too.
-  auto snapshot = detail::Snapshot::take(recording_->file());
-  if (!snapshot) return std::move(snapshot).error();
-  if (auto looked = look(); !looked) return std::move(looked).error();
+  const detail::Snapshot snapshot(recording_->file());
+  look();
   std::size_t bytes_left = queue.bytes_at_once();
   std::size_t rows_left = config_.rows;
-  const auto take_turns = [&](bool of_accounts) -> Result<void> {
+  const auto take_turns = [&](bool of_accounts) {
     for (std::size_t i = 0; i < tables_.size() && rows_left > 0 && bytes_left > 0; ++i) {
       Table& table = tables_[(next_table_ + i) % tables_.size()];
       if (table.read >= table.last_row || (table.topic.topic == account_topic) != of_accounts) continue;
       // In turn, so that a fast topic does not hold back a slow one.
       const std::size_t share = std::max<std::size_t>(rows_left / (tables_.size() - i), 1);
-      auto taken = take(table, queue, share, bytes_left);
-      // What is in the queue already is sent; the error comes again.
-      if (!taken) return marks_.empty() ? Result<void>(std::move(taken).error()) : Result<void>{};
-      rows_left -= std::min(rows_left, *taken);
+      try {
+        rows_left -= std::min(rows_left, take(table, queue, share, bytes_left));
+      } catch (const SetupError&) {
+        if (marks_.empty()) throw;
+        return;  // what is in the queue already is sent; the error comes again
+      }
     }
-    return {};
   };
-  if (auto taken = take_turns(false); !taken) return std::move(taken).error();
+  take_turns(false);
   // By the final account a receiver tells whether it has everything: it goes out when all else is settled.
-  if (marks_.empty()) {
-    if (auto taken = take_turns(true); !taken) return std::move(taken).error();
-  }
+  if (marks_.empty()) take_turns(true);
   if (!tables_.empty()) next_table_ = (next_table_ + 1) % tables_.size();
   if (marks_.empty()) {  // all that was left are rows that cannot be read
     for (Table& table : tables_) {
@@ -420,6 +358,8 @@ Result<bool> SqliteFeed::fill(detail::SinkQueue& queue) {
   update_counts();
   is_known_.store(true, std::memory_order_release);
   return !marks_.empty();
+} catch (const SetupError& error) {
+  return error.error();
 }
 
 void SqliteFeed::refused(const SlotInfo& slot, std::uint64_t sequence, const Error& why) {

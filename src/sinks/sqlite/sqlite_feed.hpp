@@ -71,35 +71,35 @@ class SqliteFeed final : public detail::RowFeed {
     std::optional<UtcLine> utc;
   };
 
-  Result<void> open();
+  void open();
   /// What the file knows of the sink when it comes.
-  Result<void> look_at_beginning();
+  void look_at_beginning();
   /// Tables that are new, what was deleted, and the last row of each.
-  Result<void> look();
-  Result<void> look_at(Table& table);
+  void look();
+  void look_at(Table& table);
   /// Rows up to this one are gone.
   void count_deleted(Table& table, std::int64_t up_to) noexcept;
   /// Goes on after those, when nothing of the table is in the queue.
   void pass_deleted(Table& table);
   /// After VACUUM, which numbers the rows anew.
-  Result<void> find_again(Table& table);
+  void find_again(Table& table);
   /// Of the oldest row that waits, when none is in the queue.
-  Result<void> look_at_oldest();
+  void look_at_oldest();
   bool has_rows_in_queue() const noexcept { return settled_ < marks_.size(); }
-  Result<void> add(RecordedTopic topic);
+  void prepare(Table& table, RecordedTopic topic);
   bool is_wanted(std::string_view topic) const noexcept;
   /// Where to go on in a table: as it is stored, if that still fits.
-  Result<Position> position_in(const Table& table);
+  Position position_in(const Table& table);
   /// After the last row that is there.
-  Result<Position> end_of(const Table& table);
+  Position end_of(const Table& table);
   /// Before the first row that is there.
-  Result<Position> beginning_of(const Table& table);
+  Position beginning_of(const Table& table);
   /// Where a position of before is now.
-  Result<Position> position_now(const Table& table, Position position);
-  Result<std::int64_t> number(const std::string& sql, const Position& position);
+  Position position_now(const Table& table, Position position);
+  std::int64_t number(const std::string& sql, const Position& position);
   /// Puts rows into the queue, so many at most. The number of rows.
-  Result<std::size_t> take(Table& table, detail::SinkQueue& queue, std::size_t most, std::size_t& bytes_left);
-  Result<Run*> run_of(std::int64_t number);
+  std::size_t take(Table& table, detail::SinkQueue& queue, std::size_t most, std::size_t& bytes_left);
+  Run* run_of(std::int64_t number);
   std::uint32_t slot_of(Table& table, detail::SinkQueue& queue, std::int64_t run, std::string_view origin,
                         const Run& of);
   void update_counts() noexcept;

@@ -9,27 +9,24 @@ namespace rtdata::sqlite {
 namespace {
 
 /// The version of the recording's format; 0: the file is empty.
-Result<std::int64_t> format_of(const Database& database, const std::string& path) {
+std::int64_t format_of(const Database& database, const std::string& path) {
   auto id = database.integer("PRAGMA application_id");
-  if (!id) return std::move(id).error();
-  if (*id != application_id) {
+  if (id != application_id) {
     auto tables = database.integer("SELECT count(*) FROM sqlite_schema");
-    if (!tables) return std::move(tables).error();
-    if (*tables == 0) return 0;
-    if (*id == application_id_before)
-      return Error{Errc::not_a_recording, "cannot record into", path, written_before, advice_before};
-    return Error{Errc::not_a_recording, "cannot record into", path, "it is another program's SQLite database",
-                 "choose another path"};
+    if (tables == 0) return 0;
+    if (id == application_id_before)
+      throw SetupError({Errc::not_a_recording, "cannot record into", path, written_before, advice_before});
+    throw SetupError({Errc::not_a_recording, "cannot record into", path, "it is another program's SQLite database",
+                      "choose another path"});
   }
   auto version = database.integer("PRAGMA user_version");
-  if (!version) return std::move(version).error();
-  if (*version > schema_version) {
-    return Error{Errc::newer_version, "cannot record into", path,
-                 "a newer version wrote it (format " + std::to_string(*version) + ", this one knows " +
-                     std::to_string(schema_version) + ")",
-                 "update rt-data, or choose another path"};
+  if (version > schema_version) {
+    throw SetupError({Errc::newer_version, "cannot record into", path,
+                      "a newer version wrote it (format " + std::to_string(version) + ", this one knows " +
+                          std::to_string(schema_version) + ")",
+                      "update rt-data, or choose another path"});
   }
-  return *version;
+  return version;
 }
 
 }  // namespace
@@ -39,37 +36,30 @@ std::string host_name() {
   return ::gethostname(name, sizeof name - 1) == 0 ? name : "";
 }
 
-Result<void> SqliteWriter::begin() {
-  if (auto is_path = check_path(config_.path); !is_path) return is_path;
-  auto database = Database::open(config_.path, Database::Mode::write, permissions_);
-  if (!database) return std::move(database).error();
-  database_ = std::move(*database);
+void SqliteWriter::begin() {
+  check_path(config_.path).or_throw();
+  database_ = Database::open(config_.path, Database::Mode::write, permissions_);
   if (sqlite3_db_readonly(database_.raw(), "main") == 1) {
-    return Error{Errc::not_permitted, "cannot record into", config_.path, "it is read-only",
-                 "check the permissions of the file and its folder"};
+    throw SetupError({Errc::not_permitted, "cannot record into", config_.path, "it is read-only",
+                      "check the permissions of the file and its folder"});
   }
-  if (auto format = format_of(database_, config_.path); !format) return std::move(format).error();
+  format_of(database_, config_.path);
   const std::string recording = sqlite3_db_filename(database_.raw(), "main");  // without symbolic links
-  auto lock = RecordingLock::take(recording);
-  if (!lock) return std::move(lock).error();
-  lock_ = std::move(*lock);
-  return begin_in(recording);
+  lock_ = RecordingLock::take(recording).or_throw();
+  begin_in(recording);
 }
 
-Result<void> SqliteWriter::begin_in(const std::string& recording) {
-  if (auto done = configure(); !done) return done;
-  if (auto done = database_.execute("BEGIN IMMEDIATE"); !done) return done;
+void SqliteWriter::begin_in(const std::string& recording) {
+  configure();
+  database_.execute("BEGIN IMMEDIATE");
   is_in_transaction_ = true;
-  if (auto done = make_schema(); !done) return done;
+  make_schema();
   std::vector<LiveFile> used;
   auto remarks = seal_runs(database_, recording, lock_.noted(), sums_, used);
-  if (!remarks) return std::move(remarks).error();
-  if (auto done = begin_run(); !done) return done;
+  begin_run();
   // A program that is killed again and again as soon as it has started stores nothing, but its runs take room.
-  if (pruner_.has_limits()) {
-    if (auto done = pruner_.make_room(database_, sums_, info_.started); !done) return done;
-  }
-  if (auto done = sums_.write(database_); !done) return done;
+  if (pruner_.has_limits()) pruner_.make_room(database_, sums_, info_.started);
+  sums_.write(database_);
   if (auto made = LiveFile::make(recording, info_.uuid)) {
     const std::lock_guard lock(opening_mutex_);
     live_ = std::move(*made);
@@ -79,26 +69,25 @@ Result<void> SqliteWriter::begin_in(const std::string& recording) {
     tell_of_live_file(made.error());
   }
   is_in_transaction_ = false;
-  if (auto done = database_.execute("COMMIT"); !done) {
+  try {
+    database_.execute("COMMIT");
+  } catch (const SetupError&) {
     const std::lock_guard lock(opening_mutex_);
     live_.remove();
-    return done;
+    throw;
   }
   {
     const std::lock_guard lock(opening_mutex_);
     lock_.note(live_.path());
   }
-  remarks_ = std::move(*remarks);
+  remarks_ = std::move(remarks);
   // The start after a power cut is to find this run, and what was known of those that were killed, whose live files go.
-  if (config_.profile == SqliteProfile::normal) {
-    if (auto synced = sync(); !synced) return synced;
-  }
+  if (config_.profile == SqliteProfile::normal) sync().or_throw();
   for (LiveFile& one : used) one.remove();
   LiveFile::remove_left(recording);
-  return {};
 }
 
-Result<void> SqliteWriter::configure() {
+void SqliteWriter::configure() {
   // Of a new file. A row costs its page each time that it is committed: with small ones, many slow topics write a
   // quarter.
   std::string sql = config_.profile == SqliteProfile::card ? "PRAGMA page_size=1024;" : "";
@@ -118,10 +107,9 @@ Result<void> SqliteWriter::configure() {
   // Checkpoints are ours, outside of commits.
   const std::uint64_t most_log = pruner_.log_bytes() != 0 ? pruner_.log_bytes() : std::uint64_t{64} << 20;
   sql += "PRAGMA wal_autocheckpoint=0; PRAGMA temp_store=MEMORY; PRAGMA journal_size_limit=" + std::to_string(most_log);
-  if (auto set = database_.execute(sql); !set) return set;
+  database_.execute(sql);
   auto bytes = database_.integer("PRAGMA page_size");
-  if (!bytes) return std::move(bytes).error();
-  page_bytes_ = static_cast<int>(*bytes);
+  page_bytes_ = static_cast<int>(bytes);
   // Without memory SQLite may roll a transaction back within a statement that it then runs once more, by itself, after
   // a change of the schema: outside of the transaction. What would be committed so is refused.
   sqlite3_commit_hook(
@@ -134,40 +122,30 @@ Result<void> SqliteWriter::configure() {
         return SQLITE_OK;
       },
       &log_pages_);
-  return {};
 }
 
-Result<void> SqliteWriter::make_schema() {
-  auto version = format_of(database_, config_.path);  // again, now that no other process can change it
-  if (!version) return std::move(version).error();
-  if (*version != 0) return {};
-  return database_.execute(schema + run_view() + account_views() + ";PRAGMA application_id=" +
-                           std::to_string(application_id) + ";PRAGMA user_version=" + std::to_string(schema_version));
+void SqliteWriter::make_schema() {
+  if (format_of(database_, config_.path) != 0) return;  // again, now that no other process can change it
+  database_.execute(schema + run_view() + account_views() + ";PRAGMA application_id=" + std::to_string(application_id) +
+                    ";PRAGMA user_version=" + std::to_string(schema_version));
 }
 
-Result<void> SqliteWriter::begin_run() {
+void SqliteWriter::begin_run() {
   const RunInfo& run = info_;
   auto insert = database_.prepare(
       "INSERT INTO rtdata_run(uuid, name, notes, configuration, program, host, boot_id, pid, started, ended, "
       "clock_offset, state, format) "
       "VALUES(?,?,?,?,?,?,?,?,?,?,?,'recording',?) RETURNING *");
-  if (!insert) return std::move(insert).error();
   const std::string host = host_name();
   const std::string program = "rtdata " RTDATA_VERSION;
-  insert->bind(1, run.uuid)
-      .bind(2, run.name)
-      .bind(3, run.notes)
-      .bind(4, run.configuration)
-      .bind(5, program)
-      .bind(6, host);
-  insert->bind(7, run.boot_id).bind(8, std::int64_t{::getpid()}).bind(9, to_nanoseconds(run.started));
-  insert->bind(10, to_nanoseconds(run.started)).bind(11, run.clock_offset.count());
-  insert->bind(12, std::int64_t{schema_version});
-  if (auto done = sums_.run(*insert); !done) return done;
+  insert.bind(1, run.uuid).bind(2, run.name).bind(3, run.notes).bind(4, run.configuration).bind(5, program).bind(6, host);
+  insert.bind(7, run.boot_id).bind(8, std::int64_t{::getpid()}).bind(9, to_nanoseconds(run.started));
+  insert.bind(10, to_nanoseconds(run.started)).bind(11, run.clock_offset.count());
+  insert.bind(12, std::int64_t{schema_version});
+  sums_.run(insert);
   run_ = database_.last_rowid();
   positions_->begin_run(run_);
   pruner_.begin(run_);
-  return {};
 }
 
 }  // namespace rtdata::sqlite

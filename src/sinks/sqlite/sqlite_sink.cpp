@@ -44,11 +44,13 @@ namespace sqlite {
 
 /// The first bytes of a file. By SQLite: a process that opens and closes a database itself drops the locks (fcntl) by
 /// which SQLite, in the same process, has it open.
-static bool read_head(const std::string& path, void* head, int size) {
+static bool read_head(const std::string& path, void* head, int size) try {
   const auto database = Database::open(path, Database::Mode::read);
   sqlite3_file* file = nullptr;
-  return database && sqlite3_file_control(database->raw(), "main", SQLITE_FCNTL_FILE_POINTER, &file) == SQLITE_OK &&
+  return sqlite3_file_control(database.raw(), "main", SQLITE_FCNTL_FILE_POINTER, &file) == SQLITE_OK &&
          file != nullptr && file->pMethods != nullptr && file->pMethods->xRead(file, head, size, 0) == SQLITE_OK;
+} catch (const SetupError&) {  // opening it says why
+  return false;
 }
 
 Result<void> check_path(const std::string& path) {

@@ -45,14 +45,14 @@ bool SqliteWriter::has_moved() {
   return sqlite3_file_control(database_.raw(), "main", SQLITE_FCNTL_HAS_MOVED, &moved) == SQLITE_OK && moved != 0;
 }
 
-Result<void> SqliteWriter::tend_log() {
+void SqliteWriter::tend_log() {
   if (is_log_cut_off()) {
     // What the file has is whole, up to the last checkpoint: with what is left of the log it would not be.
     (void)sqlite3_db_config(database_.raw(), SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, 1, nullptr);
     is_log_lost_ = true;
-    return Error{Errc::closed, "recording has ended", config_.path,
-                 "its log, " + config_.path + "-wal, was cut off: what was only there is gone",
-                 "leave it alone while it is recorded into; the next start seals the run"};
+    throw SetupError({Errc::closed, "recording has ended", config_.path,
+                      "its log, " + config_.path + "-wal, was cut off: what was only there is gone",
+                      "leave it alone while it is recorded into; the next start seals the run"});
   }
   const std::uint64_t limit = pruner_.log_bytes();
   std::uint64_t most = rows_in_last_ >= rows_when_fast ? log_bytes_when_fast : log_bytes_at_most;
@@ -61,7 +61,7 @@ Result<void> SqliteWriter::tend_log() {
   const SteadyTime now = std::chrono::steady_clock::now();
   if (bytes >= most) {
     const Positions::HoldOff hold_off(*positions_);
-    if (auto done = checkpoint(SQLITE_CHECKPOINT_PASSIVE); !done) return done;
+    checkpoint(SQLITE_CHECKPOINT_PASSIVE).or_throw();
     log_pages_ = 0;
     // A reader that always has something to read keeps the log from beginning anew: wait for a moment without one.
     if (limit != 0 && bytes >= limit && now - readers_waited_for_at_ >= reader_wait_interval) {
@@ -69,11 +69,10 @@ Result<void> SqliteWriter::tend_log() {
       sqlite3_busy_timeout(database_.raw(), reader_wait_ms);
       auto done = checkpoint(SQLITE_CHECKPOINT_RESTART);
       sqlite3_busy_timeout(database_.raw(), busy_ms);
-      if (!done) return done;
+      done.or_throw();
     }
   }
   if (config_.max_bytes != 0) look_at_size();
-  return {};
 }
 
 Result<void> SqliteWriter::checkpoint(int mode) {

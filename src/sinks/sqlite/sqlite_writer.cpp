@@ -40,18 +40,13 @@ SqliteWriter::SqliteWriter(const SqliteConfig& config, RunInfo run)
   }
 }
 
-Result<void> SqliteWriter::open() {
+Result<void> SqliteWriter::open() try {
   if (run_ == 0) {
-    Result<void> begun;
     try {
-      begun = begin();
-    } catch (...) {  // no memory
+      begin();
+    } catch (...) {
       forget();
       throw;
-    }
-    if (!begun) {
-      forget();
-      return begun;
     }
   }
   // The run is in the database whatever becomes of the log. An error here shows again, and is reported, when the log is
@@ -59,11 +54,12 @@ Result<void> SqliteWriter::open() {
   if (!checkpoint(SQLITE_CHECKPOINT_PASSIVE)) log_bytes_ = std::max<std::int64_t>(log_size(), 0);
   for (auto [statement, sql] : {std::pair{&begin_, "BEGIN IMMEDIATE"}, std::pair{&commit_, "COMMIT"}}) {
     if (*statement) continue;
-    auto made = database_.prepare(sql);
-    if (!made) return std::move(made).error();
-    *statement = std::move(*made);
+    *statement = database_.prepare(sql);
   }
-  return account_.prepare(database_, sums_, run_, info_.boot_id);
+  account_.prepare(database_, sums_, run_, info_.boot_id);
+  return {};
+} catch (const SetupError& error) {
+  return error.error();
 }
 
 void SqliteWriter::forget() noexcept {
@@ -130,11 +126,11 @@ void SqliteWriter::begin_counting() {
   is_counting_ = true;
 }
 
-Result<void> SqliteWriter::write(Batch& batch) {
+Result<void> SqliteWriter::write(Batch& batch) try {
   if (has_moved()) {
     (void)checkpoint(SQLITE_CHECKPOINT_TRUNCATE);  // the log stays where it was: what is in it goes into the file
-    return Error{Errc::closed, "recording has ended", config_.path, "the file was deleted or moved",
-                 "leave it where it is while it is recorded into; start again"};
+    throw SetupError({Errc::closed, "recording has ended", config_.path, "the file was deleted or moved",
+                      "leave it where it is while it is recorded into; start again"});
   }
   auto next = batch.begin();
   // The batch comes again, after a part of it was stored.
@@ -144,7 +140,7 @@ Result<void> SqliteWriter::write(Batch& batch) {
       batch.refuse_topic(record, refused->second);
   }
   do {
-    if (auto done = write_part(batch, next); !done) return done;
+    write_part(batch, next);
   } while (next != batch.end());
   stored_rows_ = 0;
   for (std::uint32_t slot = 0; slot < batch.slots() && live_.has(slot); ++slot)
@@ -158,47 +154,38 @@ Result<void> SqliteWriter::write(Batch& batch) {
   } catch (...) {  // no memory for a warning
   }
   return {};
+} catch (const SetupError& error) {
+  return error.error();
 }
 
-Result<void> SqliteWriter::write_part(Batch& batch, Batch::Iterator& next) {
+void SqliteWriter::write_part(Batch& batch, Batch::Iterator& next) {
   // Before the rows, not after them: what fails here must not make them come again when they are stored already.
-  if (auto done = tend_log(); !done) return done;
+  tend_log();
   escaped_.begin_batch();
-  const auto undo = [&]() noexcept {
+  try {
+    rows_in_last_ = store(batch, next);
+  } catch (...) {
     roll_back();
     tables_.clear();  // what was made in the transaction is gone with it
-  };
-  Result<std::size_t> rows = std::size_t{0};
-  try {
-    rows = store(batch, next);
-  } catch (...) {  // no memory
-    undo();
     throw;
-  }
-  if (!rows) {
-    undo();
-    return std::move(rows).error();
   }
   committed();
   account_.slots_committed();
-  stored_rows_ += *rows;
-  rows_in_last_ = *rows;
+  stored_rows_ += rows_in_last_;
   try {
     escaped_.end_batch(batch);
   } catch (...) {  // no memory for a warning
   }
-  return {};
 }
 
-Result<void> SqliteWriter::begin_transaction() {
-  auto done = begin_.run();
-  if (done) is_in_transaction_ = true;
-  return done;
+void SqliteWriter::begin_transaction() {
+  begin_.run();
+  is_in_transaction_ = true;
 }
 
-Result<void> SqliteWriter::commit() {
+void SqliteWriter::commit() {
   is_in_transaction_ = false;
-  return commit_.run();
+  commit_.run();
 }
 
 void SqliteWriter::roll_back() noexcept {
@@ -209,25 +196,24 @@ void SqliteWriter::roll_back() noexcept {
   pruner_.close();
 }
 
-Result<std::size_t> SqliteWriter::store(Batch& batch, Batch::Iterator& next) {
+std::size_t SqliteWriter::store(Batch& batch, Batch::Iterator& next) {
   std::size_t rows = 0;
-  auto done = begin_transaction();
-  if (done) done = positions_->write_begins(database_);
+  begin_transaction();
+  positions_->write_begins(database_);
   // Before the rows, so that new ones take the pages of the old ones within one transaction.
-  if (done && pruner_.has_limits()) done = pruner_.make_room(database_, sums_, now_);
-  if (done) done = account_.write_slots(batch, tables_);
-  if (done) done = write_rows(batch, next, rows);
-  if (done) done = account_.write_escaped(batch, escaped_);
+  if (pruner_.has_limits()) pruner_.make_room(database_, sums_, now_);
+  account_.write_slots(batch, tables_);
+  write_rows(batch, next, rows);
+  account_.write_escaped(batch, escaped_);
   const Account* const account = next != batch.end() ? nullptr : batch.account();  // with the last of its rows
-  if (done && account != nullptr) done = account_.write(batch, *account, tables_);
-  if (done) done = sums_.write(database_);
-  if (done) done = positions_->write(database_);
-  if (done) done = commit();
-  if (!done) return std::move(done).error();
+  if (account != nullptr) account_.write(batch, *account, tables_);
+  sums_.write(database_);
+  positions_->write(database_);
+  commit();
   return rows;
 }
 
-Result<void> SqliteWriter::write_rows(Batch& batch, Batch::Iterator& next, std::size_t& rows) {
+void SqliteWriter::write_rows(Batch& batch, Batch::Iterator& next, std::size_t& rows) {
   std::size_t made = 0;
   for (; next != batch.end(); ++next, ++rows) {
     const Record record = *next;
@@ -235,46 +221,43 @@ Result<void> SqliteWriter::write_rows(Batch& batch, Batch::Iterator& next, std::
     TopicTable* table = number < tables_.size() ? tables_[number].get() : nullptr;
     if (table == nullptr) [[unlikely]] {
       if (made == most_new_tables) break;
-      auto found = table_of(record);
-      if (!found) return std::move(found).error();
-      table = *found;
+      table = table_of(record);
       if (table == nullptr) {
         batch.refuse_topic(record, untaken_.at(number));
         continue;
       }
       ++made;
     }
-    if (auto inserted = table->insert(record); !inserted) return inserted;
+    table->insert(record);
   }
-  for (const auto& table : tables_) {
-    if (table == nullptr) continue;
-    if (auto flushed = table->flush(); !flushed) return flushed;
-  }
-  return new_views_.make(database_);
+  for (const auto& table : tables_)
+    if (table != nullptr) table->flush();
+  new_views_.make(database_);
 }
 
-Result<TopicTable*> SqliteWriter::table_of(const Record& record) {
+TopicTable* SqliteWriter::table_of(const Record& record) {
   const std::uint32_t number = record.info->topic_number;
   if (untaken_.contains(number)) return nullptr;
-  if (auto done = database_.execute("SAVEPOINT topic"); !done) return std::move(done).error();
+  database_.execute("SAVEPOINT topic");
   auto sums_before = sums_.changes();
-  auto table = TopicTable::prepare(database_, *record.info, run_, escaped_, sums_, new_views_);
-  // What SQLite itself refuses (there is something else of that name) stays so; all else may get better.
-  const bool is_refused = !table && (sqlite3_errcode(database_.raw()) == SQLITE_ERROR ||
-                                     table.error().code == Errc::bad_description);
-  if (!table && !is_refused) return std::move(table).error();
-  if (is_refused) {
-    Error why = std::move(table).error();
+  std::unique_ptr<TopicTable> table;
+  try {
+    table = std::make_unique<TopicTable>(
+        TopicTable::prepare(database_, *record.info, run_, escaped_, sums_, new_views_));
+  } catch (const SetupError& error) {
+    // What SQLite itself refuses (there is something else of that name) stays so; all else may get better.
+    Error why = error.error();
+    if (sqlite3_errcode(database_.raw()) != SQLITE_ERROR && why.code != Errc::bad_description) throw;
     why.what = "cannot make a table for topic " + record.info->topic;
     why.advice = "give the topic another name, or record into another file";
     untaken_.emplace(number, std::move(why));
     sums_.undo_to(std::move(sums_before));
-    if (auto undone = database_.execute("ROLLBACK TO topic"); !undone) return std::move(undone).error();
+    database_.execute("ROLLBACK TO topic");
   }
-  if (auto done = database_.execute("RELEASE topic"); !done) return std::move(done).error();
-  if (is_refused) return nullptr;
+  database_.execute("RELEASE topic");
+  if (table == nullptr) return nullptr;
   if (number >= tables_.size()) tables_.resize(number + 1);
-  tables_[number] = std::make_unique<TopicTable>(std::move(*table));
+  tables_[number] = std::move(table);
   return tables_[number].get();
 }
 
@@ -295,14 +278,15 @@ void SqliteWriter::rolled_back() {
   sums_.clear();
 }
 
-Result<void> SqliteWriter::flush() {
+Result<void> SqliteWriter::flush() try {
   // What a transaction does not delete at once follows in others, for as long as it takes to come near to the limit.
   constexpr int most_transactions = 100;
-  if (auto done = tend_log(); !done) return done;
-  for (int i = 0; i < most_transactions && pruner_.has_more(); ++i) {
-    if (auto done = prune(); !done) return done;
-  }
-  return positions_->is_dirty() ? write_positions() : Result<void>{};
+  tend_log();
+  for (int i = 0; i < most_transactions && pruner_.has_more(); ++i) prune();
+  if (positions_->is_dirty()) write_positions();
+  return {};
+} catch (const SetupError& error) {
+  return error.error();
 }
 
 std::unique_ptr<detail::RowFeed> SqliteWriter::feed(const detail::RowFeedConfig& config) {
@@ -310,33 +294,27 @@ std::unique_ptr<detail::RowFeed> SqliteWriter::feed(const detail::RowFeedConfig&
   return std::make_unique<SqliteFeed>(config_.path, positions_, config);
 }
 
-Result<void> SqliteWriter::write_positions() {
-  return transaction([this] { return positions_->write(database_); });
+void SqliteWriter::write_positions() {
+  transaction([this] { positions_->write(database_); });
 }
 
-Result<void> SqliteWriter::prune() {
-  auto done = transaction([this] { return pruner_.make_room(database_, sums_, now_); });
-  return done ? tend_log() : done;
+void SqliteWriter::prune() {
+  transaction([this] { pruner_.make_room(database_, sums_, now_); });
+  tend_log();
 }
 
 template <class Work>
-Result<void> SqliteWriter::transaction(Work&& work) {
-  Result<void> done;
+void SqliteWriter::transaction(Work&& work) {
   try {
-    done = begin_transaction();
-    if (done) done = work();
-    if (done) done = sums_.write(database_);
-    if (done) done = commit();
-  } catch (...) {  // no memory
+    begin_transaction();
+    work();
+    sums_.write(database_);
+    commit();
+  } catch (...) {
     roll_back();
     throw;
   }
-  if (!done) {
-    roll_back();
-    return done;
-  }
   committed();
-  return {};
 }
 
 void SqliteWriter::read_account() noexcept try {

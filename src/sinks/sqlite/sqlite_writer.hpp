@@ -64,22 +64,22 @@ class SqliteWriter final : public RecordingWriter {
 
  private:
   /// What `open` does once. Errors leave things behind: see `forget`.
-  Result<void> begin();
-  Result<void> begin_in(const std::string& recording);
+  void begin();
+  void begin_in(const std::string& recording);
   /// Nothing has been opened yet.
   void forget() noexcept;
-  Result<void> configure();
-  Result<void> make_schema();
-  Result<void> begin_run();
+  void configure();
+  void make_schema();
+  void begin_run();
   /// Up to the end of the batch, or until enough new tables are made; the views of these too.
-  Result<void> write_rows(Batch& batch, Batch::Iterator& next, std::size_t& rows);
+  void write_rows(Batch& batch, Batch::Iterator& next, std::size_t& rows);
   /// The topic's table; null when it can never be made: then `untaken_` has the reason.
-  Result<TopicTable*> table_of(const Record& record);
+  TopicTable* table_of(const Record& record);
   /// What can be stored of the batch in one transaction, from `next` on, which is moved: all of it, with its account,
   /// or the rows until enough new tables are made.
-  Result<void> write_part(Batch& batch, Batch::Iterator& next);
+  void write_part(Batch& batch, Batch::Iterator& next);
   /// The transaction of it. Returns how many rows it has.
-  Result<std::size_t> store(Batch& batch, Batch::Iterator& next);
+  std::size_t store(Batch& batch, Batch::Iterator& next);
   /// The file is no longer at its path.
   bool has_moved();
   /// The log was truncated from outside before all of it was in the file.
@@ -88,16 +88,16 @@ class SqliteWriter final : public RecordingWriter {
   /// After a transaction has committed, and after it was given up.
   void committed();
   void rolled_back();
-  Result<void> begin_transaction();
-  Result<void> commit();
+  void begin_transaction();
+  void commit();
   void roll_back() noexcept;
-  Result<void> prune();
-  Result<void> write_positions();
+  void prune();
+  void write_positions();
   /// Work of our own, between two batches.
   template <class Work>
-  Result<void> transaction(Work&& work);
+  void transaction(Work&& work);
   /// Between two transactions: brings the log into the database when it is time.
-  Result<void> tend_log();
+  void tend_log();
   Result<void> checkpoint(int mode);
   void look_at_space();
   void look_at_size();
@@ -154,7 +154,7 @@ Result<void> check_path(const std::string& path);
 /// Within a transaction: seals every run that is still marked as recording, with what has survived of it. The caller
 /// holds the lock of the recording, in which `noted` was found. Adds what is then useless to `used`. Returns a remark
 /// for each.
-Result<std::vector<std::string>> seal_runs(Database& database, const std::string& recording, const std::string& noted,
-                                           AccountSums& sums, std::vector<LiveFile>& used);
+std::vector<std::string> seal_runs(Database& database, const std::string& recording, const std::string& noted,
+                                   AccountSums& sums, std::vector<LiveFile>& used);
 
 }  // namespace rtdata::sqlite

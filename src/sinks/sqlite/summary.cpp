@@ -82,19 +82,15 @@ struct TopicTimes {
   Histogram lateness;
 };
 
-Result<void> scan(const detail::RecordingFile& file, const RecordedTopic& topic, std::int64_t run, TopicTimes& into) {
+void scan(const detail::RecordingFile& file, const RecordedTopic& topic, std::int64_t run, TopicTimes& into) {
   auto statement = file.prepare("SELECT t.time, t.origin, t._rowid_ FROM " + sqlite::quoted(topic.table) +
                                 " t WHERE t.run = ? ORDER BY t._rowid_");
-  if (!statement) return std::move(statement).error();
-  statement->bind(1, run);
+  statement.bind(1, run);
   OriginTimes* current = nullptr;
   std::string_view name;
-  for (;;) {
-    auto row = statement->step();
-    if (!row) return std::move(row).error();
-    if (!*row) return {};
-    const std::int64_t ns = statement->integer(0);
-    const std::string_view origin = statement->text(1);
+  while (statement.step()) {
+    const std::int64_t ns = statement.integer(0);
+    const std::string_view origin = statement.text(1);
     if (current == nullptr || name != origin) {
       auto found = into.origins.find(origin);
       if (found == into.origins.end()) found = into.origins.emplace(std::string(origin), OriginTimes{}).first;
@@ -103,7 +99,7 @@ Result<void> scan(const detail::RecordingFile& file, const RecordedTopic& topic,
     }
     const Time time = from_nanoseconds(ns);
     ++current->rows;
-    if (statement->integer(2) <= current->rows_up_to && time < current->accounted_until) ++current->accounted_rows;
+    if (statement.integer(2) <= current->rows_up_to && time < current->accounted_until) ++current->accounted_rows;
     current->first = std::min(current->first, time);
     current->last = std::max(current->last, time);
     TopicSummary& summary = into.summary;
@@ -139,26 +135,22 @@ void add_rates(TopicTimes& topic, Duration length) {
 
 }  // namespace
 
-Result<std::vector<TopicSummary>> summary(const Recording& recording, std::int64_t run) {
-  auto snapshot = detail::Snapshot::take(recording.file());
-  if (!snapshot) return std::move(snapshot).error();
+Result<std::vector<TopicSummary>> summary(const Recording& recording, std::int64_t run) try {
+  const detail::Snapshot snapshot(recording.file());
   auto of_run = detail::OfRun::load(recording, run);
-  if (!of_run) return std::move(of_run).error();
-  auto recorded = recording.topics();
-  if (!recorded) return std::move(recorded).error();
-  auto runs = recording.runs();
-  if (!runs) return std::move(runs).error();
+  auto recorded = recording.topics().or_throw();
+  auto runs = recording.runs().or_throw();
   Duration length{0};
   bool is_ended = false;
   bool is_complete = false;
-  for (const RunInfo& info : *runs) {
+  for (const RunInfo& info : runs) {
     if (info.run != run) continue;
     is_ended = info.state != RunState::recording;
     is_complete = is_ended && detail::is_account_known(info);
     if (is_complete && info.ended) length = *info.ended - info.started;
   }
   std::map<std::string, TopicTimes> topics;
-  for (const LedgerEntry& entry : of_run->ledger) {
+  for (const LedgerEntry& entry : of_run.ledger) {
     TopicTimes& topic = topics[entry.topic];
     OriginTimes& origin = topic.origins[entry.origin];
     origin.rows_up_to = is_ended ? INT64_MAX : entry.rows_up_to;
@@ -173,12 +165,12 @@ Result<std::vector<TopicSummary>> summary(const Recording& recording, std::int64
     sum.dropped += entry.dropped();
     sum.pruned += entry.pruned;
     if (!entry.sensor.has_schedule)
-      sum.outages.add(detail::outages_of(of_run->gaps_in(detail::origin_key(entry.topic, entry.origin))));
+      sum.outages.add(detail::outages_of(of_run.gaps_in(detail::origin_key(entry.topic, entry.origin))));
     if (entry.sensor.lost_is_known) sum.lost = sum.lost.value_or(0) + entry.sensor.lost;
   }
-  for (auto& [topic, made_of_it] : detail::made_of_unrecorded(of_run->ledger))
+  for (auto& [topic, made_of_it] : detail::made_of_unrecorded(of_run.ledger))
     topics[topic].summary.made_of_it = std::move(made_of_it);
-  for (const RecordedSegment& segment : of_run->schedule)
+  for (const RecordedSegment& segment : of_run.schedule)
     topics[segment.topic].origins[segment.origin].segments.push_back(segment.segment);
   for (auto& [name, topic] : topics) {
     for (auto& [origin_name, origin] : topic.origins) {
@@ -186,10 +178,7 @@ Result<std::vector<TopicSummary>> summary(const Recording& recording, std::int64
       origin.accounted_until = detail::later(origin.segments.back().end, origin.segments.back().period);
     }
   }
-  for (const RecordedTopic& topic : *recorded) {
-    if (auto scanned = scan(*recording.file(), topic, run, topics[topic.topic]); !scanned)
-      return std::move(scanned).error();
-  }
+  for (const RecordedTopic& topic : recorded) scan(*recording.file(), topic, run, topics[topic.topic]);
   std::vector<TopicSummary> summaries;
   for (auto& [name, topic] : topics) {
     if (topic.origins.empty()) continue;
@@ -207,6 +196,8 @@ Result<std::vector<TopicSummary>> summary(const Recording& recording, std::int64
     summaries.push_back(std::move(sum));
   }
   return summaries;
+} catch (const SetupError& error) {
+  return error.error();
 }
 
 }  // namespace rtdata

@@ -57,33 +57,29 @@ std::string table_name(const std::string& topic, std::int64_t version) {
   return name;
 }
 
-Result<void> make_table(Database& database, const std::string& name, const Description& description) {
+void make_table(Database& database, const std::string& name, const Description& description) {
   std::string sql = "CREATE TABLE " + quoted(name) +
                     "(run INTEGER NOT NULL, time INTEGER NOT NULL, origin TEXT NOT NULL, sequence INTEGER NOT NULL, " +
                     quoted(checksum_column) + " INTEGER";
   for (const Leaf& leaf : description.leaves()) sql += ", " + column_of(leaf);
-  return database.execute(sql + ")");
+  database.execute(sql + ")");
 }
 
-Result<void> add_columns(Database& database, const std::string& name, const Description& old,
-                         const Description& description) {
+void add_columns(Database& database, const std::string& name, const Description& old, const Description& description) {
   for (const Leaf& leaf : description.leaves()) {
     const bool is_there = std::any_of(old.leaves().begin(), old.leaves().end(),
                                       [&](const Leaf& known) { return known.path == leaf.path; });
     if (is_there) continue;
-    if (auto added = database.execute("ALTER TABLE " + quoted(name) + " ADD COLUMN " + column_of(leaf)); !added)
-      return added;
+    database.execute("ALTER TABLE " + quoted(name) + " ADD COLUMN " + column_of(leaf));
   }
-  return {};
 }
 
 /// In the order of the table's columns, which is another one when a later run has added some.
-Result<std::vector<const Leaf*>> leaves_in_order(const Database& database, const std::string& name,
-                                                 const Description& description) {
+std::vector<const Leaf*> leaves_in_order(const Database& database, const std::string& name,
+                                         const Description& description) {
   auto columns = columns_of(database, name);
-  if (!columns) return std::move(columns).error();
   std::vector<const Leaf*> leaves;
-  for (const std::string& column : *columns) {
+  for (const std::string& column : columns) {
     for (const Leaf& leaf : description.leaves()) {
       if (leaf.path == column) leaves.push_back(&leaf);
     }
@@ -161,55 +157,48 @@ Result<void> check_columns(std::string_view topic, const Description& descriptio
                "a table has at most " + std::to_string(most_columns) + " columns: split it"};
 }
 
-Result<TopicTable> TopicTable::prepare(Database& database, const SlotInfo& slot, std::int64_t run,
-                                       detail::EscapedTexts& escaped, AccountSums& sums, NewUtcViews& views) {
+TopicTable TopicTable::prepare(Database& database, const SlotInfo& slot, std::int64_t run,
+                               detail::EscapedTexts& escaped, AccountSums& sums, NewUtcViews& views) {
   const Description& description = *slot.description;
-  if (auto fits = check_columns(slot.topic, description); !fits) return std::move(fits).error();
+  check_columns(slot.topic, description).or_throw();
   auto known = database.prepare(
       "SELECT version, table_name, description FROM rtdata_topic WHERE topic = ? ORDER BY version DESC");
-  if (!known) return std::move(known).error();
-  known->bind(1, slot.topic);
+  known.bind(1, slot.topic);
   std::int64_t last_version = 0;
   std::string name;
   std::string widen;  // the JSON of the narrower description to be widened
   std::int64_t version = 0;
-  for (;;) {
-    auto row = known->step();
-    if (!row) return std::move(row).error();
-    if (!*row) break;
-    last_version = std::max(last_version, known->integer(0));
-    auto old = Description::from_json(known->text(2));
+  while (known.step()) {
+    last_version = std::max(last_version, known.integer(0));
+    auto old = Description::from_json(known.text(2));
     if (!old) continue;  // written by something else: leave it alone
     if (is_part_of(**old, description) && name.empty()) {
-      name = std::string(known->text(1));
-      version = known->integer(0);
-      if ((*old)->leaves().size() != description.leaves().size()) widen = std::string(known->text(2));
+      name = std::string(known.text(1));
+      version = known.integer(0);
+      if ((*old)->leaves().size() != description.leaves().size()) widen = std::string(known.text(2));
     }
   }
-  known->reset();
+  known.reset();
   const std::string json = description.to_json();
   const bool is_new = name.empty();
   if (is_new) {
     version = last_version + 1;
     name = table_name(slot.topic, version);
-    if (auto may = NewUtcViews::look_for_room(database, name); !may) return std::move(may).error();
-    if (auto made = make_table(database, name, description); !made) return std::move(made).error();
+    NewUtcViews::look_for_room(database, name);
+    make_table(database, name, description);
     auto insert = database.prepare(
         "INSERT INTO rtdata_topic(topic, version, table_name, description, first_run) VALUES(?,?,?,?,?)");
-    if (!insert) return std::move(insert).error();
-    insert->bind(1, slot.topic).bind(2, version).bind(3, name).bind(4, json).bind(5, run);
-    if (auto done = insert->run(); !done) return std::move(done).error();
-    if (auto added = sums.add_topic(database, name); !added) return std::move(added).error();
+    insert.bind(1, slot.topic).bind(2, version).bind(3, name).bind(4, json).bind(5, run);
+    insert.run();
+    sums.add_topic(database, name);
   } else if (!widen.empty()) {
-    if (auto gone = sums.add_topic(database, name, AccountSums::Rows::go); !gone) return std::move(gone).error();
-    if (auto added = add_columns(database, name, **Description::from_json(widen), description); !added)
-      return std::move(added).error();
+    sums.add_topic(database, name, AccountSums::Rows::go);
+    add_columns(database, name, **Description::from_json(widen), description);
     auto update = database.prepare("UPDATE rtdata_topic SET description = ? WHERE topic = ? AND version = ?");
-    if (!update) return std::move(update).error();
-    update->bind(1, json).bind(2, slot.topic).bind(3, version);
-    if (auto done = update->run(); !done) return std::move(done).error();
-    if (auto added = sums.add_topic(database, name); !added) return std::move(added).error();
-    if (auto made = make_utc_view(database, name, description); !made) return std::move(made).error();
+    update.bind(1, json).bind(2, slot.topic).bind(3, version);
+    update.run();
+    sums.add_topic(database, name);
+    make_utc_view(database, name, description);
   }
 
   TopicTable table;
@@ -219,34 +208,29 @@ Result<TopicTable> TopicTable::prepare(Database& database, const SlotInfo& slot,
   table.topic_ = slot.topic;
   table.run_ = run;
   auto order = leaves_in_order(database, name, description);
-  if (!order) return std::move(order).error();
   // Whatever fails, the batch is rolled back and comes again: OR ROLLBACK spares SQLite a journal for each statement.
   // In the order of the table's columns it moves no value twice.
   std::string into = "INSERT OR ROLLBACK INTO " + quoted(name) + "(run, time, origin, sequence";
   std::string values = "(" + std::to_string(run) + ",?,?,?";
-  for (const Leaf* leaf : *order) {
+  for (const Leaf* leaf : order) {
     table.columns_.push_back({leaf->optional == nullptr ? leaf->kind : Kind::record, leaf->offset, leaf});
     into += ", " + quoted(leaf->path);
     values += ",?";
   }
   const std::size_t width = table.columns_.size() + fixed_parameters;
   const std::size_t most_rows = std::clamp<std::size_t>(most_parameters / width, 1, most_rows_per_statement);
-  const auto prepare_rows = [&](Insert& insert, std::size_t rows) -> Result<void> {
+  const auto prepare_rows = [&](Insert& insert, std::size_t rows) {
     std::string sql = into + ") VALUES ";
     for (std::size_t i = 0; i < rows; ++i) sql += (i == 0 ? "" : ",") + values + ")";
     auto statement = database.prepare(sql);
-    if (!statement) return std::move(statement).error();
-    insert = {std::move(*statement), std::vector<const SlotInfo*>(rows)};
-    return {};
+    insert = {std::move(statement), std::vector<const SlotInfo*>(rows)};
   };
-  if (auto made = prepare_rows(table.many_, most_rows); !made) return std::move(made).error();
+  prepare_rows(table.many_, most_rows);
   into += ", " + quoted(checksum_column);
   values += ",?";
-  if (auto made = prepare_rows(table.one_, 1); !made) return std::move(made).error();
+  prepare_rows(table.one_, 1);
   table.pending_.reserve(most_rows);
-  auto last = database.integer("SELECT max(_rowid_) FROM " + quoted(name));
-  if (!last) return std::move(last).error();
-  table.last_rowid_ = *last;
+  table.last_rowid_ = database.integer("SELECT max(_rowid_) FROM " + quoted(name));
   if (is_new) views.add(name, description);
   return table;
 }
@@ -338,23 +322,21 @@ void TopicTable::bind(Insert& insert, std::span<const Record> records) {
   }
 }
 
-Result<void> TopicTable::run(Insert& insert) {
-  auto done = insert.statement.run();
-  if (done) last_rowid_ = database_->last_rowid();
-  return done;
+void TopicTable::run(Insert& insert) {
+  insert.statement.run();
+  last_rowid_ = database_->last_rowid();
 }
 
-Result<void> TopicTable::insert(const Record& record) {
+void TopicTable::insert(const Record& record) {
   if (pending_.size() == many_.bound.size()) {  // not before there is another one, which may be the last
     bind(many_, pending_);
     pending_.clear();
-    if (auto done = run(many_); !done) return done;
+    run(many_);
   }
   pending_.push_back(record);
-  return {};
 }
 
-Result<void> TopicTable::flush() {
+void TopicTable::flush() {
   const int checksum = static_cast<int>(columns_.size()) + fixed_parameters + 1;
   for (const Record& record : pending_) {
     bind(one_, {&record, 1});
@@ -363,11 +345,10 @@ Result<void> TopicTable::flush() {
     } else {
       one_.statement.bind_null(checksum);
     }
-    if (auto done = run(one_); !done) return done;
+    run(one_);
   }
   pending_.clear();
   sum_ = 0;
-  return {};
 }
 
 }  // namespace rtdata::sqlite

@@ -24,13 +24,13 @@ class TopicTable {
   /// the further columns; otherwise a new table is made. Errors: those of the database, bad-name.
   /// Texts that are no UTF-8 are counted in `escaped`, which outlives the table. What changes in rtdata_topic goes into
   /// `sums`. The view of a new table is left in `views`, to be made within the same transaction.
-  static Result<TopicTable> prepare(Database& database, const SlotInfo& slot, std::int64_t run,
-                                    detail::EscapedTexts& escaped, AccountSums& sums, NewUtcViews& views);
+  static TopicTable prepare(Database& database, const SlotInfo& slot, std::int64_t run, detail::EscapedTexts& escaped,
+                            AccountSums& sums, NewUtcViews& views);
 
   /// Inserts the record, at the latest with `flush`: its payload must live until then.
-  Result<void> insert(const Record& record);
+  void insert(const Record& record);
   /// At the end of the transaction: its last row takes the checksum.
-  Result<void> flush();
+  void flush();
   std::int64_t last_rowid() const noexcept { return last_rowid_; }
   const std::string& name() const noexcept { return name_; }
   const std::string& topic() const noexcept { return topic_; }
@@ -48,7 +48,7 @@ class TopicTable {
   /// All but the origin. Hashes the row, the origin too.
   void bind(sqlite3_stmt* statement, int first, const Record& record);
   void bind(Insert& insert, std::span<const Record> records);
-  Result<void> run(Insert& insert);
+  void run(Insert& insert);
 
   Database* database_ = nullptr;
   detail::EscapedTexts* escaped_ = nullptr;

@@ -125,93 +125,75 @@ Time UtcLine::recorded(Time utc_time) const noexcept {
 
 namespace sqlite {
 
-Result<std::vector<RecordedClock>> clock_pairs_of_boot(const Database& database, std::string_view boot_id) {
+std::vector<RecordedClock> clock_pairs_of_boot(const Database& database, std::string_view boot_id) {
   std::string text = "'";
   for (const char c : boot_id) text.append(c == '\'' ? 2 : 1, c);
   return clock_pairs(database, "r.boot_id = " + text + "'");
 }
 
-Result<std::vector<RecordedClock>> clock_pairs(const Database& database, const std::string& condition) {
+std::vector<RecordedClock> clock_pairs(const Database& database, const std::string& condition) {
   auto query = database.prepare(
       "SELECT c.monotonic, c.realtime, c.source, c.accuracy, c.occasion FROM rtdata_run r JOIN rtdata_clock c ON c.run "
       "= r.run WHERE " +
       condition + " ORDER BY c.monotonic, c._rowid_");
-  if (!query) return std::move(query).error();
   std::vector<RecordedClock> pairs;
-  for (;;) {
-    auto row = query->step();
-    if (!row) return std::move(row).error();
-    if (!*row) return pairs;
+  while (query.step()) {
     RecordedClock& pair = pairs.emplace_back();
-    pair.monotonic = MonotonicTime{Duration{query->integer(0)}};
-    pair.realtime = from_nanoseconds(query->integer(1));
-    pair.source = std::string(query->text(2));
-    if (!query->is_null(3)) pair.accuracy = Duration{query->integer(3)};
-    pair.occasion = std::string(query->text(4));
+    pair.monotonic = MonotonicTime{Duration{query.integer(0)}};
+    pair.realtime = from_nanoseconds(query.integer(1));
+    pair.source = std::string(query.text(2));
+    if (!query.is_null(3)) pair.accuracy = Duration{query.integer(3)};
+    pair.occasion = std::string(query.text(4));
   }
+  return pairs;
 }
 
 namespace {
 
-Result<std::vector<UtcLine::Stretch>> written_stretches(const Database& database, std::string_view boot_id) {
+std::vector<UtcLine::Stretch> written_stretches(const Database& database, std::string_view boot_id) {
   auto query = database.prepare("SELECT since, \"offset\", rate FROM rtdata_utc WHERE boot_id = ? ORDER BY since");
-  if (!query) return std::move(query).error();
-  query->bind(1, boot_id);
+  query.bind(1, boot_id);
   std::vector<UtcLine::Stretch> stretches;
-  for (;;) {
-    auto row = query->step();
-    if (!row) return std::move(row).error();
-    if (!*row) return stretches;
-    stretches.push_back({MonotonicTime{Duration{query->integer(0)}}, Duration{query->integer(1)}, query->real(2)});
+  while (query.step()) {
+    stretches.push_back({MonotonicTime{Duration{query.integer(0)}}, Duration{query.integer(1)}, query.real(2)});
   }
+  return stretches;
 }
 
 }  // namespace
 
-Result<bool> utc_line_agrees(const Database& database, std::string_view boot_id) {
+bool utc_line_agrees(const Database& database, std::string_view boot_id) {
   auto pairs = clock_pairs_of_boot(database, boot_id);
-  if (!pairs) return std::move(pairs).error();
   auto written = written_stretches(database, boot_id);
-  if (!written) return std::move(written).error();
-  return *written == UtcLine(*pairs).stretches();
+  return written == UtcLine(pairs).stretches();
 }
 
-Result<void> write_utc_line(Database& database, std::string_view boot_id) {
+void write_utc_line(Database& database, std::string_view boot_id) {
   auto pairs = clock_pairs_of_boot(database, boot_id);
-  if (!pairs) return std::move(pairs).error();
   auto written = written_stretches(database, boot_id);
-  if (!written) return std::move(written).error();
-  const UtcLine line(*pairs);
-  const auto [old, wanted] = std::mismatch(written->begin(), written->end(), line.stretches().begin(),
+  const UtcLine line(pairs);
+  const auto [old, wanted] = std::mismatch(written.begin(), written.end(), line.stretches().begin(),
                                            line.stretches().end());
-  if (old != written->end()) {
+  if (old != written.end()) {
     auto remove = database.prepare("DELETE FROM rtdata_utc WHERE boot_id = ? AND since >= ?");
-    if (!remove) return std::move(remove).error();
-    remove->bind(1, boot_id).bind(2, old->since.time_since_epoch().count());
-    if (auto done = remove->run(); !done) return done;
+    remove.bind(1, boot_id).bind(2, old->since.time_since_epoch().count());
+    remove.run();
   }
-  if (wanted == line.stretches().end()) return {};
+  if (wanted == line.stretches().end()) return;
   auto insert = database.prepare("INSERT INTO rtdata_utc(boot_id, since, \"offset\", rate) VALUES(?,?,?,?)");
-  if (!insert) return std::move(insert).error();
   for (auto next = wanted; next != line.stretches().end(); ++next) {
-    insert->bind(1, boot_id)
+    insert.bind(1, boot_id)
         .bind(2, next->since.time_since_epoch().count())
         .bind(3, next->offset.count())
         .bind(4, next->rate);
-    if (auto done = insert->run(); !done) return done;
+    insert.run();
   }
-  return {};
 }
 
-Result<void> write_utc_lines(Database& database) {
+void write_utc_lines(Database& database) {
   auto query = database.prepare("SELECT DISTINCT boot_id FROM rtdata_run");
-  if (!query) return std::move(query).error();
-  auto boots = query->texts();
-  if (!boots) return std::move(boots).error();
-  for (const std::string& boot : *boots) {
-    if (auto written = write_utc_line(database, boot); !written) return written;
-  }
-  return {};
+  auto boots = query.texts();
+  for (const std::string& boot : boots) write_utc_line(database, boot);
 }
 
 std::string utc_of(const std::string& time, const std::string& run) {
@@ -248,68 +230,61 @@ std::string create_utc_view(const std::string& table, const Description& descrip
   return sql + " FROM (SELECT t.*, " + utc_of("t.time", "t.run") + " AS \"~\" FROM " + quoted(table) + " t)";
 }
 
-Result<void> replace_view(Database& database, const std::string& name, const std::string& sql) {
-  return database.execute("DROP VIEW IF EXISTS " + quoted(name) + "; " + sql);
+void replace_view(Database& database, const std::string& name, const std::string& sql) {
+  database.execute("DROP VIEW IF EXISTS " + quoted(name) + "; " + sql);
 }
 
 }  // namespace
 
-Result<void> make_utc_view(Database& database, const std::string& table, const Description& description) {
-  return replace_view(database, utc_view_of(table), create_utc_view(table, description));
+void make_utc_view(Database& database, const std::string& table, const Description& description) {
+  replace_view(database, utc_view_of(table), create_utc_view(table, description));
 }
 
-Result<void> NewUtcViews::look_for_room(const Database& database, const std::string& table) {
+void NewUtcViews::look_for_room(const Database& database, const std::string& table) {
   const std::string view = utc_view_of(table);
   // Found in memory, where a query would go through the whole schema.
   const bool is_table = sqlite3_table_column_metadata(database.raw(), "main", view.c_str(), nullptr, nullptr, nullptr,
                                                       nullptr, nullptr, nullptr) == SQLITE_OK;
   auto index = database.prepare("PRAGMA main.index_info(" + quoted(view) + ")");
-  if (!index) return std::move(index).error();
-  auto is_index = index->step();
-  if (!is_index) return std::move(is_index).error();
-  if (!is_table && !*is_index) return {};
-  return Error{Errc::bad_description, "cannot make a view", view,
-               "there is " + std::string(is_table ? "a table" : "an index") + " of that name", ""};
+  if (!is_table && !index.step()) return;
+  throw SetupError({Errc::bad_description, "cannot make a view", view,
+                    "there is " + std::string(is_table ? "a table" : "an index") + " of that name", ""});
 }
 
 void NewUtcViews::add(const std::string& table, const Description& description) {
   views_.push_back({utc_view_of(table), create_utc_view(table, description)});
 }
 
-Result<void> NewUtcViews::make(Database& database) {
+void NewUtcViews::make(Database& database) {
   if (views_.size() > few_views) {
-    auto entered = enter(database);
-    if (!entered) return std::move(entered).error();
-    if (*entered) views_.clear();
+    if (enter(database)) views_.clear();
   }
-  for (const View& view : views_)
-    if (auto made = replace_view(database, view.name, view.sql); !made) return made;
+  for (const View& view : views_) replace_view(database, view.name, view.sql);
   views_.clear();
-  return {};
 }
 
 /// As SQLite itself does it, of all at once: a row each in its table of the schema, which is then read anew. It parses
 /// each of them before, without running it, so that none is entered that it would refuse.
-Result<bool> NewUtcViews::enter(Database& database) {
-  for (const View& view : views_)
-    if (auto parsed = database.prepare(view.sql); !parsed) return false;  // it says why when it makes it
-  if (auto begun = database.execute("PRAGMA writable_schema=ON"); !begun) return std::move(begun).error();
-  auto row = database.prepare(
-      "INSERT INTO sqlite_schema(type, name, tbl_name, rootpage, sql) VALUES('view',?1,?1,0,?2)");
-  Result<void> done;
-  const bool is_permitted = bool(row);
-  if (is_permitted) {
-    for (const View& view : views_) {
-      row->bind(1, view.name).bind(2, view.sql);
-      done = row->run();
-      if (!done) break;
-    }
-    *row = Statement();
+bool NewUtcViews::enter(Database& database) {
+  Statement row;
+  try {
+    for (const View& view : views_) (void)database.prepare(view.sql);
+    database.execute("PRAGMA writable_schema=ON");
+    row = database.prepare("INSERT INTO sqlite_schema(type, name, tbl_name, rootpage, sql) VALUES('view',?1,?1,0,?2)");
+  } catch (const SetupError&) {  // a view that SQLite refuses says why when it makes it
+    database.execute("PRAGMA writable_schema=RESET");
+    return false;
   }
-  auto read = database.execute("PRAGMA writable_schema=RESET");
-  if (!done) return std::move(done).error();
-  if (!read) return std::move(read).error();
-  return is_permitted;
+  try {
+    for (const View& view : views_) row.bind(1, view.name).bind(2, view.sql).run();
+  } catch (const SetupError&) {
+    row = Statement();
+    database.execute("PRAGMA writable_schema=RESET");
+    throw;
+  }
+  row = Statement();
+  database.execute("PRAGMA writable_schema=RESET");
+  return true;
 }
 
 std::string run_view() {

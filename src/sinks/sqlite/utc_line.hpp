@@ -10,28 +10,28 @@
 namespace rtdata::sqlite {
 
 /// The pairs of the runs (called r) for which an SQL condition holds. Errors: those of the database.
-Result<std::vector<RecordedClock>> clock_pairs(const Database& database, const std::string& condition);
+std::vector<RecordedClock> clock_pairs(const Database& database, const std::string& condition);
 /// The pairs that the runs of one boot recorded.
-Result<std::vector<RecordedClock>> clock_pairs_of_boot(const Database& database, std::string_view boot_id);
+std::vector<RecordedClock> clock_pairs_of_boot(const Database& database, std::string_view boot_id);
 
 /// Within a transaction: brings the boot's stretches in line with its pairs; those that did not change are not touched.
-Result<void> write_utc_line(Database& database, std::string_view boot_id);
+void write_utc_line(Database& database, std::string_view boot_id);
 /// Whether they are so.
-Result<bool> utc_line_agrees(const Database& database, std::string_view boot_id);
+bool utc_line_agrees(const Database& database, std::string_view boot_id);
 /// Writes them for all boots of the file.
-Result<void> write_utc_lines(Database& database);
+void write_utc_lines(Database& database);
 
 /// Makes the view with UTC of a topic's table anew: "room/climate~utc" for "room/climate".
-Result<void> make_utc_view(Database& database, const std::string& table, const Description& description);
+void make_utc_view(Database& database, const std::string& table, const Description& description);
 
 /// Views of new tables, made together at the end of a transaction. A CREATE VIEW goes through all tables and views that
 /// there are: of thousands of topics in one batch, most of the time would be spent so.
 class NewUtcViews {
  public:
   /// Before the table is made. Errors: bad-description, when somebody has made a table of the view's name.
-  static Result<void> look_for_room(const Database& database, const std::string& table);
+  static void look_for_room(const Database& database, const std::string& table);
   void add(const std::string& table, const Description& description);
-  Result<void> make(Database& database);
+  void make(Database& database);
   /// The transaction was given up.
   void clear() noexcept { views_.clear(); }
 
@@ -40,7 +40,7 @@ class NewUtcViews {
     std::string name, sql;
   };
   /// False: this connection does not permit it, and nothing was changed.
-  Result<bool> enter(Database& database);
+  bool enter(Database& database);
   std::vector<View> views_;
 };
 

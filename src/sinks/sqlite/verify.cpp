@@ -92,36 +92,31 @@ void OriginRows::add(std::int64_t rowid, std::int64_t time, std::uint64_t sequen
   say(outside_sentences, text);
 }
 
-Result<void> scan_rows(const RecordingFile& file, const RecordedTopic& topic, RunsRows& runs,
-                       std::vector<std::string>& problems) {
+void scan_rows(const RecordingFile& file, const RecordedTopic& topic, RunsRows& runs,
+               std::vector<std::string>& problems) {
   auto statement = file.prepare("SELECT t._rowid_, t.* FROM " + sqlite::quoted(topic.table) + " t ORDER BY t._rowid_");
-  if (!statement) return std::move(statement).error();
   OriginRows* current = nullptr;
   ValueSums sums(topic.table);
   std::map<std::int64_t, std::uint64_t> strays;  // rows of runs that are not there
   std::unordered_map<std::string, OriginRows*> known;
   std::int64_t known_run = 0;
   std::string name;
-  for (;;) {
-    auto row = statement->step();
-    if (!row) return std::move(row).error();
-    if (!*row) break;
-    sums.add(statement->raw(), 1, runs);
-    const std::int64_t run = statement->integer(1);
-    if (sqlite3_column_type(statement->raw(), 1) != SQLITE_INTEGER) [[unlikely]] {
-      problems.push_back(topic.topic + ": row " + std::to_string(statement->integer(0)) + " has no number as its run.");
+  while (statement.step()) {
+    sums.add(statement.raw(), 1, runs);
+    const std::int64_t run = statement.integer(1);
+    if (sqlite3_column_type(statement.raw(), 1) != SQLITE_INTEGER) [[unlikely]] {
+      problems.push_back(topic.topic + ": row " + std::to_string(statement.integer(0)) + " has no number as its run.");
       if (problems.size() > 100) break;
       continue;
     }
-    if (sqlite3_column_type(statement->raw(), 3) != SQLITE_TEXT) [[unlikely]] {
+    if (sqlite3_column_type(statement.raw(), 3) != SQLITE_TEXT) [[unlikely]] {
       // Reading it as a text would make it one, for its hash too.
-      problems.push_back(topic.topic + ": row " + std::to_string(statement->integer(0)) +
-                         " has no text as its origin.");
+      problems.push_back(topic.topic + ": row " + std::to_string(statement.integer(0)) + " has no text as its origin.");
       if (problems.size() > 100) break;
       continue;
     }
-    const std::string_view origin = statement->text(3);
-    const auto sequence = static_cast<std::uint64_t>(statement->integer(4));
+    const std::string_view origin = statement.text(3);
+    const auto sequence = static_cast<std::uint64_t>(statement.integer(4));
     if (current == nullptr || current->run != run || current->origin != origin) {
       if (run != known_run) known.clear();
       known_run = run;
@@ -145,7 +140,7 @@ Result<void> scan_rows(const RecordingFile& file, const RecordedTopic& topic, Ru
       }
       current = found;
     }
-    current->add(statement->integer(0), statement->integer(2), sequence);
+    current->add(statement.integer(0), statement.integer(2), sequence);
   }
   if (sums.rest() != 0)
     problems.push_back(
@@ -155,23 +150,14 @@ Result<void> scan_rows(const RecordingFile& file, const RecordedTopic& topic, Ru
     problems.push_back(topic.topic + ": " + plural(rows, "row") + " of run " + std::to_string(run) +
                        ", which is not in the list of runs.");
   }
-  return {};
 }
 
-Result<OfRun> OfRun::load(const Recording& recording, std::int64_t run) {
+OfRun OfRun::load(const Recording& recording, std::int64_t run) {
   OfRun loaded;
-  auto ledger = recording.ledger(run);
-  if (!ledger) return std::move(ledger).error();
-  auto schedule = recording.schedule(run);
-  if (!schedule) return std::move(schedule).error();
-  auto gaps = recording.gaps(run);
-  if (!gaps) return std::move(gaps).error();
-  auto line = utc_line_of(*recording.file(), run);
-  if (!line) return std::move(line).error();
-  loaded.line = std::move(*line);
-  loaded.ledger = std::move(*ledger);
-  loaded.schedule = std::move(*schedule);
-  loaded.gaps = std::move(*gaps);
+  loaded.line = utc_line_of(*recording.file(), run);
+  loaded.ledger = recording.ledger(run).or_throw();
+  loaded.schedule = recording.schedule(run).or_throw();
+  loaded.gaps = recording.gaps(run).or_throw();
   for (const RecordedSegment& one : loaded.schedule)
     loaded.segments_of[origin_key(one.topic, one.origin)].push_back(&one);
   for (const RecordedGap& one : loaded.gaps) loaded.gaps_of[origin_key(one.topic, one.origin)].push_back(&one);
@@ -227,25 +213,22 @@ std::string_view name_of(Verdict verdict) noexcept {
 
 namespace detail {
 
-Result<VerifyReport> verify_contents(const Recording& recording) {
-  auto snapshot = Snapshot::take(recording.file());
-  if (!snapshot) return std::move(snapshot).error();
+VerifyReport verify_contents(const Recording& recording) {
+  const Snapshot snapshot(recording.file());
   auto checked = recording.file()->prepare("PRAGMA quick_check(1)");
-  if (!checked) return std::move(checked).error();
-  if (auto row = checked->step(); !row) return std::move(row).error();
-  if (checked->text(0) != "ok") return recording.file()->damaged("", "SQLite says: " + std::string(checked->text(0)));
+  checked.step();
+  if (checked.text(0) != "ok")
+    throw SetupError(recording.file()->damaged("", "SQLite says: " + std::string(checked.text(0))));
 
   VerifyReport report;
   report.path = recording.path();
-  auto infos = recording.runs();
-  if (!infos) return std::move(infos).error();
+  auto infos = recording.runs().or_throw();
   RunsRows rows;
   std::map<std::int64_t, OfRun> accounts;
-  for (RunInfo& info : *infos) {
+  for (RunInfo& info : infos) {
     const bool has_ticks = info.state == RunState::closed;
     auto loaded = OfRun::load(recording, info.run);
-    if (!loaded) return std::move(loaded).error();
-    const OfRun& of_run = accounts.emplace(info.run, std::move(*loaded)).first->second;
+    const OfRun& of_run = accounts.emplace(info.run, std::move(loaded)).first->second;
     OriginMap& origins = rows[info.run].origins;
     const bool is_ended = info.state != RunState::recording;
     for (const LedgerEntry& entry : of_run.ledger) {
@@ -269,57 +252,48 @@ Result<VerifyReport> verify_contents(const Recording& recording) {
     run.info = std::move(info);
     run.line = of_run.line;
   }
-  auto topics = recording.topics();
-  if (!topics) return std::move(topics).error();
-  for (const RecordedTopic& topic : *topics) {
-    if (auto scanned = scan_rows(*recording.file(), topic, rows, report.problems); !scanned)
-      return std::move(scanned).error();
-  }
+  auto topics = recording.topics().or_throw();
+  for (const RecordedTopic& topic : topics) scan_rows(*recording.file(), topic, rows, report.problems);
   auto odd = recording.file()->database.integer(
       "SELECT count(*) FROM rtdata_utc WHERE typeof(since) <> 'integer' OR typeof(\"offset\") <> 'integer' OR "
       "typeof(rate) <> 'real'");
-  if (!odd) return std::move(odd).error();
-  if (*odd != 0) report.problems.push_back("The UTC line (rtdata_utc) has something else in it than numbers.");
+  if (odd != 0) report.problems.push_back("The UTC line (rtdata_utc) has something else in it than numbers.");
   std::set<std::string> boots;
   for (const RunReport& run : report.runs) boots.insert(run.info.boot_id);
   for (const std::string& boot : boots) {
-    auto agrees = sqlite::utc_line_agrees(recording.file()->database, boot);
-    if (!agrees) return std::move(agrees).error();
-    if (!*agrees)
+    if (!sqlite::utc_line_agrees(recording.file()->database, boot))
       report.problems.push_back("The UTC line of boot " + boot + " (rtdata_utc) is not what rtdata_clock says.");
   }
-  auto are_topics_changed = check_account_sums(*recording.file(), *topics, report);
-  if (!are_topics_changed) return std::move(are_topics_changed).error();
-  if (auto looked = check_layout(*recording.file(), *topics, *are_topics_changed, report.problems); !looked)
-    return std::move(looked).error();
-  auto deleted = recording.deleted_runs();
-  if (!deleted) return std::move(deleted).error();
-  verify_deleted(std::move(*deleted), report);
+  auto are_topics_changed = check_account_sums(*recording.file(), topics, report);
+  check_layout(*recording.file(), topics, are_topics_changed, report.problems);
+  auto deleted = recording.deleted_runs().or_throw();
+  verify_deleted(std::move(deleted), report);
   for (RunReport& run : report.runs) {
-    if (auto done = verify_run(accounts.at(run.info.run), rows[run.info.run], run); !done)
-      return std::move(done).error();
-    if (auto done = finish_account(recording, run); !done) return std::move(done).error();
+    verify_run(accounts.at(run.info.run), rows[run.info.run], run);
+    finish_account(recording, run);
   }
   return report;
 }
 
 }  // namespace detail
 
-Result<RunReport> account_of(const Recording& recording, std::int64_t run) {
-  auto snapshot = detail::Snapshot::take(recording.file());
-  if (!snapshot) return std::move(snapshot).error();
-  auto infos = recording.runs();
-  if (!infos) return std::move(infos).error();
-  for (const RunInfo& info : *infos)
+Result<RunReport> account_of(const Recording& recording, std::int64_t run) try {
+  const detail::Snapshot snapshot(recording.file());
+  auto infos = recording.runs().or_throw();
+  for (const RunInfo& info : infos)
     if (info.run == run) return detail::account_of_run(recording, info);
   return Error{Errc::not_found, "cannot read the account", recording.path(), "there is no run " + std::to_string(run),
                ""};
+} catch (const SetupError& error) {
+  return error.error();
 }
 
-Result<VerifyReport> verify(const Recording& recording) {
-  auto report = detail::verify_contents(recording);
-  if (report) detail::check_run_numbers(*report);
+Result<VerifyReport> verify(const Recording& recording) try {
+  VerifyReport report = detail::verify_contents(recording);
+  detail::check_run_numbers(report);
   return report;
+} catch (const SetupError& error) {
+  return error.error();
 }
 
 Verdict VerifyReport::verdict() const noexcept {

@@ -13,66 +13,55 @@ namespace {
 
 /// Rows are hashed by position: that each value is under its name stands in the columns alone. A run with more fields
 /// adds its columns at the end, wherever the fields are: `is_changed` says that it was not so.
-Result<void> check_columns_of(const RecordingFile& file, const RecordedTopic& topic, bool is_changed,
-                              std::vector<std::string>& problems) {
+void check_columns_of(const RecordingFile& file, const RecordedTopic& topic, bool is_changed,
+                      std::vector<std::string>& problems) {
   auto columns = sqlite::columns_of(file.database, topic.table);
-  if (!columns) return std::move(columns).error();
   std::vector<std::string> wanted{"run", "time", "origin", "sequence", sqlite::checksum_column};
   for (const Leaf& leaf : topic.description->leaves()) wanted.push_back(leaf.path);
-  const std::set<std::string> there(columns->begin(), columns->end());
+  const std::set<std::string> there(columns.begin(), columns.end());
   const std::set<std::string> described(wanted.begin(), wanted.end());
-  for (const std::string& column : *columns) {
+  for (const std::string& column : columns) {
     if (!described.contains(column))
       problems.push_back(topic.topic + ": the table has a column \"" + column + "\", which is none of the topic's.");
   }
   for (const std::string& column : wanted) {
     if (!there.contains(column)) problems.push_back(topic.topic + ": the table has no column \"" + column + "\".");
   }
-  if (there != described || columns->size() != wanted.size()) return {};
+  if (there != described || columns.size() != wanted.size()) return;
   for (std::size_t i = 0; is_changed && i < wanted.size(); ++i) {
-    if ((*columns)[i] == wanted[i]) continue;
-    problems.push_back(topic.topic + ": column " + std::to_string(i + 1) + " of the table is \"" + (*columns)[i] +
+    if (columns[i] == wanted[i]) continue;
+    problems.push_back(topic.topic + ": column " + std::to_string(i + 1) + " of the table is \"" + columns[i] +
                        "\", where \"" + wanted[i] + "\" was recorded: names of columns were exchanged.");
     break;
   }
-  return {};
 }
 
 /// How far senders are: of tables and runs that are there, and not beyond what a run that was closed has.
-Result<void> check_positions(const RecordingFile& file, std::vector<std::string>& problems) {
+void check_positions(const RecordingFile& file, std::vector<std::string>& problems) {
   auto has_table = file.database.integer("SELECT count(*) FROM sqlite_schema WHERE name = 'rtdata_position'");
-  if (!has_table) return std::move(has_table).error();
-  if (*has_table == 0) return {};
+  if (has_table == 0) return;
   auto query = file.prepare(
       "SELECT p.sink, p.table_name, p.run, p.origin, p.sequence FROM rtdata_position p "
       "LEFT JOIN rtdata_topic t ON t.table_name = p.table_name LEFT JOIN rtdata_run r ON r.run = p.run "
       "WHERE p.table_name <> '' AND (t.topic IS NULL OR p.run > (SELECT max(run) FROM rtdata_run) OR "
       "(r.state = 'closed' AND NOT EXISTS(SELECT 1 FROM rtdata_ledger l WHERE l.run = p.run AND l.topic = t.topic AND "
       "l.origin = p.origin AND l.last_sequence >= p.sequence)))");
-  if (!query) return std::move(query).error();
-  for (;;) {
-    auto row = query->step();
-    if (!row) return std::move(row).error();
-    if (!*row) return {};
-    problems.push_back("rtdata_position: sink " + std::string(query->text(0)) + " has table \"" +
-                       std::string(query->text(1)) + "\" up to sequence " + std::to_string(query->integer(4)) +
-                       " of origin " + std::string(query->text(3)) + " in run " + std::to_string(query->integer(2)) +
+  while (query.step()) {
+    problems.push_back("rtdata_position: sink " + std::string(query.text(0)) + " has table \"" +
+                       std::string(query.text(1)) + "\" up to sequence " + std::to_string(query.integer(4)) +
+                       " of origin " + std::string(query.text(3)) + " in run " + std::to_string(query.integer(2)) +
                        ", which was never recorded.");
   }
 }
 
 }  // namespace
 
-Result<void> check_layout(const RecordingFile& file, const std::vector<RecordedTopic>& topics, bool are_topics_changed,
-                          std::vector<std::string>& problems) {
+void check_layout(const RecordingFile& file, const std::vector<RecordedTopic>& topics, bool are_topics_changed,
+                  std::vector<std::string>& problems) {
   auto query = file.prepare("SELECT type, name FROM sqlite_schema ORDER BY name");
-  if (!query) return std::move(query).error();
   std::set<std::string, std::less<>> views;
-  for (;;) {
-    auto row = query->step();
-    if (!row) return std::move(row).error();
-    if (!*row) break;
-    const std::string_view type = query->text(0), name = query->text(1);
+  while (query.step()) {
+    const std::string_view type = query.text(0), name = query.text(1);
     if (type == "trigger") {
       problems.push_back("There is a trigger, " + std::string(name) +
                          ", which is not of the recording: it may change what is recorded.");
@@ -81,23 +70,25 @@ Result<void> check_layout(const RecordingFile& file, const std::vector<RecordedT
     }
   }
   const std::size_t before = problems.size();
-  for (const RecordedTopic& topic : topics)
-    if (auto checked = check_columns_of(file, topic, are_topics_changed, problems); !checked) return checked;
+  for (const RecordedTopic& topic : topics) check_columns_of(file, topic, are_topics_changed, problems);
   if (are_topics_changed && problems.size() == before)
     problems.push_back("rtdata_topic: the checksum of its " + plural(topics.size(), "row") +
                        " is another than when they were written: a row was changed, added or deleted.");
-  if (auto checked = check_positions(file, problems); !checked) return checked;
+  check_positions(file, problems);
   std::vector<std::string> wanted{"rtdata_run_utc", "rtdata_gap~utc", "rtdata_health~utc", "rtdata_error~utc",
                                   "rtdata_field"};
   for (const RecordedTopic& topic : topics) wanted.push_back(topic.table + "~utc");
   for (const std::string& view : wanted) {
     if (!views.contains(view)) {
       problems.push_back("The view " + view + " is not there.");
-    } else if (auto usable = file.prepare("SELECT * FROM " + sqlite::quoted(view)); !usable) {
-      problems.push_back("The view " + view + " is damaged: " + usable.error().why + ".");
+      continue;
+    }
+    try {
+      (void)file.prepare("SELECT * FROM " + sqlite::quoted(view));
+    } catch (const SetupError& error) {
+      problems.push_back("The view " + view + " is damaged: " + error.error().why + ".");
     }
   }
-  return {};
 }
 
 }  // namespace rtdata::detail

@@ -381,7 +381,7 @@ void note_end(const Findings& found) {
 
 }  // namespace
 
-Result<void> verify_run(const OfRun& of_run, const RunRows& run_rows, RunReport& report) {
+void verify_run(const OfRun& of_run, const RunRows& run_rows, RunReport& report) {
   const OriginMap& rows = run_rows.origins;
   const RunInfo& info = report.info;
   std::vector<std::string> left_open;
@@ -436,7 +436,6 @@ Result<void> verify_run(const OfRun& of_run, const RunRows& run_rows, RunReport&
   }
   if (!report.problems.empty()) report.verdict = Verdict::not_balanced;
   report.has_open_equations = !left_open.empty();
-  return {};
 }
 
 std::map<std::string, std::vector<std::string>> made_of_unrecorded(const std::vector<LedgerEntry>& ledger) {
@@ -463,15 +462,14 @@ std::map<std::string, std::vector<std::string>> made_of_unrecorded(const std::ve
   return unrecorded;
 }
 
-Result<RunReport> account_of_run(const Recording& recording, const RunInfo& info) {
+RunReport account_of_run(const Recording& recording, const RunInfo& info) {
   auto of_run = OfRun::load(recording, info.run);
-  if (!of_run) return std::move(of_run).error();
   RunReport report;
   report.info = info;
-  report.line = of_run->line;
-  read_account(*of_run, report);
-  for (const LedgerEntry& entry : of_run->ledger) report.rows += entry.stored - entry.pruned;
-  if (auto finished = finish_account(recording, report); !finished) return std::move(finished).error();
+  report.line = of_run.line;
+  read_account(of_run, report);
+  for (const LedgerEntry& entry : of_run.ledger) report.rows += entry.stored - entry.pruned;
+  finish_account(recording, report);
   return report;
 }
 
@@ -487,7 +485,7 @@ static void add_hanging(const std::vector<RecordedHealth>& health, RunReport& ru
                               " on: it hung, and the program was ended");
 }
 
-Result<void> finish_account(const Recording& recording, RunReport& report) {
+void finish_account(const Recording& recording, RunReport& report) {
   const RunInfo& info = report.info;
   if (report.verdict == Verdict::not_balanced)
     report.not_known.emplace_back("what it lost besides, since it does not agree with its account (! below)");
@@ -501,12 +499,10 @@ Result<void> finish_account(const Recording& recording, RunReport& report) {
     report.not_known.emplace_back("which ticks it missed after its last account");
   }
   if (info.state == RunState::sealed) {
-    auto health = recording.health(info.run);
-    if (!health) return std::move(health).error();
-    add_hanging(*health, report);
+    auto health = recording.health(info.run).or_throw();
+    add_hanging(health, report);
   }
   report.lines = account_lines(report);
-  return {};
 }
 
 }  // namespace rtdata::detail

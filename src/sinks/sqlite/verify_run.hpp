@@ -60,8 +60,8 @@ struct RunRows {
 using RunsRows = std::map<std::int64_t, RunRows>;
 
 /// What the rows of a table say.
-Result<void> scan_rows(const RecordingFile& file, const RecordedTopic& topic, RunsRows& runs,
-                       std::vector<std::string>& problems);
+void scan_rows(const RecordingFile& file, const RecordedTopic& topic, RunsRows& runs,
+               std::vector<std::string>& problems);
 
 /// Collects what does not agree in a run.
 struct Findings {
@@ -87,8 +87,8 @@ struct Findings {
 
 /// Triggers, views that are not there, columns that are others. `are_topics_changed`: rtdata_topic or the columns of
 /// its tables are not as they were written.
-Result<void> check_layout(const RecordingFile& file, const std::vector<RecordedTopic>& topics, bool are_topics_changed,
-                          std::vector<std::string>& problems);
+void check_layout(const RecordingFile& file, const std::vector<RecordedTopic>& topics, bool are_topics_changed,
+                  std::vector<std::string>& problems);
 
 /// The account of a run, by origin.
 struct OfRun {
@@ -99,7 +99,7 @@ struct OfRun {
   std::unordered_map<std::string, std::vector<const RecordedSegment*>> segments_of;
   std::unordered_map<std::string, std::vector<const RecordedGap*>> gaps_of;
 
-  static Result<OfRun> load(const Recording& recording, std::int64_t run);
+  static OfRun load(const Recording& recording, std::int64_t run);
   /// In order of time; none: empty.
   const std::vector<const RecordedSegment*>& segments(const std::string& key) const;
   const std::vector<const RecordedGap*>& gaps_in(const std::string& key) const;
@@ -107,11 +107,11 @@ struct OfRun {
 
 /// Compares the account of one run with its rows. Fills everything of the report but `info`, `line`, and what
 /// `finish_account` does.
-Result<void> verify_run(const OfRun& of_run, const RunRows& rows, RunReport& report);
+void verify_run(const OfRun& of_run, const RunRows& rows, RunReport& report);
 
 /// What is not known of the run, and the report's lines.
-Result<void> finish_account(const Recording& recording, RunReport& report);
-Result<RunReport> account_of_run(const Recording& recording, const RunInfo& info);
+void finish_account(const Recording& recording, RunReport& report);
+RunReport account_of_run(const Recording& recording, const RunInfo& info);
 
 /// Of those topics whose events are not there, since only others that are made of them are recorded: these.
 std::map<std::string, std::vector<std::string>> made_of_unrecorded(const std::vector<LedgerEntry>& ledger);
@@ -125,7 +125,7 @@ void verify_deleted(DeletedRuns runs, VerifyReport& report);
 void check_run_numbers(VerifyReport& report);
 
 /// As `verify`, but for the numbers of the runs: a server's have holes.
-Result<VerifyReport> verify_contents(const Recording& recording);
+VerifyReport verify_contents(const Recording& recording);
 
 /// The largest losses first; an outage counts as more than a number.
 void most_first(std::vector<TopicLoss>& losses);

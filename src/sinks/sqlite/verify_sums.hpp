@@ -30,7 +30,6 @@ class ValueSums {
 
 /// Holds the tables of the account to their checksums. True: what is of all runs, rtdata_topic and the columns of its
 /// tables, was changed; that is told by `check_layout`.
-Result<bool> check_account_sums(const RecordingFile& file, const std::vector<RecordedTopic>& topics,
-                                VerifyReport& report);
+bool check_account_sums(const RecordingFile& file, const std::vector<RecordedTopic>& topics, VerifyReport& report);
 
 }  // namespace rtdata::detail
