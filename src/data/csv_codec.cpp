@@ -4,6 +4,7 @@
 
 #include "data/character.hpp"
 #include "data/csv_row.hpp"
+#include "data/load.hpp"
 #include "data/number_text.hpp"
 #include "data/utf8.hpp"
 #include "rtdata/data/codec.hpp"
@@ -131,16 +132,34 @@ class CsvCodec final : public Codec {
       row_ += ',';
       const std::byte* from = find_value(leaf, event.payload().data());
       if (from == nullptr) continue;
-      if (leaf.kind == Kind::f64) {
-        append_floating<double>(row_, from);
-      } else if (leaf.kind == Kind::f32) {
-        append_floating<float>(row_, from);
-      } else if (leaf.kind == Kind::character) {
-        append_text(detail::utf8_of(static_cast<char>(*from)), WhenEmpty::quoted);
-      } else if (leaf.kind == Kind::text) {
-        append_text(detail::text_at(leaf, from), WhenEmpty::quoted);
-      } else {
-        append_cell(row_, to_string(read(leaf, event.payload().data())), WhenEmpty::quoted);
+      switch (leaf.kind) {
+        case Kind::f64:
+          append_floating<double>(row_, from);
+          break;
+        case Kind::f32:
+          append_floating<float>(row_, from);
+          break;
+        case Kind::u64:
+          append_number(row_, detail::load<std::uint64_t>(from));
+          break;
+        case Kind::i64:
+        case Kind::i32:
+        case Kind::i16:
+        case Kind::i8:
+        case Kind::u32:
+        case Kind::u16:
+        case Kind::u8:
+          append_number(row_, detail::load_integer(leaf.kind, from));
+          break;
+        case Kind::character:
+          append_text(detail::utf8_of(static_cast<char>(*from)), WhenEmpty::quoted);
+          break;
+        case Kind::text:
+          append_text(detail::text_at(leaf, from), WhenEmpty::quoted);
+          break;
+        default:
+          append_cell(row_, to_string(read(leaf, event.payload().data())), WhenEmpty::quoted);
+          break;
       }
     }
     row_ += '\n';

@@ -8,7 +8,6 @@
 #include <ostream>
 
 #include "rtdata/loop/topic.hpp"
-#include "sinks/sqlite/csv_rows.hpp"
 #include "sinks/sqlite/recording_file.hpp"
 
 namespace rtdata {
@@ -102,38 +101,13 @@ void tell(const ExportConfig& config, std::uint64_t before, std::uint64_t rows, 
   if (config.on_progress) config.on_progress({before + rows, at});
 }
 
-/// One description's rows, under a header.
-ExportCount write_csv(const Recording& recording, const ExportConfig& config, const NamedRuns& runs,
-                      const RecordedTopic& topic, std::ostream& out, const std::string& path,
-                      std::uint64_t before = 0) {
-  using Runs = detail::CsvRows::Runs;
-  auto rows = detail::CsvRows::make(recording, topic, config, runs.empty() ? Runs::left_out : Runs::named);
-  ExportCount count;
-  std::string text = csv_head(config, runs, topic.description.get());
-  for (std::uint64_t added = 1; added > 0;) {
-    try {
-      added = rows.append(text, flush_bytes);
-    } catch (const SetupError&) {  // what came before it is good
-      put(out, text, path);
-      out.flush();
-      throw;
-    }
-    put(out, text, path);
-    text.clear();
-    count.rows += added;
-    if (added > 0) tell(config, before, count.rows, rows.last_time());
-  }
-  if (!out.flush()) cannot_write(path);
-  return count;
-}
-
-/// Writes the rows through a codec: those of formats other than CSV, and steps. One that does not fit is left out.
-/// `version`: of the topic's descriptions; 0: all.
+/// Writes the rows through a codec. One that does not fit is left out. `topic`: the only one; null: all.
 ExportCount write_rows(const Recording& recording, const ExportConfig& config, const NamedRuns& runs,
-                       const RowFilter& filter, std::int64_t version, Codec& codec, std::ostream& out,
-                       const std::string& path, std::uint64_t before = 0) {
-  RowFilter unlimited = filter;  // rows of another description do not count
+                       const RecordedTopic* topic, Codec& codec, std::ostream& out, const std::string& path,
+                       std::uint64_t before = 0) {
+  RowFilter unlimited = config.filter;  // rows of another description do not count
   unlimited.limit = 0;
+  if (topic != nullptr) unlimited.topic = topic->topic;
   const bool is_in_steps = config.step > Duration{0};
   const bool is_utc = config.time == ExportTime::utc;
   if (is_in_steps && is_utc) unlimited.times = RowFilter::Times::utc;
@@ -145,8 +119,15 @@ ExportCount write_rows(const Recording& recording, const ExportConfig& config, c
     put(out, {reinterpret_cast<const char*>(bytes.data()), bytes.size()}, path);
     bytes.clear();
   };
-  const Description* headed = nullptr;
-  while (filter.limit == 0 || count.rows + count.refused < filter.limit) {
+  bool is_headed = false;
+  const auto write_head = [&](const Description* of) {
+    if (std::exchange(is_headed, true)) return;
+    const std::string text = is_csv(config) ? csv_head(config, runs, of) : of != nullptr ? codec.header(*of) : "";
+    const auto* begin = reinterpret_cast<const std::byte*>(text.data());
+    bytes.insert(bytes.end(), begin, begin + text.size());
+  };
+  if (is_csv(config) && !is_in_steps && topic != nullptr) write_head(topic->description.get());
+  while (config.filter.limit == 0 || count.rows + count.refused < config.filter.limit) {
     auto row = rows.next();
     if (!row) {  // what came before it is good
       flush();
@@ -155,14 +136,10 @@ ExportCount write_rows(const Recording& recording, const ExportConfig& config, c
     }
     if (*row == nullptr) break;
     const RecordedRow& given = **row;
-    if (version != 0 && given.topic().version != version) continue;
+    if (topic != nullptr && given.topic().version != topic->version) continue;
     EventHeader header = given.header();
     if (is_utc && !is_in_steps) header.time = lines.utc(given.run(), header.time);
-    if (std::exchange(headed, given.topic().description.get()) == nullptr) {
-      const std::string text = is_csv(config) ? csv_head(config, runs, headed) : codec.header(*headed);
-      const auto* begin = reinterpret_cast<const std::byte*>(text.data());
-      bytes.insert(bytes.end(), begin, begin + text.size());
-    }
+    write_head(given.topic().description.get());
     const EventView event = given.event();
     const auto run = runs.find(given.run());
     const std::string_view uuid = run == runs.end() ? std::string_view() : std::string_view(run->second);
@@ -185,10 +162,7 @@ ExportCount write_rows(const Recording& recording, const ExportConfig& config, c
     flush();
     tell(config, before, count.rows, header.time);
   }
-  if (headed == nullptr && is_csv(config)) {
-    const std::string text = csv_head(config, runs, nullptr);
-    put(out, text, path);
-  }
+  write_head(nullptr);
   flush();
   if (!out.flush()) cannot_write(path);
   return count;
@@ -265,12 +239,8 @@ Result<ExportCount> export_rows(const Recording& recording, const ExportConfig& 
          is_one_topic ? "choose a run, or export into a folder" : "choose a topic, or export into a folder"});
   }
   auto runs = named_runs(recording, config);
-  const std::string path = "standard output";
-  if (!is_csv(config) || config.step > Duration{0})
-    return write_rows(recording, config, runs, config.filter, 0, *codec, out, path);
-  if (!topics.empty()) return write_csv(recording, config, runs, topics.front(), out, path);
-  put(out, csv_head(config, runs, nullptr), path);
-  return ExportCount{};
+  return write_rows(recording, config, runs, is_csv(config) && !topics.empty() ? &topics.front() : nullptr, *codec, out,
+                    "standard output");
 } catch (const SetupError& error) {
   return error.error();
 }
@@ -300,12 +270,7 @@ Result<std::vector<ExportCount>> export_files(const Recording& recording, const 
     errno = 0;
     std::ofstream file(path, std::ios::binary | std::ios::trunc);
     if (!file) cannot_write(path.string());
-    RowFilter filter = config.filter;
-    filter.topic = topic.topic;
-    auto written = is_csv(config) && config.step <= Duration{0}
-                       ? write_csv(recording, config, runs, topic, file, path.string(), before)
-                       : write_rows(recording, config, runs, filter, topic.version, *codec, file, path.string(),
-                                    before);
+    ExportCount written = write_rows(recording, config, runs, &topic, *codec, file, path.string(), before);
     written.path = path.string();
     before += written.rows;
     counts.push_back(std::move(written));

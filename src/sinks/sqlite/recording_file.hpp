@@ -52,9 +52,6 @@ std::string conditions(const Selection& selection, const char* from_column, cons
 std::string row_conditions(const Selection& selection);
 /// Binds what stands in them.
 void bind_conditions(sqlite::Statement& statement, const Selection& selection);
-/// Whether these rows lie in the table run by run, each in order of time: else SQLite has to sort them, which takes
-/// longer.
-bool lies_in_order(const RecordingFile& file, const RecordedTopic& topic, const Selection& selection);
 /// A statement that gives the rows of a topic's table, run by run, each in order of time. `columns`: SQL of those after
 /// the fixed ones, as `RowReader::columns` has it.
 sqlite::Statement rows_in_order(const RecordingFile& file, const RecordedTopic& topic, const Selection& selection,
@@ -77,8 +74,6 @@ class RowReader {
   std::string columns() const;
   /// `first`: the column where those begin. Errors: damaged, which names the field.
   void read(sqlite3_stmt* row, int first, std::byte* payload) const;
-  /// Some of these columns, from this one on, into a payload whose bytes were set to zero.
-  void read(std::span<sqlite3_value*> stored, std::size_t first, std::byte* payload) const;
 
  private:
   const RecordedTopic* topic_;

@@ -4,7 +4,6 @@
 #include "data/field_map.hpp"
 #include "data/nearest.hpp"
 #include "rtdata/loop/topic.hpp"
-#include "sinks/sqlite/row_batch.hpp"
 #include "sinks/sqlite/rows_merge.hpp"
 
 namespace rtdata {
@@ -108,13 +107,10 @@ bool has_order(const RecordingFile& file, const RecordedTopic& topic, const Sele
 
 }  // namespace
 
-bool lies_in_order(const RecordingFile& file, const RecordedTopic& topic, const Selection& selection) {
-  return has_one_origin(file, topic, selection.filter) || has_order(file, topic, selection);
-}
-
 sqlite::Statement rows_in_order(const RecordingFile& file, const RecordedTopic& topic, const Selection& selection,
                                 const std::string& columns) {
-  auto in_order = lies_in_order(file, topic, selection);
+  // Else SQLite has to sort them, which takes longer.
+  const bool in_order = has_one_origin(file, topic, selection.filter) || has_order(file, topic, selection);
   // SQLite would take the run out of each row for `WHERE`, and once more to give it.
   const char* const run = selection.filter.run ? ":run" : "t.run";
   auto statement = file.prepare("SELECT " + std::string(run) + ", t.time, t.origin, t.sequence" + columns + " FROM " +
@@ -144,49 +140,48 @@ namespace {
 
 class TableCursor final : public RowCursor {
  public:
-  TableCursor(const RecordingFile& file, RecordedTopic topic, sqlite::Statement statement, std::size_t most_bytes)
-      : file_(file), topic_(std::move(topic)), batch_(topic_, most_bytes), statement_(std::move(statement)) {
-    batch_.bind_to(statement_);
-  }
+  TableCursor(const RecordingFile& file, RecordedTopic topic, const Selection& selection)
+      : file_(file),
+        topic_(std::move(topic)),
+        reader_(topic_),
+        statement_(rows_in_order(file, topic_, selection, reader_.columns())) {}
 
   bool advance() override {
-    if (next_ == batch_.size()) {
-      next_ = 0;
-      try {
-        if (!batch_.fill(statement_)) return false;
-      } catch (const SetupError& error) {
-        throw SetupError(behind_row(file_, topic_, run, last_sequence_, error.error()));
-      }
+    try {
+      if (has_ended_ || !statement_.step()) return !(has_ended_ = true);  // another step would begin anew
+    } catch (const SetupError& error) {
+      throw SetupError(behind_row(file_, topic_, run, last_sequence_, error.error()));
     }
-    const RowBatch::Row& next = batch_[next_++];
-    const std::int64_t last_run = std::exchange(run, next.run);
-    const std::int64_t last_time = std::exchange(time, next.time);
+    const std::int64_t last_run = std::exchange(run, statement_.integer(run_column));
+    const std::int64_t last_time = std::exchange(time, statement_.integer(time_column));
+    const auto sequence = static_cast<std::uint64_t>(statement_.integer(sequence_column));
     if (!is_first_ && run == last_run && time < last_time) [[unlikely]] {
-      throw SetupError(at_row(file_, topic_, run, batch_.origin(next), next.sequence,
+      throw SetupError(at_row(file_, topic_, run, statement_.text(origin_column), sequence,
                               {Errc::damaged, "cannot read the rows in order", "time",
                                "it is before that of the row before it, of the same origin", "see `rtdata verify`"}));
     }
     is_first_ = false;
-    last_sequence_ = next.sequence;
+    last_sequence_ = sequence;
     return true;
   }
 
   void give(RecordedRow& row) override {
-    const RowBatch::Row& given = batch_[next_ - 1];
-    std::byte* const payload = set_event(row, batch_.origin(given), given.sequence, topic_);
-    if (given.is_damaged)
-      throw SetupError(at_row(file_, topic_, run, row.header().origin, row.header().sequence, batch_.error()));
-    std::memcpy(payload, batch_.payload(next_ - 1), topic_.description->size());
+    std::byte* const payload = set_event(row, statement_.text(origin_column), last_sequence_, topic_);
+    try {
+      reader_.read(statement_.raw(), fixed_columns, payload);
+    } catch (const SetupError& error) {
+      throw SetupError(at_row(file_, topic_, run, row.header().origin, last_sequence_, error.error()));
+    }
   }
 
  private:
   const RecordingFile& file_;
   const RecordedTopic topic_;
-  RowBatch batch_;
-  std::size_t next_ = 0;             // in the batch
-  std::uint64_t last_sequence_ = 0;  // of the row before it
+  const RowReader reader_;
   sqlite::Statement statement_;
+  std::uint64_t last_sequence_ = 0;  // of the row at hand
   bool is_first_ = true;
+  bool has_ended_ = false;
 };
 
 class GapCursor final : public RowCursor {
@@ -225,17 +220,9 @@ class GapCursor final : public RowCursor {
 
 }  // namespace
 
-namespace {
-// Of rows that are read ahead.
-constexpr std::size_t most_batch_bytes = std::size_t{64} << 10, most_bytes_of_all = std::size_t{4} << 20;
-}  // namespace
-
-std::unique_ptr<RowCursor> make_table_cursor(const RecordingFile& file, RecordedTopic topic, const Selection& selection,
-                                             std::size_t topics) {
-  auto statement = RowBatch::query(file, topic, selection);
-  return std::unique_ptr<RowCursor>(
-      std::make_unique<TableCursor>(file, std::move(topic), std::move(statement),
-                                    std::min(most_batch_bytes, most_bytes_of_all / std::max<std::size_t>(topics, 1))));
+std::unique_ptr<RowCursor> make_table_cursor(const RecordingFile& file, RecordedTopic topic,
+                                             const Selection& selection) {
+  return std::make_unique<TableCursor>(file, std::move(topic), selection);
 }
 
 std::unique_ptr<RowCursor> make_gap_cursor(const RecordingFile& file, const Selection& selection) {
@@ -314,7 +301,7 @@ std::unique_ptr<detail::RowsMerge> merged(const Recording& recording, const RowF
   if (filter.gaps == RowFilter::Gaps::in_place) merge->add(detail::make_gap_cursor(*merge->file, selection));
   auto all = recording.topics().or_throw();
   std::erase_if(all, [&](const RecordedTopic& topic) { return !topic_matches(filter.topic, topic.topic); });
-  for (RecordedTopic& topic : all) merge->add(make(*merge->file, std::move(topic), selection, all.size()));
+  for (RecordedTopic& topic : all) merge->add(make(*merge->file, std::move(topic), selection));
   return merge;
 }
 
@@ -331,10 +318,9 @@ Result<Rows> Recording::steps(const RowFilter& filter, Duration step) const try 
     throw SetupError({Errc::bad_argument, "cannot select steps", "step " + to_string(step), "it is not above 0",
                       "give the length of a step, such as 1 s"});
   }
-  return Rows(
-      merged(*this, filter, [&](const auto&, RecordedTopic topic, const detail::Selection& selection, std::size_t) {
-        return detail::make_step_cursor(*this, std::move(topic), selection, step);
-      }));
+  return Rows(merged(*this, filter, [&](const auto&, RecordedTopic topic, const detail::Selection& selection) {
+    return detail::make_step_cursor(*this, std::move(topic), selection, step);
+  }));
 } catch (const SetupError& error) {
   return error.error();
 }

@@ -142,12 +142,4 @@ void RowReader::read(sqlite3_stmt* row, int first, std::byte* payload) const {
   }
 }
 
-void RowReader::read(std::span<sqlite3_value*> stored, std::size_t first, std::byte* payload) const {
-  const Leaf* leaf = topic_->description->leaves().data() + first;
-  for (sqlite3_value* const one : stored) {
-    if (!read_plain(one, *leaf, payload)) read_any(one, *leaf, payload);
-    ++leaf;
-  }
-}
-
 }  // namespace rtdata::detail

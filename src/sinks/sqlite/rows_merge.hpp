@@ -66,9 +66,9 @@ struct RowsMerge {
   RowCursor* next();
 };
 
-/// The rows of a topic's table, which is one of so many that are read at once.
-std::unique_ptr<RowCursor> make_table_cursor(const RecordingFile& file, RecordedTopic topic, const Selection& selection,
-                                             std::size_t topics);
+/// The rows of a topic's table.
+std::unique_ptr<RowCursor> make_table_cursor(const RecordingFile& file, RecordedTopic topic,
+                                             const Selection& selection);
 /// The gaps of all topics that are selected.
 std::unique_ptr<RowCursor> make_gap_cursor(const RecordingFile& file, const Selection& selection);
 /// A topic's table in steps.
