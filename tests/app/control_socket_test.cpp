@@ -9,11 +9,16 @@
 #include <sys/un.h>
 
 #include <cstring>
+#include <fstream>
+#include <functional>
+#include <iterator>
 #include <nlohmann/json.hpp>
 
 #include "app/control/commands.hpp"
-#include "app/control/status.hpp"
+#include "app/control/status_source.hpp"
+#include "app/control/status_view.hpp"
 #include "app/runtime_folder.hpp"
+#include "paths.hpp"
 #include "rtdata/loop/lane.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/sensors/sensor.hpp"
@@ -329,7 +334,8 @@ TEST_SUITE("app") {
   TEST_CASE("requests that are none are answered with what is wrong, and nothing else happens") {
     Loop loop{Loop::Manual{}};
     StatusSource status(loop, {.name = "x", .configuration = "x.json"});
-    for (const char* line : {"", "{", "[]", "null", "\xff\xfe", "{}", R"({"request":1})", R"({"request":"stop"})"}) {
+    for (const char* line : {"", "{", "[]", "null", "\xff\xfe", "{}", R"({"request":1})", R"({"request":"stop"})",
+                             R"({"request":"status","version":2})", R"({"request":"status","version":"x"})"}) {
       const auto answer = nlohmann::json::parse(status.answer(1, line)());
       CHECK_MESSAGE(answer.contains("error"), line);
       CHECK(answer.size() == 1);
@@ -341,9 +347,13 @@ TEST_SUITE("app") {
       CHECK(status.answer(1, line)() ==
             R"({"error":"the \"words\" of a command are a list of texts, which is not empty"})");
     }
+    const std::string newer = R"({"request":"command","version":2,"words":["stop","a"]})";
+    CHECK(command_words(newer).empty());
+    CHECK(status.answer(1, newer)() ==
+          R"({"error":"it is asked in version 2 of the protocol, and knows up to 1: use the program that it was started with"})");
   }
 
-  TEST_CASE("a status has counts, rates since the last one, lateness and last values, and looks only while asked") {
+  TEST_CASE("a status has counts, rates, lateness and last values, and looks only while asked") {
     Loop loop{Loop::Manual{}};
     StatusSource status(loop, {.name = "rig", .configuration = "rig.json"});
     double value = 0;
@@ -361,7 +371,7 @@ TEST_SUITE("app") {
     const auto first = take(7);
     CHECK(loop.callbacks().size() == 3);  // from now on it looks
     CHECK(first["instance"]["name"] == "rig");
-    CHECK(first["interval_s"].is_null());
+    CHECK(first["version"] == 1);
     CHECK(first["loops"][0]["load_percent"].is_null());
     REQUIRE(first["sensors"].size() == 2);
     CHECK(first["sensors"][0]["reached_hz"].is_null());
@@ -372,9 +382,8 @@ TEST_SUITE("app") {
     const auto second = take(7);
     const auto& of_slow = second["sensors"][0];
     const auto& of_held = second["sensors"][1];
-    CHECK(second["interval_s"] == 1.0);
     CHECK(of_slow["published"] == before + 10);
-    CHECK(of_slow["reached_hz"] == 10.0);
+    CHECK(of_slow["reached_hz"].get<double>() == doctest::Approx(10).epsilon(0.003));
     CHECK(of_slow["wanted_hz"] == 10.0);
     CHECK(of_slow["value"] == std::to_string(before + 10) + " V");
     CHECK(of_slow["lateness_ns"]["max"] == 0);
@@ -387,13 +396,83 @@ TEST_SUITE("app") {
     CHECK(second["callbacks"][0]["count"] == before + 10);
     CHECK(second["callbacks"][0]["max_ns"] == 2000000);
 
-    // Another client has rates of its own.
+    // Whoever asks is told the same.
     loop.advance(500ms);
-    CHECK(take(8)["sensors"][0]["reached_hz"].is_null());
-    CHECK(take(7)["interval_s"] == 0.5);
+    auto third = take(8);
+    CHECK(third["sensors"][0]["reached_hz"].get<double>() == doctest::Approx(10).epsilon(0.01));
+    third["instance"].erase("running_for_s");
+    auto fourth = take(7);
+    fourth["instance"].erase("running_for_s");
+    CHECK(third["sensors"] == fourth["sensors"]);
     status.forget(7);
     CHECK(loop.callbacks().size() == 3);
     status.forget(8);
     CHECK(loop.callbacks().size() == 2);
+  }
+
+  TEST_CASE("a status says the same as a value, as JSON and as text, and its keys are those that are documented") {
+    app::Status status;
+    status.instance = {"rig", 4711, "2026-03-01T12:00:00Z", 2500ms, "rig.json"};
+    app::Status::Sensor& sensor = status.sensors.emplace_back();
+    sensor.name = "hot";
+    sensor.reason = "\xff";
+    sensor.health = Health::degraded;
+    sensor.is_running = true;
+    sensor.published = ~std::uint64_t{0};
+    sensor.wanted_hz = 10;
+    sensor.lateness = app::Status::Lateness{1us, 2ms, 3s};
+    sensor.outages = {2, 1500ms};
+    sensor.alarm = app::Status::Alarm{"high", true, false};
+    sensor.state = "waits";
+    sensor.in_state = 250ms;
+    status.loops.emplace_back().name = "main";
+    status.loops[0].hangs_in = "sensor hot";
+    status.loops[0].warnings = {"no FIFO"};
+    status.topics.push_back({.name = "hot", .published = 7, .dropped = 1});
+    status.total = status.topics[0];
+    status.sinks.resize(2);
+    status.sinks[0].dropped = {1, 2, 3};
+    status.sinks[0].queued = 3;
+    status.sinks[0].backlog = Backlog{96, Time{1s}, 12min, 5s};
+    status.parts = {{"bus", "i2c1", "i2c", {"sensor hot"}, {{"0x48", 5, 4, 3, 2us, 1us}}}};
+    status.callbacks = {{"sensor hot", "main", 3, 5us, 4us}};
+    status.mute = {"cold"};
+    const std::string line = app::json_of(status);
+    auto read = app::status_from(line);
+    REQUIRE(read);
+    CHECK(app::json_of(*read) == line);
+    status.sensors[0].reason = "\xef\xbf\xbd";  // as JSON has what is no UTF-8
+    CHECK(app::lines_of(*read, 100, 1000) == app::lines_of(status, 100, 1000));
+    CHECK(app::summary(*read, 0) == app::summary(status, 0));
+
+    // An older instance lacks keys, a newer one has more; another version is refused in words.
+    auto json = nlohmann::json::parse(line);
+    json["later"] = 1;
+    json["sensors"][0].erase("repeated");
+    json["sensors"][0].erase("alarm");
+    CHECK(app::status_from(json.dump()));
+    json["version"] = 2;
+    const auto newer = app::status_from(json.dump());
+    REQUIRE_FALSE(newer);
+    CHECK(newer.error().text() ==
+          "no status: instance: it speaks version 2 of the protocol, and this program up to 1: use the program that it "
+          "was started with, or a newer one");
+    for (const std::string none : {"", "[]", "1", "{}", R"({"version":"1"})", R"({"version":1,"sensors":5})", "\xff",
+                             R"({"version":1,"sensors":[{"name":7}]})", R"({"error":1})"})
+      CHECK_MESSAGE(!app::status_from(none), none);
+    CHECK(app::status_from(R"({"ended":"x"})").error().code == make_error_code(Errc::closed));
+
+    std::ifstream file(rtdata::test::in_source("docs/program.md"));
+    const std::string docs{std::istreambuf_iterator<char>(file), {}};
+    const std::size_t begin = docs.find("\n## The status\n"), end = docs.find("\n## ", begin + 1);
+    REQUIRE(begin != std::string::npos);
+    const std::string table = docs.substr(begin, end - begin);
+    const std::function<void(const nlohmann::json&)> check_keys = [&](const nlohmann::json& of) {
+      for (const auto& [key, value] : of.items()) {
+        if (of.is_object()) CHECK_MESSAGE(table.find("`" + key + "`") != std::string::npos, key);
+        if (value.is_structured()) check_keys(value);
+      }
+    };
+    check_keys(nlohmann::json::parse(line));
   }
 }

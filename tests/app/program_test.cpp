@@ -156,11 +156,11 @@ TEST_SUITE("app") {
     const Folder folder;
     folder.write("bench.json", bench);
     Process run(folder, program, {"run", "bench.json"}, Process::Output::terminal);
-    REQUIRE(run.wait_for("last value"));
+    REQUIRE(run.wait_for("sensor         loop       wanted    reached"));
     CHECK(has(run.out, "\x1b[?25l"));
     run.signal(SIGINT);
     CHECK(run.end() == 0);
-    CHECK(has(run.out, "last value"));
+    CHECK(has(run.out, "Ctrl-C ends it"));
     CHECK(has(run.out, "count/a"));
     const auto shown = run.out.rfind("\x1b[?25h");
     REQUIRE(shown != std::string::npos);

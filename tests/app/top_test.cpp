@@ -148,8 +148,21 @@ TEST_SUITE("app") {
       CHECK(callback["max_ns"] <= callback["total_ns"]);
     }
     CHECK(has_sensor);
+    // Of what does not change any more, every command says the same.
+    for (const std::string name : {"a", "gone"})
+      CHECK(client->ask(R"({"request":"command","words":["stop",")" + name + R"("],"version":1})", 30s));
+    do {
+      status = ask(*client);
+    } while (status["queued"] != 0);
+    const std::string events = status["total"]["published"].dump(), failed = status["total"]["failed"].dump();
+    Process once(folder, program, {"top", "--once"});
+    CHECK(once.end() == 0);
+    CHECK(has(once.out, "\n" + events + " events, 0 queued; LOST: "));
+    CHECK(has(once.out, failed + " failed"));
     run.signal(SIGINT);
     CHECK(run.end() == 0);
+    CHECK(has(run.out, failed + " tick"));
+    CHECK(has(run.out, "taken: " + events + " events"));
     CHECK(has(run.out, "ledger balances"));
     CHECK(runtime.sockets() == 0);
   }
@@ -248,7 +261,7 @@ TEST_SUITE("app") {
       Process text(folder, program, {"top"});
       Process json(folder, program, {"top", "--json"});
       REQUIRE(text.wait_for("rig  pid "));
-      REQUIRE(json.wait_for("{\"instance\""));
+      REQUIRE(json.wait_for("{\"version\""));
       run.signal(signal);
       CHECK(run.end() == (signal == SIGKILL ? 128 + SIGKILL : 0));
       CHECK(text.end() == (signal == SIGKILL ? 1 : 0));

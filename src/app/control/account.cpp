@@ -1,83 +1,134 @@
 #include "app/control/account.hpp"
 
 #include <algorithm>
+#include <functional>
+#include <iterator>
+#include <map>
 #include <utility>
 
-#include "app/core/amounts.hpp"
-#include "app/core/table.hpp"
 #include "loop/runtime/final_account.hpp"
 #include "loop/runtime/runtime_core.hpp"
 #include "sinks/core/account_text.hpp"
 
 namespace rtdata::app {
 
-RunAccount account_of(Runtime& runtime) {
-  RunAccount account;
-  for (const TopicStatus& topic : runtime.topics()) {
-    if (topic.name.starts_with('$')) continue;
-    account.topics.push_back({});
-    account.topics.back().topic = topic.name;
-    account.topics.back().events = topic.published;
-    account.events += topic.published;
-  }
-  std::vector<SensorStatus> sensors = runtime.sensors();
-  for (SensorStatus& closed : detail::closed_sensors(runtime.core(), sensors)) sensors.push_back(std::move(closed));
-  for (const SensorStatus& sensor : sensors) {
-    const auto topic = std::find_if(account.topics.begin(), account.topics.end(),
-                                    [&](const TopicAccount& known) { return known.topic == sensor.topic; });
-    if (topic == account.topics.end()) continue;
-    topic->late += sensor.counts.late;
-    topic->missed += sensor.counts.missed;
-    topic->failed += sensor.counts.failed;
-    topic->unreadable += sensor.counts.unreadable;
-    topic->lost += sensor.counts.lost;
-    topic->first_lines += sensor.counts.first_lines;
-    topic->outages.add(sensor.outages);
-    account.outages.add(sensor.outages);
-    if (sensor.counts.published + sensor.counts.repeated + sensor.counts.filtered == 0) {
-      account.mute.push_back(sensor.name);
-    } else if (!sensor.counts.has_schedule && !sensor.counts.lost_is_known) {
-      account.not_detectable.push_back(sensor.name);
-    }
-    if (sensor.health > topic->health) {
-      topic->health = sensor.health;
-      topic->reason = sensor.reason;
-    }
-    account.late += sensor.counts.late;
-    account.missed += sensor.counts.missed;
-    account.failed += sensor.counts.failed;
-    account.unreadable += sensor.counts.unreadable;
-    account.lost += sensor.counts.lost;
-    account.first_lines += sensor.counts.first_lines;
-  }
-  account.sinks = runtime.sinks();
-  const detail::RuntimeCore& core = runtime.core();
-  for (const detail::ClosedSink& closed : core.closed_sinks) {
-    RunAccount::Files& files = account.closed_sinks.emplace_back();
-    if (closed.path) files.own = core.hide(*closed.path);
-    files.recording = core.hide(closed.recording);
-    files.is_recording = closed.is_recording;
-    files.recorded = closed.recorded;
-  }
-  for (const SinkStatus& sink : account.sinks) {
-    account.dropped += sink.counts.all_dropped();
-    for (const TopicDrops& dropped : sink.dropped) {
-      for (TopicAccount& topic : account.topics) {
-        if (topic.topic == dropped.topic) topic.dropped += dropped.count;
-      }
-    }
-    (sink.backlog ? account.waiting : account.queued) += sink.counts.queued;
-  }
-  return account;
+namespace {
+
+void add(Status::Account& sum, const Status::Account& of) {
+  sum.late += of.late, sum.missed += of.missed, sum.failed += of.failed, sum.unreadable += of.unreadable;
+  sum.lost += of.lost, sum.repeated += of.repeated, sum.first_lines += of.first_lines;
+  sum.outages.add(of.outages);
+  if (of.health <= sum.health) return;
+  sum.health = of.health;
+  sum.reason = of.reason;
 }
 
-std::string progress(const RunAccount& account) {
+Status::Sensor shown(SensorStatus& of) {
+  const SensorCounts& counts = of.counts;
+  Status::Sensor sensor;
+  sensor.name = std::move(of.name);
+  sensor.topic = std::move(of.topic);
+  sensor.loop = std::move(of.loop);
+  sensor.is_running = of.running;
+  sensor.published = counts.published, sensor.late = counts.late, sensor.missed = counts.missed;
+  sensor.failed = counts.failed, sensor.unreadable = counts.unreadable, sensor.lost = counts.lost;
+  sensor.repeated = counts.repeated, sensor.first_lines = counts.first_lines;
+  sensor.lost_is_known = counts.lost_is_known;
+  sensor.outages = of.outages;
+  sensor.health = of.health;
+  sensor.reason = std::move(of.reason);
+  if (counts.has_schedule && of.period > Duration{0})
+    sensor.wanted_hz = 1e9 / static_cast<double>(of.period.count());
+  sensor.readings = counts.has_schedule ? counts.taken : counts.received;
+  sensor.first_due = of.first_due;
+  if (of.running && counts.has_schedule) sensor.period = of.period;
+  return sensor;
+}
+
+Status::Sink shown(SinkStatus& of, const std::map<std::string, std::string>& paths) {
+  Status::Sink sink;
+  const auto path = paths.find(of.name);
+  sink.path = path == paths.end() ? std::string() : path->second;
+  sink.name = std::move(of.name);
+  sink.offered = of.counts.offered, sink.queued = of.counts.queued, sink.stored = of.counts.stored;
+  std::copy(std::begin(of.counts.dropped), std::end(of.counts.dropped), sink.dropped.begin());
+  sink.health = of.health;
+  sink.reason = std::move(of.reason);
+  sink.backlog = of.backlog;
+  return sink;
+}
+
+}  // namespace
+
+Status status_of(Runtime& runtime, const std::map<std::string, std::string>& paths) {
+  Status status;
+  std::map<std::string, std::size_t, std::less<>> at;
+  std::vector<TopicStatus> topics = runtime.topics();
+  std::erase_if(topics, [](const TopicStatus& topic) { return topic.name.starts_with('$'); });
+  for (const TopicStatus& topic : topics) {
+    at[topic.name] = status.topics.size();
+    status.topics.push_back({.name = topic.name,
+                             .published = topic.published,
+                             .handlers_dropped = topic.subscriptions.dropped});
+    status.total.published += topic.published;
+    status.total.handlers_dropped += topic.subscriptions.dropped;
+  }
+  std::vector<SensorStatus> sensors = runtime.sensors();
+  const std::size_t open = sensors.size();
+  for (SensorStatus& closed : detail::closed_sensors(runtime.core(), sensors)) sensors.push_back(std::move(closed));
+  for (SensorStatus& of : sensors) {
+    const SensorCounts counts = of.counts;
+    Status::Sensor sensor = shown(of);
+    if (const auto topic = at.find(sensor.topic); topic != at.end()) {
+      add(status.topics[topic->second], sensor);
+      add(status.total, sensor);
+      sensor.description = topics[topic->second].description;
+      if (counts.published + counts.repeated + counts.filtered == 0) {
+        status.mute.push_back(sensor.name);
+      } else if (!counts.has_schedule && !counts.lost_is_known) {
+        status.not_detectable.push_back(sensor.name);
+      }
+    }
+    if (status.sensors.size() < open) status.sensors.push_back(std::move(sensor));
+  }
+  for (SinkStatus& of : runtime.sinks()) {
+    for (const TopicDrops& dropped : of.dropped)
+      if (const auto topic = at.find(dropped.topic); topic != at.end())
+        status.topics[topic->second].dropped += dropped.count;
+    status.sinks.push_back(shown(of, paths));
+    status.total.dropped += status.sinks.back().all_dropped();
+    (of.backlog ? status.waiting : status.queued) += of.counts.queued;
+  }
+  const detail::RuntimeCore& core = runtime.core();
+  for (std::size_t i = 0; i < core.closed_sinks.size(); ++i) {
+    const detail::ClosedSink& closed = core.closed_sinks[i];
+    Status::Sink& sink = status.sinks[i];
+    if (closed.path) sink.path = core.hide(*closed.path);
+    sink.recording = core.hide(closed.recording);
+    sink.is_recording = closed.is_recording;
+    sink.recorded = closed.recorded;
+  }
+  for (LoopStatus& of : runtime.loops()) {
+    Status::Loop& loop = status.loops.emplace_back();
+    loop.name = std::move(of.name);
+    loop.is_tier = of.is_tier;
+    loop.is_running = of.running;
+    loop.policy = name_of(of.scheduling.policy);
+    loop.priority = of.scheduling.priority;
+    loop.warnings = std::move(of.warnings);
+    loop.processor_time = of.processor_time;
+  }
+  return status;
+}
+
+std::string progress(const Status& status) {
+  const Status::Account& all = status.total;
   const auto part = [](std::uint64_t count, const char* what) { return ", " + std::to_string(count) + " " + what; };
-  return std::to_string(account.events) + " events" + part(account.late, "late") + part(account.missed, "missed") +
-         part(account.failed, "failed") + (account.unreadable > 0 ? part(account.unreadable, "unreadable") : "") +
-         (account.lost > 0 ? part(account.lost, "lost") : "") +
-         (account.outages.number > 0 ? ", " + to_string(account.outages) : "") + part(account.dropped, "dropped") +
-         part(account.queued, "queued") + (account.waiting > 0 ? part(account.waiting, "to be sent") : "");
+  return std::to_string(all.published) + " events" + part(all.late, "late") + part(all.missed, "missed") +
+         part(all.failed, "failed") + (all.unreadable > 0 ? part(all.unreadable, "unreadable") : "") +
+         (all.lost > 0 ? part(all.lost, "lost") : "") +
+         (all.outages.number > 0 ? ", " + to_string(all.outages) : "") + part(all.dropped, "dropped") +
+         part(status.queued, "queued") + (status.waiting > 0 ? part(status.waiting, "to be sent") : "");
 }
 
 namespace {
@@ -85,23 +136,23 @@ namespace {
 constexpr std::string_view deleted_unsent = "deleted by a limit of the recording";
 
 /// What a sink that goes through a recording lost so was there for as long as that keeps anything.
-bool is_deletion(const SinkStatus& sink, DropReason reason) {
+bool is_deletion(const Status::Sink& sink, DropReason reason) {
   return sink.backlog && reason == DropReason::queue_full_oldest;
 }
 
 /// Of what sinks dropped: "refused", or "5 queue full, 2 refused".
-std::string reasons_of(const RunAccount& account) {
+std::string reasons_of(const Status& status) {
   std::uint64_t deleted = 0, refused = 0;
-  for (const SinkStatus& sink : account.sinks) {
-    refused += sink.counts.dropped[static_cast<std::size_t>(DropReason::refused)];
+  for (const Status::Sink& sink : status.sinks) {
+    refused += sink.dropped[static_cast<std::size_t>(DropReason::refused)];
     if (is_deletion(sink, DropReason::queue_full_oldest))
-      deleted += sink.counts.dropped[static_cast<std::size_t>(DropReason::queue_full_oldest)];
+      deleted += sink.dropped[static_cast<std::size_t>(DropReason::queue_full_oldest)];
   }
   std::string text;
-  for (const auto& [number, reason] : {std::pair{account.dropped - deleted - refused, std::string_view("queue full")},
+  for (const auto& [number, reason] : {std::pair{status.total.dropped - deleted - refused, std::string_view("queue full")},
                                        {deleted, deleted_unsent},
                                        {refused, std::string_view("refused")}}) {
-    if (number == account.dropped) return std::string(reason);
+    if (number == status.total.dropped) return std::string(reason);
     if (number > 0) text += (text.empty() ? "" : ", ") + std::to_string(number) + " " + std::string(reason);
   }
   return text;
@@ -109,7 +160,8 @@ std::string reasons_of(const RunAccount& account) {
 
 }  // namespace
 
-std::string verdict(const RunAccount& account, const Ending& ending) {
+std::string verdict(const Status& status, const Ending& ending) {
+  const Status::Account& all = status.total;
   constexpr std::size_t most_names = 2;
   std::string losses;
   const auto add = [&](const std::string& what, const std::string& names) {
@@ -117,39 +169,39 @@ std::string verdict(const RunAccount& account, const Ending& ending) {
   };
   // The topics that it happened to, the worst first: `amount` orders them, `text` is what is said of one.
   const auto worst = [&](const auto& amount, const auto& text) {
-    std::vector<const TopicAccount*> topics;
-    for (const TopicAccount& topic : account.topics) {
+    std::vector<const Status::Account*> topics;
+    for (const Status::Account& topic : status.topics) {
       if (amount(topic) > 0) topics.push_back(&topic);
     }
     std::stable_sort(topics.begin(), topics.end(),
                      [&](const auto* a, const auto* b) { return amount(*a) > amount(*b); });
     std::string names;
     for (std::size_t i = 0; i < topics.size() && i < most_names; ++i)
-      names += (i == 0 ? "" : ", ") + topics[i]->topic + (topics.size() == 1 ? "" : " " + text(*topics[i]));
+      names += (i == 0 ? "" : ", ") + topics[i]->name + (topics.size() == 1 ? "" : " " + text(*topics[i]));
     if (topics.size() > most_names) names += " and " + std::to_string(topics.size() - most_names) + " more";
     return names;
   };
-  const auto topics_of = [&](std::uint64_t TopicAccount::*member) {
-    return worst([member](const TopicAccount& topic) { return topic.*member; },
-                 [member](const TopicAccount& topic) { return std::to_string(topic.*member); });
+  const auto topics_of = [&](std::uint64_t Status::Account::*member) {
+    return worst([member](const Status::Account& topic) { return topic.*member; },
+                 [member](const Status::Account& topic) { return std::to_string(topic.*member); });
   };
-  const auto count = [&](std::uint64_t TopicAccount::*member, std::uint64_t sum, const char* one, const char* many) {
+  const auto count = [&](std::uint64_t Status::Account::*member, std::uint64_t sum, const char* one, const char* many) {
     if (sum > 0) add(std::to_string(sum) + " " + (sum == 1 ? one : many), topics_of(member));
   };
-  count(&TopicAccount::missed, account.missed, "tick missed", "ticks missed");
-  count(&TopicAccount::failed, account.failed, "tick failed", "ticks failed");
-  count(&TopicAccount::unreadable, account.unreadable, "unreadable", "unreadable");
-  count(&TopicAccount::lost, account.lost, "lost by its source", "lost by their sources");
-  if (account.outages.number > 0) {
-    add(to_string(account.outages),
+  count(&Status::Account::missed, all.missed, "tick missed", "ticks missed");
+  count(&Status::Account::failed, all.failed, "tick failed", "ticks failed");
+  count(&Status::Account::unreadable, all.unreadable, "unreadable", "unreadable");
+  count(&Status::Account::lost, all.lost, "lost by its source", "lost by their sources");
+  if (all.outages.number > 0) {
+    add(to_string(all.outages),
         worst(
-            [](const TopicAccount& topic) {
+            [](const Status::Account& topic) {
               return topic.outages.number > 0 ? std::max<Duration::rep>(topic.outages.time.count(), 1) : 0;
             },
-            [](const TopicAccount& topic) { return to_string(topic.outages); }));
+            [](const Status::Account& topic) { return to_string(topic.outages); }));
   }
-  count(&TopicAccount::dropped, account.dropped, "event dropped by a sink", "events dropped by sinks");
-  if (account.dropped > 0 && !account.sinks.empty()) losses += ": " + reasons_of(account);
+  count(&Status::Account::dropped, all.dropped, "event dropped by a sink", "events dropped by sinks");
+  if (all.dropped > 0 && !status.sinks.empty()) losses += ": " + reasons_of(status);
   if (losses.empty() && ending.has_loss) losses = "events between the loops (the log names them)";
 
   const auto first_of = [](const std::vector<std::string>& names) {
@@ -158,53 +210,56 @@ std::string verdict(const RunAccount& account, const Ending& ending) {
     if (names.size() > most_names) first += " and " + std::to_string(names.size() - most_names) + " more";
     return first;
   };
-  const std::string mute = first_of(account.mute);
+  const std::string mute = first_of(status.mute);
 
   std::string text;
   if (!ending.unknown.empty()) text += "the account is NOT complete: " + ending.unknown + "; ";
   if (ending.not_stored > 0)
     text += std::to_string(ending.not_stored) +
             (ending.not_stored == 1 ? " event was NOT stored; " : " events were NOT stored; ");
-  for (const std::string& sink : account.unknown_backlogs)
+  for (const std::string& sink : ending.unknown_backlogs)
     text += "what waits in a recording is NOT known (" + sink + "); ";
   if (!mute.empty()) text += "NO EVENT ever came from " + mute + "; ";
-  text += losses.empty() ? (mute.empty() && account.unknown_backlogs.empty() && ending.unknown.empty()
+  text += losses.empty() ? (mute.empty() && ending.unknown_backlogs.empty() && ending.unknown.empty()
                                 ? "nothing lost: "
                                 : "nothing lost that is known: ")
                          : "LOST: " + losses + "; taken: ";
-  text += std::to_string(account.events) + (account.events == 1 ? " event" : " events");
-  if (account.late > 0) text += ", " + std::to_string(account.late) + " of them late";
-  if (account.waiting > 0)
-    text += "; " + std::to_string(account.waiting) + (account.waiting == 1 ? " waits" : " wait") +
+  text += std::to_string(all.published) + (all.published == 1 ? " event" : " events");
+  if (all.late > 0) text += ", " + std::to_string(all.late) + " of them late";
+  if (status.waiting > 0)
+    text += "; " + std::to_string(status.waiting) + (status.waiting == 1 ? " waits" : " wait") +
             " in a recording to be sent";
-  if (account.first_lines > 0)
-    text += "; " + std::to_string(account.first_lines) +
-            (account.first_lines == 1 ? " first line thrown away (" : " first lines thrown away (") +
-            topics_of(&TopicAccount::first_lines) + ")";
+  if (all.first_lines > 0)
+    text += "; " + std::to_string(all.first_lines) +
+            (all.first_lines == 1 ? " first line thrown away (" : " first lines thrown away (") +
+            topics_of(&Status::Account::first_lines) + ")";
   if (!ending.unknown.empty()) return text;
   text += ending.balances ? "; ledger balances" : "; the ledger does NOT balance";
-  if (!account.not_detectable.empty())
-    text += "; not detectable: what the source of " + first_of(account.not_detectable) + " lost itself";
+  if (!status.not_detectable.empty())
+    text += "; not detectable: what the source of " + first_of(status.not_detectable) + " lost itself";
+  return text;
+}
+
+std::string dropped_text(const Status::Sink& sink) {
+  std::string text = std::to_string(sink.all_dropped());
+  for (std::size_t i = 0; i < drop_reasons; ++i) {
+    if (sink.dropped[i] == 0) continue;
+    const auto reason = static_cast<DropReason>(i);
+    text += " (" + std::string(is_deletion(sink, reason) ? deleted_unsent : name_of(reason)) + ")";
+  }
   return text;
 }
 
 namespace {
 
-/// Empty: it has none.
-std::string path_of(const RunAccount& account, std::size_t sink, const std::map<std::string, std::string>& paths) {
-  if (sink < account.closed_sinks.size() && account.closed_sinks[sink].own) return *account.closed_sinks[sink].own;
-  const auto known = paths.find(account.sinks[sink].name);
-  return known == paths.end() ? std::string() : known->second;
-}
-
 /// What the recordings have of a topic: the runs of one sink follow each other, and of several the one that has most.
-TopicLoss held_of(const RunAccount& account, const std::string& topic) {
+TopicLoss held_of(const Status& status, const std::string& topic) {
   std::map<std::string, TopicLoss> by_sink;
-  for (std::size_t i = 0; i < account.closed_sinks.size(); ++i) {
-    if (account.closed_sinks[i].recorded == nullptr) continue;
-    for (const TopicLoss& loss : account.closed_sinks[i].recorded->losses) {
+  for (const Status::Sink& sink : status.sinks) {
+    if (sink.recorded == nullptr) continue;
+    for (const TopicLoss& loss : sink.recorded->losses) {
       if (loss.topic != topic) continue;
-      TopicLoss& sum = by_sink[account.sinks[i].name];
+      TopicLoss& sum = by_sink[sink.name];
       sum.missed += loss.missed;
       sum.failed += loss.failed;
       sum.unreadable += loss.unreadable;
@@ -223,25 +278,14 @@ TopicLoss held_of(const RunAccount& account, const std::string& topic) {
   return most;
 }
 
-/// "12 (queue full, newest)"
-std::string dropped_text(const SinkStatus& sink) {
-  std::string text = std::to_string(sink.counts.all_dropped());
-  for (std::size_t i = 0; i < drop_reasons; ++i) {
-    if (sink.counts.dropped[i] == 0) continue;
-    const auto reason = static_cast<DropReason>(i);
-    text += " (" + std::string(is_deletion(sink, reason) ? deleted_unsent : name_of(reason)) + ")";
-  }
-  return text;
-}
-
 /// The losses that no recording has.
-std::vector<std::string> unrecorded_lines(const RunAccount& account) {
+std::vector<std::string> unrecorded_lines(const Status& status) {
   const auto beyond = [](std::uint64_t all, std::uint64_t held) { return all - std::min(all, held); };
   std::vector<TopicLoss> losses;
-  for (const TopicAccount& topic : account.topics) {
-    const TopicLoss held = held_of(account, topic.topic);
+  for (const Status::Account& topic : status.topics) {
+    const TopicLoss held = held_of(status, topic.name);
     TopicLoss left;
-    left.topic = topic.topic;
+    left.topic = topic.name;
     left.missed = beyond(topic.missed, held.missed);
     left.failed = beyond(topic.failed, held.failed);
     left.unreadable = beyond(topic.unreadable, held.unreadable);
@@ -251,10 +295,8 @@ std::vector<std::string> unrecorded_lines(const RunAccount& account) {
     if (left.has_loss()) losses.push_back(std::move(left));
   }
   std::vector<std::string> lines = detail::loss_lines(losses, {}, {});
-  for (std::size_t i = 0; i < account.sinks.size(); ++i) {
-    const SinkStatus& sink = account.sinks[i];
-    const bool has_account = i < account.closed_sinks.size() && account.closed_sinks[i].recorded != nullptr;
-    if (!has_account && sink.counts.all_dropped() != 0)
+  for (const Status::Sink& sink : status.sinks) {
+    if (sink.recorded == nullptr && sink.all_dropped() != 0)
       lines.push_back("LOST: " + dropped_text(sink) + " events dropped by sink " + sink.name);
   }
   return lines;
@@ -262,12 +304,11 @@ std::vector<std::string> unrecorded_lines(const RunAccount& account) {
 
 }  // namespace
 
-std::string recorded_text(const RunAccount& account, const std::map<std::string, std::string>& paths) {
+std::string recorded_text(const Status& status) {
   std::string text;
-  for (std::size_t i = 0; i < account.closed_sinks.size(); ++i) {
-    const RunAccount::Files& of = account.closed_sinks[i];
+  for (const Status::Sink& of : status.sinks) {
     if (!of.is_recording) continue;
-    text += path_of(account, i, paths);
+    text += of.path;
     if (of.recorded != nullptr) {
       text += ", run " + std::to_string(of.recorded->info.run) + "\n";
       detail::add_lines(text, of.recorded->lines);
@@ -277,47 +318,10 @@ std::string recorded_text(const RunAccount& account, const std::map<std::string,
     }
   }
   if (text.empty()) return text;
-  if (const std::vector<std::string> left = unrecorded_lines(account); !left.empty()) {
+  if (const std::vector<std::string> left = unrecorded_lines(status); !left.empty()) {
     text += "in no recording\n";
     detail::add_lines(text, left);
   }
-  return text;
-}
-
-std::string summary(const RunAccount& account, const std::map<std::string, std::string>& paths, std::size_t columns) {
-  std::string text;
-  const bool has_unreadable = account.unreadable > 0, has_outages = account.outages.number > 0;
-  std::vector<std::string> heading{"topic", ">events", ">late", ">missed", ">failed"};
-  if (has_unreadable) heading.push_back(">unreadable");
-  heading.push_back(">lost");
-  if (has_outages) heading.push_back(">outages");
-  heading.insert(heading.end(), {">dropped", "health"});
-  Table topics(heading);
-  for (const TopicAccount& topic : account.topics) {
-    std::vector<std::string> row{topic.topic, std::to_string(topic.events), std::to_string(topic.late),
-                                 std::to_string(topic.missed), std::to_string(topic.failed)};
-    if (has_unreadable) row.push_back(std::to_string(topic.unreadable));
-    row.push_back(std::to_string(topic.lost));
-    if (has_outages) row.push_back(std::to_string(topic.outages.number));
-    row.insert(row.end(), {std::to_string(topic.dropped), std::string(name_of(topic.health))});
-    topics.add(row, topic.health == Health::ok ? "" : topic.reason);
-  }
-  if (!topics.empty()) text += topics.text("", columns);
-  Table sinks({"sink", ">stored", ">dropped", "health", "where"});
-  for (std::size_t i = 0; i < account.sinks.size(); ++i) {
-    const SinkStatus& sink = account.sinks[i];
-    const RunAccount::Files* const closed = i < account.closed_sinks.size() ? &account.closed_sinks[i] : nullptr;
-    std::string where = path_of(account, i, paths);
-    if (where.empty() || where == "-") where = where.empty() ? "-" : "standard output";
-    std::string note = sink.health == Health::ok ? "" : sink.reason;
-    if (sink.backlog && sink.counts.queued > 0)
-      note += (note.empty() ? "" : "; ") + waiting_text({sink.counts.queued, sink.backlog->bytes, sink.backlog->age}) +
-              (closed != nullptr && !closed->recording.empty() ? " in " + closed->recording : "");
-    sinks.add(
-        {sink.name, std::to_string(sink.counts.stored), dropped_text(sink), std::string(name_of(sink.health)), where},
-        note);
-  }
-  if (!sinks.empty()) text += (text.empty() ? "" : "\n") + sinks.text("", columns);
   return text;
 }
 

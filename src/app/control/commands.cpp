@@ -7,6 +7,7 @@
 #include <sstream>
 #include <stdexcept>
 
+#include "app/control/status.hpp"
 #include "app/core/machines.hpp"
 #include "loop/core/loop_core.hpp"
 #include "loop/runtime/runtime_core.hpp"
@@ -189,6 +190,7 @@ std::vector<std::string> command_words(std::string_view line) {
   const Json request = Json::parse(line, nullptr, false);
   Words words;
   if (!request.is_object() || !request.contains("request") || request["request"] != "command") return words;
+  if (request.value("version", Json(Status::newest)) > Status::newest) return words;
   const auto given = request.find("words");
   if (given == request.end() || !given->is_array()) return words;
   for (const Json& word : *given) {

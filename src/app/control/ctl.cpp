@@ -61,7 +61,7 @@ int ctl(const std::vector<std::string>& given) {
   if (!found) return status;
   // The status that was asked for comes first.
   if (!found->answers) (void)found->client->receive(answer_limit);
-  const nlohmann::ordered_json request{{"request", "command"}, {"words", words}};
+  const nlohmann::ordered_json request{{"request", "command"}, {"version", Status::newest}, {"words", words}};
   const auto line = found->client->ask(request.dump(-1, ' ', false, nlohmann::ordered_json::error_handler_t::replace),
                                        answer_limit);
   const auto fail = [&](const std::string& why) {

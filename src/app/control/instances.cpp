@@ -11,7 +11,6 @@
 namespace rtdata::app {
 namespace {
 
-using Json = nlohmann::ordered_json;
 using Found = FoundInstance;
 
 constexpr Duration search_limit = std::chrono::milliseconds{500};  // of all instances, when the one meant has answered
@@ -55,25 +54,13 @@ std::string list_of(const std::vector<const Found*>& instances) {
 
 }  // namespace
 
-/// An answer that is a status; errors of the other side are errors.
-Result<Json> status_of(const std::string& line) {
-  Json status = Json::parse(line, nullptr, false);
-  if (status.is_object() && status.contains("instance")) return status;
-  if (status.is_object() && status.contains("ended"))
-    return Error{Errc::closed, "no status", "instance", "it has ended", "start it again"};
-  const bool says_why = status.is_object() && status.contains("error");
-  return Error{Errc::io_failed, "no status", "instance",
-               says_why ? text_or_dash(status["error"]) : "it answers something else",
-               says_why ? "" : "use the same version of the program on both sides"};
-}
-
 void FoundInstance::hear(Duration at_most) {
   const auto line = client->receive(at_most);
   if (line && !*line) return;
   answers = true;
-  const Result<Json> status = line ? status_of(**line) : Result<Json>(line.error());
-  if (status) name = text_or_dash(status->at("instance").at("name"));
-  configuration = status ? text_or_dash(status->at("instance").at("configuration")) : status.error().text();
+  const Result<Status> status = line ? status_from(**line) : Result<Status>(line.error());
+  if (status) name = status->instance.name;
+  configuration = status ? status->instance.configuration : status.error().text();
 }
 
 Error instance_does_not_answer() {

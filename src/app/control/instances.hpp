@@ -1,23 +1,16 @@
 // The running instances that a command line means.
 #pragma once
 
-#include <nlohmann/json.hpp>
 #include <optional>
 #include <string>
 
 #include "app/control/control_socket.hpp"
+#include "app/control/status.hpp"
 
 namespace rtdata::app {
 
 /// What is sent to an instance to hear how it stands.
 inline constexpr const char* status_request = R"({"request":"status"})";
-
-inline std::string text_or_dash(const nlohmann::ordered_json& value) {
-  return value.is_string() ? value.get<std::string>() : "-";
-}
-
-/// An answer that is a status; errors of the other side are errors.
-Result<nlohmann::ordered_json> status_of(const std::string& line);
 
 struct FoundInstance {
   Instance instance;

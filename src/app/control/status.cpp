@@ -1,182 +1,250 @@
 #include "app/control/status.hpp"
 
 #include <algorithm>
-#include <bit>
-
-#include "loop/core/callback_survey.hpp"
-#include "loop/core/loop_core.hpp"
-#include "loop/runtime/runtime_core.hpp"
-#include "loop/tier/tier_core.hpp"
-#include "rtdata/fsm/configured.hpp"
-#include "rtdata/outputs/output.hpp"
+#include <array>
+#include <cstdio>
+#include <nlohmann/json.hpp>
+#include <type_traits>
 
 namespace rtdata::app {
+namespace {
 
-// Eight steps for each power of two: 0 to 7 ns one by one, then 8, 9 ... 15, 16, 18 ...
-void TimeCounts::add(Duration time) noexcept {
-  const auto ns = static_cast<std::uint64_t>(std::max<Duration::rep>(time.count(), 0));
-  auto index = static_cast<std::size_t>(ns);
-  if (ns >= 8) {
-    const auto shift = static_cast<std::size_t>(std::bit_width(ns)) - 4;
-    index = 8 * (shift + 1) + ((ns >> shift) & 7);
-  }
-  ++counts_[std::min(index, counts_.size() - 1)];
-  ++total_;
-  largest_ = std::max(largest_, time);
+using Json = nlohmann::ordered_json;
+
+// The keys, for both directions. Times whose key ends with "_s" are seconds, all others nanoseconds.
+
+template <class Visit>
+void fields(Visit& visit, Status::Instance& of) {
+  visit("name", of.name), visit("pid", of.pid), visit("started", of.started), visit("running_for_s", of.running_for);
+  visit("configuration", of.configuration);
 }
 
-void TimeCounts::add(const TimeCounts& other) noexcept {
-  for (std::size_t i = 0; i < counts_.size(); ++i) counts_[i] += other.counts_[i];
-  total_ += other.total_;
-  largest_ = std::max(largest_, other.largest_);
+template <class Visit>
+void health_fields(Visit& visit, Health& health, std::string& reason) {
+  visit.object("health", [&](auto& in) { in("state", health), in("reason", reason); });
 }
 
-Duration TimeCounts::percentile(double fraction) const noexcept {
-  const auto wanted = static_cast<std::uint64_t>(fraction * static_cast<double>(total_));
-  std::uint64_t below = 0;
-  for (std::size_t i = 0; i < counts_.size(); ++i) {
-    below += counts_[i];
-    if (below <= wanted) continue;
-    const std::size_t next = i + 1;  // its smallest is the first that is above
-    const std::uint64_t end = next < 8 ? next : (8 + (next & 7)) << (next / 8 - 1);
-    return std::min(largest_, Duration{static_cast<Duration::rep>(end)});
-  }
-  return largest_;
+template <class Visit>
+void count_fields(Visit& visit, Status::Account& of) {
+  visit("published", of.published), visit("late", of.late), visit("missed", of.missed), visit("failed", of.failed);
+  visit("unreadable", of.unreadable), visit("repeated", of.repeated), visit("outages", of.outages.number);
+  visit("outage_time_s", of.outages.time), visit("first_lines", of.first_lines);
 }
 
-StatusSource::StatusSource(Loop& loop, Info info)
-    : loop_(loop),
-      info_(std::make_shared<const Info>(std::move(info))),
-      started_(loop.time()),
-      started_at_(loop.now()) {
-  keep_changes();
+template <class Visit>
+void fields(Visit& visit, Status::Account& of) {
+  visit("name", of.name), count_fields(visit, of), visit("lost", of.lost), visit("dropped", of.dropped);
+  visit("handlers_dropped", of.handlers_dropped), health_fields(visit, of.health, of.reason);
 }
 
-void StatusSource::set(Info info) {
-  info_ = std::make_shared<const Info>(std::move(info));
-  keep_changes();
+template <class Visit>
+void fields(Visit& visit, Status::Lateness& of) {
+  visit("p50", of.p50), visit("p99", of.p99), visit("max", of.max);
 }
 
-void StatusSource::keep_changes() {
-  change_subscriptions_.clear();
-  for (const std::string& topic : info_->changes) {
-    change_subscriptions_.push_back(loop_.subscribe(topic, [this](const EventView& event) {
-      auto kept = changes_.find(event.origin());
-      if (kept == changes_.end()) kept = changes_.emplace(event.origin(), std::vector<std::byte>{}).first;
-      kept->second.assign(event.payload().begin(), event.payload().end());
-    }));
-    change_subscriptions_.back().set_name("status");
-  }
+template <class Visit>
+void fields(Visit& visit, Status::Alarm& of) {
+  visit("alarm", of.name), visit("active", of.is_active), visit("acknowledged", of.is_acknowledged);
 }
 
-std::function<std::string()> StatusSource::answer(std::uint64_t client, std::string_view line) {
-  if (auto why = refusal_of(line)) return [text = *std::move(why)] { return text; };
-  auto& last = clients_[client];
-  const auto before = std::exchange(last, take());
-  return [now = last, before] { return text(*now, before.get()); };
+template <class Visit>
+void fields(Visit& visit, Status::Sensor& of) {
+  visit("name", of.name), visit("topic", of.topic), visit("loop", of.loop), visit("running", of.is_running);
+  visit("wanted_hz", of.wanted_hz), visit("reached_hz", of.reached_hz), count_fields(visit, of);
+  std::optional<std::uint64_t> lost = of.lost_is_known ? std::optional(of.lost) : std::nullopt;
+  visit("lost", lost), of.lost_is_known = lost.has_value(), of.lost = lost.value_or(0);
+  visit("lateness_ns", of.lateness), health_fields(visit, of.health, of.reason);
+  of.value = of.shown();
+  visit("value", of.value), visit("alarm", of.alarm), visit("state", of.state), visit("in_state_s", of.in_state);
 }
 
-void StatusSource::forget(std::uint64_t client) {
-  clients_.erase(client);
-  if (!clients_.empty()) return;
-  subscription_.close();
-  seen_.clear();
+template <class Visit>
+void fields(Visit& visit, Status::Loop& of) {
+  visit("name", of.name), visit("tier", of.is_tier), visit("running", of.is_running), visit("policy", of.policy);
+  visit("priority", of.priority), visit("load_percent", of.load_percent), visit("lateness_ns", of.lateness);
+  visit("warnings", of.warnings), visit("hangs_in", of.hangs_in);
 }
 
-void StatusSource::begin_watching() {
-  if (subscription_) return;
-  subscription_ = loop_.subscribe("#", [this](const EventView& event) {
-    const auto found = seen_.find(event.origin());
-    if (found == seen_.end()) return;  // made since the last request
-    Seen& seen = found->second;
-    seen.payload.assign(event.payload().begin(), event.payload().end());
-    if (seen.period > Duration{0} && event.time() >= seen.first_due) {
-      seen.now.add((event.time() - seen.first_due) % seen.period);
-    }
+template <class Visit>
+void fields(Visit& visit, Backlog& of) {
+  std::optional<std::int64_t> oldest;
+  if (of.oldest != Time{}) oldest = to_nanoseconds(of.oldest);
+  visit("bytes", of.bytes), visit("age_s", of.age), visit("catch_up_s", of.catch_up), visit("oldest", oldest);
+  of.oldest = Time{Duration{oldest.value_or(0)}};
+}
+
+template <class Visit>
+void fields(Visit& visit, Status::Sink& of) {
+  visit("name", of.name), visit("path", of.path), visit("offered", of.offered), visit("queued", of.queued);
+  std::uint64_t dropped = of.all_dropped();
+  visit("stored", of.stored), visit("dropped", dropped);
+  visit.object("dropped_by_reason", [&](auto& in) {
+    for (std::size_t i = 0; i < drop_reasons; ++i) in(name_of(static_cast<DropReason>(i)).data(), of.dropped[i]);
   });
-  subscription_.set_name("status");
+  health_fields(visit, of.health, of.reason), visit("backlog", of.backlog);
 }
 
-void StatusSource::take_schedules(const std::vector<SensorStatus>& sensors) {
-  constexpr Duration span = std::chrono::milliseconds{900};
-  const MonotonicTime now = loop_.now();
-  const bool turns = now - turned_ >= span;
-  if (turns) turned_ = now;
-  for (const SensorStatus& sensor : sensors) {
-    Seen& seen = seen_[sensor.name];
-    const Duration period = sensor.running && sensor.counts.has_schedule ? sensor.period : Duration{0};
-    if (seen.first_due != sensor.first_due || seen.period != period) {
-      seen.now = {};
-      seen.before = nullptr;
+template <class Visit>
+void fields(Visit& visit, Status::Place& of) {
+  visit("place", of.place), visit("transfers", of.transfers), visit("failed", of.failed), visit("retried", of.retried);
+  visit("busy_ns", of.busy), visit("longest_ns", of.longest);
+}
+
+template <class Visit>
+void fields(Visit& visit, Status::Part& of) {
+  visit("kind", of.kind), visit("name", of.name), visit("type", of.type), visit("users", of.users);
+  visit("places", of.places);
+}
+
+template <class Visit>
+void fields(Visit& visit, Status::Callback& of) {
+  visit("name", of.name), visit("loop", of.loop), visit("count", of.count), visit("total_ns", of.total);
+  visit("max_ns", of.max);
+}
+
+template <class Visit>
+void fields(Visit& visit, Status& of) {
+  visit("version", of.version), visit("instance", of.instance), visit("total", of.total), visit("queued", of.queued);
+  visit("waiting", of.waiting), visit("loops", of.loops), visit("sensors", of.sensors), visit("topics", of.topics);
+  visit("sinks", of.sinks), visit("parts", of.parts), visit("callbacks", of.callbacks), visit("mute", of.mute);
+  visit("not_detectable", of.not_detectable);
+}
+
+template <class T>
+struct ListTraits : std::false_type {};
+template <class T>
+struct ListTraits<std::vector<T>> : std::true_type {};
+template <class T>
+struct OptionalTraits : std::false_type {};
+template <class T>
+struct OptionalTraits<std::optional<T>> : std::true_type {};
+
+class Writer {
+ public:
+  template <class T>
+  void operator()(const char* key, T& value) {
+    json_[key] = made(key, value);
+  }
+  template <class Inner>
+  void object(const char* key, const Inner& inner) {
+    Writer in;
+    inner(in);
+    json_[key] = std::move(in.json_);
+  }
+  Json& json() noexcept { return json_; }
+
+ private:
+  template <class T>
+  static Json made(std::string_view key, T& value) {
+    if constexpr (OptionalTraits<T>::value) {
+      return value ? made(key, *value) : Json();
+    } else if constexpr (ListTraits<T>::value) {
+      Json list = Json::array();
+      for (auto& one : value) list.push_back(made(key, one));
+      return list;
+    } else if constexpr (std::is_same_v<T, Duration>) {
+      return key.ends_with("_s") ? Json(std::chrono::duration<double>(value).count()) : Json(value.count());
+    } else if constexpr (std::is_same_v<T, Health>) {
+      return std::string(name_of(value));
+    } else if constexpr (std::is_arithmetic_v<T> || std::is_same_v<T, std::string>) {
+      return value;
+    } else {
+      Writer in;
+      fields(in, value);
+      return std::move(in.json_);
     }
-    seen.first_due = sensor.first_due;
-    seen.period = period;
-    if (!turns) continue;
-    seen.before = seen.now.total() > 0 ? std::make_shared<const TimeCounts>(std::move(seen.now)) : nullptr;
-    seen.now = {};
   }
-}
+  Json json_ = Json::object();
+};
 
-std::shared_ptr<const StatusSource::Snapshot> StatusSource::take() {
-  begin_watching();
-  auto shot = std::make_shared<Snapshot>();
-  const Runtime& runtime = loop_.runtime();
-  shot->info = info_;
-  for (const Info::Part& part : info_->parts)
-    shot->places.push_back(part.bus != nullptr ? part.bus->place_counts() : std::vector<PlaceCounts>{});
-  shot->started = started_;
-  shot->at = loop_.now();
-  shot->running_for = shot->at - started_at_;
-  shot->sensors = runtime.sensors();
-  take_schedules(shot->sensors);
-  shot->seen.reserve(shot->sensors.size());
-  for (const SensorStatus& sensor : shot->sensors) {
-    const Seen& seen = seen_[sensor.name];
-    auto lateness = seen.before;
-    if (lateness == nullptr && seen.now.total() > 0) lateness = std::make_shared<const TimeCounts>(seen.now);
-    const auto kept = changes_.find(sensor.name);
-    const bool is_kept = seen.payload.empty() && kept != changes_.end();
-    shot->seen.push_back({is_kept ? kept->second : seen.payload, std::move(lateness)});
+/// Keys that are not there leave what the value has: an older instance does not know them. Throws what nlohmann throws.
+class Reader {
+ public:
+  explicit Reader(const Json& json) : json_(json) { (void)json.get_ref<const Json::object_t&>(); }
+  template <class T>
+  void operator()(const char* key, T& value) {
+    if (const auto found = json_.find(key); found != json_.end()) take(key, *found, value);
   }
-  shot->loops = runtime.loops();
-  shot->sinks = runtime.sinks();
-  const detail::RuntimeCore& core = loop_.core().runtime;
-  for (const detail::ClosedSink& closed : core.closed_sinks) {
-    std::optional<std::string>& path = shot->closed_paths.emplace_back();
-    if (closed.path) path = core.hide(*closed.path);
-  }
-  shot->topics = runtime.topics();
-  if (info_->made != nullptr) {
-    for (const std::string& name : info_->made->names("machine")) {
-      const auto* machine = info_->made->find<fsm::ConfiguredMachine>("machine", name);
-      if (machine == nullptr) continue;
-      const auto [state, since] = machine->now();
-      shot->machines[name] = {std::string(state), std::max(shot->at - since, Duration{0})};
+  template <class Inner>
+  void object(const char* key, const Inner& inner) {
+    if (const auto found = json_.find(key); found != json_.end()) {
+      Reader in(*found);
+      inner(in);
     }
   }
-  shot->callbacks = loop_.callbacks();
-  shot->callbacks_loop = loop_.config().name;
-  ask_tiers(*shot);
-  return shot;
+
+ private:
+  template <class T>
+  static void take(std::string_view key, const Json& json, T& value) {
+    if constexpr (OptionalTraits<T>::value) {
+      if (json.is_null()) return value.reset();
+      take(key, json, value.emplace());
+    } else if constexpr (ListTraits<T>::value) {
+      for (const Json& one : json.get_ref<const Json::array_t&>()) take(key, one, value.emplace_back());
+    } else if constexpr (std::is_same_v<T, Duration>) {
+      const std::chrono::duration<double, std::nano> time(json.get<double>() * (key.ends_with("_s") ? 1e9 : 1));
+      value = Duration{static_cast<Duration::rep>(std::min(std::max(time.count(), -9e18), 9e18))};
+    } else if constexpr (std::is_same_v<T, Health>) {
+      const auto name = json.get<std::string>();
+      value = name == "ok" ? Health::ok : name == "degraded" ? Health::degraded : Health::faulted;
+    } else if constexpr (std::is_arithmetic_v<T> || std::is_same_v<T, std::string>) {
+      value = json.get<T>();
+    } else {
+      Reader in(json);
+      fields(in, value);
+    }
+  }
+  const Json& json_;
+};
+
+Error no_status(Errc code, const std::string& why, const char* advice) {
+  return {code, "no status", "instance", why, advice};
 }
 
-void StatusSource::ask_tiers(Snapshot& shot) {
-  const auto& running = loop_.core().runtime.tiers;
-  std::erase_if(tiers_, [&](const AskedTier& known) {
-    return std::none_of(running.begin(), running.end(),
-                        [&](const auto* tier) { return tier->config.name == known.name; });
-  });
-  for (detail::TierCore* tier : running) {
-    if (!tier->is_running()) continue;
-    auto known = std::find_if(tiers_.begin(), tiers_.end(),
-                              [&](const AskedTier& one) { return one.name == tier->config.name; });
-    if (known == tiers_.end()) known = tiers_.insert(tiers_.end(), AskedTier{tier->config.name, {}, {}, {}});
-    if (known->asked != nullptr && known->asked->is_done()) known->answered = std::move(known->asked);
-    if (known->asked == nullptr)
-      known->asked = tier->loop.core().nodes.begin_survey();  // else it hangs: one question is enough
-    known->doing = tier->where();
-    shot.tiers.push_back(*known);
+}  // namespace
+
+std::string shown_value(const Value& value) {
+  const double* const number = std::get_if<double>(&value);
+  if (number == nullptr) return to_string(value);
+  std::array<char, 32> text{};
+  std::snprintf(text.data(), text.size(), "%.6g", *number);
+  return text.data();
+}
+
+std::optional<std::string> Status::Sensor::shown() const {
+  constexpr std::size_t longest = 200;
+  if (value || description == nullptr || payload.empty()) return value;
+  std::string text;
+  for (const Leaf& leaf : description->leaves()) {
+    if (text.size() > longest) return text + " ...";
+    text += (text.empty() ? "" : " ") + shown_value(read(leaf, payload.data()));
+    if (!leaf.unit.empty() && leaf.unit != "1") text += " " + leaf.unit;
   }
+  return text;
+}
+
+std::string json_of(Status& status) {
+  Writer writer;
+  fields(writer, status);
+  return writer.json().dump(-1, ' ', false, Json::error_handler_t::replace);
+}
+
+Result<Status> status_from(std::string_view line) try {
+  const Json json = Json::parse(line);
+  if (json.contains("ended")) return no_status(Errc::closed, "it has ended", "start it again");
+  if (json.contains("error")) return no_status(Errc::io_failed, json["error"].get<std::string>(), "");
+  const auto version = json.at("version").get<std::int64_t>();
+  if (version > Status::newest)
+    return no_status(Errc::newer_version,
+                     "it speaks version " + std::to_string(version) + " of the protocol, and this program up to " +
+                         std::to_string(Status::newest),
+                     "use the program that it was started with, or a newer one");
+  Status status;
+  Reader reader(json);
+  fields(reader, status);
+  return status;
+} catch (const Json::exception&) {
+  return no_status(Errc::bad_data, "it answers something else", "use the same version of the program on both sides");
 }
 
 }  // namespace rtdata::app

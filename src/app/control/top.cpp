@@ -11,7 +11,7 @@
 #include <optional>
 
 #include "app/control/instances.hpp"
-#include "app/control/top_view.hpp"
+#include "app/control/status_view.hpp"
 #include "app/core/configuration_commands.hpp"
 #include "data/utf8.hpp"
 
@@ -115,7 +115,7 @@ int show(FoundInstance& found, const TopOptions& options) {
     found.client->send(status_request);
     const auto line = next_answer();
     if (!line) break;
-    const auto status = *line ? status_of(**line) : Result<nlohmann::ordered_json>(line->error());
+    const auto status = *line ? status_from(**line) : Result<Status>(line->error());
     if (!status) {
       failed = status.error().text();
       has_ended = *line && status.error().code == make_error_code(Errc::closed);
@@ -129,7 +129,7 @@ int show(FoundInstance& found, const TopOptions& options) {
       const std::size_t rows = is_live ? std::max<std::size_t>(size.ws_row, 4) - 1 : 100000;
       std::string text = is_live ? "\x1b[H" : "";
       std::size_t shown = 0;
-      for (const std::string& one : lines_of_status(**line, std::max<std::size_t>(size.ws_col, 20) - 1, rows)) {
+      for (const std::string& one : lines_of(*status, std::max<std::size_t>(size.ws_col, 20) - 1, rows)) {
         if (++shown > rows) break;
         text += detail::visible(one) + (is_live ? "\x1b[K\r\n" : "\n");
       }

@@ -5,14 +5,28 @@
 
 #include <algorithm>
 #include <cstring>
+#include <sstream>
 #include <utility>
 
+#include "app/control/account.hpp"
+#include "app/control/status_view.hpp"
+#include "app/core/table.hpp"
 #include "app/core/terminal_text.hpp"
 #include "app/run/log_file.hpp"
 #include "app/run/stop_signals.hpp"
 #include "rtdata/config/secret.hpp"
 
 namespace rtdata::app {
+namespace {
+
+std::vector<std::string> lines_in(const std::string& text) {
+  std::vector<std::string> lines;
+  std::istringstream stream(text);
+  for (std::string line; std::getline(stream, line);) lines.push_back(line);
+  return lines;
+}
+
+}  // namespace
 
 void RunConsole::open_log(SystemPlan& plan) {
   messages_.open(STDERR_FILENO);
@@ -63,7 +77,7 @@ void RunConsole::say(LogLevel level, std::string_view object, std::string_view w
   if (level >= LogLevel::warning) line.append(name_of(level)).append(": ");
   line.append(object).append(object.empty() ? "" : ": ").append(*shown);
   if (!error_id.empty()) line.append(" [").append(error_id).append("]");
-  if (view_) {
+  if (has_view_) {
     note_ = line;
   } else {
     tell(line + "\n");
@@ -78,41 +92,48 @@ void RunConsole::tell_log_failure() {
   say(LogLevel::warning, "log", system_error(failed, "cannot write the log file", log_.file()).text());
 }
 
-void RunConsole::open_view(Loop& loop) {
-  if (options_.talk == Talk::normal && !uses_stdout_ && ::isatty(STDOUT_FILENO) == 1) view_.emplace(loop);
+void RunConsole::open_view() {
+  has_view_ = options_.talk == Talk::normal && !uses_stdout_ && ::isatty(STDOUT_FILENO) == 1;
 }
 
-void RunConsole::draw(const RunAccount& account) {
-  if (!view_) return;
+void RunConsole::draw(const Status& status) {
+  if (!has_view_) return;
   winsize size{};
   if (::ioctl(STDOUT_FILENO, TIOCGWINSZ, &size) != 0 || size.ws_col == 0) size = {24, 80, 0, 0};
-  terminal().write(view_->frame(account, size.ws_col, size.ws_row, note_));
+  const std::size_t columns = std::max<std::size_t>(size.ws_col, 20) - 1;  // the last makes some terminals wrap
+  const std::size_t rows = std::max<std::size_t>(size.ws_row, 6) - 1;
+  std::vector<std::string> below = lines_in(for_terminal(note_, columns));
+  below.resize(std::min<std::size_t>(below.size(), 5));
+  below.emplace_back("Ctrl-C ends it");
+  std::vector<std::string> lines = lines_of(status, columns, rows - std::min(rows, below.size()));
+  lines.resize(std::min(lines.size(), rows - std::min(rows, below.size())));
+  lines.insert(lines.end(), below.begin(), below.end());
+  std::string text = drawn_ == 0 ? "\x1b[?25l" : "\x1b[" + std::to_string(drawn_) + "A";
+  text += '\r';
+  for (const std::string& one : lines) text += fitted(one, columns) + "\x1b[K\r\n";
+  drawn_ = lines.size();
+  terminal().write(text + "\x1b[J");
   view_is_shown_ = true;
 }
 
 void RunConsole::close_view() {
-  if (!view_) return;
-  terminal_.write(view_->end());
+  if (!std::exchange(has_view_, false)) return;
+  const std::string above = drawn_ == 0 ? "" : "\x1b[" + std::to_string(std::exchange(drawn_, 0)) + "A\r\x1b[J";
+  terminal_.write(above + "\x1b[?25h");
   terminal_.wait_until_written(std::chrono::seconds{2});
   view_is_shown_ = false;
-  view_.reset();
   if (note_.empty()) return;
   tell(note_ + "\n");
   messages_.wait_until_written(std::chrono::seconds{2});  // before the tables, which go another way
 }
 
-void RunConsole::report(LogLevel level, const RunAccount& account, const std::map<std::string, std::string>& paths,
-                        const std::string& verdict) {
-  const std::string recorded = recorded_text(account, paths);
-  for (std::size_t at = 0; at < recorded.size();) {
-    const std::size_t end = recorded.find('\n', at);
-    log_.write(LogLevel::info, "program", recorded.substr(at, end - at));
-    at = end + 1;
-  }
+void RunConsole::report(LogLevel level, const Status& status, const std::string& verdict) {
+  const std::string recorded = recorded_text(status);
+  for (const std::string& line : lines_in(recorded)) log_.write(LogLevel::info, "program", line);
   log_.write(level, "program", verdict);
   if (options_.talk == Talk::normal) {
     const std::size_t columns = columns_of(uses_stdout_ ? STDERR_FILENO : STDOUT_FILENO);
-    const std::string text = summary(account, paths, columns) + "\n" + recorded + for_terminal(verdict, columns) + "\n";
+    const std::string text = summary(status, columns) + "\n" + recorded + for_terminal(verdict, columns) + "\n";
     (uses_stdout_ ? messages_ : terminal()).write(text);
   } else if (level != LogLevel::info) {
     tell("rtdata: " + std::string(name_of(level)) + ": " + verdict + "\n");

@@ -9,8 +9,7 @@
 #include <string_view>
 #include <vector>
 
-#include "app/control/account.hpp"
-#include "app/control/live_view.hpp"
+#include "app/control/status.hpp"
 #include "app/core/configuration_commands.hpp"
 #include "app/run/async_writer.hpp"
 #include "app/run/log.hpp"
@@ -41,14 +40,14 @@ class RunConsole {
   void leave_stdout() noexcept { uses_stdout_ = true; }
   bool leaves_stdout() const noexcept { return uses_stdout_; }
   /// The table, where standard output is a terminal for people.
-  void open_view(Loop& loop);
-  bool has_view() const noexcept { return view_.has_value(); }
-  void draw(const RunAccount& account);
+  void open_view();
+  bool has_view() const noexcept { return has_view_; }
+  /// Over what was drawn before.
+  void draw(const Status& status);
   void close_view();
 
   /// The last that is said.
-  void report(LogLevel level, const RunAccount& account, const std::map<std::string, std::string>& paths,
-              const std::string& verdict);
+  void report(LogLevel level, const Status& status, const std::string& verdict);
   /// Waits some seconds at most.
   void wait_until_written();
   /// A second signal. Thread: the signals'.
@@ -69,7 +68,8 @@ class RunConsole {
   AsyncWriter terminal_{16};
   AsyncWriter messages_{64};
   Log log_;
-  std::optional<LiveView> view_;
+  bool has_view_ = false;
+  std::size_t drawn_ = 0;  // lines of the table
   std::atomic<bool> view_is_shown_{false};
   std::string note_;  // below the table
   bool uses_stdout_ = false;

@@ -10,7 +10,7 @@
 #include "app/control/account.hpp"
 #include "app/control/commands.hpp"
 #include "app/control/control_socket.hpp"
-#include "app/control/status.hpp"
+#include "app/control/status_source.hpp"
 #include "app/core/configuration_commands.hpp"
 #include "app/run/console.hpp"
 #include "app/run/data_at_risk.hpp"
@@ -93,8 +93,8 @@ class Run {
       return doing.empty() ? "a callback" : doing;
     };
     StopSignals::Actions actions{
-        [&](const char* signal) { stop(loop, runtime, signal); },
-        [&] { return account_of(runtime).queued; },
+        [&](const char* signal) { stop(loop, signal); },
+        [&] { return status_of(runtime).queued; },
         [this](const char* signal, std::optional<std::uint64_t> queued) { console_.end_at_once(signal, queued); },
         {},
         [this] {
@@ -110,6 +110,7 @@ class Run {
     const Detach detach_loop{signals_};
     System system(loop, registry_, plan);
     StatusSource status(loop, status_info(plan, system));
+    status_ = &status;
     Reload reload(loop, system, registry_, options_, console_,
                   {[this] { return is_closing_; },
                    [&](const SystemPlan& next) {
@@ -130,7 +131,7 @@ class Run {
     open_control(control, loop, reload, status, desk);
     tell_start(plan);
 
-    console_.open_view(loop);
+    console_.open_view();
     {
       Service service(loop);
       loop.post([&] { be_ready(service); });
@@ -187,7 +188,7 @@ class Run {
       if (part.publishes && (part.kind == "output" || part.type == "limit"))
         info.changes.push_back(part.publishes->topic);
       if (part.publishes || part.stores || part.type.empty()) continue;  // which have a status of their own
-      info.parts.push_back({part.kind, part.name, part.type, users[{part.kind, part.name}],
+      info.parts.push_back({{part.kind, part.name, part.type, users[{part.kind, part.name}], {}},
                             system.parts().find<Bus>(part.kind, part.name)});
     }
     return info;
@@ -226,15 +227,6 @@ class Run {
     for (const std::string& name : all) names += (names.empty() ? "" : ", ") + name;
     return names;
   }
-  /// What their disks or files did not take.
-  std::uint64_t refused_by_recordings(const Runtime& runtime) const {
-    std::uint64_t refused = 0;
-    for (const SinkStatus& sink : runtime.sinks())
-      if (recordings_.contains(sink.name))
-        refused += sink.counts.dropped[static_cast<std::size_t>(DropReason::refused)];
-    return refused;
-  }
-
   /// Tells what held those that stop; returns those that do not, for people: "tier fast in sensor chamber".
   std::string stop_tiers(const SystemPlan& plan, System& system) {
     std::string hanging;
@@ -344,26 +336,32 @@ class Run {
     }
   }
 
-  void stop(Loop& loop, Runtime& runtime, const char* signal) {
+  void stop(Loop& loop, const char* signal) {
     is_storing_told_ = true;
     if (is_closing_) {  // stopping the loop would end that
       console_.say(LogLevel::info, "program",
                    std::string(signal) + ": it is storing what is queued already (again: ends at once)");
-      console_.draw(account_of(runtime));
+      draw();
       return;
     }
     console_.say(LogLevel::info, "program",
                  std::string("stopping on ") + signal + ": storing what is queued (again: ends at once)");
-    console_.draw(account_of(runtime));
+    draw();
     loop.stop();
   }
 
+  /// The view watches as a client of its own.
+  void draw() {
+    constexpr std::uint64_t view = 0;
+    if (console_.has_view() && status_ != nullptr) console_.draw(status_->take(view));
+  }
+
   /// A run whose time is over may take long to store what is queued: said when it has taken half a second.
-  void tell_storing(const RunAccount& account) {
-    if (is_storing_told_ || ++shows_while_closing_ < 2 || account.queued == 0) return;
+  void tell_storing(std::uint64_t queued) {
+    if (is_storing_told_ || ++shows_while_closing_ < 2 || queued == 0) return;
     is_storing_told_ = true;
     console_.say(LogLevel::info, "program",
-                 "storing what is queued: " + std::to_string(account.queued) + " events, for at most " +
+                 "storing what is queued: " + std::to_string(queued) + " events, for at most " +
                      to_string(close_deadline_) + " (Ctrl-C twice ends at once)");
   }
 
@@ -371,35 +369,34 @@ class Run {
     if (last_line_ == MonotonicTime{}) last_line_ = due;
     const bool is_line_due = due - last_line_ >= line_period;
     if (is_line_due) last_line_ = due;
-    if (is_line_due) (void)service.tell("STATUS=" + progress(account_of(runtime)));
+    if (is_line_due) (void)service.tell("STATUS=" + progress(status_of(runtime)));
     console_.tell_log_failure();
-    if (is_closing_) tell_storing(account_of(runtime));
-    if (console_.has_view()) {
-      console_.draw(account_of(runtime));
-    } else if (is_line_due) {
-      console_.say(LogLevel::info, "", progress(account_of(runtime)));
-    }
+    if (is_closing_) tell_storing(status_of(runtime).queued);
+    draw();
+    if (is_line_due && !console_.has_view()) console_.say(LogLevel::info, "", progress(status_of(runtime)));
   }
 
   /// `unknown`: what is not in the account; empty: it is complete.
   int report(Runtime& runtime, const std::string& unknown, const std::string& unsafe) {
     console_.tell_log_failure();
-    RunAccount account = account_of(runtime);
-    for (const SinkStatus& sink : account.sinks)
+    const Status status = status_of(runtime, paths_);
+    Ending ending{unknown.empty() && runtime.balances(), runtime.has_loss(), unknown, not_stored_};
+    bool is_all_stored = not_stored_ == 0;
+    for (const Status::Sink& sink : status.sinks) {
       if (followers_.contains(sink.name) && !sink.backlog)
-        account.unknown_backlogs.push_back("sink " + sink.name + (sink.reason.empty() ? "" : ": " + sink.reason));
-    const bool balances = unknown.empty() && runtime.balances();
-    const bool has_loss = runtime.has_loss();
-    std::string said = verdict(account, {balances, has_loss, unknown, not_stored_});
+        ending.unknown_backlogs.push_back("sink " + sink.name + (sink.reason.empty() ? "" : ": " + sink.reason));
+      constexpr auto refused = static_cast<std::size_t>(DropReason::refused);
+      if (recordings_.contains(sink.name) && sink.dropped[refused] != 0) is_all_stored = false;  // by disk or file
+    }
+    is_all_stored = is_all_stored && ending.unknown_backlogs.empty();
+    std::string said = verdict(status, ending);
     if (!unsafe.empty()) said += "; NOT known to be safe: " + unsafe;
-    const bool is_all_stored = not_stored_ == 0 && refused_by_recordings(runtime) == 0 &&
-                               account.unknown_backlogs.empty();
-    const LogLevel level = !balances || !is_all_stored || !unsafe.empty() ? LogLevel::error
-                           : has_loss || !account.mute.empty()            ? LogLevel::warning
+    const LogLevel level = !ending.balances || !is_all_stored || !unsafe.empty() ? LogLevel::error
+                           : ending.has_loss || !status.mute.empty()             ? LogLevel::warning
                                                                           : LogLevel::info;
-    console_.report(level, account, paths_, said);
-    if (balances && has_loss && options_.on_loss == OnLoss::fail) return exit_loss;
-    return balances && is_all_stored && unsafe.empty() ? exit_good : exit_other;
+    console_.report(level, status, said);
+    if (ending.balances && ending.has_loss && options_.on_loss == OnLoss::fail) return exit_loss;
+    return ending.balances && is_all_stored && unsafe.empty() ? exit_good : exit_other;
   }
 
   /// Of a file with outputs. Before there are threads, and so before the file is checked: one with mistakes has none.
@@ -416,6 +413,7 @@ class Run {
   StopSignals signals_;                       // before the others: their threads are not to take the signals
   RunConsole console_;
   Log& log_ = console_.log();
+  StatusSource* status_ = nullptr;  // while there is one
   MonotonicTime last_line_{};
   bool is_closing_ = false;
   Duration close_deadline_{0};

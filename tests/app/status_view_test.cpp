@@ -1,42 +1,38 @@
 // What `rtdata top` shows where there is little room.
-#include "app/control/top_view.hpp"
+#include "app/control/status_view.hpp"
 
 #include <doctest/doctest.h>
 
 #include <algorithm>
-#include <nlohmann/json.hpp>
 
-using Json = nlohmann::ordered_json;
+using rtdata::Duration;
+using rtdata::Health;
+using rtdata::app::Status;
+using namespace std::chrono_literals;
 
 namespace {
 
-Json health(const std::string& state, const std::string& reason = "") { return {{"state", state}, {"reason", reason}}; }
-
-Json sensor(const std::string& name) {
-  return {{"name", name},       {"loop", "main"},  {"running", true},     {"wanted_hz", 10},       {"reached_hz", 10},
-          {"late", 0},          {"missed", 0},     {"failed", 0},         {"unreadable", 0},       {"outages", 0},
-          {"outage_time_s", 0}, {"lost", nullptr}, {"value", "21.5 Cel"}, {"health", health("ok")}};
-}
-
-Json status(int sensors, int sinks) {
-  Json all{
-      {"instance", {{"name", "rig"}, {"pid", 4711}, {"running_for_s", 12.3}, {"configuration", "rig.json"}}},
-      {"loops",
-       {{{"name", "main"},
-         {"policy", "other"},
-         {"priority", 0},
-         {"load_percent", 0.5},
-         {"lateness_ns", nullptr},
-         {"warnings", Json::array()},
-         {"hangs_in", nullptr}}}},
-      {"sensors", Json::array()},
-      {"sinks", Json::array()},
-      {"parts", {{{"kind", "bus"}, {"name", "i2c1"}, {"type", "i2c"}, {"users", {"sensor s1"}}}}},
-      {"callbacks", {{{"name", "sensor s1"}, {"loop", "main"}, {"count", 9}, {"total_ns", 1000}, {"max_ns", 500}}}}};
-  for (int i = 1; i <= sensors; ++i) all["sensors"].push_back(sensor("s" + std::to_string(i)));
-  for (int i = 1; i <= sinks; ++i)
-    all["sinks"].push_back(
-        {{"name", "sink" + std::to_string(i)}, {"queued", 0}, {"stored", 9}, {"dropped", 0}, {"health", health("ok")}});
+Status status(int sensors, int sinks) {
+  Status all;
+  all.instance = {"rig", 4711, "2026-03-01T12:00:00Z", 12300ms, "rig.json"};
+  all.loops.emplace_back().name = "main";
+  all.loops[0].policy = "other";
+  all.loops[0].load_percent = 0.5;
+  all.parts = {{"bus", "i2c1", "i2c", {"sensor s1"}, {}}};
+  all.callbacks = {{"sensor s1", "main", 9, 1us, 500ns}};
+  for (int i = 1; i <= sensors; ++i) {
+    Status::Sensor& one = all.sensors.emplace_back();
+    one.name = "s" + std::to_string(i);
+    one.loop = "main";
+    one.is_running = true;
+    one.wanted_hz = one.reached_hz = 10;
+    one.value = "21.5 Cel";
+  }
+  for (int i = 1; i <= sinks; ++i) {
+    Status::Sink& one = all.sinks.emplace_back();
+    one.name = "sink" + std::to_string(i);
+    one.stored = 9;
+  }
   return all;
 }
 
@@ -46,8 +42,8 @@ std::size_t line_of(const std::vector<std::string>& lines, const std::string& st
   return static_cast<std::size_t>(found - lines.begin());
 }
 
-std::vector<std::string> shown(const Json& of, std::size_t rows = 23) {
-  std::vector<std::string> lines = rtdata::app::lines_of_status(of.dump(), 79, rows);
+std::vector<std::string> shown(const Status& of, std::size_t rows = 23) {
+  std::vector<std::string> lines = rtdata::app::lines_of(of, 79, rows);
   for (const std::string& line : lines) CHECK(line.size() <= 79);
   return lines;
 }
@@ -56,25 +52,25 @@ std::vector<std::string> shown(const Json& of, std::size_t rows = 23) {
 
 TEST_SUITE("app") {
   TEST_CASE("US-32 top says what waits in the recording that a sink goes through, for how long, and until when") {
-    Json of = status(1, 3);
-    const auto shown_of = [&](Json backlog) {
-      of["sinks"][0]["backlog"] = std::move(backlog);
+    Status of = status(1, 3);
+    const auto shown_of = [&](std::uint64_t events, std::optional<rtdata::Backlog> backlog) {
+      of.sinks[0].queued = events;
+      of.sinks[0].backlog = backlog;
       const std::vector<std::string> lines = shown(of, 40);
       const std::size_t at = line_of(lines, "sink1 ");
       return at + 1 < lines.size() ? lines[at + 1] : std::string();
     };
-    CHECK(shown_of(nullptr).starts_with("sink2 "));
-    CHECK(shown_of({{"events", 0}, {"bytes", 0}, {"age_s", 0}, {"catch_up_s", 0}}).starts_with("sink2 "));
-    CHECK(shown_of({{"events", 1200}, {"bytes", 9600}, {"age_s", 720.0}, {"catch_up_s", 40.0}}) ==
+    CHECK(shown_of(0, {}).starts_with("sink2 "));
+    CHECK(shown_of(0, rtdata::Backlog{}).starts_with("sink2 "));
+    CHECK(shown_of(1200, rtdata::Backlog{9600, {}, 720s, 40s}) ==
           "  - 1200 events (9.6 kB) wait, the oldest for 12 min; sent in about 40 s");
-    CHECK(shown_of({{"events", 1}, {"bytes", 8}, {"age_s", 3.0}, {"catch_up_s", nullptr}}) ==
+    CHECK(shown_of(1, rtdata::Backlog{8, {}, 3s, {}}) ==
           "  - 1 event (8 B) waits, the oldest for 3.0 s; it does not become less");
   }
 
   TEST_CASE("NFR-5 top says what a source repeated, which is no loss") {
-    Json of = status(2, 1);
-    of["sensors"][0]["repeated"] = 12;
-    of["sensors"][1]["repeated"] = 0;
+    Status of = status(2, 1);
+    of.sensors[0].repeated = 12;
     const std::vector<std::string> lines = shown(of, 40);
     const std::size_t at = line_of(lines, "s1 ");
     REQUIRE(at + 2 < lines.size());
@@ -83,8 +79,8 @@ TEST_SUITE("app") {
   }
 
   TEST_CASE("US-5 top says that the first line of a port was thrown away") {
-    Json of = status(2, 1);
-    of["sensors"][0]["first_lines"] = 2;
+    Status of = status(2, 1);
+    of.sensors[0].first_lines = 2;
     const std::vector<std::string> lines = shown(of, 40);
     const std::size_t at = line_of(lines, "s1 ");
     REQUIRE(at + 2 < lines.size());
@@ -106,14 +102,15 @@ TEST_SUITE("app") {
   }
 
   TEST_CASE("NFR-5 top on 24 rows shows first which sensors are not well and why, and counts the rest") {
-    Json many = status(40, 2);
-    many["sensors"][20]["missed"] = 5;
-    many["sensors"][30]["lost"] = 7;
-    many["sensors"][35]["health"] = health(
-        "faulted",
+    Status many = status(40, 2);
+    many.sensors[20].missed = 5;
+    many.sensors[30].lost = 7;
+    many.sensors[35].health = Health::faulted;
+    many.sensors[35].reason =
         "cannot open the device: /dev/i2c-1: No such file or directory: switch I2C on: `sudo raspi-config` "
-        "or dtparam=i2c_arm=on in /boot/firmware/config.txt, then start again");
-    many["sensors"][37]["health"] = health("degraded", "a value out of range");
+        "or dtparam=i2c_arm=on in /boot/firmware/config.txt, then start again";
+    many.sensors[37].health = Health::degraded;
+    many.sensors[37].reason = "a value out of range";
     const std::vector<std::string> lines = shown(many);
     CHECK(lines.size() <= 23);
     const std::size_t first = line_of(lines, "sensor  ") + 1;
@@ -136,9 +133,10 @@ TEST_SUITE("app") {
   }
 
   TEST_CASE("NFR-5 top says how many are not well where not even those find room") {
-    Json many = status(40, 9);
-    for (Json& one : many["sensors"]) one["health"] = health("faulted", "away");
-    many["sinks"][7]["health"] = health("faulted", "disk full");
+    Status many = status(40, 9);
+    for (Status::Sensor& one : many.sensors) one.health = Health::faulted, one.reason = "away";
+    many.sinks[7].health = Health::faulted;
+    many.sinks[7].reason = "disk full";
     for (const std::size_t rows : {23u, 14u}) {
       CAPTURE(rows);
       const std::vector<std::string> lines = shown(many, rows);
