@@ -372,7 +372,7 @@ std::string format_of(const FileConfig& config) {
 
 std::string file_of_topic(const FileConfig& config, std::string_view topic) { return path_of(config.path, topic); }
 
-bool is_companion_file(const FileConfig& config, const std::string& file, const std::string& other) {
+bool is_companion_file(const FileConfig&, const std::string& file, const std::string& other) {
   return (other.starts_with(file) && std::string_view(other).substr(file.size()) == ".half") ||
          Rotation::is_numbered(file, other);
 }
