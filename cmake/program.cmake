@@ -8,7 +8,7 @@ configure_file(cmake/errors_page.cpp.in units/errors_page.cpp @ONLY)
 rtdata_library(rtdata_program program ${RTDATA_PROGRAM_SOURCES} ${CMAKE_CURRENT_BINARY_DIR}/units/errors_page.cpp)
 # None of it runs while sampling: small rather than fast.
 target_compile_options(rtdata_program PRIVATE $<$<CONFIG:Release>:-Os>)
-target_link_libraries(rtdata_program PUBLIC rtdata PRIVATE $<BUILD_INTERFACE:CLI11::CLI11> spdlog::spdlog
+target_link_libraries(rtdata_program PUBLIC rtdata PRIVATE PkgConfig::libuv $<BUILD_INTERFACE:CLI11::CLI11> spdlog::spdlog
   $<TARGET_NAME_IF_EXISTS:rtdata::sqlite> $<$<BOOL:${RTDATA_HAS_SQLITE}>:PkgConfig::sqlite3> $<BUILD_INTERFACE:nlohmann_json::nlohmann_json>)
 # What `rtdata --version` tells: what it was built with.
 if(TARGET rtdata_sqlite)

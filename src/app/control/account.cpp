@@ -37,8 +37,7 @@ Status::Sensor shown(SensorStatus& of) {
   sensor.outages = of.outages;
   sensor.health = of.health;
   sensor.reason = std::move(of.reason);
-  if (counts.has_schedule && of.period > Duration{0})
-    sensor.wanted_hz = 1e9 / static_cast<double>(of.period.count());
+  if (counts.has_schedule && of.period > Duration{0}) sensor.wanted_hz = 1e9 / static_cast<double>(of.period.count());
   sensor.readings = counts.has_schedule ? counts.taken : counts.received;
   sensor.first_due = of.first_due;
   if (of.running && counts.has_schedule) sensor.period = of.period;
@@ -67,9 +66,8 @@ Status status_of(Runtime& runtime, const std::map<std::string, std::string>& pat
   std::erase_if(topics, [](const TopicStatus& topic) { return topic.name.starts_with('$'); });
   for (const TopicStatus& topic : topics) {
     at[topic.name] = status.topics.size();
-    status.topics.push_back({.name = topic.name,
-                             .published = topic.published,
-                             .handlers_dropped = topic.subscriptions.dropped});
+    status.topics.push_back(
+        {.name = topic.name, .published = topic.published, .handlers_dropped = topic.subscriptions.dropped});
     status.total.published += topic.published;
     status.total.handlers_dropped += topic.subscriptions.dropped;
   }
@@ -126,9 +124,9 @@ std::string progress(const Status& status) {
   const auto part = [](std::uint64_t count, const char* what) { return ", " + std::to_string(count) + " " + what; };
   return std::to_string(all.published) + " events" + part(all.late, "late") + part(all.missed, "missed") +
          part(all.failed, "failed") + (all.unreadable > 0 ? part(all.unreadable, "unreadable") : "") +
-         (all.lost > 0 ? part(all.lost, "lost") : "") +
-         (all.outages.number > 0 ? ", " + to_string(all.outages) : "") + part(all.dropped, "dropped") +
-         part(status.queued, "queued") + (status.waiting > 0 ? part(status.waiting, "to be sent") : "");
+         (all.lost > 0 ? part(all.lost, "lost") : "") + (all.outages.number > 0 ? ", " + to_string(all.outages) : "") +
+         part(all.dropped, "dropped") + part(status.queued, "queued") +
+         (status.waiting > 0 ? part(status.waiting, "to be sent") : "");
 }
 
 namespace {
@@ -149,9 +147,10 @@ std::string reasons_of(const Status& status) {
       deleted += sink.dropped[static_cast<std::size_t>(DropReason::queue_full_oldest)];
   }
   std::string text;
-  for (const auto& [number, reason] : {std::pair{status.total.dropped - deleted - refused, std::string_view("queue full")},
-                                       {deleted, deleted_unsent},
-                                       {refused, std::string_view("refused")}}) {
+  for (const auto& [number, reason] :
+       {std::pair{status.total.dropped - deleted - refused, std::string_view("queue full")},
+        {deleted, deleted_unsent},
+        {refused, std::string_view("refused")}}) {
     if (number == status.total.dropped) return std::string(reason);
     if (number > 0) text += (text.empty() ? "" : ", ") + std::to_string(number) + " " + std::string(reason);
   }

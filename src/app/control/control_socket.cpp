@@ -8,6 +8,7 @@
 #include <sys/stat.h>
 #include <sys/un.h>
 #include <unistd.h>
+#include <uv.h>
 
 #include <algorithm>
 #include <cerrno>
@@ -15,6 +16,9 @@
 #include <cstdlib>
 #include <cstring>
 #include <filesystem>
+
+#include "loop/core/loop_core.hpp"
+#include "rtdata/loop/timer.hpp"
 
 namespace rtdata::app {
 namespace {
@@ -97,6 +101,11 @@ std::vector<Instance> sockets_in(const std::string& folder) {
   return all;
 }
 
+void close_pipe(uv_pipe_t* pipe) {
+  uv_close(reinterpret_cast<uv_handle_t*>(pipe),
+           [](uv_handle_t* closed) { delete reinterpret_cast<uv_pipe_t*>(closed); });
+}
+
 std::optional<ucred> peer_at(int fd) noexcept {
   ucred peer{};
   socklen_t size = sizeof peer;
@@ -111,6 +120,33 @@ bool is_trusted(int fd) {
 }
 
 }  // namespace
+
+struct ControlSocket::Client {
+  ControlSocket* to;
+  std::uint64_t number;
+  MonotonicTime last_asked;  // or connected
+  uv_pipe_t pipe{};
+  uv_write_t write{};
+  Timer timer = {};          // of the pause after an answer, and of the patience while one is not read
+  std::string in = {};       // at most a line and what was read with it
+  std::size_t searched = 0;  // of `in`: no end of line in it
+  std::string out = {};      // an answer that is being sent
+  std::size_t unread = 0;    // of it, when the patience began
+  bool is_answered = false;  // an answer is being made
+  bool has_ended = false;    // it sends no more
+  int answered_after_end = 0;
+
+  uv_stream_t* stream() noexcept { return reinterpret_cast<uv_stream_t*>(&pipe); }
+  int fd() noexcept {
+    uv_os_fd_t fd = -1;
+    return uv_fileno(reinterpret_cast<uv_handle_t*>(&pipe), &fd) == 0 ? fd : -1;
+  }
+  /// Before it is disconnected; if it takes that at once.
+  void tell(std::string text) {
+    const uv_buf_t buffer = uv_buf_init(text.data(), static_cast<unsigned>(text.size()));
+    uv_try_write(stream(), &buffer, 1);
+  }
+};
 
 /// Makes one answer.
 struct ControlSocket::Job final : detail::LaneJob {
@@ -138,40 +174,26 @@ struct ControlSocket::Job final : detail::LaneJob {
 ControlSocket::ControlSocket(Loop& loop, Answer answer, Gone gone)
     : loop_(loop), answer_(std::move(answer)), gone_(std::move(gone)), lane_(loop.core(), "control", client_patience) {
   listen();
-  try {
-    look_for_clients();
-  } catch (...) {
-    ::unlink(path_.c_str());
-    ::close(fd_);
-    throw;
-  }
 }
 
 ControlSocket::~ControlSocket() {
   *is_alive_ = false;
-  ::unlink(path_.c_str());
-  watch_.close();
-  ::close(fd_);
+  close_pipe(server_);  // which removes the path
   while (!clients_.empty()) {
-    const Client& client = *clients_.back();
+    Client& client = *clients_.back();
     if (client.is_answered)
-      tell(client.fd, "{\"ended\":\"the run has ended; whether it was done, its log says\"}\n");
+      client.tell("{\"ended\":\"the run has ended; whether it was done, its log says\"}\n");
     else if (client.out.empty())
-      tell(client.fd, "{\"ended\":\"the run has ended\"}\n");
-    drop(clients_.back()->number);
+      client.tell("{\"ended\":\"the run has ended\"}\n");
+    drop(client);
   }
 }
 
 std::string ControlSocket::peer_of(std::uint64_t number) noexcept {
   Client* const client = find(number);
-  const auto peer = client != nullptr ? peer_at(client->fd) : std::nullopt;
+  const auto peer = client != nullptr ? peer_at(client->fd()) : std::nullopt;
   if (!peer) return "somebody";
   return "uid " + std::to_string(peer->uid) + ", pid " + std::to_string(peer->pid);
-}
-
-/// Before it is disconnected; if it takes that at once.
-void ControlSocket::tell(int fd, std::string_view why) {
-  [[maybe_unused]] const ssize_t told = ::send(fd, why.data(), why.size(), MSG_NOSIGNAL | MSG_DONTWAIT);
 }
 
 void ControlSocket::listen() {
@@ -189,137 +211,110 @@ void ControlSocket::listen() {
     for (const Instance& one : sockets_in(folder)) {
       if (one.pid == ::getpid() || !is_alive(one.pid)) ::unlink(one.path.c_str());
     }
-    const std::string path = folder + "/" + std::to_string(::getpid()) + ".sock";
+    path_ = folder + "/" + std::to_string(::getpid()) + ".sock";
     sockaddr_un address;
-    if (!address_of(path, address)) {
+    if (!address_of(path_, address)) {
       failed("the path is too long for a socket");
       continue;
     }
-    const int fd = ::socket(AF_UNIX, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
-    if (fd >= 0 && ::bind(fd, generic(address), sizeof address) == 0 &&
-        ::listen(fd, static_cast<int>(most_clients)) == 0) {
-      fd_ = fd;
-      path_ = path;
-      return;
-    }
-    failed(std::strerror(errno));
-    if (fd >= 0) ::close(fd);
+    server_ = new uv_pipe_t{};
+    uv_pipe_init(loop_.uv(), server_, 0);
+    server_->data = this;
+    int status = uv_pipe_bind(server_, path_.c_str());
+    // What is accepted by a function of its own holds the loop for one client a turn, however many there are.
+    if (status == 0)
+      status = uv_listen(reinterpret_cast<uv_stream_t*>(server_), most_clients, [](uv_stream_t* server, int error) {
+        auto& to = *static_cast<ControlSocket*>(server->data);
+        if (error != 0) return;
+        to.loop_.core().call_own("control socket", [&] {
+          to.loop_.post([&to, is_alive = to.is_alive_] {
+            if (*is_alive) to.accept();
+          });
+        });
+      });
+    if (status == 0) return;
+    failed(uv_strerror(status));
+    close_pipe(std::exchange(server_, nullptr));
   }
   throw SetupError({Errc::io_failed, "cannot open the control socket", "local socket", why,
                     "`rtdata top` does not see this instance; all else works"});
 }
 
-void ControlSocket::look_for_clients() {
-  watch_ = FdWatch(loop_, fd_, FdWatch::readable, "control socket", [this](const FdEvent&) { accept(); });
-}
-
 void ControlSocket::accept() {
-  const int fd = ::accept4(fd_, nullptr, nullptr, SOCK_NONBLOCK | SOCK_CLOEXEC);
-  if (fd < 0) {
-    if (errno != EMFILE && errno != ENFILE && errno != ENOBUFS && errno != ENOMEM) return;  // it went away again
-    // It stays readable: the loop would do nothing else until a descriptor is free.
-    watch_.close();
-    later_ = Timer(loop_, std::chrono::seconds{1}, [this] { look_for_clients(); });
-    return;
+  auto* const client = new Client{this, last_number_ + 1, loop_.now()};
+  client->pipe.data = client;
+  uv_pipe_init(loop_.uv(), &client->pipe, 0);
+  clients_.push_back(client);
+  if (uv_accept(reinterpret_cast<uv_stream_t*>(server_), client->stream()) != 0 || !is_trusted(client->fd()))
+    return drop(*client);
+  if (clients_.size() > most_clients && !make_room()) {
+    client->tell("{\"error\":\"too many clients, and all of them wait for their answers: ask again\"}\n");
+    return drop(*client);
   }
-  if (!is_trusted(fd)) {
-    ::close(fd);
-    return;
-  }
-  if (clients_.size() >= most_clients && !make_room()) {
-    tell(fd, "{\"error\":\"too many clients, and all of them wait for their answers: ask again\"}\n");
-    ::close(fd);
-    return;
-  }
-  auto client = std::make_unique<Client>();
-  const std::uint64_t number = ++last_number_;
-  client->number = number;
-  client->fd = fd;
-  client->last_asked = loop_.now();
-  try {
-    client->timer = Timer(loop_, [this, number] { timed_out(number); });
-    client->watch = FdWatch(loop_, fd, FdWatch::readable, "control client",
-                            [this, number](const FdEvent& event) { ready(number, event); });
-  } catch (...) {
-    client->watch.close();
-    ::close(fd);
-    throw;
-  }
-  clients_.push_back(std::move(client));
+  ++last_number_;
+  client->timer = Timer(loop_, [this, number = client->number] { timed_out(number); });
+  if (!answer_next(*client)) drop(*client);
 }
 
-/// Disconnects the client that has been silent for the longest time, of those that wait for no answer: what they were
-/// told last is whole. False: all wait for one.
+/// Disconnects the client that has been silent for the longest time, of those before the last one that wait for no
+/// answer: what they were told last is whole. False: all wait for one.
 bool ControlSocket::make_room() {
-  const Client* quietest = nullptr;
-  for (const auto& client : clients_) {
-    if (client->is_answered || !client->out.empty()) continue;
-    if (quietest == nullptr || client->last_asked < quietest->last_asked) quietest = client.get();  // in their order
+  Client* quietest = nullptr;
+  for (Client* client : clients_) {
+    if (client->is_answered || !client->out.empty() || client == clients_.back()) continue;
+    if (quietest == nullptr || client->last_asked < quietest->last_asked) quietest = client;  // in their order
   }
   if (quietest == nullptr) return false;
-  tell(quietest->fd, "{\"error\":\"too many clients, and this one asked nothing for the longest\"}\n");
-  drop(quietest->number);
+  quietest->tell("{\"error\":\"too many clients, and this one asked nothing for the longest\"}\n");
+  drop(*quietest);
   return true;
 }
 
 ControlSocket::Client* ControlSocket::find(std::uint64_t number) noexcept {
-  for (const auto& client : clients_) {
-    if (client->number == number) return client.get();
-  }
-  return nullptr;
-}
-
-void ControlSocket::drop(std::uint64_t number) {
   const auto found = std::find_if(clients_.begin(), clients_.end(),
-                                  [&](const auto& client) { return client->number == number; });
-  if (found == clients_.end()) return;
-  const std::unique_ptr<Client> client = std::move(*found);
-  clients_.erase(found);
-  client->watch.close();
-  ::close(client->fd);
-  gone_(number);
+                                  [&](const Client* client) { return client->number == number; });
+  return found == clients_.end() ? nullptr : *found;
 }
 
-void ControlSocket::ready(std::uint64_t number, const FdEvent& event) {
-  Client* const client = find(number);
-  if (client == nullptr || client->is_answered) return;
-  bool stays = true;
-  if (!client->out.empty()) {
-    stays = event.hung_up && !event.writable ? false : send(*client);
-  } else if (event.readable || event.hung_up) {
-    stays = receive(*client) && answer_next(*client);
-  }
-  if (!stays) drop(number);
+void ControlSocket::drop(Client& client) {
+  std::erase(clients_, &client);
+  client.to = nullptr;
+  client.timer.close();
+  uv_close(reinterpret_cast<uv_handle_t*>(&client.pipe),
+           [](uv_handle_t* closed) { delete static_cast<Client*>(closed->data); });
+  if (client.number <= last_number_) gone_(client.number);
 }
 
-bool ControlSocket::receive(Client& client) {
-  char buffer[16 * 1024];
-  const ssize_t size = ::recv(client.fd, buffer, sizeof buffer, MSG_DONTWAIT);
-  if (size < 0) return errno == EAGAIN || errno == EINTR;
-  if (size == 0) {
-    client.has_ended = true;
-    return true;
-  }
-  client.in.append(buffer, static_cast<std::size_t>(size));
-  return true;
+void ControlSocket::received(Client& client, std::ptrdiff_t size) {
+  if (size == 0) return;
+  client.has_ended = size < 0;
+  if (size > 0) client.in.append(buffer_.data(), static_cast<std::size_t>(size));
+  if ((size < 0 && size != UV_EOF) || !answer_next(client)) drop(client);
 }
 
 bool ControlSocket::answer_next(Client& client) {
   const std::size_t end = client.in.find('\n', client.searched);
   if (end == std::string::npos) {
-    if (client.has_ended) return false;
     client.searched = client.in.size();
-    if (client.in.size() > longest_line) return false;
-    wait_for_more(client);
+    if (client.has_ended || client.in.size() > longest_line) return false;
+    client.timer.stop();
+    const auto allocate = [](uv_handle_t* of, std::size_t, uv_buf_t* buffer) {
+      auto& room = static_cast<Client*>(of->data)->to->buffer_;
+      *buffer = uv_buf_init(room.data(), static_cast<unsigned>(room.size()));
+    };
+    uv_read_start(client.stream(), allocate, [](uv_stream_t* of, ssize_t size, const uv_buf_t*) {
+      auto& from = *static_cast<Client*>(of->data);
+      from.to->loop_.core().call_own("control socket", [&] { from.to->received(from, size); });
+    });
     return true;
   }
   if (end > longest_line || (client.has_ended && ++client.answered_after_end > most_after_end)) return false;
-  std::string line = client.in.substr(0, end);
+  const std::string line = client.in.substr(0, end);
   client.in.erase(0, end + 1);
   client.searched = 0;
   client.is_answered = true;
   client.last_asked = loop_.now();
-  client.watch.set_events(FdWatch::Events{});
+  uv_read_stop(client.stream());
   return lane_.submit(std::make_shared<Job>(*this, client.number, answer_(client.number, line)));
 }
 
@@ -328,35 +323,34 @@ void ControlSocket::answered(std::uint64_t number, std::string text) {
   if (client == nullptr) return;
   client->is_answered = false;
   client->out = std::move(text) + "\n";
-  if (!send(*client)) drop(number);
+  client->write.data = client;
+  const uv_buf_t buffer = uv_buf_init(client->out.data(), static_cast<unsigned>(client->out.size()));
+  const int status = uv_write(&client->write, client->stream(), &buffer, 1, [](uv_write_t* write, int failed) {
+    auto& to = *static_cast<Client*>(write->data);
+    if (to.to != nullptr) to.to->loop_.core().call_own("control socket", [&] { to.to->sent(to, failed); });
+  });
+  if (status != 0) return drop(*client);
+  client->unread = uv_stream_get_write_queue_size(client->stream());
+  client->timer.start(client_patience);
 }
 
-bool ControlSocket::send(Client& client) {
-  const ssize_t size = ::send(client.fd, client.out.data() + client.sent, client.out.size() - client.sent,
-                              MSG_NOSIGNAL | MSG_DONTWAIT);
-  if (size < 0 && errno != EAGAIN && errno != EINTR) return false;
-  if (size > 0) client.sent += static_cast<std::size_t>(size);
-  if (client.sent == client.out.size()) {
-    std::string().swap(client.out);
-    client.sent = 0;
-    client.timer.start(pause);
-  } else {
-    client.watch.set_events(FdWatch::writable);
-    if (size > 0 || !client.timer.is_running()) client.timer.start(client_patience);
-  }
-  return true;
-}
-
-void ControlSocket::wait_for_more(Client& client) {
-  client.timer.stop();
-  client.watch.set_events(FdWatch::readable);
+void ControlSocket::sent(Client& client, int status) {
+  if (status != 0) return drop(client);
+  std::string().swap(client.out);
+  client.timer.start(pause);
 }
 
 void ControlSocket::timed_out(std::uint64_t number) {
   Client* const client = find(number);
   if (client == nullptr) return;
-  const bool stays = client->out.empty() && answer_next(*client);  // else it has not read for too long
-  if (!stays) drop(number);
+  if (client->out.empty()) {
+    if (!answer_next(*client)) drop(*client);
+  } else if (const std::size_t left = uv_stream_get_write_queue_size(client->stream()); left < client->unread) {
+    client->unread = left;
+    client->timer.start(client_patience);
+  } else {  // it has not read for too long
+    drop(*client);
+  }
 }
 
 std::vector<Instance> running_instances() {

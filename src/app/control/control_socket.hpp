@@ -7,6 +7,8 @@
 
 #include <sys/types.h>
 
+#include <array>
+#include <cstddef>
 #include <cstdint>
 #include <functional>
 #include <memory>
@@ -17,8 +19,8 @@
 
 #include "rtdata/loop/lane.hpp"
 #include "rtdata/loop/loop.hpp"
-#include "rtdata/loop/timer.hpp"
-#include "rtdata/loop/watch.hpp"
+
+struct uv_pipe_s;
 
 namespace rtdata::app {
 
@@ -28,7 +30,7 @@ namespace rtdata::app {
 /// silent for the longest time, of those that wait for no answer: idle connections keep no client out, and no command
 /// that is under way ends without its answer. While all wait for one, the one too many is told so and disconnected.
 ///
-/// Thread: the loop's, for everything.
+/// Thread: the loop's, for everything. The process ignores SIGPIPE.
 class ControlSocket {
  public:
   static constexpr std::size_t most_clients = 8;
@@ -51,38 +53,19 @@ class ControlSocket {
   std::string peer_of(std::uint64_t client) noexcept;
 
  private:
-  struct Client {
-    std::uint64_t number = 0;
-    int fd = -1;
-    std::string in;              // at most a line and what was read with it
-    std::size_t searched = 0;    // of `in`: no end of line in it
-    std::string out;             // an answer that is being sent
-    std::size_t sent = 0;        // of `out`
-    MonotonicTime last_asked{};  // or connected
-    bool is_answered = false;    // an answer is being made
-    bool has_ended = false;      // it sends no more
-    int answered_after_end = 0;
-    Timer timer;    // of the pause after an answer, and of the patience while one is not read
-    FdWatch watch;  // before the descriptor
-  };
+  struct Client;
+  struct Job;
   void listen();
-  void look_for_clients();
   void accept();
   bool make_room();
   Client* find(std::uint64_t number) noexcept;
-  static void tell(int fd, std::string_view why);
-  void drop(std::uint64_t number);
-  void ready(std::uint64_t number, const FdEvent& event);
-  /// False: the client is to go.
-  bool receive(Client& client);
-  bool send(Client& client);
-  /// Answers the next line, if it is there.
+  void drop(Client& client);
+  void received(Client& client, std::ptrdiff_t size);
+  /// Answers the next line, if it is there. False: the client is to go.
   bool answer_next(Client& client);
   void answered(std::uint64_t number, std::string text);
-  void wait_for_more(Client& client);
+  void sent(Client& client, int status);
   void timed_out(std::uint64_t number);
-
-  struct Job;
 
   Loop& loop_;
   Answer answer_;
@@ -90,11 +73,10 @@ class ControlSocket {
   std::shared_ptr<bool> is_alive_ = std::make_shared<bool>(true);  // for jobs that end late
   detail::Lane lane_;
   std::string path_;
-  int fd_ = -1;
+  uv_pipe_s* server_ = nullptr;  // freed by libuv, as the clients are
   std::uint64_t last_number_ = 0;
-  std::vector<std::unique_ptr<Client>> clients_;
-  FdWatch watch_;
-  Timer later_;
+  std::vector<Client*> clients_;
+  std::array<char, 16 * 1024> buffer_;  // of what is being read
 };
 
 /// A running instance, as its socket shows it.

@@ -64,7 +64,7 @@ struct Status {
     // In the process itself.
     std::uint64_t readings = 0;  ///< taken of its schedule, or received without one
     Time first_due{};
-    Duration period{0};  ///< 0: it has no schedule now
+    Duration period{0};              ///< 0: it has no schedule now
     std::vector<std::byte> payload;  ///< `value` is made of it where that is wanted, not on the loop
     std::shared_ptr<const Description> description;
     std::optional<std::string> shown() const;

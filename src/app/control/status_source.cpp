@@ -142,9 +142,7 @@ void StatusSource::keep_changes() {
 
 std::function<std::string()> StatusSource::answer(std::uint64_t client, std::string_view line) {
   if (std::string why = refusal_of(line); !why.empty())
-    return [why = std::move(why)] {
-      return Json{{"error", why}}.dump(-1, ' ', false, Json::error_handler_t::replace);
-    };
+    return [why = std::move(why)] { return Json{{"error", why}}.dump(-1, ' ', false, Json::error_handler_t::replace); };
   return [status = std::make_shared<Status>(take(client))] { return json_of(*status); };
 }
 

@@ -129,11 +129,11 @@ Lines lines_of(const Status::Sensor& sensor, bool has_unreadable, std::size_t co
               (sensor.is_running ? sensor.shown().value_or("-") : "stopped")};
   add_health(lines, sensor.health, sensor.reason, columns);
   if (sensor.alarm && (sensor.alarm->is_active || !sensor.alarm->is_acknowledged))
-    add_wrapped(lines,
-                "  ! alarm " + sensor.alarm->name +
-                    (sensor.alarm->is_acknowledged ? ", acknowledged"
-                                                   : ", not acknowledged: rtdata ctl ack " + sensor.name),
-                columns, 3);
+    add_wrapped(
+        lines,
+        "  ! alarm " + sensor.alarm->name +
+            (sensor.alarm->is_acknowledged ? ", acknowledged" : ", not acknowledged: rtdata ctl ack " + sensor.name),
+        columns, 3);
   if (sensor.lost > 0) lines.push_back("  - " + std::to_string(sensor.lost) + " lost by the source");
   if (sensor.repeated > 0)
     lines.push_back("  - " + std::to_string(sensor.repeated) + " repeated by the source, which is no loss");
@@ -152,7 +152,8 @@ std::vector<Block> sensors_of(const Status& status, std::string& heading, std::s
   for (const Status::Sensor& sensor : status.sensors) {
     int badness = badness_of(sensor.health, sensor.has_loss());
     if (sensor.alarm && (sensor.alarm->is_active || !sensor.alarm->is_acknowledged)) badness = std::max(badness, 2);
-    blocks.push_back({badness, [&sensor, has_unreadable, columns] { return lines_of(sensor, has_unreadable, columns); }});
+    blocks.push_back(
+        {badness, [&sensor, has_unreadable, columns] { return lines_of(sensor, has_unreadable, columns); }});
   }
   return blocks;
 }
@@ -221,8 +222,7 @@ Lines lines_of(const Status& status, std::size_t columns, std::size_t rows) {
   // Where rows are few, what says least of whether data is lost goes first.
   constexpr std::size_t least_sensor_lines = 6;
   const std::size_t sensor_lines = fitted_blocks(sensors, rows).size();
-  const std::size_t needed = lines.size() + sensor_lines +
-                             (sinks.empty() ? 0 : fitted_blocks(sinks, rows).size() + 2);
+  const std::size_t needed = lines.size() + sensor_lines + (sinks.empty() ? 0 : fitted_blocks(sinks, rows).size() + 2);
   if (needed + parts.size() + callbacks.size() > rows) callbacks.clear();
   if (needed + parts.size() > rows) parts.clear();
   const std::size_t left_over = rows > lines.size() ? rows - lines.size() : 1;
@@ -268,8 +268,7 @@ std::string summary(const Status& status, std::size_t columns) {
     const std::string where = sink.path.empty() ? "-" : sink.path == "-" ? "standard output" : sink.path;
     std::string note = sink.health == Health::ok ? "" : sink.reason;
     if (sink.backlog && sink.queued > 0)
-      note += (note.empty() ? "" : "; ") + backlog_text(sink) +
-              (sink.recording.empty() ? "" : " in " + sink.recording);
+      note += (note.empty() ? "" : "; ") + backlog_text(sink) + (sink.recording.empty() ? "" : " in " + sink.recording);
     sinks.add({sink.name, std::to_string(sink.stored), dropped_text(sink), std::string(name_of(sink.health)), where},
               note);
   }

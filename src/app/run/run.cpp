@@ -393,7 +393,7 @@ class Run {
     if (!unsafe.empty()) said += "; NOT known to be safe: " + unsafe;
     const LogLevel level = !ending.balances || !is_all_stored || !unsafe.empty() ? LogLevel::error
                            : ending.has_loss || !status.mute.empty()             ? LogLevel::warning
-                                                                          : LogLevel::info;
+                                                                                 : LogLevel::info;
     console_.report(level, status, said);
     if (ending.balances && ending.has_loss && options_.on_loss == OnLoss::fail) return exit_loss;
     return ending.balances && is_all_stored && unsafe.empty() ? exit_good : exit_other;
