@@ -133,7 +133,7 @@ double http_sink_row(const std::string& url, const std::string& format) {
   rtdata::Loop loop;
   rtdata::Feed<Eight> feed(loop, {.name = "chamber", .topic = "test/climate"});
   rtdata::HttpConfig config;
-  config.url = url;
+  config.server.url = url;
   config.format = format;
   config.sending.window = window;
   config.sending.parcel_rows = rows_of_post;

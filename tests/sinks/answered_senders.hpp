@@ -45,7 +45,7 @@ inline std::vector<AnsweredSender> answered_senders() {
                  }});
 #ifdef RTDATA_WITH_HTTP
   all.push_back({"http", answer_request, [sending](Loop& loop, const std::string& host, std::uint16_t port) -> Sink {
-                   return HttpSink(loop, {.url = "http://" + host + ":" + std::to_string(port) + "/",
+                   return HttpSink(loop, {.server = {.url = "http://" + host + ":" + std::to_string(port) + "/"},
                                           .format = "jsonl",
                                           .sending = sending,
                                           .sink = sink_config});

@@ -59,7 +59,7 @@ TEST_CASE("US-32 a server of HTTP gets the final account in the last request, wh
     return;
   }
   HttpServer server;
-  HttpBench bench({.url = server.url(), .sink = {.topics = {"#", account_topic}}});
+  HttpBench bench({.server = {.url = server.url()}, .sink = {.topics = {"#", account_topic}}});
   bench.publish(42);
   CHECK(bench.is_all_sent());
   bench.publish(3);
@@ -78,10 +78,9 @@ TEST_CASE("US-32 a server of HTTP gets the final account in the last request, wh
 TEST_CASE("US-32 events go out by HTTP: JSON in arrays, with their keys, many on one connection") {
   NEEDS_PYTHON();
   HttpServer server;
-  HttpBench bench({.url = server.url("/in?a=b"),
-                   .headers = {{"X-Site", "roof"}, {"X-Empty", ""}},
-                   .bearer = "token-1",
-                   .sending = {.window = 4, .parcel_rows = 10}});
+  HttpBench bench(
+      {.server = {.url = server.url("/in?a=b"), .headers = {{"X-Site", "roof"}, {"X-Empty", ""}}, .bearer = "token-1"},
+       .sending = {.window = 4, .parcel_rows = 10}});
   for (int i = 0; i < 5; ++i) {
     bench.publish(40);
     CHECK(bench.is_all_sent());
@@ -136,44 +135,45 @@ TEST_CASE(
     REQUIRE_MESSAGE(bench.is_all_sent(), bench.said());
     return server.requests();
   };
-  auto requests = body_of({.url = server.url(), .format = "jsonl"});
+  auto requests = body_of({.server = {.url = server.url()}, .format = "jsonl"});
   CHECK(requests.at(0)["headers"]["Content-Type"] == "application/x-ndjson");
   CHECK(server.sequences() == std::set<std::uint64_t>{1, 2, 3});
 
-  requests = body_of({.url = server.url(), .method = HttpMethod::put, .sending = {.window = 1, .parcel_rows = 1}});
+  requests = body_of(
+      {.server = {.url = server.url()}, .method = HttpMethod::put, .sending = {.window = 1, .parcel_rows = 1}});
   CHECK(requests.size() == 3);
   CHECK(requests.at(1)["method"] == "PUT");
   CHECK(Json::parse(requests.at(1)["body"].get<std::string>())["sequence"] == 2);
 
-  requests = body_of({.url = server.url(), .format = "cbor"});
+  requests = body_of({.server = {.url = server.url()}, .format = "cbor"});
   CHECK(requests.at(0)["headers"]["Content-Type"] == "application/cbor-seq");
   CHECK(requests.at(0)["body"].get<std::string>().size() > 3 * 80);
 
-  requests = body_of({.url = server.url(), .format = "influx", .user = "u", .password = "pass"});
+  requests = body_of({.server = {.url = server.url(), .user = "u", .password = "pass"}, .format = "influx"});
   CHECK(requests.at(0)["headers"]["Content-Type"] == "text/plain; charset=utf-8");
   CHECK(requests.at(0)["headers"]["Authorization"] == "Basic dTpwYXNz");
   CHECK(requests.at(0)["body"].get<std::string>().starts_with("test/number,origin=chamber value=1,sequence=1i,run=\""));
 
-  requests = body_of({.url = server.url(), .content_type = "text/x", .compression = HttpCompression::gzip});
+  requests = body_of({.server = {.url = server.url()}, .content_type = "text/x", .compression = HttpCompression::gzip});
   CHECK(requests.at(0)["headers"]["Content-Encoding"] == "gzip");
   CHECK(requests.at(0)["headers"]["Content-Type"] == "text/x");
   CHECK(server.sequences() == std::set<std::uint64_t>{1, 2, 3});
 
   CodecRegistry formats = CodecRegistry::standard();
   formats.add("hash", [] { return std::make_unique<Hash>(); }).or_throw();
-  requests = body_of({.url = server.url(), .format = "hash"}, formats);
+  requests = body_of({.server = {.url = server.url()}, .format = "hash"}, formats);
   CHECK(requests.at(0)["body"] == "##");
   CHECK(requests.at(0)["headers"]["Content-Type"] == "application/octet-stream");
   Loop loop{Loop::Manual{}};
-  CHECK_THROWS_AS(HttpSink(loop, {.url = server.url(), .format = "hash"}), SetupError);
-  CHECK_THROWS_AS(HttpSink(loop, {.url = "nonsense"}), SetupError);
+  CHECK_THROWS_AS(HttpSink(loop, {.server = {.url = server.url()}, .format = "hash"}), SetupError);
+  CHECK_THROWS_AS(HttpSink(loop, {.server = {.url = "nonsense"}}), SetupError);
 }
 
 TEST_CASE("US-32 NFR-1 a server that is not there yet, is killed in the middle, and comes back: everything arrives") {
   NEEDS_PYTHON();
   HttpServer server;
   server.kill();
-  HttpBench bench({.url = server.url(), .sending = {.window = 2, .parcel_rows = 5}});
+  HttpBench bench({.server = {.url = server.url()}, .sending = {.window = 2, .parcel_rows = 5}});
   std::uint64_t ticks = 0;
   Ticker ticker(bench.loop, 10ms, [&](const Tick&) { ++ticks; });
   bench.publish(23);
@@ -204,7 +204,7 @@ TEST_CASE("US-32 a server that takes the events and gives no answer: they come a
     CAPTURE(mode);
     HttpServer server;
     server.become(mode);
-    HttpBench bench({.url = server.url(), .sending = {.window = 1, .parcel_rows = 10, .timeout = 5s}});
+    HttpBench bench({.server = {.url = server.url()}, .sending = {.window = 1, .parcel_rows = 10, .timeout = 5s}});
     bench.publish(10);
     REQUIRE(wait_for(bench.loop, [&] { return server.request_count() >= 1; }));
     if (std::string(mode) == "hang") bench.loop.advance(5s);
@@ -232,7 +232,7 @@ TEST_CASE("US-32 NFR-1 a server that answers a byte a second, garbage, without a
     CAPTURE(mode);
     HttpServer server;
     server.become(mode);
-    HttpBench bench({.url = server.url(), .sending = {.timeout = 2s}});
+    HttpBench bench({.server = {.url = server.url()}, .sending = {.timeout = 2s}});
     bench.publish(50);
     REQUIRE(wait_for(bench.loop, [&] { return server.request_count() >= 1; }));
     if (mode == "drip") bench.loop.advance(2s);
@@ -249,7 +249,7 @@ TEST_CASE("US-32 a server that answers 500 for a minute, or asks for time") {
   NEEDS_PYTHON();
   HttpServer server;
   server.become("status 500 -- out of order");
-  HttpBench bench({.url = server.url(), .sink = {.name = "collector"}});
+  HttpBench bench({.server = {.url = server.url()}, .sink = {.name = "collector"}});
   bench.publish(10);
   CHECK(bench.is_faulted());
   CHECK_MESSAGE(has(bench.reason(), "500 Internal Server Error: out of order"), bench.reason());
@@ -297,7 +297,7 @@ TEST_CASE("US-32 an answer that repeats the request shows no secret of the URL, 
         std::string("the key fedcba9876543210 has expired"), std::string(190, 'x') + token}) {
     CAPTURE(answer);
     server.become("status 404 -- " + answer);
-    HttpBench bench({.url = server.url("/hook/0123456789abcdef?key=fedcba9876543210"), .bearer = token});
+    HttpBench bench({.server = {.url = server.url("/hook/0123456789abcdef?key=fedcba9876543210"), .bearer = token}});
     bench.publish(1);
     CHECK(bench.is_faulted());
     CHECK(has(bench.reason(), "404"));
@@ -313,8 +313,8 @@ TEST_CASE("US-32 a secret of the URL or of a header is not shown when the server
                              "token urlS3cret%21 is wrong", "no key: a b+c", "path t0k3n7", "no site hush5"}) {
     CAPTURE(answer);
     server.become(std::string("status 404 -- ") + answer);
-    HttpBench bench(
-        {.url = server.url("/in/t0k3n7?token=urlS3cret%21&key=a+b%2Bc&bucket=bench"), .headers = {{"X-Key", "hush5"}}});
+    HttpBench bench({.server = {.url = server.url("/in/t0k3n7?token=urlS3cret%21&key=a+b%2Bc&bucket=bench"),
+                                .headers = {{"X-Key", "hush5"}}}});
     bench.publish(1);
     CHECK(bench.is_faulted());
     CHECK_MESSAGE(has(bench.said(), "(secret)"), bench.said());
@@ -322,7 +322,7 @@ TEST_CASE("US-32 a secret of the URL or of a header is not shown when the server
       CHECK_MESSAGE(!has(bench.said(), secret), bench.said());
   }
   server.become("status 404 -- bucket bench not found");  // a word of InfluxDB's is none
-  HttpBench bench({.url = server.url("/api/v2/write?org=lab&bucket=bench")});
+  HttpBench bench({.server = {.url = server.url("/api/v2/write?org=lab&bucket=bench")}});
   bench.publish(1);
   CHECK(bench.is_faulted());
   CHECK_MESSAGE(has(bench.said(), "bucket bench not found"), bench.said());
@@ -337,8 +337,7 @@ TEST_CASE("US-32 a token that has expired throws nothing away, and is never show
     server.become(std::string("status ") + status +
                   " Location:https://other.example/ -- Bearer s3cr3t-token is not known, nor "
                   "dXNlcjpzM2NyM3Q=");
-    HttpBench bench({.url = server.url("/hook/of-mine?key=value"),
-                     .bearer = "s3cr3t-token",
+    HttpBench bench({.server = {.url = server.url("/hook/of-mine?key=value"), .bearer = "s3cr3t-token"},
                      .sending = {.window = 1, .parcel_rows = 3},
                      .sink = {.name = "collector", .retry_longest = 1min}});
     bench.publish(20);
@@ -363,7 +362,7 @@ TEST_CASE("US-32 an event that the server does not take costs itself alone, and 
   for (const char* format : {"json", "jsonl"}) {
     HttpServer server;
     server.become("refuse 13 77 78");
-    HttpBench bench({.url = server.url(), .format = format, .sending = {.window = 3, .parcel_rows = 50}});
+    HttpBench bench({.server = {.url = server.url()}, .format = format, .sending = {.window = 3, .parcel_rows = 50}});
     bench.publish(100);
     CHECK(bench.is_all_sent());
     std::set<std::uint64_t> expected = bench.all();
@@ -383,7 +382,7 @@ TEST_CASE("US-32 a server that fails among halves gets the rest only, later") {
   NEEDS_PYTHON();
   HttpServer server;
   server.become("refuse 8");
-  HttpBench bench({.url = server.url(), .sending = {.window = 1, .parcel_rows = 8}});
+  HttpBench bench({.server = {.url = server.url()}, .sending = {.window = 1, .parcel_rows = 8}});
   bench.publish(8);
   REQUIRE(wait_for(bench.loop, [&] { return server.sequences().size() >= 4; }));  // the first half has been taken
   server.become("status 503");
@@ -400,7 +399,7 @@ TEST_CASE("US-32 what is too large for the server is sent in halves; an event th
   NEEDS_PYTHON();
   HttpServer server;
   server.become("limit 1000");
-  HttpBench bench({.url = server.url(), .sending = {.window = 2, .parcel_rows = 64}});
+  HttpBench bench({.server = {.url = server.url()}, .sending = {.window = 2, .parcel_rows = 64}});
   bench.publish(128);
   check_all_once(bench, server);
   for (const Json& request : server.requests()) CHECK(request["body"].get<std::string>().size() <= 1000);
@@ -416,7 +415,7 @@ TEST_CASE("US-32 redirections: followed at the same server, told elsewhere") {
   NEEDS_PYTHON();
   HttpServer server;
   server.become("status 307 Location:/elsewhere");
-  HttpBench bench({.url = server.url(), .sending = {.window = 1}});
+  HttpBench bench({.server = {.url = server.url()}, .sending = {.window = 1}});
   bench.publish(1);
   CHECK(bench.is_faulted());  // round and round
   CHECK_MESSAGE(has(bench.reason(), "round and round"), bench.reason());
@@ -436,14 +435,14 @@ TEST_CASE("US-32 redirections: followed at the same server, told elsewhere") {
 TEST_CASE(
     "US-32 NFR-1 a name that does not resolve is told; names are looked up again, and no thread of libcurl does it") {
   NEEDS_PYTHON();
-  HttpBench lost({.url = "http://no-such-host.invalid/x"});
+  HttpBench lost({.server = {.url = "http://no-such-host.invalid/x"}});
   lost.publish(1);
   CHECK(lost.is_faulted());
   CHECK_MESSAGE(has(lost.reason(), "check the name"), lost.reason());
   CHECK(lost.sink.counts().queued == 1);
 
   HttpServer server;
-  HttpBench bench({.url = "http://localhost:" + server.port() + "/x"});
+  HttpBench bench({.server = {.url = "http://localhost:" + server.port() + "/x"}});
   bench.publish(5);
   check_all_once(bench, server);
   bench.loop.advance(2min);
@@ -454,10 +453,10 @@ TEST_CASE(
 TEST_CASE("US-32 through a proxy, which alone looks up the name") {
   NEEDS_PYTHON();
   HttpServer proxy;
-  HttpBench bench({.url = "http://no-such-host.invalid/x",
-                   .proxy = "http://127.0.0.1:" + proxy.port(),
-                   .proxy_user = "me",
-                   .proxy_password = "pass"});
+  HttpBench bench({.server = {.url = "http://no-such-host.invalid/x",
+                              .proxy = "http://127.0.0.1:" + proxy.port(),
+                              .proxy_user = "me",
+                              .proxy_password = "pass"}});
   bench.publish(3);
   check_all_once(bench, proxy);
   CHECK(proxy.requests().at(0)["path"] == "http://no-such-host.invalid/x");
@@ -473,7 +472,7 @@ TEST_CASE("US-32 NFR-1 closing at a server that does not answer ends in time, an
   for (const char* mode : {"hang", "deaf"}) {
     HttpServer server;
     server.become(mode);
-    HttpBench bench({.url = server.url(), .sink = {.close_deadline = 2s}});
+    HttpBench bench({.server = {.url = server.url()}, .sink = {.close_deadline = 2s}});
     bench.publish(42);
     bench.loop.advance(100ms);
     CHECK(bench.loop.close(2s) == 42);
@@ -487,7 +486,7 @@ TEST_CASE("a sink of HTTP that is destroyed in the middle of everything leaves n
     HttpServer server;
     server.become(mode);
     for (int turns = 0; turns < 6; ++turns) {
-      HttpBench bench({.url = server.url(),
+      HttpBench bench({.server = {.url = server.url()},
                        .compression = turns % 2 == 0 ? HttpCompression::none : HttpCompression::gzip,
                        .sending = {.parcel_rows = 2},
                        .sink = {.close_deadline = 0ms}});
@@ -502,7 +501,7 @@ TEST_CASE("a sink of HTTP that is destroyed in the middle of everything leaves n
 TEST_CASE("a sink of HTTP that has nothing to do watches nothing, so that it keeps no loop") {
   NEEDS_PYTHON();
   HttpServer server;
-  HttpBench bench({.url = server.url()});
+  HttpBench bench({.server = {.url = server.url()}});
   const auto watches = [&] {
     int count = 0;
     uv_walk(
@@ -534,7 +533,7 @@ TEST_CASE("US-30 US-32 through a recording: what a run could not send, the next 
     SqliteSink recording(loop, {.path = path, .sink = {.name = "recording"}});
     if (run == 2) server.start();
     HttpSink sink(
-        loop, {.url = server.url(),
+        loop, {.server = {.url = server.url()},
                .sink = {.name = "collector", .close_deadline = 1s, .through = "recording", .from = From::beginning}});
     Feed<Number> feed(loop, {.name = "chamber", .topic = "test/number"});
     for (int i = 0; i < 150; ++i) {

@@ -123,8 +123,8 @@ TEST_CASE("US-32 HTTPS: the server's certificate is checked, and what is wrong w
     CAPTURE(one.certificate);
     CAPTURE(one.knows_authority);
     HttpServer server(certificates.of(one.certificate));
-    HttpConfig config{.url = "https://127.0.0.1:" + server.port() + "/in"};
-    if (one.knows_authority) config.tls.ca_file = certificates / "ca.pem";
+    HttpConfig config{.server = {.url = "https://127.0.0.1:" + server.port() + "/in"}};
+    if (one.knows_authority) config.server.tls.ca_file = certificates / "ca.pem";
     HttpBench bench(config);
     bench.publish(10);
     const bool is_right = std::string(one.reason).empty();
@@ -132,7 +132,7 @@ TEST_CASE("US-32 HTTPS: the server's certificate is checked, and what is wrong w
     CHECK_MESSAGE(has(bench.reason(), one.reason), bench.reason());
     CHECK(server.events().size() == (is_right ? 10 : 0));
     if (is_right) continue;
-    config.tls = {.verify = false};
+    config.server.tls = {.verify = false};
     HttpBench trusting(config);
     trusting.publish(3);
     CHECK(trusting.is_all_sent());
@@ -146,23 +146,24 @@ TEST_CASE("US-32 HTTPS: this machine proves who it is where the server asks for 
   std::vector<std::string> asking = certificates.of("right");
   asking.push_back(certificates / "ca.pem");
   HttpServer server(asking);
-  HttpConfig config{.url = "https://localhost:" + server.port() + "/in", .tls = {.ca_file = certificates / "ca.pem"}};
+  HttpConfig config{
+      .server = {.url = "https://localhost:" + server.port() + "/in", .tls = {.ca_file = certificates / "ca.pem"}}};
   {
     HttpBench bench(config);
     bench.publish(1);
     CHECK_MESSAGE(bench.is_faulted(), bench.said());
     CHECK(server.events().empty());
   }
-  config.tls.certificate = certificates / "client.pem";
+  config.server.tls.certificate = certificates / "client.pem";
   for (const char* key : {"client.key", "locked.key"}) {
-    config.tls.key = certificates / key;
-    config.tls.key_password = std::string(key) == "locked.key" ? "key-s3cret" : "";
+    config.server.tls.key = certificates / key;
+    config.server.tls.key_password = std::string(key) == "locked.key" ? "key-s3cret" : "";
     HttpBench bench(config);
     bench.publish(4);
     CHECK_MESSAGE(bench.is_all_sent(), bench.said());
   }
   for (const char* password : {"", "wrong-s3cret"}) {  // nobody is asked for it at the terminal
-    config.tls.key_password = password;
+    config.server.tls.key_password = password;
     HttpBench bench(config);
     bench.publish(1);
     CHECK(bench.is_faulted());
@@ -178,7 +179,7 @@ TEST_CASE("US-32 HTTPS at a port that speaks none, and HTTP at one of HTTPS") {
   HttpServer encrypted(Certificates::all().of("right"));
   for (const std::string& url : {"https://127.0.0.1:" + plain.port(), "http://127.0.0.1:" + encrypted.port()}) {
     CAPTURE(url);
-    HttpBench bench({.url = url, .sending = {.timeout = 2s}});
+    HttpBench bench({.server = {.url = url}, .sending = {.timeout = 2s}});
     bench.publish(1);
     (void)wait_for(bench.loop, [&, begin = std::chrono::steady_clock::now()] {
       return bench.sink.health() == Health::faulted || std::chrono::steady_clock::now() - begin > 1s;
@@ -195,8 +196,7 @@ TEST_CASE("US-32 nginx: HTTP/2 on one connection, its limit on a request, and a 
   NEEDS_PROGRAM(nginx);
   HttpServer server;
   Nginx front(server, "2k");
-  HttpBench bench({.url = front.url(),
-                   .tls = {.ca_file = Certificates::all() / "ca.pem"},
+  HttpBench bench({.server = {.url = front.url(), .tls = {.ca_file = Certificates::all() / "ca.pem"}},
                    .sending = {.window = 4, .parcel_rows = 8}});
   bench.publish(200);
   REQUIRE_MESSAGE(bench.is_all_sent(), bench.said());
@@ -231,10 +231,9 @@ TEST_CASE("US-32 nginx: what is too large for it arrives in halves; a server beh
   Nginx front(server, "1k");
   for (const HttpVersion version : {HttpVersion::automatic, HttpVersion::one}) {
     server.forget();
-    HttpBench bench({.url = front.url(),
-                     .http_version = version,
-                     .tls = {.ca_file = Certificates::all() / "ca.pem"},
-                     .sending = {.window = 2, .parcel_rows = 64}});
+    HttpBench bench(
+        {.server = {.url = front.url(), .http_version = version, .tls = {.ca_file = Certificates::all() / "ca.pem"}},
+         .sending = {.window = 2, .parcel_rows = 64}});
     bench.publish(128);
     CHECK_MESSAGE(bench.is_all_sent(), bench.said());
     CHECK(server.sequences() == bench.all());
@@ -245,7 +244,7 @@ TEST_CASE("US-32 nginx: what is too large for it arrives in halves; a server beh
   CHECK(is_limited);
 
   server.kill();
-  HttpBench bench({.url = "http://localhost:" + front.plain_port + "/in"});
+  HttpBench bench({.server = {.url = "http://localhost:" + front.plain_port + "/in"}});
   bench.publish(3);
   CHECK(bench.is_faulted());
   CHECK_MESSAGE(has(bench.reason(), "502 Bad Gateway"), bench.reason());

@@ -217,7 +217,7 @@ TEST_SUITE("sinks") {
         return "HTTP/1.1 200 OK\r\nContent-Length: 100\r\n\r\nabc";
       };
       kind.make = [cut_answer](Loop& loop, const std::string& host, std::uint16_t port) -> Sink {
-        return HttpSink(loop, {.url = "http://" + host + ":" + std::to_string(port) + "/",
+        return HttpSink(loop, {.server = {.url = "http://" + host + ":" + std::to_string(port) + "/"},
                                .format = "jsonl",
                                .cut_answer = cut_answer,
                                .sending = {.window = 1, .parcel_rows = 5, .timeout = answer_timeout},

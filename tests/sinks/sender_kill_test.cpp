@@ -266,7 +266,7 @@ TEST_SUITE("sinks") {
 #ifdef RTDATA_WITH_HTTP
   TEST_CASE("NFR-1 killed at random moments while it sends by HTTP: no event is missing") {
     kill_at_random({answer_request, [](Loop& loop, std::uint16_t port) -> Sink {
-                      return HttpSink(loop, {.url = "http://127.0.0.1:" + std::to_string(port) + "/",
+                      return HttpSink(loop, {.server = {.url = "http://127.0.0.1:" + std::to_string(port) + "/"},
                                              .format = "jsonl",
                                              .sending = sending,
                                              .sink = sink_config});

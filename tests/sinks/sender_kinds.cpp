@@ -114,7 +114,7 @@ class HttpStore final : public AnsweredStore {
  public:
   HttpStore() : AnsweredStore(answer_request) {}
   Sink make(Loop& loop, SinkConfig config) override {
-    return HttpSink(loop, {.url = "http://127.0.0.1:" + std::to_string(peer_.port()) + "/",
+    return HttpSink(loop, {.server = {.url = "http://127.0.0.1:" + std::to_string(peer_.port()) + "/"},
                            .format = "jsonl",
                            .sending = in_order(),
                            .sink = std::move(config)});

@@ -1,6 +1,6 @@
 /// HttpSink: events by HTTP or HTTPS to any server: an event or a batch a request, several requests under way.
 ///
-///     rtdata::HttpSink collector(loop, {.url = "https://collector.example/ingest", .bearer = token,
+///     rtdata::HttpSink collector(loop, {.server = {.url = "https://collector.example/ingest", .bearer = token},
 ///                                       .sink = {.name = "collector", .through = "recording"}});
 ///
 /// The peer has the events of a request once it answers with a status from 200 to 299. Without an answer, and after
@@ -26,7 +26,6 @@
 /// bad_argument (what `check` says of the configuration), not_found (no such format); those of `Sink`.
 #pragma once
 
-#include <map>
 #include <string>
 
 #include "rtdata/data/codec.hpp"
@@ -57,51 +56,31 @@ constexpr auto describe(type_tag<HttpCutAnswer>) {
 }
 
 struct HttpConfig {
-  std::string url;  ///< http:// or https://, without user and password
+  HttpPeer server = {};
   HttpMethod method = HttpMethod::post;
   /// "json" (an array of objects; with a `parcel_rows` of 1 the object alone), "jsonl" (an object a line), "cbor" (one
   /// after the other), "influx", "raw", or a name of the registry
   std::string format = "json";
-  std::string content_type = {};                    ///< empty: the format's
-  std::map<std::string, std::string> headers = {};  ///< sent with each request
-  std::string bearer = {};                          ///< sent as "Authorization: Bearer ..."
-  std::string user = {};                            ///< with `password`: basic authentication
-  std::string password = {};
-  HttpVersion http_version = HttpVersion::automatic;
+  std::string content_type = {};  ///< empty: the format's
   HttpCompression compression = HttpCompression::none;
   HttpCutAnswer cut_answer = HttpCutAnswer::delivered;
-  TlsConfig tls = {};      ///< of https
-  std::string proxy = {};  ///< URL of an HTTP proxy; empty: none
-  std::string proxy_user = {};
-  std::string proxy_password = {};
   SendingConfig sending = {};
   SinkConfig sink = {.name = "http"};
 
   friend constexpr auto parameters(type_tag<HttpConfig>) {
     return parameter_list(
-        parameter("url", &HttpConfig::url, "where to: http:// or https://, without user and password", required),
-        parameter("method", &HttpConfig::method, "of the requests"),
+        include_member(&HttpConfig::server), parameter("method", &HttpConfig::method, "of the requests"),
         parameter(
             "format", &HttpConfig::format,
             "json (an array of objects; with parcel_rows 1 one object), jsonl, cbor, influx, raw, or a format added "
             "by the program"),
         parameter("content_type", &HttpConfig::content_type, "in place of the format's own"),
-        parameter("headers", &HttpConfig::headers, "sent with each request, by name"),
-        parameter("bearer", &HttpConfig::bearer, "token of the header Authorization"),
-        parameter("user", &HttpConfig::user, "of basic authentication"),
-        parameter("password", &HttpConfig::password, "of the user"),
-        parameter("http_version", &HttpConfig::http_version,
-                  "auto: 2 where https and the peer have it, else 1.1; 2: also without encryption"),
         parameter("compression", &HttpConfig::compression, "of what is sent"),
         parameter(
             "cut_answer", &HttpConfig::cut_answer,
             "what a request counts as that was sent whole, and whose answer of 200 to 299 was cut off four times: "
             "delivered, or sent again and again"),
-        parameter("tls", &HttpConfig::tls, "how https proves who is there"),
-        parameter("proxy", &HttpConfig::proxy, "URL of an HTTP proxy; default: none, whatever the environment says"),
-        parameter("proxy_user", &HttpConfig::proxy_user, "of the proxy"),
-        parameter("proxy_password", &HttpConfig::proxy_password, "of that user"), include_member(&HttpConfig::sending),
-        include_member(&HttpConfig::sink));
+        include_member(&HttpConfig::sending), include_member(&HttpConfig::sink));
   }
   /// What no parameter says by itself. Nothing is sent.
   friend void check_config(const HttpConfig& config, const ConfigItem& item, Problems& problems);

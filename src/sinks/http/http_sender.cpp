@@ -67,7 +67,7 @@ HttpUrl checked_url(const HttpConfig& config) {
   if (config.compression == HttpCompression::gzip) libz.load().or_throw();
   for (const HttpMistake& mistake : mistakes_of(config))
     throw SetupError({Errc::bad_argument, "cannot send by HTTP", mistake.key, mistake.message, ""});
-  return parse_http_url(config.url).or_throw();
+  return parse_http_url(config.server.url).or_throw();
 }
 
 }  // namespace
@@ -173,11 +173,11 @@ void HttpSender::GzipJob::done(Outcome outcome) {
 }
 
 HttpSender::HttpSender(HttpConfig config, std::unique_ptr<Codec> codec)
-    : config_(std::move(config)), server_(server_of(config_)), codec_(std::move(codec)), url_(checked_url(config_)) {
-  if (!config_.proxy.empty()) proxy_ = parse_http_url(config_.proxy).or_throw();
+    : config_(std::move(config)), codec_(std::move(codec)), url_(checked_url(config_)) {
+  if (!config_.server.proxy.empty()) proxy_ = parse_http_url(config_.server.proxy).or_throw();
   is_array_ = config_.format == "json" && config_.sending.parcel_rows > 1;
-  secrets_ = secrets_of(server_);
-  append_headers(headers_, server_, type_of(config_, *codec_));
+  secrets_ = secrets_of(config_.server);
+  append_headers(headers_, config_.server, type_of(config_, *codec_));
   if (config_.compression == HttpCompression::gzip) append(headers_, "Content-Encoding: gzip");
 }
 
@@ -230,7 +230,7 @@ void HttpSender::make_easy(Request& request) {
   const auto set = [&](CURLoption option, auto value) { curl_easy_setopt(request.easy, option, value); };
   multi_->prepare(request.easy);
   set(CURLOPT_PRIVATE, &request);
-  set_server(request.easy, server_, url_);
+  set_server(request.easy, config_.server, url_);
   set(CURLOPT_POST, 1L);
   if (config_.method == HttpMethod::put) set(CURLOPT_CUSTOMREQUEST, "PUT");
   request.first.next = headers_;
@@ -365,7 +365,7 @@ void HttpSender::transfer(Request& request) {
   curl_easy_setopt(request.easy, CURLOPT_POSTFIELDSIZE_LARGE, static_cast<curl_off_t>(request.bytes.size()));
   if (request.redirects == 0 && request.has_own_url) {
     request.has_own_url = false;
-    curl_easy_setopt(request.easy, CURLOPT_URL, config_.url.c_str());
+    curl_easy_setopt(request.easy, CURLOPT_URL, config_.server.url.c_str());
   }
   request.answered.text.clear();
   request.answered.size = 0;

@@ -24,7 +24,6 @@ using HttpKey = std::array<std::uint64_t, 2>;
 /// Of these rows of the parcel: of their runs, origins and sequences.
 HttpKey key_of(const Parcel& parcel, std::size_t first, std::size_t last);
 
-HttpPeer server_of(const HttpConfig& config);
 std::vector<HttpMistake> mistakes_of(const HttpConfig& config);
 
 class HttpSender final : public Sender {
@@ -79,7 +78,6 @@ class HttpSender final : public Sender {
   Error shown(Error error) const;
 
   const HttpConfig config_;
-  const HttpPeer server_;
   const std::unique_ptr<Codec> codec_;  // the lane's
   const HttpUrl url_;
   std::optional<HttpUrl> proxy_;

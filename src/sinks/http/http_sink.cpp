@@ -13,13 +13,8 @@ std::unique_ptr<Sender> make_sender(HttpConfig config, const CodecRegistry& form
 
 namespace detail {
 
-HttpPeer server_of(const HttpConfig& config) {
-  return {config.url,          config.headers, config.bearer, config.user,       config.password,
-          config.http_version, config.tls,     config.proxy,  config.proxy_user, config.proxy_password};
-}
-
 std::vector<HttpMistake> mistakes_of(const HttpConfig& config) {
-  std::vector<HttpMistake> mistakes = mistakes_of(server_of(config));
+  std::vector<HttpMistake> mistakes = mistakes_of(config.server);
   if (config.format == "csv")
     mistakes.push_back(
         {"format", "rows of CSV say neither topic nor names of their columns: use json, jsonl, cbor or influx"});
