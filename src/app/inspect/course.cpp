@@ -57,15 +57,12 @@ const std::vector<Kind>& kinds() {
   return all;
 }
 
-Result<void> add(const Recording& recording, const std::string& topic, std::int64_t run, const Kind& kind,
-                 CourseEvents& events) {
-  auto rows = recording.rows({.topic = topic, .run = run});
-  if (!rows) return std::move(rows).error();
-  for (std::size_t taken = 0;;) {
-    auto row = rows->next();
-    if (!row) return std::move(row).error();
-    if (*row == nullptr) return {};
-    const EventView event = (*row)->event();
+void add(const Recording& recording, const std::string& topic, std::int64_t run, const Kind& kind,
+         CourseEvents& events) {
+  auto rows = recording.rows({.topic = topic, .run = run}).or_throw();
+  std::size_t taken = 0;
+  while (const auto* const row = rows.next().or_throw()) {
+    const EventView event = row->event();
     CourseEvent one{event.time(), std::string(event.origin()), {}, {}};
     for (const std::string& field : kind.fields) {
       auto value = event.value(field);
@@ -80,14 +77,13 @@ Result<void> add(const Recording& recording, const std::string& topic, std::int6
 
 }  // namespace
 
-Result<Course> course_of(const Recording& recording, const std::vector<RecordedTopic>& topics, std::int64_t run) {
+Course course_of(const Recording& recording, const std::vector<RecordedTopic>& topics, std::int64_t run) {
   Course course;
   std::set<std::string> known;
   for (const RecordedTopic& topic : topics) {
     for (const Kind& kind : kinds()) {
       if (topic.description->name() != kind.payload || !known.insert(topic.topic).second) continue;
-      if (auto added = add(recording, topic.topic, run, kind, course.*kind.events); !added)
-        return std::move(added).error();
+      add(recording, topic.topic, run, kind, course.*kind.events);
     }
   }
   for (const Kind& kind : kinds()) {

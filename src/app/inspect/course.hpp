@@ -29,6 +29,6 @@ struct Course {
 };
 
 /// `topics`: of the recording. What is in their payloads says which they are.
-Result<Course> course_of(const Recording& recording, const std::vector<RecordedTopic>& topics, std::int64_t run);
+Course course_of(const Recording& recording, const std::vector<RecordedTopic>& topics, std::int64_t run);
 
 }  // namespace rtdata::app

@@ -27,19 +27,17 @@ std::string zone_at(Time time) {
   return std::string(text.data(), 3) + ":" + std::string(text.data() + 3, 2);
 }
 
-/// ISO 8601 or ns since the epoch.
-Result<std::optional<Time>> parse_time(const std::string& text) {
-  if (text.empty()) return std::optional<Time>{};
+/// ISO 8601 or ns since the epoch; none: an empty text. Throws SetupError.
+std::optional<Time> parse_time(const std::string& text) {
+  if (text.empty()) return std::nullopt;
   std::int64_t ns = 0;
   const auto [end, failed] = std::from_chars(text.data(), text.data() + text.size(), ns);
-  if (failed == std::errc{} && end == text.data() + text.size()) return std::optional{from_nanoseconds(ns)};
+  if (failed == std::errc{} && end == text.data() + text.size()) return from_nanoseconds(ns);
   auto time = parse_iso8601(text);
-  if (const auto utc = parse_iso8601(text + "Z"); !time && utc) {
-    return Error{Errc::bad_argument, "not a time", "\"" + text + "\"", "its time zone is missing",
-                 "write \"" + text + "Z\" for UTC, or \"" + text + zone_at(*utc) + "\", as this machine's is"};
-  }
-  if (!time) return std::move(time).error();
-  return std::optional{*time};
+  if (const auto utc = parse_iso8601(text + "Z"); !time && utc)
+    throw SetupError({Errc::bad_argument, "not a time", "\"" + text + "\"", "its time zone is missing",
+                      "write \"" + text + "Z\" for UTC, or \"" + text + zone_at(*utc) + "\", as this machine's is"});
+  return time.or_throw();
 }
 
 std::string list_of(const std::set<std::string>& names) {
@@ -53,22 +51,18 @@ std::string list_of(const std::set<std::string>& names) {
   return text.empty() ? "nothing" : text;
 }
 
-/// Error: there is no such run, topic or origin in the recording, whatever the time.
-Result<void> find(const Recording& recording, const RowFilter& filter) {
+/// Throws SetupError: there is no such run, topic or origin in the recording, whatever the time.
+void find(const Recording& recording, const RowFilter& filter) {
   const auto missing = [&](std::string why) {
-    return Error{Errc::not_found, "cannot export", recording.path(), std::move(why),
-                 "see `rtdata info " + recording.path() + "`"};
+    throw SetupError({Errc::not_found, "cannot export", recording.path(), std::move(why),
+                      "see `rtdata info " + recording.path() + "`"});
   };
-  const auto runs = recording.runs();
-  if (!runs) return runs.error();
   std::set<std::string> numbers, topics, origins;
   bool is_there = false;
-  for (const RunInfo& run : *runs) {
+  for (const RunInfo& run : recording.runs().or_throw()) {
     numbers.insert(std::to_string(run.run));
     if (filter.run && run.run != *filter.run) continue;
-    const auto ledger = recording.ledger(run.run);
-    if (!ledger) return ledger.error();
-    for (const LedgerEntry& entry : *ledger) {
+    for (const LedgerEntry& entry : recording.ledger(run.run).or_throw()) {
       topics.insert(entry.topic);
       if (!topic_matches(filter.topic, entry.topic)) continue;
       origins.insert(entry.origin);
@@ -77,17 +71,14 @@ Result<void> find(const Recording& recording, const RowFilter& filter) {
   }
   const std::string of_run = filter.run ? "run " + std::to_string(*filter.run) : "it";
   if (filter.run && !numbers.contains(std::to_string(*filter.run)))
-    return missing("there is no " + of_run + "; its runs are " + list_of(numbers));
-  if (is_there || (filter.topic == "#" && !filter.origin)) return {};
+    missing("there is no " + of_run + "; its runs are " + list_of(numbers));
+  if (is_there || (filter.topic == "#" && !filter.origin)) return;
   // A run that goes on, or was killed, may have rows before its first account.
-  auto rows = recording.rows({.topic = filter.topic, .run = filter.run, .origin = filter.origin});
-  if (!rows) return rows.error();
-  const auto row = rows->next();
-  if (!row) return row.error();
-  if (*row != nullptr) return {};
-  if (origins.empty()) return missing(of_run + " has no topic " + filter.topic + "; there is " + list_of(topics));
-  return missing(of_run + " has nothing of origin " + *filter.origin + " on topic " + filter.topic + "; there is " +
-                 list_of(origins));
+  auto rows = recording.rows({.topic = filter.topic, .run = filter.run, .origin = filter.origin}).or_throw();
+  if (rows.next().or_throw() != nullptr) return;
+  if (origins.empty()) missing(of_run + " has no topic " + filter.topic + "; there is " + list_of(topics));
+  missing(of_run + " has nothing of origin " + *filter.origin + " on topic " + filter.topic + "; there is " +
+          list_of(origins));
 }
 
 /// Reports rows that are left out, which is an error.
@@ -129,38 +120,29 @@ class Progress {
   bool has_line_ = false;
 };
 
-int fail(std::ostream& err, const Error& error, int code) {
-  err << "rtdata: " << error.text() << "\n";
-  return code;
-}
-
 }  // namespace
 
-int export_recording(const ExportOptions& options, std::ostream& out, std::ostream& err) {
-  auto recording = Recording::open(options.database);
-  if (!recording) return fail(err, recording.error(), 2);
-  auto from = parse_time(options.from);
-  if (!from) return fail(err, from.error(), 1);
-  auto until = parse_time(options.until);
-  if (!until) return fail(err, until.error(), 1);
-  if (*from && *until && **from > **until) {
-    return fail(err,
-                {Errc::bad_argument, "cannot export", "--from " + options.from + " --until " + options.until,
-                 "it ends before it begins", "exchange them"},
-                1);
+int export_recording(const ExportOptions& options, std::ostream& out, std::ostream& err) try {
+  auto opened = Recording::open(options.database);
+  if (!opened) {
+    err << "rtdata: " << opened.error().text() << "\n";
+    return 2;
   }
+  const Recording& recording = *opened;
+  const auto from = parse_time(options.from), until = parse_time(options.until);
+  if (from && until && *from > *until)
+    throw SetupError({Errc::bad_argument, "cannot export", "--from " + options.from + " --until " + options.until,
+                      "it ends before it begins", "exchange them"});
   const bool is_utc = options.times == ExportOptions::Times::utc;
   ExportConfig config;
   config.format = options.format;
-  config.filter = {options.topic, options.run, options.origin, *from, *until, options.limit, options.every};
+  config.filter = {options.topic, options.run, options.origin, from, until, options.limit, options.every};
   if (is_utc) config.filter.times = RowFilter::Times::utc;
   if (!options.step.empty()) {
-    const auto step = parse_duration(options.step);
-    if (!step) return fail(err, step.error(), 1);
-    config.step = *step;
+    config.step = parse_duration(options.step).or_throw();
     if (config.step <= Duration{0})
-      return fail(
-          err, {Errc::bad_argument, "cannot export", "--step " + options.step, "it is not above 0", "such as 1s"}, 1);
+      throw SetupError(
+          {Errc::bad_argument, "cannot export", "--step " + options.step, "it is not above 0", "such as 1s"});
   }
   Progress progress(err, options.progress == ExportOptions::Progress::shown);
   config.on_progress = [&](const ExportProgress& at) { progress.show(at); };
@@ -170,28 +152,30 @@ int export_recording(const ExportOptions& options, std::ostream& out, std::ostre
   config.time_text = is_utc ? ExportConfig::TimeText::iso8601 : ExportConfig::TimeText::nanoseconds;
   config.header = options.header == ExportOptions::Header::names ? ExportConfig::Header::names
                                                                  : ExportConfig::Header::names_and_units;
-  const auto code_of = [](const Error& error) { return error.code == make_error_code(Errc::damaged) ? 2 : 1; };
-  if (auto found = find(*recording, config.filter); !found) return fail(err, found.error(), code_of(found.error()));
+  find(recording, config.filter);
   if (options.folder.empty()) {
-    auto count = export_rows(*recording, config, out);
+    auto made = export_rows(recording, config, out);
     progress.clear();
-    if (!count && !out) return 1;
-    if (!count) return fail(err, count.error(), code_of(count.error()));
-    if (count->rows != 0) tell_runs(err, *recording, options);
-    if (count->rows + count->refused == 0)
-      err << "rtdata: no rows: " << recording->path() << " has none of what was asked for\n";
-    return tell_refused(err, *count);
+    if (!made && !out) return 1;
+    const ExportCount& count = made.or_throw();
+    if (count.rows != 0) tell_runs(err, recording, options);
+    if (count.rows + count.refused == 0)
+      err << "rtdata: no rows: " << recording.path() << " has none of what was asked for\n";
+    return tell_refused(err, count);
   }
-  auto counts = export_files(*recording, config, options.folder);
+  auto made = export_files(recording, config, options.folder);
   progress.clear();
-  if (!counts) return fail(err, counts.error(), code_of(counts.error()));
+  const auto& counts = made.or_throw();
   int status = 0;
-  if (!counts->empty()) tell_runs(err, *recording, options);
-  for (const ExportCount& count : *counts) {
+  if (!counts.empty()) tell_runs(err, recording, options);
+  for (const ExportCount& count : counts) {
     out << count.path << ": " << count.rows << (count.rows == 1 ? " row\n" : " rows\n");
     status = std::max(status, tell_refused(err, count));
   }
   return status;
+} catch (const SetupError& error) {
+  err << "rtdata: " << error.what() << "\n";
+  return error.error().code == make_error_code(Errc::damaged) ? 2 : 1;
 }
 
 }  // namespace rtdata::app

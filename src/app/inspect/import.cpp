@@ -62,29 +62,29 @@ std::string separator_advice(const ImportOptions& options, char said) {
   return advice;
 }
 
-Result<void> check_text(const ImportRows& table, const ImportColumn& column, const std::string& text,
-                        const std::string& file) {
-  if (detail::is_readable(text)) return {};
-  return import_refused(
-      table.where(),
-      "the text \"" + detail::readable(text.substr(0, 40)) + "\" in column " + column.heading + " is no UTF-8",
-      "convert the file: iconv -f WINDOWS-1252 -t UTF-8 " + file);
+[[noreturn]] void refuse(std::string where, std::string why, std::string advice) {
+  throw SetupError(import_refused(std::move(where), std::move(why), std::move(advice)));
 }
 
-Result<Found> look_at(const ImportOptions& options, const ImportNotation& notation) {
+void check_text(const ImportRows& table, const ImportColumn& column, const std::string& text, const std::string& file) {
+  if (detail::is_readable(text)) return;
+  refuse(table.where(),
+         "the text \"" + detail::readable(text.substr(0, 40)) + "\" in column " + column.heading + " is no UTF-8",
+         "convert the file: iconv -f WINDOWS-1252 -t UTF-8 " + file);
+}
+
+Found look_at(const ImportOptions& options, const ImportNotation& notation) {
   ImportRows table(options.file, notation.separator);
-  if (!table.is_open()) return system_error(errno, "cannot read", options.file, "give the path of a CSV file");
+  if (!table.is_open())
+    throw SetupError(system_error(errno, "cannot read", options.file, "give the path of a CSV file"));
   std::vector<detail::CsvCell> cells;
-  auto head = table.next(cells);
-  if (!head) return head.error();
-  if (!*head) return import_refused(options.file, "it is empty", "its first row names the columns");
+  if (!table.next(cells).or_throw()) refuse(options.file, "it is empty", "its first row names the columns");
   Found found;
   std::vector<std::string_view> headings;
   for (const detail::CsvCell& cell : cells) {
     if (!detail::is_readable(cell.text))
-      return import_refused(table.where(),
-                            "the heading \"" + detail::readable(cell.text.substr(0, 40)) + "\" is no UTF-8",
-                            "convert the file: iconv -f WINDOWS-1252 -t UTF-8 " + options.file);
+      refuse(table.where(), "the heading \"" + detail::readable(cell.text.substr(0, 40)) + "\" is no UTF-8",
+             "convert the file: iconv -f WINDOWS-1252 -t UTF-8 " + options.file);
     ImportColumn& column = found.columns.emplace_back();
     column.heading = cell.text;
     column.decimal = notation.decimal;
@@ -96,27 +96,24 @@ Result<Found> look_at(const ImportOptions& options, const ImportNotation& notati
   const auto exact = std::count(headings.begin(), headings.end(), options.time_column);
   const auto matching = std::count_if(headings.begin(), headings.end(), is_it);
   if (exact > 1 || (exact == 0 && matching > 1))
-    return import_refused(
-        options.file, "it has " + std::to_string(std::max(exact, matching)) + " columns " + options.time_column,
-        exact > 1 ? "give one of them another heading" : "write --time with the unit, as its heading has it");
+    refuse(options.file, "it has " + std::to_string(std::max(exact, matching)) + " columns " + options.time_column,
+           exact > 1 ? "give one of them another heading" : "write --time with the unit, as its heading has it");
   const auto at = exact == 1 ? std::find(headings.begin(), headings.end(), options.time_column)
                              : std::find_if(headings.begin(), headings.end(), is_it);
   if (at == headings.end()) {
     const std::string advice = separator_advice(options, notation.separator);
-    return import_refused(options.file, "it has no column " + options.time_column,
-                          advice.empty() ? detail::suggestion(options.time_column, headings) : advice);
+    refuse(options.file, "it has no column " + options.time_column,
+           advice.empty() ? detail::suggestion(options.time_column, headings) : advice);
   }
   found.time_column = static_cast<std::size_t>(at - headings.begin());
   name_columns(found.columns);
   Time before{};  // of the row above
-  for (;;) {
-    auto row = table.next(cells);
-    if (!row) return row.error();
-    if (!*row) break;
+  while (table.next(cells).or_throw()) {
     if (cells.size() != found.columns.size())
-      return Error{
-          Errc::bad_data, "cannot import", table.where(),
-          std::to_string(cells.size()) + " cells, where the first row has " + std::to_string(found.columns.size()), ""};
+      throw SetupError(
+          {Errc::bad_data, "cannot import", table.where(),
+           std::to_string(cells.size()) + " cells, where the first row has " + std::to_string(found.columns.size()),
+           ""});
     const std::string& when = cells[found.time_column].text;
     const auto time = time_of(when, notation);
     if (!time) {
@@ -128,63 +125,60 @@ Result<Found> look_at(const ImportOptions& options, const ImportNotation& notati
       const bool has_comma = options.decimal.empty() && when.find(',') != std::string::npos &&
                              is_number(when, ',', number) && !may_have_thousands(when);
       const bool has_date = when.size() >= 10 && when[4] == '-' && when[7] == '-';
-      return Error{Errc::bad_data, "cannot import", table.where(),
-                   "\"" + detail::readable(when.substr(0, 64)) + "\" in column " + options.time_column + " is no time" +
-                       (is_beyond  ? " that can be recorded, which are those from 1678 to 2261"
-                        : has_date ? ": " + time.error().why
-                                   : ""),
-                   is_start                                   ? "look at --start"
-                   : is_beyond                                ? "look at --scale" + scale_of(number)
-                   : has_comma                                ? "its numbers have decimal commas: write --decimal ,"
-                   : has_date && !time.error().advice.empty() ? time.error().advice
-                                                              : "a number, or a time as 2026-03-01T12:00:00Z"};
+      throw SetupError({Errc::bad_data, "cannot import", table.where(),
+                        "\"" + detail::readable(when.substr(0, 64)) + "\" in column " + options.time_column +
+                            " is no time" +
+                            (is_beyond  ? " that can be recorded, which are those from 1678 to 2261"
+                             : has_date ? ": " + time.error().why
+                                        : ""),
+                        is_start    ? "look at --start"
+                        : is_beyond ? "look at --scale" + scale_of(number)
+                        : has_comma ? "its numbers have decimal commas: write --decimal ,"
+                        : has_date && !time.error().advice.empty() ? time.error().advice
+                                                                   : "a number, or a time as 2026-03-01T12:00:00Z"});
     }
     if (found.rows++ == 0) found.first = found.last = before = *time;
     if (*time < before)
-      return Error{Errc::bad_data, "cannot import", table.where(),
-                   "\"" + detail::readable(when.substr(0, 64)) + "\" in column " + options.time_column +
-                       " is before the time of the row above it",
-                   "sort the rows by time: a table with the newest row first is turned round by "
-                   "(head -n 1 " +
-                       options.file + "; tail -n +2 " + options.file + " | tac)"};
+      throw SetupError({Errc::bad_data, "cannot import", table.where(),
+                        "\"" + detail::readable(when.substr(0, 64)) + "\" in column " + options.time_column +
+                            " is before the time of the row above it",
+                        "sort the rows by time: a table with the newest row first is turned round by "
+                        "(head -n 1 " +
+                            options.file + "; tail -n +2 " + options.file + " | tac)"});
     before = *time;
     found.first = std::min(found.first, *time);
     found.last = std::max(found.last, *time);
     for (std::size_t i = 0; i < cells.size(); ++i) {
-      if (auto good = check_text(table, found.columns[i], cells[i].text, options.file); !good)
-        return std::move(good).error();
+      check_text(table, found.columns[i], cells[i].text, options.file);
       found.columns[i].look_at(cells[i]);
     }
   }
-  if (found.rows == 0) return import_refused(options.file, "it has no rows", "");
+  if (found.rows == 0) refuse(options.file, "it has no rows", "");
   if (detail::span_between(found.first, found.last) == Duration::max())
-    return import_refused(options.file, "its times span more than 292 years", "look at --scale");
+    refuse(options.file, "its times span more than 292 years", "look at --scale");
   for (ImportColumn& column : found.columns) {
     column.look_at_all();
     if (options.decimal.empty() && column.seems_to_have_decimal_commas())
-      return import_refused(options.file, "the numbers in column " + column.heading + " seem to have decimal commas",
-                            "write --decimal , or, if they are texts, --decimal .");
+      refuse(options.file, "the numbers in column " + column.heading + " seem to have decimal commas",
+             "write --decimal , or, if they are texts, --decimal .");
     if (options.decimal.empty() && column.seems_to_have_thousands())
-      return import_refused(
-          options.file,
-          "the numbers in column " + column.heading +
-              " have commas before three digits, which may be "
-              "thousands or decimals",
-          "if they are thousands, take them out of the file (1,234 becomes 1234); if they are decimals, "
-          "write --decimal , and if they are texts, --decimal .");
+      refuse(options.file,
+             "the numbers in column " + column.heading +
+                 " have commas before three digits, which may be "
+                 "thousands or decimals",
+             "if they are thousands, take them out of the file (1,234 becomes 1234); if they are decimals, "
+             "write --decimal , and if they are texts, --decimal .");
   }
-  auto built = describe_columns(found.columns, found.time_column, options.file);
-  if (!built) return built.error();
-  found.description = *std::move(built);
+  found.description = describe_columns(found.columns, found.time_column, options.file).or_throw();
   const TopicToRecord topic{options.topic, found.description.get()};
   const auto refusals = refused_topics(SqliteConfig{.path = options.database}, std::span(&topic, 1));
-  if (!refusals.empty()) return import_refused(options.file, refusals.front().why, refusals.front().advice);
+  if (!refusals.empty()) refuse(options.file, refusals.front().why, refusals.front().advice);
   return found;
 }
 
 /// The number of rows, of which those that are `moved` got another time than they have in the file.
-Result<std::uint64_t> record(const ImportOptions& options, const Found& found, const ImportNotation& notation,
-                             std::uint64_t& moved) {
+std::uint64_t record(const ImportOptions& options, const Found& found, const ImportNotation& notation,
+                     std::uint64_t& moved) {
   ManualClock clock(found.first - Duration{1});
   Runtime runtime({.name = std::filesystem::path(options.file).filename().string(), .clock = &clock});
   Loop loop(runtime, {.name = "import"});
@@ -199,24 +193,19 @@ Result<std::uint64_t> record(const ImportOptions& options, const Found& found, c
   ImportRows table(options.file, notation.separator);
   std::vector<detail::CsvCell> cells;
   (void)table.next(cells);
-  const auto changed = [&] {
-    return import_refused(table.where(), "the file has changed while it was read", "try again");
-  };
+  const auto changed = [&] { refuse(table.where(), "the file has changed while it was read", "try again"); };
   Time last = found.first - Duration{1};
   std::vector<std::byte> payload;
-  for (;;) {
-    auto row = table.next(cells);
-    if (!row) return row.error();
-    if (!*row) break;
-    if (cells.size() != found.columns.size()) return changed();
+  while (table.next(cells).or_throw()) {
+    if (cells.size() != found.columns.size()) changed();
     const auto time = time_of(cells[found.time_column].text, notation);
-    if (!time || *time < found.first || *time > found.last) return changed();
+    if (!time || *time < found.first || *time > found.last) changed();
     payload.assign(found.description->size(), std::byte{0});
     std::size_t leaf = 0;
     for (std::size_t i = 0; i < cells.size(); ++i) {
       if (i == found.time_column || !found.columns[i].has_any) continue;
       const Value value = value_of(found.columns[i], cells[i]);
-      if (!write(found.description->leaves()[leaf++], payload.data(), value)) return changed();
+      if (!write(found.description->leaves()[leaf++], payload.data(), value)) changed();
     }
     // As the feed does: events of one origin follow each other in time.
     const Time given = std::max(*time, last + Duration{1});
@@ -224,79 +213,65 @@ Result<std::uint64_t> record(const ImportOptions& options, const Found& found, c
     loop.advance(given - last);
     last = given;
     feed.publish_bytes(payload, given);
-    if (failed) return *failed;
+    if (failed) throw SetupError(*failed);
   }
   if (const std::uint64_t lost = loop.close(); lost > 0 || failed)
-    return failed ? *failed : import_refused(options.database, std::to_string(lost) + " rows could not be stored", "");
+    throw SetupError(failed ? *failed
+                            : import_refused(options.database, std::to_string(lost) + " rows could not be stored", ""));
   return found.rows;
 }
 
-/// Errors: bad-argument, with the option.
-Result<ImportNotation> notation_of(const ImportOptions& options) {
+/// Throws SetupError: bad-argument, with the option.
+ImportNotation notation_of(const ImportOptions& options) {
   ImportNotation notation;
   notation.zone = options.zone;
-  const auto scale = parse_duration(options.scale);
-  if (!scale) return scale.error();
-  if (*scale <= Duration{0}) return import_refused("--scale " + options.scale, "it is not above 0", "such as 10us");
-  notation.scale = *scale;
-  if (!options.start.empty()) {
-    const auto start = parse_iso8601(options.start);
-    if (!start) return start.error();
-    notation.start = *start;
-  }
+  notation.scale = parse_duration(options.scale).or_throw();
+  if (notation.scale <= Duration{0}) refuse("--scale " + options.scale, "it is not above 0", "such as 10us");
+  if (!options.start.empty()) notation.start = parse_iso8601(options.start).or_throw();
   const std::string& said = options.separator;
   const char separator = said == "tab" || said == "\\t" ? '\t' : said.size() == 1 ? said[0] : '\0';
   if (separator != '\t' && (separator < ' ' || separator == '"' || std::isalnum(static_cast<unsigned char>(separator))))
-    return import_refused("--separator " + said, "it is no character between cells", "such as \";\", or tab");
+    refuse("--separator " + said, "it is no character between cells", "such as \";\", or tab");
   notation.separator = separator;
   if (options.decimal == ",") notation.decimal = ',';
-  if (separator == notation.decimal)
-    return import_refused("--separator " + said, "it is the decimal mark, too", "set --decimal");
+  if (separator == notation.decimal) refuse("--separator " + said, "it is the decimal mark, too", "set --decimal");
   if (!notation.zone.empty() && !parse_iso8601("2026-03-01T12:00:00" + notation.zone))
-    return import_refused("--zone " + notation.zone, "it is no time zone", "Z, which is UTC, or such as +01:00");
+    refuse("--zone " + notation.zone, "it is no time zone", "Z, which is UTC, or such as +01:00");
   return notation;
 }
 
 }  // namespace
 
-int import_table(const ImportOptions& options, std::ostream& out, std::ostream& err) {
-  const auto fail = [&](const Error& error) {
-    err << "rtdata: " << error.text() << "\n";
-    return 1;
-  };
-  try {
-    const auto notation = notation_of(options);
-    if (!notation) return fail(notation.error());
-    ImportOptions named = options;
-    const std::string stem = std::filesystem::path(options.file).stem().string();
-    if (named.topic.empty()) named.topic = stem;
-    if (named.origin.empty()) named.origin = stem;
-    if (named.database.empty()) named.database = std::filesystem::path(options.file).replace_extension(".db").string();
-    auto found = look_at(named, *notation);
-    if (!found) return fail(found.error());
-    const ImportColumn& time = found->columns[found->time_column];
-    if (const auto unit = parse_duration("1 " + time.unit); unit && *unit != notation->scale && time.can_be_number)
-      return fail(import_refused(named.file,
-                                 "its column " + time.heading + " says " + time.unit + ", and --scale 1 in it is " +
-                                     to_string(notation->scale),
-                                 "write --scale \"1 " + time.unit + "\", or change the heading"));
-    std::uint64_t moved = 0;
-    const auto rows = record(named, *found, *notation, moved);
-    if (!rows) return fail(rows.error());
-    out << named.database << ": " << *rows << (*rows == 1 ? " row" : " rows") << " of " << named.file << " on topic "
-        << named.topic << ", from " << to_iso8601(found->first) << " on\n";
-    for (std::size_t i = 0; i < found->columns.size(); ++i) {
-      const ImportColumn& column = found->columns[i];
-      out << "  " << column.heading << ": "
-          << (i == found->time_column ? "the time" : column.name + ", " + column.type()) << "\n";
-    }
-    if (moved > 0)
-      err << "rtdata: warning: " << moved
-          << " rows were not later than the row before; each got a time 1 ns after that one's\n";
-    return 0;
-  } catch (const SetupError& error) {
-    return fail(error.error());
+int import_table(const ImportOptions& options, std::ostream& out, std::ostream& err) try {
+  const ImportNotation notation = notation_of(options);
+  ImportOptions named = options;
+  const std::string stem = std::filesystem::path(options.file).stem().string();
+  if (named.topic.empty()) named.topic = stem;
+  if (named.origin.empty()) named.origin = stem;
+  if (named.database.empty()) named.database = std::filesystem::path(options.file).replace_extension(".db").string();
+  const Found found = look_at(named, notation);
+  const ImportColumn& time = found.columns[found.time_column];
+  if (const auto unit = parse_duration("1 " + time.unit); unit && *unit != notation.scale && time.can_be_number)
+    refuse(
+        named.file,
+        "its column " + time.heading + " says " + time.unit + ", and --scale 1 in it is " + to_string(notation.scale),
+        "write --scale \"1 " + time.unit + "\", or change the heading");
+  std::uint64_t moved = 0;
+  const std::uint64_t rows = record(named, found, notation, moved);
+  out << named.database << ": " << rows << (rows == 1 ? " row" : " rows") << " of " << named.file << " on topic "
+      << named.topic << ", from " << to_iso8601(found.first) << " on\n";
+  for (std::size_t i = 0; i < found.columns.size(); ++i) {
+    const ImportColumn& column = found.columns[i];
+    out << "  " << column.heading << ": " << (i == found.time_column ? "the time" : column.name + ", " + column.type())
+        << "\n";
   }
+  if (moved > 0)
+    err << "rtdata: warning: " << moved
+        << " rows were not later than the row before; each got a time 1 ns after that one's\n";
+  return 0;
+} catch (const SetupError& error) {
+  err << "rtdata: " << error.what() << "\n";
+  return 1;
 }
 
 }  // namespace rtdata::app

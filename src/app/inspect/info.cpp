@@ -199,57 +199,33 @@ struct Content {
   UtcLine line{{}};  // of the run that is shown
 };
 
-Result<Content> read(const Recording& recording, std::optional<std::int64_t> wanted, InfoOptions::Gaps gaps) {
+constexpr const char* no_such_run = "cannot show the run";
+
+/// Throws SetupError.
+Content read(const Recording& recording, std::optional<std::int64_t> wanted, InfoOptions::Gaps gaps) {
   Content content;
-  auto runs = recording.runs();
-  if (!runs) return std::move(runs).error();
-  content.runs = std::move(*runs);
+  content.runs = recording.runs().or_throw();
+  content.deleted = recording.deleted_runs().or_throw();
+  content.topics = recording.topics().or_throw();
   for (const RunInfo& run : content.runs) {
-    auto line = recording.utc_line(run.run);
-    if (!line) return std::move(line).error();
-    content.lines.push_back(std::move(*line));
+    content.lines.push_back(recording.utc_line(run.run).or_throw());
+    if (wanted && run.run != *wanted) continue;
+    content.shown = run;
+    content.line = content.lines.back();
   }
-  auto deleted = recording.deleted_runs();
-  if (!deleted) return std::move(deleted).error();
-  content.deleted = std::move(*deleted);
-  auto topics = recording.topics();
-  if (!topics) return std::move(topics).error();
-  content.topics = std::move(*topics);
-  for (std::size_t i = 0; i < content.runs.size(); ++i) {
-    if (wanted && content.runs[i].run != *wanted) continue;
-    content.shown = content.runs[i];
-    content.line = content.lines[i];
-  }
-  if (!content.shown) {
-    if (!wanted) return content;
-    return Error{Errc::not_found, "cannot show the run", recording.path(), "there is no run " + std::to_string(*wanted),
-                 "`rtdata info` without --run lists them"};
-  }
-  auto summaries = summary(recording, content.shown->run);
-  if (!summaries) return std::move(summaries).error();
-  content.summaries = std::move(*summaries);
-  auto errors = recording.errors(content.shown->run);
-  if (!errors) return std::move(errors).error();
-  content.errors = std::move(*errors);
-  auto health = recording.health(content.shown->run);
-  if (!health) return std::move(health).error();
-  content.health = std::move(*health);
-  auto course = course_of(recording, content.topics, content.shown->run);
-  if (!course) return std::move(course).error();
-  content.course = *std::move(course);
-  auto escaped = recording.escaped(content.shown->run);
-  if (!escaped) return std::move(escaped).error();
-  content.escaped = std::move(*escaped);
-  auto configurations = recording.configurations(content.shown->run);
-  if (!configurations) return std::move(configurations).error();
-  content.configurations = std::move(*configurations);
-  auto backlogs = recording.backlogs();
-  if (!backlogs) return std::move(backlogs).error();
-  content.backlogs = std::move(*backlogs);
-  if (gaps == InfoOptions::Gaps::counted) return content;
-  auto listed = recording.gaps(content.shown->run);
-  if (!listed) return std::move(listed).error();
-  content.gaps = std::move(*listed);
+  if (!content.shown && wanted)
+    throw SetupError({Errc::not_found, no_such_run, recording.path(), "there is no run " + std::to_string(*wanted),
+                      "`rtdata info` without --run lists them"});
+  if (!content.shown) return content;
+  const std::int64_t run = content.shown->run;
+  content.summaries = summary(recording, run).or_throw();
+  content.errors = recording.errors(run).or_throw();
+  content.health = recording.health(run).or_throw();
+  content.course = course_of(recording, content.topics, run);
+  content.escaped = recording.escaped(run).or_throw();
+  content.configurations = recording.configurations(run).or_throw();
+  content.backlogs = recording.backlogs().or_throw();
+  if (gaps == InfoOptions::Gaps::listed) content.gaps = recording.gaps(run).or_throw();
   return content;
 }
 
@@ -369,33 +345,34 @@ void print_json(const Recording& recording, const Content& content, InfoOptions:
   Json json;
   json["path"] = recording.path();
   json["deleted_runs"] = content.deleted.runs;
+  const auto list = [&](const char* key, const auto& items, const auto& made) {
+    Json& all = json[key] = Json::array();
+    for (const auto& item : items) all.push_back(made(item));
+  };
   json["runs"] = Json::array();
   for (std::size_t i = 0; i < content.runs.size(); ++i)
     json["runs"].push_back(json_of(content.runs[i], content.lines[i]));
   json["shown_run"] = content.shown ? Json(content.shown->run) : Json();
-  json["topics"] = Json::array();
-  for (const TopicSummary& topic : content.summaries) json["topics"].push_back(json_of(topic));
-  json["errors"] = Json::array();
-  for (const RecordedError& error : content.errors) {
-    json["errors"].push_back(Json{{"time", to_nanoseconds(error.time)},
-                                  {"object", error.object},
-                                  {"id", error.id},
-                                  {"text", error.text},
-                                  {"count", error.count},
-                                  {"last", to_nanoseconds(error.last)},
-                                  {"utc", utc_json(content.line, error.time)}});
-  }
-  json["health"] = Json::array();
-  for (const RecordedHealth& change : content.health) {
-    json["health"].push_back(Json{{"time", to_nanoseconds(change.time)},
-                                  {"kind", change.kind},
-                                  {"name", change.name},
-                                  {"state", change.state},
-                                  {"reason", change.reason},
-                                  {"count", change.count},
-                                  {"last", to_nanoseconds(change.last)},
-                                  {"utc", utc_json(content.line, change.time)}});
-  }
+  list("topics", content.summaries, [](const TopicSummary& topic) { return json_of(topic); });
+  list("errors", content.errors, [&](const RecordedError& error) {
+    return Json{{"time", to_nanoseconds(error.time)},
+                {"object", error.object},
+                {"id", error.id},
+                {"text", error.text},
+                {"count", error.count},
+                {"last", to_nanoseconds(error.last)},
+                {"utc", utc_json(content.line, error.time)}};
+  });
+  list("health", content.health, [&](const RecordedHealth& change) {
+    return Json{{"time", to_nanoseconds(change.time)},
+                {"kind", change.kind},
+                {"name", change.name},
+                {"state", change.state},
+                {"reason", change.reason},
+                {"count", change.count},
+                {"last", to_nanoseconds(change.last)},
+                {"utc", utc_json(content.line, change.time)}};
+  });
   const auto add_course = [&](const char* name, const char* object, const CourseEvents& events) {
     json[name] = Json::array();
     for (const CourseEvent& event : events.first) {
@@ -409,68 +386,59 @@ void print_json(const Recording& recording, const Content& content, InfoOptions:
   add_course("notes", "by", content.course.notes);
   add_course("alarms", "limit_of", content.course.alarms);
   add_course("states", "machine", content.course.states);
-  json["escaped"] = Json::array();
-  for (const RecordedEscapes& of : content.escaped)
-    json["escaped"].push_back(Json{{"topic", of.topic}, {"origin", of.origin}, {"texts", of.texts}});
+  list("escaped", content.escaped, [](const RecordedEscapes& of) {
+    return Json{{"topic", of.topic}, {"origin", of.origin}, {"texts", of.texts}};
+  });
   json["configuration"] = content.shown ? Json(content.shown->configuration) : Json();
-  json["configurations"] = Json::array();
-  for (const RecordedConfiguration& change : content.configurations) {
-    json["configurations"].push_back(Json{{"time", to_nanoseconds(change.time)},
-                                          {"object", change.object},
-                                          {"text", change.text},
-                                          {"count", change.count},
-                                          {"utc", utc_json(content.line, change.time)}});
-  }
-  json["backlogs"] = Json::array();
-  for (const RecordedBacklog& of : content.backlogs) {
-    json["backlogs"].push_back(Json{{"sink", of.sink},
-                                    {"host", of.host},
-                                    {"events", of.events},
-                                    {"bytes", of.bytes},
-                                    {"oldest", of.oldest ? Json(to_nanoseconds(*of.oldest)) : Json()},
-                                    {"refused", of.refused}});
-  }
+  list("configurations", content.configurations, [&](const RecordedConfiguration& change) {
+    return Json{{"time", to_nanoseconds(change.time)},
+                {"object", change.object},
+                {"text", change.text},
+                {"count", change.count},
+                {"utc", utc_json(content.line, change.time)}};
+  });
+  list("backlogs", content.backlogs, [](const RecordedBacklog& of) {
+    return Json{{"sink", of.sink},
+                {"host", of.host},
+                {"events", of.events},
+                {"bytes", of.bytes},
+                {"oldest", of.oldest ? Json(to_nanoseconds(*of.oldest)) : Json()},
+                {"refused", of.refused}};
+  });
   if (gaps == InfoOptions::Gaps::listed) {
-    json["gaps"] = Json::array();
-    for (const RecordedGap& gap : content.gaps) {
-      json["gaps"].push_back(Json{{"topic", gap.topic},
-                                  {"origin", gap.origin},
-                                  {"kind", gap.kind},
-                                  {"reason", gap.reason},
-                                  {"first", to_nanoseconds(gap.first)},
-                                  {"last", to_nanoseconds(gap.last)},
-                                  {"first_utc", utc_json(content.line, gap.first)},
-                                  {"last_utc", utc_json(content.line, gap.last)},
-                                  {"count", gap.count}});
-    }
+    list("gaps", content.gaps, [&](const RecordedGap& gap) {
+      return Json{{"topic", gap.topic},
+                  {"origin", gap.origin},
+                  {"kind", gap.kind},
+                  {"reason", gap.reason},
+                  {"first", to_nanoseconds(gap.first)},
+                  {"last", to_nanoseconds(gap.last)},
+                  {"first_utc", utc_json(content.line, gap.first)},
+                  {"last_utc", utc_json(content.line, gap.last)},
+                  {"count", gap.count}};
+    });
   }
-  json["descriptions"] = Json::array();
-  for (const RecordedTopic& topic : content.topics) {
-    json["descriptions"].push_back(Json{{"topic", topic.topic},
-                                        {"version", topic.version},
-                                        {"table", topic.table},
-                                        {"first_run", topic.first_run},
-                                        {"description", Json::parse(topic.description->to_json())}});
-  }
+  list("descriptions", content.topics, [](const RecordedTopic& topic) {
+    return Json{{"topic", topic.topic},
+                {"version", topic.version},
+                {"table", topic.table},
+                {"first_run", topic.first_run},
+                {"description", Json::parse(topic.description->to_json())}};
+  });
   out << json.dump(2, ' ', false, Json::error_handler_t::replace) << "\n";
 }
 
 }  // namespace
 
-int info(const InfoOptions& options, std::ostream& out, std::ostream& err) {
-  auto recording = Recording::open(options.database);
-  if (!recording) {
-    err << "rtdata: " << recording.error().text() << "\n";
-    return 2;
-  }
-  auto content = read(*recording, options.run, options.gaps);
-  if (!content) {
-    err << "rtdata: " << content.error().text() << "\n";
-    return content.error().code == make_error_code(Errc::not_found) ? 1 : 2;
-  }
-  options.show_as == ShowAs::json ? print_json(*recording, *content, options.gaps, out)
-                                  : print(*recording, *content, options.gaps, out);
+int info(const InfoOptions& options, std::ostream& out, std::ostream& err) try {
+  const Recording recording = Recording::open(options.database).or_throw();
+  const Content content = read(recording, options.run, options.gaps);
+  options.show_as == ShowAs::json ? print_json(recording, content, options.gaps, out)
+                                  : print(recording, content, options.gaps, out);
   return 0;
+} catch (const SetupError& error) {
+  err << "rtdata: " << error.what() << "\n";
+  return error.error().what == no_such_run ? 1 : 2;
 }
 
 }  // namespace rtdata::app
