@@ -5,7 +5,6 @@
 
 #include <algorithm>
 #include <atomic>
-#include <functional>
 #include <memory>
 #include <optional>
 #include <thread>
@@ -16,53 +15,15 @@
 #include "rtdata/loop/timer.hpp"
 
 #include "loop/core/loop_core.hpp"
+#include "loop/lane_job.hpp"
 
 using namespace rtdata;
 using namespace rtdata::literals;
 using detail::Lane;
-using detail::LaneJob;
-using Outcome = LaneJob::Outcome;
-
-namespace {
-
-struct Job final : LaneJob {
-  std::function<void()> work;
-  std::function<void(Outcome)> told;
-  std::thread::id ran_on;
-  void run() noexcept override {
-    ran_on = std::this_thread::get_id();
-    if (work) work();
-  }
-  void done(Outcome outcome) override {
-    if (told) told(outcome);
-  }
-};
-
-std::shared_ptr<Job> job(std::function<void()> work, std::function<void(Outcome)> told) {
-  auto made = std::make_shared<Job>();
-  made->work = std::move(work);
-  made->told = std::move(told);
-  return made;
-}
-
-/// A device that does not answer: a read on an empty pipe, until it is released.
-struct Stuck {
-  int fds[2];
-  Stuck() { REQUIRE(::pipe(fds) == 0); }
-  void release() {
-    if (fds[1] >= 0) ::close(fds[1]);
-    fds[1] = -1;
-  }
-  std::function<void()> work() {
-    return [fd = fds[0]] {
-      char byte;
-      [[maybe_unused]] const auto got = ::read(fd, &byte, 1);
-    };
-  }
-  ~Stuck() { release(); }  // the end that is read stays open for a thread that may still be on its way to it
-};
-
-}  // namespace
+using lane_job::Job;
+using lane_job::job;
+using lane_job::Outcome;
+using lane_job::Stuck;
 
 TEST_SUITE("loop") {
   TEST_CASE("a lane runs its jobs one at a time, not on the loop's thread, in order, and tells of each on the loop") {

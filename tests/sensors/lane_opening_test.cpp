@@ -279,7 +279,7 @@ TEST_SUITE("sensors") {
     loop.run();
     CHECK(ticks_while_opening >= 20);
     CHECK(seen->opened_on.load() != std::this_thread::get_id());
-    CHECK(seen->closed_on.load() == seen->opened_on.load());
+    CHECK(seen->closed_on.load() != std::this_thread::get_id());  // on which of the pool's is not promised
     CHECK(slow.counts().balances());
     loop.post([&] { slow.start(); });
     ticker.close();

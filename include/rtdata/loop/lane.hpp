@@ -5,8 +5,8 @@
 /// With `most_left_behind` threads left behind the lane takes no job until one of them has returned. Lanes run
 /// transactions, drivers and storage, never a user's callbacks.
 ///
-/// The lanes of a loop's devices share a pool of threads: one of them is enough for all that answer quickly, and one
-/// that does not, or hangs, gets a thread for itself (docs/loop-and-time.md, "Lanes"). Jobs that are submitted while
+/// The lanes of a loop's devices share a pool of threads: at most four for all that answer quickly, and one for each
+/// that does not, or hangs (docs/loop-and-time.md, "Lanes"). Jobs that are submitted while
 /// deadlines fire are handed over together when these are done.
 ///
 /// A bus has one thread whatever loops use it: each loop has a lane of its own to it (`LaneThread`), jobs run in the
@@ -32,7 +32,6 @@
 
 namespace rtdata::detail {
 
-class LaneJobs;
 class LanePool;
 class LaneThread;
 class LoopCore;
@@ -58,8 +57,8 @@ class LaneJob {
 
  private:
   friend class Lane;
-  friend class LaneJobs;
   friend class LanePool;
+  friend struct LaneQueue;
   enum State : int { idle, queued, running, finished, taken_away };
   /// On the lane's thread. False: it does not want to be run any more.
   bool begin(MonotonicTime now) noexcept;
@@ -69,7 +68,7 @@ class LaneJob {
   State take_away() noexcept;
 
   std::atomic<int> state_{idle};
-  std::atomic<std::int64_t> began_{0};  // ns of the monotonic line
+  std::atomic<std::int64_t> began_{0};  // ns of the monotonic line; before, when it was submitted
   Duration limit_{0};
   std::shared_ptr<LaneJob> next_outstanding_;  // of the lane
   // On its way to a thread:
@@ -121,6 +120,8 @@ class Lane {
   void check_limit();
   void watch_until(MonotonicTime due);
   void look_at_health(LaneJob::Outcome outcome, Duration limit);
+  /// The reason: `why`, the limit, `what`.
+  void set_health(Health now, const char* why, Duration limit, const char* what);
   void add(std::shared_ptr<LaneJob> job) noexcept;
   std::shared_ptr<LaneJob> remove_first() noexcept;
   /// The first.

@@ -171,6 +171,7 @@ bool Lane::submit(std::shared_ptr<LaneJob> job, Duration give_up_after) {
     return true;
   }
   if (is_left_behind_ || !start_thread()) return false;
+  job->began_.store(loop_.now().time_since_epoch().count(), std::memory_order_relaxed);
   job->state_.store(LaneJob::queued, std::memory_order_relaxed);
   add(job);
   thread_->push(std::move(job), loop_.lanes.shared_listener());
@@ -203,12 +204,13 @@ void Lane::look_at_health(LaneJob::Outcome outcome, Duration limit) {
   Health now = health_;
   if (outcome == LaneJob::Outcome::given_up) now = is_stuck() ? Health::faulted : Health::degraded;
   if (outcome == LaneJob::Outcome::finished) now = left_behind() > 0 ? Health::degraded : Health::ok;
-  if (now == health_) return;
-  health_ = now;
+  set_health(now, "a job outlived its limit of ", limit, " and was given up");
+}
+
+void Lane::set_health(Health now, const char* why, Duration limit, const char* what) {
+  if (std::exchange(health_, now) == now) return;
   loop_.call_own("lane", [&] {
-    std::string reason;
-    if (now != Health::ok) reason = "a job outlived its limit of " + to_string(limit) + " and was given up";
-    loop_.runtime.health_changed("lane", name_, now, reason);
+    loop_.runtime.health_changed("lane", name_, now, now == Health::ok ? "" : why + to_string(limit) + what);
   });
 }
 
@@ -251,17 +253,20 @@ void Lane::check_limit() {
     give_up();
     if (!*is_alive || first_ == nullptr) return;
   }
-  thread_->pool()->wake(loop_.now());
+  thread_->pool()->wake();
   MonotonicTime due = later(loop_.now(), shortest_);
-  if (first_->state_.load(std::memory_order_acquire) == LaneJob::running) {
-    const MonotonicTime end = later(MonotonicTime{Duration{first_->began_.load(std::memory_order_relaxed)}},
-                                    first_->limit_);
-    if (end <= loop_.now()) {
-      give_up();
-      if (!*is_alive) return;
-    } else {
-      due = std::min(due, end);
-    }
+  const int state = first_->state_.load(std::memory_order_acquire);
+  const Duration limit = first_->limit_;
+  const MonotonicTime end = later(MonotonicTime{Duration{first_->began_.load(std::memory_order_relaxed)}}, limit);
+  if (state == LaneJob::running && end > loop_.now()) {
+    due = std::min(due, end);
+  } else if (state == LaneJob::running) {
+    give_up();
+    if (!*is_alive) return;
+  } else if (is_pooled_ && end <= loop_.now() && thread_->pool()->is_full()) {
+    set_health(Health::degraded, "a job waits for longer than its limit of ", limit,
+               ": all threads for slow devices are busy");
+    if (!*is_alive) return;
   }
   if (first_ != nullptr) watch_until(due);
 }
@@ -275,7 +280,7 @@ void Lane::give_up() {
   if (was == LaneJob::finished) return collect();
   if (was == LaneJob::running) thread_->leave_behind();
   if (start_thread()) {
-    thread_->pool()->wake(loop_.now());
+    thread_->pool()->wake();
     return finish(LaneJob::Outcome::given_up);
   }
   while (*is_alive && first_ != nullptr) {

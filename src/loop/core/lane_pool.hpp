@@ -1,9 +1,9 @@
 // The threads that run the jobs of lanes: one for a lane of its own, or a pool for many lanes.
 //
-// Most devices answer in microseconds, some hang. So that a thousand of the former need one thread, and the latter
-// disturb nobody, one thread at a time leads: it alone takes jobs as they come, and runs those of lanes that are known
-// to be quick. For any other job it lets a second thread lead before it begins. One that was known to be quick, and
-// takes long, is noticed by the loop, which makes another thread lead (`wake`).
+// Most devices answer in microseconds, some hang. A lane whose last job took no longer than 1 ms is quick: quick lanes
+// share one queue, of which one thread takes the jobs as they come, and four when they do not get on. Each job of
+// another lane has a thread for itself; so has one of a quick lane as soon as it takes longer. Whoever takes a job
+// makes sure that one more thread sleeps, which the loop sends (`wake`).
 //
 // Of each lane at most one job runs, in order, whoever runs it.
 #pragma once
@@ -19,10 +19,10 @@
 
 #include "loop/support/priority_mutex.hpp"
 #include "rtdata/data/time.hpp"
+#include "rtdata/loop/lane.hpp"
 
 namespace rtdata::detail {
 
-class LaneJob;
 class Wake;
 
 /// How a thread tells a loop that jobs have ended. Shared with threads, which may be left behind.
@@ -47,45 +47,47 @@ struct LaneListener {
   void stop_listening() noexcept;
 };
 
-/// Jobs in order, linked by themselves; it keeps them alive.
-class LaneJobs {
+/// In order, linked by themselves.
+template <class Linked, Linked* Linked::*next>
+class Chain {
  public:
   bool is_empty() const noexcept { return first_ == nullptr; }
-  LaneJob* first() const noexcept { return first_; }
-  void push(LaneJob& job) noexcept;
-  LaneJob* pop() noexcept;
-  /// Those of another list, in front of these.
-  void put_in_front(LaneJobs& others) noexcept;
+  void push(Linked& one) noexcept {
+    one.*next = nullptr;
+    (first_ == nullptr ? first_ : last_->*next) = &one;
+    last_ = &one;
+  }
+  Linked* pop() noexcept {
+    Linked* const one = first_;
+    if (one != nullptr) first_ = one->*next;
+    return one;
+  }
 
  private:
-  LaneJob* first_ = nullptr;
-  LaneJob* last_ = nullptr;
+  Linked* first_ = nullptr;
+  Linked* last_ = nullptr;
 };
 
 /// The jobs of one lane, or of the lanes of several loops to one bus. Shared with its jobs; all but `behind` is guarded
 /// by the pool's mutex.
 struct LaneQueue {
-  static constexpr unsigned suspected = 4;  // up to here it counts as quick: at most one of its last jobs was slow
-  static constexpr unsigned known_to_be_slow = suspected + 8;
-  LaneJobs waiting;                   // behind the one that runs, or for a thread
-  bool is_busy = false;               // one of them runs, or waits for a thread in `LanePool::State::slow`
-  bool has_own_thread = false;        // what runs it does not lead
-  std::uint64_t led_by = 0;           // the leadership under which one of them runs
-  unsigned mistrust = suspected + 1;  // the number of quick jobs until its slow ones are forgotten
-  LaneQueue* next_slow = nullptr;
-  std::atomic<std::ptrdiff_t> behind{0};  // threads that hang; below 0: one comes back just when it is left behind
+  Chain<LaneJob, &LaneJob::next_> waiting;  // behind the one that runs, or for a thread; kept alive by themselves
+  bool is_listed = false;                   // one of them runs, or the queue waits for a thread
+  bool is_quick = false;                    // so was its last job
+  MonotonicTime began{};                    // the one that runs
+  LaneQueue* next = nullptr;                // that waits for a thread
+  std::atomic<std::ptrdiff_t> behind{0};    // threads that hang; below 0: one comes back just when it is left behind
 };
 
 /// Owner: shared by those who have lanes on it; its threads end with the last of them. Thread: any.
 class LanePool {
  public:
-  /// Lanes of whose last jobs at most one took longer are known to be quick: not worth handing them to another thread.
-  static constexpr Duration usual_quick = std::chrono::microseconds{100};
-  /// One that takes longer than this does not lead any more, so that the others wait no longer.
-  static constexpr Duration patience = std::chrono::milliseconds{1};
+  /// Lanes whose last job took longer are not quick.
+  static constexpr Duration usual_quick = std::chrono::milliseconds{1};
+  static constexpr std::size_t most_quick = 4;  ///< jobs of quick lanes at once
 
-  /// So many threads at most, without those that hang and those that were quick until now.
-  explicit LanePool(std::size_t most_threads, Duration quick = usual_quick);
+  /// So many jobs of other lanes at once. 0: it is for one lane, with one thread.
+  explicit LanePool(std::size_t most_slow, Duration quick = usual_quick);
   LanePool(const LanePool&) = delete;
   LanePool& operator=(const LanePool&) = delete;
   ~LanePool();
@@ -94,11 +96,15 @@ class LanePool {
   /// the next `wake`, if not before.
   void push(std::shared_ptr<LaneJob> job, std::shared_ptr<LaneQueue> queue,
             std::shared_ptr<LaneListener> listener) noexcept;
-  /// Makes sure that a thread looks at the jobs that wait. Waits for nobody. A pool for many lanes belongs to one loop,
-  /// on whose thread this is called.
-  void wake(MonotonicTime now) noexcept;
-  /// Whether `wake` may have to be called again, `patience` later.
-  bool is_to_be_watched() const noexcept;
+  /// Makes sure that a thread looks at the jobs that were pushed. Waits for nobody.
+  void wake() noexcept;
+  /// `help` looks whether quick lanes get on from here on. False: there is nothing to look after. Both are for one
+  /// loop.
+  bool begin_watch() noexcept;
+  /// Another thread looks if they do not.
+  void help() noexcept;
+  /// So many other lanes have a job that runs as may have.
+  bool is_full() const noexcept;
   /// Makes sure that there is a thread. False: the system gives none.
   bool start(const void* runtime, const std::optional<cpu_set_t>& processors) noexcept;
   bool has_thread() const noexcept;
@@ -114,10 +120,7 @@ class LanePool {
   struct Worker;
   struct State;
   std::shared_ptr<State> state_;
-  // Who led when `wake` was called last, and how far it had come.
-  std::uint64_t seen_leader_ = 0;
-  std::uint64_t seen_jobs_ = 0;
-  MonotonicTime seen_at_{};
+  std::uint64_t seen_begun_ = 0;  // jobs, when the watch began
 };
 
 }  // namespace rtdata::detail

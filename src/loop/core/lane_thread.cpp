@@ -22,7 +22,7 @@ LaneClock*& virtual_clock() noexcept {
 }  // namespace
 
 LaneThread::LaneThread(std::shared_ptr<LanePool> pool)
-    : pool_(pool != nullptr ? std::move(pool) : std::make_shared<LanePool>(std::size_t{1})) {}
+    : pool_(pool != nullptr ? std::move(pool) : std::make_shared<LanePool>(std::size_t{0})) {}
 
 bool LaneThread::is_stuck() const noexcept {
   const std::size_t own = left_behind();

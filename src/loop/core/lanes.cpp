@@ -9,7 +9,7 @@
 namespace rtdata::detail {
 
 Lanes::Lanes(LoopCore& loop)
-    : loop_(loop), pool_(std::make_shared<LanePool>(most_threads)), listener_(std::make_shared<LaneListener>()) {
+    : loop_(loop), pool_(std::make_shared<LanePool>(most_slow)), listener_(std::make_shared<LaneListener>()) {
   if (!loop_.is_manual()) listener_->loop_wake = &loop_.uv.wake();
   loop_.deadlines.reserve_one();
 }
@@ -85,23 +85,23 @@ void Lanes::hand_over(const std::shared_ptr<LanePool>& pool) {
 
 void Lanes::wake_threads() noexcept {
   if (to_wake_.empty()) return;
-  const MonotonicTime now = loop_.now();
-  for (const auto& pool : to_wake_) pool->wake(now);
+  for (const auto& pool : to_wake_) pool->wake();
   to_wake_.clear();
-  watch_pool(now);
+  watch_pool();
 }
 
-void Lanes::watch_pool(MonotonicTime now) noexcept {
-  if (pooled_ < 2 || watch_.is_listed() || !pool_->is_to_be_watched()) return;
-  watch_.due = later(now, LanePool::patience);
+void Lanes::watch_pool() noexcept {
+  constexpr Duration patience = std::chrono::milliseconds{1};
+  if (pooled_ < 2 || watch_.is_listed() || !pool_->begin_watch()) return;
+  watch_.due = later(loop_.now(), patience);
   loop_.deadlines.insert(watch_);
 }
 
-void Lanes::Watch::fire(MonotonicTime now) {
+void Lanes::Watch::fire(MonotonicTime) {
   lanes.loop_.deadlines.remove(*this);
   lanes.collect();  // what has ended before a job that takes long, and was not told of
-  lanes.pool_->wake(now);
-  lanes.watch_pool(now);
+  lanes.pool_->help();
+  lanes.watch_pool();
 }
 
 void Lanes::close() noexcept {

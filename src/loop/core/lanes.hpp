@@ -26,7 +26,7 @@ class LoopCore;
 /// Thread: the loop's.
 class Lanes {
  public:
-  static constexpr std::size_t most_threads = 64;  ///< of the pool, without those that hang and that were quick before
+  static constexpr std::size_t most_slow = 64;  ///< jobs at once, without those of lanes that were quick before
 
   explicit Lanes(LoopCore& loop);
   Lanes(const Lanes&) = delete;
@@ -74,13 +74,13 @@ class Lanes {
   std::optional<cpu_set_t> processors = {};  ///< for their threads, when the loop's own thread is bound to fewer
 
  private:
-  /// While jobs of the pool wait behind others: looks whether one of those takes long.
+  /// While several jobs of the pool are outstanding: looks whether one takes long.
   struct Watch final : Deadline {
     explicit Watch(Lanes& lanes_) : lanes(lanes_) {}
     void fire(MonotonicTime now) override;
     Lanes& lanes;
   };
-  void watch_pool(MonotonicTime now) noexcept;
+  void watch_pool() noexcept;
 
   LoopCore& loop_;
   std::vector<std::pair<std::string, std::unique_ptr<Lane>>> by_key_;
