@@ -11,8 +11,8 @@ add_library(rtdata_test_options INTERFACE)
 target_compile_options(rtdata_test_options INTERFACE $<$<CONFIG:Release>:-O0>)
 add_executable(rtdata_tests ${RTDATA_TEST_SOURCES})
 target_link_libraries(rtdata_tests PRIVATE rtdata_options rtdata_test_options rtdata_test_paths rtdata::rtdata doctest::doctest PkgConfig::libuv
-  nlohmann_json::nlohmann_json $<TARGET_NAME_IF_EXISTS:rtdata::program> $<TARGET_NAME_IF_EXISTS:rtdata::sqlite>
-  $<$<BOOL:${RTDATA_HAS_SQLITE}>:PkgConfig::sqlite3> $<TARGET_NAME_IF_EXISTS:rtdata::modbus>
+  nlohmann_json::nlohmann_json $<TARGET_NAME_IF_EXISTS:rtdata::program> rtdata::sqlite PkgConfig::sqlite3
+  $<TARGET_NAME_IF_EXISTS:rtdata::modbus>
   $<$<BOOL:${RTDATA_HAS_MODBUS}>:PkgConfig::libmodbus> $<TARGET_NAME_IF_EXISTS:rtdata::http>
   $<TARGET_NAME_IF_EXISTS:rtdata::mqtt> $<$<BOOL:${RTDATA_HAS_MQTT}>:PkgConfig::libmosquitto>
   $<$<TARGET_EXISTS:rtdata_http>:PkgConfig::libcurl> $<$<TARGET_EXISTS:rtdata_http>:PkgConfig::zlib>)
@@ -30,7 +30,7 @@ endif()
 target_compile_definitions(rtdata_tests PRIVATE DOCTEST_CONFIG_USE_STD_HEADERS $<$<TARGET_EXISTS:rtdata_modbus>:RTDATA_WITH_MODBUS>
   $<$<TARGET_EXISTS:rtdata_http>:RTDATA_WITH_HTTP> $<$<BOOL:${RTDATA_HAS_OPENSSL}>:RTDATA_WITH_OPENSSL>
   $<$<TARGET_EXISTS:rtdata_mqtt>:RTDATA_WITH_MQTT>)
-if(TARGET rtdata_postgresql AND TARGET rtdata_sqlite)
+if(TARGET rtdata_postgresql)
   rtdata_sources(RTDATA_POSTGRESQL_TEST_SOURCES tests/postgresql_tests.sources)
   target_sources(rtdata_tests PRIVATE ${RTDATA_POSTGRESQL_TEST_SOURCES})
   target_link_libraries(rtdata_tests PRIVATE rtdata::postgresql PkgConfig::libpq)
@@ -64,7 +64,7 @@ endforeach()
 set_tests_properties(app sinks sensors PROPERTIES COST 100)
 
 # Run by script/test --all in the kernel bench, with real drivers.
-if(TARGET rtdata_sqlite AND RTDATA_PROGRAM)
+if(RTDATA_PROGRAM)
   rtdata_sources(RTDATA_KERNEL_TEST_SOURCES tests/kernel/kernel_tests.sources SINGLY)
   add_executable(rtdata_kernel_tests ${RTDATA_KERNEL_TEST_SOURCES})
   target_link_libraries(rtdata_kernel_tests PRIVATE rtdata_options rtdata_test_options rtdata_test_paths rtdata::program doctest::doctest PkgConfig::sqlite3)
@@ -89,13 +89,11 @@ if(NOT RTDATA_SANITIZE)
   target_include_directories(rtdata_allocation_tests PRIVATE tests)
   target_compile_definitions(rtdata_allocation_tests PRIVATE DOCTEST_CONFIG_USE_STD_HEADERS)
   add_test(NAME allocation COMMAND rtdata_allocation_tests)
-  if(TARGET rtdata_sqlite)
-    add_executable(rtdata_fault_tests tests/faults/faults_test.cpp)
-    target_link_libraries(rtdata_fault_tests PRIVATE rtdata_options rtdata::sqlite doctest::doctest PkgConfig::sqlite3)
-    target_compile_definitions(rtdata_fault_tests PRIVATE DOCTEST_CONFIG_USE_STD_HEADERS)
-    add_test(NAME faults COMMAND rtdata_fault_tests)
-    set_tests_properties(faults PROPERTIES TIMEOUT 900)
-  endif()
+  add_executable(rtdata_fault_tests tests/faults/faults_test.cpp)
+  target_link_libraries(rtdata_fault_tests PRIVATE rtdata_options rtdata::sqlite doctest::doctest PkgConfig::sqlite3)
+  target_compile_definitions(rtdata_fault_tests PRIVATE DOCTEST_CONFIG_USE_STD_HEADERS)
+  add_test(NAME faults COMMAND rtdata_fault_tests)
+  set_tests_properties(faults PROPERTIES TIMEOUT 900)
 endif()
 
 # Files that must not compile, each with one sentence.
@@ -122,7 +120,7 @@ if(Python3_FOUND)
 endif()
 
 # Projects of others find and use what is installed. Sanitized libraries would want sanitized users.
-if(TARGET rtdata_sqlite AND NOT RTDATA_SANITIZE)
+if(NOT RTDATA_SANITIZE)
   add_test(NAME install COMMAND sh ${CMAKE_CURRENT_SOURCE_DIR}/tests/install/install_test.sh
     ${CMAKE_CURRENT_BINARY_DIR} ${CMAKE_CURRENT_SOURCE_DIR})
   set_tests_properties(install PROPERTIES TIMEOUT 900 LABELS slow ENVIRONMENT "CXX=${CMAKE_CXX_COMPILER}")
