@@ -68,7 +68,8 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
           loop, name(), [this](std::size_t topic, const EventView& event) { take(topic, event, event.time()); });
       set_made_of(origin_, input_->topics());
     }
-    if (takes == Output::Takes::later) {
+    if (takes != Output::Takes::at_once) {
+      is_patient_ = takes == Output::Takes::patiently;
       begin_taking();
     } else {
       take_device(config_.armed == Arming::at_start);
@@ -102,8 +103,6 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
       return refusal(Errc::not_permitted, "it is disarmed", "arm it first");
     }
     if (is_left_) {
-      had_ = value;
-      last_set_ = now();
       record(order, {}, given_back);
       return refusal(Errc::busy, given_back, "after a reload, set it again");
     }
@@ -187,22 +186,13 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     ended_.push_back(std::move(done));
     if (is_ending_) return;
     if (!is_held_) return tell_ended();
-    had_ = value_;
     is_left_ = true;
     is_ending_ = true;
     end_orders();
     if (const Result<void> begun = port_->begin_finish(first_value()); !begun) be_ended(begun);
   }
-  void take_back() {
-    if (is_ending_) be_ended(port_->wait_for_end());
-    if (!std::exchange(is_left_, false)) return;
-    take_device(is_armed_);
-    recall();
-    if (is_armed_ && !input_ && had_ && !is_over_lease()) (void)set(*had_, "reload");
-  }
-  std::optional<double> held_value() const noexcept {
-    if (!is_left_) return value_;
-    return is_over_lease() ? std::nullopt : had_;
+  Duration lease_left() const noexcept {
+    return config_.lease > Duration{0} ? std::max(config_.lease - (now() - last_set_), Duration{0}) : Duration::max();
   }
   bool has_ended_unsafe() const noexcept { return has_ended_unsafe_; }
   bool is_safe() const noexcept { return !is_busy_ && value_ && *value_ == config_.safe; }
@@ -271,6 +261,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   /// It may come: the other errors are for who has configured it, and a reload that needs it can be taken back.
   bool is_away(const Result<void>& opened) const {
     const auto& code = opened.error().code;
+    if (is_patient_) return true;
     if (config_.required && loop()->is_being_set_up()) return false;
     return code == Errc::disconnected ||
            (loop()->is_being_set_up() && (code == Errc::not_found || code == Errc::timed_out));
@@ -314,6 +305,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     is_busy_ = false;
     patience_.stop();
     const bool is_taken = opened || is_away(opened);
+    is_patient_ = false;
     if (is_taken) {
       be_held(busy_.asked, opened);
     } else {
@@ -388,7 +380,6 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   void tell_ended() {
     for (Callback<void()>& done : std::exchange(ended_, {})) loop()->post(std::move(done));
   }
-  bool is_over_lease() const noexcept { return config_.lease > Duration{0} && now() - last_set_ >= config_.lease; }
 
   /// Asks for the value, or notes that there is nothing to do.
   void request(const Order& order) {
@@ -719,7 +710,6 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   std::vector<Callback<void(Result<void>)>> when_taken_;
   Result<void> taken_;                     // an error: it could not be taken
   std::vector<Callback<void()>> ended_;    // when what `finish` began is over
-  std::optional<double> had_;              // when `finish` was called, or asked for since
   std::vector<Callback<void()>> waiting_;  // for an event that says whether it is armed
   MonotonicTime last_set_{}, last_input_{}, last_beat_{}, turning_since_{}, sent_{};
   const LoopCore* hanging_ = nullptr;  // on which it depends
@@ -727,7 +717,8 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   bool is_over_ = false;     // the program ends
   bool is_watched_ = false;  // the guard knows that it is armed
   bool is_taking_ = false;   // and the loop turns meanwhile
-  bool is_left_ = false;     // `finish` was called, and it was not taken back
+  bool is_patient_ = false;  // and begins, whatever the device says
+  bool is_left_ = false;     // `finish` was called
   bool is_ending_ = false;   // and that is not over
   bool is_busy_ = false;
   bool is_armed_ = false;
@@ -860,15 +851,8 @@ void Output::finish(Callback<void()> done) {
     return 0;
   });
 }
-void Output::take_back() {
-  with(node(), 0, [](detail::OutputNode& output) {
-    output.take_back();
-    return 0;
-  });
-}
-std::optional<double> Output::held_value() const noexcept {
-  return asked(node(), std::optional<double>{}, std::optional<double>{},
-               [](const detail::OutputNode& output) { return output.held_value(); });
+Duration Output::lease_left() const noexcept {
+  return asked(node(), Duration{0}, Duration{0}, [](const detail::OutputNode& output) { return output.lease_left(); });
 }
 bool Output::has_ended_unsafe() const noexcept {
   return asked(node(), false, true, [](const detail::OutputNode& output) { return output.has_ended_unsafe(); });

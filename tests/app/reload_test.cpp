@@ -69,6 +69,31 @@ TEST_SUITE("app") {
     CHECK(has(folder.read("rig.log"), "sensor new: added"));
   }
 
+  TEST_CASE("NFR-1 US-5 a device that never answers while a reload makes it on a tier holds nothing else") {
+    const rtdata::test::RuntimeFolder runtime;
+    const Folder folder;
+    const std::string begin = R"({"tiers": {"fast": {}},
+      "sensors": [{"name": "b", "type": "tallied", "rate": "100 Hz"})";
+    const std::string rest = R"(], "sinks": [{"type": "discard"}]})";
+    folder.write("rig.json", begin + rest);
+    Process run(folder, built("rtdata_test_program"), {"run", "rig.json"});
+    REQUIRE(run.wait_for("running rig"));
+    folder.write("rig.json", begin +
+                                 R"(, {"name": "a", "type": "absent", "rate": "10 Hz", "hangs": true, "tier": "fast"},
+      {"name": "c", "type": "tallied", "rate": "10 Hz"})" +
+                                 rest);
+    const std::string said = reloaded(folder, built("rtdata"), {}, 1);
+    CHECK_MESSAGE(has(said, "rig.json is applied, but for this: not made: sensor a ("), said);
+    CHECK(has(said, "it has begun with what was asked for, and may still do it"));
+    for (const char* sensor : {"b", "c"}) {  // the main loop goes on, and has what comes after it
+      Process stop(folder, built("rtdata"), {"ctl", "stop", sensor});
+      CHECK(stop.end() == 0);
+    }
+    run.signal(SIGTERM);
+    CHECK(run.end() == 1);
+    CHECK(has(run.err, "ended though it hangs: tier fast in the making of sensor a"));
+  }
+
   TEST_CASE("US-5 a reload that comes while another is applied waits for it, and the last one holds") {
     const Folder folder;
     const auto many = [](int count) {

@@ -66,21 +66,20 @@ struct PlanChange {
 /// Both without problems.
 PlanChange plan_change(const SystemPlan& now, const SystemPlan& next);
 
-/// Does what System::apply does, a part of it at a time, so that a turn of the loop can come between two steps. In this
-/// order: sensors are added that need nothing of what the change closes; then the outputs that end are set safe and
-/// give back their devices, while the loop turns; then all that is closed, made anew and changed live, in one step;
-/// then the outputs that were made take their devices, while the loop turns; then sensors are removed whose name and
-/// place nothing else has taken. A change that closes nothing adds parts of all kinds in the first of these.
+/// Does what System::apply does, a part of it at a time, so that a turn of the loop can come between two steps. Parts
+/// that end or are made anew are closed, the last one made first; outputs give their devices back while the loop turns.
+/// Then parts are made and changed live, in the order of the plan; outputs take their devices while the loop turns.
+/// What stores is closed and made in one step: so what is published meanwhile goes to one or the other. Ticks of a
+/// sensor from when it is closed until its schedule begins again are missed, and counted. When a part cannot be made,
+/// the plan of before is applied in the same way.
 ///
 /// Owner: the user, as a value that stays where it is; gone before the system. `next` must outlive it. Meanwhile no
 /// part may be added to the system or removed from it, and no other plan applied. When it goes before its last step,
 /// what it has done so far stays.
 class StepwiseChange {
  public:
-  /// Compares the plans, and changes nothing. ConfigError: the plan has mistakes. `given_up`: names of sinks of which
-  /// none goes through another, and which the change closes; it does not wait for what they have queued, which they may
-  /// store while the loop turns, for their `close_deadline`. What is left then is lost, and counted.
-  StepwiseChange(System& system, const SystemPlan& next, std::set<std::string> given_up = {});
+  /// Compares the plans, and changes nothing. ConfigError: the plan has mistakes.
+  StepwiseChange(System& system, const SystemPlan& next);
   ~StepwiseChange();
   StepwiseChange(const StepwiseChange&) = delete;
   StepwiseChange& operator=(const StepwiseChange&) = delete;
@@ -90,12 +89,12 @@ class StepwiseChange {
   /// The names of the tiers that have to turn for it: one that hangs refuses it.
   std::set<std::string> tiers() const;
   /// Goes on until `budget` has passed by the loop's clock, with a single part if that is at once; returns whether
-  /// there is more to do. Throws as System::apply, in the step by which all is as it was before; then there is no more
-  /// to do. With an endless budget from the first step on it waits for devices itself.
+  /// there is more to do. Throws as System::apply, in the last step; then there is no more to do. With an endless
+  /// budget from the first step on it waits for devices itself.
   bool step(Duration budget);
   /// A device is slow: the next step does nothing until the loops have turned. Call it again in some milliseconds.
   bool is_waiting() const noexcept;
-  /// All parts of the plan are there, and none of them can fail any more: what is left is to close what is removed.
+  /// All parts of the plan are there, but for those that the error names.
   bool is_applied() const noexcept;
 
  private:

@@ -23,6 +23,7 @@
 #include "rtdata/data/config_item.hpp"
 #include "rtdata/loop/load.hpp"
 #include "rtdata/loop/loop.hpp"
+#include "rtdata/outputs/output.hpp"
 #include "rtdata/sinks/sink.hpp"
 
 namespace rtdata {
@@ -149,25 +150,21 @@ struct PartPlan {
   std::function<void(const PartPlan& part, const PayloadOf& payload_of, Problems& problems)> check_topics = {};
   /// Why it cannot be set to a value, of an output. Empty text: it can. Empty: it is none, or its item has mistakes.
   std::function<std::string(double value)> refusal = {};
-  /// Makes it on the loop of the tier that it names, or else on the main loop. Empty: the item has mistakes.
+  /// Makes it on the loop of the tier that it names, or else on the main loop. Empty: the item has mistakes. On a tier
+  /// that runs it is given up when it does not come back for 1 s, and what it makes then is closed: it looks at `parts`
+  /// before it does anything that may block.
   using Make = std::function<PartObject(Loop& loop, const Parts& parts)>;
   Make make = {};
   /// Returns what makes it in the place of the one before, of its kind and name, which is closed after this call and
   /// before it is made: a machine goes on in its state. Empty: as `make`.
   std::function<Make(const PartObject& before)> make_again = {};
 
-  /// Of one that was made without waiting for its device (Parts::takes_devices_later): calls `done` on the part's loop,
-  /// in a later turn, when that has come to an end. Empty: making it waits.
+  /// Of one that was made without waiting for its device (Parts::takes): calls `done` on the part's loop, in a later
+  /// turn, when that has come to an end. Empty: making it waits.
   std::function<void(const PartObject& part, std::function<void(Result<void>)> done)> when_made = {};
-  /// What closing it waits for, such as a slow device, and what a change of the plan therefore does before, while the
-  /// loop turns. Empty: nothing.
-  struct Ending {
-    /// Begins; `done` is called on the part's loop, in a later turn.
-    std::function<void(const PartObject& part, std::function<void()> done)> begin;
-    /// It is not closed after all, since the change has failed. May throw SetupError.
-    std::function<void(const PartObject& part)> take_back;
-  };
-  std::optional<Ending> ending = {};
+  /// Begins what closing it waits for, such as a slow device, so that the loop turns meanwhile; `done` is called on the
+  /// part's loop, in a later turn. Empty: nothing.
+  std::function<void(const PartObject& part, std::function<void()> done)> ending = {};
 
   /// The keys of the item that can change while the part runs, each with the function that applies the new value, which
   /// is the one in the plan that the function is taken from. A change of any other key makes the part anew. A function
@@ -218,8 +215,8 @@ class Parts {
   }
   /// In the order in which they were made.
   std::vector<std::string> names(std::string_view kind) const;
-  /// What is made is not to wait for its device, since the loop shall turn meanwhile; `PartPlan::when_made` tells.
-  bool takes_devices_later() const noexcept { return takes_devices_later_; }
+  /// How what is made takes its device. Not at once: `PartPlan::when_made` tells.
+  Output::Takes takes() const noexcept { return takes_; }
   /// The plans of all parts, in that order. Valid until the system changes.
   std::vector<const PartPlan*> plans() const;
 
@@ -233,12 +230,11 @@ class Parts {
   Part& part_named(std::string_view kind, std::string_view name) const;
   [[noreturn]] void refuse_type(std::string_view kind, std::string_view name) const;
   void add(std::unique_ptr<Part> part);
-  void remove(std::string_view kind, std::string_view name) { take(kind, name); }
   std::unique_ptr<Part> take(std::string_view kind, std::string_view name);
 
   std::vector<std::unique_ptr<Part>> made_;
   std::map<std::pair<std::string, std::string>, Part*> by_name_;
-  bool takes_devices_later_ = false;
+  Output::Takes takes_ = Output::Takes::at_once;
 };
 
 }  // namespace rtdata

@@ -116,16 +116,17 @@ class System {
 
   /// What `apply` would do to each part. Those that were added are parts of this system as all others.
   PlanChange change_to(const SystemPlan& next) const;
-  /// Makes the system what the plan says, in this turn of the loop: adds, closes, makes anew and changes live what can
-  /// be so, in the order of StepwiseChange (config/change.hpp), which lets the loop turn. What is unchanged goes on;
-  /// handles of parts that were closed are not valid any more. Closing a sink waits for what it has queued, at most its
-  /// `close_deadline`, and for parts on tiers the tier; ticks that are missed meanwhile are counted. One that sends
-  /// over a network sends what it has queued afterwards, while the loop turns, beside the one in its place. Recordings
-  /// keep the text and the time.
+  /// Makes the system what the plan says, in this turn of the loop: closes, makes and changes live what can be so, in
+  /// the order of StepwiseChange (config/change.hpp), which lets the loop turn. What is unchanged goes on; handles of
+  /// parts that were closed are not valid any more. A sink that is closed stores what it has queued afterwards, while
+  /// the loop turns, for its `close_deadline`; one that is made on its file waits for that. Recordings keep the text
+  /// and the time.
   ///
   /// Throws before anything is changed: ConfigError, the plan has mistakes; SetupError (busy), something is refused.
-  /// SetupError, what making a part threw: then all is as it was, but that what was closed is made anew; what cannot
-  /// be, is gone, and named in the error.
+  /// SetupError, what making a part threw: then the plan of before is applied again; an output of it whose device
+  /// cannot be opened begins as failed, and what cannot be made is gone: the error names both. SetupError
+  /// (not-turning): the plan is applied, but for what a tier has not made within 1 s, which it closes when it turns
+  /// again.
   PlanChange apply(const SystemPlan& next);
   /// Sets all outputs safe, and gives their devices back, while the loops turn; calls `done` in a later turn of this
   /// loop, when each has done so or has failed to. Then they are to be closed, which waits for nothing more.
@@ -136,6 +137,9 @@ class System {
  private:
   friend class config_detail::PlanApplication;
   void make(std::unique_ptr<Parts::Part> part);
+  PartObject make_on_tier(Loop& loop, const PartPlan& plan);
+  /// What a tier still makes, though it was given up, may use it: then it is closed after that.
+  void close(std::unique_ptr<Parts::Part> part);
   config_detail::Neighbours& neighbours();
   config_detail::ComparedPlans compared_to(const SystemPlan& next) const;
 
@@ -146,6 +150,12 @@ class System {
   LogSettings log_;
   std::unique_ptr<config_detail::Neighbours> neighbours_;  // what the parts have taken; null: to be made anew
   Parts parts_;
+  struct GivenUp {
+    std::weak_ptr<int> making;  // expired: it has ended
+    std::vector<PartUse> uses;
+    std::vector<std::unique_ptr<Parts::Part>> used;  // to be closed then
+  };
+  std::vector<GivenUp> given_up_;
   struct Finishing {
     std::vector<std::unique_ptr<Parts::Part>> sinks;  // that send what they have queued
     std::uint64_t lost = 0;

@@ -172,7 +172,7 @@ void check_output_values(const OutputConfig& config, const OutputRange& range, c
 
 class Output : public AnySensor {
  public:
-  enum class Takes : std::uint8_t { at_once, later };
+  enum class Takes : std::uint8_t { at_once, later, patiently };
   Output() noexcept = default;
   /// Takes the device, and waits for that. `guarded`: what the runtime's guard makes its Actuator of (guard.hpp);
   /// empty, or without a guard: this program holds the device itself, as `make` makes it. What `make` makes also says
@@ -182,7 +182,7 @@ class Output : public AnySensor {
   /// makes the output begin as failed: it is tried again each second, and safe as soon as it takes that. Before the
   /// loop runs, so does one that is absent or mute (not-found, timed-out), and none that is `required`.
   /// `later`: does not wait for the device, which `when_taken` tells of; what it is set to meanwhile follows the safe
-  /// value.
+  /// value. `patiently`: the same, and whatever the device says, the output begins, as failed.
   Output(Loop& loop, OutputConfig config, MakeActuator make, std::string guarded = {}, Takes takes = Takes::at_once);
   /// Calls `done` on its loop, in a later turn, when the device has its safe value or is away (disconnected: that is no
   /// error here), within 5 s. An error: it has no device, and is to be closed.
@@ -210,11 +210,8 @@ class Output : public AnySensor {
   /// loop, in a later turn, within 5 s unless a value was on its way. From the call on it takes no value. Then it is to
   /// be closed, which waits for nothing more; closing it before waits for the rest. For changes of a configuration.
   void finish(Callback<void()> done);
-  /// After `finish`: it is not closed after all. Takes the device again, and waits for that; armed as it was, with the
-  /// value of `held_value`. SetupError: as the constructor.
-  void take_back();
-  /// As `value`; after `finish`, what the device had then, or was asked to have since, while the lease of that lasts.
-  std::optional<double> held_value() const noexcept;
+  /// How long the last value that was set still holds. Without a `lease`: for ever.
+  Duration lease_left() const noexcept;
 
   /// As it is configured; 0 when it is closed.
   double safe_value() const noexcept;

@@ -8,6 +8,7 @@
 
 #include "loop/core/loop_core.hpp"
 #include "loop/runtime/runtime_core.hpp"
+#include "loop/support/deadline.hpp"
 #include "rtdata/data/description.hpp"
 #include "rtdata/outputs/output.hpp"
 #include "rtdata/process/expression.hpp"
@@ -60,13 +61,18 @@ class OutputSetter {
     loop_.core().call_there([&] { result = function(); });
     return std::move(*result);
   }
-  /// What outputs have by the machine, or had before a reload gave their devices back: of a value that somebody else
-  /// set, or whose lease is over, nothing.
-  std::vector<fsm::OutputValue> held() const {
-    std::vector<fsm::OutputValue> all;
+  /// What an output has by the machine, and until when.
+  struct Held {
+    fsm::OutputValue value;
+    MonotonicTime until;
+  };
+  /// Of a value that somebody else set, or whose lease is over, nothing.
+  std::vector<Held> held() const {
+    std::vector<Held> all;
     for (const fsm::OutputValue& one : set_) {
       const Output& output = *outputs_.at(one.output);
-      if (output.is_armed() && output.held_value() == one.value) all.push_back(one);
+      if (output.is_armed() && output.value() == one.value)
+        all.push_back({one, detail::later(loop_.now(), output.lease_left())});
     }
     return all;
   }
@@ -78,17 +84,16 @@ class OutputSetter {
       const bool is_of_others = value && *value != one.value && *value != output.safe_value();
       if (!output.is_armed() || output.is_safe() || is_of_others) continue;
       const Result<void> done = output.set(output.safe_value(), by_ + ", removed");
-      if (!done && done.error().code == Errc::busy) continue;  // its device is given back, with its safe value
       loop_.runtime().core().log(done ? LogLevel::warning : LogLevel::error, by_,
                                  "it is removed: output " + one.output + ", which it had set, is " +
                                      (done ? "being set to its safe value" : "not set safe: " + done.error().why));
     }
   }
   /// Of the machine before: those that a reload has made anew get it again.
-  void hold(const std::vector<fsm::OutputValue>& before) {
-    for (const fsm::OutputValue& one : before) {
+  void hold(const std::vector<Held>& before) {
+    for (const auto& [one, until] : before) {
       const auto known = outputs_.find(one.output);
-      if (known == outputs_.end()) continue;
+      if (known == outputs_.end() || until <= loop_.now()) continue;
       if (known->second->value() == one.value)
         set_.push_back(one);
       else
@@ -116,7 +121,7 @@ class OutputSetter {
   void set(Output& output, const fsm::OutputValue& one) {
     std::erase_if(set_, [&](const fsm::OutputValue& other) { return other.output == one.output; });
     const Result<void> done = output.set(one.value, by_);
-    if (done || done.error().code == Errc::busy) set_.push_back(one);  // busy: the one in its place gets it
+    if (done) set_.push_back(one);
     tell(one.output, "set", done);
   }
   void tell(const std::string& output, const char* what, const Result<void>& done) const {
@@ -143,7 +148,7 @@ struct MachineBefore {
   std::string state;
   MonotonicTime since;
   bool is_acted_on;
-  std::vector<fsm::OutputValue> held;
+  std::vector<OutputSetter::Held> held;
 };
 
 /// A change, and each state as a name that is true in it. Null: a state is called as a name cannot be.

@@ -19,13 +19,6 @@ constexpr Duration storing_patience = std::chrono::milliseconds{2500};  // less 
 constexpr std::size_t most_told = 100;                                  // mistakes: telling them takes the loop's time
 constexpr Duration step_time = std::chrono::milliseconds{2};            // of a turn
 
-std::uint64_t refused_by_sinks(const Runtime& runtime) {
-  std::uint64_t refused = 0;
-  for (const SinkStatus& sink : runtime.sinks())
-    refused += sink.counts.dropped[static_cast<std::size_t>(DropReason::refused)];
-  return refused;
-}
-
 }  // namespace
 
 std::shared_ptr<const Reload::NextPlan> Reload::read_again() const {
@@ -82,7 +75,7 @@ bool Reload::may_be_applied(Change& change) {
   }
   for (const Problem& warning : next.warnings) add(change, LogLevel::warning, warning.text(), warning.id);
   if (!run_.has_guard && !next.of_kind("output").empty()) return refused(std::string(no_guard));
-  change.steps = std::make_unique<StepwiseChange>(system_, next, change.given_up);
+  change.steps = std::make_unique<StepwiseChange>(system_, next);
   const PlanChange& parts = change.steps->changes();
   if (parts.refused() == 0) {
     const std::string obstacle = obstacle_to_give_up(change);
@@ -249,9 +242,7 @@ void Reload::stop_waiting(const std::shared_ptr<Change>& change) {
 }
 
 void Reload::go_on(const std::shared_ptr<Change>& change) {
-  if (run_.is_ending() && !change->steps->is_applied())
-    return conclude(*change, LogLevel::error, "not applied: it ends already");
-  const std::uint64_t refused_before = refused_by_sinks(loop_.runtime());
+  if (run_.is_ending()) return conclude(*change, LogLevel::error, "not finished: the program ends");
   std::string failed, id;
   bool is_more = false;
   try {
@@ -262,19 +253,14 @@ void Reload::go_on(const std::shared_ptr<Change>& change) {
   } catch (const std::exception& error) {
     failed = error.what();
   }
-  // Of a sink that was closed before it could store what it had: they are lost, as at the end of the program.
-  not_stored_ += refused_by_sinks(loop_.runtime()) - refused_before;
-  if (!failed.empty()) return conclude(*change, LogLevel::error, "not applied: " + failed, id);
+  if (!failed.empty() && !change->steps->is_applied())
+    return conclude(*change, LogLevel::error, "not applied: " + failed, id);
+  change->missing = failed;
   if (change->steps->is_waiting()) {
-    change->patience = Timer(loop_, device_look, [this, weak = Weak(change)] { then(weak, &Reload::look_again); });
+    change->patience = Timer(loop_, device_look, [this, weak = Weak(change)] { then(weak, &Reload::go_on); });
     return;
   }
   then(change, is_more ? &Reload::go_on : &Reload::be_applied);
-}
-
-void Reload::look_again(const std::shared_ptr<Change>& change) {
-  if (!run_.is_ending()) return go_on(change);
-  conclude(*change, LogLevel::warning, "not finished: a device is slow, and the program ends");
 }
 
 void Reload::be_applied(const std::shared_ptr<Change>& change) {
@@ -319,6 +305,8 @@ void Reload::tell_parts(const std::shared_ptr<Change>& change) {
     if (loop_.now() - begin >= step_time) return then(change, &Reload::tell_parts);
   }
   for (const std::string& line : change->left) add(*change, LogLevel::warning, line, "left-backlog");
+  if (!change->missing.empty())
+    return conclude(*change, LogLevel::error, options_.file + " is applied, but for this: " + change->missing);
   conclude(*change, LogLevel::info,
            options_.file + " is applied" + (parts.is_empty() ? "; nothing has changed in it" : "") + ": " +
                counts_text(registry_, change->read->plan));

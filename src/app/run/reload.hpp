@@ -53,14 +53,13 @@ class Reload {
   /// Reads and checks the file again. Any thread but the loop's: so nothing waits for it.
   std::shared_ptr<const NextPlan> read_again() const;
   /// `why`: what asked for it, for messages. A recording that the change closes stores first what it has, while the
-  /// loop turns; one that cannot, as on a full disk, would hold the loop and lose it: then nothing is changed. The loop
-  /// turns, too, while many parts are added or removed.
+  /// loop turns; one that cannot, as on a full disk, would lose it: then nothing is changed.
   /// One that comes while another is applied waits for it; of several that wait, the last one is applied.
   /// `given_up`: sinks that the change closes, by name: it goes on without what they cannot store.
   void apply(std::shared_ptr<const NextPlan> read, const std::string& why, Told told,
              std::set<std::string> given_up = {});
   /// Events of sinks that were closed before they could store them.
-  std::uint64_t not_stored() const noexcept { return not_stored_ + system_.lost_in_changes(); }
+  std::uint64_t not_stored() const noexcept { return system_.lost_in_changes(); }
 
  private:
   /// One that is under way.
@@ -79,6 +78,7 @@ class Reload {
     std::vector<std::string> left = {};  // recordings that it closes for good, a line each
     std::size_t told_parts = 0;          // of those that are changed, for the log
     std::string details = {};            // what is said of it, a line each
+    std::string missing = {};            // what could not be made, though it is applied
   };
   using Weak = std::weak_ptr<Change>;
   void conclude(Change& change, LogLevel level, const std::string& text, std::string_view id = {});
@@ -101,8 +101,6 @@ class Reload {
   void then(const Weak& change, void (Reload::*step)(const std::shared_ptr<Change>&));
   void stop_waiting(const std::shared_ptr<Change>& change);
   void go_on(const std::shared_ptr<Change>& change);
-  /// While a device is slow.
-  void look_again(const std::shared_ptr<Change>& change);
   void be_applied(const std::shared_ptr<Change>& change);
   /// Tells which sinks that it has made could not open their files.
   void tell_unopened(const std::shared_ptr<Change>& change);
@@ -116,9 +114,8 @@ class Reload {
   const RunOptions& options_;
   RunConsole& console_;
   const Run run_;
-  std::shared_ptr<Change> under_way_;  // null: none
-  std::shared_ptr<Change> next_;       // that waits for it
-  std::uint64_t not_stored_ = 0;
+  std::shared_ptr<Change> under_way_;                // null: none
+  std::shared_ptr<Change> next_;                     // that waits for it
   mutable std::atomic<std::uint64_t> readings_ = 0;  // begun
   std::uint64_t newest_ = 0;                         // that was to be applied
   detail::Lane lane_;                                // that looks at files, on whatever disks they are

@@ -38,8 +38,7 @@ void let_the_loop_turn(PartPlan& plan) {
   plan.when_made = [](const PartObject& part, std::function<void(Result<void>)> done) {
     part.as<Output>()->when_taken(std::move(done));
   };
-  plan.ending = {[](const PartObject& part, std::function<void()> done) { part.as<Output>()->finish(std::move(done)); },
-                 [](const PartObject& part) { part.as<Output>()->take_back(); }};
+  plan.ending = [](const PartObject& part, std::function<void()> done) { part.as<Output>()->finish(std::move(done)); };
 }
 
 /// What the sensor publishes; an empty topic is as its name.
@@ -220,11 +219,10 @@ void Registry::add_output_type(const std::string& type, std::string doc, config_
     guarded.set("type", type);
     const auto make_armed = [make_actuator, common, guarded = guarded.to_json()](Arming armed) -> PartPlan::Make {
       return [make_actuator, common, guarded, armed](Loop& loop, const Parts& parts) {
-        const auto takes = parts.takes_devices_later() ? Output::Takes::later : Output::Takes::at_once;
         OutputConfig config = common;
         config.armed = armed;
         return PartObject::made_by<Output>(
-            [&] { return Output(loop, std::move(config), make_actuator, guarded, takes); });
+            [&] { return Output(loop, std::move(config), make_actuator, guarded, parts.takes()); });
       };
     };
     plan.make = make_armed(common.armed);

@@ -56,10 +56,38 @@ void System::make(std::unique_ptr<Parts::Part> part) {
   const PartPlan& plan = part->plan;
   const detail::Nodes::Doing doing(loop_.core().nodes, "the making of " + plan.object());
   part->object = made_at(plan, [&] {
-    const auto make_there = [&](Loop& on) { return made_on(on, plan, parts_); };
-    return plan.tier().empty() ? make_there(loop_) : tier(plan.tier()).call(make_there);
+    Loop& on = plan.tier().empty() ? loop_ : tier(plan.tier()).loop();
+    return on.core().runs_elsewhere() ? make_on_tier(on, plan) : made_on(on, plan, parts_);
   });
   parts_.add(std::move(part));
+}
+
+PartObject System::make_on_tier(Loop& loop, const PartPlan& plan) {
+  struct Making {
+    std::shared_ptr<int> is_under_way = std::make_shared<int>();
+    PartPlan plan;
+    PartObject object = {};  // goes first
+  };
+  loop_.core().check_thread("cannot make", plan.object());
+  const auto making = std::make_shared<Making>(Making{.plan = plan});
+  try {
+    loop.core().ask_there([&loop, &parts = parts_, making] {
+      const detail::Nodes::Doing doing(loop.core().nodes, "the making of " + making->plan.object());
+      making->object = made_on(loop, making->plan, parts);
+      return true;
+    });
+  } catch (...) {
+    given_up_.push_back({making->is_under_way, plan.uses, {}});
+    throw;
+  }
+  return std::move(making->object);
+}
+
+void System::close(std::unique_ptr<Parts::Part> part) {
+  std::erase_if(given_up_, [](const GivenUp& one) { return one.making.expired(); });
+  for (GivenUp& one : given_up_)
+    for (const PartUse& use : one.uses)
+      if (use.kind == part->plan.kind && use.name == part->plan.name) return one.used.push_back(std::move(part));
 }
 
 config_detail::Neighbours& System::neighbours() {
@@ -119,7 +147,7 @@ void System::remove(std::string_view kind, std::string_view name) {
   if (part.plan.on_removal) part.plan.on_removal(part.object);
   neighbours_.reset();
   std::string object = part.plan.object();
-  parts_.remove(kind, name);
+  close(parts_.take(kind, name));
   loop_.runtime().core().configurations.remove(std::move(object));
 }
 
@@ -164,7 +192,7 @@ void System::finish_outputs(Callback<void()> done) {
       if (!part->plan.ending || part->plan.tier().empty() == of_tiers) continue;
       ++all->left;
       try {
-        part->plan.ending->begin(part->object, one_done);
+        part->plan.ending(part->object, one_done);
       } catch (const SetupError&) {  // its loop does not turn: the guard does it
         one_done();
       }
@@ -175,8 +203,8 @@ void System::finish_outputs(Callback<void()> done) {
   one_done();
 }
 
-StepwiseChange::StepwiseChange(System& system, const SystemPlan& next, std::set<std::string> given_up)
-    : application_(std::make_unique<config_detail::PlanApplication>(system, next, std::move(given_up))) {}
+StepwiseChange::StepwiseChange(System& system, const SystemPlan& next)
+    : application_(std::make_unique<config_detail::PlanApplication>(system, next)) {}
 StepwiseChange::~StepwiseChange() = default;
 
 const PlanChange& StepwiseChange::changes() const noexcept { return application_->changes(); }

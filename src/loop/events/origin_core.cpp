@@ -14,10 +14,21 @@ OriginCore::OriginCore(std::string_view name_, TopicCore& topic_, std::uint32_t 
 
 void OriginCore::begin_segment(MonotonicTime first_due, Duration period) noexcept {
   counts.has_schedule = true;
+  if (gaps_ != nullptr && gaps_->away_period > Duration{0}) [[unlikely]]
+    miss_while_away(std::min(first_due, topic.runtime().clock().monotonic()));
   first_due_ = first_due;
   period_ = period;
   scheduled_before_ = counts.scheduled;
   topic.tell_taps_of_change(*this);
+}
+
+void OriginCore::miss_while_away(MonotonicTime until) noexcept {
+  const Duration period = std::exchange(gaps_->away_period, Duration{0});
+  const std::int64_t ticks = span_between(free_from(), until) / period;
+  if (ticks <= 0) return;
+  begin_segment(later(until, -multiple(ticks, period)), period);
+  miss(static_cast<std::uint64_t>(ticks), "made anew", first_due_);
+  end_segment(last_due());
 }
 
 MonotonicTime OriginCore::last_due() const noexcept {

@@ -29,6 +29,12 @@ class OriginCore {
 
   // The schedule. Instants are on the monotonic line.
   void begin_segment(MonotonicTime first_due, Duration period) noexcept;
+  /// Without a segment: ticks of this period that come due until the next one begins are missed ("made anew"). 0: none
+  /// are. Throws.
+  void be_away(Duration period) {
+    if (period > Duration{0}) expect_gaps();
+    if (gaps_ != nullptr) gaps_->away_period = period;
+  }
   /// Ends at `end`, up to which every due tick has been counted.
   void end_segment(MonotonicTime end) noexcept;
   bool has_segment() const noexcept { return period_.count() > 0; }
@@ -137,6 +143,7 @@ class OriginCore {
   SensorEntry* sensor = nullptr;  ///< that exists now, if any; feeds too
 
  private:
+  void miss_while_away(MonotonicTime until) noexcept;
   /// Of the ticks of the segment that were counted; one period before the first, while there is none.
   MonotonicTime last_due() const noexcept;
   void extend_gap(Gap::Kind kind, std::string_view reason, MonotonicTime first, MonotonicTime last,
@@ -163,6 +170,7 @@ class OriginCore {
     Time joined_up_to = Time::min();  // the end of the joined gap that was reported last
     Outages outages;                  // number of all, time of those that have ended
     Time absent_since = Time::min();  // with an absence that has not ended
+    Duration away_period{0};
   };
   /// Thousands of sensors never have a gap: it is made with the first one. An open gap has it.
   std::unique_ptr<Gaps> gaps_;
