@@ -2,7 +2,8 @@
 
 #include <algorithm>
 #include <cstring>
-#include <new>
+
+#include "loop/support/no_memory.hpp"
 
 namespace rtdata::detail {
 namespace {
@@ -118,7 +119,7 @@ bool curl_may_raise_sigpipe() noexcept {
 
 void append(curl_slist*& list, const std::string& text) {
   curl_slist* const longer = curl_slist_append(list, text.c_str());
-  if (longer == nullptr) throw std::bad_alloc();
+  if (longer == nullptr) detail::no_memory();
   list = longer;
 }
 

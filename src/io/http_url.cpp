@@ -7,6 +7,7 @@
 
 #include "data/lower_case.hpp"
 #include "io/libcurl.hpp"
+#include "loop/support/no_memory.hpp"
 #include "rtdata/data/config_item.hpp"
 #include "rtdata/data/problem.hpp"
 
@@ -65,7 +66,7 @@ Result<HttpUrl> parse_http_url(const std::string& text) {
         "a URL has no blanks, no control characters and no letters but those of ASCII: write them as %20 and so "
         "on, a host's name in Punycode (xn--)");
   const std::unique_ptr<CURLU, void (*)(CURLU*)> url(curl_url(), curl_url_cleanup);
-  if (url == nullptr) return wrong("there is no memory");
+  if (url == nullptr) detail::no_memory();
   const std::size_t colon = text.find("://");
   if (colon == std::string::npos) return wrong("it has no scheme: begin it with http:// or https://");
   HttpUrl parsed;

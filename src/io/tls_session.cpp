@@ -6,6 +6,7 @@
 
 #ifdef RTDATA_WITH_OPENSSL
 #include "io/libssl.hpp"
+#include "loop/support/no_memory.hpp"
 #endif
 
 namespace rtdata::detail {
@@ -128,7 +129,7 @@ TlsSession::TlsSession(std::shared_ptr<const TlsContext> context, const std::str
   if (ssl == nullptr || impl_->in == nullptr || impl_->out == nullptr) {
     BIO_free(impl_->in);
     BIO_free(impl_->out);
-    throw std::bad_alloc();
+    no_memory();
   }
   SSL_set_bio(ssl, impl_->in, impl_->out);
   SSL_set_connect_state(ssl);
@@ -137,7 +138,7 @@ TlsSession::TlsSession(std::shared_ptr<const TlsContext> context, const std::str
   ERR_clear_error();
   SSL_set_tlsext_host_name(ssl, host.c_str());
   SSL_set_hostflags(ssl, X509_CHECK_FLAG_NO_PARTIAL_WILDCARDS);
-  if (SSL_set1_host(ssl, host.c_str()) != 1) throw std::bad_alloc();
+  if (SSL_set1_host(ssl, host.c_str()) != 1) no_memory();
 }
 
 TlsSession::~TlsSession() = default;

@@ -15,6 +15,7 @@
 #include <fstream>
 #include <list>
 #include <memory>
+#include <new>
 #include <optional>
 #include <string>
 #include <string_view>
@@ -315,6 +316,7 @@ void be_guard(int socket, GuardBeat* beats, const OutputGuard::Make& make) noexc
   for (const int number : {SIGINT, SIGTERM, SIGHUP, SIGQUIT, SIGABRT, SIGALRM, SIGPIPE, SIGUSR1, SIGUSR2, SIGXCPU})
     ::signal(number, SIG_IGN);
   for (const int number : {SIGSEGV, SIGBUS, SIGILL, SIGFPE}) ::signal(number, SIG_DFL);
+  std::set_new_handler(nullptr);  // it goes on, whatever the program does where there is no memory
   ::setsid();
   ::prctl(PR_SET_NAME, name_of_guard);
   close_others(socket);

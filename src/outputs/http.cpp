@@ -8,6 +8,7 @@
 
 #include "data/hidden.hpp"
 #include "io/http_request.hpp"
+#include "loop/support/no_memory.hpp"
 #include "loop/support/no_sigpipe.hpp"
 #include "outputs/set_text.hpp"
 
@@ -59,7 +60,7 @@ struct HttpActuator::Request {
 
   void make() {
     easy = curl_easy_init();
-    if (easy == nullptr) throw std::bad_alloc();
+    if (easy == nullptr) detail::no_memory();
     url = detail::parse_http_url(servers_of(config).front().url).or_throw();
     secrets = detail::secrets_of(config.server);
     detail::append_headers(headers, config.server, config.method == HttpSetMethod::get ? "" : config.content_type);

@@ -471,6 +471,25 @@ TEST_SUITE("app") {
     }
   }
 
+  TEST_CASE("NFR-7 where there is no memory the program says so and ends, and the next start seals its recording") {
+    const Folder folder;
+    folder.write("bench.json", R"({
+      "sensors": [ {"name": "a", "type": "tallied", "rate": "100 Hz", "starve_at": 20} ],
+      "sinks": [ {"type": "sqlite", "path": "run.db"} ] })");
+    Process run(folder, program, {"run", "bench.json"});
+    CHECK(run.end() == 1);
+    const std::string line = "there is no memory: the program ends; free some, or raise its limit\n";
+    CHECK(has(run.err, "rtdata: fatal: " + line));
+    CHECK(has(folder.read("bench.log"), " error program: " + line));
+    folder.write("next.json", R"({"sensors": [ {"name": "a", "type": "tallied", "rate": "100 Hz"} ],
+      "sinks": [ {"type": "sqlite", "path": "run.db"} ] })");
+    Process next(folder, program, {"run", "next.json", "--for", "50ms"});
+    CHECK(next.end() == 0);
+    Process verify(folder, program, {"verify", "run.db", "--run", "1"});
+    CHECK(verify.end() == 0);
+    CHECK(has(verify.out, "sealed"));
+  }
+
   TEST_CASE("NFR-4 stopped by a debugger and continued: the ticks are missed, in one stretch, and none is caught up") {
     const Folder folder;
     folder.write("bench.json", bench);

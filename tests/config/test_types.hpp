@@ -6,7 +6,9 @@
 
 #include <atomic>
 #include <cstdio>
+#include <limits>
 #include <memory>
+#include <new>
 #include <string>
 
 #include "rtdata/config/registry.hpp"
@@ -44,12 +46,15 @@ struct CounterConfig {
   std::uint64_t first = 1;
   std::uint64_t fail_every = 0;
   std::uint64_t hang_at = 0;
+  std::uint64_t starve_at = 0;
   Duration hold{0};
   friend constexpr auto parameters(type_tag<CounterConfig>) {
     return parameter_list(
         parameter("first", &CounterConfig::first, "where it begins"),
         parameter("fail_every", &CounterConfig::fail_every, "fails each time it has counted so far; 0: never"),
         parameter("hang_at", &CounterConfig::hang_at, "the reading that never returns, and says so on stderr; 0: none"),
+        parameter("starve_at", &CounterConfig::starve_at,
+                  "the reading that asks for more memory than there is; 0: none"),
         parameter("hold", &CounterConfig::hold, "how long each reading holds the loop"));
   }
   friend ReadTime read_time(const CounterConfig& config) {
@@ -65,6 +70,10 @@ struct Counter {
     if (config.hang_at != 0 && count >= config.hang_at) {
       [[maybe_unused]] const ssize_t size = ::write(STDERR_FILENO, "it hangs now\n", 13);
       for (;;) ::pause();
+    }
+    if (config.starve_at != 0 && count >= config.starve_at) {
+      volatile std::size_t most = std::numeric_limits<std::size_t>::max() / 4;
+      ::operator delete(::operator new(most));
     }
     if (config.hold.count() > 0) {
       timespec wait{config.hold.count() / 1'000'000'000, static_cast<long>(config.hold.count() % 1'000'000'000)};

@@ -253,6 +253,8 @@ TEST_CASE("US-17 making a trigger refuses what cannot work") {
   CHECK_THROWS_WITH_AS(made({.on = "thurst", .when = "1"}), doctest::Contains("no topic \"thurst\" yet"), SetupError);
   CHECK_THROWS_WITH_AS(made({.on = "a b#", .when = "1"}), doctest::Contains("is no topic"), SetupError);
   CHECK_THROWS_WITH_AS(made({.on = "thrust", .with = {"thrust"}, .when = "1"}), doctest::Contains("twice"), SetupError);
+  CHECK_THROWS_WITH_AS(made({.on = "thrust", .when = "1", .events = 4'000'000'000}),
+                       doctest::Contains("takes more memory than this machine has"), SetupError);
   CHECK_THROWS_AS(made({.on = "thrust", .when = "value >"}), ExpressionError);
   made({.on = "thrust", .when = "value > 1"});  // nothing is left behind
 }

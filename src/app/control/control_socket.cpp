@@ -152,13 +152,7 @@ struct ControlSocket::Client {
 struct ControlSocket::Job final : detail::LaneJob {
   Job(ControlSocket& to, std::uint64_t client, Work work)
       : to_(to), is_alive_(to.is_alive_), client_(client), work_(std::move(work)) {}
-  void run() noexcept override {
-    try {
-      text_ = work_();
-    } catch (...) {  // out of memory
-      text_.clear();
-    }
-  }
+  void run() noexcept override { text_ = work_(); }
   void done(Outcome) override {
     if (*is_alive_) to_.answered(client_, std::move(text_));
   }

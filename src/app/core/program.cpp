@@ -7,6 +7,7 @@
 #include <cerrno>
 #include <cstring>
 #include <iostream>
+#include <new>
 #include <streambuf>
 #include <string>
 #include <string_view>
@@ -15,6 +16,7 @@
 
 #include "app/core/arguments.hpp"
 #include "app/core/configuration_commands.hpp"
+#include "app/core/no_memory.hpp"
 
 namespace rtdata {
 namespace {
@@ -250,6 +252,7 @@ class StandardOutput final : public std::streambuf {
 }  // namespace
 
 int run_program(const Registry& registry, int argc, char** argv) {
+  std::set_new_handler(app::end_without_memory);
   try {
     StandardOutput output;
     const int status = parse_and_run(registry, argc, argv);

@@ -5,6 +5,8 @@
 #include <array>
 #include <cstring>
 
+#include "app/core/configuration_commands.hpp"
+#include "app/core/no_memory.hpp"
 #include "app/run/log.hpp"
 
 namespace rtdata::app {
@@ -83,22 +85,32 @@ const char* name_of_signal(int signal) noexcept {
   }
 }
 
+/// Behind what is written already, once.
+template <class AddText>
+void write_last_line(const AddText& add_text) noexcept {
+  const WriterCounts* const counts = counts_of_log.exchange(nullptr);
+  if (counts == nullptr) return;
+  for (int i = 0; i < 500 && !counts->is_idle(); ++i) {
+    const timespec pause{0, 1'000'000};
+    ::nanosleep(&pause, nullptr);
+  }
+  Line line;
+  add_time(line);
+  line.add(" error program: ");
+  add_text(line);
+  line.add("\n");
+  write_fully(counts->fd.load(), line.text.data(), line.size);
+}
+
 extern "C" void on_fatal_signal(int signal) {
   const int saved_errno = errno;
-  if (const WriterCounts* counts = counts_of_log.exchange(nullptr)) {
-    for (int i = 0; i < 500 && !counts->is_idle(); ++i) {
-      const timespec pause{0, 1'000'000};
-      ::nanosleep(&pause, nullptr);
-    }
-    Line line;
-    add_time(line);
-    line.add(" error program: fatal signal ");
+  write_last_line([signal](Line& line) {
+    line.add("fatal signal ");
     line.add(signal, 1);
     line.add(" (");
     line.add(name_of_signal(signal));
-    line.add(")\n");
-    write_fully(counts->fd.load(), line.text.data(), line.size);
-  }
+    line.add(")");
+  });
   for (std::size_t i = 0; i < fatal.size(); ++i) {
     if (fatal[i] == signal) ::sigaction(signal, &before[i], nullptr);
   }
@@ -107,6 +119,19 @@ extern "C" void on_fatal_signal(int signal) {
 }
 
 }  // namespace
+
+void end_without_memory() noexcept {
+  static std::atomic_flag is_ending = ATOMIC_FLAG_INIT;
+  while (is_ending.test_and_set()) ::pause();  // another thread does it
+  constexpr const char* what = "there is no memory: the program ends; free some, or raise its limit";
+  Line line;
+  line.add("rtdata: fatal: ");
+  line.add(what);
+  line.add("\n");
+  write_fully(STDERR_FILENO, line.text.data(), line.size);
+  write_last_line([](Line& last) { last.add(what); });
+  ::_exit(exit_other);
+}
 
 FatalSignals::FatalSignals(const Log& log) {
   counts_of_log.store(&log.counts());

@@ -64,13 +64,9 @@ class LogFile {
 
  private:
   void rotate(mode_t mode) noexcept {
-    try {
-      const auto numbered = [&](unsigned number) { return path_ + "." + std::to_string(number); };
-      for (unsigned i = keep_; i-- > 1;) ::rename(numbered(i).c_str(), numbered(i + 1).c_str());  // some are not there
-      if (::rename(path_.c_str(), numbered(1).c_str()) != 0) return tell(errno);
-    } catch (const std::bad_alloc&) {  // at the next line
-      return;
-    }
+    const auto numbered = [&](unsigned number) { return path_ + "." + std::to_string(number); };
+    for (unsigned i = keep_; i-- > 1;) ::rename(numbered(i).c_str(), numbered(i + 1).c_str());  // some are not there
+    if (::rename(path_.c_str(), numbered(1).c_str()) != 0) return tell(errno);
     begin_new(mode);
   }
 
@@ -117,16 +113,13 @@ Result<void> Log::open(const std::string& file, const LogSettings& settings) {
 
 void Log::write(LogLevel level, std::string_view object, std::string_view text, std::string_view error_id) noexcept {
   if (fd_ < 0 || level < least_) return;
-  try {
-    std::string line = to_iso8601(wall_clock_now());
-    line.replace(line.size() - 4, 3, "");  // microseconds are enough
-    line.append(" ").append(name_of(level)).append(" ").append(object).append(object.empty() ? "" : ": ").append(text);
-    if (!error_id.empty()) line.append(" [").append(error_id).append("]");
-    std::replace(line.begin(), line.end(), '\n', ' ');
-    line += '\n';
-    writer_.write(detail::is_readable(line) ? line : detail::readable(line));
-  } catch (const std::bad_alloc&) {  // no memory for a line: the fatal end, if it comes, has its own
-  }
+  std::string line = to_iso8601(wall_clock_now());
+  line.replace(line.size() - 4, 3, "");  // microseconds are enough
+  line.append(" ").append(name_of(level)).append(" ").append(object).append(object.empty() ? "" : ": ").append(text);
+  if (!error_id.empty()) line.append(" [").append(error_id).append("]");
+  std::replace(line.begin(), line.end(), '\n', ' ');
+  line += '\n';
+  writer_.write(detail::is_readable(line) ? line : detail::readable(line));
 }
 
 }  // namespace rtdata::app

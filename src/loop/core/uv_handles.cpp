@@ -12,6 +12,7 @@
 #include <memory>
 
 #include "loop/core/loop_core.hpp"
+#include "loop/support/no_memory.hpp"
 
 namespace rtdata::detail {
 
@@ -52,6 +53,7 @@ uv_handle_t* base(UvHandle& handle) noexcept {
 }
 
 [[noreturn]] void throw_uv(int status, const char* what) {
+  if (status == UV_ENOMEM) no_memory();
   throw SetupError({make_error_code(Errc::io_failed), what, "libuv", uv_strerror(status), ""});
 }
 

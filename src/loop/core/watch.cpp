@@ -4,6 +4,7 @@
 
 #include "loop/core/loop_core.hpp"
 #include "loop/runtime/runtime_core.hpp"
+#include "loop/support/no_memory.hpp"
 
 namespace rtdata {
 namespace detail {
@@ -32,6 +33,7 @@ class FdWatchNode final : public Node {
     if (!callback_) refuse_empty("cannot watch", name_);
     auto box = std::make_unique<Box>();
     if (const int status = uv_poll_init(loop.uv.lend(), &box->handle, fd); status != 0) {
+      if (status == UV_ENOMEM) no_memory();
       failed_ = status;
       return;
     }

@@ -1,8 +1,10 @@
 #include "rtdata/sensors/trigger.hpp"
 
+#include <unistd.h>
+
 #include <algorithm>
 #include <cstring>
-#include <new>
+#include <limits>
 #include <utility>
 
 #include "loop/events/made_of.hpp"
@@ -46,9 +48,12 @@ namespace detail {
 class EventRing {
  public:
   EventRing(std::size_t room, std::size_t payload_bytes)
-      : room_(room), stride_(sizeof(std::int64_t) + (payload_bytes + 7) / 8 * 8), bytes_(payload_bytes) {
-    if (room_ > memory_.max_size() / stride_) throw std::bad_alloc();  // where a std::size_t has 32 bits
+      : room_(room), stride_(stride_of(payload_bytes)), bytes_(payload_bytes) {
     memory_.resize(room_ * stride_);
+  }
+  /// Of one event.
+  static std::size_t stride_of(std::size_t payload_bytes) noexcept {
+    return sizeof(std::int64_t) + (payload_bytes + 7) / 8 * 8;
   }
   bool is_full() const noexcept { return end_ - begin_ == room_; }
   /// Counts all that came; those from `begin` on are there.
@@ -297,14 +302,16 @@ TriggerSensor::TriggerSensor(Loop& loop, FeedConfig feed, TriggerConfig config) 
     refuse(Errc::not_found, "there is no topic \"" + config.on + "\" yet", "make what publishes it first");
   if (topic->type.description == nullptr)
     refuse(Errc::bad_description, "what the topic \"" + config.on + "\" carries has no description");
-  try {
-    auto* const node = new detail::TriggerNode(loop, feed, config, topic->type.description);
-    *this = TriggerSensor(node);
-    node->subscribe(loop);
-  } catch (const std::bad_alloc&) {
-    refuse(Errc::io_failed, "there is no memory for a ring of " + std::to_string(config.events) + " events",
+  const std::uint64_t memory = std::min<std::uint64_t>(
+      static_cast<std::uint64_t>(::sysconf(_SC_PHYS_PAGES)) * static_cast<std::uint64_t>(::sysconf(_SC_PAGESIZE)),
+      std::numeric_limits<std::size_t>::max() / 2);
+  if (config.events > memory / detail::EventRing::stride_of(topic->type.size))
+    refuse(Errc::io_failed,
+           "a ring of " + std::to_string(config.events) + " events takes more memory than this machine has",
            "make `events` smaller");
-  }
+  auto* const node = new detail::TriggerNode(loop, feed, config, topic->type.description);
+  *this = TriggerSensor(node);
+  node->subscribe(loop);
 }
 
 }  // namespace rtdata
