@@ -85,7 +85,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   }
 
   Result<void> set(double value, std::string_view by) {
-    if (!is_held_ && !is_left_) return stopped();
+    if (state_ == State::stopped) return stopped();
     if (!std::isfinite(value)) return refusal(Errc::bad_argument, "the value is no finite number", "");
     if (input_)
       return refusal(Errc::bad_argument, "it follows the topic \"" + config_.on + "\"", "disarm it to hold it safe");
@@ -102,11 +102,11 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
       record(order, {}, "it is disarmed");
       return refusal(Errc::not_permitted, "it is disarmed", "arm it first");
     }
-    if (is_left_) {
+    if (is().left) {
       record(order, {}, given_back);
       return refusal(Errc::busy, given_back, "after a reload, set it again");
     }
-    if (is_failing_ && !is_busy_) {  // while its safe value is on its way, the order follows that
+    if (state_ == State::failed) {  // while its safe value is on its way, the order follows that
       record(order, {}, "the device has failed");
       return refusal(Errc::io_failed, "the device has failed", "it is set safe as soon as it takes that; set it then");
     }
@@ -119,8 +119,8 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   }
 
   Result<void> arm(std::string_view by) {
-    if (is_left_) return refusal(Errc::busy, given_back, "after a reload, arm it then");
-    if (!is_held_) return stopped();
+    if (is().left) return refusal(Errc::busy, given_back, "after a reload, arm it then");
+    if (!is().held) return stopped();
     if (is_over_) return refusal(Errc::closed, program_ends, "");
     if (is_lost_) return refusal(Errc::disconnected, "its guard has ended: it stays safe", "start the program again");
     if (is_armed_) return {};
@@ -130,18 +130,19 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     is_armed_ = true;
     has_tripped_ = false;
     record({config_.safe, OutputCause::arm, fitting<48>(by), now()}, value_,
-           is_failing_ ? "the device has failed" : "");
+           is().failing ? "the device has failed" : "");
     recall();
     settle();
     return {};
   }
 
   Result<void> disarm(std::string_view by) {
-    if (!is_held_ && !is_left_) return stopped();
+    if (state_ == State::stopped) return stopped();
     if (!is_armed_) return {};
     is_armed_ = false;
-    if (is_left_) {
-      record({config_.safe, OutputCause::disarm, fitting<48>(by), now()}, value_, is_ending_ ? given_back : "");
+    if (is().left) {
+      record({config_.safe, OutputCause::disarm, fitting<48>(by), now()}, value_,
+             state_ == State::ending ? given_back : "");
       return {};
     }
     end_lease();
@@ -180,29 +181,27 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   }
   void when_taken(Callback<void(Result<void>)> done) {
     when_taken_.push_back(std::move(done));
-    if (!is_taking_) tell_taken();
+    if (state_ != State::taking) tell_taken();
   }
   void finish(Callback<void()> done) {
     ended_.push_back(std::move(done));
-    if (is_ending_) return;
-    if (!is_held_) return tell_ended();
-    is_left_ = true;
-    is_ending_ = true;
-    end_orders();
+    if (state_ == State::ending) return;
+    if (!is().held) return tell_ended();
+    end_orders(State::ending);
     if (const Result<void> begun = port_->begin_finish(first_value()); !begun) be_ended(begun);
   }
   Duration lease_left() const noexcept {
     return config_.lease > Duration{0} ? std::max(config_.lease - (now() - last_set_), Duration{0}) : Duration::max();
   }
   bool has_ended_unsafe() const noexcept { return has_ended_unsafe_; }
-  bool is_safe() const noexcept { return !is_busy_ && value_ && *value_ == config_.safe; }
+  bool is_safe() const noexcept { return !is().busy && value_ && *value_ == config_.safe; }
   std::optional<double> value() const noexcept { return value_; }
   bool is_guarded() const noexcept { return port_ != nullptr && port_->is_guarded(); }
 
   void start() override {
     if (is_running() || !is_open()) return;
     FeedNode::start();
-    is_left_ = false;
+    state_ = State::stopped;
     take_device(config_.armed == Arming::at_start);
     recall();
   }
@@ -223,6 +222,33 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     MonotonicTime asked{};
     bool is_repeat = false;  // of the value that is on its way: it is only needed when the device does not take that
   };
+
+  /// Where it stands with its device.
+  enum class State : std::uint8_t { stopped, taking, ready, busy, failed, mending, ending, left };
+  struct Standing {
+    bool held, busy, failing, left;
+  };
+  static constexpr Standing standing(State state) noexcept {
+    // clang-format off
+    constexpr Standing all[] = {
+        {false, false, false, false},  // stopped
+        {true,  true,  false, false},  // taking: the device, as a value that is on its way, while the loop turns
+        {true,  false, false, false},  // ready
+        {true,  true,  false, false},  // busy: a value is on its way
+        {true,  false, true,  false},  // failed: the safe value is tried again and again
+        {true,  true,  true,  false},  // mending: it is on its way
+        {false, false, false, true},   // ending: `finish` was called, and is not over
+        {false, false, false, true},   // left: it is over
+    };
+    // clang-format on
+    return all[static_cast<std::size_t>(state)];
+  }
+  Standing is() const noexcept { return standing(state_); }
+  /// Of a device that is held, and was taken.
+  void be(bool busy, bool failing) noexcept {
+    if (!is().held || state_ == State::taking) return;
+    state_ = failing ? (busy ? State::mending : State::failed) : (busy ? State::busy : State::ready);
+  }
 
   static constexpr const char* program_ends = "the program ends";
   static constexpr const char* cannot_control = "cannot change the controller";
@@ -267,9 +293,8 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
            (loop()->is_being_set_up() && (code == Errc::not_found || code == Errc::timed_out));
   }
   void be_held(MonotonicTime began, const Result<void>& opened) {
-    is_held_ = true;
+    state_ = opened ? State::ready : State::failed;
     has_ended_unsafe_ = false;
-    is_failing_ = !opened;
     if (opened && !config_.keep) value_ = config_.safe;
     record({config_.safe, OutputCause::start, {}, began}, value_,
            !opened        ? opened.error().why
@@ -277,7 +302,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
                           : "");
     if (!opened) {
       complain(placed(opened.error()), Health::faulted);
-      if (is_open() && is_held_ && is_failing_) retry_.start(retry_period);
+      if (is_open() && is().failing) retry_.start(retry_period);
     }
   }
   void follow_input() {
@@ -291,9 +316,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   /// The device is taken while the loop turns, as a value that is on its way.
   void begin_taking() {
     beat();
-    is_held_ = true;
-    is_taking_ = true;
-    is_busy_ = true;
+    state_ = State::taking;
     is_armed_ = config_.armed == Arming::at_start && !is_lost_;
     busy_ = {config_.keep ? std::nan("") : config_.safe, OutputCause::start, {}, now()};
     follow_input();
@@ -301,8 +324,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     patience_.start(slow_start);
   }
   void be_taken(const Result<void>& opened) {
-    is_taking_ = false;
-    is_busy_ = false;
+    state_ = State::stopped;
     patience_.stop();
     const bool is_taken = opened || is_away(opened);
     is_patient_ = false;
@@ -310,7 +332,6 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
       be_held(busy_.asked, opened);
     } else {
       taken_ = placed(opened.error());
-      is_held_ = false;
       for (Timer* timer : {&stale_, &lease_, &retry_}) timer->stop();
     }
     tell_taken();
@@ -329,9 +350,9 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   }
   void give_back() noexcept {
     try {
-      if (is_ending_) return be_ended(port_->wait_for_end());
-      if (!is_held_) return;
-      end_orders();
+      if (state_ == State::ending) return be_ended(port_->wait_for_end());
+      if (!is().held) return;
+      end_orders(State::stopped);
       be_given_back(port_->finish(first_value()));
     } catch (const std::exception& thrown) {
       loop()->runtime.log(LogLevel::error, name(), thrown.what());
@@ -350,12 +371,12 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     if (std::exchange(is_watched_, false)) port_->disarm();
   }
   /// Nothing is asked for any more.
-  void end_orders() {
-    is_held_ = false;
+  void end_orders(State next) {
+    const State was = std::exchange(state_, next);
     for (Timer* timer : {&stale_, &lease_, &retry_, &patience_, &turning_}) timer->stop();
-    if (std::exchange(is_taking_, false)) busy_.value = config_.safe;
+    if (was == State::taking) busy_.value = config_.safe;
     stop_order_ = {config_.safe, OutputCause::stop, {}, now()};
-    if (std::exchange(is_busy_, false)) record(busy_, {}, "it ends");
+    if (standing(was).busy) record(busy_, {}, "it ends");
     if (next_) record(*std::exchange(next_, std::nullopt), {}, "it ends");
   }
   void be_given_back(const Result<void>& done) {
@@ -373,7 +394,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   }
   /// What `finish` began.
   void be_ended(const Result<void>& done) {
-    is_ending_ = false;
+    state_ = State::left;
     be_given_back(done);
     if (is_open()) tell_ended();
   }
@@ -384,18 +405,18 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   /// Asks for the value, or notes that there is nothing to do.
   void request(const Order& order) {
     const bool is_asked = order.cause == OutputCause::set || order.cause == OutputCause::input;
-    const double last = next_ ? next_->value : is_busy_ ? busy_.value : value_.value_or(std::nan(""));
+    const double last = next_ ? next_->value : is().busy ? busy_.value : value_.value_or(std::nan(""));
     if (last == order.value) {
-      if (is_asked && is_busy_ && !next_) {
+      if (is_asked && is().busy && !next_) {
         next_ = order;
         next_->is_repeat = true;
         return;
       }
       if (is_asked) return repeated();
-      if (!is_busy_) return record(order, value_, "");
+      if (!is().busy) return record(order, value_, "");
       return record(order, {}, "it is on its way already");
     }
-    if (!is_busy_) return send(order);
+    if (!is().busy) return send(order);
     if (next_ && next_->is_repeat) {
       repeated();
     } else if (next_ && next_->cause == OutputCause::input) {
@@ -409,7 +430,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   void send(const Order& order) {
     beat();
     busy_ = order;
-    is_busy_ = true;
+    be(true, is().failing);
     if (const Result<void> sent = port_->set(order.value); !sent) {
       answered(sent.error());
     } else {
@@ -424,12 +445,14 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
 
   void answered(Result<void> result) override {
     Call call(*this);
-    if (is_ending_) return be_ended(result);
-    if (is_taking_) return be_taken(result);
-    if (!std::exchange(is_busy_, false)) return;
+    if (state_ == State::ending) return be_ended(result);
+    if (state_ == State::taking) return be_taken(result);
+    const bool had_failed = is().failing;
+    if (!is().busy) return;
+    be(false, had_failed);
     if (!result) return failed(placed(result.error()));
     value_ = busy_.value;
-    const bool had_failed = std::exchange(is_failing_, false);
+    be(false, false);
     retry_.stop();
     record(busy_, value_, "");
     settle();
@@ -437,7 +460,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     go_on();
   }
   void go_on() {
-    if (is_busy_ || !next_ || !is_held_) return;
+    if (!is().held || is().busy || !next_) return;
     const Order order = *std::exchange(next_, std::nullopt);
     if (value_ != order.value) return send(order);
     if (order.is_repeat) return repeated();
@@ -447,10 +470,11 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     record(busy_, {}, error.why);
     std::optional<Order> waiting = std::exchange(next_, std::nullopt);
     value_.reset();
-    const bool was_failing = std::exchange(is_failing_, true);
+    const bool was_failing = is().failing;
+    be(false, true);
     if (!was_failing) complain(error, Health::faulted);
     // Its handler may have stopped it, and started it again.
-    const bool goes_on = is_open() && is_held_ && is_failing_;
+    const bool goes_on = is_open() && is().failing;
     if (goes_on && !was_failing && (waiting || busy_.value != config_.safe)) {
       be_safe(OutputCause::failure, "");
     } else if (goes_on) {
@@ -461,19 +485,19 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   /// What was asked for while a value was on its way that failed: it is set after the safe value, if the device takes
   /// that at once.
   void follow_failure(Order order) {
-    if (!is_busy_ || next_ || !is_armed_ || !is_held_) return record(order, {}, "the device failed");
+    if (!is().busy || next_ || !is_armed_) return record(order, {}, "the device failed");
     order.is_repeat = order.value == busy_.value;
     next_ = order;
   }
   void try_again() {
     Call call(*this);
-    if (is_held_ && !is_busy_) be_safe(OutputCause::failure, "");
+    if (is().held && !is().busy) be_safe(OutputCause::failure, "");
   }
   /// It is not known what the device has. Told once; the answer may come all the same.
   void miss_answer() {
     Call call(*this);
-    if (!is_busy_ || !is_held_) return;
-    if (is_taking_)
+    if (!is().busy) return;
+    if (state_ == State::taking)
       return complain({Errc::timed_out, "the output cannot be set yet", name(),
                        "its device has not answered for " + to_string(slow_start),
                        "what it is to be set to waits; look at the device"},
@@ -503,7 +527,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   void turn() {
     Call call(*this);
     beat();  // what it reports may end this output
-    if (!is_open() || !is_held_ || is_taking_) return;
+    if (!is_open() || !is().held || state_ == State::taking) return;
     if (is_armed_ && !std::exchange(is_watched_, true)) port_->arm();
     if (port_->is_to_end()) end_orders_early();
   }
@@ -519,7 +543,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   /// it may have made the output safe, and looks no more.
   void look_at_guard() {
     const std::optional<MonotonicTime> seen = port_->guard_seen();
-    const bool is_silent = is_held_ && !is_busy_ && value_ && *value_ != config_.safe && seen &&
+    const bool is_silent = is().held && !is().busy && value_ && *value_ != config_.safe && seen &&
                            now() - std::max(*seen, turning_since_) > 4 * config_.watchdog;
     if (!std::exchange(is_guard_silent_, is_silent) && is_silent)
       complain({Errc::timed_out, "nobody would set the output safe", name(), "its guard does not run",
@@ -531,25 +555,25 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     end_lease();
     has_tripped_ = true;
     is_watched_ = false;
-    is_failing_ = !done;
+    be(is().busy, !done);
     retry_.stop();
     is_armed_ = false;
     if (next_) record(*std::exchange(next_, std::nullopt), {}, "it is disarmed");
     if (input_) input_->follow(config_.safe);
     tell_trip(done);
     // The device may have taken it since: asking is how that is known.
-    if (is_open() && is_held_ && is_failing_ && !is_busy_) be_safe(OutputCause::failure, "");
+    if (is_open() && state_ == State::failed) be_safe(OutputCause::failure, "");
   }
   void vanished(const Error& error) override {
     Call call(*this);
-    if (!is_held_) return;
+    if (!is().held) return;
     value_.reset();
-    is_failing_ = true;
+    be(is().busy, true);
     if (input_) input_->follow(config_.safe);
     record({config_.safe, OutputCause::failure, {}, now()}, {}, error.why);
     complain(placed(error), Health::faulted);
     // A value that is on its way takes the device anew; what comes of that is answered.
-    if (is_open() && is_held_ && is_failing_ && !is_busy_) be_safe(OutputCause::failure, "");
+    if (is_open() && state_ == State::failed) be_safe(OutputCause::failure, "");
   }
   void tell_trip(const Result<void>& done) {
     is_armed_ = false;
@@ -567,19 +591,21 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   }
   void lost(const Error& error) override {
     Call call(*this);
-    if (!is_held_ || is_lost_) return;
-    if (is_taking_) be_taken(error);
+    if (!is().held || is_lost_) return;
+    if (state_ == State::taking) be_taken(error);
     is_lost_ = true;
     is_armed_ = false;
     end_lease();
-    if (std::exchange(is_busy_, false)) record(busy_, {}, error.why);
+    const bool was_busy = is().busy;
+    be(false, is().failing);
+    if (was_busy) record(busy_, {}, error.why);
     if (next_) record(*std::exchange(next_, std::nullopt), {}, error.why);
     value_.reset();
     beat_.close();
     patience_.stop();
     port_ = make_lane_port(loop()->face, name(), make_, *this);
     complain(placed(error), Health::faulted);
-    if (is_open() && is_held_) be_safe(OutputCause::watchdog, "program");
+    if (is_open() && is().held) be_safe(OutputCause::watchdog, "program");
   }
 
   // ---- What it follows
@@ -591,7 +617,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     input_->recall(loop()->face, [&](std::size_t topic, const EventView& event) { take(topic, event, time); });
   }
   void take(std::size_t topic, const EventView& event, Time time) {
-    if (!is_held_ || is_over_) return;
+    if (!is().held || is_over_) return;
     Call call(*this);
     input_->put(topic, event, now());
     if (input_->has_held() && !turning_.is_running()) turning_.start(Duration{0});
@@ -608,7 +634,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
       stale_.stop();
     else if (!stale_.is_running())
       stale_.start_at(silence.since + config_.max_age);
-    if (is_armed_ && !is_failing_)
+    if (is_armed_ && !is().failing)
       request({*value, OutputCause::input, fitting<48>(config_.on), now()});
     else
       input_->follow(config_.safe);
@@ -617,7 +643,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   void look_at_age() {
     Call call(*this);
     const OutputInput::Silence silence = input_->silence();
-    if (!is_held_ || silence.topic == nullptr) return;
+    if (!is().held || silence.topic == nullptr) return;
     const MonotonicTime due = std::min(silence.since, last_input_) + config_.max_age;
     if (due > now()) return stale_.start_at(due);
     const bool is_silent = now() - silence.since >= config_.max_age;
@@ -629,7 +655,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   /// What a loop said last, and would say of a change, holds as long as it turns.
   void look_at_loops() {
     Call call(*this);
-    if (!is_held_ || is_over_) return;
+    if (!is().held || is_over_) return;
     const std::vector<LoopCore*> loops = input_->loops_of_held(loop()->face);
     const LoopCore* const before = std::exchange(hanging_, turns_.look(loops, now(), config_.max_age));
     if (loops.empty()) return;  // looked for again with the next event
@@ -654,7 +680,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   }
   void look_at_lease() {
     Call call(*this);
-    if (!is_held_) return;
+    if (!is().held) return;
     if (const MonotonicTime due = last_set_ + config_.lease; due > now()) return lease_.start_at(due);
     is_overdue_ = true;
     be_safe(OutputCause::lease, "");
@@ -667,11 +693,12 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
 
   Health worst(Health health) const { return health_now() == Health::faulted ? Health::faulted : health; }
   Health health_now() const {
-    if (is_failing_ || is_lost_) return Health::faulted;
+    if (is().failing || is_lost_) return Health::faulted;
     return is_stale_ || is_overdue_ || has_tripped_ ? Health::degraded : Health::ok;
   }
   void settle() {
-    if (is_open() && health() != Health::ok && health_now() == Health::ok && !is_busy_) set_health(Health::ok, nullptr);
+    if (is_open() && health() != Health::ok && health_now() == Health::ok && !is().busy)
+      set_health(Health::ok, nullptr);
   }
   void record(const Order& order, std::optional<double> done, std::string_view why) {
     OutputChange change{.asked = order.value, .done = done, .cause = order.cause, .armed = is_armed_, .by = order.by};
@@ -713,19 +740,14 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   std::vector<Callback<void()>> waiting_;  // for an event that says whether it is armed
   MonotonicTime last_set_{}, last_input_{}, last_beat_{}, turning_since_{}, sent_{};
   const LoopCore* hanging_ = nullptr;  // on which it depends
-  bool is_held_ = false;
+  State state_ = State::stopped;
   bool is_over_ = false;     // the program ends
   bool is_watched_ = false;  // the guard knows that it is armed
-  bool is_taking_ = false;   // and the loop turns meanwhile
-  bool is_patient_ = false;  // and begins, whatever the device says
-  bool is_left_ = false;     // `finish` was called
-  bool is_ending_ = false;   // and that is not over
-  bool is_busy_ = false;
+  bool is_patient_ = false;  // it begins, whatever its device says
   bool is_armed_ = false;
   bool told_armed_ = false;  // by the last event
   bool is_stale_ = false;
   bool is_overdue_ = false;
-  bool is_failing_ = false;
   bool has_tripped_ = false;
   bool is_lost_ = false;
   bool is_guard_silent_ = false;
