@@ -247,9 +247,10 @@ class RecordedRow {
   std::vector<std::byte> payload_;
 };
 
-/// Rows run by run, in each in order of time across all topics; at one time in order of the topics' names. Memory:
-/// 64 rows a topic, of `steps` one a topic and origin. While it lives it sees the recording as it was when it was made,
-/// also while another process writes it; as long as that takes, the log of a recording that is being written grows.
+/// Rows run by run, in each in order of time across all topics; at one time in order of topics. Those that do not lie
+/// in that order, and all of `steps`, SQLite sorts first, in a temporary file if need be. While it lives it
+/// sees the recording as it was when it was made, also while another process writes it; as long as that takes, the log
+/// of a recording that is being written grows.
 class Rows {
  public:
   Rows(Rows&&) noexcept;

@@ -2,7 +2,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <numeric>
+#include <map>
 #include <set>
 
 #include "data/lower_case.hpp"
@@ -16,62 +16,6 @@ bool is_number(Kind kind) noexcept {
 }
 
 bool is_float(Kind kind) noexcept { return kind == Kind::f64 || kind == Kind::f32; }
-
-/// What a field becomes of which there are floating-point numbers: its sum stays finite as long as they are.
-struct Reals {
-  double min = std::numeric_limits<double>::infinity();
-  double max = -std::numeric_limits<double>::infinity();
-  double sum = 0;  // times `scale`
-  double scale = 1;
-
-  void add(double value) noexcept {
-    if (!std::isfinite(sum + value * scale)) [[unlikely]] {
-      constexpr double small = 0x1p-64;  // more values than a step can have
-      if (scale == 1) sum *= small;
-      scale = small;
-    }
-    sum += value * scale;
-    min = value < min ? value : min;
-    max = value > max ? value : max;
-  }
-  double mean(std::uint64_t count) const noexcept { return sum / static_cast<double>(count) / scale; }
-};
-
-/// What a field becomes of which there are integers. Those of 64 bits without a sign are kept with the first bit turned
-/// over, so that one order holds for all.
-struct Integers {
-  std::int64_t min = std::numeric_limits<std::int64_t>::max();
-  std::int64_t max = std::numeric_limits<std::int64_t>::min();
-  std::uint64_t low = 0;  // the sum is high * 2^64 + low
-  std::int64_t high = 0;
-
-  static std::int64_t turned(std::int64_t value) noexcept { return value ^ std::numeric_limits<std::int64_t>::min(); }
-
-  void add(std::int64_t value, bool is_unsigned) noexcept {
-    const auto bits = static_cast<std::uint64_t>(value);
-    low += bits;
-    high += (low < bits ? 1 : 0) - (value < 0 && !is_unsigned ? 1 : 0);
-    const std::int64_t kept = is_unsigned ? turned(value) : value;
-    min = std::min(min, kept);
-    max = std::max(max, kept);
-  }
-  static Value value(std::int64_t kept, bool is_unsigned) {
-    return is_unsigned ? Value{static_cast<std::uint64_t>(turned(kept))} : Value{kept};
-  }
-  double mean(std::uint64_t count) const noexcept {
-    const bool is_negative = high < 0;  // then its opposite is added up: the two parts have one sign
-    const std::uint64_t units = is_negative ? 0 - low : low;
-    const std::int64_t twos = is_negative ? -high - (low != 0 ? 1 : 0) : high;
-    const double sum = std::ldexp(static_cast<double>(twos), 64) + static_cast<double>(units);
-    return (is_negative ? -sum : sum) / static_cast<double>(count);
-  }
-};
-
-struct Statistics {
-  std::uint64_t count = 0;
-  Reals reals;
-  Integers integers;
-};
 
 std::shared_ptr<const Description> statistics_of(const Field& field) {
   constexpr auto optional = DescriptionBuilder::Presence::optional;
@@ -149,177 +93,189 @@ std::shared_ptr<const Description> description_of_steps(const Description& of) {
   return builder.build().or_throw();
 }
 
+/// What SQL needs to know of the steps: a query gives it to `step_of`, by a pointer.
+struct Steps {
+  static constexpr const char* pointer_type = "rtdata steps";
+  std::int64_t step;
+  RowFilter::Times times;
+  std::map<std::int64_t, UtcLine> lines;  // by run, when the steps are those of UTC
+};
+
+/// rtdata_step(steps, run, time): the number of the step since the epoch.
+void step_of(sqlite3_context* context, int, sqlite3_value** arguments) noexcept {
+  const auto* const steps = static_cast<const Steps*>(sqlite3_value_pointer(arguments[0], Steps::pointer_type));
+  if (steps == nullptr) return sqlite3_result_error(context, "rtdata_step is not for use in SQL", -1);
+  std::int64_t time = sqlite3_value_int64(arguments[2]);
+  const auto line = steps->lines.find(sqlite3_value_int64(arguments[1]));
+  if (line != steps->lines.end()) time = to_nanoseconds(line->second.utc(from_nanoseconds(time)));
+  sqlite3_result_int64(context, time / steps->step - (time % steps->step < 0 ? 1 : 0));
+}
+
+/// One with another order of the bits, by which unsigned numbers of 64 bits are in order: as it is stored, or read.
+std::int64_t turned(std::int64_t value) noexcept { return value ^ std::numeric_limits<std::int64_t>::min(); }
+
 class StepCursor final : public RowCursor {
  public:
-  StepCursor(const Recording& recording, RecordedTopic topic, std::shared_ptr<const Description> steps,
-             std::vector<const Leaf*> leaves, sqlite::Statement statement, RowFilter::Times times, Duration step)
-      : file_(recording.file()),
-        topic_(std::move(topic)),
-        leaves_(std::move(leaves)),
-        statement_(std::move(statement)),
-        times_(times),
-        step_(step.count()) {
-    out_ = topic_;
-    out_.description = std::move(steps);
-    for (const Leaf* leaf : leaves_) kinds_.push_back(leaf->kind);
+  StepCursor(const Recording& recording, RecordedTopic topic, const Selection& selection, Duration step)
+      : file_(recording.file()), topic_(std::move(topic)), out_(topic_), selection_(selection) {
+    steps_ = {step.count(), selection.filter.times, {}};
+    if (steps_.times == RowFilter::Times::utc)
+      for (const RunInfo& one : recording.runs().or_throw())
+        steps_.lines.emplace(one.run, utc_line_of(*file_, one.run));
+    out_.description = description_of_steps(*topic_.description);
+    for (const Leaf& leaf : topic_.description->leaves())
+      if (is_number(leaf.kind)) leaves_.push_back(&leaf);
+    for (std::size_t first = 0; first == 0 || first < leaves_.size(); first += leaves_at_once) {
+      std::string sql = "SELECT t.run, " + step_sql() + ", t.origin, count(*)";
+      for (std::size_t i = first; i < std::min(first + leaves_at_once, leaves_.size()); ++i)
+        sql += columns(*leaves_[i]);
+      sql += " FROM " + sqlite::quoted(topic_.table) + " t WHERE " + row_conditions(selection_) +
+             " GROUP BY 1, 2, 3 ORDER BY 1, 2, 3";
+      statements_.push_back(file_->prepare(sql));
+      bind(statements_.back());
+    }
   }
 
   bool advance() override {
-    if (next_ready_ == ready_.size()) {
-      if (!read_step()) return false;
+    bool has_row = false;
+    for (sqlite::Statement& statement : statements_) has_row = statement.step();  // all give the same steps
+    if (!has_row) return false;
+    const sqlite::Statement& first = statements_.front();
+    if (std::exchange(run, first.integer(0)) != first.integer(0)) sequences_.clear();
+    if (__builtin_mul_overflow(first.integer(1), steps_.step, &time)) time = std::numeric_limits<std::int64_t>::min();
+    for (std::size_t i = 0; i < leaves_.size(); ++i) {
+      const auto [row, column] = place_of(i);
+      const int type = sqlite3_column_type(row.raw(), column + most_column);  // of texts and blobs, too
+      if (row.integer(column + odd_column) != 0 || type == SQLITE_TEXT || type == SQLITE_BLOB) tell_odd(*leaves_[i]);
     }
-    run = run_of_step_;
-    time = begin_;
     return true;
   }
 
   void give(RecordedRow& row) override {
-    Origin& origin = origins_[ready_[next_ready_++]];
-    std::byte* const payload = set_event(row, origin.name, ++origin.sequence, out_);
+    const sqlite::Statement& first = statements_.front();
+    const std::string_view origin = first.text(2);
+    std::byte* const payload = set_event(row, origin, ++sequences_[std::string(origin)], out_);
     std::fill(payload, payload + out_.description->size(), std::byte{0});
-    const auto& leaves = out_.description->leaves();
-    (void)write(leaves[0], payload, Value{origin.events});
-    for (std::size_t i = 0; i < kinds_.size(); ++i) {
-      const Statistics& of = origin.statistics[i];
-      const Leaf* const to = &leaves[1 + 4 * i];
-      (void)write(to[0], payload, Value{of.count});
-      if (of.count == 0) continue;
-      const bool is_unsigned = kinds_[i] == Kind::u64;
-      const bool has_reals = is_float(kinds_[i]);
-      const Value least = has_reals ? Value{of.reals.min} : Integers::value(of.integers.min, is_unsigned);
-      const Value most = has_reals ? Value{of.reals.max} : Integers::value(of.integers.max, is_unsigned);
-      for (const auto& done : {write(to[1], payload, least), write(to[2], payload, most)}) {
-        done.or_throw();
+    const Leaf* to = out_.description->leaves().data();
+    const auto put = [&](const Value& value) { write(*to++, payload, value).or_throw(); };
+    put(first.integer(3));
+    for (std::size_t i = 0; i < leaves_.size(); ++i) {
+      const auto [of, column] = place_of(i);
+      put(of.integer(column));
+      if (of.integer(column) == 0) {
+        to += 3;
+      } else if (is_float(leaves_[i]->kind)) {
+        put(of.real(column + least_column));
+        put(of.real(column + most_column));
+        put(mean(*leaves_[i], of, column));
+      } else {
+        const bool is_unsigned = leaves_[i]->kind == Kind::u64;
+        for (const int one : {least_column, most_column}) {
+          const std::int64_t value = of.integer(column + one);
+          put(is_unsigned ? Value{static_cast<std::uint64_t>(turned(value))} : Value{value});
+        }
+        put(of.real(column + mean_column));
       }
-      (void)write(to[3], payload, Value{has_reals ? of.reals.mean(of.count) : of.integers.mean(of.count)});
     }
   }
 
  private:
-  struct Origin {
-    std::string name;
-    std::uint64_t sequence = 0;  // of the last step
-    std::uint64_t events = 0;    // in this step
-    std::vector<Statistics> statistics;
-  };
+  static constexpr std::size_t leaves_at_once = 390;  // a query has at most 2000 columns
+  static constexpr int columns_before = 4, least_column = 1, most_column = 2, mean_column = 3, odd_column = 4,
+                       columns_each = 5;
 
-  /// Reads the next step that has rows. False: there is none.
-  bool read_step() {
-    ready_.clear();
-    next_ready_ = 0;
-    if (!is_begun_) {
-      const bool more = statement_.step();
-      is_begun_ = true;
-      has_row_ = more;
-    }
-    if (!has_row_) return false;
-    if (const std::int64_t row_run = statement_.integer(run_column); row_run != run_of_step_ || !has_line_) {
-      begin_run(row_run);
-    }
-    for (Origin& origin : origins_) {
-      origin.events = 0;
-      std::fill(origin.statistics.begin(), origin.statistics.end(), Statistics{});
-    }
-    const std::int64_t end = begin_step(statement_.integer(time_column));
-    do {
-      add_row();
-      has_row_ = statement_.step();
-    } while (has_row_ && statement_.integer(run_column) == run_of_step_ && statement_.integer(time_column) < end);
-    for (std::size_t i = 0; i < origins_.size(); ++i)
-      if (origins_[i].events != 0) ready_.push_back(i);
-    std::sort(ready_.begin(), ready_.end(),
-              [this](std::size_t a, std::size_t b) { return origins_[a].name < origins_[b].name; });
-    return true;
+  std::string step_sql() const {
+    if (steps_.times == RowFilter::Times::utc) return "rtdata_step(:steps, t.run, t.time)";
+    const std::string step = std::to_string(steps_.step);
+    return "t.time / " + step + " - (t.time % " + step + " < 0)";
   }
 
-  void begin_run(std::int64_t row_run) {
-    run_of_step_ = row_run;
-    has_line_ = true;
-    origins_.clear();
-    current_ = 0;
-    if (times_ == RowFilter::Times::recorded) return;
-    line_ = utc_line_of(*file_, row_run);
+  /// How many values of a field there are, the least, the largest, the mean, and whether one is none.
+  static std::string columns(const Leaf& leaf) {
+    const std::string column = "t." + sqlite::quoted(leaf.path);
+    std::string number = column, in_order = column, odd = "total(typeof(" + column + ") NOT IN ('integer', 'null'))";
+    if (is_float(leaf.kind)) {
+      if (leaf.optional != nullptr) number = in_order = "nullif(" + column + ", 'NaN')";
+      odd = "0";  // the largest is one
+    } else if (leaf.kind == Kind::u64) {
+      const auto with = [&](const char* low, const char* high) {
+        return "iif(" + column + " < 0, " + column + low + ", " + column + high + ")";
+      };
+      number = with(" + 18446744073709551616.0", "");
+      in_order = with(" + 9223372036854775807 + 1", " - 9223372036854775807 - 1");  // `turned`
+    }
+    return ", count(" + number + "), min(" + in_order + "), max(" + in_order + "), avg(" + number + "), " + odd;
   }
 
-  /// Sets the beginning of the step with this recorded time; returns its end on the recorded line.
-  std::int64_t begin_step(std::int64_t recorded) {
-    const bool is_utc = times_ == RowFilter::Times::utc;
-    const std::int64_t at = is_utc ? to_nanoseconds(line_.utc(from_nanoseconds(recorded))) : recorded;
-    const std::int64_t rest = (at % step_ + step_) % step_;
-    begin_ = at < std::numeric_limits<std::int64_t>::min() + rest ? at : at - rest;
-    if (begin_ > std::numeric_limits<std::int64_t>::max() - step_) return std::numeric_limits<std::int64_t>::max();
-    const std::int64_t end = begin_ + step_;
-    return is_utc ? std::max(to_nanoseconds(line_.recorded(from_nanoseconds(end))), recorded + 1) : end;
+  void bind(sqlite::Statement& statement) {
+    bind_conditions(statement, selection_);
+    const int steps = sqlite3_bind_parameter_index(statement.raw(), ":steps");
+    if (steps != 0) sqlite3_bind_pointer(statement.raw(), steps, &steps_, Steps::pointer_type, nullptr);
   }
 
-  void add_row() {
-    const std::string_view name = statement_.text(origin_column);
-    if (current_ >= origins_.size() || origins_[current_].name != name) {
-      current_ = static_cast<std::size_t>(
-          std::find_if(origins_.begin(), origins_.end(), [&](const Origin& origin) { return origin.name == name; }) -
-          origins_.begin());
-      if (current_ == origins_.size())
-        origins_.push_back({std::string(name), 0, 0, std::vector<Statistics>(kinds_.size())});
-    }
-    Origin& origin = origins_[current_];
-    ++origin.events;
-    sqlite3_stmt* const row = statement_.raw();
-    for (std::size_t i = 0; i < kinds_.size(); ++i) {
-      sqlite3_value* const value = sqlite3_column_value(row, fixed_columns + static_cast<int>(i));
-      const int type = sqlite3_value_type(value);
-      const bool has_reals = is_float(kinds_[i]);
-      Statistics& of = origin.statistics[i];
-      if (has_reals && (type == SQLITE_FLOAT || type == SQLITE_INTEGER)) {
-        ++of.count;
-        of.reals.add(sqlite3_value_double(value));
-      } else if (type == SQLITE_INTEGER) {
-        ++of.count;
-        of.integers.add(sqlite3_value_int64(value), kinds_[i] == Kind::u64);
-      } else if (type != SQLITE_NULL && !(type == SQLITE_TEXT && has_reals)) {
-        throw SetupError(at_row(*file_, topic_, run_of_step_, origin.name,
-                                static_cast<std::uint64_t>(statement_.integer(sequence_column)),
-                                {Errc::damaged, "cannot read a row", "field " + leaves_[i]->path,
-                                 "it holds what is no " + std::string(name_of(kinds_[i])), ""}));
-      }
-    }
+  std::pair<const sqlite::Statement&, int> place_of(std::size_t leaf) const {
+    return {statements_[leaf / leaves_at_once],
+            columns_before + static_cast<int>(leaf % leaves_at_once) * columns_each};
+  }
+
+  /// The rows of the step at hand, once more.
+  sqlite::Statement of_step(const std::string& what, const std::string& condition) {
+    const sqlite::Statement& first = statements_.front();
+    auto statement = file_->prepare("SELECT " + what + " FROM " + sqlite::quoted(topic_.table) + " t WHERE " +
+                                    row_conditions(selection_) + " AND t.run = :of_run AND " + step_sql() +
+                                    " = :of_step AND t.origin = :of_origin AND " + condition);
+    const auto index = [&](const char* name) { return sqlite3_bind_parameter_index(statement.raw(), name); };
+    bind(statement);
+    statement.bind(index(":of_run"), first.integer(0)).bind(index(":of_step"), first.integer(1));
+    statement.bind(index(":of_origin"), first.text(2));
+    return statement;
+  }
+
+  /// Near the largest numbers a sum is none any more, where the mean is.
+  double mean(const Leaf& leaf, const sqlite::Statement& of, int column) {
+    const double found = of.is_null(column + mean_column) ? std::numeric_limits<double>::quiet_NaN()
+                                                          : of.real(column + mean_column);
+    const bool are_finite = std::isfinite(of.real(column + least_column)) &&
+                            std::isfinite(of.real(column + most_column));
+    if (std::isfinite(found) || !are_finite) return found;
+    // Of values so small that the sum of as many as a step can have is a number.
+    auto scaled = of_step("avg(nullif(t." + sqlite::quoted(leaf.path) + ", 'NaN') / 18446744073709551616.0)", "1");
+    scaled.step();
+    return scaled.real(0) * 0x1p64;
+  }
+
+  [[noreturn]] void tell_odd(const Leaf& leaf) {
+    const std::string allowed = is_float(leaf.kind) ? "('integer', 'real', 'null')" : "('integer', 'null')";
+    const std::string column = "t." + sqlite::quoted(leaf.path);
+    auto row = of_step("t.sequence", "typeof(" + column + ") NOT IN " + allowed + " AND " + column + " IS NOT 'NaN'");
+    row.step();
+    throw SetupError(at_row(*file_, topic_, run, statements_.front().text(2),
+                            static_cast<std::uint64_t>(row.integer(0)),
+                            {Errc::damaged, "cannot read a row", "field " + leaf.path,
+                             "it holds what is no " + std::string(name_of(leaf.kind)), ""}));
   }
 
   const std::shared_ptr<RecordingFile> file_;
   const RecordedTopic topic_;
   RecordedTopic out_;
-  const std::vector<const Leaf*> leaves_;  // that are numbers
-  std::vector<Kind> kinds_;                // of these
-  sqlite::Statement statement_;
-  const RowFilter::Times times_;
-  const std::int64_t step_;
-  UtcLine line_{{}};
-  bool is_begun_ = false;
-  bool has_line_ = false;
-  bool has_row_ = false;  // the statement is at one that is in no step yet
-  std::int64_t run_of_step_ = 0;
-  std::int64_t begin_ = 0;
-  std::vector<Origin> origins_;  // of the run
-  std::size_t current_ = 0;      // of the last row
-  std::vector<std::size_t> ready_;
-  std::size_t next_ready_ = 0;
+  const Selection selection_;
+  Steps steps_;
+  std::vector<const Leaf*> leaves_;                 // that are numbers
+  std::vector<sqlite::Statement> statements_;       // each of some of them
+  std::map<std::string, std::uint64_t> sequences_;  // of the last step, by origin
 };
 
 }  // namespace
 
+void provide_steps(const sqlite::Database& database) {
+  if (sqlite3_create_function_v2(database.raw(), "rtdata_step", 3, SQLITE_UTF8 | SQLITE_DIRECTONLY, nullptr, &step_of,
+                                 nullptr, nullptr, nullptr) != SQLITE_OK)
+    throw SetupError(sqlite::error_of(database.raw(), "cannot read the recording"));
+}
+
 std::unique_ptr<RowCursor> make_step_cursor(const Recording& recording, RecordedTopic topic, const Selection& selection,
                                             Duration step) {
-  auto steps = description_of_steps(*topic.description);
-  std::vector<const Leaf*> leaves;
-  std::string columns;
-  for (const Leaf& leaf : topic.description->leaves()) {
-    if (!is_number(leaf.kind)) continue;
-    leaves.push_back(&leaf);
-    columns += ", t." + sqlite::quoted(leaf.path);
-  }
-  auto statement = rows_in_order(*recording.file(), topic, selection, columns);
-  return std::unique_ptr<RowCursor>(std::make_unique<StepCursor>(recording, std::move(topic), std::move(steps),
-                                                                 std::move(leaves), std::move(statement),
-                                                                 selection.filter.times, step));
+  return std::make_unique<StepCursor>(recording, std::move(topic), selection, step);
 }
 
 }  // namespace rtdata::detail

@@ -8,6 +8,7 @@
 
 #include "rtdata/loop/topic.hpp"
 #include "sinks/sqlite/recording_file.hpp"
+#include "sinks/sqlite/rows_merge.hpp"
 #include "sinks/sqlite/schema.hpp"
 #include "sinks/sqlite/utc_line.hpp"
 
@@ -165,6 +166,7 @@ Result<Recording> Recording::open(const std::string& path) try {
   auto database = open_file(path);
   auto file = std::make_shared<RecordingFile>();
   file->database = std::move(database);
+  detail::provide_steps(file->database);
   for (const char* table : {"run", "topic", "schedule", "ledger", "gap", "clock", "error"}) {
     auto there = file->prepare("SELECT 1 FROM rtdata_" + std::string(table) + " LIMIT 1");
     there.step();
