@@ -163,11 +163,6 @@ struct RecordedError {
   Time last{};  ///< of those that are joined; `time` is that of the first
 };
 
-struct RecordedEscapes {
-  std::string topic, origin;
-  std::uint64_t texts = 0;
-};
-
 /// A change of the configuration since RunInfo::configuration.
 struct RecordedConfiguration {
   Time time{};
@@ -333,14 +328,12 @@ class Recording {
   Result<std::vector<RecordedClock>> clock(std::int64_t run) const;
   /// The line of the run's boot; other runs of that boot in this recording help to find it. Error: not-found.
   Result<UtcLine> utc_line(std::int64_t run) const;
-  /// The origins with texts that were no UTF-8 and were stored with escapes. Formats before 5 have none.
-  Result<std::vector<RecordedEscapes>> escaped(std::int64_t run) const;
   Result<std::vector<RecordedConfiguration>> configurations(std::int64_t run) const;
   /// Of each sink that goes through the recording, by its name: as of its last position in the file, which is that of
   /// the last transaction.
   Result<std::vector<RecordedBacklog>> backlogs() const;
   Result<std::vector<RecordedError>> errors(std::int64_t run) const;
-  /// Every change of health, in order of time. Formats before 3 have none.
+  /// Every change of health, in order of time.
   Result<std::vector<RecordedHealth>> health(std::int64_t run) const;
   /// Errors: bad-name (a pattern that is none), bad-argument (every 0).
   Result<Rows> rows(const RowFilter& filter) const;

@@ -191,7 +191,6 @@ struct Content {
   std::vector<TopicSummary> summaries;
   std::vector<RecordedError> errors;
   std::vector<RecordedHealth> health;
-  std::vector<RecordedEscapes> escaped;
   std::vector<RecordedConfiguration> configurations;
   std::vector<RecordedBacklog> backlogs;
   std::vector<RecordedGap> gaps;
@@ -222,7 +221,6 @@ Content read(const Recording& recording, std::optional<std::int64_t> wanted, Inf
   content.errors = recording.errors(run).or_throw();
   content.health = recording.health(run).or_throw();
   content.course = course_of(recording, content.topics, run);
-  content.escaped = recording.escaped(run).or_throw();
   content.configurations = recording.configurations(run).or_throw();
   content.backlogs = recording.backlogs().or_throw();
   if (gaps == InfoOptions::Gaps::listed) content.gaps = recording.gaps(run).or_throw();
@@ -295,9 +293,6 @@ void print(const Recording& recording, const Content& content, InfoOptions::Gaps
   }
   out << "\nrun " << content.shown->run << "\n";
   print_table(content.summaries, out);
-  for (const RecordedEscapes& of : content.escaped) {
-    out << "  " << of.topic << ", " << of.origin << ": " << of.texts << " texts were no UTF-8, see rtdata_escaped\n";
-  }
   if (gaps == InfoOptions::Gaps::listed) print_gaps(content, out);
   const std::string of_run = " run " + std::to_string(content.shown->run);
   print_first(content.errors, 10, "errors of" + of_run, out, [&](const RecordedError& error) {

@@ -1,4 +1,4 @@
-// Texts of payloads that were no UTF-8, as a writer escapes and counts them. Lane's thread.
+// Texts of payloads that were no UTF-8, as a writer counts and tells them. Lane's thread.
 #pragma once
 
 #include <cstdint>
@@ -15,6 +15,8 @@ namespace rtdata::detail {
 
 class EscapedTexts {
  public:
+  /// What becomes of them.
+  explicit EscapedTexts(const char* fate = "its wrong bytes are written as \\xHH") : fate_(fate) {}
   void begin_batch() { in_batch_.clear(); }
   void add(std::uint32_t slot) { ++in_batch_[slot]; }
   /// Counts those of the payload.
@@ -25,8 +27,6 @@ class EscapedTexts {
       if (at != nullptr && needs_escape(text_at(leaf, at))) add(record.slot);
     }
   }
-  /// By slot, since the batch began.
-  const std::map<std::uint32_t, std::uint64_t>& in_batch() const noexcept { return in_batch_; }
   /// The batch is stored: counts its texts. One that failed comes again, and is not counted before.
   void end_batch(const Batch& batch) {
     for (const auto& [slot, count] : in_batch_) {
@@ -34,8 +34,7 @@ class EscapedTexts {
       if (!known_.insert(slot).second) continue;
       const SlotInfo& info = batch.slot(slot);
       if (!warning_) {
-        warning_ = Error{Errc::bad_data, "a text is no UTF-8", "topic " + info.topic + ", origin " + info.origin,
-                         "its wrong bytes are written as \\xHH",
+        warning_ = Error{Errc::bad_data, "a text is no UTF-8", "topic " + info.topic + ", origin " + info.origin, fate_,
                          "let the device send UTF-8; of a serial line, check `baud_rate`"};
       } else {
         warning_->where += "; topic " + info.topic + ", origin " + info.origin;
@@ -48,6 +47,7 @@ class EscapedTexts {
   std::optional<Error> take_warning() { return std::exchange(warning_, std::nullopt); }
 
  private:
+  const char* fate_;
   std::map<std::uint32_t, std::uint64_t> in_batch_;
   std::set<std::uint32_t> known_;
   std::uint64_t total_ = 0;

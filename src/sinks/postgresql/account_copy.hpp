@@ -1,5 +1,5 @@
 // Copies the account of a recording's runs to the server: rtdata_ledger, _schedule, _gap, _clock, _error, _health,
-// _escaped, _configuration and what rtdata_run has, of the topics that the sink takes.
+// _configuration and what rtdata_run has, of the topics that the sink takes.
 //
 // An account goes along once the server has all rows that it counts, so that the two can be held to each other. That of
 // a run that goes on is replaced by the next; that of a run that has ended stays. Each table has a checksum of its rows

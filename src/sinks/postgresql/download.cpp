@@ -309,7 +309,7 @@ void Download::copy_run(const Run& run) {
 }
 
 void Download::copy_rows(const Run& run, const Topic& topic) {
-  detail::EscapedTexts escaped;
+  detail::EscapedTexts no_utf8;
   std::optional<sqlite::TopicTable> table;
   std::vector<std::unique_ptr<SlotInfo>> slots;
   std::vector<std::vector<std::byte>> payloads(64, std::vector<std::byte>(topic.description->size()));
@@ -325,7 +325,7 @@ void Download::copy_rows(const Run& run, const Topic& topic) {
     }
     if (!table) {
       sqlite::NewUtcViews views;
-      table.emplace(sqlite::TopicTable::prepare(database_, *slots.back(), run.run, escaped, sums_, views));
+      table.emplace(sqlite::TopicTable::prepare(database_, *slots.back(), run.run, no_utf8, sums_, views));
       views.make(database_);
     }
     const auto sequence = load_big<std::uint64_t>(reply.text(0, 4).data());

@@ -95,19 +95,6 @@ void AccountWriter::write_slots(const Batch& batch, const TopicTables& tables) {
   }
 }
 
-void AccountWriter::write_escaped(const Batch& batch, const detail::EscapedTexts& escaped) {
-  for (const auto& [number, count] : escaped.in_batch()) {
-    auto add = database_->prepare(
-        "INSERT INTO rtdata_escaped(run, topic, origin, texts) VALUES(?,?,?,?) "
-        "ON CONFLICT(run, topic, origin) DO UPDATE SET texts = texts + excluded.texts RETURNING *");
-    auto before = database_->prepare("SELECT * FROM rtdata_escaped WHERE run = ? AND topic = ? AND origin = ?");
-    const SlotInfo& slot = batch.slot(number);
-    add.bind(1, run_).bind(2, slot.topic).bind(3, slot.origin).bind(4, as_integer(count));
-    before.bind(1, run_).bind(2, slot.topic).bind(3, slot.origin);
-    sums_->replace(before, add);
-  }
-}
-
 void AccountWriter::write(const Batch& batch, const Account& account, const TopicTables& tables) {
   next_gaps_ = grown_gaps_;
   const auto put_segment = [&](const SlotInfo& slot, const Segment& segment) {

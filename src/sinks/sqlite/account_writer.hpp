@@ -26,8 +26,6 @@ class AccountWriter {
   /// Each origin has its place in the ledger before it has rows: sealing finds its live counts by the slot.
   void write_slots(const Batch& batch, const TopicTables& tables);
   void write(const Batch& batch, const Account& account, const TopicTables& tables);
-  /// How many texts of a batch were no UTF-8.
-  void write_escaped(const Batch& batch, const detail::EscapedTexts& escaped);
   /// What `write_slots` has written is committed; of the batch, more may follow.
   void slots_committed() noexcept { known_slots_ = slots_in_transaction_; }
   /// All of the batch is.

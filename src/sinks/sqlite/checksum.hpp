@@ -24,9 +24,9 @@ struct RowSum {
 };
 
 /// The tables of the account in which each row is of a run; their first column.
-inline constexpr std::array<std::string_view, 9> account_tables = {
-    "rtdata_run",   "rtdata_schedule", "rtdata_ledger",  "rtdata_gap",          "rtdata_clock",
-    "rtdata_error", "rtdata_health",   "rtdata_escaped", "rtdata_configuration"};
+inline constexpr std::array<std::string_view, 8> account_tables = {
+    "rtdata_run",   "rtdata_schedule", "rtdata_ledger", "rtdata_gap",
+    "rtdata_clock", "rtdata_error",    "rtdata_health", "rtdata_configuration"};
 
 /// Takes the values of a row one after the other, each as SQLite gives it back, and hashes them. Throws bad_alloc.
 class RowHash {

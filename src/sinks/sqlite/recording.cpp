@@ -329,14 +329,6 @@ Result<std::vector<RecordedHealth>> Recording::health(std::int64_t run) const {
       });
 }
 
-Result<std::vector<RecordedEscapes>> Recording::escaped(std::int64_t run) const {
-  return all<RecordedEscapes>(*file_,
-                              "SELECT topic, origin, texts FROM rtdata_escaped WHERE run = ? ORDER BY topic, origin",
-                              run, [](const Statement& row) {
-                                return RecordedEscapes{string_of(row, 0), string_of(row, 1), count_of(row, 2)};
-                              });
-}
-
 Result<std::vector<RecordedConfiguration>> Recording::configurations(std::int64_t run) const {
   return all<RecordedConfiguration>(
       *file_, "SELECT time, object, text, count FROM rtdata_configuration WHERE run = ? ORDER BY time, _rowid_", run,

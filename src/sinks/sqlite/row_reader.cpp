@@ -47,11 +47,9 @@ bool convert(sqlite3_value* stored, const Leaf& leaf, Value& value) {
     case Kind::u64:
       value = static_cast<std::uint64_t>(sqlite3_value_int64(stored));
       return type == SQLITE_INTEGER;
-    case Kind::text: {
-      const std::string_view text = text_of(stored);
-      value = has_escape(text) ? unescaped(text) : std::string(text);
-      return type == SQLITE_TEXT;
-    }
+    case Kind::text:
+      value = std::string(text_of(stored));
+      return type == SQLITE_TEXT || (type == SQLITE_BLOB && !is_readable(text_of(stored)));
     case Kind::character: {
       if (type == SQLITE_TEXT) {
         const std::string_view text = text_of(stored);

@@ -8,10 +8,9 @@
 // "checksum~" is NULL but in the last row of each transaction: there it is the sum of the hashes of the rows that the
 // transaction stored in this table.
 // A row's key is (run, origin, sequence). Values: bool 0/1; integers INTEGER (uint64 bit for bit as int64); float and
-// double REAL, NaN as NULL where the field is not optional and as the text 'NaN' where it is; text TEXT,
-// escaped where it is no UTF-8 (data/utf8.hpp); char TEXT of
-// one character (INTEGER where it is no printable ASCII); enum TEXT by name, INTEGER where the number has no name;
-// absent NULL.
+// double REAL, NaN as NULL where the field is not optional and as the text 'NaN' where it is; text TEXT, or a BLOB
+// where it is no UTF-8 or has zero bytes; char TEXT of one character (INTEGER where it is no printable ASCII);
+// enum TEXT by name, INTEGER where the number has no name; absent NULL.
 #pragma once
 
 namespace rtdata::sqlite {
@@ -108,13 +107,6 @@ CREATE TABLE IF NOT EXISTS rtdata_health(  -- each change, or several of one obj
 CREATE TABLE IF NOT EXISTS rtdata_checksum(
   sum INTEGER NOT NULL);            -- of the hashes of the rows of rtdata_topic, each with the columns of its table
 INSERT INTO rtdata_checksum VALUES(0);
-)sql"
-                                      // Texts of events that were no UTF-8.
-                                      R"sql(
-CREATE TABLE IF NOT EXISTS rtdata_escaped(
-  run INTEGER NOT NULL, topic TEXT NOT NULL, origin TEXT NOT NULL,
-  texts INTEGER NOT NULL,           -- stored with escapes in them
-  PRIMARY KEY(run, topic, origin)) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS rtdata_configuration(  -- changes since the text in rtdata_run
   run INTEGER NOT NULL, time INTEGER NOT NULL,
   object TEXT NOT NULL,             -- the part that was added, changed or removed; empty: the whole configuration

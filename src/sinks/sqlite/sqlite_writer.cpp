@@ -161,7 +161,7 @@ Result<void> SqliteWriter::write(Batch& batch) try {
 void SqliteWriter::write_part(Batch& batch, Batch::Iterator& next) {
   // Before the rows, not after them: what fails here must not make them come again when they are stored already.
   tend_log();
-  escaped_.begin_batch();
+  no_utf8_.begin_batch();
   try {
     rows_in_last_ = store(batch, next);
   } catch (...) {
@@ -173,7 +173,7 @@ void SqliteWriter::write_part(Batch& batch, Batch::Iterator& next) {
   account_.slots_committed();
   stored_rows_ += rows_in_last_;
   try {
-    escaped_.end_batch(batch);
+    no_utf8_.end_batch(batch);
   } catch (...) {  // no memory for a warning
   }
 }
@@ -204,7 +204,6 @@ std::size_t SqliteWriter::store(Batch& batch, Batch::Iterator& next) {
   if (pruner_.has_limits()) pruner_.make_room(database_, sums_, now_);
   account_.write_slots(batch, tables_);
   write_rows(batch, next, rows);
-  account_.write_escaped(batch, escaped_);
   const Account* const account = next != batch.end() ? nullptr : batch.account();  // with the last of its rows
   if (account != nullptr) account_.write(batch, *account, tables_);
   sums_.write(database_);
@@ -243,7 +242,7 @@ TopicTable* SqliteWriter::table_of(const Record& record) {
   std::unique_ptr<TopicTable> table;
   try {
     table = std::make_unique<TopicTable>(
-        TopicTable::prepare(database_, *record.info, run_, escaped_, sums_, new_views_));
+        TopicTable::prepare(database_, *record.info, run_, no_utf8_, sums_, new_views_));
   } catch (const SetupError& error) {
     // What SQLite itself refuses (there is something else of that name) stays so; all else may get better.
     Error why = error.error();

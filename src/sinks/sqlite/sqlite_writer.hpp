@@ -57,7 +57,7 @@ class SqliteWriter final : public RecordingWriter {
   std::shared_ptr<const RunReport> recorded() const override { return recorded_; }
   std::unique_ptr<detail::RowFeed> feed(const detail::RowFeedConfig& config) override;
   std::optional<Error> take_warning() override {
-    return warning_ ? std::exchange(warning_, std::nullopt) : escaped_.take_warning();
+    return warning_ ? std::exchange(warning_, std::nullopt) : no_utf8_.take_warning();
   }
   std::vector<std::string> take_remarks() override { return std::exchange(remarks_, {}); }
   StorePace pace() const override;
@@ -119,7 +119,7 @@ class SqliteWriter final : public RecordingWriter {
   Database database_;
   std::int64_t run_ = 0;  // 0: none has begun
   std::vector<std::string> remarks_;
-  detail::EscapedTexts escaped_;
+  detail::EscapedTexts no_utf8_{"it is kept as it is, as a BLOB"};
   TopicTables tables_;
   NewUtcViews new_views_;
   std::map<std::uint32_t, Error> untaken_;  // topics whose tables cannot be made

@@ -126,19 +126,17 @@ void bind_value(sqlite3_stmt* statement, int index, const Leaf& leaf, const Valu
   std::visit(Binder{statement, index, leaf, hash}, value);
 }
 
-enum class Text { plain, escaped };
+enum class Text { utf8, other };
 /// `text` lives until the statement has run.
 Text bind_text(sqlite3_stmt* statement, int index, std::string_view text, RowHash& hash) {
-  if (!detail::needs_escape(text)) {
+  if (detail::is_readable(text)) {
     sqlite3_bind_text64(statement, index, text.data(), text.size(), SQLITE_STATIC, SQLITE_UTF8);
     hash.text(text);
-    return Text::plain;
+    return Text::utf8;
   }
-  std::string escaped;
-  detail::append_escaped(escaped, text);
-  sqlite3_bind_text64(statement, index, escaped.data(), escaped.size(), SQLITE_TRANSIENT, SQLITE_UTF8);
-  hash.text(escaped);
-  return Text::escaped;
+  sqlite3_bind_blob64(statement, index, text.data(), text.size(), SQLITE_STATIC);
+  hash.blob(text);
+  return Text::other;
 }
 
 template <class T>
@@ -158,7 +156,7 @@ Result<void> check_columns(std::string_view topic, const Description& descriptio
 }
 
 TopicTable TopicTable::prepare(Database& database, const SlotInfo& slot, std::int64_t run,
-                               detail::EscapedTexts& escaped, AccountSums& sums, NewUtcViews& views) {
+                               detail::EscapedTexts& no_utf8, AccountSums& sums, NewUtcViews& views) {
   const Description& description = *slot.description;
   check_columns(slot.topic, description).or_throw();
   auto known = database.prepare(
@@ -203,7 +201,7 @@ TopicTable TopicTable::prepare(Database& database, const SlotInfo& slot, std::in
 
   TopicTable table;
   table.database_ = &database;
-  table.escaped_ = &escaped;
+  table.no_utf8_ = &no_utf8;
   table.name_ = name;
   table.topic_ = slot.topic;
   table.run_ = run;
@@ -293,8 +291,8 @@ void TopicTable::bind(sqlite3_stmt* statement, int index, const Record& record) 
           if (value == nullptr) {
             sqlite3_bind_null(statement, index);
             hash_.null();
-          } else if (bind_text(statement, index, detail::text_at(*column.leaf, value), hash_) == Text::escaped) {
-            escaped_->add(record.slot);
+          } else if (bind_text(statement, index, detail::text_at(*column.leaf, value), hash_) == Text::other) {
+            no_utf8_->add(record.slot);
           }
           break;
         }

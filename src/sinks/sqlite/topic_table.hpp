@@ -22,9 +22,9 @@ class TopicTable {
  public:
   /// Within a transaction. Finds the table that this description fits; one whose fields are the first part of it gets
   /// the further columns; otherwise a new table is made. Errors: those of the database, bad-name.
-  /// Texts that are no UTF-8 are counted in `escaped`, which outlives the table. What changes in rtdata_topic goes into
+  /// Texts that are no UTF-8 are counted in `no_utf8`, which outlives the table. What changes in rtdata_topic goes into
   /// `sums`. The view of a new table is left in `views`, to be made within the same transaction.
-  static TopicTable prepare(Database& database, const SlotInfo& slot, std::int64_t run, detail::EscapedTexts& escaped,
+  static TopicTable prepare(Database& database, const SlotInfo& slot, std::int64_t run, detail::EscapedTexts& no_utf8,
                             AccountSums& sums, NewUtcViews& views);
 
   /// Inserts the record, at the latest with `flush`: its payload must live until then.
@@ -51,7 +51,7 @@ class TopicTable {
   void run(Insert& insert);
 
   Database* database_ = nullptr;
-  detail::EscapedTexts* escaped_ = nullptr;
+  detail::EscapedTexts* no_utf8_ = nullptr;
   std::string name_;
   std::string topic_;
   std::vector<Column> columns_;  // in the order of the table's
