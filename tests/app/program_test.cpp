@@ -332,7 +332,7 @@ TEST_SUITE("app") {
     CHECK(has(verify.out, ": board on\n"));
     Process info(folder, program, {"info", "u.db"});
     CHECK(info.end() == 0);
-    CHECK(has(info.out, "    1 outage of "));
+    CHECK(has(info.out, "    ! 1 outage of "));
   }
 
   TEST_CASE("NFR-5 whatever the program prints for people fits a terminal of 80 columns") {

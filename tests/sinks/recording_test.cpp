@@ -556,6 +556,9 @@ TEST_CASE("FW-5 the subcommand info shows runs, topics and fields") {
   CHECK(app::info({.database = path, .show_as = app::ShowAs::json}, out, err) == 0);
   const auto json = nlohmann::json::parse(out.str());
   CHECK(json["topics"][1]["rows"] == 999);
+  CHECK(json["topics"][1]["name"] == "room/climate");  // the keys of a status
+  CHECK(json["topics"][1]["lateness_ns"]["p50"] <= json["topics"][1]["lateness_ns"]["max"]);
+  CHECK(json["topics"][1]["outage_time_s"] == 0.0);
   CHECK(json["descriptions"][1]["description"]["fields"][0]["unit"] == "Cel");
 }
 

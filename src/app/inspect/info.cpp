@@ -1,12 +1,12 @@
 #include <algorithm>
-#include <cmath>
-#include <cstdio>
 #include <nlohmann/json.hpp>
 #include <ostream>
 
 #include "app/core/amounts.hpp"
 #include "app/core/recording_commands.hpp"
+#include "app/core/table.hpp"
 #include "app/inspect/course.hpp"
+#include "data/rounded_time.hpp"
 #include "data/wrap.hpp"
 #include "rtdata/sinks/recording.hpp"
 
@@ -18,55 +18,16 @@ using Json = nlohmann::ordered_json;
 Time present() { return std::chrono::time_point_cast<Duration>(std::chrono::system_clock::now()); }
 std::string short_time(Time utc) { return to_iso8601(utc).substr(0, 19) + "Z"; }
 
-/// Three digits and a unit: "1.20ms".
-std::string short_duration(Duration duration) {
-  const double ns = static_cast<double>(duration.count());
-  const char* unit = "s";
-  double value = ns / 1e9;
-  if (ns < 1e6) {
-    unit = "us";
-    value = ns / 1e3;
-  } else if (ns < 1e9) {
-    unit = "ms";
-    value = ns / 1e6;
-  }
-  char text[32];
-  std::snprintf(text, sizeof text, "%.*f%s", value < 10 ? 2 : value < 100 ? 1 : 0, value, unit);
-  return text;
-}
-
-std::string hertz(double value) {
-  char text[32];
-  std::snprintf(text, sizeof text, "%.*f", value < 10 ? 3 : value < 100 ? 2 : 1, value);
-  return text;
-}
-
-std::string padded(std::string text, std::size_t width) {
-  return text.size() < width ? std::string(width - text.size(), ' ') + text : text;
-}
-
-/// At most 80 columns unless numbers are very large; a long name has a line of its own.
-void print_table(const std::vector<TopicSummary>& topics, std::ostream& out) {
-  constexpr std::size_t name_width = 17;
+std::string table_of(const std::vector<TopicSummary>& topics) {
   bool is_complete = true;
-  out << "  topic               rows     Hz wanted late p50     p99     max missed dropped\n";
+  Table table({"topic", ">rows", ">reached", ">wanted", ">late p50", ">p99", ">max", ">missed", ">dropped"});
   for (const TopicSummary& topic : topics) {
-    std::string name = "  " + topic.topic;
-    if (name.size() > name_width) {
-      out << name << "\n";
-      name.clear();
-    }
-    name.resize(name_width, ' ');
     is_complete = is_complete && topic.is_complete;
     const auto count_of = [&](std::uint64_t count) { return std::to_string(count) + (topic.is_complete ? "" : "+"); };
-    const auto late = [&](Duration duration) {
-      return topic.has_lateness ? short_duration(duration) : std::string("-");
+    const auto rate = [](double hertz) { return hertz > 0 ? frequency_text(hertz) : "-"; };
+    const auto late = [&](Duration time) {
+      return topic.has_lateness ? detail::rounded_time(static_cast<double>(time.count())) : "-";
     };
-    out << name << padded(std::to_string(topic.rows), 9)
-        << padded(" " + (topic.reached_hertz > 0 ? hertz(topic.reached_hertz) : "-"), 7)
-        << padded(topic.wanted_hertz > 0 ? hertz(topic.wanted_hertz) : "-", 7) << padded(late(topic.lateness_p50), 9)
-        << padded(late(topic.lateness_p99), 8) << padded(late(topic.lateness_max), 8)
-        << padded(count_of(topic.missed), 7) << padded(count_of(topic.dropped), 8) << "\n";
     std::string losses;
     const auto add = [&](std::uint64_t count, const char* what) {
       if (count != 0) losses += (losses.empty() ? "" : ", ") + count_of(count) + " " + what;
@@ -86,16 +47,15 @@ void print_table(const std::vector<TopicSummary>& topics, std::ostream& out) {
     for (const std::string& of : topic.made_of_it) made_of_it += (made_of_it.empty() ? "" : ", ") + of;
     if (!made_of_it.empty())
       losses += (losses.empty() ? "" : "; ") + ("not recorded itself: account of what is made of it, " + made_of_it);
-    if (!losses.empty()) {
-      std::string lines;
-      detail::wrap(lines, "    ", losses);
-      out << lines;
-    }
+    table.add({topic.topic, std::to_string(topic.rows), rate(topic.reached_hertz), rate(topic.wanted_hertz),
+               late(topic.lateness_p50), late(topic.lateness_p99), late(topic.lateness_max), count_of(topic.missed),
+               count_of(topic.dropped)},
+              losses);
   }
-  if (is_complete) return;
-  std::string note;
-  detail::wrap(note, "  ", "+: up to the last account; the run was not closed, `rtdata verify` says what is known");
-  out << note;
+  std::string text = table.empty() ? "" : table.text("  ", 80);
+  if (!is_complete)
+    detail::wrap(text, "  ", "+: up to the last account; the run was not closed, `rtdata verify` says what is known");
+  return text;
 }
 
 void print_fields(const std::vector<RecordedTopic>& topics, std::ostream& out) {
@@ -136,12 +96,15 @@ Json json_of(const RunInfo& run, const UtcLine& line) {
   return json;
 }
 
+/// With the keys of a running instance's status, as far as a recording knows them.
 Json json_of(const TopicSummary& topic) {
-  Json json{{"topic", topic.topic},
+  const auto rate = [](double hertz) { return hertz > 0 ? Json(hertz) : Json(); };
+  const auto time = [](const std::optional<Time>& at) { return at ? Json(to_nanoseconds(*at)) : Json(); };
+  Json json{{"name", topic.topic},
             {"origins", topic.origins},
             {"rows", topic.rows},
-            {"wanted_hz", topic.wanted_hertz},
-            {"reached_hz", topic.reached_hertz},
+            {"wanted_hz", rate(topic.wanted_hertz)},
+            {"reached_hz", rate(topic.reached_hertz)},
             {"missed", topic.missed},
             {"failed", topic.failed},
             {"unreadable", topic.unreadable},
@@ -150,19 +113,17 @@ Json json_of(const TopicSummary& topic) {
             {"first_lines", topic.first_lines},
             {"pruned", topic.pruned},
             {"outages", topic.outages.number},
-            {"outage_time_ns", topic.outages.time.count()},
+            {"outage_time_s", std::chrono::duration<double>(topic.outages.time).count()},
             {"late", topic.late},
             {"made_of_it", topic.made_of_it},
-            {"is_complete", topic.is_complete}};
-  if (!(topic.wanted_hertz > 0)) json["wanted_hz"] = Json();
-  if (!(topic.reached_hertz > 0)) json["reached_hz"] = Json();
-  json["lost"] = topic.lost ? Json(*topic.lost) : Json();
-  const auto lateness = [&](Duration value) { return topic.has_lateness ? Json(value.count()) : Json(); };
-  json["lateness_p50_ns"] = lateness(topic.lateness_p50);
-  json["lateness_p99_ns"] = lateness(topic.lateness_p99);
-  json["lateness_max_ns"] = lateness(topic.lateness_max);
-  json["first"] = topic.first ? Json(to_nanoseconds(*topic.first)) : Json();
-  json["last"] = topic.last ? Json(to_nanoseconds(*topic.last)) : Json();
+            {"is_complete", topic.is_complete},
+            {"lost", topic.lost ? Json(*topic.lost) : Json()},
+            {"lateness_ns", Json()},
+            {"first", time(topic.first)},
+            {"last", time(topic.last)}};
+  if (topic.has_lateness)
+    json["lateness_ns"] = {
+        {"p50", topic.lateness_p50.count()}, {"p99", topic.lateness_p99.count()}, {"max", topic.lateness_max.count()}};
   return json;
 }
 
@@ -292,7 +253,7 @@ void print(const Recording& recording, const Content& content, InfoOptions::Gaps
     out << lines;
   }
   out << "\nrun " << content.shown->run << "\n";
-  print_table(content.summaries, out);
+  out << table_of(content.summaries);
   if (gaps == InfoOptions::Gaps::listed) print_gaps(content, out);
   const std::string of_run = " run " + std::to_string(content.shown->run);
   print_first(content.errors, 10, "errors of" + of_run, out, [&](const RecordedError& error) {
@@ -381,9 +342,6 @@ void print_json(const Recording& recording, const Content& content, InfoOptions:
   add_course("notes", "by", content.course.notes);
   add_course("alarms", "limit_of", content.course.alarms);
   add_course("states", "machine", content.course.states);
-  list("escaped", content.escaped, [](const RecordedEscapes& of) {
-    return Json{{"topic", of.topic}, {"origin", of.origin}, {"texts", of.texts}};
-  });
   json["configuration"] = content.shown ? Json(content.shown->configuration) : Json();
   list("configurations", content.configurations, [&](const RecordedConfiguration& change) {
     return Json{{"time", to_nanoseconds(change.time)},
