@@ -148,7 +148,7 @@ class TableCursor final : public RowCursor {
 
   bool advance() override {
     try {
-      if (has_ended_ || !statement_.step()) return !(has_ended_ = true);  // another step would begin anew
+      if (!statement_.step()) return false;
     } catch (const SetupError& error) {
       throw SetupError(behind_row(file_, topic_, run, last_sequence_, error.error()));
     }
@@ -181,7 +181,6 @@ class TableCursor final : public RowCursor {
   sqlite::Statement statement_;
   std::uint64_t last_sequence_ = 0;  // of the row at hand
   bool is_first_ = true;
-  bool has_ended_ = false;
 };
 
 class GapCursor final : public RowCursor {
