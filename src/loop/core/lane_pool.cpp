@@ -93,8 +93,9 @@ struct LanePool::State : std::enable_shared_from_this<LanePool::State> {
   std::atomic<std::ptrdiff_t> threads{0};  // without those that hang
   std::atomic<std::ptrdiff_t> behind{0};   // that hang
   std::atomic<bool> quit{false};
-  // Where threads sleep. The first that is free is taken, and the last woken first: mostly the same thread goes on, whose memory is still in the
-  // processor's caches. Not std::counting_semaphore, which may lose a wake-up in the libraries of our compilers.
+  // Where threads sleep. The first that is free is taken, and the last woken first: mostly the same thread goes on,
+  // whose memory is still in the processor's caches. Not std::counting_semaphore, which may lose a wake-up in the
+  // libraries of our compilers.
   std::array<sem_t, most_idle> places;
 
   PriorityMutex mutex;  // of what follows; no loop takes it on the way of a job
