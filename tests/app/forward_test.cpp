@@ -53,10 +53,19 @@ class Away {
   int fd_;
 };
 
-std::size_t lines_of(const std::string& path) {
-  std::ifstream file(path);
-  return static_cast<std::size_t>(std::count(std::istreambuf_iterator<char>(file), {}, '\n'));
+/// The lines of the file, and of those that the starts before it wrote.
+std::vector<std::string> all_lines_of(const std::filesystem::path& path) {
+  std::vector<std::string> lines;
+  for (const auto& entry : std::filesystem::directory_iterator(path.parent_path())) {
+    const std::filesystem::path& there = entry.path();
+    if (there != path && !there.filename().string().starts_with(path.stem().string() + "-0000")) continue;
+    std::ifstream file(there);
+    for (std::string line; std::getline(file, line);) lines.push_back(line);
+  }
+  return lines;
 }
+
+std::size_t lines_of(const std::filesystem::path& path) { return all_lines_of(path).size(); }
 
 std::size_t rows_of(const std::string& path) {
   auto rows = Recording::open(path).or_throw().rows({}).or_throw();
@@ -236,9 +245,7 @@ TEST_SUITE("app") {
     }
     Process run(folder, program, {"run", "node.json", "--for", "300ms"});
     CHECK(run.end() == 0);
-    std::ifstream file(folder.path() + "/copy.jsonl");
-    std::vector<std::string> lines;
-    for (std::string line; std::getline(file, line);) lines.push_back(line);
+    std::vector<std::string> lines = all_lines_of(folder.path() + "/copy.jsonl");
     std::sort(lines.begin(), lines.end());
     lines.erase(std::unique(lines.begin(), lines.end()), lines.end());
     CHECK(lines.size() == rows_of(folder.path() + "/node.db"));

@@ -178,7 +178,7 @@ class Reader {
   static void take(std::string_view key, const Json& json, T& value) {
     if constexpr (OptionalTraits<T>::value) {
       if (json.is_null()) return value.reset();
-      take(key, json, value.emplace());
+      take(key, json, value.emplace(typename T::value_type{}));
     } else if constexpr (ListTraits<T>::value) {
       for (const Json& one : json.get_ref<const Json::array_t&>()) take(key, one, value.emplace_back());
     } else if constexpr (std::is_same_v<T, Duration>) {

@@ -11,6 +11,8 @@
 namespace rtdata::sqlite {
 namespace {
 
+constexpr int longest_value = 256 << 20;  // a damaged length asks for no more memory than this
+
 Errc errc_of(int code) {
   switch (code & 0xff) {
     case SQLITE_BUSY:
@@ -204,6 +206,7 @@ Database Database::open(const std::string& path, Mode mode, mode_t permissions) 
   }
   sqlite3_extended_result_codes(raw, 1);
   sqlite3_busy_timeout(raw, 2000);
+  sqlite3_limit(raw, SQLITE_LIMIT_LENGTH, longest_value);
   return made;
 }
 
