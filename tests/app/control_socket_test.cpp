@@ -16,6 +16,7 @@
 #include <nlohmann/json.hpp>
 
 #include "app/control/commands.hpp"
+#include "app/control/request.hpp"
 #include "app/control/status_source.hpp"
 #include "app/control/status_view.hpp"
 #include "app/runtime_folder.hpp"
@@ -493,9 +494,9 @@ TEST_SUITE("app") {
     REQUIRE(begin != std::string::npos);
     const std::string table = docs.substr(begin, end - begin);
     const std::function<void(const nlohmann::json&)> check_keys = [&](const nlohmann::json& of) {
-      for (const auto& [key, value] : of.items()) {
-        if (of.is_object()) CHECK_MESSAGE(table.find("`" + key + "`") != std::string::npos, key);
-        if (value.is_structured()) check_keys(value);
+      for (const auto& item : of.items()) {
+        if (of.is_object()) CHECK_MESSAGE(table.find("`" + item.key() + "`") != std::string::npos, item.key());
+        if (item.value().is_structured()) check_keys(item.value());
       }
     };
     check_keys(nlohmann::json::parse(line));

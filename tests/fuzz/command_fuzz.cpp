@@ -12,6 +12,7 @@
 #include <string_view>
 
 #include "app/control/commands.hpp"
+#include "app/control/request.hpp"
 #include "outputs/memory_actuator.hpp"
 #include "rtdata/config/format.hpp"
 #include "rtdata/config/registry.hpp"

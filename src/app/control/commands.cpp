@@ -3,10 +3,10 @@
 #include <algorithm>
 #include <charconv>
 #include <memory>
-#include <nlohmann/json.hpp>
 #include <sstream>
 #include <stdexcept>
 
+#include "app/control/request.hpp"
 #include "app/control/status.hpp"
 #include "app/core/machines.hpp"
 #include "loop/core/loop_core.hpp"
@@ -22,7 +22,6 @@
 namespace rtdata::app {
 namespace {
 
-using Json = nlohmann::ordered_json;
 using Words = std::vector<std::string>;
 
 struct Verb {
@@ -186,22 +185,8 @@ const std::vector<CommandHelp>& command_help() {
   return all;
 }
 
-std::vector<std::string> command_words(std::string_view line) {
-  const Json request = Json::parse(line, nullptr, false);
-  Words words;
-  if (!request.is_object() || !request.contains("request") || request["request"] != "command") return words;
-  if (request.value("version", Json(Status::newest)) > Status::newest) return words;
-  const auto given = request.find("words");
-  if (given == request.end() || !given->is_array()) return words;
-  for (const Json& word : *given) {
-    if (!word.is_string()) return {};
-    words.push_back(word.get<std::string>());
-  }
-  return words;
-}
-
 std::string command_answer(const CommandOutcome& outcome) {
-  return Json{{outcome.done ? "done" : "refused", outcome.text}}.dump(-1, ' ', false, Json::error_handler_t::replace);
+  return answer_line(outcome.done ? "done" : "refused", outcome.text);
 }
 
 void repeat_command(System& system, const CommandRecord& recorded) {

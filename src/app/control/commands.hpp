@@ -35,8 +35,6 @@ struct CommandOutcome {
   std::string text;  ///< what has been done, or why not
 };
 
-/// The words of a request that is a command; empty: it is none.
-std::vector<std::string> command_words(std::string_view line);
 /// The line that answers a command, without its end.
 std::string command_answer(const CommandOutcome& outcome);
 

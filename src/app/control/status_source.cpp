@@ -5,9 +5,9 @@
 #include <algorithm>
 #include <bit>
 #include <cstring>
-#include <nlohmann/json.hpp>
 #include <utility>
 
+#include "app/control/request.hpp"
 #include "loop/core/callback_survey.hpp"
 #include "loop/core/loop_core.hpp"
 #include "loop/runtime/runtime_core.hpp"
@@ -19,9 +19,6 @@
 namespace rtdata::app {
 namespace {
 
-using Json = nlohmann::ordered_json;
-
-constexpr std::size_t longest_request = 4096;
 constexpr std::size_t most_callbacks = 64;  // those that took most
 
 Status::Lateness lateness_of(const TimeCounts& counts) {
@@ -43,23 +40,6 @@ void show_change(Status::Sensor& sensor) {
     std::memcpy(&change, payload.data(), sizeof change);
     sensor.value = (change.done ? shown_value(*change.done) : std::string("not set")) + ", by " + named("cause");
   }
-}
-
-/// Why what was asked is no request for a status; empty: it is one.
-std::string refusal_of(std::string_view line) {
-  if (line.size() > longest_request) return "a request has at most " + std::to_string(longest_request) + " bytes";
-  const Json request = Json::parse(line, nullptr, false);
-  if (request.is_discarded() || !request.is_object()) return "a request is an object of JSON on one line";
-  const auto what = request.find("request");
-  if (what == request.end() || !what->is_string()) return "it has no \"request\"";
-  if (const Json version = request.value("version", Json(Status::newest)); version > Status::newest)
-    return "it is asked in version " + version.dump(-1, ' ', false, Json::error_handler_t::replace) +
-           " of the protocol, and knows up to " + std::to_string(Status::newest) +
-           ": use the program that it was started with";
-  if (*what == "command") return "the \"words\" of a command are a list of texts, which is not empty";
-  if (*what != "status")
-    return "there is no request \"" + what->get<std::string>() + "\"; there is \"status\" and \"command\"";
-  return {};
 }
 
 }  // namespace
@@ -142,7 +122,7 @@ void StatusSource::keep_changes() {
 
 std::function<std::string()> StatusSource::answer(std::uint64_t client, std::string_view line) {
   if (std::string why = refusal_of(line); !why.empty())
-    return [why = std::move(why)] { return Json{{"error", why}}.dump(-1, ' ', false, Json::error_handler_t::replace); };
+    return [why = std::move(why)] { return answer_line("error", why); };
   return [status = std::make_shared<Status>(take(client))] { return json_of(*status); };
 }
 

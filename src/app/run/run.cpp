@@ -10,6 +10,7 @@
 #include "app/control/account.hpp"
 #include "app/control/commands.hpp"
 #include "app/control/control_socket.hpp"
+#include "app/control/request.hpp"
 #include "app/control/status_source.hpp"
 #include "app/core/configuration_commands.hpp"
 #include "app/run/console.hpp"

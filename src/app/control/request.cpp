@@ -1,0 +1,51 @@
+#include "app/control/request.hpp"
+
+#include <cstddef>
+#include <nlohmann/json.hpp>
+
+#include "app/control/status.hpp"
+
+namespace rtdata::app {
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+constexpr std::size_t longest_request = 4096;
+
+}  // namespace
+
+std::string refusal_of(std::string_view line) {
+  if (line.size() > longest_request) return "a request has at most " + std::to_string(longest_request) + " bytes";
+  const Json request = Json::parse(line, nullptr, false);
+  if (request.is_discarded() || !request.is_object()) return "a request is an object of JSON on one line";
+  const auto what = request.find("request");
+  if (what == request.end() || !what->is_string()) return "it has no \"request\"";
+  if (const Json version = request.value("version", Json(Status::newest)); version > Status::newest)
+    return "it is asked in version " + version.dump(-1, ' ', false, Json::error_handler_t::replace) +
+           " of the protocol, and knows up to " + std::to_string(Status::newest) +
+           ": use the program that it was started with";
+  if (*what == "command") return "the \"words\" of a command are a list of texts, which is not empty";
+  if (*what != "status")
+    return "there is no request \"" + what->get<std::string>() + "\"; there is \"status\" and \"command\"";
+  return {};
+}
+
+std::vector<std::string> command_words(std::string_view line) {
+  const Json request = Json::parse(line, nullptr, false);
+  std::vector<std::string> words;
+  if (!request.is_object() || !request.contains("request") || request["request"] != "command") return words;
+  if (request.value("version", Json(Status::newest)) > Status::newest) return words;
+  const auto given = request.find("words");
+  if (given == request.end() || !given->is_array()) return words;
+  for (const Json& word : *given) {
+    if (!word.is_string()) return {};
+    words.push_back(word.get<std::string>());
+  }
+  return words;
+}
+
+std::string answer_line(std::string_view key, std::string_view text) {
+  return Json{{key, text}}.dump(-1, ' ', false, Json::error_handler_t::replace);
+}
+
+}  // namespace rtdata::app
