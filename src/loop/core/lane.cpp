@@ -97,7 +97,12 @@ Lane::~Lane() {
     }
     for (LaneJob* job = first_.get(); job != nullptr; job = job->next_outstanding_.get()) {
       if (job->state_.load(std::memory_order_acquire) != LaneJob::running) continue;
-      loop_.lanes.wait(std::min(job->limit_, longest_wait), [&] { return job->state_.load() != LaneJob::running; });
+      Duration most = std::min(job->limit_, longest_wait);
+      if (most == job->limit_) {  // since it began: lanes whose devices hang together are waited for together
+        const MonotonicTime end = later(MonotonicTime{Duration{job->began_.load(std::memory_order_relaxed)}}, most);
+        most = std::clamp(span_between(loop_.now(), end), Duration{0}, most);
+      }
+      loop_.lanes.wait(most, [&] { return job->state_.load() != LaneJob::running; });
       if (job->take_away() == LaneJob::running) thread_->leave_behind();
     }
   }
