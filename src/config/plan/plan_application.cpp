@@ -80,7 +80,7 @@ bool PlanApplication::step(Duration budget) {
       case Stage::done:
         break;
     }
-    if (is_waiting_ || (system_.loop_.now() >= end && !is_switching_)) break;
+    if (is_waiting_ || (system_.loop_.now() >= end && !switching_)) break;
   }
   if (stage_ == Stage::done) this->end();
   return stage_ != Stage::done;
@@ -181,7 +181,7 @@ void PlanApplication::close_one() {
   if (is_last && failure_ != nullptr && !old_) return go_back(failure_);
   if (is_last) {
     if (!old_) take_text();
-    is_switching_ = is_switching_ && last_sink_ != nullptr;
+    if (last_sink_ == nullptr) switching_.reset();
     place_ = 0;
     stage_ = Stage::making;
     return;
@@ -227,7 +227,7 @@ void PlanApplication::close(const PartPlan& plan) {
   if (!old_) changed_.emplace(&plan, plan);
   const std::string name = plan.name;
   const std::optional<StoredTopics> stores = plan.stores;
-  is_switching_ = is_switching_ || stores;
+  if (stores && !switching_) switching_.emplace(system_.loop_.runtime().core());
   std::unique_ptr<Parts::Part> part = system_.parts_.take(plan.kind, plan.name);
   // What goes through a recording has nothing in memory: it ends with that.
   if (stores && stores->through.empty() && part->object.as<Sink>() != nullptr) return finish(std::move(part));
@@ -260,7 +260,7 @@ void PlanApplication::take_text() {
 
 void PlanApplication::make_one() {
   if (place_ == compared_.parts.size()) {
-    is_switching_ = false;
+    switching_.reset();
     stage_ = Stage::taking;
     return;
   }
@@ -277,7 +277,7 @@ void PlanApplication::make_one() {
     if (!old_) return go_back(std::current_exception());
     note_missing(planned.next->object(), "it cannot be made");
   }
-  if (planned.next == last_sink_) is_switching_ = false;
+  if (planned.next == last_sink_) switching_.reset();
 }
 
 void PlanApplication::make(const PartPlan& plan) {
@@ -414,7 +414,6 @@ void PlanApplication::finish_one() {
 
 void PlanApplication::go_back(std::exception_ptr why) {
   failure_ = std::move(why);
-  is_switching_ = false;
   // Before a recording begins anew with it.
   if (before_ != nullptr) system_.loop_.runtime().core().configurations.restore(std::move(*before_));
   before_ = nullptr;

@@ -12,6 +12,7 @@
 
 #include "config/plan/change.hpp"
 #include "loop/runtime/configurations.hpp"
+#include "loop/runtime/exchange.hpp"
 
 namespace rtdata::config_detail {
 
@@ -79,7 +80,7 @@ class PlanApplication {
   bool is_applied_ = false;
   bool may_wait_ = false;  // the loop turns between two steps
   bool is_waiting_ = false;
-  bool is_switching_ = false;                              // a sink is closed, and not all are made
+  std::optional<detail::Exchange::Standstill> switching_;  // a sink is closed, and not all are made
   std::size_t place_ = 0;                                  // in the list of this stage
   std::vector<const PlannedChange*> ending_;               // the last one made first
   std::vector<const PartPlan*> released_;                  // of these, what is given its time to end

@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <deque>
 #include <memory>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -65,6 +66,20 @@ class Exchange {
     RuntimeCore& runtime_;
     const std::vector<std::string>& patterns_;
   };
+  /// While one lives, other loops send all that they publish, and nothing of it is taken after its own `catch_up`: what
+  /// sinks that are closed meanwhile do not have, those that are made have. The loop does not turn while one lives.
+  class Standstill {
+   public:
+    explicit Standstill(RuntimeCore& runtime);
+    Standstill(const Standstill&) = delete;
+    Standstill& operator=(const Standstill&) = delete;
+    ~Standstill();
+
+   private:
+    RuntimeCore& runtime_;
+    const Interest all_;
+  };
+  bool stands_still() const noexcept { return standstill_.has_value(); }
   bool is_wanted(std::string_view topic) const noexcept;
 
   std::uint64_t lost = 0;  ///< events from other loops that were dropped: this loop could not make their topic, since
@@ -75,6 +90,7 @@ class Exchange {
  private:
   RuntimeCore& runtime_;
   std::vector<const std::vector<std::string>*> wanted_;
+  std::optional<std::string> standstill_;  // what its `catch_up` could not know
   PriorityMutex announced_mutex_;
   std::vector<Announcement> announced_;
   std::atomic<bool> has_announced_{false};

@@ -51,8 +51,12 @@ void SinkNode::attach() {
   const Exchange::Interest until_all_is_attached(runtime, config_.topics);
   const std::string unknown = runtime.exchange.catch_up(std::chrono::seconds{1});
   if (!unknown.empty()) unknown_ = "it began although " + unknown;
+  // In place of one that was closed, it refuses a topic as that one did which came while it was there.
+  std::vector<std::pair<TopicCore*, Error>> refused;
   for (const auto& topic : runtime.topics()) {
-    if (auto taken = take_topic(*topic); !taken) throw SetupError(std::move(taken).error());
+    auto taken = take_topic(*topic);
+    if (!taken && !runtime.exchange.stands_still()) throw SetupError(std::move(taken).error());
+    if (!taken) refused.emplace_back(topic.get(), std::move(taken).error());
   }
   account_.follow_all(*this);
   runtime.attach(*this);
@@ -62,6 +66,10 @@ void SinkNode::attach() {
   loop()->schedule().add(*this);
   life_ = Life::attached;
   tell_of_run();
+  for (const auto& [topic, why] : refused) {
+    account_.refuse_topic(*topic, *this);
+    fault_for_good(why.text());
+  }
   if (is_to_open_) {
     start_work();
     if (loop()->is_being_set_up() && !loop()->is_in_user_code()) wait_for_opening();
