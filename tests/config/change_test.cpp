@@ -6,12 +6,15 @@
 #include <doctest/doctest.h>
 
 #include <algorithm>
+#include <fstream>
+#include <iterator>
 #include <memory>
 
 #include "app/process.hpp"
 #include "config/test_types.hpp"
 #include "loop/runtime/runtime_core.hpp"
 #include "rtdata/app/standard.hpp"
+#include "rtdata/sensors/limit.hpp"
 #include "rtdata/sinks/recording.hpp"
 #include "rtdata/sinks/verify.hpp"
 #include "sinks/recordings.hpp"
@@ -520,6 +523,28 @@ TEST_SUITE("config") {
     }
     for (const LedgerEntry& entry : Recording::open(path).or_throw().ledger(1).or_throw())
       if (entry.origin == "c") CHECK(entry.first_sequence == 1);
+  }
+
+  TEST_CASE("US-5 a sink that is made anew refuses the topic that it could not take before, and stores the others") {
+    const Folder folder;
+    const auto text = [&](const char* time) {
+      return R"({"sensors": [)" + counter + R"(], "sinks": [{"type": "file", "name": "table", "batch_time": ")" + time +
+             R"(", "path": ")" + folder.path() + "/a.csv\"}]}";
+    };
+    const auto lines = [&](const char* name) {
+      std::ifstream file(folder.path() + name);
+      return std::count(std::istreambuf_iterator<char>(file), {}, '\n');
+    };
+    Running run(text("100 ms"));
+    run.loop.advance(1s);
+    run.loop.topic<Alarm>("late").publish({});
+    run.loop.advance(1s);
+    run.system.apply(run.next(text("200 ms")));
+    run.loop.advance(2s);
+    CHECK(run.loop.runtime().sinks().front().health == Health::faulted);
+    run.loop.close(1s);
+    CHECK(lines("/a-00000001.csv") > 2);
+    CHECK(lines("/a.csv") >= lines("/a-00000001.csv") - 2);  // as long again
   }
 
   TEST_CASE("US-5 a recording whose file changes is closed while the loop turns; nothing is lost, also when it fails") {
