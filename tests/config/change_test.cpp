@@ -579,6 +579,45 @@ TEST_SUITE("config") {
     CHECK(next_sequence > 290);
   }
 
+  // With threads: in virtual time no tier publishes while a step runs.
+  TEST_CASE("US-26 US-5 what a tier publishes while one recording is closed and another made is in one of them") {
+    const Folder folder;
+    constexpr int files = 16;
+    const auto path = [&](int file) { return folder.path() + "/" + std::to_string(file) + ".db"; };
+    const auto text = [&](int file) {
+      return R"({"tiers": {"fast": {}}, "sensors": [
+        {"name": "a", "type": "tallied", "rate": "5 kHz", "tier": "fast"}], "sinks": [{"type": "sqlite", "name": "db", "path": ")" +
+             path(file) + "\"}]}";
+    };
+    {
+      const Registry types = registry();
+      const SystemPlan plan = plan_system(types, parse_config(text(0), "f.json"));
+      Loop loop(plan.loop_config());
+      System system(loop, types, plan);
+      int file = 0;
+      Ticker reloads(loop, 40ms, [&](const Tick&) {
+        if (++file == files) return loop.stop();
+        system.apply(plan_system(types, parse_config(text(file), "f.json")));
+      });
+      loop.run();
+      CHECK(loop.close(10s) == 0);
+    }
+    std::uint64_t last = 0;
+    for (int file = 0; file < files; ++file) {
+      CAPTURE(file);
+      const Recording recording = Recording::open(path(file)).or_throw();
+      const VerifyReport report = verify(recording).or_throw();
+      INFO(report.text());
+      CHECK(report.verdict() == Verdict::balanced);
+      auto rows = recording.rows({.topic = "a"}).or_throw();
+      std::uint64_t missing = 0;
+      while (const RecordedRow* row = rows.next().or_throw())
+        missing += row->header().sequence - std::exchange(last, row->header().sequence) - 1;
+      CHECK(missing == 0);
+    }
+    CHECK(last > 100);
+  }
+
   TEST_CASE("US-26 a recording that begins again since a reload failed has the text that holds") {
     const Folder folder;
     const std::string path = folder.path() + "/run.db";

@@ -7,14 +7,13 @@
 
 #include "loop/core/loop_core.hpp"
 #include "loop/runtime/runtime_core.hpp"
-#include "loop/runtime/standstill.hpp"
 #include "loop/tier/bridge.hpp"
 #include "loop/tier/tier_core.hpp"
 
 namespace rtdata::detail {
 
 std::string Exchange::catch_up(Duration at_most) {
-  if (standstill_) return *standstill_;
+  if (standstill_) return standstill_->unknown;
   constexpr Duration turn = std::chrono::milliseconds{1};  // of one tier: one that hangs takes no other's time
   LoopCore& loop = *runtime_.own_loop;
   const MonotonicTime end = later(loop.now(), at_most);
@@ -44,21 +43,15 @@ std::string Exchange::unknown() const {
 namespace {
 
 const std::vector<std::string> all_topics{"#"};
-thread_local std::optional<Time> began;
 
 }  // namespace
 
 Exchange::Standstill::Standstill(RuntimeCore& runtime) : runtime_(runtime), all_(runtime, all_topics) {
-  began = runtime.event_now();
-  runtime.exchange.standstill_ = runtime.exchange.catch_up(std::chrono::seconds{1});
+  const Time time = runtime.event_now();
+  runtime.exchange.standstill_ = {time, runtime.exchange.catch_up(std::chrono::seconds{1})};
 }
 
-Exchange::Standstill::~Standstill() {
-  runtime_.exchange.standstill_.reset();
-  began.reset();
-}
-
-std::optional<Time> standstill_began() noexcept { return began; }
+Exchange::Standstill::~Standstill() { runtime_.exchange.standstill_.reset(); }
 
 Exchange::Interest::Interest(RuntimeCore& runtime, const std::vector<std::string>& patterns)
     : runtime_(runtime), patterns_(patterns) {

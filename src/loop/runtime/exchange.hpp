@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "loop/support/priority_mutex.hpp"
+#include "rtdata/data/time.hpp"
 #include "rtdata/loop/topic.hpp"
 
 namespace rtdata::detail {
@@ -80,6 +81,8 @@ class Exchange {
     const Interest all_;
   };
   bool stands_still() const noexcept { return standstill_.has_value(); }
+  /// Since when a sink that is made at `now` has what other loops publish.
+  Time begins_at(Time now) const noexcept { return standstill_ ? standstill_->time : now; }
   bool is_wanted(std::string_view topic) const noexcept;
 
   std::uint64_t lost = 0;  ///< events from other loops that were dropped: this loop could not make their topic, since
@@ -90,7 +93,11 @@ class Exchange {
  private:
   RuntimeCore& runtime_;
   std::vector<const std::vector<std::string>*> wanted_;
-  std::optional<std::string> standstill_;  // what its `catch_up` could not know
+  struct Instant {
+    Time time;            // before it, so that nothing that is taken later was earlier
+    std::string unknown;  // what its `catch_up` could not know
+  };
+  std::optional<Instant> standstill_;
   PriorityMutex announced_mutex_;
   std::vector<Announcement> announced_;
   std::atomic<bool> has_announced_{false};

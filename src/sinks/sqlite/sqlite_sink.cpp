@@ -9,7 +9,6 @@
 #include <system_error>
 
 #include "loop/runtime/runtime_core.hpp"
-#include "loop/runtime/standstill.hpp"
 #include "loop/support/first_line.hpp"
 #include "rtdata/sinks/sqlite.hpp"
 #include "sinks/sqlite/recording_lock.hpp"
@@ -34,7 +33,7 @@ std::unique_ptr<Writer> make_writer(Loop& loop, const SqliteConfig& config) {
   return std::make_unique<sqlite::SqliteWriter>(
       config, sqlite::RunInfo{detail::first_line("/proc/sys/kernel/random/uuid"), runtime.config.name,
                               runtime.config.notes, runtime.configurations.whole(), runtime.clock().boot_id(),
-                              detail::standstill_began().value_or(loop.time()),
+                              runtime.exchange.begins_at(loop.time()),
                               runtime.clock_log.start().realtime.time_since_epoch() -
                                   runtime.clock_log.start().monotonic.time_since_epoch()});
 }
