@@ -147,6 +147,11 @@ TEST_SUITE("sinks") {
     CHECK(values(bench.directory / ("test-" + today + "-10.csv"), "csv") == std::vector<double>{1});
     CHECK(values(bench.directory / ("test-" + today + "-11.csv"), "csv") == std::vector<double>{2});
     CHECK(content(bench.directory / ("test-" + today + "-9x.csv")) == "a note\n");
+    const FileConfig a_topic{.path = bench.directory / "x-{topic}-{run}.csv"};
+    bench.record(a_topic, 1, 1);
+    bench.record(a_topic, 2, 1);
+    CHECK(values(bench.directory / "x-a-1.csv", "csv") == std::vector<double>{1});
+    CHECK(values(bench.directory / "x-a-2.csv", "csv") == std::vector<double>{2});
     CHECK(bench.refusal({.path = bench.directory / "{run}/x.csv"}).find("{run} stands in the name of a directory") !=
           std::string::npos);
   }

@@ -46,24 +46,31 @@ std::string path_of(const std::string& path, std::string_view topic) {
   return replaced(path, topic_mark, part);
 }
 
-/// One more than the largest number that stands in a file's name where the mark stands in the path.
+/// One more than the largest number that stands in a file's name where the mark stands in the path, whatever the topic.
 std::uint64_t next_run(const std::filesystem::path& path) {
   const std::string name = path.filename().string();
   const std::string before = name.substr(0, name.find(run_mark));
+  const std::size_t topic = before.find(topic_mark);
+  const std::string begin = before.substr(0, topic);
+  const std::string behind = topic == std::string::npos ? "" : before.substr(topic + topic_mark.size());
   std::uint64_t last = 0;
   std::error_code failed;  // opening a file reports what is wrong
   const std::filesystem::path folder = path.has_parent_path() ? path.parent_path() : ".";
   for (std::filesystem::directory_iterator entry(folder, failed), end; entry != end; entry.increment(failed)) {
     const std::string there = entry->path().filename().string();
-    std::uint64_t number = 0;
-    if (there.starts_with(before)) std::from_chars(there.data() + before.size(), there.data() + there.size(), number);
-    last = std::max(last, number);
+    if (!there.starts_with(begin)) continue;
+    for (std::size_t at = there.find(behind, begin.size()); at != std::string::npos; at = there.find(behind, at + 1)) {
+      std::uint32_t number = 0;  // one that is larger is none of ours
+      std::from_chars(there.data() + at + behind.size(), there.data() + there.size(), number);
+      last = std::max<std::uint64_t>(last, number);
+      if (topic == std::string::npos) break;
+    }
     if (failed) break;
   }
   return last + 1;
 }
 
-/// The path of this run: all but the topic is in it.
+/// The path of this run: all but the topic is in it. Blocks on the disk.
 std::string path_of_run(const std::string& pattern) {
   const std::string today = to_iso8601(wall_clock_now()).substr(0, 10);
   const std::string path = replaced(pattern, date_mark, today);
@@ -123,7 +130,7 @@ class FileWriter final : public RecordingWriter {
       if (auto taken = take_path(topic_by_path_, config_.path, path, topic); !taken) return taken;
     }
     const std::lock_guard lock(known_mutex_);
-    if (!is_opened_) known_.push_back({number, path, header});
+    if (!is_opened_) known_.push_back({number, std::string(topic), header});
     return {};
   }
 
@@ -131,8 +138,9 @@ class FileWriter final : public RecordingWriter {
   /// that, a topic's file is opened for its next event, and what is wrong with it costs no other topic anything.
   Result<void> open() override {
     if (is_opened_) return {};
+    if (path_.empty()) path_ = path_of_run(config_.path);
     if (!is_pattern_) {
-      if (auto opened = open(files_.front(), config_.path); !opened) return opened;
+      if (auto opened = open(files_.front(), path_); !opened) return opened;
     } else if (const auto directory = std::filesystem::path(config_.path).parent_path();
                !directory.empty() && !std::filesystem::is_directory(directory)) {
       return Error{Errc::not_found, "cannot make file sink", config_.path,
@@ -145,7 +153,7 @@ class FileWriter final : public RecordingWriter {
       is_opened_ = true;
     }
     for (const KnownTopic& topic : known) {
-      if (auto ready = prepare(topic.number, topic.path, topic.header); !ready) return ready;
+      if (auto ready = prepare(topic.number, path_of(path_, topic.name), topic.header); !ready) return ready;
     }
     return {};
   }
@@ -179,8 +187,7 @@ class FileWriter final : public RecordingWriter {
           batch.refuse_topic(record, untaken->second);
           continue;
         }
-        auto done = prepare(number, path_of(config_.path, record.info->topic),
-                            codec_->header(*record.info->description));
+        auto done = prepare(number, path_of(path_, record.info->topic), codec_->header(*record.info->description));
         if (!done && is_for_good(done.error())) {
           batch.refuse_topic(record, untaken_.emplace(number, done.error()).first->second);
           continue;
@@ -236,7 +243,7 @@ class FileWriter final : public RecordingWriter {
   static constexpr std::size_t none = static_cast<std::size_t>(-1);
   struct KnownTopic {
     std::uint32_t number;
-    std::string path;
+    std::string name;
     std::string header;
   };
 
@@ -308,6 +315,7 @@ class FileWriter final : public RecordingWriter {
   std::vector<KnownTopic> known_;  // before it was opened
   bool is_opened_ = false;         // changed with the mutex
   // lane
+  std::string path_;  // of this run
   Rotation rotation_;
   std::vector<OutputFile> files_;
   std::vector<std::size_t> by_topic_;
@@ -323,14 +331,13 @@ std::string codec_name(const FileConfig& config, const CodecRegistry& formats) {
   return format == "jsonl" && formats.find("jsonl") == nullptr ? "json" : format;
 }
 
-std::unique_ptr<Writer> make_writer(FileConfig config, const CodecRegistry& formats) {
+std::unique_ptr<Writer> make_writer(const FileConfig& config, const CodecRegistry& formats) {
   for (const std::string_view mark : {topic_mark, date_mark, run_mark}) {
     const std::size_t at = config.path.find(mark);
     if (at == std::string::npos || config.path.find('/', at) == std::string::npos) continue;
     throw SetupError({Errc::bad_argument, "cannot make file sink", config.path,
                       std::string(mark) + " stands in the name of a directory", "put it into the file's name"});
   }
-  config.path = path_of_run(config.path);
   const std::string format = codec_name(config, formats);
   auto codec = formats.make(format).or_throw();
   return std::make_unique<FileWriter>(config, std::move(codec), formats.make(format).or_throw());

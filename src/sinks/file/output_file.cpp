@@ -197,12 +197,7 @@ Result<void> OutputFile::repair(Codec& codec, std::string& what) {
   }
   if (tail.empty()) return {};
   if (tail.size() > 2 * window_bytes || !is_of_format(codec, tail)) return no_such_format(path_, codec);
-  what = half_moved(tail.size());
-  return move_aside(tail);
-}
-
-std::string OutputFile::half_moved(std::size_t size) const {
-  return "the file ended in half an event, whose " + std::to_string(size) + " bytes were moved to " + path_ + ".half";
+  return move_aside(tail, what);
 }
 
 Result<void> OutputFile::repair_lines(std::string& what) {
@@ -222,11 +217,10 @@ Result<void> OutputFile::repair_lines(std::string& what) {
     }
   }
   if (tail.empty()) return {};
-  what = half_moved(tail.size());
-  return move_aside(tail);
+  return move_aside(tail, what);
 }
 
-Result<void> OutputFile::move_aside(std::span<const std::byte> tail) {
+Result<void> OutputFile::move_aside(std::span<const std::byte> tail, std::string& what) {
   OutputFile aside;
   aside.path_ = path_ + ".half";
   aside.fd_ = ::open(aside.path_.c_str(), O_WRONLY | O_APPEND | O_CREAT | O_CLOEXEC | O_NOCTTY, permissions_);
@@ -236,6 +230,8 @@ Result<void> OutputFile::move_aside(std::span<const std::byte> tail) {
   }
   size_at_open_ -= static_cast<off_t>(tail.size());
   if (::ftruncate(fd_, size_at_open_) != 0) return failed(errno, "cannot cut half an event off");
+  what = "the file ended in half an event, whose " + std::to_string(tail.size()) + " bytes were moved to " +
+         aside.path_;
   return {};
 }
 

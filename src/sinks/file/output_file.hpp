@@ -69,8 +69,8 @@ class OutputFile {
 
  private:
   Result<void> repair_lines(std::string& what);
-  std::string half_moved(std::size_t size) const;
-  Result<void> move_aside(std::span<const std::byte> tail);
+  /// `what`: that it was done.
+  Result<void> move_aside(std::span<const std::byte> tail, std::string& what);
   bool is_unmounted() const;
   Error failed(int errno_value, const char* what) const;
   Result<void> append(const std::byte* data, std::size_t size, std::size_t& written);
