@@ -374,7 +374,9 @@ Result<ControlClient> ControlClient::connect(const std::string& path) {
   sockaddr_un address;
   if (!address_of(path, address))
     return Error{Errc::bad_argument, "cannot connect", path, "the path is too long", "use a shorter one"};
-  ControlClient client(::socket(AF_UNIX, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0));
+  ControlClient client(::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0));
+  constexpr timeval patience{0, 500'000};  // where others are to be connected before
+  ::setsockopt(client.fd_, SOL_SOCKET, SO_SNDTIMEO, &patience, sizeof patience);
   const bool is_connected = client.fd_ >= 0 && ::connect(client.fd_, generic(address), sizeof address) == 0;
   if (!is_connected && errno == EAGAIN) {
     return Error{Errc::busy, "cannot connect", path, "too many wait to be connected",
