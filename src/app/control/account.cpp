@@ -16,6 +16,7 @@ namespace {
 
 void add(Status::Account& sum, const Status::Account& of) {
   sum.late += of.late, sum.missed += of.missed, sum.failed += of.failed, sum.unreadable += of.unreadable;
+  sum.lost_is_known = sum.lost_is_known || of.lost_is_known;
   sum.lost += of.lost, sum.repeated += of.repeated, sum.first_lines += of.first_lines;
   sum.outages.add(of.outages);
   if (of.health <= sum.health) return;

@@ -29,11 +29,13 @@ void count_fields(Visit& visit, Status::Account& of) {
   visit("published", of.published), visit("late", of.late), visit("missed", of.missed), visit("failed", of.failed);
   visit("unreadable", of.unreadable), visit("repeated", of.repeated), visit("outages", of.outages.number);
   visit("outage_time_s", of.outages.time), visit("first_lines", of.first_lines);
+  std::optional<std::uint64_t> lost = of.lost_is_known ? std::optional(of.lost) : std::nullopt;
+  visit("lost", lost), of.lost_is_known = lost.has_value(), of.lost = lost.value_or(0);
 }
 
 template <class Visit>
 void fields(Visit& visit, Status::Account& of) {
-  visit("name", of.name), count_fields(visit, of), visit("lost", of.lost), visit("dropped", of.dropped);
+  visit("name", of.name), count_fields(visit, of), visit("dropped", of.dropped);
   visit("handlers_dropped", of.handlers_dropped), health_fields(visit, of.health, of.reason);
 }
 
@@ -51,8 +53,6 @@ template <class Visit>
 void fields(Visit& visit, Status::Sensor& of) {
   visit("name", of.name), visit("topic", of.topic), visit("loop", of.loop), visit("running", of.is_running);
   visit("wanted_hz", of.wanted_hz), visit("reached_hz", of.reached_hz), count_fields(visit, of);
-  std::optional<std::uint64_t> lost = of.lost_is_known ? std::optional(of.lost) : std::nullopt;
-  visit("lost", lost), of.lost_is_known = lost.has_value(), of.lost = lost.value_or(0);
   visit("lateness_ns", of.lateness), health_fields(visit, of.health, of.reason);
   of.value = of.shown();
   visit("value", of.value), visit("alarm", of.alarm), visit("state", of.state), visit("in_state_s", of.in_state);

@@ -34,6 +34,7 @@ struct Status {
     std::string name = {};
     std::uint64_t published = 0, late = 0, missed = 0, failed = 0, unreadable = 0;
     std::uint64_t lost = 0;                       ///< by the source
+    bool lost_is_known = false;                   ///< of a topic or of all: of one of its sensors at least
     std::uint64_t repeated = 0, first_lines = 0;  ///< no loss
     std::uint64_t dropped = 0;                    ///< by sinks; not of a sensor
     std::uint64_t handlers_dropped = 0;           ///< not of a sensor
@@ -53,7 +54,7 @@ struct Status {
   };
   struct Sensor : Account {
     std::string topic, loop;
-    bool is_running = false, lost_is_known = false;
+    bool is_running = false;
     std::optional<double> wanted_hz, reached_hz;  ///< reached: over the last seconds
     std::optional<Lateness> lateness;             ///< of the last whole second
     std::optional<std::string> value;             ///< the last one, for people
