@@ -4,7 +4,9 @@
 #include <filesystem>
 
 #include "app/core/amounts.hpp"
+#ifdef RTDATA_WITH_SQLITE
 #include "sinks/sqlite/recording_file.hpp"
+#endif
 
 namespace rtdata::app {
 namespace {
@@ -17,36 +19,12 @@ std::string text_of(const ConfigItem& item, std::string_view key) {
   return text != nullptr ? *text : child->to_json(ConfigItem::Layout::one_line);
 }
 
-bool contains(const std::vector<std::string>& names, const std::string& name) {
-  return std::find(names.begin(), names.end(), name) != names.end();
-}
-
-/// Those that have come to the recording; fast, however much waits. Of formats without them: none.
-std::vector<std::string> known_sinks(const Recording& recording) {
-  const detail::RecordingFile& file = *recording.file();
-  if (file.database.integer("SELECT count(*) FROM sqlite_schema WHERE name = 'rtdata_position'") == 0) return {};
-  return file.prepare("SELECT DISTINCT sink FROM rtdata_position").texts();
-}
-
 }  // namespace
 
 std::string sink_name(const ConfigItem& sink) {
   for (const char* key : {"name", "path", "type"})
     if (std::string text = text_of(sink, key); !text.empty()) return text;
   return "";
-}
-
-Result<std::vector<RecordedBacklog>> backlogs_of_others(const Recording& recording,
-                                                        const std::vector<std::string>& names) try {
-  const auto known = known_sinks(recording);
-  if (std::all_of(known.begin(), known.end(), [&](const std::string& name) { return contains(names, name); }))
-    return std::vector<RecordedBacklog>{};
-  auto backlogs = recording.backlogs();
-  if (!backlogs) return backlogs;
-  std::erase_if(*backlogs, [&](const RecordedBacklog& one) { return one.events == 0 || contains(names, one.sink); });
-  return backlogs;
-} catch (const SetupError& error) {
-  return error.error();
 }
 
 std::vector<std::string> recordings_left(const std::vector<const PartPlan*>& now, const SystemPlan& next) {
@@ -70,6 +48,35 @@ std::vector<std::string> recordings_left(const std::vector<const PartPlan*>& now
   return lines;
 }
 
+#ifdef RTDATA_WITH_SQLITE
+namespace {
+
+bool contains(const std::vector<std::string>& names, const std::string& name) {
+  return std::find(names.begin(), names.end(), name) != names.end();
+}
+
+/// Those that have come to the recording; fast, however much waits. Of formats without them: none.
+std::vector<std::string> known_sinks(const Recording& recording) {
+  const detail::RecordingFile& file = *recording.file();
+  if (file.database.integer("SELECT count(*) FROM sqlite_schema WHERE name = 'rtdata_position'") == 0) return {};
+  return file.prepare("SELECT DISTINCT sink FROM rtdata_position").texts();
+}
+
+}  // namespace
+
+Result<std::vector<RecordedBacklog>> backlogs_of_others(const Recording& recording,
+                                                        const std::vector<std::string>& names) try {
+  const auto known = known_sinks(recording);
+  if (std::all_of(known.begin(), known.end(), [&](const std::string& name) { return contains(names, name); }))
+    return std::vector<RecordedBacklog>{};
+  auto backlogs = recording.backlogs();
+  if (!backlogs) return backlogs;
+  std::erase_if(*backlogs, [&](const RecordedBacklog& one) { return one.events == 0 || contains(names, one.sink); });
+  return backlogs;
+} catch (const SetupError& error) {
+  return error.error();
+}
+
 void warn_of_left_backlogs(SystemPlan& plan) {
   for (const PartPlan* part : plan.of_kind("sink")) {
     if (!part->stores || !part->stores->is_recording) continue;
@@ -89,5 +96,9 @@ void warn_of_left_backlogs(SystemPlan& plan) {
                               backlog.sink + "\", and no sink of that name goes through it: nobody sends them"));
   }
 }
+
+#else
+void warn_of_left_backlogs(SystemPlan&) {}  // nothing records
+#endif
 
 }  // namespace rtdata::app
