@@ -379,4 +379,35 @@ TEST_SUITE("loop") {
     const auto hung = stuck->begun();
     CHECK(hung <= 5);
   }
+
+  TEST_CASE("what waits behind the job that runs when a loop ends is not kept") {
+    for (int round = 0; round < 300; ++round) {  // the thread ends its job about when the loop ends
+      std::atomic<bool> runs{false}, may_end{false};
+      std::vector<Outcome> told;
+      std::weak_ptr<lane_job::Job> last;
+      {
+        Loop loop;
+        Lane& lane = loop.core().lanes.of("device", 1h);
+        const auto tell = [&](Outcome outcome) { told.push_back(outcome); };
+        CHECK(lane.submit(job(
+            [&] {
+              runs = true;
+              while (!may_end) std::this_thread::yield();
+            },
+            tell)));
+        const auto behind = job({}, tell);
+        last = behind;
+        CHECK(lane.submit(behind));
+        while (!runs) {
+          loop.core().lanes.wake_threads();
+          std::this_thread::yield();
+        }
+        may_end = true;
+      }
+      REQUIRE(told.size() == 2);  // the other one may have been taken, too
+      CHECK(told[0] == Outcome::finished);
+      for (int waited = 0; !last.expired() && waited < 1000; ++waited) std::this_thread::sleep_for(1ms);
+      REQUIRE(last.expired());
+    }
+  }
 }

@@ -298,6 +298,7 @@ struct LanePool::State : std::enable_shared_from_this<LanePool::State> {
       worker.tell();
     } while (!quit.load(std::memory_order_acquire) && rest(worker));
     const std::lock_guard lock(mutex);
+    if (worker.queue != nullptr) release(*worker.queue, true);  // the pool drops what waits behind its last job
     --threads;
     ended.notify_all();
   }
