@@ -2,14 +2,23 @@
 #pragma once
 
 #include <string>
-#include <vector>
+#include <string_view>
 
 namespace rtdata::detail {
 
-/// "a, b, c"
-inline std::string listed(const std::vector<std::string>& words) {
+/// "a, b, c", of whatever holds texts.
+template <class Words>
+std::string listed(const Words& words, std::string_view between = ", ") {
   std::string text;
-  for (const std::string& word : words) text += (text.empty() ? "" : ", ") + word;
+  for (const auto& word : words) text.append(text.empty() ? "" : between).append(word);
+  return text;
+}
+
+/// The same of what `text_of` says of each.
+template <class Items, class TextOf>
+std::string listed_of(const Items& items, const TextOf& text_of) {
+  std::string text;
+  for (const auto& item : items) text.append(text.empty() ? "" : ", ").append(text_of(item));
   return text;
 }
 

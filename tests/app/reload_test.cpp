@@ -92,6 +92,33 @@ TEST_SUITE("app") {
     run.signal(SIGTERM);
     CHECK(run.end() == 1);
     CHECK(has(run.err, "ended though it hangs: tier fast in the making of sensor a"));
+    CHECK_MESSAGE(has(run.out, "NOT made by a reload: sensor a; "), run.out);
+  }
+
+  TEST_CASE("US-5 a run of which a reload could not make a part again ends with status 1, and its account names it") {
+    const rtdata::test::RuntimeFolder runtime;
+    const Folder folder;
+    const auto text = [](const char* path) {
+      return R"({"sensors": [{"name": "a", "type": "tallied", "rate": "10 Hz"}], "sinks": [
+        {"type": "discard", "name": "far", "once": true, "path": ")" +
+             std::string(path) + R"("}, {"type": "discard", "name": "near"}]})";
+    };
+    folder.write("rig.json", text("one"));
+    Process run(folder, built("rtdata_test_program"), {"run", "rig.json"});
+    REQUIRE(run.wait_for("running rig"));
+    folder.write("rig.json", text("two"));
+    const std::string said = reloaded(folder, built("rtdata"), {}, 1);
+    CHECK_MESSAGE(has(said, "the parts of before are running again, but not sink far ("), said);
+    // Without it, all that the file says is there; what it had to store meanwhile it has not.
+    folder.write("rig.json", R"({"sensors": [{"name": "a", "type": "tallied", "rate": "10 Hz"}], "sinks": [
+        {"type": "discard", "name": "near"}]})");
+    CHECK(has(reloaded(folder, built("rtdata"), {}, 0), "rig.json is applied"));
+    run.signal(SIGTERM);
+    CHECK(run.end() == 1);
+    CHECK_MESSAGE(has(run.out, "NOT made by a reload: sink far; nothing lost that is known: "), run.out);
+    CHECK(has(run.out, "; ledger balances"));
+    CHECK(has(folder.read("rig.log"), "error program: NOT made by a reload: sink far; "));
+    CHECK(has(folder.read("rig.log"), "ended with status 1"));
   }
 
   TEST_CASE("US-5 a reload that comes while another is applied waits for it, and the last one holds") {

@@ -10,6 +10,7 @@
 #include <memory>
 #include <new>
 #include <string>
+#include <utility>
 
 #include "rtdata/config/registry.hpp"
 #include "rtdata/data/describe.hpp"
@@ -109,10 +110,12 @@ struct Absent {
 struct DiscardConfig {
   std::string path = {};
   bool stalls = false;
+  bool once = false;
   SinkConfig sink = {};
   friend constexpr auto parameters(type_tag<DiscardConfig>) {
     return parameter_list(parameter("path", &DiscardConfig::path, "a file that it does not write"),
                           parameter("stalls", &DiscardConfig::stalls, "it never stores anything"),
+                          parameter("once", &DiscardConfig::once, "a program makes one such sink, and no second one"),
                           include_member(&DiscardConfig::sink));
   }
 };
@@ -166,6 +169,9 @@ inline void add_test_types(Registry& registry) {
   registry.add_sink<DiscardConfig>(
       "discard", "throws its events away", [](const DiscardConfig& config) { return config.path; },
       [](Loop& loop, const DiscardConfig& config) {
+        static bool is_made = false;
+        if (config.once && std::exchange(is_made, true))
+          throw SetupError({Errc::busy, "cannot make the sink", config.sink.name, "there was one", ""});
         return Sink(loop, config.sink, std::make_unique<Discard>(config));
       });
 }

@@ -28,6 +28,7 @@
 #pragma once
 
 #include <memory>
+#include <set>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -133,6 +134,9 @@ class System {
   void finish_outputs(Callback<void()> done);
   /// Events that sinks had queued which `apply` closed, and could not send in their time.
   std::uint64_t lost_in_changes() const noexcept { return finishing_->lost; }
+  /// Parts that `apply` or a StepwiseChange has not made, or not made again: "sink far". What they had to do meanwhile
+  /// is counted nowhere, so that they stay among these though another change makes them.
+  const std::set<std::string>& not_made() const noexcept { return not_made_; }
 
  private:
   friend class config_detail::PlanApplication;
@@ -161,6 +165,7 @@ class System {
     std::uint64_t lost = 0;
   };
   std::shared_ptr<Finishing> finishing_ = std::make_shared<Finishing>();
+  std::set<std::string> not_made_;
 };
 
 }  // namespace rtdata

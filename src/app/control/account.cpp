@@ -217,13 +217,15 @@ std::string verdict(const Status& status, const Ending& ending) {
   if (ending.not_stored > 0)
     text += std::to_string(ending.not_stored) +
             (ending.not_stored == 1 ? " event was NOT stored; " : " events were NOT stored; ");
+  if (!ending.not_made.empty()) text += "NOT made by a reload: " + ending.not_made + "; ";
   for (const std::string& sink : ending.unknown_backlogs)
     text += "what waits in a recording is NOT known (" + sink + "); ";
   if (!mute.empty()) text += "NO EVENT ever came from " + mute + "; ";
-  text += losses.empty() ? (mute.empty() && ending.unknown_backlogs.empty() && ending.unknown.empty()
-                                ? "nothing lost: "
-                                : "nothing lost that is known: ")
-                         : "LOST: " + losses + "; taken: ";
+  text += losses.empty()
+              ? (mute.empty() && ending.unknown_backlogs.empty() && ending.unknown.empty() && ending.not_made.empty()
+                     ? "nothing lost: "
+                     : "nothing lost that is known: ")
+              : "LOST: " + losses + "; taken: ";
   text += std::to_string(all.published) + (all.published == 1 ? " event" : " events");
   if (all.late > 0) text += ", " + std::to_string(all.late) + " of them late";
   if (status.waiting > 0)

@@ -23,6 +23,7 @@ struct Ending {
   bool has_loss = false;         ///< as the runtime says
   std::string unknown = {};      ///< what is not in the account; empty: it is complete
   std::uint64_t not_stored = 0;  ///< when the time to close was over
+  std::string not_made = {};     ///< parts that a reload has not made, or not made again: "sink far"
   /// Sinks that go through a recording and could not look into it, with the reason: what waits for them is not known.
   std::vector<std::string> unknown_backlogs = {};
 };

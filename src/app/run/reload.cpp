@@ -38,6 +38,11 @@ std::shared_ptr<const Reload::NextPlan> Reload::read_again() const {
   return next;
 }
 
+const std::set<std::string>& Reload::end() {
+  if (const auto change = under_way_) conclude(*change, LogLevel::error, "not finished: the program ends");
+  return system_.not_made();
+}
+
 void Reload::conclude(Change& change, LogLevel level, const std::string& text, std::string_view id) {
   console_.say(level, "program", change.why + ": " + text, id);
   change.told({level == LogLevel::info, console_.without_secrets(text) + change.details});

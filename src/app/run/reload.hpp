@@ -60,6 +60,8 @@ class Reload {
              std::set<std::string> given_up = {});
   /// Events of sinks that were closed before they could store them.
   std::uint64_t not_stored() const noexcept { return system_.lost_in_changes(); }
+  /// The run is over: what is under way stays as it is. Returns the parts that a change has not made, or not again.
+  const std::set<std::string>& end();
 
  private:
   /// One that is under way.

@@ -20,6 +20,7 @@
 #include "app/run/reload.hpp"
 #include "app/run/service.hpp"
 #include "app/run/stop_signals.hpp"
+#include "data/listed.hpp"
 #include "loop/core/loop_core.hpp"
 #include "loop/runtime/runtime_core.hpp"
 #include "rtdata/config/change.hpp"
@@ -158,7 +159,7 @@ class Run {
     tell_buses(system);
     console_.close_view();
     const int exit_status = report(runtime, loop.core().runtime.unknown_end,
-                                   unsafe_outputs(system, runtime.config().guard));
+                                   unsafe_outputs(system, runtime.config().guard), reload.end());
     if (!hanging.empty()) {
       control.reset();
       leave_behind(hanging);
@@ -224,9 +225,7 @@ class Run {
       const Output* const output = system.parts().find<Output>("output", name);
       if (output != nullptr && output->has_ended_unsafe()) all.insert("output " + name);
     }
-    std::string names;
-    for (const std::string& name : all) names += (names.empty() ? "" : ", ") + name;
-    return names;
+    return detail::listed(all);
   }
   /// Tells what held those that stop; returns those that do not, for people: "tier fast in sensor chamber".
   std::string stop_tiers(const SystemPlan& plan, System& system) {
@@ -378,11 +377,13 @@ class Run {
   }
 
   /// `unknown`: what is not in the account; empty: it is complete.
-  int report(Runtime& runtime, const std::string& unknown, const std::string& unsafe) {
+  int report(Runtime& runtime, const std::string& unknown, const std::string& unsafe,
+             const std::set<std::string>& not_made) {
     console_.tell_log_failure();
     const Status status = status_of(runtime, paths_);
     Ending ending{unknown.empty() && runtime.balances(), runtime.has_loss(), unknown, not_stored_};
-    bool is_all_stored = not_stored_ == 0;
+    ending.not_made = detail::listed(not_made);
+    bool is_all_stored = not_stored_ == 0 && not_made.empty();
     for (const Status::Sink& sink : status.sinks) {
       if (followers_.contains(sink.name) && !sink.backlog)
         ending.unknown_backlogs.push_back("sink " + sink.name + (sink.reason.empty() ? "" : ": " + sink.reason));

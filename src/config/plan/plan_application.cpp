@@ -56,6 +56,14 @@ PlanApplication::PlanApplication(System& system, const SystemPlan& next)
       compared_(next.good() ? system.compared_to(next) : throw ConfigError(next.problems)),
       all_(compared_.all()) {}
 
+PlanApplication::~PlanApplication() {
+  if (stage_ == Stage::done) return;
+  for (const PlannedChange& planned : compared_.parts)
+    if (planned.next != nullptr && (planned.change.fate == Fate::restarted || old_) &&
+        !system_.parts_.by_name_.contains({planned.next->kind, planned.next->name}))
+      system_.not_made_.insert(planned.next->object());
+}
+
 bool PlanApplication::step(Duration budget) {
   const MonotonicTime end = detail::later(system_.loop_.now(), budget);
   may_wait_ = budget != Duration::max();
@@ -87,7 +95,11 @@ bool PlanApplication::step(Duration budget) {
 }
 
 void PlanApplication::end() {
-  const std::string missing = std::exchange(missing_, {});
+  std::string missing;
+  for (const auto& [object, why] : std::exchange(missing_, {})) {
+    missing += (missing.empty() ? "" : "; ") + object + " (" + why + ")";
+    system_.not_made_.insert(object);
+  }
   if (failure_ == nullptr) {
     if (missing.empty()) return;
     throw SetupError({Errc::not_turning, "not made", missing, "",
@@ -434,7 +446,7 @@ void PlanApplication::go_back(std::exception_ptr why) {
 }
 
 void PlanApplication::note_missing(const std::string& object, const std::string& why) {
-  missing_ += (missing_.empty() ? "" : "; ") + object + " (" + why + ")";
+  missing_.emplace_back(object, why);
 }
 
 }  // namespace rtdata::config_detail

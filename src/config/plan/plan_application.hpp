@@ -8,6 +8,7 @@
 #include <set>
 #include <string>
 #include <unordered_map>
+#include <utility>
 #include <vector>
 
 #include "config/plan/change.hpp"
@@ -25,6 +26,8 @@ class PlanApplication {
  public:
   /// Compares. `next` must outlive it.
   PlanApplication(System& system, const SystemPlan& next);
+  /// Before its last step: what it has closed, and not made again, is missing.
+  ~PlanApplication();
 
   const PlanChange& changes() const noexcept { return all_; }
   /// The names of the tiers that have to turn for it, before the first step.
@@ -69,7 +72,7 @@ class PlanApplication {
   void end();
   /// The plan of before is applied instead.
   void go_back(std::exception_ptr why);
-  /// For the error: what is not as the plan says.
+  /// For the error, and for System::not_made: what is not as the plan says.
   void note_missing(const std::string& object, const std::string& why);
 
   System& system_;
@@ -102,9 +105,9 @@ class PlanApplication {
     std::optional<Error> failed = {};
   };
   std::shared_ptr<Taking> taking_ = std::make_shared<Taking>();
-  std::optional<SystemPlan> old_;  // it goes back to
-  std::exception_ptr failure_;     // for which it does
-  std::string missing_;            // what is not as the plan says
+  std::optional<SystemPlan> old_;                             // it goes back to
+  std::exception_ptr failure_;                                // for which it does
+  std::vector<std::pair<std::string, std::string>> missing_;  // what is not as the plan says, and why
 };
 
 }  // namespace rtdata::config_detail
