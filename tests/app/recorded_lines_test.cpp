@@ -2,6 +2,7 @@
 #include <doctest/doctest.h>
 
 #include <filesystem>
+#include <nlohmann/json.hpp>
 #include <string>
 #include <vector>
 
@@ -95,6 +96,11 @@ TEST_SUITE("app") {
     Process good(folder, program, {"run", "rig.json", "--for", "500ms"});
     CHECK(good.end() == 0);
     CHECK_FALSE(has(good.out, "in no recording"));
+    Process info(folder, program, {"info", "run.db", "--json"});
+    CHECK(info.end() == 0);
+    const auto topic = nlohmann::json::parse(info.out)["topics"][0];
+    CHECK(topic["published"] == topic["rows"]);
+    CHECK(has(good.out, "nothing lost: " + topic["published"].dump() + " events"));
     Process verify(folder, program, {"verify", "run.db"});
     CHECK(verify.end() == 0);
     CHECK(has(block_after(verify.out, "\nrun 1 "), "  LOST: "));  // and this is no loss of the other

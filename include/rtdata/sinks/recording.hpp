@@ -380,7 +380,7 @@ struct TopicSummary {
   /// Row time minus the tick that it belongs to, modulo the period; of scheduled origins. Percentiles to 2 %.
   bool has_lateness = false;
   Duration lateness_p50{0}, lateness_p99{0}, lateness_max{0};
-  std::uint64_t missed = 0, failed = 0, unreadable = 0, dropped = 0, late = 0;
+  std::uint64_t published = 0, missed = 0, failed = 0, unreadable = 0, dropped = 0, late = 0;
   std::uint64_t repeated = 0;     ///< the source itself had nothing new; no loss
   std::uint64_t first_lines = 0;  ///< no loss: as of SensorCounts
   std::uint64_t pruned = 0;       ///< stored, and deleted again by `max_age` or `max_bytes`; reached_hertz counts them

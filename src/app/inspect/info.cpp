@@ -103,6 +103,7 @@ Json json_of(const TopicSummary& topic) {
   Json json{{"name", topic.topic},
             {"origins", topic.origins},
             {"rows", topic.rows},
+            {"published", topic.published},
             {"wanted_hz", rate(topic.wanted_hertz)},
             {"reached_hz", rate(topic.reached_hertz)},
             {"missed", topic.missed},

@@ -156,6 +156,7 @@ Result<std::vector<TopicSummary>> summary(const Recording& recording, std::int64
     origin.rows_up_to = is_ended ? INT64_MAX : entry.rows_up_to;
     origin.pruned = entry.pruned;
     TopicSummary& sum = topic.summary;
+    sum.published += entry.sensor.published;
     sum.missed += entry.sensor.missed;
     sum.failed += entry.sensor.failed;
     sum.unreadable += entry.sensor.unreadable;
