@@ -22,6 +22,7 @@
 #include <thread>
 #include <utility>
 
+#include "data/fnv.hpp"
 #include "outputs/guard_link.hpp"
 #include "outputs/port.hpp"
 
@@ -39,8 +40,7 @@ std::atomic<int> ending{0};
 /// The name of a thread with such an output, by which the guard of the program's next run finds it: one with the same
 /// settings has the same device. At most 15 bytes.
 std::string name_of_ending(std::string_view what) {
-  std::uint64_t hash = 14695981039346656037ULL;  // FNV-1a, 64 bit: the same in every process
-  for (const char c : what) hash = (hash ^ static_cast<unsigned char>(c)) * 1099511628211ULL;
+  std::uint64_t hash = fnv1a(what);
   std::string name = "end-";
   for (int digit = 0; digit < 11; ++digit, hash /= 36) name += "0123456789abcdefghijklmnopqrstuvwxyz"[hash % 36];
   return name;

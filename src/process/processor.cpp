@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "data/field_layout.hpp"
+#include "data/fnv.hpp"
 #include "loop/support/deadline.hpp"
 #include "process/published.hpp"
 #include "rtdata/data/instant.hpp"
@@ -596,10 +597,8 @@ ConfigItem item_of(const Filter& f) {
   return item;
 }
 
-/// FNV-1a.
 std::string version_of(std::string_view text) {
-  std::uint32_t hash = 2166136261U;
-  for (const char c : text) hash = (hash ^ static_cast<unsigned char>(c)) * 16777619U;
+  const std::uint64_t hash = detail::fnv1a(text);
   std::string version;
   for (int shift = 28; shift >= 0; shift -= 4) version += "0123456789abcdef"[hash >> shift & 15];
   return version;

@@ -8,6 +8,7 @@
 #include <cstring>
 #include <limits>
 
+#include "data/fnv.hpp"
 #include "data/hidden.hpp"
 #include "io/libz.hpp"
 #include "loop/core/loop_core.hpp"
@@ -36,10 +37,7 @@ std::uint64_t mixed(std::uint64_t x) noexcept {
   return x ^ (x >> 31);
 }
 
-std::uint64_t mixed(std::uint64_t x, std::string_view text) noexcept {
-  for (const char c : text) x = (x ^ static_cast<unsigned char>(c)) * 0x100000001b3;
-  return mixed(x ^ text.size());
-}
+std::uint64_t mixed(std::uint64_t x, std::string_view text) noexcept { return mixed(fnv1a(text, x) ^ text.size()); }
 
 /// As CURLOPT_RESOLVE wants it; empty when it is none of IPv4 or IPv6.
 std::string text_of(const HostLookup::Address& address) {
