@@ -14,7 +14,7 @@
 #include <thread>
 
 #include "app/core/configuration_commands.hpp"
-#include "app/machine/doctor.hpp"
+#include "app/machine/machine_files.hpp"
 #include "data/rounded_time.hpp"
 #include "loop/support/processors.hpp"
 #include "rtdata/loop/runtime.hpp"

@@ -62,17 +62,44 @@ void print(const Scan& scan) {
 }
 
 const char* name_of(Severity severity) {
-  switch (severity) {
-    case Severity::good:
-      return "ok";
-    case Severity::note:
-      return "note";
-    case Severity::warning:
-      return "warning";
-    case Severity::fault:
-      return "fault";
+  constexpr const char* names[] = {"ok", "note", "warning", "fault"};
+  return names[static_cast<std::size_t>(severity)];
+}
+
+/// The worst first. `plan`: of the configuration that is to run here; null: none.
+std::vector<Finding> examine(const MachineFiles& files, const SystemPlan* plan) {
+  std::vector<Finding> all;
+  const auto append = [&](std::vector<Finding> more) {
+    for (Finding& one : more) all.push_back(std::move(one));
+  };
+  if (plan != nullptr) append(examine_devices(files, *plan));
+  if (plan != nullptr) append(examine_lines(files, *plan));
+  append(examine_groups(files));
+  append(examine_timing(files, plan));
+  append(examine_clock(files));
+  append(examine_disks(files, plan));
+  std::stable_sort(all.begin(), all.end(), [](const Finding& a, const Finding& b) { return a.severity > b.severity; });
+  return all;
+}
+
+void print(const std::vector<Finding>& found) {
+  for (const Finding& one : found) {
+    std::cout << name_of(one.severity) << ": " << printable(one.subject) << ": " << printable(one.what) << "\n";
+    if (!one.cost.empty()) std::cout << "    cost: " << one.cost << "\n";
+    if (!one.advice.empty()) std::cout << "    do:   " << printable(one.advice) << "\n";
   }
-  return "";
+  std::cout << std::flush;
+}
+
+Json json_of(const std::vector<Finding>& found) {
+  Json findings = Json::array();
+  for (const Finding& one : found) {
+    Json json{{"severity", name_of(one.severity)}, {"subject", one.subject}, {"what", one.what}};
+    if (!one.cost.empty()) json["cost"] = one.cost;
+    if (!one.advice.empty()) json["advice"] = one.advice;
+    findings.push_back(std::move(json));
+  }
+  return {{"worst", name_of(found.front().severity)}, {"findings", std::move(findings)}};
 }
 
 }  // namespace
@@ -90,53 +117,25 @@ int scan(const Registry& registry, const ScanOptions& options) {
 
 int doctor(const Registry& registry, const DoctorOptions& options) {
   if (!is_folder_there(options.root)) return exit_other;
-  const MachineFiles files(options.root);
+  const bool is_text = options.show_as == ShowAs::text;
   std::optional<SystemPlan> plan;
+  if (!options.file.empty()) plan = plan_system(registry, load_config(options.file));
   std::vector<Finding> found;
-  const auto append = [&](std::vector<Finding> more) {
-    for (Finding& one : more) found.push_back(std::move(one));
-  };
-  if (!options.file.empty()) {
-    plan = plan_system(registry, load_config(options.file));
-    if (!plan->good()) {
-      plan->hide_secrets();
-      if (options.show_as == ShowAs::json) {
-        Json findings = Json::array();
-        for (const Problem& problem : plan->problems)
-          findings.push_back({{"severity", "fault"}, {"subject", options.file}, {"what", problem.text()}});
-        std::cout << text_of({{"worst", "fault"}, {"findings", std::move(findings)}}) << std::endl;
-        return exit_configuration;
-      }
+  if (plan && !plan->good()) {
+    if (is_text) {
       std::cerr << plan->report() << "rtdata: " << options.file << " has mistakes; see rtdata check" << std::endl;
       return exit_configuration;
     }
-    append(examine_devices(files, *plan));
-    append(examine_lines(files, *plan));
-  }
-  append(examine_groups(files));
-  append(examine_timing(files, plan ? &*plan : nullptr));
-  append(examine_clock(files));
-  append(examine_disks(files, plan ? &*plan : nullptr));
-  std::stable_sort(found.begin(), found.end(),
-                   [](const Finding& a, const Finding& b) { return a.severity > b.severity; });
-  const Severity worst = found.front().severity;
-  if (options.show_as == ShowAs::json) {
-    Json findings = Json::array();
-    for (const Finding& one : found) {
-      Json json{{"severity", name_of(one.severity)}, {"subject", one.subject}, {"what", one.what}};
-      if (!one.cost.empty()) json["cost"] = one.cost;
-      if (!one.advice.empty()) json["advice"] = one.advice;
-      findings.push_back(std::move(json));
-    }
-    std::cout << text_of({{"worst", name_of(worst)}, {"findings", std::move(findings)}}) << std::endl;
+    for (const Problem& problem : plan->problems) found.push_back({Severity::fault, options.file, problem.text()});
   } else {
-    for (const Finding& one : found) {
-      std::cout << name_of(one.severity) << ": " << printable(one.subject) << ": " << printable(one.what) << "\n";
-      if (!one.cost.empty()) std::cout << "    cost: " << one.cost << "\n";
-      if (!one.advice.empty()) std::cout << "    do:   " << printable(one.advice) << "\n";
-    }
-    std::cout << std::flush;
+    found = examine(MachineFiles(options.root), plan ? &*plan : nullptr);
   }
+  if (is_text) {
+    print(found);
+  } else {
+    std::cout << text_of(json_of(found)) << std::endl;
+  }
+  const Severity worst = found.front().severity;
   return worst == Severity::fault ? exit_configuration : worst == Severity::warning ? exit_loss : exit_good;
 }
 

@@ -22,8 +22,6 @@ struct Finding {
   std::string what;         ///< as it is
   std::string cost = {};    ///< of that
   std::string advice = {};  ///< what to do
-  /// "what: cost; advice", in one line.
-  std::string text() const;
 };
 
 /// Kernel, limits of real-time policies, processors, power.
@@ -34,9 +32,6 @@ std::vector<Finding> examine_clock(const MachineFiles& files);
 /// The disks of the sinks' files; without a plan, or without such sinks, that of the working folder. A small file is
 /// written and synced on each, on this machine.
 std::vector<Finding> examine_disks(const MachineFiles& files, const SystemPlan* plan);
-/// How long each write of 4096 bytes took until it was on the folder's disk, in ns: writes for that long, five at
-/// least.
-Result<std::vector<std::int64_t>> times_of_sync(const std::string& folder, Duration duration);
 /// Devices of the plan's parts: are they there, and may they be opened?
 /// Is a chip the kernel's, and has somebody else the port open?
 std::vector<Finding> examine_devices(const MachineFiles& files, const SystemPlan& plan);

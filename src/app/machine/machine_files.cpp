@@ -7,47 +7,20 @@
 #include <unistd.h>
 
 #include <algorithm>
-#include <array>
-#include <cctype>
 #include <cerrno>
+#include <chrono>
 #include <cstring>
 #include <filesystem>
 #include <fstream>
+
 #include "io/enabling.hpp"
 
 namespace rtdata::app {
 namespace {
 
-bool is_digit(char c) noexcept { return std::isdigit(static_cast<unsigned char>(c)) != 0; }
-
-/// Runs of digits compare as numbers.
-bool is_before(const std::string& a, const std::string& b) {
-  std::size_t i = 0, k = 0;
-  while (i < a.size() && k < b.size()) {
-    if (is_digit(a[i]) && is_digit(b[k])) {
-      const auto number = [](const std::string& text, std::size_t& at) {
-        while (at + 1 < text.size() && text[at] == '0' && is_digit(text[at + 1])) ++at;
-        const std::size_t begin = at;
-        while (at < text.size() && is_digit(text[at])) ++at;
-        return text.substr(begin, at - begin);
-      };
-      const std::string left = number(a, i), right = number(b, k);
-      if (left != right) return left.size() != right.size() ? left.size() < right.size() : left < right;
-    } else {
-      if (a[i] != b[k]) return a[i] < b[k];
-      ++i;
-      ++k;
-    }
-  }
-  return a.size() - i < b.size() - k;
-}
-
 std::string group_name(gid_t group) {
-  std::array<char, 4096> buffer{};
-  struct group entry {};
-  struct group* found = nullptr;
-  if (::getgrgid_r(group, &entry, buffer.data(), buffer.size(), &found) != 0 || found == nullptr) return "";
-  return found->gr_name;
+  const struct group* const found = ::getgrgid(group);
+  return found != nullptr ? found->gr_name : "";
 }
 
 }  // namespace
@@ -73,8 +46,6 @@ std::optional<std::string> MachineFiles::text(const std::string& file) const {
   return all.substr(first, all.find_last_not_of(std::string(blanks) + '\0') - first + 1);
 }
 
-std::vector<std::string> MachineFiles::names(const std::string& folder) const { return names(folder, ""); }
-
 std::vector<std::string> MachineFiles::names(const std::string& folder, std::string_view prefix) const {
   std::vector<std::string> all;
   std::error_code failed;
@@ -83,7 +54,7 @@ std::vector<std::string> MachineFiles::names(const std::string& folder, std::str
     std::string name = entry->path().filename().string();
     if (name.starts_with(prefix)) all.push_back(std::move(name));
   }
-  std::sort(all.begin(), all.end(), is_before);
+  std::sort(all.begin(), all.end(), [](auto& a, auto& b) { return ::strverscmp(a.c_str(), b.c_str()) < 0; });
   return all;
 }
 
@@ -112,24 +83,27 @@ Access access_to(const MachineFiles& files, const std::string& file, int mode) {
   return access;
 }
 
-std::string holder_of(const std::string& file) {
-  std::error_code failed;
-  const std::filesystem::path wanted = std::filesystem::canonical(file, failed);
-  if (failed) return "";
-  for (std::filesystem::directory_iterator process("/proc", failed), end; !failed && process != end;
-       process.increment(failed)) {
-    const std::string pid = process->path().filename().string();
-    if (pid.find_first_not_of("0123456789") != std::string::npos) continue;
-    std::error_code hidden;
-    for (std::filesystem::directory_iterator fd(process->path() / "fd", hidden); !hidden && fd != end;
-         fd.increment(hidden)) {
-      std::error_code gone;
-      if (std::filesystem::read_symlink(fd->path(), gone) != wanted) continue;
-      const std::string name = MachineFiles().text("/proc/" + pid + "/comm").value_or("a program");
-      return name + " (pid " + pid + ")";
+Result<std::vector<std::int64_t>> times_of_sync(const std::string& folder, Duration duration) {
+  std::string path = folder + "/rtdata-write-XXXXXX";
+  const int fd = ::mkostemp(path.data(), O_CLOEXEC);
+  if (fd < 0) return system_error(errno, "nothing can be written", folder);
+  ::unlink(path.c_str());
+  std::vector<std::int64_t> times;
+  const std::string block(4096, 'x');
+  constexpr int blocks = 256;  // of the file, each written again and again
+  const auto end = std::chrono::steady_clock::now() + duration;
+  for (auto began = end - duration; times.size() < 5 || began < end; began = std::chrono::steady_clock::now()) {
+    const auto at = static_cast<off_t>(times.size() % blocks * block.size());
+    errno = ENOSPC;  // of a write that is too short
+    if (::pwrite(fd, block.data(), block.size(), at) != static_cast<ssize_t>(block.size()) || ::fdatasync(fd) != 0) {
+      const Error error = system_error(errno, "nothing can be written", folder);
+      ::close(fd);
+      return error;
     }
+    times.push_back((std::chrono::steady_clock::now() - began).count());
   }
-  return "";
+  ::close(fd);
+  return times;
 }
 
 bool is_on_card(const std::string& folder, const std::string& root) {

@@ -1,9 +1,14 @@
 // The kernel's files of a machine: this one, or a copy of another's /proc, /sys, /etc and /dev. Private to the program.
 #pragma once
 
+#include <cstdint>
 #include <optional>
 #include <string>
+#include <string_view>
 #include <vector>
+
+#include "rtdata/data/error.hpp"
+#include "rtdata/data/time.hpp"
 
 namespace rtdata::app {
 
@@ -20,9 +25,8 @@ class MachineFiles {
   /// At most 64 KiB, without blanks and line ends at both ends.
   std::optional<std::string> text(const std::string& file) const;
   /// Names in a folder, sorted, numbers in them by their value: "i2c-2" before "i2c-10".
-  std::vector<std::string> names(const std::string& folder) const;
-  /// Those that begin so.
-  std::vector<std::string> names(const std::string& folder, std::string_view prefix) const;
+  /// `prefix`: those that begin so.
+  std::vector<std::string> names(const std::string& folder, std::string_view prefix = {}) const;
   /// The last part of what a link points to: "ttyUSB0" of "../../ttyUSB0"; empty: it is no link.
   std::string link_name(const std::string& link) const;
 
@@ -40,9 +44,14 @@ struct Access {
 /// `mode`: R_OK, W_OK. On a copy of another machine, whose users nobody knows here, it says only what is not there.
 Access access_to(const MachineFiles& files, const std::string& file, int mode);
 
-/// Which program has the file of this machine open, "gpsd (pid 712)"; empty: none that this user can see.
-std::string holder_of(const std::string& file);
+/// How long each write of 4096 bytes took until it was on the folder's disk, in ns: writes for that long, five at
+/// least.
+Result<std::vector<std::int64_t>> times_of_sync(const std::string& folder, Duration duration);
 /// Whether the folder is on an SD card or eMMC, as the kernel names it (mmcblk0).
 bool is_on_card(const std::string& folder, const std::string& root = "");
+
+// What scan and doctor say of the same.
+inline constexpr const char* load_w1_therm = "sudo modprobe w1_therm; for good: a line `w1_therm` in /etc/modules";
+inline constexpr const char* two_at_a_port = "two programs at one port take each other's bytes";
 
 }  // namespace rtdata::app

@@ -100,23 +100,15 @@ Likely likely_chip(I2cDevice& chip) {
   return {"a chip that is not known here", {}};
 }
 
-/// Two digits, as the kernel names a chip: "1-0076".
-std::string kernel_name(std::string_view adapter, unsigned address) {
-  constexpr std::string_view digits = "0123456789abcdef";
-  std::string name(adapter.substr(adapter.rfind('-') + 1));
-  name += "-00";
-  name += digits[address >> 4];
-  name += digits[address & 15];
-  return name;
-}
-
 /// Adds the chips that answer. Addresses with a kernel driver are in the list already, and are not probed.
 void probe(Scanner& scanner, const std::string& adapter, const std::string& bus_name, const std::string& bus_line) {
   const std::string path = "/dev/" + adapter;
   const I2cBus bus({.device = scanner.files.path(path)});
   unsigned timeouts = 0;
   for (unsigned address = I2cAddress::first; address <= I2cAddress::last; ++address) {
-    if (scanner.files.exists("/sys/bus/i2c/devices/" + kernel_name(adapter, address))) continue;
+    if (scanner.files.exists("/sys/bus/i2c/devices/" + adapter.substr(4) + "-00" +
+                             to_string(I2cAddress(address)).substr(2)))
+      continue;
     I2cDevice chip = bus.device({address});
     std::array<std::uint8_t, 1> byte{};
     if (const Result<void> answered = chip.read(byte); !answered) {

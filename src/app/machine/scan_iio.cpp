@@ -1,5 +1,6 @@
 #include <unistd.h>
 
+#include <algorithm>
 #include <vector>
 
 #include "app/core/terminal_text.hpp"
@@ -30,18 +31,24 @@ void hwmon_chips(Scanner& scanner) {
   }
 }
 
+/// Of a device of these: the one that it has, where no other has it, or else what the kernel calls it.
+std::string name_of(const Scanner& scanner, const std::string& device, const char* prefix, const std::string& folder) {
+  const std::string name = scanner.text(folder + "/" + device + "/name");
+  const std::vector<std::string> all = scanner.files.names(folder, prefix);
+  const auto alike = std::count_if(all.begin(), all.end(), [&](const std::string& other) {
+    return scanner.text(folder + "/" + other + "/name") == name;
+  });
+  return name.empty() || alike != 1 ? device : name;
+}
+
 /// All channels of a device: by its buffer, when it has a trigger of its own, else one by one.
 void iio_line(Scanner& scanner, FoundDevice& found, const std::string& device) {
   const MachineFiles& files = scanner.files;
   const std::string folder = "/sys/bus/iio/devices/" + device;
-  const std::string name = scanner.text(folder + "/name");
-  std::size_t alike = 0;
+  const std::string trigger = scanner.text(folder + "/name") + "-dev" + device.substr(10);
   bool has_trigger = false;
-  for (const std::string& other : files.names("/sys/bus/iio/devices")) {
-    const std::string its = scanner.text("/sys/bus/iio/devices/" + other + "/name");
-    if (other.starts_with("iio:device") && its == name) ++alike;
-    has_trigger = has_trigger || (other.starts_with("trigger") && its == name + "-dev" + device.substr(10));
-  }
+  for (const std::string& other : files.names("/sys/bus/iio/devices", "trigger"))
+    has_trigger = has_trigger || scanner.text("/sys/bus/iio/devices/" + other + "/name") == trigger;
   const bool is_buffered = has_trigger && files.exists(folder + "/buffer/enable");
   std::string channels;
   const auto add_channel = [&](const std::string& file, std::string_view end) {
@@ -60,7 +67,7 @@ void iio_line(Scanner& scanner, FoundDevice& found, const std::string& device) {
     }
   }
   if (channels.empty()) return;
-  const std::string which = name.empty() || alike != 1 ? device : name;
+  const std::string which = name_of(scanner, device, "iio:device", "/sys/bus/iio/devices");
   scanner.sensor(found, which, is_buffered ? "iio_buffer" : "iio",
                  (is_buffered ? R"("device": )" : R"("rate": "10 Hz", "device": )") + json_text(which) +
                      R"(, "channels": [)" + channels + "]");
@@ -93,17 +100,14 @@ void scan_counters(Scanner& scanner) {
   const std::string all = "/sys/bus/counter/devices";
   for (const std::string& device : files.names(all, "counter")) {
     const std::string folder = all + "/" + device;
-    const std::string name = scanner.text(folder + "/name");
-    std::size_t alike = 0;
-    for (const std::string& other : files.names(all, "counter"))
-      if (scanner.text(all + "/" + other + "/name") == name) ++alike;
     std::vector<std::string> counts;
     for (const std::string& count : files.names(folder, "count"))
       if (files.exists(folder + "/" + count + "/count")) counts.push_back(count);
-    FoundDevice& found = scanner.add(
-        "counter", folder, name + ", " + std::to_string(counts.size()) + (counts.size() == 1 ? " count" : " counts"),
-        R_OK);
-    const std::string which = name.empty() || alike != 1 ? device : name;
+    FoundDevice& found = scanner.add("counter", folder,
+                                     scanner.text(folder + "/name") + ", " + std::to_string(counts.size()) +
+                                         (counts.size() == 1 ? " count" : " counts"),
+                                     R_OK);
+    const std::string which = name_of(scanner, device, "counter", all);
     for (const std::string& count : counts) {
       const std::string channel = counts.size() == 1 ? "" : R"(, "channel": )" + json_text(count);
       scanner.sensor(found, which, "encoder", R"("device": )" + json_text(which) + channel + R"(, "rate": "10 Hz")");
@@ -130,7 +134,7 @@ void scan_one_wire(Scanner& scanner) {
       const bool is_known = device.starts_with("28-") || device.starts_with("10-");
       if (is_known && !scanner.files.exists(folder + "/w1_slave")) {
         found.obstacle = "the kernel has no driver for it";
-        found.advice = "sudo modprobe w1_therm; for good: a line `w1_therm` in /etc/modules";
+        found.advice = load_w1_therm;
       }
       continue;
     }

@@ -5,6 +5,7 @@
 
 #include "app/machine/scanner.hpp"
 #include "io/enabling.hpp"
+#include "io/kernel_file.hpp"
 
 namespace rtdata::app {
 namespace {
@@ -19,9 +20,9 @@ void serial_port(Scanner& scanner, const std::string& path, const std::string& t
   }
   FoundDevice& found = scanner.add("serial", path, tty + (what.empty() ? "" : ", " + what), R_OK | W_OK);
   if (scanner.files.is_this_machine()) {
-    if (const std::string holder = holder_of(path); !holder.empty()) {
+    if (const std::string holder = detail::holder_of(path); !holder.empty()) {
       found.obstacle = holder + " has it open";
-      found.advice = "end that first: two programs at one port take each other's bytes";
+      found.advice = std::string("end that first: ") + two_at_a_port;
     }
   }
   if (scanner.text("/proc/cmdline").find("console=" + tty) != std::string::npos && found.obstacle.empty()) {

@@ -1,0 +1,184 @@
+// Whether what a configuration names is there, and free: devices, chips, GPIO lines, PWM channels.
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <charconv>
+#include <optional>
+
+#include "app/machine/doctor.hpp"
+#include "config/read/mistakes.hpp"
+#include "io/enabling.hpp"
+#include "io/gpio_lookup.hpp"
+#include "io/kernel_file.hpp"
+
+namespace rtdata::app {
+namespace {
+
+using config_detail::text_or_empty;
+using Found = std::optional<Finding>;
+
+constexpr const char* no_data = "it has no data until that is mended";
+/// An output is safe from the start on, or there is none; a line or a channel is taken when the part is made.
+constexpr const char* no_start = "the run does not start";
+
+Finding at_fault(const PartPlan& part, std::string what, std::string advice, const char* cost = no_data) {
+  return {Severity::fault, part.object(), std::move(what), part.kind == "output" ? no_start : cost, std::move(advice)};
+}
+Finding well(const PartPlan& part, std::string what) { return {Severity::good, part.object(), std::move(what)}; }
+
+/// The file of the machine that the part is configured with; empty: none. Names of other kinds, such as a disk's or a
+/// network's, are looked for by the sensor itself.
+std::string device_of(const MachineFiles& files, const PartPlan& part) {
+  for (const char* key : {"device", "file"}) {
+    const std::string device = text_or_empty(part.item, key);
+    if (!device.starts_with("/")) continue;
+    // An SPI controller has a device for each chip select.
+    const auto selects = device.starts_with("/dev/spidev") ? files.names("/dev", device.substr(5) + ".")
+                                                           : std::vector<std::string>();
+    return selects.empty() || files.exists(device) ? device : "/dev/" + selects.front();
+  }
+  return "";
+}
+
+Finding examine_device(const MachineFiles& files, const PartPlan& part, const std::string& device) {
+  // What the kernel shows below /sys and /proc is read; a bus or a port is written to as well.
+  const bool is_node = device.starts_with("/dev/");
+  const Access access = access_to(files, device, is_node ? R_OK | W_OK : R_OK);
+  if (!access.is_granted) return at_fault(part, device + ": " + access.why, access.advice);
+  struct stat status {};
+  if (files.is_this_machine() && is_node && ::stat(device.c_str(), &status) == 0 && !S_ISCHR(status.st_mode))
+    return at_fault(
+        part, device + " is no device but a file or folder",
+        "somebody wrote to that name while the device was not there: remove it, and plug the device in again");
+  const std::string holder = files.is_this_machine() && is_node && part.type == "serial" ? detail::holder_of(device)
+                                                                                         : "";
+  if (holder.empty()) return well(part, device + " can be used");
+  return {Severity::warning, part.object(), device + ": " + holder + " has it open",
+          part.kind == "output" ? no_start : two_at_a_port, "end that first"};
+}
+
+/// A chip on I2C that a driver of the kernel has; the others are known when they are talked to.
+Found examine_chip(const MachineFiles& files, const SystemPlan& plan, const PartPlan& part) {
+  constexpr std::string_view before = "address 0x";
+  if (!part.place.text.starts_with(before)) return {};
+  const std::string address = part.place.text.substr(before.size());
+  for (const PartPlan* bus : plan.of_kind("bus")) {
+    const std::string device = text_or_empty(bus->item, "device");
+    if (bus->name != part.place.bus || !device.starts_with("/dev/i2c-")) continue;
+    const std::string chip = device.substr(9) + "-" + std::string(4 - std::min<std::size_t>(address.size(), 4), '0') +
+                             address;
+    const std::string driver = files.link_name("/sys/bus/i2c/devices/" + chip + "/driver");
+    if (!driver.empty())
+      return at_fault(part, "the kernel's driver " + driver + " has the chip at 0x" + address,
+                      "use what that driver offers (`rtdata scan` lists it), or: echo " + chip +
+                          " | sudo tee /sys/bus/i2c/drivers/" + driver + "/unbind");
+  }
+  return {};
+}
+
+/// A thermometer on 1-Wire, of which the configuration has no file's path.
+Found examine_w1(const MachineFiles& files, const PartPlan& part) {
+  if (part.kind != "sensor" || part.type != "w1") return {};
+  const std::string bus = text_or_empty(part.item, "root") + "/sys/bus/w1", device = text_or_empty(part.item, "device");
+  if (!files.exists(bus))
+    return at_fault(part, "there is no 1-Wire bus (" + bus + ")", detail::how_to_enable("/sys/bus/w1"));
+  if (device.empty()) return {};
+  const std::string folder = bus + "/devices/" + device;
+  if (!files.exists(folder))
+    return at_fault(part, device + " is not on the 1-Wire bus",
+                    "look at its wires and its pull-up resistor; `rtdata scan` lists those that answer");
+  if (!files.exists(folder + "/w1_slave")) return at_fault(part, device + " has no driver", load_w1_therm);
+  return well(part, device + " is on the 1-Wire bus");
+}
+
+/// A receiver behind this machine's gpsd: whether that is installed. Whether it runs, a sensor says.
+Found examine_gps(const MachineFiles& files, const PartPlan& part) {
+  if (part.kind != "sensor" || part.type != "gps") return {};
+  const std::string host = text_or_empty(part.item, "host");
+  if (!host.empty() && host != "localhost" && host != "127.0.0.1" && host != "::1") return {};
+  for (const char* program : {"/usr/sbin/gpsd", "/usr/local/sbin/gpsd", "/usr/bin/gpsd", "/run/gpsd.sock"})
+    if (files.exists(program)) return {};
+  return Finding{Severity::warning, part.object(), "no gpsd is installed",
+                 "it has no data unless gpsd runs in a container", std::string(detail::how_to_start_gpsd)};
+}
+
+/// None: on a copy of another machine's files, where nobody says which lines its chips have.
+Found examine_line(const MachineFiles& files, const PartPlan& part, [[maybe_unused]] const ConfigItem& item) {
+  if (files.names("/dev", "gpiochip").empty())
+    return at_fault(part, "this machine has no GPIO chip", "`ls /dev/gpiochip*` shows them", no_start);
+#ifdef RTDATA_WITH_GPIO
+  GpioLineName line;
+  Problems ignored;
+  const ConfigItem* name = item.find("line");
+  if (!files.is_this_machine() || name == nullptr || !ConfigValue<GpioLineName>::read(*name, line, ignored)) return {};
+  const auto found = detail::find_gpio_line(make_kernel_gpio()->chips(), line, text_or_empty(item, "chip"));
+  if (!found) return at_fault(part, found.error().where + ": " + found.error().why, found.error().advice, no_start);
+  if (!found->line.is_used) return well(part, found->text + " is free");
+  const std::string& who = found->line.consumer;
+  return Finding{Severity::warning, part.object(),
+                 found->text + ": " + (who.empty() ? "somebody has it, who gives no name" : "\"" + who + "\" has it"),
+                 no_start, "end that, or use another line; a driver of the kernel is named in the device tree"};
+#else
+  return {};
+#endif
+}
+
+std::int64_t number_at(const ConfigItem& item, std::string_view key) {
+  const ConfigItem* found = item.find(key);
+  std::int64_t number = 0;
+  Problems ignored;
+  return found != nullptr && ConfigValue<std::int64_t>::read(*found, number, ignored) ? number : 0;
+}
+
+Finding examine_pwm(const MachineFiles& files, const PartPlan& part) {
+  const std::string root = text_or_empty(part.item, "root");
+  const std::string chip = (root.empty() ? "/sys/class/pwm" : root) + "/pwmchip" +
+                           std::to_string(number_at(part.item, "chip"));
+  const std::int64_t channel = number_at(part.item, "channel");
+  const auto count = files.text(chip + "/npwm");
+  if (!count)
+    return at_fault(part, "there is no PWM chip " + chip,
+                    "on a Raspberry Pi a line `dtoverlay=pwm-2chan` in /boot/firmware/config.txt, then start it again");
+  std::int64_t channels = 0;
+  std::from_chars(count->data(), count->data() + count->size(), channels);
+  if (channel >= channels)
+    return at_fault(part, chip + " has " + *count + " channels, from 0 on", "set `channel` to one of them");
+  const std::string folder = chip + "/pwm" + std::to_string(channel);
+  const std::string file = files.exists(folder) ? folder + "/duty_cycle" : chip + "/export";
+  const Access access = access_to(files, file, W_OK);
+  if (!access.is_granted) return at_fault(part, file + ": " + access.why, access.advice);
+  return well(part, folder + " can be used");
+}
+
+}  // namespace
+
+std::vector<Finding> examine_devices(const MachineFiles& files, const SystemPlan& plan) {
+  std::vector<Finding> found;
+  for (const PartPlan& part : plan.parts) {
+    for (const Found& one : {examine_chip(files, plan, part), examine_w1(files, part), examine_gps(files, part)})
+      if (one) found.push_back(*one);
+    if (const std::string device = device_of(files, part); !device.empty())
+      found.push_back(examine_device(files, part, device));
+  }
+  return found;
+}
+
+std::vector<Finding> examine_lines(const MachineFiles& files, const SystemPlan& plan) {
+  std::vector<Finding> found;
+  for (const PartPlan& part : plan.parts) {
+    if (part.kind == "output" && part.type == "pwm") found.push_back(examine_pwm(files, part));
+    std::vector<const ConfigItem*> items;
+    if ((part.kind == "output" && part.type == "gpio") ||
+        (part.kind == "sensor" && (part.type == "edge" || part.type == "counter")))
+      items.push_back(&part.item);
+    const ConfigItem* lines = part.kind == "sensor" && part.type == "gpio" ? part.item.find("lines") : nullptr;
+    for (std::size_t i = 0; lines != nullptr && lines->is_array() && lines->find(i) != nullptr; ++i)
+      items.push_back(lines->find(i));
+    for (const ConfigItem* item : items)
+      if (Found one = examine_line(files, part, *item)) found.push_back(*std::move(one));
+  }
+  return found;
+}
+
+}  // namespace rtdata::app
