@@ -1,7 +1,6 @@
 #include "app/control/commands.hpp"
 
 #include <algorithm>
-#include <charconv>
 #include <memory>
 #include <sstream>
 #include <stdexcept>
@@ -9,6 +8,8 @@
 #include "app/control/request.hpp"
 #include "app/control/status.hpp"
 #include "app/core/machines.hpp"
+#include "data/listed.hpp"
+#include "data/number_text.hpp"
 #include "loop/core/loop_core.hpp"
 #include "loop/runtime/runtime_core.hpp"
 #include "loop/support/fitting.hpp"
@@ -56,9 +57,8 @@ std::string acknowledge(System& system, const Words& words, std::string_view) {
 
 double number_of(const std::string& word, const char* expected) {
   double number = 0;
-  const char* const end = word.data() + word.size();
-  const auto [stopped, error] = std::from_chars(word.data(), end, number);
-  if (error != std::errc{} || stopped != end) throw std::invalid_argument("\"" + word + "\" is no " + expected);
+  if (detail::read_number(word, number) != std::errc{})
+    throw std::invalid_argument("\"" + word + "\" is no " + expected);
   return number;
 }
 /// "on", "off", or a number.
@@ -143,12 +143,6 @@ constexpr std::size_t longest_command = 240;
 /// Of a tier. Less than whoever has asked waits.
 constexpr Duration turn_patience = std::chrono::seconds{2};
 
-std::string joined(const Words& words) {
-  std::string text;
-  for (const std::string& word : words) text += (text.empty() ? "" : " ") + word;
-  return text;
-}
-
 CommandOutcome act(System& system, const Words& words, std::string_view by) {
   const auto verb = std::find_if(verbs().begin(), verbs().end(), [&](const Verb& one) { return words[0] == one.word; });
   if (verb == verbs().end()) {
@@ -161,7 +155,7 @@ CommandOutcome act(System& system, const Words& words, std::string_view by) {
   if (words.size() - 1 < verb->least || words.size() - 1 > verb->most)
     return {false, std::string("it is written `") + verb->help.words + "`"};
   // As it is to be recorded.
-  const std::string all = joined(words);
+  const std::string all = detail::listed(words, " ");
   if (all.size() > longest_command)
     return {false,
             "it has " + std::to_string(all.size()) + " bytes, of " + std::to_string(longest_command) + " at most"};
@@ -298,7 +292,7 @@ void CommandDesk::run_here(const Words& words, std::string_view by, Told told) {
 }
 
 void CommandDesk::keep(const Words& words, std::string_view by, const CommandOutcome& outcome) {
-  const std::string command = joined(words);
+  const std::string command = detail::listed(words, " ");
   log_("`" + command + "` by " + std::string(by) + ": " + outcome.text, outcome.done);
   try {
     if (!record_) {

@@ -12,11 +12,11 @@
 
 #include <algorithm>
 #include <cerrno>
-#include <charconv>
 #include <cstdlib>
 #include <cstring>
 #include <filesystem>
 
+#include "data/number_text.hpp"
 #include "loop/core/loop_core.hpp"
 #include "rtdata/loop/timer.hpp"
 
@@ -82,9 +82,8 @@ pid_t pid_of(std::string_view name) {
   constexpr std::string_view suffix = ".sock";
   pid_t pid = 0;
   if (!name.ends_with(suffix)) return 0;
-  const char* const end = name.data() + name.size() - suffix.size();
-  const auto [stopped, error] = std::from_chars(name.data(), end, pid);
-  return error == std::errc{} && stopped == end && pid > 0 ? pid : 0;
+  name.remove_suffix(suffix.size());
+  return detail::read_number(name, pid) == std::errc{} && pid > 0 ? pid : 0;
 }
 
 bool is_alive(pid_t pid) { return ::kill(pid, 0) == 0 || errno != ESRCH; }

@@ -111,13 +111,13 @@ void fields(Visit& visit, Status& of) {
 }
 
 template <class T>
-struct ListTraits : std::false_type {};
+concept List = requires(T list) {
+  list.emplace_back();
+};
 template <class T>
-struct ListTraits<std::vector<T>> : std::true_type {};
-template <class T>
-struct OptionalTraits : std::false_type {};
-template <class T>
-struct OptionalTraits<std::optional<T>> : std::true_type {};
+concept Optional = requires(T value) {
+  value.has_value();
+};
 
 class Writer {
  public:
@@ -136,9 +136,9 @@ class Writer {
  private:
   template <class T>
   static Json made(std::string_view key, T& value) {
-    if constexpr (OptionalTraits<T>::value) {
+    if constexpr (Optional<T>) {
       return value ? made(key, *value) : Json();
-    } else if constexpr (ListTraits<T>::value) {
+    } else if constexpr (List<T>) {
       Json list = Json::array();
       for (auto& one : value) list.push_back(made(key, one));
       return list;
@@ -176,10 +176,10 @@ class Reader {
  private:
   template <class T>
   static void take(std::string_view key, const Json& json, T& value) {
-    if constexpr (OptionalTraits<T>::value) {
+    if constexpr (Optional<T>) {
       if (json.is_null()) return value.reset();
       take(key, json, value.emplace(typename T::value_type{}));
-    } else if constexpr (ListTraits<T>::value) {
+    } else if constexpr (List<T>) {
       for (const Json& one : json.get_ref<const Json::array_t&>()) take(key, one, value.emplace_back());
     } else if constexpr (std::is_same_v<T, Duration>) {
       const std::chrono::duration<double, std::nano> time(json.get<double>() * (key.ends_with("_s") ? 1e9 : 1));

@@ -9,6 +9,7 @@
 #include "app/core/amounts.hpp"
 #include "app/core/table.hpp"
 #include "app/core/terminal_text.hpp"
+#include "data/listed.hpp"
 #include "data/rounded_time.hpp"
 
 namespace rtdata::app {
@@ -184,8 +185,7 @@ Lines parts_of(const Status& status) {
   if (status.parts.empty()) return {};
   Lines tail{"", "part                           type             used by"};
   for (const Status::Part& part : status.parts) {
-    std::string users;
-    for (const std::string& user : part.users) users += (users.empty() ? "" : ", ") + user;
+    const std::string users = detail::listed(part.users);
     tail.push_back(left(part.kind + " " + part.name, 30) + " " + left(part.type, 16) + " " +
                    (users.empty() ? "-" : users));
     for (const Status::Place& place : part.places)

@@ -7,6 +7,7 @@
 #include <functional>
 #include <iostream>
 #include <memory>
+#include <optional>
 
 #include "app/core/show_as.hpp"
 #include "app/core/terminal_text.hpp"
@@ -19,16 +20,27 @@ using Action = std::function<int(const Registry&)>;
 
 /// For what people read: lines as wide as the terminal, while it lives. Not where a run goes on, whose handlers may
 /// print from any thread, and not around data.
-struct ForPeople {
-  WrappedOutput out{std::cout, STDOUT_FILENO};
-  WrappedOutput err{std::cerr, STDERR_FILENO};
+class ForPeople {
+ public:
+  explicit ForPeople(bool is_for_people = true) {
+    if (!is_for_people) return;
+    out_.emplace(std::cout, STDOUT_FILENO);
+    err_.emplace(std::cerr, STDERR_FILENO);
+  }
+
+ private:
+  std::optional<WrappedOutput> out_, err_;
 };
 
-/// Of a command that prints for people or for programs.
-template <class Options>
-void add_json(CLI::App& command, const std::shared_ptr<Options>& options, const char* doc = "Print JSON") {
+/// An option without a value, which makes `to` this. `to` is of what the command's Action holds.
+template <class Value>
+void add_flag(CLI::App& command, const char* name, Value& to, Value is, const char* doc) {
   command.add_flag_callback(
-      "--json", [options] { options->show_as = ShowAs::json; }, doc);
+      name, [&to, is] { to = is; }, doc);
+}
+/// Of a command that prints for people or for programs.
+inline void add_json(CLI::App& command, ShowAs& show_as, const char* doc = "Print JSON") {
+  add_flag(command, "--json", show_as, ShowAs::json, doc);
 }
 
 /// Each adds to the command what it takes, and returns what is done with it.

@@ -43,11 +43,9 @@ Action prepare_run(CLI::App& command) {
   const auto given = std::make_shared<Given>();
   command.add_option("FILE", given->options.file, "The configuration")->required();
   command.add_option("--for", given->duration, "End after so long, such as 10s or 5min")->type_name("DURATION");
-  command.add_flag_callback(
-      "--fail-on-loss", [given] { given->options.on_loss = OnLoss::fail; },
-      "Exit 3 when anything was lost: ticks, events, or a time without a device");
-  command.add_flag_callback(
-      "--quiet,-q", [given] { given->options.talk = Talk::quiet; }, "Print warnings and errors only");
+  add_flag(command, "--fail-on-loss", given->options.on_loss, OnLoss::fail,
+           "Exit 3 when anything was lost: ticks, events, or a time without a device");
+  add_flag(command, "--quiet,-q", given->options.talk, Talk::quiet, "Print warnings and errors only");
   command
       .add_option("--log", given->options.log_file,
                   "The log file; default: as the configuration says, or its name with .log, in the working directory")
@@ -91,8 +89,7 @@ Action prepare_graph(CLI::App& command) {
       "  0  drawn\n  1  there is no such machine\n  2  mistakes in the configuration");
   command.add_option("FILE", options->file, "The configuration")->required();
   command.add_option("--machine", options->machine, "Only this one")->type_name("NAME");
-  command.add_flag_callback(
-      "--dot", [options] { options->draw_as = DrawAs::dot; }, "In the language of Graphviz, instead of Mermaid");
+  add_flag(command, "--dot", options->draw_as, DrawAs::dot, "In the language of Graphviz, instead of Mermaid");
   return [options](const Registry& registry) { return graph(registry, *options); };
 }
 
@@ -103,18 +100,14 @@ Action prepare_types(CLI::App& command) {
   };
   const auto given = std::make_shared<Given>();
   command.add_option("NAME", given->type, "Only this type, or a chip or a word, such as bme280, pt100, button, csv");
-  command.add_flag_callback(
-      "--all", [given] { given->format = TypesAs::all; }, "All types with their parameters");
-  command.add_flag_callback(
-      "--schema", [given] { given->format = TypesAs::schema; }, "Print the JSON Schema, for editors");
-  command.add_flag_callback(
-      "--markdown", [given] { given->format = TypesAs::markdown; }, "Print pages of documentation, in Markdown");
+  add_flag(command, "--all", given->format, TypesAs::all, "All types with their parameters");
+  add_flag(command, "--schema", given->format, TypesAs::schema, "Print the JSON Schema, for editors");
+  add_flag(command, "--markdown", given->format, TypesAs::markdown, "Print pages of documentation, in Markdown");
   command.footer(
       "examples:\n  rtdata types\n  rtdata types analog\n  rtdata types bme280\n  rtdata types --schema > "
       "rtdata.schema.json");
   return [given](const Registry& registry) {
-    std::optional<ForPeople> wrapped;
-    if (given->format == TypesAs::text || given->format == TypesAs::all) wrapped.emplace();
+    const ForPeople wrapped(given->format == TypesAs::text || given->format == TypesAs::all);
     return types(registry, given->type, given->format);
   };
 }
@@ -132,9 +125,8 @@ Action prepare_explain(CLI::App& command) {
 Action prepare_top(CLI::App& command) {
   const auto options = std::make_shared<TopOptions>();
   command.add_option("NAME|PID", options->instance, "Which instance; needed when several are running");
-  command.add_flag_callback(
-      "--once", [options] { options->how_often = HowOften::once; }, "Print once and end");
-  add_json(command, options, "Print the status as JSON, a line each time");
+  add_flag(command, "--once", options->how_often, HowOften::once, "Print once and end");
+  add_json(command, options->show_as, "Print the status as JSON, a line each time");
   command.footer(
       "examples:\n  rtdata top                        the only instance, until q or Ctrl-C\n"
       "  rtdata top bench --once           one look at the instance called bench\n"
@@ -181,8 +173,7 @@ Action prepare_bench(CLI::App& command) {
     const std::optional<Duration> duration = span_of("--for", given->duration);
     if (!duration) return exit_other;
     given->options.duration = *duration;
-    std::optional<ForPeople> wrapped;
-    if (given->options.json_file != "-") wrapped.emplace();
+    const ForPeople wrapped(given->options.json_file != "-");
     return bench(given->options);
   };
 }
@@ -193,11 +184,10 @@ Action prepare_scan(CLI::App& command) {
                    "Also read a byte from each free I2C address; a chip may take that amiss");
   command.add_option("--root", options->root, "Look at a copy of another machine's /sys and /dev in this folder")
       ->type_name("DIR");
-  add_json(command, options);
+  add_json(command, options->show_as);
   command.footer("examples:\n  rtdata scan\n  rtdata scan --probe");
   return [options](const Registry& registry) {
-    std::optional<ForPeople> wrapped;
-    if (options->show_as == ShowAs::text) wrapped.emplace();
+    const ForPeople wrapped(options->show_as == ShowAs::text);
     return scan(registry, *options);
   };
 }
@@ -208,15 +198,14 @@ Action prepare_doctor(CLI::App& command) {
   command
       .add_option("--root", options->root, "Look at a copy of another machine's /proc, /sys and /etc in this folder")
       ->type_name("DIR");
-  add_json(command, options);
+  add_json(command, options->show_as);
   command.footer(
       "examples:\n  rtdata doctor\n  rtdata doctor bench.json\nexit status:\n"
       "  0  notes at most\n  1  an error\n"
       "  2  something that the configuration needs cannot work, or it has mistakes\n"
       "  3  something costs timing or data");
   return [options](const Registry& registry) {
-    std::optional<ForPeople> wrapped;
-    if (options->show_as == ShowAs::text) wrapped.emplace();
+    const ForPeople wrapped(options->show_as == ShowAs::text);
     return doctor(registry, *options);
   };
 }

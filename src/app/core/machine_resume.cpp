@@ -40,36 +40,33 @@ std::optional<Duration> pause_since(const Recording& recording, const RunInfo& r
   return pause;
 }
 
-Result<std::optional<LastKnown>> last_known(Loop& loop, const MachineSettings& settings, const std::string& path) {
-  auto recording = Recording::open(path);
-  if (!recording) return std::move(recording).error();
-  auto runs = recording->runs();
-  if (!runs) return std::move(runs).error();
+Result<std::optional<LastKnown>> last_known(Loop& loop, const MachineSettings& settings, const std::string& path) try {
+  const Recording recording = Recording::open(path).or_throw();
+  const std::vector<RunInfo> runs = recording.runs().or_throw();
   std::size_t looked_at = 0;
-  for (auto run = runs->rbegin(); run != runs->rend() && looked_at < most_runs; ++run, ++looked_at) {
+  for (auto run = runs.rbegin(); run != runs.rend() && looked_at < most_runs; ++run, ++looked_at) {
     RowFilter filter;
     filter.topic = settings.topic.empty() ? settings.name : settings.topic;
     filter.run = run->run;
     filter.origin = settings.name;
-    auto changes = recording->events<fsm::StateChange>(filter);
+    auto changes = recording.events<fsm::StateChange>(filter);
     if (!changes && changes.error().code == Errc::not_found) return std::optional<LastKnown>{};
-    if (!changes) return std::move(changes).error();
+    auto events = std::move(changes).or_throw();
     std::optional<LastKnown> last;
     Time at{};
-    for (;;) {
-      auto next = changes->next();
-      if (!next) return std::move(next).error();
-      if (*next == nullptr) break;
-      last = LastKnown{*run, std::string((*next)->data.to), Duration{0}, std::nullopt};
-      at = (*next)->time;
+    while (const auto* const next = events.next().or_throw()) {
+      last = LastKnown{*run, std::string(next->data.to), Duration{0}, std::nullopt};
+      at = next->time;
     }
     if (!last) continue;
     const Time end = run->ended ? std::max(*run->ended, at) : at;
     last->in_state = end - at;
-    last->pause = pause_since(*recording, *run, end, loop);
+    last->pause = pause_since(recording, *run, end, loop);
     return last;
   }
   return std::optional<LastKnown>{};
+} catch (const SetupError& error) {
+  return error.error();
 }
 
 }  // namespace
@@ -108,33 +105,30 @@ std::optional<Resumed> resumed(Loop& loop, const MachineSettings& settings, cons
   return Resumed{{last.state, last.in_state + last.pause.value_or(Duration{0}), "resumed after " + pause}, last.run};
 }
 
-Result<bool> was_armed(const std::string& path, std::int64_t run, const std::string& output, const std::string& topic) {
-  const auto recording = Recording::open(path);
-  if (!recording) return recording.error();
-  const auto runs = recording->runs();
-  if (!runs) return runs.error();
+Result<bool> was_armed(const std::string& path, std::int64_t run, const std::string& output,
+                       const std::string& topic) try {
+  const Recording recording = Recording::open(path).or_throw();
+  const std::vector<RunInfo> runs = recording.runs().or_throw();
   std::size_t looked_at = 0;
   // Back from there: a reload begins a run without events of outputs that it does not touch.
-  for (auto one = runs->rbegin(); one != runs->rend() && looked_at < most_runs; ++one) {
+  for (auto one = runs.rbegin(); one != runs.rend() && looked_at < most_runs; ++one) {
     if (one->run > run) continue;
     ++looked_at;
     RowFilter filter;
     filter.topic = topic;
     filter.run = one->run;
     filter.origin = output;
-    auto changes = recording->events<OutputChange>(filter);
+    auto changes = recording.events<OutputChange>(filter);
     if (!changes && changes.error().code == Errc::not_found) return false;
-    if (!changes) return changes.error();
+    auto events = std::move(changes).or_throw();
     std::optional<bool> is_armed;
-    for (;;) {
-      const auto next = changes->next();
-      if (!next) return next.error();
-      if (*next == nullptr) break;
-      if ((*next)->data.cause != OutputCause::stop) is_armed = (*next)->data.armed;
-    }
+    while (const auto* const next = events.next().or_throw())
+      if (next->data.cause != OutputCause::stop) is_armed = next->data.armed;
     if (is_armed) return *is_armed;
   }
   return false;
+} catch (const SetupError& error) {
+  return error.error();
 }
 
 }  // namespace rtdata::app

@@ -17,6 +17,7 @@
 #include "app/core/arguments.hpp"
 #include "app/core/configuration_commands.hpp"
 #include "app/core/no_memory.hpp"
+#include "data/listed.hpp"
 
 namespace rtdata {
 namespace {
@@ -134,16 +135,12 @@ std::string version_text() {
 /// What is wrong with a first argument that is no command.
 std::string wrong_command(const std::string& word) {
   std::vector<std::string> names;
-  std::string list;
-  for (const Command& command : commands) {
-    names.emplace_back(command.name);
-    list.append(list.empty() ? "" : ", ").append(command.name);
-  }
+  for (const Command& command : commands) names.emplace_back(command.name);
   std::string text = "there is no command \"" + word + "\"";
   if (word.ends_with(".json")) return text + "; that configuration is run by: rtdata run " + word;
   if (word.ends_with(".db")) return text + "; that recording is summed up by: rtdata info " + word;
   const std::string nearest = nearest_name(word, names);
-  return text + (nearest.empty() ? "; there are " + list : " (did you mean \"" + nearest + "\"?)") +
+  return text + (nearest.empty() ? "; there are " + detail::listed(names) : " (did you mean \"" + nearest + "\"?)") +
          "; `rtdata --help` explains them";
 }
 

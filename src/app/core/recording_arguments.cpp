@@ -1,5 +1,4 @@
 // The options of the subcommands of recordings.
-#include <charconv>
 #include <iostream>
 #include <memory>
 #include <optional>
@@ -9,6 +8,7 @@
 #include "app/core/arguments.hpp"
 #include "app/core/configuration_commands.hpp"
 #include "app/core/recording_commands.hpp"
+#include "data/number_text.hpp"
 
 namespace rtdata::app {
 namespace {
@@ -17,9 +17,7 @@ namespace {
 CLI::Validator at_least(std::int64_t least) {
   const auto check = [least](const std::string& text) {
     std::int64_t number = 0;
-    const char* const end = text.data() + text.size();
-    const auto [stopped, failed] = std::from_chars(text.data(), end, number);
-    const bool is_good = failed == std::errc{} && stopped == end && number >= least;
+    const bool is_good = detail::read_number(text, number) == std::errc{} && number >= least;
     return is_good ? std::string() : text + " must be a whole number from " + std::to_string(least) + " on";
   };
   return CLI::Validator(check, "");
@@ -38,10 +36,9 @@ Action prepare_verify(CLI::App& command) {
       "  2  unreadable or damaged");
   command.add_option("DB", options->database, "The recording, or a server: postgresql://...")->required();
   command.add_option("--run", options->run, "Only this run; default: all, the newest last")->type_name("NUMBER");
-  add_json(command, options);
+  add_json(command, options->show_as);
   return [options](const Registry&) {
-    std::optional<ForPeople> wrapped;
-    if (options->show_as == ShowAs::text) wrapped.emplace();
+    const ForPeople wrapped(options->show_as == ShowAs::text);
     return verify(*options, std::cout, std::cerr);
   };
 }
@@ -54,12 +51,10 @@ Action prepare_info(CLI::App& command) {
       "than due it was read; p50: half of the readings at most, p99: 99 of 100.");
   command.add_option("DB", options->database, "The recording")->required();
   command.add_option("--run", options->run, "Which run; default: the last")->type_name("NUMBER");
-  command.add_flag_callback(
-      "--gaps", [options] { options->gaps = InfoOptions::Gaps::listed; }, "List the gaps of the run, in UTC");
-  add_json(command, options);
+  add_flag(command, "--gaps", options->gaps, InfoOptions::Gaps::listed, "List the gaps of the run, in UTC");
+  add_json(command, options->show_as);
   return [options](const Registry&) {
-    std::optional<ForPeople> wrapped;
-    if (options->show_as == ShowAs::text) wrapped.emplace();
+    const ForPeople wrapped(options->show_as == ShowAs::text);
     return info(*options, std::cout, std::cerr);
   };
 }
@@ -71,8 +66,7 @@ Action prepare_export(CLI::App& command) {
   command.add_option("--topic", options->topic, "Topic or pattern")->capture_default_str();
   command.add_option("--format", options->format, "csv, jsonl, cbor, influx or raw")->capture_default_str();
   command.add_option("--folder", options->folder, "Write a file a topic into this folder; default: standard output");
-  command.add_flag_callback(
-      "--overwrite", [options] { options->existing = Export::Existing::replace; }, "Replace files in the folder");
+  add_flag(command, "--overwrite", options->existing, Export::Existing::replace, "Replace files in the folder");
   command.add_option("--run", options->run, "Only this run")->type_name("NUMBER");
   command.add_option("--origin", options->origin, "Only events of this sensor")->type_name("NAME");
   command.add_option("--from", options->from, "First time, as 2026-03-01T12:00:00Z or in ns")->type_name("TIME");
@@ -84,11 +78,9 @@ Action prepare_export(CLI::App& command) {
                   "Reduced: for each step of this length how many values, the least, the largest and the mean of each "
                   "number")
       ->type_name("DURATION");
-  command.add_flag_callback(
-      "--utc", [options] { options->times = Export::Times::utc; },
-      "Times as UTC, by the clock when it was right; --from and --until are UTC, too");
-  command.add_flag_callback(
-      "--units", [options] { options->header = Export::Header::names_and_units; }, "Units in the heading of CSV");
+  add_flag(command, "--utc", options->times, Export::Times::utc,
+           "Times as UTC, by the clock when it was right; --from and --until are UTC, too");
+  add_flag(command, "--units", options->header, Export::Header::names_and_units, "Units in the heading of CSV");
   command.footer(
       "examples:\n  rtdata export bench.db --topic host/cpu --format csv --utc > cpu.csv\n"
       "  rtdata export bench.db --topic host/cpu --step 1min");
@@ -125,8 +117,7 @@ Action prepare_import(CLI::App& command) {
       "examples:\n  rtdata import flight.csv --time ticks --scale 10us --into flight.db\n"
       "  rtdata import lab.csv --time Zeit --separator \";\" --decimal , --zone +01:00");
   return [options](const Registry&) {
-    std::optional<ForPeople> wrapped;
-    wrapped.emplace();
+    const ForPeople wrapped;
     return import_table(*options, std::cout, std::cerr);
   };
 }
@@ -155,8 +146,7 @@ Action prepare_replay(CLI::App& command) {
   command.add_option("--from", config.from, "First time, in UTC as 2026-03-01T12:00:00Z, or as recorded in ns")
       ->type_name("TIME");
   command.add_option("--until", config.until, "First time that is left out")->type_name("TIME");
-  command.add_flag_callback(
-      "--quiet,-q", [given] { given->options.is_quiet = true; }, "Of messages print warnings and errors only");
+  add_flag(command, "--quiet,-q", given->options.is_quiet, true, "Of messages print warnings and errors only");
   command.footer(
       "examples:\n  rtdata replay bench.db                      as it came, on the terminal\n"
       "  rtdata replay bench.db again.json --speed max\nexit status:\n"
@@ -167,14 +157,11 @@ Action prepare_replay(CLI::App& command) {
     if (options.config.topics.empty()) options.config.topics = {"#"};
     options.is_virtual = given->speed == "max";
     if (!options.is_virtual) {
-      double factor = 0;
-      const char* const end = given->speed.data() + given->speed.size();
-      const auto [stopped, failed] = std::from_chars(given->speed.data(), end, factor);
-      if (failed != std::errc{} || stopped != end || !(factor > 0)) {
+      double& factor = options.config.speed;
+      if (detail::read_number(given->speed, factor) != std::errc{} || !(factor > 0)) {
         std::cerr << "rtdata: --speed " << given->speed << ": it is neither a number above 0 nor max" << std::endl;
         return exit_other;
       }
-      options.config.speed = factor;
     }
     return replay(registry, options);
   };
@@ -189,8 +176,7 @@ Action prepare_forward(CLI::App& command) {
       "Each sink of FILE with `through` goes on where it has got to in the recording.\nexit status:\n"
       "  0  all is sent\n  1  ended before\n  2  mistakes, or no recording");
   return [options](const Registry& registry) {
-    std::optional<ForPeople> wrapped;
-    wrapped.emplace();
+    const ForPeople wrapped;
     return forward(registry, *options);
   };
 }

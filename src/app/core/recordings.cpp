@@ -1,5 +1,6 @@
 #include "app/core/standard_drivers.hpp"
 #ifdef RTDATA_WITH_SQLITE
+#include "config/read/mistakes.hpp"
 #include "rtdata/sinks/replay.hpp"
 #include "rtdata/sinks/sqlite.hpp"
 
@@ -26,13 +27,11 @@ static constexpr auto parameters(type_tag<SqliteConfig>) {
 
 static void check_config(const SqliteConfig& config, const ConfigItem& item, Problems& problems) {
   if (const auto is_recordable = check_recordable(config.path); !is_recordable) {
-    const ConfigItem* path = item.find("path");
     const Error& error = is_recordable.error();
-    problems.add((path != nullptr ? *path : item).problem("cannot-record", error.why + "; " + error.advice));
+    problems.add(config_detail::child_or_self(item, "path").problem("cannot-record", error.why + "; " + error.advice));
   }
   if (config.max_bytes == 0 || config.max_bytes >= SqliteConfig::least_max_bytes) return;
-  const ConfigItem* value = item.find("max_bytes");
-  problems.add((value != nullptr ? *value : item)
+  problems.add(config_detail::child_or_self(item, "max_bytes")
                    .problem("out-of-range", "max_bytes is " + std::to_string(config.max_bytes) +
                                                 ": give at least 4194304 (4 MiB), or 0 for no limit"));
 }

@@ -2,6 +2,8 @@
 #include <type_traits>
 
 #include "app/core/standard_drivers.hpp"
+#include "config/read/mistakes.hpp"
+#include "data/listed.hpp"
 #include "rtdata/sinks/console.hpp"
 #include "rtdata/sinks/file.hpp"
 #include "rtdata/sinks/tcp.hpp"
@@ -25,14 +27,11 @@ void check_format(const std::string& name, std::initializer_list<const char*> ow
   std::vector<std::string> formats = CodecRegistry::standard().names();
   formats.insert(formats.end(), own.begin(), own.end());
   if (std::find(formats.begin(), formats.end(), name) != formats.end()) return;
-  const ConfigItem* format = item.find("format");
   std::string message = "there is no format \"" + name + "\"";
   std::string nearest = nearest_name(name, formats);
-  if (nearest.empty()) {
-    message += "; there are";
-    for (const std::string& known : formats) message += " " + known;
-  }
-  problems.add((format != nullptr ? *format : item).problem("unknown-choice", std::move(message), std::move(nearest)));
+  if (nearest.empty()) message += "; there are " + detail::listed(formats, " ");
+  problems.add(
+      config_detail::child_or_self(item, "format").problem("unknown-choice", std::move(message), std::move(nearest)));
 }
 
 template <class Config>

@@ -11,21 +11,20 @@
 
 namespace rtdata {
 
+template <class Bus, class Config>
+static void add_bus(Registry& registry, const char* doc) {
+  registry.add_bus<Config>(std::string(Bus::type), doc,
+                           [](Runtime&, const std::string& name, const Config& config) { return Bus(name, config); });
+}
+
 Registry standard_registry() {
   Registry registry;
-  registry.add_bus<I2cConfig>(
-      std::string(I2cBus::type), "an I2C adapter of the kernel",
-      [](Runtime&, const std::string& name, const I2cConfig& config) { return I2cBus(name, config); });
-  registry.add_bus<SpiConfig>(
-      std::string(SpiBus::type), "an SPI controller of the kernel",
-      [](Runtime&, const std::string& name, const SpiConfig& config) { return SpiBus(name, config); });
-  registry.add_bus<SerialPortConfig>(
-      std::string(SerialPort::type), "a serial line of the kernel, to devices that answer requests",
-      [](Runtime&, const std::string& name, const SerialPortConfig& config) { return SerialPort(name, config); });
+  add_bus<I2cBus, I2cConfig>(registry, "an I2C adapter of the kernel");
+  add_bus<SpiBus, SpiConfig>(registry, "an SPI controller of the kernel");
+  add_bus<SerialPort, SerialPortConfig>(registry, "a serial line of the kernel, to devices that answer requests");
 #ifdef RTDATA_WITH_MODBUS
-  registry.add_bus<ModbusConfig>(
-      std::string(ModbusBus::type), "devices that speak Modbus, on a serial line (RTU) or behind a server (TCP)",
-      [](Runtime&, const std::string& name, const ModbusConfig& config) { return ModbusBus(name, config); });
+  add_bus<ModbusBus, ModbusConfig>(registry,
+                                   "devices that speak Modbus, on a serial line (RTU) or behind a server (TCP)");
 #endif
   app::add_register_drivers(registry);
   app::add_i2c_drivers(registry);

@@ -4,7 +4,6 @@
 
 #include <algorithm>
 #include <array>
-#include <charconv>
 #include <chrono>
 #include <ctime>
 #include <ostream>
@@ -12,6 +11,7 @@
 #include <utility>
 
 #include "app/core/recording_commands.hpp"
+#include "data/number_text.hpp"
 #include "rtdata/loop/topic.hpp"
 
 namespace rtdata::app {
@@ -31,8 +31,7 @@ std::string zone_at(Time time) {
 std::optional<Time> parse_time(const std::string& text) {
   if (text.empty()) return std::nullopt;
   std::int64_t ns = 0;
-  const auto [end, failed] = std::from_chars(text.data(), text.data() + text.size(), ns);
-  if (failed == std::errc{} && end == text.data() + text.size()) return from_nanoseconds(ns);
+  if (detail::read_number(text, ns) == std::errc{}) return from_nanoseconds(ns);
   auto time = parse_iso8601(text);
   if (const auto utc = parse_iso8601(text + "Z"); !time && utc)
     throw SetupError({Errc::bad_argument, "not a time", "\"" + text + "\"", "its time zone is missing",

@@ -110,10 +110,9 @@ Found look_at(const ImportOptions& options, const ImportNotation& notation) {
   Time before{};  // of the row above
   while (table.next(cells).or_throw()) {
     if (cells.size() != found.columns.size())
-      throw SetupError(
-          {Errc::bad_data, "cannot import", table.where(),
-           std::to_string(cells.size()) + " cells, where the first row has " + std::to_string(found.columns.size()),
-           ""});
+      refuse(table.where(),
+             std::to_string(cells.size()) + " cells, where the first row has " + std::to_string(found.columns.size()),
+             "");
     const std::string& when = cells[found.time_column].text;
     const auto time = time_of(when, notation);
     if (!time) {
@@ -125,26 +124,25 @@ Found look_at(const ImportOptions& options, const ImportNotation& notation) {
       const bool has_comma = options.decimal.empty() && when.find(',') != std::string::npos &&
                              is_number(when, ',', number) && !may_have_thousands(when);
       const bool has_date = when.size() >= 10 && when[4] == '-' && when[7] == '-';
-      throw SetupError({Errc::bad_data, "cannot import", table.where(),
-                        "\"" + detail::readable(when.substr(0, 64)) + "\" in column " + options.time_column +
-                            " is no time" +
-                            (is_beyond  ? " that can be recorded, which are those from 1678 to 2261"
-                             : has_date ? ": " + time.error().why
-                                        : ""),
-                        is_start    ? "look at --start"
-                        : is_beyond ? "look at --scale" + scale_of(number)
-                        : has_comma ? "its numbers have decimal commas: write --decimal ,"
-                        : has_date && !time.error().advice.empty() ? time.error().advice
-                                                                   : "a number, or a time as 2026-03-01T12:00:00Z"});
+      refuse(table.where(),
+             "\"" + detail::readable(when.substr(0, 64)) + "\" in column " + options.time_column + " is no time" +
+                 (is_beyond  ? " that can be recorded, which are those from 1678 to 2261"
+                  : has_date ? ": " + time.error().why
+                             : ""),
+             is_start                                   ? "look at --start"
+             : is_beyond                                ? "look at --scale" + scale_of(number)
+             : has_comma                                ? "its numbers have decimal commas: write --decimal ,"
+             : has_date && !time.error().advice.empty() ? time.error().advice
+                                                        : "a number, or a time as 2026-03-01T12:00:00Z");
     }
     if (found.rows++ == 0) found.first = found.last = before = *time;
     if (*time < before)
-      throw SetupError({Errc::bad_data, "cannot import", table.where(),
-                        "\"" + detail::readable(when.substr(0, 64)) + "\" in column " + options.time_column +
-                            " is before the time of the row above it",
-                        "sort the rows by time: a table with the newest row first is turned round by "
-                        "(head -n 1 " +
-                            options.file + "; tail -n +2 " + options.file + " | tac)"});
+      refuse(table.where(),
+             "\"" + detail::readable(when.substr(0, 64)) + "\" in column " + options.time_column +
+                 " is before the time of the row above it",
+             "sort the rows by time: a table with the newest row first is turned round by "
+             "(head -n 1 " +
+                 options.file + "; tail -n +2 " + options.file + " | tac)");
     before = *time;
     found.first = std::min(found.first, *time);
     found.last = std::max(found.last, *time);

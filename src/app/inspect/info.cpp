@@ -6,6 +6,7 @@
 #include "app/core/recording_commands.hpp"
 #include "app/core/table.hpp"
 #include "app/inspect/course.hpp"
+#include "data/listed.hpp"
 #include "data/rounded_time.hpp"
 #include "data/wrap.hpp"
 #include "rtdata/sinks/recording.hpp"
@@ -43,10 +44,9 @@ std::string table_of(const std::vector<TopicSummary>& topics) {
                 " more rows were pruned (max_age, max_bytes)";
     if (topic.repeated != 0)
       losses += (losses.empty() ? "" : "; ") + count_of(topic.repeated) + " repeated by the source, which is no loss";
-    std::string made_of_it;
-    for (const std::string& of : topic.made_of_it) made_of_it += (made_of_it.empty() ? "" : ", ") + of;
-    if (!made_of_it.empty())
-      losses += (losses.empty() ? "" : "; ") + ("not recorded itself: account of what is made of it, " + made_of_it);
+    if (!topic.made_of_it.empty())
+      losses += (losses.empty() ? "" : "; ") +
+                ("not recorded itself: account of what is made of it, " + detail::listed(topic.made_of_it));
     table.add({topic.topic, std::to_string(topic.rows), rate(topic.reached_hertz), rate(topic.wanted_hertz),
                late(topic.lateness_p50), late(topic.lateness_p99), late(topic.lateness_max), count_of(topic.missed),
                count_of(topic.dropped)},

@@ -7,6 +7,7 @@
 #include "app/core/table.hpp"
 #include "app/core/terminal_text.hpp"
 #include "app/inspect/types_markdown.hpp"
+#include "data/listed.hpp"
 #include "rtdata/config/format.hpp"
 #include "rtdata/config/system.hpp"
 #include "rtdata/data/codec.hpp"
@@ -20,21 +21,15 @@ void add_parameters(Table& table, const std::vector<ParameterInfo>& parameters, 
                     std::size_t columns) {
   constexpr std::size_t widest = 16;
   for (const ParameterInfo& parameter : parameters) {
-    std::string type = parameter.type.name();
-    if (parameter.type.kind == ParameterType::Kind::choice) {
-      type.clear();
-      for (const std::string& choice : parameter.type.choices) type += (type.empty() ? "" : "|") + choice;
-    }
+    const bool is_choice = parameter.type.kind == ParameterType::Kind::choice;
+    std::string type = is_choice ? detail::listed(parameter.type.choices, "|") : parameter.type.name();
     const std::string range = parameter.type.range();
     std::string fallback = parameter.required ? "required" : parameter.default_text();
     const bool has_members = !parameter.type.members.empty();
     if (has_members) fallback.clear();
     std::string doc = parameter.doc + (range.empty() ? "" : " (" + range + ")");
     if (columns != 0 && width_of(type) > widest) {
-      const bool is_choice = parameter.type.kind == ParameterType::Kind::choice;
-      std::string choices;
-      for (const std::string& choice : parameter.type.choices) choices += (choices.empty() ? "" : ", ") + choice;
-      doc += is_choice ? "; one of " + choices : "; type: " + type;
+      doc += is_choice ? "; one of " + detail::listed(parameter.type.choices) : "; type: " + type;
       type = is_choice ? "choice" : "see right";
     }
     if (columns != 0 && width_of(fallback) > widest) {

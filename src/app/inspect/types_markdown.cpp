@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cctype>
 
+#include "data/listed.hpp"
+
 namespace rtdata::app {
 namespace {
 
@@ -15,10 +17,8 @@ void add_fields(const std::vector<Field>& fields, const std::string& prefix, std
       continue;
     }
     std::string type(name_of(field.kind));
-    if (field.kind == Kind::enumeration) {
-      type.clear();
-      for (const EnumValue& value : field.values) type += (type.empty() ? "" : ", ") + value.name;
-    }
+    if (field.kind == Kind::enumeration)
+      type = detail::listed_of(field.values, [](const EnumValue& value) { return value.name; });
     if (field.optional != nullptr) type += ", may be absent";
     out.push_back({std::move(name), std::move(type), field.unit});
   }
@@ -37,10 +37,7 @@ std::string in_cell(const std::string& text) {
 std::string code(const std::string& text) { return text.empty() ? "" : "`" + in_cell(text) + "`"; }
 
 std::string type_text(const ParameterType& type) {
-  if (type.kind != ParameterType::Kind::choice) return type.name();
-  std::string text;
-  for (const std::string& choice : type.choices) text += (text.empty() ? "" : ", ") + code(choice);
-  return text;
+  return type.kind == ParameterType::Kind::choice ? detail::listed_of(type.choices, code) : type.name();
 }
 
 using Parameters = std::vector<ParameterInfo>;

@@ -5,38 +5,39 @@
 #include <cstdio>
 
 #include "app/core/amounts.hpp"
+#include "config/read/mistakes.hpp"
+#include "data/listed.hpp"
 
 namespace rtdata::app {
 namespace {
+
+using config_detail::child_or_self;
+using config_detail::text_or_empty;
 
 /// It has a `silence`, which is not set.
 bool may_go_quiet(const PartPlan& part, const std::vector<ParameterInfo>& parameters) {
   const auto silence = std::find_if(parameters.begin(), parameters.end(),
                                     [](const ParameterInfo& parameter) { return parameter.key == "silence"; });
   if (silence == parameters.end()) return false;
-  const ConfigItem* const given = part.item.find("silence");
-  const std::string* const text = given != nullptr ? given->as_string() : nullptr;
-  const auto span = parse_duration(text != nullptr ? *text : silence->default_text());
+  const std::string given = text_or_empty(part.item, "silence");
+  const auto span = parse_duration(given.empty() ? silence->default_text() : given);
   return !span || *span <= Duration{0};
 }
 
 }  // namespace
 
 std::string unnoticed_silence(const Registry& registry, const SystemPlan& plan) {
-  std::string names;
-  std::size_t count = 0;
+  std::vector<std::string> names;
   for (const PartPlan* part : plan.of_kind("sensor")) {
     for (const PartKind& kind : registry.kinds()) {
       if (kind.name != part->kind) continue;
       const auto type = kind.types.find(part->type);
-      if (!type || !may_go_quiet(*part, type->parameters)) continue;
-      names += (names.empty() ? "" : ", ") + part->name;
-      ++count;
+      if (type && may_go_quiet(*part, type->parameters)) names.push_back(part->name);
     }
   }
-  if (count == 0) return names;
+  if (names.empty()) return "";
   return "without `silence`, such as \"10 s\", nobody notices when " +
-         std::string(count == 1 ? "this device goes" : "these devices go") + " quiet: " + names;
+         std::string(names.size() == 1 ? "this device goes" : "these devices go") + " quiet: " + detail::listed(names);
 }
 
 std::vector<std::string> latencies(const SystemPlan& plan) {
@@ -75,9 +76,8 @@ std::string only_in_memory(const SystemPlan& plan) {
 void warn_of_losses(SystemPlan& plan) {
   for (const PartPlan& part : plan.parts) {
     if (part.stores && part.stores->is_recording && part.stores->close_deadline <= Duration{0}) {
-      const ConfigItem* const deadline = part.item.find("close_deadline");
       plan.warnings.add(
-          (deadline != nullptr ? *deadline : part.item)
+          child_or_self(part.item, "close_deadline")
               .problem("loses-data",
                        "the end of the run does not wait until what came last is stored: what came within "
                        "its `batch_time`, " +
@@ -87,8 +87,7 @@ void warn_of_losses(SystemPlan& plan) {
     if (!part.publishes || !part.publishes->load || part.publishes->load->period <= Duration{0}) continue;
     const Sampling& sampling = part.publishes->sampling;
     const Duration period = part.publishes->load->period;
-    const ConfigItem* const rate = part.item.find("rate");
-    const ConfigItem& at = rate != nullptr ? *rate : part.item;
+    const ConfigItem& at = child_or_self(part.item, "rate");
     const double a_read = sampling.hertz * std::chrono::duration<double>(period).count();
     if (sampling.kept > 0 && a_read > static_cast<double>(sampling.kept)) {
       std::array<char, 32> needed{};

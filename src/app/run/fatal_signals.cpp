@@ -3,6 +3,7 @@
 #include <unistd.h>
 
 #include <array>
+#include <chrono>
 #include <cstring>
 
 #include "app/core/configuration_commands.hpp"
@@ -38,19 +39,12 @@ void add_time(Line& line) noexcept {
   timespec now{};
   ::clock_gettime(CLOCK_REALTIME, &now);
   const std::int64_t second = now.tv_sec % 86400;
-  // Days to year, month and day of the proleptic Gregorian calendar, years beginning in March.
-  const std::int64_t days = now.tv_sec / 86400 + 719468;
-  const std::int64_t era = days / 146097;
-  const std::int64_t day_of_era = days - era * 146097;
-  const std::int64_t year_of_era = (day_of_era - day_of_era / 1460 + day_of_era / 36524 - day_of_era / 146096) / 365;
-  const std::int64_t day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
-  const std::int64_t month_from_march = (5 * day_of_year + 2) / 153;
-  const std::int64_t month = month_from_march < 10 ? month_from_march + 3 : month_from_march - 9;
-  line.add(year_of_era + era * 400 + (month <= 2 ? 1 : 0), 4);
+  const std::chrono::year_month_day day{std::chrono::sys_days{std::chrono::days{now.tv_sec / 86400}}};
+  line.add(static_cast<int>(day.year()), 4);
   line.add("-");
-  line.add(month, 2);
+  line.add(static_cast<unsigned>(day.month()), 2);
   line.add("-");
-  line.add(day_of_year - (153 * month_from_march + 2) / 5 + 1, 2);
+  line.add(static_cast<unsigned>(day.day()), 2);
   line.add("T");
   line.add(second / 3600, 2);
   line.add(":");
@@ -60,29 +54,6 @@ void add_time(Line& line) noexcept {
   line.add(".");
   line.add(now.tv_nsec / 1000, 6);
   line.add("Z");
-}
-
-const char* name_of_signal(int signal) noexcept {
-  switch (signal) {
-    case SIGSEGV:
-      return "SIGSEGV";
-    case SIGBUS:
-      return "SIGBUS";
-    case SIGILL:
-      return "SIGILL";
-    case SIGFPE:
-      return "SIGFPE";
-    case SIGABRT:
-      return "SIGABRT";
-    case SIGSYS:
-      return "SIGSYS";
-    case SIGXCPU:
-      return "SIGXCPU";
-    case SIGXFSZ:
-      return "SIGXFSZ";
-    default:
-      return "unknown";
-  }
 }
 
 /// Behind what is written already, once.
@@ -107,8 +78,8 @@ extern "C" void on_fatal_signal(int signal) {
   write_last_line([signal](Line& line) {
     line.add("fatal signal ");
     line.add(signal, 1);
-    line.add(" (");
-    line.add(name_of_signal(signal));
+    line.add(" (SIG");
+    line.add(::sigabbrev_np(signal));
     line.add(")");
   });
   for (std::size_t i = 0; i < fatal.size(); ++i) {

@@ -11,6 +11,7 @@
 #include "app/core/terminal_text.hpp"
 #include "app/run/left_backlogs.hpp"
 #include "app/run/stop_signals.hpp"
+#include "config/read/mistakes.hpp"
 #include "rtdata/config/system.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/sinks/recording.hpp"
@@ -19,12 +20,7 @@
 namespace rtdata::app {
 namespace {
 
-/// Empty: there is none, or it is no text.
-std::string plain_text_of(const ConfigItem& item, std::string_view key) {
-  const ConfigItem* child = item.find(key);
-  const std::string* value = child != nullptr ? child->as_string() : nullptr;
-  return value != nullptr ? *value : std::string();
-}
+using config_detail::text_or_empty;
 
 constexpr Duration look_period = std::chrono::milliseconds{200};
 constexpr Duration line_period = std::chrono::seconds{10};
@@ -38,7 +34,7 @@ std::vector<std::string> recordings_of(const ConfigItem& sinks, const Recording&
   };
   const std::vector<RecordedBacklog> backlogs = database.backlogs().or_throw();
   for (const ConfigChild& sink : sinks.children()) {
-    const std::string through = plain_text_of(sink.item, "through"), name = sink_name(sink.item);
+    const std::string through = text_or_empty(sink.item, "through"), name = sink_name(sink.item);
     add(all, through);
     const auto is_it = [&](const RecordedBacklog& one) { return one.sink == name; };
     if (std::any_of(backlogs.begin(), backlogs.end(), is_it)) add(known, through);
@@ -46,7 +42,7 @@ std::vector<std::string> recordings_of(const ConfigItem& sinks, const Recording&
   if (all.size() <= 1) return all;
   if (known.size() == 1) return known;
   for (const ConfigChild& sink : sinks.children()) {
-    const std::string path = plain_text_of(sink.item, "path"), name = plain_text_of(sink.item, "name");
+    const std::string path = text_or_empty(sink.item, "path"), name = text_or_empty(sink.item, "name");
     const std::string& called = name.empty() ? path : name;
     const bool is_namesake = std::filesystem::path(path).filename() ==
                              std::filesystem::path(database.path()).filename();
@@ -71,7 +67,7 @@ ConfigItem forwarding_configuration(const ConfigItem& root, const std::vector<st
       recording.set("max_age", "0 s");
       recording.set("max_bytes", 0);
       kept.push_back(recording);
-    } else if (std::find(recordings.begin(), recordings.end(), plain_text_of(sink.item, "through")) !=
+    } else if (std::find(recordings.begin(), recordings.end(), text_or_empty(sink.item, "through")) !=
                recordings.end()) {
       senders.push_back(name);
       kept.push_back(sink.item);

@@ -9,6 +9,7 @@
 #include <map>
 
 #include "app/core/amounts.hpp"
+#include "config/read/mistakes.hpp"
 
 namespace rtdata::app {
 namespace {
@@ -98,7 +99,6 @@ void warn_of_growth(SystemPlan& plan, Duration span,
     const double hours = fill.free_bytes / fill.bytes_per_day * 24;
     if (hours >= std::chrono::duration<double, std::ratio<3600>>(span).count()) continue;
     const PartPlan& sink = *growth.sink;
-    const ConfigItem* path = sink.item.find("path");
     std::array<char, 32> time{};
     if (hours >= 48) {
       std::snprintf(time.data(), time.size(), "%.0f days", hours / 24);
@@ -108,7 +108,7 @@ void warn_of_growth(SystemPlan& plan, Duration span,
       std::snprintf(time.data(), time.size(), "%.0f minutes", hours * 60);
     }
     plan.warnings.add(
-        (path != nullptr ? *path : sink.item)
+        config_detail::child_or_self(sink.item, "path")
             .problem("fills-disk", "it grows by about " + bytes_text(growth.bytes_per_day) +
                                        " a day, without limit, and the disk, with " + bytes_text(fill.free_bytes) +
                                        " free, is full after " + time.data() + "; lower the rates, or set " +

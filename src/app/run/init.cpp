@@ -9,6 +9,7 @@
 #include "app/core/configuration_commands.hpp"
 #include "app/run/async_writer.hpp"
 #include "app/run/starter.hpp"
+#include "data/listed.hpp"
 #include "rtdata/config/format.hpp"
 
 namespace rtdata::app {
@@ -28,11 +29,11 @@ std::string write_schema(const Registry& registry, const std::string& file) {
 
 int init(const Registry& registry, const std::string& file) {
   if (const ConfigFormats formats; formats.find(file) == nullptr) {
-    std::string known;
-    for (const std::string& extension : formats.extensions())
-      if (!extension.empty()) known += (known.empty() ? "" : ", ") + extension;
+    std::vector<std::string> known = formats.extensions();
+    std::erase(known, "");
     const Error error{Errc::bad_argument, "cannot write the starter file", file,
-                      "`rtdata run` reads no configuration with this extension", "let its name end with " + known};
+                      "`rtdata run` reads no configuration with this extension",
+                      "let its name end with " + detail::listed(known)};
     std::cerr << "rtdata: " << error.text() << std::endl;
     return exit_other;
   }

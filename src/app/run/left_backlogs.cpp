@@ -9,21 +9,13 @@
 #endif
 
 namespace rtdata::app {
-namespace {
-
-/// A value as it is written; empty: there is none.
-std::string text_of(const ConfigItem& item, std::string_view key) {
-  const ConfigItem* const child = item.find(key);
-  if (child == nullptr) return "";
-  const std::string* const text = child->as_string();
-  return text != nullptr ? *text : child->to_json(ConfigItem::Layout::one_line);
-}
-
-}  // namespace
-
 std::string sink_name(const ConfigItem& sink) {
-  for (const char* key : {"name", "path", "type"})
-    if (std::string text = text_of(sink, key); !text.empty()) return text;
+  for (const char* key : {"name", "path", "type"}) {
+    const ConfigItem* const child = sink.find(key);
+    const std::string* const text = child != nullptr ? child->as_string() : nullptr;
+    if (child != nullptr && (text == nullptr || !text->empty()))
+      return text != nullptr ? *text : child->to_json(ConfigItem::Layout::one_line);
+  }
   return "";
 }
 

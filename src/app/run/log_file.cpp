@@ -9,6 +9,7 @@
 #include <system_error>
 
 #include "config/plan/written_file.hpp"
+#include "config/read/mistakes.hpp"
 
 namespace rtdata::app {
 namespace {
@@ -52,8 +53,8 @@ std::string log_file_of(const SystemPlan& plan, const std::string& given) {
 
 bool check_log_file(const std::string& file, SystemPlan& plan) {
   const auto add = [&](Problems& to, const char* id, const std::string& message) {
-    const ConfigItem* log = plan.document.root.is_object() ? plan.document.root.find("log") : nullptr;
-    const ConfigItem* at = log != nullptr && log->is_object() ? log->find("file") : nullptr;
+    const ConfigItem* const log = config_detail::child_of(plan.document.root, "log");
+    const ConfigItem* const at = log != nullptr ? config_detail::child_of(*log, "file") : nullptr;
     to.add((at != nullptr ? *at : plan.document.root).problem(id, message));
   };
   const bool is_told = file == plan.settings.log.file;  // by the plan

@@ -10,6 +10,7 @@
 #include "app/run/left_backlogs.hpp"
 #include "app/run/log_file.hpp"
 #include "app/run/new_files.hpp"
+#include "data/listed.hpp"
 
 namespace rtdata::app {
 namespace {
@@ -236,10 +237,10 @@ void Reload::stop_waiting(const std::shared_ptr<Change>& change) {
     for (std::size_t i = 0; i + 1 < change->obstacles.size(); ++i) add(*change, LogLevel::error, change->obstacles[i]);
     return refuse(*change, change->obstacles.back());
   }
-  std::string stuck;
-  for (const std::string& name : closing_sinks(*change, true))
-    if (change->waits_for.contains(name)) stuck += (stuck.empty() ? "" : " ") + name;
-  if (stuck.empty()) return go_on(change);
+  std::set<std::string> all = closing_sinks(*change, true);
+  std::erase_if(all, [&](const std::string& name) { return !change->waits_for.contains(name); });
+  if (all.empty()) return go_on(change);
+  const std::string stuck = detail::listed(all, " ");
   refuse(*change, "it would close " + stuck +
                       ", which cannot store what it has now, and would lose it; mend what keeps it from that, or give "
                       "it up: `rtdata ctl reload give-up " +

@@ -14,6 +14,7 @@
 #include "app/control/commands.hpp"
 #include "app/core/configuration_commands.hpp"
 #include "app/core/recording_commands.hpp"
+#include "app/run/log.hpp"
 #include "app/run/passing_time.hpp"
 #include "app/run/stop_signals.hpp"
 #include "loop/runtime/runtime_core.hpp"
@@ -223,8 +224,7 @@ class ReplayRun {
     Runtime runtime(std::move(runtime_config));
     runtime.on_log([&](const LogRecord& record) {
       if (record.level < (options_.is_quiet ? LogLevel::warning : LogLevel::info)) return;
-      std::cerr << "rtdata: "
-                << (record.level >= LogLevel::warning ? std::string(name_of_level(record.level)) + ": " : "")
+      std::cerr << "rtdata: " << (record.level >= LogLevel::warning ? std::string(name_of(record.level)) + ": " : "")
                 << record.object << ": " << record.text << std::endl;
     });
     runtime.core().clock_log.repeat_run();
@@ -273,8 +273,6 @@ class ReplayRun {
     const bool has_dropped = tell_drops(runtime, counts.dropped);
     if (failed || counts.refused > 0 || is_stopped_ || lost > 0 || has_dropped) status_ = exit_other;
   }
-
-  static std::string_view name_of_level(LogLevel level) { return level == LogLevel::error ? "error" : "warning"; }
 
   const Registry& registry_;
   const ReplayOptions& options_;

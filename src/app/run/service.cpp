@@ -6,11 +6,11 @@
 
 #include <algorithm>
 #include <cerrno>
-#include <charconv>
 #include <cstddef>
 #include <cstdlib>
 #include <cstring>
 
+#include "data/number_text.hpp"
 #include "rtdata/loop/runtime.hpp"
 
 namespace rtdata::app {
@@ -22,10 +22,7 @@ constexpr Duration longest_limit = std::chrono::seconds{1};
 std::int64_t number_of(const char* variable) {
   const char* text = std::getenv(variable);
   std::int64_t value = 0;
-  if (text == nullptr) return 0;
-  const char* const end = text + std::strlen(text);
-  const auto [at, error] = std::from_chars(text, end, value);
-  return error == std::errc{} && at == end && value > 0 ? value : 0;
+  return text != nullptr && detail::read_number(text, value) == std::errc{} && value > 0 ? value : 0;
 }
 
 /// How long a tier may be silent.

@@ -1,11 +1,9 @@
 #include "config/plan/change.hpp"
 
 #include <algorithm>
-#include <functional>
 #include <map>
+#include <set>
 #include <string>
-#include <unordered_map>
-#include <unordered_set>
 #include <utility>
 
 #include "config/read/mistakes.hpp"
@@ -17,12 +15,6 @@ namespace {
 
 using Key = std::pair<std::string_view, std::string_view>;  // kind and name
 Key key_of(const PartPlan& part) { return {part.kind, part.name}; }
-struct HashOfKey {
-  std::size_t operator()(const Key& key) const noexcept {
-    const std::hash<std::string_view> hash;
-    return hash(key.first) * 31 + hash(key.second);
-  }
-};
 
 /// The keys whose values differ, in the order in which they are written.
 std::vector<std::string> differing_keys(const ConfigItem& now, const ConfigItem& next) {
@@ -113,12 +105,9 @@ void respect_hold(const PartPlan& part, const RunSoFar& run, PartChange& change)
 ComparedPlans compare(const Compared& now, const Compared& next, const RunSoFar& run) {
   ComparedPlans plans;
   compare_settings(now.root, next.root, plans.settings);
-  std::unordered_map<Key, const PartPlan*, HashOfKey> before;
-  before.reserve(now.parts.size());
+  std::map<Key, const PartPlan*> before;
   for (const PartPlan* part : now.parts) before.emplace(key_of(*part), part);
-  std::unordered_set<Key, HashOfKey> anew;  // those that are restarted
-  std::unordered_set<Key, HashOfKey> known;
-  known.reserve(next.parts.size());
+  std::set<Key> known, restarted;
   plans.parts.reserve(next.parts.size());
   for (const PartPlan* part : next.parts) {
     known.insert(key_of(*part));
@@ -134,7 +123,7 @@ ComparedPlans compare(const Compared& now, const Compared& next, const RunSoFar&
     if (change.fate == Fate::unchanged || change.fate == Fate::live) {
       // Each part stands behind those that it uses.
       for (const PartUse& use : part->uses) {
-        if (use.kind == "topic" || !anew.contains({use.kind, use.name})) continue;
+        if (use.kind == "topic" || !restarted.contains({use.kind, use.name})) continue;
         change.fate = Fate::restarted;
         change.why = "it uses " + use.kind + " " + use.name;
       }
@@ -146,7 +135,7 @@ ComparedPlans compare(const Compared& now, const Compared& next, const RunSoFar&
       }
     }
     if (planned.now != nullptr) respect_hold(*planned.now, run, change);
-    if (change.fate == Fate::restarted) anew.insert(key_of(*part));
+    if (change.fate == Fate::restarted) restarted.insert(key_of(*part));
     plans.parts.push_back(std::move(planned));
   }
   for (const PartPlan* part : now.parts) {
@@ -171,21 +160,9 @@ PlanChange ComparedPlans::all() const {
 }  // namespace config_detail
 
 std::string_view name_of(Fate fate) noexcept {
-  switch (fate) {
-    case Fate::unchanged:
-      return "unchanged";
-    case Fate::live:
-      return "changed while it runs";
-    case Fate::restarted:
-      return "restarted";
-    case Fate::added:
-      return "added";
-    case Fate::removed:
-      return "removed";
-    case Fate::refused:
-      return "refused";
-  }
-  return "";
+  constexpr std::string_view names[] = {"unchanged", "changed while it runs", "restarted", "added", "removed",
+                                        "refused"};
+  return names[static_cast<std::size_t>(fate)];
 }
 
 std::string PartChange::text() const {

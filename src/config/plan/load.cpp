@@ -8,13 +8,15 @@
 #include <utility>
 
 #include "config/read/json_reader.hpp"
+#include "data/listed.hpp"
+#include "data/lower_case.hpp"
+#include "data/utf8.hpp"
 #include "rtdata/config/format.hpp"
 
 namespace rtdata {
 namespace {
 
 constexpr std::size_t largest_file = std::size_t{64} << 20;
-constexpr std::string_view byte_order_mark = "\xef\xbb\xbf";
 
 struct Descriptor {
   int fd = -1;
@@ -54,30 +56,10 @@ bool read_file(const std::string& file, std::string& text, Problems& problems) {
   }
 }
 
-/// Bytes of the character that begins here, 0 when it is not valid UTF-8.
-std::size_t character_size(std::string_view text) {
-  const auto byte = [&](std::size_t i) { return i < text.size() ? static_cast<unsigned char>(text[i]) : 0u; };
-  const auto follows = [&](std::size_t i) { return (byte(i) & 0xc0) == 0x80; };
-  const unsigned first = byte(0);
-  if (first < 0x80) return 1;
-  if (first >= 0xc2 && first <= 0xdf) return follows(1) ? 2 : 0;
-  if (first >= 0xe0 && first <= 0xef) {
-    const bool overlong = first == 0xe0 && byte(1) < 0xa0;
-    const bool surrogate = first == 0xed && byte(1) >= 0xa0;
-    return follows(1) && follows(2) && !overlong && !surrogate ? 3 : 0;
-  }
-  if (first >= 0xf0 && first <= 0xf4) {
-    const bool overlong = first == 0xf0 && byte(1) < 0x90;
-    const bool beyond = first == 0xf4 && byte(1) >= 0x90;
-    return follows(1) && follows(2) && follows(3) && !overlong && !beyond ? 4 : 0;
-  }
-  return 0;
-}
-
 bool check_encoding(std::string_view text, const std::string& file, Problems& problems) {
   ConfigPlace place{file, 1, 1};
   for (std::size_t i = 0; i < text.size();) {
-    const std::size_t size = character_size(text.substr(i));
+    const std::size_t size = detail::utf8_size(text.substr(i));
     if (size == 0 || text[i] == '\0') {
       problems.add("bad-encoding", place, "",
                    size == 0 ? "this byte is not UTF-8: save the file as UTF-8" : "a NUL byte: the file is no text");
@@ -98,17 +80,14 @@ std::string extension_of(std::string_view file) {
   const std::string_view name = slash == std::string_view::npos ? file : file.substr(slash + 1);
   const std::size_t dot = name.rfind('.');
   if (dot == std::string_view::npos || dot == 0) return "";
-  std::string extension(name.substr(dot));
-  for (char& c : extension)
-    if (c >= 'A' && c <= 'Z') c = static_cast<char>(c - 'A' + 'a');
-  return extension;
+  return detail::lower_case(name.substr(dot));
 }
 
 /// Shows places of a text, each with its line. Goes forwards in the text from one place to the next.
 class Excerpts {
  public:
   explicit Excerpts(std::string_view text) : text_(text) {
-    if (text_.starts_with(byte_order_mark)) text_.remove_prefix(byte_order_mark.size());
+    if (text_.starts_with(detail::byte_order_mark)) text_.remove_prefix(detail::byte_order_mark.size());
   }
 
   /// The line, cut when it is long, and below it a '^' under the column. Empty when the text has no such line.
@@ -140,7 +119,7 @@ class Excerpts {
 
  private:
   std::size_t size_at(std::size_t offset) const {
-    return std::max<std::size_t>(1, character_size(text_.substr(offset, 4)));
+    return std::max<std::size_t>(1, detail::utf8_size(text_.substr(offset, 4)));
   }
   bool is_end_of_line(std::size_t offset) const {
     if (offset < text_.size() && text_[offset] == '\r') ++offset;
@@ -167,16 +146,15 @@ class Excerpts {
 void parse(ConfigDocument& document, const ConfigFormats& formats) {
   const ConfigFormat* format = formats.find(document.file);
   if (format == nullptr) {
-    std::string known;
-    for (const std::string& extension : formats.extensions())
-      if (!extension.empty()) known += (known.empty() ? "" : ", ") + extension;
-    document.problems.add(
-        "unknown-format", whole(document.file), "",
-        "no configuration format has the extension \"" + extension_of(document.file) + "\"; there are " + known);
+    std::vector<std::string> known = formats.extensions();
+    std::erase(known, "");
+    document.problems.add("unknown-format", whole(document.file), "",
+                          "no configuration format has the extension \"" + extension_of(document.file) +
+                              "\"; there are " + detail::listed(known));
     return;
   }
   std::string_view text = document.text;
-  if (text.starts_with(byte_order_mark)) text.remove_prefix(byte_order_mark.size());
+  if (text.starts_with(detail::byte_order_mark)) text.remove_prefix(detail::byte_order_mark.size());
   if (text.find_first_not_of(" \t\r\n") == std::string_view::npos) {
     document.problems.add("empty", whole(document.file), "", "the configuration is empty");
     return;

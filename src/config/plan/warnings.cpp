@@ -15,36 +15,39 @@
 
 #include "config/plan/written_file.hpp"
 #include "config/read/mistakes.hpp"
+#include "data/listed.hpp"
 #include "data/ucum.hpp"
 #include "rtdata/config/secret.hpp"
 
 namespace rtdata::config_detail {
 namespace {
 
-/// Calls `use(parameter, value, siblings)` for each parameter that the item has, and those below it.
-template <class Use>
+/// What is done with each value of a parameter that is no list or map; and with one that means nothing beside what
+/// another parameter `is`.
+struct Use {
+  std::function<void(const ParameterInfo& parameter, const ConfigItem& leaf)> leaf;
+  std::function<void(const ParameterInfo& parameter, const ConfigItem& value, const std::string& is)> no_effect = {};
+};
+
 void for_each_given(const std::vector<ParameterInfo>& parameters, const ConfigItem& item, const Use& use);
 
-/// Calls `leaf(item)` for each value of a parameter that is no list or map.
-template <class Use, class Leaf>
-void descend(const ParameterType& type, const ConfigItem& item, const Use& use, const Leaf& leaf) {
+void descend(const ParameterInfo& parameter, const ParameterType& type, const ConfigItem& item, const Use& use) {
   if (type.kind == ParameterType::Kind::list || type.kind == ParameterType::Kind::map) {
-    for (const ConfigChild& child : item.children()) descend(type.element.at(0), child.item, use, leaf);
+    for (const ConfigChild& child : item.children()) descend(parameter, type.element.at(0), child.item, use);
   } else if (type.kind == ParameterType::Kind::object) {
     for_each_given(type.members, item, use);
   } else {
-    leaf(item);
+    use.leaf(parameter, item);
   }
 }
 
-template <class Use>
+/// For each parameter that the item has, and those below it.
 void for_each_given(const std::vector<ParameterInfo>& parameters, const ConfigItem& item, const Use& use) {
   for (const ParameterInfo& parameter : parameters) {
     const ConfigItem* value = child_of(item, parameter.key);
     if (value == nullptr || value->is_null()) continue;
-    use(parameter, *value, nullptr);
-    descend(parameter.type, *value, use, [&](const ConfigItem& leaf) { use(parameter, *value, &leaf); });
-    if (parameter.only_with.key.empty()) continue;
+    descend(parameter, parameter.type, *value, use);
+    if (!use.no_effect || parameter.only_with.key.empty()) continue;
     const auto& [key, wanted] = parameter.only_with;
     const auto other = std::find_if(parameters.begin(), parameters.end(),
                                     [name = key](const ParameterInfo& info) { return info.key == name; });
@@ -58,58 +61,20 @@ void for_each_given(const std::vector<ParameterInfo>& parameters, const ConfigIt
   }
 }
 
-struct Texts {
-  const std::function<void(const ParameterInfo&, const std::string&, const ConfigItem&)>& use;
-
-  void operator()(const ParameterInfo& parameter, const ConfigItem&, const ConfigItem* leaf) const {
-    if (const std::string* text = leaf != nullptr ? leaf->as_string() : nullptr) use(parameter, *text, *leaf);
+void warn_of_placeholders(const ParameterInfo& parameter, const ConfigItem& item, const std::string& text,
+                          Problems& warnings) {
+  for (auto open = text.find('{'); open != std::string::npos; open = text.find('{', open + 1)) {
+    const auto close = text.find('}', open);
+    if (close == std::string::npos) return;
+    const std::string name = text.substr(open + 1, close - open - 1);
+    const auto& known = parameter.placeholders;
+    if (std::find(known.begin(), known.end(), name) != known.end()) continue;
+    std::string message = "{" + name + "} stands for nothing here, and stays in the file's name";
+    if (!known.empty()) message += "; known is {" + detail::listed(known, "}, {") + "}";
+    std::string nearest = nearest_name(name, known);
+    warnings.add(item.problem("unknown-placeholder", std::move(message), nearest.empty() ? "" : "{" + nearest + "}"));
   }
-  void no_effect(const ParameterInfo&, const ConfigItem&, const std::string&) const {}
-};
-
-struct Warn {
-  Problems& warnings;
-
-  void operator()(const ParameterInfo& parameter, const ConfigItem&, const ConfigItem* leaf) const {
-    const std::string* text = leaf != nullptr ? leaf->as_string() : nullptr;
-    if (text == nullptr) return;
-    if (parameter.type.text == TextIs::unit || is_list_of(parameter, TextIs::unit)) warn_of_unit(*leaf, *text);
-    if (parameter.type.text == TextIs::output_file) warn_of_placeholders(parameter, *leaf, *text);
-  }
-  void no_effect(const ParameterInfo& parameter, const ConfigItem& value, const std::string& is) const {
-    std::string others;
-    for (const std::string_view wanted : parameter.only_with.values)
-      others.append(others.empty() ? "" : ", ").append(wanted);
-    const std::string key(parameter.only_with.key);
-    Problem problem = value.problem("no-effect", "it means nothing with `" + key + "` " + is + ", only with " + others);
-    problem.place = value.key_place();
-    warnings.add(std::move(problem));
-  }
-
- private:
-  static bool is_list_of(const ParameterInfo& parameter, TextIs is) {
-    return !parameter.type.element.empty() && parameter.type.element.front().text == is;
-  }
-  void warn_of_unit(const ConfigItem& item, const std::string& text) const {
-    if (detail::is_ucum(text)) return;
-    warnings.add(
-        item.problem("unknown-unit", "\"" + text + "\" is no unit of UCUM (ucum.org)", detail::ucum_for(text)));
-  }
-  void warn_of_placeholders(const ParameterInfo& parameter, const ConfigItem& item, const std::string& text) const {
-    for (auto open = text.find('{'); open != std::string::npos; open = text.find('{', open + 1)) {
-      const auto close = text.find('}', open);
-      if (close == std::string::npos) return;
-      const std::string name = text.substr(open + 1, close - open - 1);
-      const auto& known = parameter.placeholders;
-      if (std::find(known.begin(), known.end(), name) != known.end()) continue;
-      std::string message = "{" + name + "} stands for nothing here, and stays in the file's name";
-      for (std::size_t i = 0; i < known.size(); ++i)
-        message.append(i == 0 ? "; known is {" : ", {").append(known[i]).append("}");
-      std::string nearest = nearest_name(name, known);
-      warnings.add(item.problem("unknown-placeholder", std::move(message), nearest.empty() ? "" : "{" + nearest + "}"));
-    }
-  }
-};
+}
 
 /// Where the kernel shows what it knows: no file of ours can be made there.
 bool is_of_kernel(const std::string& folder) {
@@ -121,70 +86,50 @@ bool is_of_kernel(const std::string& folder) {
   return std::find(systems.begin(), systems.end(), static_cast<std::uint32_t>(about.f_type)) != systems.end();
 }
 
-struct CheckFiles {
-  Problems& problems;
+bool has_placeholder(const ParameterInfo& parameter, const std::string& folder) {
+  return std::any_of(parameter.placeholders.begin(), parameter.placeholders.end(),
+                     [&](const std::string& name) { return folder.find("{" + name + "}") != std::string::npos; });
+}
 
-  void operator()(const ParameterInfo& parameter, const ConfigItem&, const ConfigItem* leaf) const {
-    if (leaf == nullptr || parameter.type.text != TextIs::output_file) return;
-    const bool is_secret = is_secret_reference(*leaf);
-    std::string path;
-    Problems ignored;  // reported when it was read
-    if (is_secret) {
-      if (!resolve_secret(*leaf, path, ignored)) return;
-    } else if (const std::string* text = leaf->as_string()) {
-      path = *text;
-    }
-    if (path.empty() || path == "-" || path.find('\0') != std::string::npos) return;
-    const std::string shown = is_secret ? "the file" : "\"" + path + "\"";
-    const auto refuse = [&](const std::string& why) { problems.add(leaf->problem("cannot-write", why)); };
-    const std::filesystem::path parsed(path);
-    const std::string folder = parsed.has_parent_path() ? parsed.parent_path().string() : ".";
-    struct stat about {};
-    const bool is_there = ::stat(path.c_str(), &about) == 0;
-    if (!is_there && (errno == ENAMETOOLONG || errno == ELOOP))
-      return refuse(shown + " cannot be written: " + std::generic_category().message(errno));
-    if (is_there && S_ISDIR(about.st_mode)) return refuse(shown + " is a folder: give the name of a file in it");
-    if (is_there && !S_ISREG(about.st_mode)) return refuse(shown + " is no regular file: give the path of a file");
-    if (!parsed.has_filename()) return refuse(shown + " names no file");
-    if (is_of_kernel(folder)) return refuse("in the folder of " + shown + " the kernel lets no file be made");
-    if (is_there && ::faccessat(AT_FDCWD, path.c_str(), R_OK | W_OK, AT_EACCESS) != 0)
-      return refuse(shown + " cannot be written: " + std::generic_category().message(errno));
-    if (is_there) return;
-    if (has_placeholder(parameter, folder))
-      return refuse("a placeholder stands in the name of a folder; put it into the file's name");
-    struct stat link {};
-    const bool is_link = ::lstat(path.c_str(), &link) == 0;  // to what is not there: that is made
-    const std::string made_in = is_link ? std::filesystem::path(FileIdentity(path).target()).parent_path().string()
-                                        : folder;
-    struct stat about_folder {};
-    if (::stat(made_in.c_str(), &about_folder) != 0 || !S_ISDIR(about_folder.st_mode))
-      return refuse("there is no folder " + (is_secret ? "for the file" : "\"" + made_in + "\"") +
-                    (is_link ? ", to which " + shown + " is a symbolic link" : "") + ": make it first");
-    if (is_of_kernel(made_in)) return refuse("in the folder of " + shown + " the kernel lets no file be made");
-    if (::faccessat(AT_FDCWD, made_in.c_str(), W_OK | X_OK, AT_EACCESS) != 0)
-      refuse("in the folder of " + shown + " nothing can be written: " + std::generic_category().message(errno));
+void check_output_file(const ParameterInfo& parameter, const ConfigItem& leaf, Problems& problems) {
+  const bool is_secret = is_secret_reference(leaf);
+  std::string path;
+  Problems ignored;  // reported when it was read
+  if (is_secret) {
+    if (!resolve_secret(leaf, path, ignored)) return;
+  } else if (const std::string* text = leaf.as_string()) {
+    path = *text;
   }
-  void no_effect(const ParameterInfo&, const ConfigItem&, const std::string&) const {}
-
- private:
-  static bool has_placeholder(const ParameterInfo& parameter, const std::string& folder) {
-    return std::any_of(parameter.placeholders.begin(), parameter.placeholders.end(),
-                       [&](const std::string& name) { return folder.find("{" + name + "}") != std::string::npos; });
-  }
-};
-
-struct CollectSecrets {
-  std::vector<std::string>& secrets;
-
-  void operator()(const ParameterInfo& parameter, const ConfigItem&, const ConfigItem* leaf) const {
-    const bool is_text = parameter.type.kind == ParameterType::Kind::string || !parameter.type.element.empty();
-    if (leaf == nullptr || !is_text || !is_secret_reference(*leaf)) return;
-    std::string secret;
-    Problems ignored;
-    if (resolve_secret(*leaf, secret, ignored)) secrets.push_back(std::move(secret));
-  }
-  void no_effect(const ParameterInfo&, const ConfigItem&, const std::string&) const {}
-};
+  if (path.empty() || path == "-" || path.find('\0') != std::string::npos) return;
+  const std::string shown = is_secret ? "the file" : "\"" + path + "\"";
+  const auto refuse = [&](const std::string& why) { problems.add(leaf.problem("cannot-write", why)); };
+  const std::filesystem::path parsed(path);
+  const std::string folder = parsed.has_parent_path() ? parsed.parent_path().string() : ".";
+  struct stat about {};
+  const bool is_there = ::stat(path.c_str(), &about) == 0;
+  if (!is_there && (errno == ENAMETOOLONG || errno == ELOOP))
+    return refuse(shown + " cannot be written: " + std::generic_category().message(errno));
+  if (is_there && S_ISDIR(about.st_mode)) return refuse(shown + " is a folder: give the name of a file in it");
+  if (is_there && !S_ISREG(about.st_mode)) return refuse(shown + " is no regular file: give the path of a file");
+  if (!parsed.has_filename()) return refuse(shown + " names no file");
+  if (is_of_kernel(folder)) return refuse("in the folder of " + shown + " the kernel lets no file be made");
+  if (is_there && ::faccessat(AT_FDCWD, path.c_str(), R_OK | W_OK, AT_EACCESS) != 0)
+    return refuse(shown + " cannot be written: " + std::generic_category().message(errno));
+  if (is_there) return;
+  if (has_placeholder(parameter, folder))
+    return refuse("a placeholder stands in the name of a folder; put it into the file's name");
+  struct stat link {};
+  const bool is_link = ::lstat(path.c_str(), &link) == 0;  // to what is not there: that is made
+  const std::string made_in = is_link ? std::filesystem::path(FileIdentity(path).target()).parent_path().string()
+                                      : folder;
+  struct stat about_folder {};
+  if (::stat(made_in.c_str(), &about_folder) != 0 || !S_ISDIR(about_folder.st_mode))
+    return refuse("there is no folder " + (is_secret ? "for the file" : "\"" + made_in + "\"") +
+                  (is_link ? ", to which " + shown + " is a symbolic link" : "") + ": make it first");
+  if (is_of_kernel(made_in)) return refuse("in the folder of " + shown + " the kernel lets no file be made");
+  if (::faccessat(AT_FDCWD, made_in.c_str(), W_OK | X_OK, AT_EACCESS) != 0)
+    refuse("in the folder of " + shown + " nothing can be written: " + std::generic_category().message(errno));
+}
 
 bool names_a_secret(std::string_view key) {
   std::string plain;  // apiKey, api_key, API-Key are one
@@ -227,22 +172,49 @@ void look_for_secrets(std::string_view key, const ConfigItem& item, Problems& wa
 
 void for_each_text(const std::vector<ParameterInfo>& parameters, const ConfigItem& item,
                    const std::function<void(const ParameterInfo&, const std::string&, const ConfigItem&)>& use) {
-  for_each_given(parameters, item, Texts{use});
+  for_each_given(parameters, item, {[&](const ParameterInfo& parameter, const ConfigItem& leaf) {
+                   if (const std::string* text = leaf.as_string()) use(parameter, *text, leaf);
+                 }});
 }
 
 void warn_of(const std::vector<ParameterInfo>& parameters, const ConfigItem& item, Problems& warnings) {
-  for_each_given(parameters, item, Warn{warnings});
+  const auto warn_of_text = [&](const ParameterInfo& parameter, const ConfigItem& leaf) {
+    const std::string* const text = leaf.as_string();
+    const ParameterType& type = parameter.type;
+    const bool is_unit = (type.element.empty() ? type : type.element.front()).text == TextIs::unit;
+    if (text != nullptr && is_unit && !detail::is_ucum(*text))
+      warnings.add(
+          leaf.problem("unknown-unit", "\"" + *text + "\" is no unit of UCUM (ucum.org)", detail::ucum_for(*text)));
+    if (text != nullptr && type.text == TextIs::output_file) warn_of_placeholders(parameter, leaf, *text, warnings);
+  };
+  const auto warn_of_no_effect = [&](const ParameterInfo& parameter, const ConfigItem& value, const std::string& is) {
+    Problem problem = value.problem("no-effect", "it means nothing with `" + std::string(parameter.only_with.key) +
+                                                     "` " + is + ", only with " +
+                                                     detail::listed(parameter.only_with.values));
+    problem.place = value.key_place();
+    warnings.add(std::move(problem));
+  };
+  for_each_given(parameters, item, {warn_of_text, warn_of_no_effect});
 }
 
 void warn_of_plain_secrets(const ConfigItem& item, Problems& warnings) { look_for_secrets("", item, warnings); }
 
 void check_output_files(const std::vector<ParameterInfo>& parameters, const ConfigItem& item, Problems& problems) {
-  for_each_given(parameters, item, CheckFiles{problems});
+  for_each_given(parameters, item, {[&](const ParameterInfo& parameter, const ConfigItem& leaf) {
+                   if (parameter.type.text == TextIs::output_file) check_output_file(parameter, leaf, problems);
+                 }});
 }
 
 void collect_secrets(const std::vector<ParameterInfo>& parameters, const ConfigItem& item,
                      std::vector<std::string>& secrets) {
-  for_each_given(parameters, item, CollectSecrets{secrets});
+  for_each_given(parameters, item, {[&](const ParameterInfo& parameter, const ConfigItem& leaf) {
+                   const ParameterType& type = parameter.type;
+                   const bool is_text = type.kind == ParameterType::Kind::string || !type.element.empty();
+                   std::string secret;
+                   Problems ignored;
+                   if (is_text && is_secret_reference(leaf) && resolve_secret(leaf, secret, ignored))
+                     secrets.push_back(std::move(secret));
+                 }});
 }
 
 }  // namespace rtdata::config_detail

@@ -1,7 +1,6 @@
 #include "rtdata/config/read.hpp"
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <cstdlib>
 
@@ -106,7 +105,7 @@ bool is_name_of_something(TextIs is) {
 /// Where a key belongs that is often written elsewhere, or is another word for one that is known here; in the order in
 /// which they are tried. `known`: the key that is known here, and is meant or says what kind of item it is.
 struct Elsewhere {
-  std::string_view key, known, advice;
+  std::string_view keys, known, advice;
 };
 constexpr std::string_view in_process =
     "it belongs into `process`, below the field's name: {\"process\": "
@@ -121,52 +120,30 @@ constexpr std::string_view as_rate = "how often it is read is its `rate`, such a
 constexpr std::string_view as_path = "the file is named by `path`";
 constexpr std::string_view as_line = "the GPIO line is named by `line`: its number, its name, or chip:line";
 constexpr std::string_view of_sensor = "it belongs to the sensor that is on this bus";
-constexpr std::array<Elsewhere, 35> elsewhere{{{"rate", "max_line", "a serial line takes what comes: it has no rate"},
-                                               {"calibration", "process", in_process},
-                                               {"scale", "process", in_process},
-                                               {"offset", "process", in_process},
-                                               {"polynomial", "process", in_process},
-                                               {"calibrate", "process", in_process},
-                                               {"tare", "process", in_process},
-                                               {"filters", "process", in_filters},
-                                               {"filter", "process", in_filters},
-                                               {"median", "process", in_filters},
-                                               {"mean", "process", in_filters},
-                                               {"average", "process", in_filters},
-                                               {"throttle", "process", in_filters},
-                                               {"delta", "process", in_filters},
-                                               {"clamp", "process", in_filters},
-                                               {"pin", "line", as_line},
-                                               {"gpio", "line", as_line},
-                                               {"pin", "lines", "the GPIO lines stand in `lines`"},
-                                               {"device", "bus", on_bus},
-                                               {"port", "bus", on_bus},
-                                               {"port", "device", "the device is named by `device`"},
-                                               {"bus", "device",
-                                                "it is on no bus: the kernel's device is named by "
-                                                "`device`"},
-                                               {"interval", "rate", as_rate},
-                                               {"period", "rate", as_rate},
-                                               {"frequency", "rate", as_rate},
-                                               {"every", "rate", as_rate},
-                                               {"file", "path", as_path},
-                                               {"filename", "path", as_path},
-                                               {"topic", "topics",
-                                                "a sink has `topics`, a list of patterns such as "
-                                                "[\"room/+\"]"},
-                                               {"timeout", "bus", "it belongs to the bus, in `buses`"},
-                                               {"speed", "bus", "it belongs to the bus, in `buses`"},
-                                               {"address", "device", of_sensor},
-                                               {"chip_select", "device", of_sensor},
-                                               {"window", "process", in_filters},
-                                               {"sampling_rate", "rate", as_rate}}};
+constexpr Elsewhere elsewhere[] = {
+    {"rate", "max_line", "a serial line takes what comes: it has no rate"},
+    {"calibration scale offset polynomial calibrate tare", "process", in_process},
+    {"filters filter median mean average throttle delta clamp window", "process", in_filters},
+    {"pin gpio", "line", as_line},
+    {"pin", "lines", "the GPIO lines stand in `lines`"},
+    {"device port", "bus", on_bus},
+    {"port", "device", "the device is named by `device`"},
+    {"bus", "device", "it is on no bus: the kernel's device is named by `device`"},
+    {"interval period frequency every sampling_rate", "rate", as_rate},
+    {"file filename", "path", as_path},
+    {"topic", "topics", "a sink has `topics`, a list of patterns such as [\"room/+\"]"},
+    {"timeout speed", "bus", "it belongs to the bus, in `buses`"},
+    {"address chip_select", "device", of_sensor},
+};
 
 /// Null: nothing is known of the key.
 const Elsewhere* place_elsewhere(std::string_view key, const std::vector<std::string>& names) {
-  const auto found = std::find_if(elsewhere.begin(), elsewhere.end(), [&](const Elsewhere& one) {
-    return one.key == key && std::find(names.begin(), names.end(), one.known) != names.end();
-  });
-  return found != elsewhere.end() ? &*found : nullptr;
+  const std::string word = " " + std::string(key) + " ";
+  for (const Elsewhere& one : elsewhere)
+    if ((" " + std::string(one.keys) + " ").find(word) != std::string::npos &&
+        std::find(names.begin(), names.end(), one.known) != names.end())
+      return &one;
+  return nullptr;
 }
 
 }  // namespace

@@ -32,35 +32,10 @@ std::string limit_text(double value, TypeKind kind, std::string_view unit) {
 }
 
 std::string_view word_of(TypeKind kind) {
-  switch (kind) {
-    case TypeKind::any:
-      return "any";
-    case TypeKind::boolean:
-      return "boolean";
-    case TypeKind::integer:
-      return "integer";
-    case TypeKind::number:
-      return "number";
-    case TypeKind::character:
-      return "character";
-    case TypeKind::string:
-      return "string";
-    case TypeKind::duration:
-      return "duration";
-    case TypeKind::rate:
-      return "rate";
-    case TypeKind::text_or_integer:
-      return "string or integer";
-    case TypeKind::choice:
-      return "choice";
-    case TypeKind::list:
-      return "list";
-    case TypeKind::map:
-      return "map";
-    case TypeKind::object:
-      return "object";
-  }
-  return "any";
+  constexpr std::string_view words[] = {"any",      "boolean", "integer",           "number", "character", "string",
+                                        "duration", "rate",    "string or integer", "choice", "list",      "map",
+                                        "object"};
+  return words[static_cast<std::size_t>(kind)];
 }
 
 Json number_json(double value) {

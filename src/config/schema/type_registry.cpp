@@ -1,5 +1,7 @@
 #include "rtdata/config/type_registry.hpp"
 
+#include "data/listed.hpp"
+
 namespace rtdata {
 
 TypeRegistryBase::TypeRegistryBase(std::string what, std::vector<ParameterInfo> common)
@@ -49,11 +51,8 @@ const std::string* TypeRegistryBase::why_left_out(std::string_view type) const n
 std::size_t TypeRegistryBase::type_of(const ConfigItem& item, Problems& problems) const {
   if (!config_detail::check_is_object(item, problems)) return none;
   std::vector<std::string> names;
-  std::string listed;
-  for (const Type& known : types_) {
-    names.push_back(known.name);
-    listed += (listed.empty() ? "" : ", ") + known.name;
-  }
+  for (const Type& known : types_) names.push_back(known.name);
+  std::string listed = detail::listed(names);
   const ConfigItem* type = nullptr;
   for (const ConfigChild& child : item.children())
     if (child.key == "type") type = &child.item;
