@@ -4,6 +4,7 @@
 #include <set>
 
 #include "recordings.hpp"
+#include "sinks/scripted_peer.hpp"
 #include "sinks/sqlite/checksum.hpp"
 
 using namespace recordings;
@@ -195,6 +196,53 @@ TEST_SUITE("sinks") {
     }
   }
 
+  TEST_CASE("US-26 whatever is changed in what a recording keeps of its senders, verify sees it") {
+    const Folder folder;
+    const std::string path = folder / "run.db", changed = folder / "changed.db";
+    {  // the peer is away until a limit has deleted rows, then it refuses more than are remembered
+      bool is_away = true;
+      const auto peer = std::make_shared<sinks::ScriptedPeer::Script>();
+      peer->on_send = [&](const Parcel& parcel, Answer answer) {
+        if (is_away) return answer.again({Errc::disconnected, "cannot send", "peer", "it is away", ""});
+        for (std::size_t i = 0; i < parcel.rows().size(); ++i)
+          answer.refuse(i, {Errc::bad_data, "refused", "peer", "it takes none", ""});
+        answer.acknowledge();
+      };
+      Loop loop{Loop::Manual{}};
+      loop.on_error([](const ErrorReport&) {});
+      loop.runtime().on_log([](const LogRecord&) {});
+      SqliteSink recording(loop, {.path = path, .max_bytes = 4 << 20, .max_age = 5s, .sink = {.name = "recording"}});
+      Sink sink(loop, {.name = "peer", .retry_longest = 1s, .through = "recording"},
+                std::make_unique<sinks::ScriptedPeer>(peer));
+      for (int i = 0; i < 20; ++i) {
+        const auto topic = loop.topic<Climate>(i % 3 == 0 ? "b" : "a");
+        for (int n = 0; n < 500; ++n) topic.publish({1.0 * n, 40});
+        loop.advance(1s);
+        is_away = i < 10;
+      }
+      CHECK(loop.close(5s) == 0);
+    }
+    check_balanced(path);
+    const std::vector<std::string> tables(sqlite::sender_tables.begin(), sqlite::sender_tables.end());
+    for (const std::string& table : tables) CHECK(number(path, "SELECT count(*) FROM " + table) > 0);
+    for (unsigned long seed = 1; seed <= 60; ++seed) {
+      CAPTURE(seed);
+      std::filesystem::copy_file(path, changed, std::filesystem::copy_options::overwrite_existing);
+      std::string change;
+      {
+        auto database = sqlite::Database::open(changed, sqlite::Database::Mode::write);
+        const std::uint64_t before = content(database, tables);
+        for (unsigned long again = 0; again < 50 && change.empty(); ++again) {
+          change = Mutation(database, tables, seed * 1000 + again).make();
+          if (content(database, tables) == before) change.clear();
+        }
+      }
+      REQUIRE(!change.empty());
+      CAPTURE(change);
+      CHECK(seen_as(changed).find("what is kept of senders") != std::string::npos);
+    }
+  }
+
   TEST_CASE("US-26 gaps, rows and schedule that do not fit each other are seen without any checksum") {
     const Folder folder;
     const std::string path = folder / "run.db";
@@ -285,6 +333,20 @@ TEST_SUITE("sinks") {
              "DROP VIEW \"climate~utc\"",
              "DROP VIEW rtdata_run_utc",
              "DROP VIEW rtdata_field",
+             // Views that say something else.
+             "DROP VIEW \"climate~utc\"; CREATE VIEW \"climate~utc\" AS SELECT run, time, origin, sequence, '' AS utc, "
+             "time AS utc_ns, temperature, humidity FROM climate",
+             "DROP VIEW rtdata_run_utc; CREATE VIEW rtdata_run_utc AS SELECT run, name, host, state, '' AS started, '' "
+             "AS "
+             "ended, started AS started_ns, ended AS ended_ns FROM rtdata_run",
+             "DROP VIEW \"rtdata_gap~utc\"; CREATE VIEW \"rtdata_gap~utc\" AS SELECT *, first AS first_utc_ns, last AS "
+             "last_utc_ns, '' AS first_utc, '' AS last_utc FROM rtdata_gap",
+             "DROP VIEW rtdata_field; CREATE VIEW rtdata_field AS SELECT topic, version, table_name, 1 AS number, 'x' "
+             "AS "
+             "field, 'f64' AS type, 'V' AS unit, 0 AS optional FROM rtdata_topic",
+             "PRAGMA writable_schema = ON; UPDATE sqlite_schema SET sql = replace(sql, 'humidity', 'temperature') "
+             "WHERE "
+             "name = 'climate~utc'",
              "CREATE TRIGGER t AFTER INSERT ON rtdata_gap BEGIN DELETE FROM rtdata_gap; END",
          }) {
       check_seen(path, changed, change, sql);

@@ -831,6 +831,24 @@ TEST_SUITE("sinks") {
                             "UPDATE rtdata_topic SET version = 1 WHERE topic = 'plant/number'"),
               "has version 2 where 1 follows"));
     CHECK(has(problem_after("DELETE FROM rtdata_layout", "INSERT INTO rtdata_layout VALUES(1)"), "rtdata_layout"));
+    CHECK(has(problem_after("UPDATE rtdata_layout SET version = -1", "UPDATE rtdata_layout SET version = 1"),
+              "rtdata_layout"));
+    CHECK(has(problem_after("INSERT INTO rtdata_layout VALUES(1)",
+                            "DELETE FROM rtdata_layout; INSERT INTO rtdata_layout VALUES(1)"),
+              "rtdata_layout"));
+    for (const auto& [change, undo] :
+         {std::pair{"rtdata_run SET machine = machine || 'x'", "rtdata_run SET machine = rtrim(machine, 'x')"},
+          {"rtdata_topic SET first_run = first_run + 1", "rtdata_topic SET first_run = first_run - 1"},
+          {"rtdata_position SET stored_at = stored_at + '1 us'::interval",
+           "rtdata_position SET stored_at = stored_at - '1 us'::interval"}}) {
+      CHECK(has(problem_after(std::string("UPDATE ") + change, std::string("UPDATE ") + undo),
+                "rtdata_position: the checksum of its "));
+    }
+    for (const char* other : {"account_at + 1", "NULL"}) {
+      CHECK(has(problem_after(std::string("UPDATE rtdata_run SET account_at = ") + other,
+                              "UPDATE rtdata_run SET account_at = ended"),
+                "rtdata_run: account_at is not the end"));
+    }
     const auto error_after = [&](const std::string& change, const std::string& undo) {
       server.sql(database, change);
       const auto found = verify_server(config);

@@ -518,9 +518,10 @@ TEST_SUITE("sinks") {
       auto database = Database::open(path, Database::Mode::write);
       sqlite::Pruner pruner(SqliteConfig::least_max_bytes, Duration{0});
       sqlite::AccountSums sums;
+      sqlite::Positions positions;
       do {
         database.execute("BEGIN IMMEDIATE");
-        pruner.make_room(database, sums, from_nanoseconds(100'000'000'000));
+        pruner.make_room(database, sums, positions, from_nanoseconds(100'000'000'000));
         sums.write(database);
         database.execute("COMMIT");
       } while (pruner.has_more());

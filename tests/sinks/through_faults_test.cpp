@@ -270,6 +270,7 @@ TEST_SUITE("sinks") {
     CHECK(counts.stored == arrived.size());
     CHECK(counts.all_dropped() == counts.offered - counts.stored);
     CHECK(counts.queued == 0);
+    CHECK(Recording::open(folder / "run.db").or_throw().backlogs().or_throw().at(0).unsent == counts.all_dropped());
   }
 
   TEST_CASE("a backlog of a week: in order, in turns, with no more memory than a batch needs") {

@@ -1,11 +1,13 @@
 // Sinks that go through a recording: what is committed there is sent, in order, once it is; the position is kept in it.
 #include <doctest/doctest.h>
 
+#include <csignal>
 #include <filesystem>
 #include <map>
 #include <numeric>
 #include <sstream>
 
+#include "app/core/recording_commands.hpp"
 #include "rtdata/loop/account.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/sensors/feed.hpp"
@@ -13,6 +15,7 @@
 #include "rtdata/sinks/export.hpp"
 #include "rtdata/sinks/sender.hpp"
 #include "sinks/core/row_feed.hpp"
+#include "sinks/killed.hpp"
 #include "sinks/sqlite/sqlite_writer.hpp"
 #include "sinks/through_run.hpp"
 
@@ -25,6 +28,10 @@ using recordings::number;
 using recordings::sql;
 
 namespace {
+
+std::uint64_t unsent_in(const std::string& path) {
+  return Recording::open(path).or_throw().backlogs().or_throw().at(0).unsent;
+}
 
 Verdict verdict_of(const std::string& path) { return verify(Recording::open(path).or_throw()).or_throw().verdict(); }
 
@@ -561,6 +568,7 @@ TEST_SUITE("sinks") {
         dropped = counts.all_dropped();
         waiting = counts.queued;
       }
+      CHECK(unsent_in(path) == dropped);
       if (is_renewed) sql(path, "VACUUM");
       is_away = false;
       Run run(path, peer);
@@ -570,6 +578,66 @@ TEST_SUITE("sinks") {
       run.loop.close(1s);
       CHECK(peer->events.size() == waiting + 1);
       CHECK(dropped + waiting == published);
+    }
+  }
+
+  TEST_CASE("US-26 rows that a limit deletes before they are sent are in the recording's account, after a kill too") {
+    Folder folder;
+    const std::string path = folder / "run.db";
+    const auto run_for = [&](int seconds, const auto& each) {
+      bool is_away = true;
+      const Peer peer = peer_away_while(is_away);
+      Run run(path, peer, {.name = "peer"}, {.path = "", .max_age = 5s});
+      Ticker ticker(run.loop, {.period = 10ms}, [&](const Tick&) { run.publish(1); });
+      for (int i = 0; i < seconds; ++i) {
+        run.loop.advance(1s);
+        each(run);
+      }
+    };
+    // Of each state of the file: all rows that were ever in it.
+    constexpr const char* all = "SELECT (SELECT count(*) FROM a) + (SELECT total(count) FROM rtdata_unsent)";
+    std::ptrdiff_t warnings = 0;
+    run_for(20, [&](Run& run) {
+      CHECK(number(path, all) == number(path, "SELECT max(rowid) FROM a"));
+      warnings = std::count_if(run.errors.begin(), run.errors.end(), [](const std::string& error) {
+        return error.find("events are deleted before they are sent") != std::string::npos;
+      });
+      CHECK(warnings == (number(path, "SELECT count(*) FROM rtdata_unsent") > 0 ? 1 : 0));
+    });
+    CHECK(warnings == 1);
+    CHECK(number(path, "SELECT count(*) FROM rtdata_error WHERE text LIKE '%the peer of peer%'") == 1);
+    std::uint64_t before = unsent_in(path);
+    CHECK(before > 1000);
+    CHECK(before < 2000);
+    sinks::killed_in([&] {
+      run_for(20, [](Run&) {});
+      int seconds = 0;
+      run_for(20, [&](Run&) {
+        if (++seconds == 19) ::kill(::getpid(), SIGKILL);
+      });
+    });
+    CHECK(number(path, all) == number(path, "SELECT max(rowid) FROM a"));
+    CHECK(unsent_in(path) > 3 * before);
+    before = unsent_in(path);
+    auto peer = std::make_shared<ScriptedPeer::Script>();
+    {
+      Run run(path, peer);  // it is sealed, and all that is left is sent
+      run.loop.advance(10s);
+      CHECK(run.loop.close(5s) == 0);
+    }
+    CHECK(peer->events.size() == static_cast<std::size_t>(number(path, "SELECT count(*) FROM a")));
+    CHECK(unsent_in(path) == before);
+    const VerifyReport report = verify(Recording::open(path).or_throw()).or_throw();
+    CHECK(report.exit_code() == 0);
+    CHECK(report.unsent == std::map<std::string, std::uint64_t>{{"peer", before}});
+    CHECK(report.text().find("LOST: " + std::to_string(before) + " events that `max_bytes` or `max_age` deleted") !=
+          std::string::npos);
+    CHECK(report.to_json().find("\"peer\": " + std::to_string(before)) != std::string::npos);
+    for (const bool is_json : {false, true}) {
+      std::ostringstream out, err;
+      CHECK(app::info({.database = path, .show_as = is_json ? app::ShowAs::json : app::ShowAs::text}, out, err) == 0);
+      CHECK(out.str().find((is_json ? "\"unsent\": " : "deleted before they were sent: ") + std::to_string(before)) !=
+            std::string::npos);
     }
   }
 
@@ -651,6 +719,7 @@ TEST_SUITE("sinks") {
       const SinkCounts counts = run.sink.counts();
       CHECK(counts.offered == static_cast<std::uint64_t>(run.published));
       CHECK(counts.all_dropped() == 0);
+      CHECK(unsent_in(path) == 0);
       CHECK(counts.stored == counts.offered);
       CHECK(counts.balances());
       CHECK(count_all_once(*peer) == static_cast<std::size_t>(run.published));

@@ -820,6 +820,46 @@ TEST_CASE("US-26 a run that is being recorded by a living process is no mistake"
   CHECK(has(report.text(), "is still recording"));
 }
 
+TEST_CASE("US-26 a copy of the file alone, made while it was recorded, is told; one with its log is as the recording") {
+  const Folder folder;
+  const std::string path = folder / "run.db", alone = folder / "alone.db", whole = folder / "whole.db";
+  int ready[2] = {};
+  REQUIRE(::pipe(ready) == 0);
+  const pid_t child = sinks::fork_without_threads();
+  if (child == 0) {
+    Loop loop{Loop::Manual{}};
+    SqliteSink sink(loop, {.path = path});
+    Feed<Climate> feed(loop, {.name = "feed"});
+    for (int i = 0; i < 10; ++i) {
+      feed.publish({1.0 * i, 40});
+      loop.advance(std::chrono::seconds{1});
+    }
+    (void)!::write(ready[1], "x", 1);
+    for (;;) ::pause();
+  }
+  char byte = 0;
+  REQUIRE(::read(ready[0], &byte, 1) == 1);
+  std::filesystem::copy_file(path, alone);
+  std::filesystem::copy_file(path, whole);
+  std::filesystem::copy_file(path + "-wal", whole + "-wal");
+  const VerifyReport of_path = verified(path), of_alone = verified(alone), of_whole = verified(whole);
+  ::kill(child, SIGKILL);
+  REQUIRE(::waitpid(child, nullptr, 0) == child);
+  for (const int end : ready) ::close(end);
+  for (const VerifyReport* report : {&of_path, &of_whole}) {
+    CHECK(report->verdict() == Verdict::recording);
+    CHECK(report->runs.at(0).rows == 10);
+    CHECK(has(report->runs.at(0).notes.back(), " is still recording"));
+  }
+  CHECK(of_alone.verdict() == Verdict::unsealed);
+  CHECK(of_alone.exit_code() == 1);
+  CHECK(problems_of(of_alone) == "");
+  CHECK(of_alone.runs.at(0).rows == 0);
+  CHECK(has(of_alone.runs.at(0).notes.at(0), "of which this is a copy without its log (-wal)"));
+  CHECK(has(of_alone.runs.at(0).lines.at(0), "nothing lost that is known"));
+  CHECK(has(of_alone.runs.at(0).not_known.at(0), "this is a copy, made while it was recorded"));
+}
+
 TEST_CASE("US-26 a sealed run says what was lost, and is exit code 0 as long as its rows agree") {
   const Folder folder;
   const std::string path = make(folder);

@@ -188,6 +188,7 @@ struct RecordedBacklog {
   std::optional<Time> oldest = {};  ///< of those, UTC; none: nothing waits
   std::uint64_t refused = 0;        ///< events that its peer will never take: dropped
   std::uint64_t refused_keys = 0;   ///< of the newest of those the recording has the keys and the reasons
+  std::uint64_t unsent = 0;         ///< events that a limit of the recording deleted before its peer had them
 };
 
 /// Which rows. Everything is taken that is not left out.

@@ -104,7 +104,9 @@ struct VerifyReport {
   std::string path;
   std::vector<RunReport> runs;
   std::optional<DeletedReport> deleted;  ///< none: no run was deleted
-  std::vector<std::string> problems;     ///< that belong to no run
+  /// By sink that goes through it: events that a limit deleted before its peer had them.
+  std::map<std::string, std::uint64_t> unsent;
+  std::vector<std::string> problems;  ///< that belong to no run
 
   /// The verdict of the whole file: the worst of its runs (recording counts as balanced).
   Verdict verdict() const noexcept;

@@ -292,7 +292,8 @@ void print(const Recording& recording, const Content& content, InfoOptions::Gaps
                 ? ""
                 : "; refused: " + std::to_string(of.refused) + ", see rtdata_refused" +
                       (of.refused_keys == of.refused ? ""
-                                                     : ", which has the newest " + std::to_string(of.refused_keys)));
+                                                     : ", which has the newest " + std::to_string(of.refused_keys))) +
+           (of.unsent == 0 ? "" : "; deleted before they were sent: " + std::to_string(of.unsent));
   });
   out << "\nfields\n";
   print_fields(content.topics, out);
@@ -357,7 +358,8 @@ void print_json(const Recording& recording, const Content& content, InfoOptions:
                 {"events", of.events},
                 {"bytes", of.bytes},
                 {"oldest", of.oldest ? Json(to_nanoseconds(*of.oldest)) : Json()},
-                {"refused", of.refused}};
+                {"refused", of.refused},
+                {"unsent", of.unsent}};
   });
   if (gaps == InfoOptions::Gaps::listed) {
     list("gaps", content.gaps, [&](const RecordedGap& gap) {

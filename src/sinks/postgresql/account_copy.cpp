@@ -16,8 +16,6 @@ namespace {
 
 using sqlite::account_tables;
 
-constexpr const char* there_are_positions = "SELECT count(*) FROM sqlite_schema WHERE name = 'rtdata_position'";
-
 /// As COPY takes it: a line a row, tabs between the values.
 void append_text(std::string& out, std::string_view text) {
   for (const char c : text) {
@@ -141,7 +139,6 @@ void RunCopy::find_sources() {
 }
 
 std::uint64_t RunCopy::refused(std::string_view topic, std::string_view origin) const {
-  if (database_.integer(there_are_positions) == 0) return 0;
   auto count = database_.prepare(
       "SELECT count(*) FROM rtdata_refused WHERE sink = ? AND topic = ? AND origin = ? AND run = (SELECT uuid FROM "
       "rtdata_run WHERE run = ?)");
@@ -150,7 +147,6 @@ std::uint64_t RunCopy::refused(std::string_view topic, std::string_view origin) 
 }
 
 bool RunCopy::is_done_with(std::string_view topic, std::string_view origin) const {
-  if (database_.integer(there_are_positions) == 0) return false;
   auto tables = database_.prepare(
       "SELECT t.table_name, p.row FROM rtdata_topic t LEFT JOIN rtdata_position p ON p.table_name = t.table_name AND "
       "p.sink = ? WHERE t.topic = ?");
@@ -237,6 +233,11 @@ void RunCopy::write(Connection& connection) const {
   std::vector<std::string_view> data;
   std::string sums;
   const std::string run = std::to_string(run_);
+  const auto add_sum = [&](const std::string& name, std::size_t columns, const sqlite::RowSum& sum) {
+    sums += (sums.empty() ? "(" : ",(") + run + ",'" + name + "'," + std::to_string(columns) + "," +
+            std::to_string(sum.rows) + "," + std::to_string(static_cast<std::int64_t>(sum.sum)) + ")";
+  };
+  add_sum("rtdata_position", position_columns, sum_of_positions(connection, run_));
   for (std::size_t table = 0; table < account_tables.size(); ++table) {
     const std::string name(account_tables[table]);
     const bool is_run = name == "rtdata_run";
@@ -260,8 +261,7 @@ void RunCopy::write(Connection& connection) const {
       }
       sql += "account_at = c.ended FROM rtdata_run_copy c WHERE r.run = c.run;";
     }
-    sums += (sums.empty() ? "(" : ",(") + run + ",'" + name + "'," + std::to_string(columns_[table].size()) + "," +
-            std::to_string(sums_[table].rows) + "," + std::to_string(static_cast<std::int64_t>(sums_[table].sum)) + ")";
+    add_sum(name, columns_[table].size(), sums_[table]);
   }
   sql += "DELETE FROM rtdata_checksum WHERE run = " + run +
          ";INSERT INTO rtdata_checksum(run, table_name, columns, rows, sum) VALUES " + sums + ";COMMIT";
@@ -317,6 +317,23 @@ std::string names_of(const std::vector<AccountColumn>& columns) {
   std::string names;
   for (const AccountColumn& column : columns) names += (names.empty() ? "" : ",") + quoted_name(column.name);
   return names;
+}
+
+sqlite::RowSum sum_of_positions(Connection& connection, std::int64_t run) {
+  const Reply rows = connection.run(
+      "SELECT r.machine, p.topic, p.origin, p.table_name, p.first_sequence, p.last_sequence, p.rows, p.sum, "
+      "(extract(epoch FROM p.stored_at) * 1000000)::bigint, t.first_run FROM rtdata_run r LEFT JOIN rtdata_position p "
+      "ON p.run = r.run LEFT JOIN rtdata_topic t ON t.table_name = p.table_name WHERE r.run = " +
+      std::to_string(run));
+  sqlite::RowSum sum;
+  sqlite::RowHash hash;
+  for (int row = 0; row < rows.rows(); ++row) {
+    hash.begin();
+    for (int column = 0; column < position_columns; ++column)
+      rows.is_null(row, column) ? hash.null() : hash.text(rows.text(row, column));
+    sum.add(hash.hash());
+  }
+  return sum;
 }
 
 void copy_accounts(Connection& connection, const AccountCopy& copy) {

@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "sinks/postgresql/connection.hpp"
+#include "sinks/sqlite/checksum.hpp"
 #include "sinks/sqlite/database.hpp"
 
 namespace rtdata::postgresql {
@@ -24,6 +25,11 @@ struct AccountColumn {
 std::vector<std::vector<AccountColumn>> account_columns();
 /// Their names, as SQL lists them.
 std::string names_of(const std::vector<AccountColumn>& columns);
+
+/// What the server alone has of a run: its machine, its positions, and the run with which each of their tables came. Of
+/// one that has ended it stays, and stands in rtdata_checksum as rtdata_position.
+constexpr int position_columns = 10;
+sqlite::RowSum sum_of_positions(Connection& connection, std::int64_t run);
 
 struct AccountCopy {
   std::string recording;            ///< path

@@ -21,6 +21,7 @@
 #include "sinks/postgresql/postgresql_writer.hpp"
 #include "sinks/postgresql/server_table.hpp"
 #include "sinks/sqlite/account_sums.hpp"
+#include "sinks/sqlite/recording_file.hpp"
 #include "sinks/sqlite/schema.hpp"
 #include "sinks/sqlite/topic_table.hpp"
 #include "sinks/sqlite/utc_line.hpp"
@@ -217,8 +218,8 @@ void Download::all() {
            "into"});
     }
   }
-  database_.execute(std::string("PRAGMA journal_mode=OFF;PRAGMA synchronous=OFF;BEGIN;") + sqlite::schema +
-                    sqlite::run_view());
+  database_.execute("PRAGMA journal_mode=OFF;PRAGMA synchronous=OFF;BEGIN");
+  sqlite::make_recording(database_);
   read_layout();
   read_topics();
   const Reply rows = connection_.run("SELECT run, account_at IS NOT NULL, uuid, machine FROM rtdata_run ORDER BY run");
@@ -227,18 +228,23 @@ void Download::all() {
     runs.push_back({rows.integer(row, 0), rows.text(row, 1) == "t", std::string(rows.text(row, 2)),
                     std::string(rows.text(row, 3))});
   look_for_other_runs();
+  if (tables_.contains("rtdata_checksum")) {
+    const Reply odd = connection_.run("SELECT run FROM rtdata_run WHERE account_at IS DISTINCT FROM ended");
+    for (int row = 0; row < odd.rows(); ++row)
+      problems.emplace_back(odd.integer(row, 0), "rtdata_run: account_at is not the end of the account that is there.");
+  }
   for (const Run& run : runs) copy_run(run);
   for (const Run& run : runs) sums_.add_run(database_, run.run);
   sums_.write(database_);
   sqlite::write_utc_lines(database_);
-  database_.execute(sqlite::account_views() + ";PRAGMA application_id=" + std::to_string(sqlite::application_id) +
-                    ";PRAGMA user_version=" + std::to_string(sqlite::schema_version) + ";COMMIT");
+  database_.execute("COMMIT");
 }
 
 void Download::read_layout() {
-  const std::int64_t version = connection_.run("SELECT coalesce(max(version), 0) FROM rtdata_layout").integer(0, 0);
-  if (version == 0) problems.emplace_back(no_run, "rtdata_layout does not say of which version it is.");
-  check_layout(version);
+  const Reply layout = connection_.run("SELECT coalesce(max(version), 0), count(*) FROM rtdata_layout");
+  check_layout(layout.integer(0, 0));
+  if (layout.integer(0, 0) != layout_version || layout.integer(0, 1) != 1)
+    problems.emplace_back(no_run, "rtdata_layout does not say, in one row, of which version it is.");
 }
 
 void Download::read_topics() {
@@ -481,11 +487,7 @@ void Download::compare_account(const Run& run) {
   if (!tables_.contains("rtdata_checksum")) return;
   const Reply lines = connection_.run("SELECT table_name, columns, rows, sum FROM rtdata_checksum" + run.is_of());
   sqlite::RowHash hash;
-  for (const std::string_view table : account_tables) {
-    auto rows = database_.prepare("SELECT * FROM " + std::string(table) + run.is_of());
-    const int columns = sqlite::hashed_columns(rows.raw());
-    sqlite::RowSum found;
-    while (rows.step()) found.add(sqlite::hash_of(hash, rows.raw(), 1, columns));
+  const auto compare_sum = [&](std::string_view table, int columns, const sqlite::RowSum& found) {
     bool agrees = false;
     for (int line = 0; line < lines.rows(); ++line) {
       const auto at = [&](int column) { return static_cast<std::uint64_t>(lines.integer(line, column)); };
@@ -496,6 +498,14 @@ void Download::compare_account(const Run& run) {
       problems.emplace_back(run.run, std::string(table) + ": the checksum of its " + std::to_string(found.rows) +
                                          " rows is another than when they were sent, or is not there: a row was "
                                          "changed, added or deleted.");
+  };
+  compare_sum("rtdata_position", position_columns, sum_of_positions(connection_, run.run));
+  for (const std::string_view table : account_tables) {
+    auto rows = database_.prepare("SELECT * FROM " + std::string(table) + run.is_of());
+    const int columns = sqlite::hashed_columns(rows.raw());
+    sqlite::RowSum found;
+    while (rows.step()) found.add(sqlite::hash_of(hash, rows.raw(), 1, columns));
+    compare_sum(table, columns, found);
   }
 }
 
@@ -536,7 +546,9 @@ Result<ServerRecording> download(const PostgresqlConfig& config) try {
     notes = std::move(all.notes);
     database = sqlite::Database();
   }
-  return ServerRecording{folder, Recording::open(path).or_throw(), std::move(problems), std::move(notes)};
+  auto recording = Recording::open(path).or_throw();
+  recording.file()->is_of_server = true;
+  return ServerRecording{folder, std::move(recording), std::move(problems), std::move(notes)};
 } catch (const SetupError& error) {
   return error.error();
 }

@@ -47,9 +47,10 @@ void AccountSums::add_topic(const Database& database, std::string_view table, Ro
 
 void AccountSums::write(Database& database) {
   for (const auto& [number, change] : changes_) {
-    const std::string sum = number == all_runs ? "sum" : quoted(checksum_column);
-    const std::string where = number == all_runs ? "" : " WHERE run = " + std::to_string(number);
-    const std::string table = number == all_runs ? "rtdata_checksum" : "rtdata_run";
+    const bool is_run = number != all_runs && number != of_senders;
+    const std::string sum = is_run ? quoted(checksum_column) : number == all_runs ? "sum" : "senders";
+    const std::string where = is_run ? " WHERE run = " + std::to_string(number) : "";
+    const std::string table = is_run ? "rtdata_run" : "rtdata_checksum";
     auto before = database.integer("SELECT " + sum + " FROM " + table + where);
     auto update = database.prepare("UPDATE " + table + " SET " + sum + " = ?" + where);
     update.bind(1, static_cast<std::int64_t>(static_cast<std::uint64_t>(before) + change));

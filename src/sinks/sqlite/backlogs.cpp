@@ -50,25 +50,11 @@ std::vector<Stored> with_other_tables(std::vector<Stored> stored, const std::vec
   return all;
 }
 
-/// The number that the row of the position has now: VACUUM changes them. 0: all rows come after it.
-std::int64_t row_of(const detail::RecordingFile& file, const std::string& table, const Position& position) {
-  if (position.row == 0) return std::int64_t{0};
-  const std::string from = " FROM " + quoted(table) + " WHERE run = ?2 AND origin = ?3 AND sequence = ?4";
-  auto query = file.prepare("SELECT coalesce((SELECT _rowid_" + from + " AND _rowid_ = ?1), (SELECT _rowid_" + from +
-                            "), (SELECT ?1 WHERE (SELECT min(_rowid_) FROM " + quoted(table) + ") > ?1), 0)");
-  query.bind(1, position.row).bind(2, position.run).bind(3, position.origin).bind(4, position.sequence);
-  query.step();
-  return query.integer(0);
-}
-
 }  // namespace
 
 Result<std::vector<RecordedBacklog>> Recording::backlogs() const try {
   std::vector<RecordedBacklog> backlogs;
   const auto number = [&](const std::string& sql) { return file_->database.integer(sql); };
-  auto has_tables = number("SELECT count(*) FROM sqlite_schema WHERE name IN ('rtdata_position', 'rtdata_refused')");
-  if (has_tables != 2) return backlogs;
-  auto has_before = number("SELECT count(*) FROM sqlite_schema WHERE name = 'rtdata_refused_before'");
   const auto count_of = [&](const std::string& sink, const char* sql) {
     auto query = file_->prepare(sql);
     query.bind(1, sink);
@@ -83,15 +69,14 @@ Result<std::vector<RecordedBacklog>> Recording::backlogs() const try {
       made.sink = one.sink;
       made.host = one.host;
       auto kept = count_of(one.sink, "SELECT count(*) FROM rtdata_refused WHERE sink = ?");
-      made.refused = made.refused_keys = kept;
-      if (has_before != 0) {
-        made.refused += count_of(one.sink, "SELECT coalesce(sum(count), 0) FROM rtdata_refused_before WHERE sink = ?");
-      }
+      made.refused_keys = kept;
+      made.refused = kept + count_of(one.sink, "SELECT total(count) FROM rtdata_refused_before WHERE sink = ?");
+      made.unsent = count_of(one.sink, "SELECT total(count) FROM rtdata_unsent WHERE sink = ?");
     }
     RecordedBacklog& backlog = backlogs.back();
     for (const RecordedTopic& topic : topics) {
       if (topic.table != one.table) continue;
-      auto after = row_of(*file_, one.table, one.position);
+      auto after = sqlite::row_of(file_->database, one.table, one.position);
       const std::string rows = " FROM " + quoted(one.table) + " WHERE _rowid_ > " + std::to_string(after);
       auto waits = number("SELECT count(*)" + rows);
       if (waits == 0) continue;

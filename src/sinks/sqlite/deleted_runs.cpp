@@ -97,7 +97,6 @@ std::vector<std::int64_t> runs_without_rows(const Database& database, std::int64
 }
 
 void delete_run(Database& database, std::int64_t run) {
-  database.execute(deleted_schema);
   for (const std::string& sum : {sums_of_origins(), sum_of_run()}) run_with(database, sum, run);
   std::string boot;
   {
@@ -116,8 +115,6 @@ void delete_run(Database& database, std::int64_t run) {
 
 Result<DeletedRuns> Recording::deleted_runs() const try {
   DeletedRuns deleted;
-  auto has_table = file_->database.integer("SELECT count(*) FROM sqlite_schema WHERE name = 'rtdata_deleted'");
-  if (has_table == 0) return deleted;
   auto query = file_->prepare(
       "SELECT topic, origin, runs, first_run, last_run, started, ended, sealed, scheduled, missed, failed, late, "
       "received, published, unreadable, lost, offered, stored, dropped_newest, dropped_oldest, dropped_refused, "

@@ -8,11 +8,13 @@
 #include <functional>
 #include <map>
 #include <mutex>
+#include <set>
 #include <string>
 #include <string_view>
 #include <utility>
 #include <vector>
 
+#include "sinks/sqlite/account_sums.hpp"
 #include "sinks/sqlite/database.hpp"
 
 namespace rtdata::sqlite {
@@ -59,12 +61,21 @@ CREATE TABLE IF NOT EXISTS rtdata_refused(
   PRIMARY KEY(sink, topic, run, origin, sequence)) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS rtdata_refused_before(  -- how many more a sink was refused, whose keys are not kept
   sink TEXT NOT NULL PRIMARY KEY, count INTEGER NOT NULL) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS rtdata_unsent(  -- rows that a limit deleted before the sink's peer had them
+  sink TEXT NOT NULL, topic TEXT NOT NULL, count INTEGER NOT NULL,
+  PRIMARY KEY(sink, topic)) WITHOUT ROWID;
 )sql";
+
+/// The number that the row of the position has now: VACUUM changes them. 0: all rows come after it.
+std::int64_t row_of(const Database& database, std::string_view table, const Position& position);
 
 /// Thread: any, but for the calls of the recording's writer.
 class Positions {
  public:
+  /// The sink goes on after that row, whether its peer has those before it or not.
   void set(const std::string& sink, const std::string& table, Position position);
+  /// It is done with all rows up to this one: its peer has them, or refused them.
+  void settle(const std::string& sink, const std::string& table, Position position);
   /// A sink of these topics goes through the recording. The file knows of it, and of where it begins, from the next
   /// transaction on: what that one brings is the first that comes "now".
   void begin(const std::string& sink, std::string topics, bool at_beginning, const void* owner);
@@ -98,10 +109,16 @@ class Positions {
   bool is_dirty() const;
   /// In a transaction, before its rows: where sinks begin that the file does not know.
   void write_begins(Database& database);
-  /// In a transaction: stores what has changed.
-  void write(Database& database);
+  /// In a transaction, before a limit deletes the table's rows up to this one: counts them for the sinks that are not
+  /// done with them.
+  void count_unsent(Database& database, AccountSums& sums, const std::string& topic, const std::string& table,
+                    std::int64_t up_to);
+  /// In a transaction: stores what has changed. `sums` gets what changes in `sender_tables`.
+  void write(Database& database, AccountSums& sums);
   void committed() noexcept;
   void rolled_back() noexcept;
+  /// The sinks that have begun to lose rows so since the last call, with commas between; empty: none.
+  std::string take_losing() noexcept { return std::exchange(losing_, {}); }
 
   /// While one lives, its sink reads the recording.
   class Reading {
@@ -128,9 +145,16 @@ class Positions {
   };
 
  private:
-  void forget_refusals(Database& database);
+  void forget_refusals(Database& database, AccountSums& sums);
 
   using Key = std::pair<std::string, std::string>;
+  /// Rows of a table that were counted as unsent; those that are under way may be settled yet.
+  struct Unsent {
+    std::string topic;
+    std::int64_t after = 0, up_to = 0;  // row numbers
+    std::int64_t settled = 0;           // of them, to be taken off again
+    bool is_new = false;                // not committed yet
+  };
   struct GoingThrough {
     std::string topics;  // lines
     bool at_beginning = false;
@@ -147,6 +171,11 @@ class Positions {
   std::map<Refusal, std::string> refusals_;  // and their reasons
   std::map<Refusal, std::string> refusals_in_transaction_;
   std::map<std::string, Committed> last_rows_;
+  std::map<Key, Unsent> unsent_;
+  std::map<Key, std::int64_t> settled_in_transaction_;
+  std::map<std::string, std::int64_t> unsent_in_transaction_;  // by sink; 0: all that was deleted was sent
+  std::set<std::string> are_losing_;                           // sinks
+  std::string losing_;                                         // of which this has not been told
   std::int64_t run_ = 0;
   std::int64_t most_refused_bytes_ = 0;
   std::int64_t refused_bytes_ = -1;  // about, of those that are stored; -1: not known

@@ -125,7 +125,7 @@ Pruner::Pages Pruner::pages(Database& database) {
   return now;
 }
 
-std::int64_t Pruner::delete_rows(AccountSums& sums, Table& table, std::int64_t row, const Limit& limit) {
+std::int64_t Pruner::delete_rows(const Work& on, Table& table, std::int64_t row, const Limit& limit) {
   std::int64_t up_to = 0;
   for (Statement& end : table.ends) {
     const bool found = end.bind(1, row).step();
@@ -139,6 +139,7 @@ std::int64_t Pruner::delete_rows(AccountSums& sums, Table& table, std::int64_t r
   }
   up_to = std::min(up_to, table.last_rowid);
   if (up_to < table.first_rowid) return 0;
+  if (on.positions != nullptr) on.positions->count_unsent(on.database, on.sums, table.topic, table.name, up_to);
   std::int64_t deleted = 0;
   table.count.bind(1, up_to);
   while (table.count.step()) {
@@ -146,7 +147,7 @@ std::int64_t Pruner::delete_rows(AccountSums& sums, Table& table, std::int64_t r
     for (Statement* statement : {&ledger_before_, &count_pruned_})
       statement->bind(1, table.count.integer(0)).bind(2, table.topic).bind(3, origin);
     count_pruned_.bind(4, table.count.integer(2));
-    sums.replace(ledger_before_, count_pruned_);
+    on.sums.replace(ledger_before_, count_pruned_);
     deleted += table.count.integer(2);
   }
   table.count.reset();
@@ -157,7 +158,7 @@ std::int64_t Pruner::delete_rows(AccountSums& sums, Table& table, std::int64_t r
   return deleted;
 }
 
-std::int64_t Pruner::delete_beyond(AccountSums& sums, const Limit& limit) {
+std::int64_t Pruner::delete_beyond(const Work& on, const Limit& limit) {
   const std::int64_t most = std::max(least_rows, most_rows / std::max<std::int64_t>(std::ssize(tables_), 1));
   std::int64_t deleted = 0;
   for (Table& table : tables_) {
@@ -170,7 +171,7 @@ std::int64_t Pruner::delete_beyond(AccountSums& sums, const Limit& limit) {
       table.up_to.step();
       const std::int64_t last = table.up_to.integer(table.up_to.is_null(0) ? 1 : 0);
       table.up_to.reset();
-      auto count = delete_rows(sums, table, std::min(last, table.last_rowid), limit);
+      auto count = delete_rows(on, table, std::min(last, table.last_rowid), limit);
       if (count == 0) break;
       deleted += count;
       left -= count;
@@ -179,13 +180,12 @@ std::int64_t Pruner::delete_beyond(AccountSums& sums, const Limit& limit) {
   return deleted;
 }
 
-std::int64_t Pruner::delete_part_of_future(AccountSums& sums, std::int64_t now) {
+std::int64_t Pruner::delete_part_of_future(const Work& on, std::int64_t now) {
   std::int64_t deleted = 0;
   for (Table& table : tables_) {
     if (!table.has_rows() || table.first_time < now) continue;
     const std::int64_t part = (table.last_rowid - table.first_rowid) / steps_of_a_span;
-    deleted += delete_rows(sums, table, std::min(table.first_rowid + std::min(part, most_rows), table.last_rowid),
-                           {now});
+    deleted += delete_rows(on, table, std::min(table.first_rowid + std::min(part, most_rows), table.last_rowid), {now});
   }
   return deleted;
 }
@@ -205,7 +205,7 @@ std::int64_t Pruner::end_of_step(std::int64_t time, const Pages& now, std::int64
   return time;
 }
 
-void Pruner::make_room(Database& database, AccountSums& sums, Time now) {
+void Pruner::make_room(Database& database, AccountSums& sums, Positions& positions, Time now) {
   has_more_ = is_exhausted_ = false;
   const std::int64_t at = to_nanoseconds(now);
   share_.hold(database, sums);
@@ -220,12 +220,16 @@ void Pruner::make_room(Database& database, AccountSums& sums, Time now) {
                                             : of_limit(1) - of_limit(10) - of_limit(20);
   const bool is_too_large = left.used() > most;
   const bool is_time = max_age_.count() > 0 && at >= next_look_;
-  if (is_too_large || is_time) find_tables(database, at);
+  Work on{database, sums, nullptr};
+  if (is_too_large || is_time) {
+    find_tables(database, at);
+    if (database.integer("SELECT EXISTS(SELECT 1 FROM rtdata_position)") != 0) on.positions = &positions;
+  }
   // About as much as came since, so that one transaction's log stays small: what is left follows.
   const std::int64_t enough = std::max({least_pages, 2 * (left.used() - used_before_), of_limit(40)});
   if (is_time) {
     const Limit limit{at - max_age_.count(), max_age_.count(), true};
-    auto deleted = delete_beyond(sums, limit);
+    auto deleted = delete_beyond(on, limit);
     has_more_ = deleted > 0 && std::any_of(tables_.begin(), tables_.end(),
                                            [&](const Table& table) { return is_beyond(table, limit); });
     if (!has_more_) delete_runs(database, at - max_age_.count(), 0, enough);
@@ -252,9 +256,9 @@ void Pruner::make_room(Database& database, AccountSums& sums, Time now) {
       if (first < at) {
         const std::int64_t step = std::max<std::int64_t>(1, (at - first) / steps_of_a_span);
         auto end = end_of_step(first + step * (std::int64_t{1} << shift), left, goal);
-        deleted += delete_beyond(sums, {std::max(end, first + 1)});
+        deleted += delete_beyond(on, {std::max(end, first + 1)});
       }
-      deleted += delete_part_of_future(sums, at);
+      deleted += delete_part_of_future(on, at);
       shift = deleted > 0 ? 0 : shift + 1;
       left = pages(database);
       if (begin.used() - left.used() >= enough && left.used() > goal) {

@@ -12,6 +12,7 @@
 #include "sinks/sqlite/account_share.hpp"
 #include "sinks/sqlite/account_sums.hpp"
 #include "sinks/sqlite/database.hpp"
+#include "sinks/sqlite/positions.hpp"
 
 namespace rtdata::sqlite {
 
@@ -31,8 +32,8 @@ class Pruner {
   std::uint64_t log_bytes() const noexcept { return max_bytes_ / 10; }
 
   /// Within a transaction: deletes rows beyond the limits, about as much as a transaction may write. `now` is on the
-  /// line of the recorded times. `sums` gets what changes in the account.
-  void make_room(Database& database, AccountSums& sums, Time now);
+  /// line of the recorded times. `sums` gets what changes in the account. `positions`: of those who send the rows.
+  void make_room(Database& database, AccountSums& sums, Positions& positions, Time now);
   /// The last call did not delete all that is beyond the limits.
   bool has_more() const noexcept { return has_more_; }
   /// All rows that may be deleted are, and what is left is still too large.
@@ -80,6 +81,12 @@ class Pruner {
     std::int64_t all = 0, free = 0, bytes = 1;  // bytes: of one
     std::int64_t used() const noexcept { return all - free; }
   };
+  /// What a transaction works on.
+  struct Work {
+    Database& database;
+    AccountSums& sums;
+    Positions* positions;  // null: nobody sends
+  };
   void find_lines(Database& database, std::int64_t now);
   Line line_of(std::int64_t run) const;
   /// What is to go: rows from before `time`, and all of an earlier run that are `age` old at least.
@@ -97,12 +104,12 @@ class Pruner {
   /// pauses.
   std::int64_t end_of_step(std::int64_t time, const Pages& now, std::int64_t goal);
   /// Deletes some thousand rows of what is beyond the limit at most. The number of rows.
-  std::int64_t delete_beyond(AccountSums& sums, const Limit& limit);
+  std::int64_t delete_beyond(const Work& on, const Limit& limit);
   /// Of tables that begin later than now (a device's clock is wrong, or the computer's was) the first rows: as much of
   /// them as of the time that the others span.
-  std::int64_t delete_part_of_future(AccountSums& sums, std::int64_t now);
+  std::int64_t delete_part_of_future(const Work& on, std::int64_t now);
   /// The only place where rows are deleted: up to the end of the transaction that has this row, or of the one before.
-  std::int64_t delete_rows(AccountSums& sums, Table& table, std::int64_t row, const Limit& limit);
+  std::int64_t delete_rows(const Work& on, Table& table, std::int64_t row, const Limit& limit);
   /// Deletes runs of which no row is left, until enough pages are free. `ended_before`: only those.
   void delete_runs(Database& database, std::int64_t ended_before, std::int64_t goal, std::int64_t enough);
   void shrink(Database& database, const Pages& now);

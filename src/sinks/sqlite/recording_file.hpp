@@ -15,6 +15,7 @@ namespace rtdata::detail {
 struct RecordingFile {
   sqlite::Database database;
   int snapshots = 0;
+  bool is_of_server = false;  // made of what a server has
 
   /// Like Database::prepare; what does not fit the schema is damaged.
   sqlite::Statement prepare(const std::string& sql) const;

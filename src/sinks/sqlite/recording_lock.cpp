@@ -58,6 +58,13 @@ Error held(const std::string& recording, const std::string& holder, const char* 
 
 constexpr const char* to_stop_other = "stop that one, or record into another file";
 
+struct Descriptor {
+  const int fd;
+  ~Descriptor() {
+    if (fd >= 0) ::close(fd);
+  }
+};
+
 std::string first_line_of(int fd) {
   std::array<char, longest_note> text{};
   const ssize_t got = ::pread(fd, text.data(), text.size(), 0);
@@ -103,14 +110,19 @@ Result<RecordingLock> RecordingLock::take(const std::string& recording) {
   return made;
 }
 
+bool RecordingLock::is_free(const std::string& recording) noexcept try {
+  const std::string path = recording + "-lock";
+  const Descriptor lock{::open(path.c_str(), (lock_flags & ~O_ACCMODE) | O_RDONLY)};
+  if (lock.fd < 0) return errno == ENOENT;
+  const auto holder = detail::other_lock_holder(lock.fd, path);
+  return holder && holder->empty();
+} catch (...) {  // no memory
+  return false;
+}
+
 Result<void> RecordingLock::check_free(const std::string& recording) {
   const std::string path = recording + "-lock";
-  struct Descriptor {
-    const int fd;
-    ~Descriptor() {
-      if (fd >= 0) ::close(fd);
-    }
-  } const lock{::open(path.c_str(), lock_flags)};
+  const Descriptor lock{::open(path.c_str(), lock_flags)};
   struct stat about {};
   if (lock.fd < 0 && errno != ENOENT) return failed(errno, path);
   if (lock.fd < 0) {

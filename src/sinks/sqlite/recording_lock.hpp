@@ -19,6 +19,8 @@ class RecordingLock {
   static Result<RecordingLock> take(const std::string& recording);
   /// Whether `take` would do, but for what this process itself has locked. Makes and locks nothing. Errors: of `take`.
   static Result<void> check_free(const std::string& recording);
+  /// Nobody records into it, as far as this user may look.
+  static bool is_free(const std::string& recording) noexcept;
   RecordingLock(RecordingLock&& other) noexcept;
   RecordingLock& operator=(RecordingLock&& other) noexcept;
   /// Unlocks. The file stays unless `remove` was called.

@@ -15,6 +15,8 @@
 
 namespace rtdata::sqlite {
 
+class Database;
+
 inline constexpr int application_id = 0x72744442;  // "rtDB"
 inline constexpr int schema_version = 1;           // PRAGMA user_version
 
@@ -105,13 +107,32 @@ CREATE TABLE IF NOT EXISTS rtdata_health(  -- each change, or several of one obj
   count INTEGER NOT NULL DEFAULT 1, -- changes
   last INTEGER NOT NULL DEFAULT 0); -- of `count` that are joined, `time` is that of the first; 0: as `time`
 CREATE TABLE IF NOT EXISTS rtdata_checksum(
-  sum INTEGER NOT NULL);            -- of the hashes of the rows of rtdata_topic, each with the columns of its table
-INSERT INTO rtdata_checksum VALUES(0);
+  sum INTEGER NOT NULL,             -- of the hashes of the rows of rtdata_topic, each with the columns of its table
+  senders INTEGER NOT NULL);        -- of those of the rows of rtdata_refused, rtdata_refused_before, rtdata_unsent
+INSERT INTO rtdata_checksum VALUES(0, 0);
 CREATE TABLE IF NOT EXISTS rtdata_configuration(  -- changes since the text in rtdata_run
   run INTEGER NOT NULL, time INTEGER NOT NULL,
   object TEXT NOT NULL,             -- the part that was added, changed or removed; empty: the whole configuration
   text TEXT NOT NULL,               -- of the part or of the whole; empty: the part was removed
   count INTEGER NOT NULL DEFAULT 1);  -- changes of the object up to this one that are joined
+CREATE TABLE IF NOT EXISTS rtdata_deleted(  -- sums over the runs that were deleted since none of their rows was left
+  topic TEXT NOT NULL, origin TEXT NOT NULL,       -- both empty: of the runs themselves
+  runs INTEGER NOT NULL,                           -- that were deleted and had it
+  first_run INTEGER NOT NULL, last_run INTEGER NOT NULL,
+  started INTEGER NOT NULL, ended INTEGER NOT NULL,  -- of the first, of the last
+  sealed INTEGER NOT NULL,                         -- of the runs: those that were not closed
+  scheduled INTEGER NOT NULL, missed INTEGER NOT NULL, failed INTEGER NOT NULL, late INTEGER NOT NULL,
+  received INTEGER NOT NULL, published INTEGER NOT NULL, unreadable INTEGER NOT NULL, lost INTEGER NOT NULL,
+  not_detectable INTEGER NOT NULL,                 -- runs without a schedule whose source numbered nothing
+  offered INTEGER NOT NULL, stored INTEGER NOT NULL,
+  dropped_newest INTEGER NOT NULL, dropped_oldest INTEGER NOT NULL, dropped_refused INTEGER NOT NULL,
+  dropped_unsaved INTEGER NOT NULL,                -- of the runs: of sensors that had only begun
+  pruned INTEGER NOT NULL,
+  outages INTEGER NOT NULL, outage_time INTEGER NOT NULL, outages_joined INTEGER NOT NULL,
+  PRIMARY KEY(topic, origin)) WITHOUT ROWID;
 )sql";
+
+/// Makes the tables and views of a recording in an empty file.
+void make_recording(const Database& database);
 
 }  // namespace rtdata::sqlite

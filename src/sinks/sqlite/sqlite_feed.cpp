@@ -32,10 +32,7 @@ void SqliteFeed::open() {
 
 void SqliteFeed::look_at_beginning() {
   const detail::RecordingFile& file = *recording_->file();
-  auto has_table = file.database.integer("SELECT count(*) FROM sqlite_schema WHERE name = 'rtdata_position'");
-  is_new_ = true;
   topics_before_.clear();
-  if (has_table == 0) return;
   auto known = file.prepare("SELECT host, origin FROM rtdata_position WHERE sink = ? AND table_name = ''");
   known.bind(1, config_.sink);
   const bool row = known.step();
@@ -167,17 +164,12 @@ std::int64_t SqliteFeed::number(const std::string& sql, const Position& position
 
 Position SqliteFeed::position_in(const Table& table) {
   const detail::RecordingFile& file = *recording_->file();
-  auto has_table = file.database.integer("SELECT count(*) FROM sqlite_schema WHERE name = 'rtdata_position'");
   Position position;
-  bool is_stored = false;
-  if (has_table != 0) {
-    auto stored = file.prepare(
-        "SELECT row, run, origin, sequence FROM rtdata_position WHERE sink = ? AND table_name = ?");
-    stored.bind(1, config_.sink).bind(2, table.topic.table);
-    const bool row = stored.step();
-    is_stored = row;
-    if (row) position = {stored.integer(0), stored.integer(1), std::string(stored.text(2)), stored.integer(3)};
-  }
+  auto stored = file.prepare(
+      "SELECT row, run, origin, sequence FROM rtdata_position WHERE sink = ? AND table_name = ?");
+  stored.bind(1, config_.sink).bind(2, table.topic.table);
+  const bool is_stored = stored.step();
+  if (is_stored) position = {stored.integer(0), stored.integer(1), std::string(stored.text(2)), stored.integer(3)};
   if (is_stored && position.row != 0) return position_now(table, std::move(position));
   if (!is_stored) {
     const bool is_new = is_new_ || (!topics_before_.empty() && !has_topic(topics_before_, table.topic.topic));
@@ -381,7 +373,7 @@ void SqliteFeed::settled(std::size_t rows) noexcept {
       removed_.fetch_add(mark.removed_before, std::memory_order_relaxed);
     }
     for (Table& table : tables_) {
-      if (std::exchange(table.has_moved, false)) positions_->set(config_.sink, table.topic.table, table.done);
+      if (std::exchange(table.has_moved, false)) positions_->settle(config_.sink, table.topic.table, table.done);
     }
   } catch (...) {  // no memory: the position in the file stays behind, and a start sends some again
   }

@@ -36,6 +36,13 @@ std::string host_name() {
   return ::gethostname(name, sizeof name - 1) == 0 ? name : "";
 }
 
+void make_recording(const Database& database) {
+  std::string sql = std::string(schema) + position_schema;
+  for (const View& view : account_views()) sql += view.sql + ";";
+  database.execute(sql + "PRAGMA application_id=" + std::to_string(application_id) +
+                   ";PRAGMA user_version=" + std::to_string(schema_version));
+}
+
 void SqliteWriter::begin() {
   check_path(config_.path).or_throw();
   database_ = Database::open(config_.path, Database::Mode::write, permissions_);
@@ -58,7 +65,7 @@ void SqliteWriter::begin_in(const std::string& recording) {
   auto remarks = seal_runs(database_, recording, lock_.noted(), sums_, used);
   begin_run();
   // A program that is killed again and again as soon as it has started stores nothing, but its runs take room.
-  if (pruner_.has_limits()) pruner_.make_room(database_, sums_, info_.started);
+  if (pruner_.has_limits()) pruner_.make_room(database_, sums_, *positions_, info_.started);
   sums_.write(database_);
   if (auto made = LiveFile::make(recording, info_.uuid)) {
     const std::lock_guard lock(opening_mutex_);
@@ -76,6 +83,7 @@ void SqliteWriter::begin_in(const std::string& recording) {
     live_.remove();
     throw;
   }
+  positions_->committed();
   {
     const std::lock_guard lock(opening_mutex_);
     lock_.note(live_.path());
@@ -126,8 +134,7 @@ void SqliteWriter::configure() {
 
 void SqliteWriter::make_schema() {
   if (format_of(database_, config_.path) != 0) return;  // again, now that no other process can change it
-  database_.execute(schema + run_view() + account_views() + ";PRAGMA application_id=" + std::to_string(application_id) +
-                    ";PRAGMA user_version=" + std::to_string(schema_version));
+  make_recording(database_);
 }
 
 void SqliteWriter::begin_run() {

@@ -72,6 +72,7 @@ void SqliteWriter::forget() noexcept {
   }
   database_ = Database();
   sums_.clear();
+  positions_->rolled_back();
   remarks_.clear();
   if (lock_.noted().empty()) lock_.remove();
   lock_ = RecordingLock();
@@ -119,6 +120,15 @@ Result<void> SqliteWriter::add_topic(std::uint32_t, std::string_view topic, cons
   // A kill before the loop has heard that the run has begun: what was published until then is not known.
   if (std::exchange(counts_without_topics_, false)) live_.pause_counting();
   return fits;
+}
+
+std::optional<Error> SqliteWriter::take_warning() {
+  if (warning_) return std::exchange(warning_, std::nullopt);
+  const std::string sinks = positions_->take_losing();
+  if (sinks.empty()) return no_utf8_.take_warning();
+  return Error{Errc::storage_full, "events are deleted before they are sent", config_.path,
+               "`max_bytes` or `max_age` deletes what the peer of " + sinks + " does not have yet",
+               "see why the peer is away or slow, or raise the limit; `rtdata info` counts them"};
 }
 
 void SqliteWriter::begin_counting() {
@@ -201,13 +211,13 @@ std::size_t SqliteWriter::store(Batch& batch, Batch::Iterator& next) {
   begin_transaction();
   positions_->write_begins(database_);
   // Before the rows, so that new ones take the pages of the old ones within one transaction.
-  if (pruner_.has_limits()) pruner_.make_room(database_, sums_, now_);
+  if (pruner_.has_limits()) pruner_.make_room(database_, sums_, *positions_, now_);
   account_.write_slots(batch, tables_);
   write_rows(batch, next, rows);
   const Account* const account = next != batch.end() ? nullptr : batch.account();  // with the last of its rows
   if (account != nullptr) account_.write(batch, *account, tables_);
+  positions_->write(database_, sums_);
   sums_.write(database_);
-  positions_->write(database_);
   commit();
   return rows;
 }
@@ -294,11 +304,11 @@ std::unique_ptr<detail::RowFeed> SqliteWriter::feed(const detail::RowFeedConfig&
 }
 
 void SqliteWriter::write_positions() {
-  transaction([this] { positions_->write(database_); });
+  transaction([this] { positions_->write(database_, sums_); });
 }
 
 void SqliteWriter::prune() {
-  transaction([this] { pruner_.make_room(database_, sums_, now_); });
+  transaction([this] { pruner_.make_room(database_, sums_, *positions_, now_); });
   tend_log();
 }
 

@@ -56,9 +56,7 @@ class SqliteWriter final : public RecordingWriter {
   std::string run() const override { return info_.uuid; }
   std::shared_ptr<const RunReport> recorded() const override { return recorded_; }
   std::unique_ptr<detail::RowFeed> feed(const detail::RowFeedConfig& config) override;
-  std::optional<Error> take_warning() override {
-    return warning_ ? std::exchange(warning_, std::nullopt) : no_utf8_.take_warning();
-  }
+  std::optional<Error> take_warning() override;
   std::vector<std::string> take_remarks() override { return std::exchange(remarks_, {}); }
   StorePace pace() const override;
 

@@ -196,7 +196,7 @@ TopicTable TopicTable::prepare(Database& database, const SlotInfo& slot, std::in
     update.bind(1, json).bind(2, slot.topic).bind(3, version);
     update.run();
     sums.add_topic(database, name);
-    make_utc_view(database, name, description);
+    replace_view(database, utc_view(name, description));
   }
 
   TopicTable table;

@@ -217,9 +217,12 @@ constexpr std::size_t few_views = 16;  // that SQLite makes one by one
 
 std::string utc_view_of(const std::string& table) { return table + "~utc"; }
 
-std::string create_utc_view(const std::string& table, const Description& description) {
-  std::string sql = "CREATE VIEW " + quoted(utc_view_of(table)) + " AS SELECT run, time, origin, sequence, " +
-                    iso8601_sql("\"~\"") + " AS utc, \"~\" AS utc_ns";
+}  // namespace
+
+View utc_view(const std::string& table, const Description& description) {
+  const std::string name = utc_view_of(table);
+  std::string sql = "CREATE VIEW " + quoted(name) + " AS SELECT run, time, origin, sequence, " + iso8601_sql("\"~\"") +
+                    " AS utc, \"~\" AS utc_ns";
   for (const Leaf& leaf : description.leaves()) {
     std::string lower = leaf.path;
     std::transform(lower.begin(), lower.end(), lower.begin(),
@@ -227,17 +230,11 @@ std::string create_utc_view(const std::string& table, const Description& descrip
     sql += ", " + quoted(leaf.path);
     if (lower == "utc" || lower == "utc_ns") sql += " AS " + quoted(leaf.path + "~");
   }
-  return sql + " FROM (SELECT t.*, " + utc_of("t.time", "t.run") + " AS \"~\" FROM " + quoted(table) + " t)";
+  return {name, sql + " FROM (SELECT t.*, " + utc_of("t.time", "t.run") + " AS \"~\" FROM " + quoted(table) + " t)"};
 }
 
-void replace_view(Database& database, const std::string& name, const std::string& sql) {
-  database.execute("DROP VIEW IF EXISTS " + quoted(name) + "; " + sql);
-}
-
-}  // namespace
-
-void make_utc_view(Database& database, const std::string& table, const Description& description) {
-  replace_view(database, utc_view_of(table), create_utc_view(table, description));
+void replace_view(const Database& database, const View& view) {
+  database.execute("DROP VIEW IF EXISTS " + quoted(view.name) + "; " + view.sql);
 }
 
 void NewUtcViews::look_for_room(const Database& database, const std::string& table) {
@@ -252,14 +249,14 @@ void NewUtcViews::look_for_room(const Database& database, const std::string& tab
 }
 
 void NewUtcViews::add(const std::string& table, const Description& description) {
-  views_.push_back({utc_view_of(table), create_utc_view(table, description)});
+  views_.push_back(utc_view(table, description));
 }
 
 void NewUtcViews::make(Database& database) {
   if (views_.size() > few_views) {
     if (enter(database)) views_.clear();
   }
-  for (const View& view : views_) replace_view(database, view.name, view.sql);
+  for (const View& view : views_) replace_view(database, view);
   views_.clear();
 }
 
@@ -287,29 +284,26 @@ bool NewUtcViews::enter(Database& database) {
   return true;
 }
 
-std::string run_view() {
-  return "DROP VIEW IF EXISTS rtdata_run_utc; CREATE VIEW rtdata_run_utc AS SELECT run, name, host, state, " +
-         iso8601_sql("started_ns") + " AS started, " + iso8601_sql("ended_ns") +
-         " AS ended, started_ns, ended_ns FROM (SELECT run, name, host, state, " + utc_of("t.started", "t.run") +
-         " AS started_ns, " + utc_of("t.ended", "t.run") + " AS ended_ns FROM rtdata_run t)";
-}
-
-std::string account_views() {
-  std::string sql;
+std::vector<View> account_views() {
+  std::vector<View> views{
+      {"rtdata_run_utc", "CREATE VIEW rtdata_run_utc AS SELECT run, name, host, state, " + iso8601_sql("started_ns") +
+                             " AS started, " + iso8601_sql("ended_ns") +
+                             " AS ended, started_ns, ended_ns FROM (SELECT run, name, host, state, " +
+                             utc_of("t.started", "t.run") + " AS started_ns, " + utc_of("t.ended", "t.run") +
+                             " AS ended_ns FROM rtdata_run t)"}};
   const auto make = [&](const std::string& table, const std::vector<std::pair<std::string, std::string>>& times) {
-    const std::string view = quoted(table + "~utc");
     std::string inner = "SELECT t.*", outer = "SELECT *";
     for (const auto& [time, name] : times) {
       inner += ", " + utc_of("t." + quoted(time), "t.run") + " AS " + name + "_ns";
       outer += ", " + iso8601_sql(name + "_ns") + " AS " + name;
     }
-    sql += "; DROP VIEW IF EXISTS " + view + "; CREATE VIEW " + view + " AS " + outer + " FROM (" + inner + " FROM " +
-           table + " t)";
+    views.push_back({utc_view_of(table), "CREATE VIEW " + quoted(utc_view_of(table)) + " AS " + outer + " FROM (" +
+                                             inner + " FROM " + table + " t)"});
   };
   make("rtdata_gap", {{"first", "first_utc"}, {"last", "last_utc"}});
   make("rtdata_health", {{"time", "utc"}});
   make("rtdata_error", {{"time", "utc"}});
-  return sql + R"sql(; DROP VIEW IF EXISTS rtdata_field; CREATE VIEW rtdata_field AS
+  views.push_back({"rtdata_field", R"sql(CREATE VIEW rtdata_field AS
 WITH RECURSIVE node(topic, version, table_name, prefix, field, element, place) AS (
   SELECT t.topic, t.version, t.table_name, '', j.value, 0, printf('%05d', j.key)
     FROM rtdata_topic t, json_each(t.description, '$.fields') j
@@ -329,7 +323,8 @@ SELECT topic, version, table_name,
        json_extract(field, '$.type') AS type,
        coalesce(json_extract(field, '$.unit'), '') AS unit,
        coalesce(json_extract(field, '$.optional'), 0) AS optional
-  FROM node WHERE json_extract(field, '$.type') <> 'record')sql";
+  FROM node WHERE json_extract(field, '$.type') <> 'record')sql"});
+  return views;
 }
 
 }  // namespace sqlite

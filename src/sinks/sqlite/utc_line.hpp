@@ -21,8 +21,13 @@ bool utc_line_agrees(const Database& database, std::string_view boot_id);
 /// Writes them for all boots of the file.
 void write_utc_lines(Database& database);
 
-/// Makes the view with UTC of a topic's table anew: "room/climate~utc" for "room/climate".
-void make_utc_view(Database& database, const std::string& table, const Description& description);
+struct View {
+  std::string name;
+  std::string sql;  ///< that makes it, as the file's schema has it then
+};
+/// The view with UTC of a topic's table: "room/climate~utc" for "room/climate".
+View utc_view(const std::string& table, const Description& description);
+void replace_view(const Database& database, const View& view);
 
 /// Views of new tables, made together at the end of a transaction. A CREATE VIEW goes through all tables and views that
 /// there are: of thousands of topics in one batch, most of the time would be spent so.
@@ -36,9 +41,6 @@ class NewUtcViews {
   void clear() noexcept { views_.clear(); }
 
  private:
-  struct View {
-    std::string name, sql;
-  };
   /// False: this connection does not permit it, and nothing was changed.
   bool enter(Database& database);
   std::vector<View> views_;
@@ -47,11 +49,8 @@ class NewUtcViews {
 /// SQL for the UTC in ns of a time column of run `run`; without a line it stays. No name in them is `r` or `u`.
 std::string utc_of(const std::string& time, const std::string& run);
 
-/// View of the runs with UTC.
-std::string run_view();
-/// SQL that makes the views "rtdata_gap~utc", "rtdata_health~utc" and "rtdata_error~utc" (the table and UTC) and
-/// rtdata_field (every field of every topic with its unit) anew. After all changes of tables: they take every column
-/// that is there.
-std::string account_views();
+/// The views rtdata_run_utc, "rtdata_gap~utc", "rtdata_health~utc" and "rtdata_error~utc" (the table and UTC), and
+/// rtdata_field (every field of every topic with its unit).
+std::vector<View> account_views();
 
 }  // namespace rtdata::sqlite

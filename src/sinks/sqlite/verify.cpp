@@ -1,15 +1,18 @@
 #include "rtdata/sinks/verify.hpp"
 
 #include <signal.h>
+#include <unistd.h>
 
 #include <algorithm>
 #include <cerrno>
+#include <filesystem>
 #include <fstream>
 #include <map>
 #include <set>
 
 #include "loop/support/deadline.hpp"
 #include "sinks/sqlite/recording_file.hpp"
+#include "sinks/sqlite/recording_lock.hpp"
 #include "sinks/sqlite/utc_line.hpp"
 #include "sinks/sqlite/verify_run.hpp"
 #include "sinks/sqlite/verify_sums.hpp"
@@ -31,6 +34,8 @@ std::string origin_key(std::string_view topic, std::string_view origin) {
   return key.append(origin);
 }
 
+namespace {
+
 bool is_alive(const RunInfo& run) {
   std::ifstream file("/proc/sys/kernel/random/boot_id");
   std::string boot_id;
@@ -39,6 +44,18 @@ bool is_alive(const RunInfo& run) {
   const bool is_machine = run.boot_id.size() == boot_id.size();
   if (boot_id.empty() || (is_machine && boot_id != run.boot_id) || run.pid <= 0) return false;
   return ::kill(static_cast<pid_t>(run.pid), 0) == 0 || errno == EPERM;
+}
+
+}  // namespace
+
+Recorder recorder_of(const RunInfo& run, const RecordingFile& file) {
+  if (run.state != RunState::recording || !is_alive(run)) return Recorder::gone;
+  const char* const path = sqlite3_db_filename(file.database.raw(), "main");  // without symbolic links
+  std::error_code none;
+  const auto log_bytes = std::filesystem::file_size(std::string(path) + "-wal", none);
+  const bool is_copy = !file.is_of_server && run.pid != ::getpid() && (none || log_bytes == 0) &&
+                       sqlite::RecordingLock::is_free(path);
+  return is_copy ? Recorder::of_another_file : Recorder::there;
 }
 
 bool is_account_known(const RunInfo& run) {
@@ -228,6 +245,7 @@ VerifyReport verify_contents(const Recording& recording) {
   for (RunInfo& info : infos) {
     const bool has_ticks = info.state == RunState::closed;
     auto loaded = OfRun::load(recording, info.run);
+    loaded.recorder = recorder_of(info, *recording.file());
     const OfRun& of_run = accounts.emplace(info.run, std::move(loaded)).first->second;
     OriginMap& origins = rows[info.run].origins;
     const bool is_ended = info.state != RunState::recording;
@@ -268,9 +286,12 @@ VerifyReport verify_contents(const Recording& recording) {
   check_layout(*recording.file(), topics, are_topics_changed, report.problems);
   auto deleted = recording.deleted_runs().or_throw();
   verify_deleted(std::move(deleted), report);
+  auto unsent = recording.file()->prepare("SELECT sink, sum(count) FROM rtdata_unsent GROUP BY sink");
+  while (unsent.step())
+    if (unsent.integer(1) > 0) report.unsent.emplace(unsent.text(0), static_cast<std::uint64_t>(unsent.integer(1)));
   for (RunReport& run : report.runs) {
     verify_run(accounts.at(run.info.run), rows[run.info.run], run);
-    finish_account(recording, run);
+    finish_account(recording, accounts.at(run.info.run), run);
   }
   return report;
 }

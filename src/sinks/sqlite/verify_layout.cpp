@@ -1,10 +1,12 @@
 // The part of verify that looks at what a recording is made of: columns, views and triggers.
 #include <algorithm>
+#include <map>
 #include <set>
 
 #include "sinks/sqlite/database.hpp"
 #include "sinks/sqlite/recording_file.hpp"
 #include "sinks/sqlite/schema.hpp"
+#include "sinks/sqlite/utc_line.hpp"
 #include "sinks/sqlite/verify_run.hpp"
 
 namespace rtdata::detail {
@@ -38,8 +40,6 @@ void check_columns_of(const RecordingFile& file, const RecordedTopic& topic, boo
 
 /// How far senders are: of tables and runs that are there, and not beyond what a run that was closed has.
 void check_positions(const RecordingFile& file, std::vector<std::string>& problems) {
-  auto has_table = file.database.integer("SELECT count(*) FROM sqlite_schema WHERE name = 'rtdata_position'");
-  if (has_table == 0) return;
   auto query = file.prepare(
       "SELECT p.sink, p.table_name, p.run, p.origin, p.sequence FROM rtdata_position p "
       "LEFT JOIN rtdata_topic t ON t.table_name = p.table_name LEFT JOIN rtdata_run r ON r.run = p.run "
@@ -58,15 +58,15 @@ void check_positions(const RecordingFile& file, std::vector<std::string>& proble
 
 void check_layout(const RecordingFile& file, const std::vector<RecordedTopic>& topics, bool are_topics_changed,
                   std::vector<std::string>& problems) {
-  auto query = file.prepare("SELECT type, name FROM sqlite_schema ORDER BY name");
-  std::set<std::string, std::less<>> views;
+  auto query = file.prepare("SELECT type, name, sql FROM sqlite_schema ORDER BY name");
+  std::map<std::string, std::string, std::less<>> views;  // and their SQL
   while (query.step()) {
     const std::string_view type = query.text(0), name = query.text(1);
     if (type == "trigger") {
       problems.push_back("There is a trigger, " + std::string(name) +
                          ", which is not of the recording: it may change what is recorded.");
     } else if (type == "view") {
-      views.emplace(name);
+      views.emplace(name, query.text(2));
     }
   }
   const std::size_t before = problems.size();
@@ -74,19 +74,22 @@ void check_layout(const RecordingFile& file, const std::vector<RecordedTopic>& t
   if (are_topics_changed && problems.size() == before)
     problems.push_back("rtdata_topic: the checksum of its " + plural(topics.size(), "row") +
                        " is another than when they were written: a row was changed, added or deleted.");
+  const bool are_columns_right = problems.size() == before;  // else SQLite may have changed the views with them
   check_positions(file, problems);
-  std::vector<std::string> wanted{"rtdata_run_utc", "rtdata_gap~utc", "rtdata_health~utc", "rtdata_error~utc",
-                                  "rtdata_field"};
-  for (const RecordedTopic& topic : topics) wanted.push_back(topic.table + "~utc");
-  for (const std::string& view : wanted) {
-    if (!views.contains(view)) {
-      problems.push_back("The view " + view + " is not there.");
+  std::vector<sqlite::View> wanted = sqlite::account_views();
+  for (const RecordedTopic& topic : topics) wanted.push_back(sqlite::utc_view(topic.table, *topic.description));
+  for (const sqlite::View& view : wanted) {
+    const auto there = views.find(view.name);
+    if (there == views.end()) {
+      problems.push_back("The view " + view.name + " is not there.");
       continue;
     }
     try {
-      (void)file.prepare("SELECT * FROM " + sqlite::quoted(view));
+      (void)file.prepare("SELECT * FROM " + sqlite::quoted(view.name));
+      if (there->second != view.sql && are_columns_right)
+        problems.push_back("The view " + view.name + " is another than that of a recording.");
     } catch (const SetupError& error) {
-      problems.push_back("The view " + view + " is damaged: " + error.error().why + ".");
+      problems.push_back("The view " + view.name + " is damaged: " + error.error().why + ".");
     }
   }
 }

@@ -318,10 +318,10 @@ void add_up(RunReport& report, const LedgerEntry& entry) {
 /// and `lines`, which follow at the end.
 void read_account(const OfRun& of_run, RunReport& report) {
   const RunInfo& info = report.info;
-  report.verdict = info.state == RunState::closed   ? Verdict::balanced
-                   : info.state == RunState::sealed ? Verdict::sealed
-                   : is_alive(info)                 ? Verdict::recording
-                                                    : Verdict::unsealed;
+  report.verdict = info.state == RunState::closed       ? Verdict::balanced
+                   : info.state == RunState::sealed     ? Verdict::sealed
+                   : of_run.recorder == Recorder::there ? Verdict::recording
+                                                        : Verdict::unsealed;
   report.gaps = of_run.gaps.size();
   std::map<std::string, TopicLoss> by_topic;
   std::set<std::string> not_detectable;
@@ -352,7 +352,7 @@ void read_account(const OfRun& of_run, RunReport& report) {
 }
 
 /// What is known of the end of a run that was not closed.
-void note_end(const Findings& found) {
+void note_end(const Findings& found, Recorder recorder) {
   const RunInfo& info = found.report.info;
   if (!info.remark.empty()) found.note(info.remark);
   if (info.state == RunState::sealed) {
@@ -369,9 +369,13 @@ void note_end(const Findings& found) {
     }
   } else if (info.state == RunState::recording) {
     const std::string up_to = info.ended ? " up to the last account, " + found.utc(*info.ended) : "";
-    if (found.report.verdict == Verdict::recording) {
-      found.note("Process " + std::to_string(info.pid) + " is still recording: this holds" + up_to +
-                 ", and is approximate.");
+    const std::string process = "Process " + std::to_string(info.pid);
+    if (recorder == Recorder::there) {
+      found.note(process + " is still recording: this holds" + up_to + ", and is approximate.");
+    } else if (recorder == Recorder::of_another_file) {
+      found.note(process +
+                 " records this run into another file, of which this is a copy without its log (-wal): it holds" +
+                 up_to + ", and what the log had then is not in it. Copy the two together, or with sqlite3: .backup");
     } else {
       found.note("It ended without closing and is not sealed: this holds" + up_to +
                  ". Start recording into the file again: that seals it and says what was lost.");
@@ -427,7 +431,7 @@ void verify_run(const OfRun& of_run, const RunRows& run_rows, RunReport& report)
   for (const std::string& sentence : run_rows.changed) found.problem(sentence);
   report.more_problems += run_rows.more_changed;
   if (info.state == RunState::closed && !info.ended) found.problem("The run is closed, but its end is not recorded.");
-  note_end(found);
+  note_end(found, of_run.recorder);
   if (!left_open.empty()) {
     found.note(
         "Its last account is older than its end, since the power was cut, or it could not be written any more. "
@@ -464,12 +468,13 @@ std::map<std::string, std::vector<std::string>> made_of_unrecorded(const std::ve
 
 RunReport account_of_run(const Recording& recording, const RunInfo& info) {
   auto of_run = OfRun::load(recording, info.run);
+  of_run.recorder = recorder_of(info, *recording.file());
   RunReport report;
   report.info = info;
   report.line = of_run.line;
   read_account(of_run, report);
   for (const LedgerEntry& entry : of_run.ledger) report.rows += entry.stored - entry.pruned;
-  finish_account(recording, report);
+  finish_account(recording, of_run, report);
   return report;
 }
 
@@ -485,14 +490,16 @@ static void add_hanging(const std::vector<RecordedHealth>& health, RunReport& ru
                               " on: it hung, and the program was ended");
 }
 
-void finish_account(const Recording& recording, RunReport& report) {
+void finish_account(const Recording& recording, const OfRun& of_run, RunReport& report) {
   const RunInfo& info = report.info;
   if (report.verdict == Verdict::not_balanced)
     report.not_known.emplace_back("what it lost besides, since it does not agree with its account (! below)");
   if (info.state == RunState::recording) {
-    report.not_known.emplace_back(is_alive(info) ? "what it loses after its last account: it is being recorded"
-                                                 : "what it lost after its last account: it is not sealed yet; "
-                                                   "recording into the file again seals it");
+    report.not_known.emplace_back(
+        of_run.recorder == Recorder::there ? "what it loses after its last account: it is being recorded"
+        : of_run.recorder == Recorder::of_another_file
+            ? "what it lost after its last account: this is a copy, made while it was recorded"
+            : "what it lost after its last account: it is not sealed yet; recording into the file again seals it");
   } else if (info.state == RunState::sealed && !info.lost) {
     report.not_known.emplace_back("what it lost at its end, since its account is not complete");
   } else if (info.state == RunState::sealed && report.has_open_equations) {

@@ -90,8 +90,13 @@ struct Findings {
 void check_layout(const RecordingFile& file, const std::vector<RecordedTopic>& topics, bool are_topics_changed,
                   std::vector<std::string>& problems);
 
+/// The process that records a run, as far as this machine knows it. What is of another file is a copy without its log.
+enum class Recorder { gone, there, of_another_file };
+Recorder recorder_of(const RunInfo& run, const RecordingFile& file);
+
 /// The account of a run, by origin.
 struct OfRun {
+  Recorder recorder = Recorder::gone;
   std::vector<LedgerEntry> ledger;
   std::vector<RecordedSegment> schedule;
   std::vector<RecordedGap> gaps;
@@ -99,6 +104,7 @@ struct OfRun {
   std::unordered_map<std::string, std::vector<const RecordedSegment*>> segments_of;
   std::unordered_map<std::string, std::vector<const RecordedGap*>> gaps_of;
 
+  /// All but `recorder`.
   static OfRun load(const Recording& recording, std::int64_t run);
   /// In order of time; none: empty.
   const std::vector<const RecordedSegment*>& segments(const std::string& key) const;
@@ -110,7 +116,7 @@ struct OfRun {
 void verify_run(const OfRun& of_run, const RunRows& rows, RunReport& report);
 
 /// What is not known of the run, and the report's lines.
-void finish_account(const Recording& recording, RunReport& report);
+void finish_account(const Recording& recording, const OfRun& of_run, RunReport& report);
 RunReport account_of_run(const Recording& recording, const RunInfo& info);
 
 /// Of those topics whose events are not there, since only others that are made of them are recorded: these.
@@ -132,8 +138,5 @@ void most_first(std::vector<TopicLoss>& losses);
 
 /// Whether the account tells of all: no tier hung, and nothing was lost in a power cut.
 bool is_account_known(const RunInfo& run);
-
-/// Whether the process that records this run is alive on this machine.
-bool is_alive(const RunInfo& run);
 
 }  // namespace rtdata::detail

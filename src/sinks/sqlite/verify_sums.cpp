@@ -54,7 +54,13 @@ bool check_account_sums(const RecordingFile& file, const std::vector<RecordedTop
       report.problems.push_back(topic.topic + ": it came with run " + std::to_string(topic.first_run) +
                                 ", which is newer than all that are there.");
   }
-  auto lines = file.prepare("SELECT run, \"checksum~\" FROM rtdata_run UNION ALL SELECT 0, sum FROM rtdata_checksum");
+  for (const std::string_view table : sqlite::sender_tables) {
+    auto rows = file.prepare("SELECT -1, * FROM " + std::string(table));
+    found.run(rows);
+  }
+  auto lines = file.prepare(
+      "SELECT run, \"checksum~\" FROM rtdata_run UNION ALL SELECT 0, sum FROM rtdata_checksum UNION ALL SELECT -1, "
+      "senders FROM rtdata_checksum");
   std::map<std::int64_t, std::optional<std::uint64_t>> said;  // by run; none: no number, or several
   while (lines.step()) {
     const auto [sum, is_new] = said.try_emplace(lines.integer(0));
@@ -68,6 +74,10 @@ bool check_account_sums(const RecordingFile& file, const std::vector<RecordedTop
     return of_run != said.end() && of_run->second == (there != found.changes().end() ? there->second : 0);
   };
   const bool are_topics_changed = !agrees(sqlite::all_runs);
+  if (!agrees(sqlite::of_senders))
+    report.problems.emplace_back(
+        "The checksum of what is kept of senders (in rtdata_checksum) is another than when it was written: a row of "
+        "rtdata_refused, rtdata_refused_before or rtdata_unsent was changed, added or deleted.");
   for (RunReport& run : report.runs) {
     if (!agrees(run.info.run))
       run.problems.emplace_back(
@@ -75,7 +85,7 @@ bool check_account_sums(const RecordingFile& file, const std::vector<RecordedTop
           "account was changed, added or deleted.");
   }
   for (const auto& [run, sum] : found.changes()) {
-    const bool is_there = run == sqlite::all_runs ||
+    const bool is_there = run == sqlite::all_runs || run == sqlite::of_senders ||
                           std::any_of(report.runs.begin(), report.runs.end(),
                                       [number = run](const RunReport& one) { return one.info.run == number; });
     if (!is_there)

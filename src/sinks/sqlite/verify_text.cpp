@@ -183,6 +183,11 @@ std::string VerifyReport::text() const {
     if (run.more_problems != 0) wrap(out, "  ! ", n(run.more_problems) + " more problems.");
     for (const std::string& note : run.notes) wrap(out, "  - ", note);
   }
+  if (!unsent.empty()) out += "\n";
+  for (const auto& [sink, count] : unsent)
+    wrap(out, "LOST: ",
+         plural(count, "event") + " that `max_bytes` or `max_age` deleted before the peer of sink " + sink +
+             " had them");
   for (const std::string& problem : problems) wrap(out, "! ", problem);
   out += "\n";
   if (runs.empty() && problems.empty()) out += "No run was recorded yet.\n";
@@ -209,6 +214,7 @@ std::string VerifyReport::to_json() const {
   json["proves"] = "consistency, not that nobody forged it";
   json["problems"] = problems;
   json["deleted_runs"] = deleted ? json_of(*deleted) : nlohmann::ordered_json();
+  json["unsent"] = unsent;
   json["runs"] = nlohmann::ordered_json::array();
   for (const RunReport& run : runs) json["runs"].push_back(json_of(run));
   return json.dump(2, ' ', false, nlohmann::ordered_json::error_handler_t::replace);
