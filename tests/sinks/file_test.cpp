@@ -392,6 +392,44 @@ TEST_SUITE("sinks") {
     CHECK(::umount(disk.c_str()) == 0);
   }
 
+  TEST_CASE("NFR-1 a disk that is full to the end: what counts as lost is not in the file, and all else is") {
+    Bench bench;
+    const std::string disk = bench.directory / "disk";
+    std::filesystem::create_directory(disk);
+    if (::mount("none", disk.c_str(), "tmpfs", 0, "size=64k") != 0) {
+      MESSAGE("skipped: mounting a small disk is not permitted here");
+      return;
+    }
+    for (const char* format : {"json", "csv", "raw"}) {
+      CAPTURE(format);
+      const std::string path = disk + "/run";
+      std::ofstream(disk + "/ballast") << std::string(50'000, 'x');
+      SinkCounts counts;
+      {
+        Loop loop{Loop::Manual{}};
+        loop.on_error([](const ErrorReport&) {});
+        FileSink sink(loop, {.path = path, .format = format, .sink = {.name = "run", .batch_rows = 50}});
+        const auto topic = loop.topic<Number>("a");
+        for (int i = 1; i <= 2000; ++i) {
+          topic.publish({static_cast<double>(i)});
+          if (i % 50 == 0) loop.advance(10ms);
+        }
+        loop.advance(5s);
+        CHECK(sink.health() == Health::faulted);
+        CHECK(loop.close(1s) > 0);
+        counts = loop.runtime().sinks().front().counts;
+      }
+      CHECK(counts.balances());
+      CHECK(counts.stored > 0);
+      CHECK(counts.stored < 2000);
+      std::vector<double> stored;
+      for (std::uint64_t i = 1; i <= counts.stored; ++i) stored.push_back(static_cast<double>(i));
+      CHECK(values(path, format) == stored);
+      std::filesystem::remove(path);
+    }
+    CHECK(::umount(disk.c_str()) == 0);
+  }
+
   TEST_CASE("a file that somebody deletes is made anew, and that is reported") {
     Bench bench;
     const FileConfig config{.path = bench.directory / "run.csv", .format = "csv"};

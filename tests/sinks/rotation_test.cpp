@@ -210,10 +210,27 @@ TEST_SUITE("sinks") {
     // A new file was made and its name not yet exchanged with that of the full one.
     const std::size_t files = names_in(directory / "").size();
     std::ofstream(directory / "run-00000009.csv").flush();
+    std::filesystem::permissions(directory / "run-00000009.csv", std::filesystem::perms::none);
     record(config, 1101, 2000);
     for (const std::string& name : names_in(directory / "")) CHECK(std::filesystem::file_size(directory / name) > 0);
     CHECK(names_in(directory / "").size() > files);
     CHECK(values_in(directory / "", "csv") == numbers(1001, 2000));
+  }
+
+  TEST_CASE("US-30 an empty file with a number that is another's stays, and its number is left out") {
+    Directory directory;
+    std::ofstream(directory / "run-00000007.csv").flush();
+    const FileConfig config{.path = directory / "run.csv", .format = "csv", .rotate = {.bytes = 4096}};
+    record(config, 1001, 1300);
+    CHECK(std::filesystem::file_size(directory / "run-00000007.csv") == 0);
+    CHECK(std::filesystem::file_size(directory / "run-00000008.csv") > 0);
+    record({.path = directory / "run.csv", .format = "csv"}, 1301, 1302);  // the one of before is set aside
+    CHECK(std::filesystem::file_size(directory / "run-00000007.csv") == 0);
+    std::filesystem::remove(directory / "run-00000007.csv");
+    const auto names = names_in(directory / "");
+    CHECK(names.front() == "run-00000008.csv");
+    auto all = values_in(directory / "", "csv");
+    CHECK(all == numbers(1001, 1302));
   }
 
   TEST_CASE("NFR-1 a full disk at the seam: each event is there once when there is room") {

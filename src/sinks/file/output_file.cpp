@@ -131,7 +131,11 @@ OutputFile::OutputFile(OutputFile&& other) noexcept
       done_(other.done_),
       done_before_(other.done_before_) {}
 
-OutputFile::~OutputFile() { close(); }
+OutputFile::~OutputFile() {
+  // A batch that was given up counts as lost: what there is of it goes.
+  if (fd_ >= 0 && done_ > done_before_) (void)!::ftruncate(fd_, batch_begins());
+  close();
+}
 
 void OutputFile::close() noexcept {
   if (fd_ >= 0) ::close(fd_);
@@ -353,16 +357,16 @@ std::int64_t OutputFile::changed_at() const noexcept {
 Result<void> OutputFile::go_on_as_new(const std::string& name_of_old) {
   struct stat old {};
   if (::fstat(fd_, &old) != 0) return failed(errno, "cannot look at the file");
-  const auto make = [&](const std::string& path) -> Result<int> {
-    const int made = ::open(path.c_str(), O_RDWR | O_APPEND | O_CREAT | O_EXCL | O_CLOEXEC | O_NOCTTY, 0600);
+  const auto make = [&](const std::string& path, mode_t mode) -> Result<int> {
+    const int made = ::open(path.c_str(), O_RDWR | O_APPEND | O_CREAT | O_EXCL | O_CLOEXEC | O_NOCTTY, mode);
     if (made < 0) return system_error(errno, "cannot begin a new file", path, "");
-    if (::fchmod(made, old.st_mode & 07777) == 0 && ::flock(made, LOCK_EX | LOCK_NB) == 0) return made;
+    if (::flock(made, LOCK_EX | LOCK_NB) == 0 && ::fchmod(made, old.st_mode & 07777) == 0) return made;
     const int reason = errno;
     ::close(made);
     ::unlink(path.c_str());
     return system_error(reason, "cannot begin a new file", path, "");
   };
-  auto made = make(name_of_old);
+  auto made = make(name_of_old, 0);  // which says what it is, when the program is killed before it gets its name
   if (!made) return std::move(made).error();
   if (::renameat2(AT_FDCWD, name_of_old.c_str(), AT_FDCWD, path_.c_str(), RENAME_EXCHANGE) != 0) {
     // FAT and some network file systems: for a moment there is no file of this path.
@@ -372,7 +376,7 @@ Result<void> OutputFile::go_on_as_new(const std::string& name_of_old) {
       ::unlink(name_of_old.c_str());
       return failed(reason, "cannot give the file its new name");
     }
-    made = make(path_);
+    made = make(path_, 0600);
     if (!made) {
       ::rename(name_of_old.c_str(), path_.c_str());
       return std::move(made).error();
@@ -408,8 +412,7 @@ OutputFile::Gone OutputFile::close_if_gone() {
   const bool is_cut_off = has_begun_ && about.st_nlink > 0 && is_there && about.st_size < static_cast<off_t>(size_);
   if (about.st_nlink > 0 && is_there && !is_cut_off) return Gone::no;
   // The batch under way is written again from its start; what is there of it would be twice.
-  const auto batch_begins = static_cast<off_t>(size_ - (done_ - done_before_));
-  if (is_cut_off && about.st_size > batch_begins) (void)::ftruncate(fd_, batch_begins);
+  if (is_cut_off && about.st_size > batch_begins()) (void)!::ftruncate(fd_, batch_begins());
   close();
   if (is_cut_off) return Gone::cut_off;
   return about.st_nlink == 0 ? Gone::deleted : is_unmounted() ? Gone::unmounted : Gone::moved;

@@ -72,6 +72,8 @@ class OutputFile {
   /// `what`: that it was done.
   Result<void> move_aside(std::span<const std::byte> tail, std::string& what);
   bool is_unmounted() const;
+  /// Where the batch under way begins in the file.
+  off_t batch_begins() const noexcept { return static_cast<off_t>(size_ - (done_ - done_before_)); }
   Error failed(int errno_value, const char* what) const;
   Result<void> append(const std::byte* data, std::size_t size, std::size_t& written);
 

@@ -2,6 +2,7 @@
 
 #include <fcntl.h>
 #include <sys/file.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -41,12 +42,18 @@ std::uint64_t number_in(const std::string& name, const Parts& parts) {
   return read.ec == std::errc{} && read.ptr == end ? number : 0;
 }
 
-/// Removes a file that no process writes; `most_bytes`: one that holds more stays.
-Result<bool> remove_unless_held(const std::string& path, std::int64_t most_bytes) {
+/// Whether it was made for a name that it then did not get, since the program was killed in between.
+bool is_left_over(const std::string& path) {
+  struct stat about {};
+  return ::lstat(path.c_str(), &about) == 0 && S_ISREG(about.st_mode) && about.st_size == 0 &&
+         (about.st_mode & 07777) == 0 && about.st_uid == ::geteuid();
+}
+
+/// Removes a file that no process writes.
+Result<bool> remove_unless_held(const std::string& path) {
   const int fd = ::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NOCTTY | O_NONBLOCK | O_NOFOLLOW);
   if (fd < 0) return false;
-  const bool is_free = ::flock(fd, LOCK_EX | LOCK_NB) == 0 &&
-                       (most_bytes < 0 || ::lseek(fd, 0, SEEK_END) <= most_bytes);
+  const bool is_free = ::flock(fd, LOCK_EX | LOCK_NB) == 0;
   const int reason = is_free && ::unlink(path.c_str()) != 0 ? errno : 0;
   ::close(fd);
   if (reason != 0) return system_error(reason, "cannot remove the oldest file", path, "");
@@ -104,10 +111,8 @@ std::map<std::uint64_t, std::string> Rotation::numbered(const std::string& path)
 
 std::uint64_t Rotation::last_number(const std::string& path) {
   auto files = numbered(path);
-  if (files.empty()) return 0;
-  // One that was made for a name that it then did not get: the program was killed in between.
-  const auto removed = remove_unless_held(files.rbegin()->second, 0);
-  if (removed && *removed) files.erase(std::prev(files.end()));
+  if (!files.empty() && is_left_over(files.rbegin()->second) && ::unlink(files.rbegin()->second.c_str()) == 0)
+    files.erase(std::prev(files.end()));
   return files.empty() ? 0 : files.rbegin()->first;
 }
 
@@ -123,7 +128,7 @@ void Rotation::remove_old(const std::string& path) {
   if (config_.keep == 0) return;
   auto files = numbered(path);
   for (auto oldest = files.begin(); files.size() > config_.keep && oldest != files.end();) {
-    auto removed = remove_unless_held(oldest->second, -1);
+    auto removed = remove_unless_held(oldest->second);
     if (!removed) tell(removed.error());
     oldest = files.erase(oldest);
   }
