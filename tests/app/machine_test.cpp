@@ -460,7 +460,7 @@ TEST_SUITE("app") {
     CHECK(run.out.find("disk of " + folder.path()) != std::string::npos);
     CHECK_FALSE(std::filesystem::exists(folder.path() + "/bench.jsonl"));  // it looks, and makes nothing
 
-    // A sensor waits for its device; without that of an output the run does not start, as `run` says, too.
+    // A sensor waits for its device; that of an output is missed at once, as `run` says, too.
     CHECK(run.out.find("it has no data until that is mended") != std::string::npos);
     folder.write("valve.json", R"({"sensors": [{"name": "l", "type": "host", "quantity": "load", "rate": "1 Hz"}],
       "outputs": [{"name": "valve", "type": "serial", "device": "/dev/does-not-exist"}]})");
@@ -469,8 +469,10 @@ TEST_SUITE("app") {
     CHECK(valve.out.find("fault: output valve: /dev/does-not-exist: No such file or directory") == 0);
     CHECK(valve.out.find("the run does not start") != std::string::npos);
     CHECK(valve.out.find("it has no data") == std::string::npos);
-    Process refused(folder, shipped, {"run", "valve.json"});
-    CHECK(refused.end() != 0);
+    Process faulted(folder, shipped, {"run", "valve.json", "--for", "100ms"});
+    faulted.end();
+    CHECK(faulted.err.find("output valve: cannot open the serial line") != std::string::npos);
+    CHECK(faulted.out.find("NOT known to be safe: output valve") != std::string::npos);
 
     folder.write("away.json", R"({"sensors": [{"name": "l", "type": "host", "quantity": "load", "rate": "1 Hz"}],
       "sinks": [{"type": "file", "path": "/proc/nowhere/bench.jsonl"}]})");
