@@ -10,22 +10,13 @@ rtdata_library(rtdata_program program ${RTDATA_PROGRAM_SOURCES} ${CMAKE_CURRENT_
 target_compile_options(rtdata_program PRIVATE $<$<CONFIG:Release>:-Os>)
 target_link_libraries(rtdata_program PUBLIC rtdata PRIVATE PkgConfig::libuv $<BUILD_INTERFACE:CLI11::CLI11> spdlog::spdlog
   $<TARGET_NAME_IF_EXISTS:rtdata::sqlite> $<$<BOOL:${RTDATA_HAS_SQLITE}>:PkgConfig::sqlite3> $<BUILD_INTERFACE:nlohmann_json::nlohmann_json>)
-# What `rtdata --version` tells: what it was built with.
 if(TARGET rtdata_sqlite)
-  target_compile_definitions(rtdata_program PRIVATE RTDATA_WITH_SQLITE="${RTDATA_SQLITE_VERSION}")
   rtdata_sources(RTDATA_PROGRAM_SQLITE_SOURCES src/rtdata_program_sqlite.sources)
   target_sources(rtdata_program PRIVATE ${RTDATA_PROGRAM_SQLITE_SOURCES})
 endif()
 foreach(part gpio modbus postgresql http mqtt)
-  string(TOUPPER ${part} name)
-  if(TARGET rtdata_${part})
-    target_compile_definitions(rtdata_program PRIVATE RTDATA_WITH_${name}="${RTDATA_${name}_VERSION}")
-    target_link_libraries(rtdata_program PRIVATE rtdata::${part})
-  endif()
+  target_link_libraries(rtdata_program PRIVATE $<TARGET_NAME_IF_EXISTS:rtdata::${part}>)
 endforeach()
-if(RTDATA_HAS_OPENSSL)
-  target_compile_definitions(rtdata_program PRIVATE RTDATA_WITH_OPENSSL="${RTDATA_OPENSSL_VERSION}")
-endif()
 
 add_executable(rtdata_main src/app/main.cpp)
 set_target_properties(rtdata_main PROPERTIES OUTPUT_NAME rtdata)

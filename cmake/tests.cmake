@@ -1,6 +1,18 @@
 # One test program, one doctest suite a folder; ctest runs each suite, or a part of it, in a process of its own.
 find_package(doctest REQUIRED)
+set(RTDATA_TEST_SUITES data loop process sensors sinks fsm outputs control config app contract CACHE STRING
+  "The folders of tests that are built, for those who run some of them only")
 rtdata_sources(RTDATA_TEST_SOURCES tests/tests.sources)
+list(JOIN RTDATA_TEST_SUITES "|" built)
+foreach(unit IN LISTS RTDATA_TEST_SOURCES)
+  set(files ${unit})
+  if(IS_ABSOLUTE ${unit})
+    file(STRINGS ${unit} files)
+  endif()
+  if(NOT "${files}" MATCHES "(${built})/" AND NOT "${files}" MATCHES "(main|_kinds|power_cut)\\.cpp")  # which are no tests
+    list(REMOVE_ITEM RTDATA_TEST_SOURCES ${unit})
+  endif()
+endforeach()
 add_library(rtdata_test_paths STATIC tests/paths.cpp)
 target_link_libraries(rtdata_test_paths PRIVATE rtdata_options)
 target_compile_definitions(rtdata_test_paths PRIVATE RTDATA_SOURCE_DIR="${CMAKE_CURRENT_SOURCE_DIR}"
@@ -12,10 +24,10 @@ target_compile_options(rtdata_test_options INTERFACE $<$<CONFIG:Release>:-O0>)
 add_executable(rtdata_tests ${RTDATA_TEST_SOURCES})
 target_link_libraries(rtdata_tests PRIVATE rtdata_options rtdata_test_options rtdata_test_paths rtdata::rtdata doctest::doctest PkgConfig::libuv
   nlohmann_json::nlohmann_json $<TARGET_NAME_IF_EXISTS:rtdata::program> rtdata::sqlite PkgConfig::sqlite3
-  $<TARGET_NAME_IF_EXISTS:rtdata::modbus>
-  $<$<BOOL:${RTDATA_HAS_MODBUS}>:PkgConfig::libmodbus> $<TARGET_NAME_IF_EXISTS:rtdata::http>
-  $<TARGET_NAME_IF_EXISTS:rtdata::mqtt> $<$<BOOL:${RTDATA_HAS_MQTT}>:PkgConfig::libmosquitto>
-  $<$<TARGET_EXISTS:rtdata_http>:PkgConfig::libcurl> $<$<TARGET_EXISTS:rtdata_http>:PkgConfig::zlib>)
+  $<TARGET_NAME_IF_EXISTS:rtdata::modbus> $<TARGET_NAME_IF_EXISTS:rtdata::http> $<TARGET_NAME_IF_EXISTS:rtdata::mqtt>
+  # The libraries alone: their folders of headers are told to what includes them, below.
+  ${RTDATA_MODBUS_LINK_LIBRARIES} ${RTDATA_MQTT_LINK_LIBRARIES} ${RTDATA_HTTP_LINK_LIBRARIES})
+set_source_files_properties(tests/sensors/modbus_test.cpp PROPERTIES INCLUDE_DIRECTORIES "${RTDATA_MODBUS_INCLUDE_DIRS}")
 target_include_directories(rtdata_tests PRIVATE tests src)
 if(RTDATA_SANITIZE)  # hours of flights, computed in headers of an example
   foreach(unit IN LISTS RTDATA_TEST_SOURCES)
@@ -27,13 +39,12 @@ if(RTDATA_SANITIZE)  # hours of flights, computed in headers of an example
     endif()
   endforeach()
 endif()
-target_compile_definitions(rtdata_tests PRIVATE DOCTEST_CONFIG_USE_STD_HEADERS $<$<TARGET_EXISTS:rtdata_modbus>:RTDATA_WITH_MODBUS>
-  $<$<TARGET_EXISTS:rtdata_http>:RTDATA_WITH_HTTP> $<$<BOOL:${RTDATA_HAS_OPENSSL}>:RTDATA_WITH_OPENSSL>
-  $<$<TARGET_EXISTS:rtdata_mqtt>:RTDATA_WITH_MQTT>)
+target_compile_definitions(rtdata_tests PRIVATE DOCTEST_CONFIG_USE_STD_HEADERS)
 if(TARGET rtdata_postgresql)
   rtdata_sources(RTDATA_POSTGRESQL_TEST_SOURCES tests/postgresql_tests.sources)
   target_sources(rtdata_tests PRIVATE ${RTDATA_POSTGRESQL_TEST_SOURCES})
-  target_link_libraries(rtdata_tests PRIVATE rtdata::postgresql PkgConfig::libpq)
+  target_link_libraries(rtdata_tests PRIVATE rtdata::postgresql ${RTDATA_POSTGRESQL_LINK_LIBRARIES})
+  set_source_files_properties(${RTDATA_POSTGRESQL_TEST_SOURCES} PROPERTIES INCLUDE_DIRECTORIES "${RTDATA_POSTGRESQL_INCLUDE_DIRS}")
 endif()
 if(RTDATA_PCH)
   target_precompile_headers(rtdata_tests PRIVATE <pch/tests_pch.hpp>)  # in <>: no path of this clone gets into the file
@@ -49,7 +60,9 @@ endif()
 # The longest begin first, and the two longest are two tests each, which run beside each other.
 set(examples_of_app --source-file=*/app/rocket*,*/app/test_bench*,*/app/fleet_example*,*/app/many_machines*)
 set(network_of_sinks --source-file=*/sinks/*http*,*/sinks/*mqtt*,*/sinks/*postgresql*,*/sinks/*network*,*/sinks/*tcp*,*/sinks/*sender*,*/sinks/*through*,*/sinks/half_open*,*/sinks/slow_peer*)
-foreach(suite data loop process sensors sinks fsm outputs config app contract)
+set(suites ${RTDATA_TEST_SUITES})
+list(REMOVE_ITEM suites control)  # which has tests of the suite `outputs`
+foreach(suite IN LISTS suites)
   set(all_but_part "")
   foreach(part examples network)
     if(DEFINED ${part}_of_${suite})
@@ -60,8 +73,10 @@ foreach(suite data loop process sensors sinks fsm outputs config app contract)
     endif()
   endforeach()
   add_test(NAME ${suite} COMMAND rtdata_tests --test-suite=${suite} ${all_but_part} --no-skipped-summary WORKING_DIRECTORY ${CMAKE_CURRENT_SOURCE_DIR})
+  if(suite MATCHES "^(app|sinks|sensors)$")
+    set_tests_properties(${suite} PROPERTIES COST 100)
+  endif()
 endforeach()
-set_tests_properties(app sinks sensors PROPERTIES COST 100)
 
 # Run by script/test --all in the kernel bench, with real drivers.
 if(RTDATA_PROGRAM)

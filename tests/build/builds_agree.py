@@ -40,6 +40,18 @@ for package, least in re.findall(r"\b([a-z]\w+)>=(\d[\d.]*)", cmake):
     if not re.search(rf"dependency\('{package}', version: '>= ?{re.escape(least)}'", meson):
         problems.append(f"CMake needs {package} >= {least}, meson does not say so")
 
+# CMake tells the parts that are in to the sources that ask for them, and sees nothing of what these include.
+for path in sorted(p for folder in ("include", "src", "tests", "examples") for p in (root / folder).glob("**/*.hpp")):
+    if "RTDATA_WITH_" in path.read_text():
+        problems.append(f"{path.relative_to(root)} asks which parts are in: only what is in a list of sources may")
+for path in sorted(p for folder in ("src", "tests", "examples") for p in (root / folder).glob("**/*.cpp")):
+    if "RTDATA_WITH_" in path.read_text() and path.relative_to(root).as_posix() not in listed:
+        problems.append(f"{path.relative_to(root)} asks which parts are in, and is in no list of sources")
+parts = sorted(re.findall(r'"([A-Z]+) [a-z]\w+>=', cmake))
+told = re.search(r"foreach name, library : \{([^}]*)\}\n  if [^\n]*\n    add_project_arguments\('-DRTDATA_WITH_", meson)
+if not told or sorted(re.findall(r"'([A-Z]+)':", told.group(1))) != parts:
+    problems.append(f"meson tells the sources of other parts than CMake does: {', '.join(parts)}")
+
 # What is installed beside libraries and headers.
 for name in sorted(p.relative_to(root).as_posix() for p in (root / "packaging").iterdir()):
     for build, text in (("CMake", cmake), ("meson", meson)):

@@ -11,12 +11,6 @@
 #include "rtdata/sinks/tcp.hpp"
 #include "sinks/answering_peer.hpp"
 #include "sinks/sink_kinds.hpp"
-#ifdef RTDATA_WITH_HTTP
-#include "rtdata/sinks/http.hpp"
-#endif
-#ifdef RTDATA_WITH_MQTT
-#include "rtdata/sinks/mqtt.hpp"
-#endif
 
 namespace sinks {
 
@@ -32,40 +26,7 @@ struct AnsweredSender {
   std::function<Sink(Loop&, const std::string& host, std::uint16_t port)> make;
 };
 
-inline std::vector<AnsweredSender> answered_senders() {
-  const SendingConfig sending{.window = 2, .parcel_rows = 5, .timeout = answer_timeout};
-  std::vector<AnsweredSender> all;
-  all.push_back({"tcp", answer_line, [sending](Loop& loop, const std::string& host, std::uint16_t port) -> Sink {
-                   return TcpSink(loop, {.host = host,
-                                         .port = port,
-                                         .acknowledge = Acknowledge::line,
-                                         .connect_timeout = 1s,
-                                         .sending = sending,
-                                         .sink = sink_config});
-                 }});
-#ifdef RTDATA_WITH_HTTP
-  all.push_back({"http", answer_request, [sending](Loop& loop, const std::string& host, std::uint16_t port) -> Sink {
-                   return HttpSink(loop, {.server = {.url = "http://" + host + ":" + std::to_string(port) + "/"},
-                                          .format = "jsonl",
-                                          .sending = sending,
-                                          .sink = sink_config});
-                 }});
-#endif
-#ifdef RTDATA_WITH_MQTT
-  all.push_back({"mqtt", answer_packet, [sending](Loop& loop, const std::string& host, std::uint16_t port) -> Sink {
-                   MqttConfig config;
-                   config.host = host;
-                   config.port = port;
-                   config.topic = "t";
-                   config.qos = 1;
-                   config.connect_timeout = 1s;
-                   config.sending = sending;
-                   config.sink = sink_config;
-                   return MqttSink(loop, config);
-                 }});
-#endif
-  return all;
-}
+std::vector<AnsweredSender> answered_senders();
 
 /// One of them at a peer that answers, in virtual time, beside a ticker.
 struct AnsweredBench {

@@ -22,6 +22,9 @@
 #include "rtdata/sensors/gps.hpp"
 #include "sensors/fake_gpsd.hpp"
 #include "sinks/answered_senders.hpp"
+#ifdef RTDATA_WITH_HTTP
+#include "rtdata/sinks/http.hpp"
+#endif
 #ifdef RTDATA_WITH_MODBUS
 #include "rtdata/io/modbus.hpp"
 #endif
@@ -31,6 +34,7 @@
 #include "io/mqtt_packet.hpp"
 #include "rtdata/outputs/mqtt.hpp"
 #include "rtdata/sensors/mqtt.hpp"
+#include "rtdata/sinks/mqtt.hpp"
 #endif
 #ifdef RTDATA_WITH_POSTGRESQL
 #include "rtdata/sinks/postgresql.hpp"

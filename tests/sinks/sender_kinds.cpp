@@ -1,4 +1,4 @@
-// The senders among the kinds of sinks that the contract runs over.
+// The senders among the kinds of sinks that the contract runs over, and those whose peer answers.
 #include <fcntl.h>
 #include <poll.h>
 #include <uv.h>
@@ -13,6 +13,7 @@
 #include "rtdata/data/codec.hpp"
 #include "rtdata/sinks/tcp.hpp"
 #include "rtdata/sinks/udp.hpp"
+#include "sinks/answered_senders.hpp"
 #include "sinks/answering_peer.hpp"
 #include "sinks/sink_kinds.hpp"
 #ifdef RTDATA_WITH_HTTP
@@ -191,4 +192,40 @@ const bool are_added[] = {
 };
 
 }  // namespace
+
+std::vector<AnsweredSender> answered_senders() {
+  const SendingConfig sending{.window = 2, .parcel_rows = 5, .timeout = answer_timeout};
+  std::vector<AnsweredSender> all;
+  all.push_back({"tcp", answer_line, [sending](Loop& loop, const std::string& host, std::uint16_t port) -> Sink {
+                   return TcpSink(loop, {.host = host,
+                                         .port = port,
+                                         .acknowledge = Acknowledge::line,
+                                         .connect_timeout = 1s,
+                                         .sending = sending,
+                                         .sink = sink_config});
+                 }});
+#ifdef RTDATA_WITH_HTTP
+  all.push_back({"http", answer_request, [sending](Loop& loop, const std::string& host, std::uint16_t port) -> Sink {
+                   return HttpSink(loop, {.server = {.url = "http://" + host + ":" + std::to_string(port) + "/"},
+                                          .format = "jsonl",
+                                          .sending = sending,
+                                          .sink = sink_config});
+                 }});
+#endif
+#ifdef RTDATA_WITH_MQTT
+  all.push_back({"mqtt", answer_packet, [sending](Loop& loop, const std::string& host, std::uint16_t port) -> Sink {
+                   MqttConfig config;
+                   config.host = host;
+                   config.port = port;
+                   config.topic = "t";
+                   config.qos = 1;
+                   config.connect_timeout = 1s;
+                   config.sending = sending;
+                   config.sink = sink_config;
+                   return MqttSink(loop, config);
+                 }});
+#endif
+  return all;
+}
+
 }  // namespace sinks
