@@ -1,5 +1,5 @@
 #!/bin/sh
-# Builds for ARM, and runs tests there in an emulator: tests/arm/run.sh arm64|armhf
+# Builds for ARM what is run there, and runs tests in an emulator: tests/arm/run.sh arm64|armhf
 # Nothing is installed: Debian's packages for that architecture are unpacked into build/ARCHITECTURE-root.
 # Exit 77: the compiler, the emulator or the packages are not to be had here.
 set -eu
@@ -54,7 +54,7 @@ if [ ! -e "$root/complete" ]; then
 fi
 
 cmake --preset "$arch"
-cmake --build --preset "$arch" -j "$(nproc)"
+cmake --build --preset "$arch" -j "$(nproc)" --target rtdata_tests
 cd "build/$arch"
 export RTDATA_TEST_EMULATOR="$(command -v $qemu) -L /usr/$triplet -E LD_LIBRARY_PATH=$root/usr/lib/$triplet"
 # What is not about real time, which an emulator does not have, and starts no other program.
