@@ -460,19 +460,27 @@ TEST_SUITE("app") {
     CHECK(run.out.find("disk of " + folder.path()) != std::string::npos);
     CHECK_FALSE(std::filesystem::exists(folder.path() + "/bench.jsonl"));  // it looks, and makes nothing
 
-    // A sensor waits for its device; that of an output is missed at once, as `run` says, too.
+    // A sensor waits for its device; an output begins as failed, as `run` says, too, unless its device is required.
     CHECK(run.out.find("it has no data until that is mended") != std::string::npos);
     folder.write("valve.json", R"({"sensors": [{"name": "l", "type": "host", "quantity": "load", "rate": "1 Hz"}],
       "outputs": [{"name": "valve", "type": "serial", "device": "/dev/does-not-exist"}]})");
     Process valve(folder, shipped, {"doctor", "valve.json"});
     CHECK(valve.end() == 2);
     CHECK(valve.out.find("fault: output valve: /dev/does-not-exist: No such file or directory") == 0);
-    CHECK(valve.out.find("the run does not start") != std::string::npos);
+    CHECK(valve.out.find("it begins as failed, and is tried each second") != std::string::npos);
     CHECK(valve.out.find("it has no data") == std::string::npos);
     Process faulted(folder, shipped, {"run", "valve.json", "--for", "100ms"});
-    faulted.end();
+    CHECK(faulted.end() == 1);
     CHECK(faulted.err.find("output valve: cannot open the serial line") != std::string::npos);
     CHECK(faulted.out.find("NOT known to be safe: output valve") != std::string::npos);
+    folder.write("required.json", R"({"sensors": [{"name": "l", "type": "host", "quantity": "load", "rate": "1 Hz"}],
+      "outputs": [{"name": "valve", "type": "serial", "device": "/dev/does-not-exist", "required": true}]})");
+    Process required(folder, shipped, {"doctor", "required.json"});
+    CHECK(required.end() == 2);
+    CHECK(required.out.find("the run does not start") != std::string::npos);
+    Process refused(folder, shipped, {"run", "required.json", "--for", "100ms"});
+    CHECK(refused.end() == 2);
+    CHECK(refused.out.find("NOT known to be safe") == std::string::npos);
 
     folder.write("away.json", R"({"sensors": [{"name": "l", "type": "host", "quantity": "load", "rate": "1 Hz"}],
       "sinks": [{"type": "file", "path": "/proc/nowhere/bench.jsonl"}]})");

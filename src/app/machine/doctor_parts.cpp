@@ -19,11 +19,21 @@ using config_detail::text_or_empty;
 using Found = std::optional<Finding>;
 
 constexpr const char* no_data = "it has no data until that is mended";
-/// An output is safe from the start on, or there is none; a line or a channel is taken when the part is made.
+constexpr const char* begins_as_failed = "it begins as failed, and is tried each second";
+/// A line or a channel is taken when the part is made.
 constexpr const char* no_start = "the run does not start";
 
 Finding at_fault(const PartPlan& part, std::string what, std::string advice, const char* cost = no_data) {
   return {Severity::fault, part.object(), std::move(what), part.kind == "output" ? no_start : cost, std::move(advice)};
+}
+/// Of what is not there: an output is made without it, unless it is `required`.
+Finding missing(const PartPlan& part, std::string what, std::string advice, const char* cost = no_data) {
+  bool is_required = false;
+  Problems ignored;
+  if (const ConfigItem* item = part.item.find("required")) ConfigValue<bool>::read(*item, is_required, ignored);
+  Finding found = at_fault(part, std::move(what), std::move(advice), cost);
+  if (part.kind == "output" && !is_required) found.cost = begins_as_failed;
+  return found;
 }
 Finding well(const PartPlan& part, std::string what) { return {Severity::good, part.object(), std::move(what)}; }
 
@@ -45,7 +55,8 @@ Finding examine_device(const MachineFiles& files, const PartPlan& part, const st
   // What the kernel shows below /sys and /proc is read; a bus or a port is written to as well.
   const bool is_node = device.starts_with("/dev/");
   const Access access = access_to(files, device, is_node ? R_OK | W_OK : R_OK);
-  if (!access.is_granted) return at_fault(part, device + ": " + access.why, access.advice);
+  if (!access.is_granted)
+    return (files.exists(device) ? at_fault : missing)(part, device + ": " + access.why, access.advice, no_data);
   struct stat status {};
   if (files.is_this_machine() && is_node && ::stat(device.c_str(), &status) == 0 && !S_ISCHR(status.st_mode))
     return at_fault(
@@ -106,14 +117,16 @@ Found examine_gps(const MachineFiles& files, const PartPlan& part) {
 /// None: on a copy of another machine's files, where nobody says which lines its chips have.
 Found examine_line(const MachineFiles& files, const PartPlan& part, [[maybe_unused]] const ConfigItem& item) {
   if (files.names("/dev", "gpiochip").empty())
-    return at_fault(part, "this machine has no GPIO chip", "`ls /dev/gpiochip*` shows them", no_start);
+    return missing(part, "this machine has no GPIO chip", "`ls /dev/gpiochip*` shows them", no_start);
 #ifdef RTDATA_WITH_GPIO
   GpioLineName line;
   Problems ignored;
   const ConfigItem* name = item.find("line");
   if (!files.is_this_machine() || name == nullptr || !ConfigValue<GpioLineName>::read(*name, line, ignored)) return {};
   const auto found = detail::find_gpio_line(make_kernel_gpio()->chips(), line, text_or_empty(item, "chip"));
-  if (!found) return at_fault(part, found.error().where + ": " + found.error().why, found.error().advice, no_start);
+  if (!found)
+    return (found.error().code == Errc::not_found ? missing : at_fault)(
+        part, found.error().where + ": " + found.error().why, found.error().advice, no_start);
   if (!found->line.is_used) return well(part, found->text + " is free");
   const std::string& who = found->line.consumer;
   return Finding{Severity::warning, part.object(),
@@ -138,12 +151,12 @@ Finding examine_pwm(const MachineFiles& files, const PartPlan& part) {
   const std::int64_t channel = number_at(part.item, "channel");
   const auto count = files.text(chip + "/npwm");
   if (!count)
-    return at_fault(part, "there is no PWM chip " + chip,
+    return missing(part, "there is no PWM chip " + chip,
                     "on a Raspberry Pi a line `dtoverlay=pwm-2chan` in /boot/firmware/config.txt, then start it again");
   std::int64_t channels = 0;
   std::from_chars(count->data(), count->data() + count->size(), channels);
   if (channel >= channels)
-    return at_fault(part, chip + " has " + *count + " channels, from 0 on", "set `channel` to one of them");
+    return missing(part, chip + " has " + *count + " channels, from 0 on", "set `channel` to one of them");
   const std::string folder = chip + "/pwm" + std::to_string(channel);
   const std::string file = files.exists(folder) ? folder + "/duty_cycle" : chip + "/export";
   const Access access = access_to(files, file, W_OK);
