@@ -152,7 +152,7 @@ Finding examine_pwm(const MachineFiles& files, const PartPlan& part) {
   const auto count = files.text(chip + "/npwm");
   if (!count)
     return missing(part, "there is no PWM chip " + chip,
-                    "on a Raspberry Pi a line `dtoverlay=pwm-2chan` in /boot/firmware/config.txt, then start it again");
+                   "on a Raspberry Pi a line `dtoverlay=pwm-2chan` in /boot/firmware/config.txt, then start it again");
   std::int64_t channels = 0;
   std::from_chars(count->data(), count->data() + count->size(), channels);
   if (channel >= channels)
