@@ -7,11 +7,11 @@
 namespace rtdata::app {
 
 template <class Config, auto check>
-static void check_topics(PartPlan& plan, const Config& config) {
+static constexpr auto check_topics = [](PartPlan& plan, const Config& config) {
   plan.check_topics = [config](const PartPlan& part, const PartPlan::PayloadOf& payload_of, Problems& problems) {
     check(config, payload_of, part.item, problems);
   };
-}
+};
 
 void add_topic_sensors(Registry& registry) {
   registry.add_sensor<DerivedConfig>(
