@@ -479,7 +479,7 @@ TEST_SUITE("app") {
     CHECK(required.end() == 2);
     CHECK(required.out.find("the run does not start") != std::string::npos);
     Process refused(folder, shipped, {"run", "required.json", "--for", "100ms"});
-    CHECK(refused.end() == 2);
+    CHECK(refused.end() == 1);
     CHECK(refused.out.find("NOT known to be safe") == std::string::npos);
 
     folder.write("away.json", R"({"sensors": [{"name": "l", "type": "host", "quantity": "load", "rate": "1 Hz"}],
