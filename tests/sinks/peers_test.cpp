@@ -122,7 +122,7 @@ class WildServer {
 };
 
 /// What has come, within 20 ms; empty: nothing. False: the client has closed it.
-bool hear(int connection, std::string& heard) {
+[[maybe_unused]] bool hear(int connection, std::string& heard) {
   pollfd ready{connection, POLLIN, 0};
   heard.clear();
   if (::poll(&ready, 1, 20) <= 0) return true;
@@ -138,7 +138,7 @@ void hush(Loop& loop) {
   loop.runtime().on_log([](const LogRecord&) {});
 }
 
-void say(int connection, std::string_view text) { (void)::send(connection, text.data(), text.size(), MSG_NOSIGNAL); }
+[[maybe_unused]] void say(int connection, std::string_view text) { (void)::send(connection, text.data(), text.size(), MSG_NOSIGNAL); }
 
 }  // namespace
 
