@@ -138,7 +138,9 @@ void hush(Loop& loop) {
   loop.runtime().on_log([](const LogRecord&) {});
 }
 
-[[maybe_unused]] void say(int connection, std::string_view text) { (void)::send(connection, text.data(), text.size(), MSG_NOSIGNAL); }
+[[maybe_unused]] void say(int connection, std::string_view text) {
+  (void)::send(connection, text.data(), text.size(), MSG_NOSIGNAL);
+}
 
 }  // namespace
 
