@@ -8,8 +8,8 @@
 #include <cstdio>
 
 #include "rtdata/loop/loop.hpp"
+#include "rtdata/recording/sqlite.hpp"
 #include "rtdata/sensors/host.hpp"
-#include "rtdata/sinks/sqlite.hpp"
 
 using namespace rtdata::literals;
 

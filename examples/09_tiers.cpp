@@ -3,8 +3,8 @@
 #include <cstdio>
 
 #include "rtdata/loop/tier.hpp"
+#include "rtdata/recording/sqlite.hpp"
 #include "rtdata/sensors/sensor.hpp"
-#include "rtdata/sinks/sqlite.hpp"
 
 using namespace rtdata::literals;
 

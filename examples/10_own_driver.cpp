@@ -1,8 +1,8 @@
 // A driver of one's own for a chip on I2C: one class of plain blocking code, tried on a bus that is made of memory.
 // With `rtdata::I2cBus bus({.device = "/dev/i2c-1"})` it reads the chip.
 #include "rtdata/config/system.hpp"
-#include "rtdata/io/fake_i2c.hpp"
 #include "rtdata/sensors/driver.hpp"
+#include "rtdata/testing/fake_i2c.hpp"
 
 using namespace rtdata::literals;
 

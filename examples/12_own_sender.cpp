@@ -11,8 +11,8 @@
 
 #include "rtdata/data/codec.hpp"
 #include "rtdata/loop/timer.hpp"
+#include "rtdata/recording/sqlite.hpp"
 #include "rtdata/sinks/sender.hpp"
-#include "rtdata/sinks/sqlite.hpp"
 
 using namespace std::chrono_literals;
 

@@ -4,10 +4,10 @@
 #include <string>
 
 #include "rtdata/loop/loop.hpp"
+#include "rtdata/recording/recording.hpp"
+#include "rtdata/recording/replay.hpp"
+#include "rtdata/recording/sqlite.hpp"
 #include "rtdata/sensors/sensor.hpp"
-#include "rtdata/sinks/recording.hpp"
-#include "rtdata/sinks/replay.hpp"
-#include "rtdata/sinks/sqlite.hpp"
 
 using namespace rtdata::literals;
 

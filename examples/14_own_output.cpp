@@ -1,11 +1,11 @@
 // An output of one's own: the shipped GPIO line, extended for a compressor, which must rest before it is switched on
 // again. A guard holds it: it is off, too, when this program hangs or is killed. (The chip is one of memory here.)
-#include <rtdata/io/fake_gpio.hpp>
 #include <rtdata/loop/loop.hpp>
 #include <rtdata/loop/runtime.hpp>
 #include <rtdata/loop/timer.hpp>
 #include <rtdata/outputs/gpio.hpp>
 #include <rtdata/outputs/guard.hpp>
+#include <rtdata/testing/fake_gpio.hpp>
 
 #include <chrono>
 #include <cstdio>

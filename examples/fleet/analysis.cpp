@@ -9,9 +9,9 @@
 #include <utility>
 
 #include "rtdata/loop/loop.hpp"
+#include "rtdata/recording/replay.hpp"
+#include "rtdata/recording/sqlite.hpp"
 #include "rtdata/sensors/feed.hpp"
-#include "rtdata/sinks/replay.hpp"
-#include "rtdata/sinks/sqlite.hpp"
 
 using namespace std::chrono_literals;
 

@@ -8,9 +8,9 @@
 #include <string>
 
 #include "rtdata/loop/runtime.hpp"
-#include "rtdata/sinks/recording.hpp"
-#include "rtdata/sinks/replay.hpp"
-#include "rtdata/sinks/sqlite.hpp"
+#include "rtdata/recording/recording.hpp"
+#include "rtdata/recording/replay.hpp"
+#include "rtdata/recording/sqlite.hpp"
 
 int main(int argc, char** argv) {
   const std::string flight_of = argc > 1 ? argv[1] : "flight.db", decisions = argc > 2 ? argv[2] : "decided.db";

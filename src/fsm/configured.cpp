@@ -1,4 +1,4 @@
-#include "rtdata/fsm/configured.hpp"
+#include "fsm/configured.hpp"
 
 #include <algorithm>
 #include <atomic>

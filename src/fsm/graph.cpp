@@ -1,4 +1,4 @@
-#include "rtdata/fsm/graph.hpp"
+#include "rtdata/fsm/machine.hpp"
 
 #include <algorithm>
 

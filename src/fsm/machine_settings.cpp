@@ -2,8 +2,8 @@
 #include <algorithm>
 #include <utility>
 
+#include "fsm/configured.hpp"
 #include "process/expression_fields.hpp"
-#include "rtdata/fsm/configured.hpp"
 #include "rtdata/loop/topic.hpp"
 
 namespace rtdata::fsm {

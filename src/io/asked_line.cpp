@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <array>
 
-#include "rtdata/loop/lane.hpp"
+#include "rtdata/detail/loop/lane.hpp"
 
 namespace rtdata::detail {
 

@@ -4,7 +4,7 @@
 #include <mutex>
 
 #include "loop/core/lane_thread.hpp"
-#include "rtdata/loop/lane.hpp"
+#include "rtdata/detail/loop/lane.hpp"
 
 namespace rtdata {
 

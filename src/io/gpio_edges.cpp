@@ -4,9 +4,9 @@
 #include <cerrno>
 
 #include "io/gpio_failure.hpp"
+#include "loop/core/handler.hpp"
 #include "loop/core/loop_core.hpp"
 #include "loop/runtime/runtime_core.hpp"
-#include "loop/support/handler.hpp"
 #include "rtdata/io/gpio.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/loop/watch.hpp"

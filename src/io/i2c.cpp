@@ -5,7 +5,7 @@
 #include <charconv>
 
 #include "io/enabling.hpp"
-#include "rtdata/loop/lane.hpp"
+#include "rtdata/detail/loop/lane.hpp"
 
 namespace rtdata {
 

@@ -23,8 +23,8 @@
 #include "io/modbus_tcp.hpp"
 #include "io/tty.hpp"
 #include "rtdata/data/config_item.hpp"
+#include "rtdata/detail/loop/lane.hpp"
 #include "rtdata/io/serial.hpp"
-#include "rtdata/loop/lane.hpp"
 
 namespace rtdata {
 namespace {

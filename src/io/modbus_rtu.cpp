@@ -6,7 +6,7 @@
 #include <utility>
 
 #include "io/libmodbus.hpp"
-#include "rtdata/loop/lane.hpp"
+#include "rtdata/detail/loop/lane.hpp"
 
 namespace rtdata::detail {
 namespace {

@@ -6,7 +6,7 @@
 #include "io/asked_line.hpp"
 #include "io/tty.hpp"
 #include "rtdata/data/config_item.hpp"
-#include "rtdata/loop/lane.hpp"
+#include "rtdata/detail/loop/lane.hpp"
 
 namespace rtdata {
 namespace {

@@ -5,7 +5,7 @@
 
 #include "io/enabling.hpp"
 #include "rtdata/data/config_item.hpp"
-#include "rtdata/loop/lane.hpp"
+#include "rtdata/detail/loop/lane.hpp"
 
 namespace rtdata {
 

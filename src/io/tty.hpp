@@ -4,7 +4,7 @@
 #include <string>
 
 #include "rtdata/data/error.hpp"
-#include "rtdata/io/serial_settings.hpp"
+#include "rtdata/io/serial.hpp"
 
 namespace rtdata::detail {
 

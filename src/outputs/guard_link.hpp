@@ -14,7 +14,7 @@
 #include <string>
 #include <vector>
 
-#include "loop/support/fitting.hpp"
+#include "data/fitting.hpp"
 #include "rtdata/data/error.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/watch.hpp"

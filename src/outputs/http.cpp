@@ -7,9 +7,9 @@
 #include <utility>
 
 #include "data/hidden.hpp"
-#include "io/http_request.hpp"
-#include "loop/support/no_memory.hpp"
-#include "loop/support/no_sigpipe.hpp"
+#include "data/no_memory.hpp"
+#include "io/no_sigpipe.hpp"
+#include "net/http_request.hpp"
 #include "outputs/set_text.hpp"
 
 namespace rtdata {

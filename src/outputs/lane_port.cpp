@@ -5,8 +5,8 @@
 
 #include "loop/core/loop_core.hpp"
 #include "outputs/port.hpp"
-#include "rtdata/loop/lane.hpp"
-#include "rtdata/outputs/checked_actuator.hpp"
+#include "rtdata/detail/loop/lane.hpp"
+#include "rtdata/outputs/output.hpp"
 
 namespace rtdata::detail {
 

@@ -13,9 +13,9 @@
 #include <thread>
 #include <utility>
 
-#include "io/host_lookup.hpp"
-#include "io/mqtt_connection.hpp"
-#include "loop/support/no_sigpipe.hpp"
+#include "io/no_sigpipe.hpp"
+#include "net/host_lookup.hpp"
+#include "net/mqtt_connection.hpp"
 #include "outputs/set_text.hpp"
 
 namespace rtdata {

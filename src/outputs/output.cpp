@@ -4,10 +4,10 @@
 #include <cmath>
 #include <utility>
 
+#include "data/fitting.hpp"
 #include "loop/core/loop_core.hpp"
 #include "loop/events/made_of.hpp"
 #include "loop/runtime/runtime_core.hpp"
-#include "loop/support/fitting.hpp"
 #include "loop/tier/turn_watch.hpp"
 #include "outputs/input.hpp"
 #include "outputs/port.hpp"

@@ -12,11 +12,11 @@
 #include <xmmintrin.h>
 #endif
 
-#include "loop/support/deadline.hpp"
+#include "data/saturating.hpp"
 #include "process/expression_tree.hpp"
 #include "process/time_window.hpp"
-#include "rtdata/data/instant.hpp"
 #include "rtdata/data/problem.hpp"
+#include "rtdata/data/time.hpp"
 
 namespace rtdata {
 namespace {

@@ -2,10 +2,10 @@
 
 #include <utility>
 
+#include "data/saturating.hpp"
 #include "loop/core/loop_core.hpp"
 #include "loop/events/topic_core.hpp"
 #include "loop/runtime/runtime_core.hpp"
-#include "loop/support/deadline.hpp"
 
 namespace rtdata::detail {
 

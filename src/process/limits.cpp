@@ -5,7 +5,7 @@
 #include <limits>
 #include <string>
 
-#include "loop/support/deadline.hpp"
+#include "data/saturating.hpp"
 
 namespace rtdata {
 namespace {

@@ -9,7 +9,6 @@
 #include "data/nearest.hpp"
 #include "process/published.hpp"
 #include "rtdata/data/config_item.hpp"
-#include "rtdata/process/processing_parameters.hpp"
 
 namespace rtdata {
 namespace {

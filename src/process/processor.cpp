@@ -8,11 +8,11 @@
 
 #include "data/field_layout.hpp"
 #include "data/fnv.hpp"
-#include "loop/support/deadline.hpp"
+#include "data/saturating.hpp"
 #include "process/published.hpp"
-#include "rtdata/data/instant.hpp"
+#include "rtdata/data/time.hpp"
 #include "rtdata/data/value.hpp"
-#include "rtdata/process/processing_parameters.hpp"
+#include "rtdata/process/processing.hpp"
 
 namespace rtdata::detail {
 namespace {

@@ -5,7 +5,7 @@
 #include <cstdint>
 #include <vector>
 
-#include "loop/support/deadline.hpp"
+#include "data/saturating.hpp"
 #include "rtdata/data/time.hpp"
 
 namespace rtdata::detail {

@@ -12,8 +12,8 @@
 #include "has.hpp"
 #include "outputs/terminal.hpp"
 #include "paths.hpp"
+#include "recording/database.hpp"
 #include "rtdata/process/expression.hpp"
-#include "sinks/sqlite/database.hpp"
 
 using namespace std::chrono_literals;
 using outputs_test::Terminal;

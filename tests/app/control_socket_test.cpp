@@ -21,7 +21,7 @@
 #include "app/control/status_view.hpp"
 #include "app/runtime_folder.hpp"
 #include "paths.hpp"
-#include "rtdata/loop/lane.hpp"
+#include "rtdata/detail/loop/lane.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/sensors/sensor.hpp"
 

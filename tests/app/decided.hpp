@@ -9,7 +9,7 @@
 #include "app/process.hpp"
 #include "paths.hpp"
 #include "rtdata/fsm/machine.hpp"
-#include "rtdata/sinks/recording.hpp"
+#include "rtdata/recording/recording.hpp"
 
 namespace rtdata::test {
 

@@ -18,7 +18,7 @@
 #include "has.hpp"
 #include "paths.hpp"
 #include "rtdata/app/standard.hpp"
-#include "rtdata/sinks/recording.hpp"
+#include "rtdata/recording/recording.hpp"
 
 using namespace rtdata;
 using test::Folder;

@@ -9,7 +9,7 @@
 #include "app/process.hpp"
 #include "has.hpp"
 #include "paths.hpp"
-#include "rtdata/sinks/recording.hpp"
+#include "rtdata/recording/recording.hpp"
 
 using namespace rtdata;
 using test::Folder;

@@ -11,8 +11,8 @@
 #include "app/runtime_folder.hpp"
 #include "has.hpp"
 #include "paths.hpp"
+#include "recording/database.hpp"
 #include "rtdata/process/expression.hpp"
-#include "sinks/sqlite/database.hpp"
 
 using rtdata::test::built;
 using rtdata::test::Folder;

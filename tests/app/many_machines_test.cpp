@@ -13,7 +13,7 @@
 
 #include "app/process.hpp"
 #include "paths.hpp"
-#include "rtdata/sinks/recording.hpp"
+#include "rtdata/recording/recording.hpp"
 #include "sinks/broker.hpp"
 #include "sinks/postgresql_server.hpp"
 

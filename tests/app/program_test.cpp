@@ -14,8 +14,8 @@
 #include "app/runtime_folder.hpp"
 #include "has.hpp"
 #include "paths.hpp"
+#include "recording/database.hpp"
 #include "sanitized.hpp"
-#include "sinks/sqlite/database.hpp"
 
 using rtdata::app::ControlClient;
 using rtdata::app::running_instances;

@@ -11,9 +11,9 @@
 #include "app/runtime_folder.hpp"
 #include "has.hpp"
 #include "paths.hpp"
+#include "recording/database.hpp"
 #include "rtdata/process/expression.hpp"
-#include "rtdata/sinks/recording.hpp"
-#include "sinks/sqlite/database.hpp"
+#include "rtdata/recording/recording.hpp"
 
 using rtdata::test::built;
 using rtdata::test::Folder;

@@ -5,14 +5,14 @@
 
 #include "app/process.hpp"
 #include "paths.hpp"
+#include "recording/database.hpp"
 #include "rtdata/loop/loop.hpp"
+#include "rtdata/recording/recording.hpp"
+#include "rtdata/recording/sqlite.hpp"
+#include "rtdata/recording/verify.hpp"
 #include "rtdata/sensors/feed.hpp"
 #include "rtdata/sensors/sensor.hpp"
-#include "rtdata/sinks/recording.hpp"
-#include "rtdata/sinks/sqlite.hpp"
-#include "rtdata/sinks/verify.hpp"
 #include "sinks/http_bench.hpp"
-#include "sinks/sqlite/database.hpp"
 
 using namespace rtdata;
 using namespace rtdata::literals;

@@ -12,8 +12,8 @@
 #include "harness.hpp"
 #ifdef RTDATA_BENCH_SQLITE
 #include "payloads.hpp"
+#include "rtdata/recording/sqlite.hpp"
 #include "rtdata/sensors/feed.hpp"
-#include "rtdata/sinks/sqlite.hpp"
 #endif
 
 extern char** environ;

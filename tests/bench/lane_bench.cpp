@@ -27,11 +27,11 @@
 #include "bare.hpp"
 #include "harness.hpp"
 #include "payloads.hpp"
-#include "rtdata/io/fake_i2c.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/sensors/analog.hpp"
 #include "rtdata/sensors/driver.hpp"
 #include "rtdata/sensors/feed.hpp"
+#include "rtdata/testing/fake_i2c.hpp"
 #include "sensors/gps/gps_report.hpp"
 
 namespace bench {

@@ -13,8 +13,8 @@
 #include "payloads.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/timer.hpp"
+#include "rtdata/postgresql/sink.hpp"
 #include "rtdata/sensors/feed.hpp"
-#include "rtdata/sinks/postgresql.hpp"
 #include "sinks/postgresql_server.hpp"
 #endif
 

@@ -11,10 +11,10 @@
 #include <sqlite3.h>
 
 #include "payloads.hpp"
+#include "rtdata/recording/recording.hpp"
+#include "rtdata/recording/replay.hpp"
+#include "rtdata/recording/sqlite.hpp"
 #include "rtdata/sensors/feed.hpp"
-#include "rtdata/sinks/recording.hpp"
-#include "rtdata/sinks/replay.hpp"
-#include "rtdata/sinks/sqlite.hpp"
 #endif
 
 namespace bench {

@@ -25,7 +25,7 @@
 #ifdef RTDATA_BENCH_SQLITE
 #include <sqlite3.h>
 
-#include "rtdata/sinks/sqlite.hpp"
+#include "rtdata/recording/sqlite.hpp"
 #endif
 
 #include "bare.hpp"
@@ -33,7 +33,6 @@
 #include "payloads.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/runtime.hpp"
-#include "rtdata/loop/scheduling.hpp"
 #include "rtdata/loop/tier.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/sensors/feed.hpp"

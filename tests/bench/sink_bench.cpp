@@ -14,7 +14,7 @@
 #ifdef RTDATA_BENCH_SQLITE
 #include <sqlite3.h>
 
-#include "rtdata/sinks/sqlite.hpp"
+#include "rtdata/recording/sqlite.hpp"
 #endif
 
 #include "bare.hpp"

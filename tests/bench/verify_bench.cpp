@@ -10,12 +10,12 @@
 
 #include "bare.hpp"
 #include "payloads.hpp"
+#include "recording/checksum.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/timer.hpp"
+#include "rtdata/recording/sqlite.hpp"
+#include "rtdata/recording/verify.hpp"
 #include "rtdata/sensors/feed.hpp"
-#include "rtdata/sinks/sqlite.hpp"
-#include "rtdata/sinks/verify.hpp"
-#include "sinks/sqlite/checksum.hpp"
 #endif
 
 namespace bench {

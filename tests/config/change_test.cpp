@@ -14,9 +14,9 @@
 #include "config/test_types.hpp"
 #include "loop/runtime/runtime_core.hpp"
 #include "rtdata/app/standard.hpp"
+#include "rtdata/recording/recording.hpp"
+#include "rtdata/recording/verify.hpp"
 #include "rtdata/sensors/limit.hpp"
-#include "rtdata/sinks/recording.hpp"
-#include "rtdata/sinks/verify.hpp"
 #include "sinks/recordings.hpp"
 
 using namespace rtdata;

@@ -13,9 +13,9 @@
 #include "paths.hpp"
 #include "rtdata/app/standard.hpp"
 #include "rtdata/config/system.hpp"
-#include "rtdata/loop/health.hpp"
+#include "rtdata/loop/runtime.hpp"
 #include "rtdata/loop/topic.hpp"
-#include "rtdata/sinks/sqlite.hpp"
+#include "rtdata/recording/sqlite.hpp"
 
 using namespace rtdata;
 using namespace std::chrono_literals;

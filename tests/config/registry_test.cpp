@@ -1,4 +1,4 @@
-#include "rtdata/config/type_registry.hpp"
+#include "rtdata/detail/config/type_registry.hpp"
 
 #include <doctest/doctest.h>
 

@@ -1,6 +1,6 @@
 // Texts that are taken from the environment or from files, and shown nowhere.
-#include "rtdata/config/secret.hpp"
 #include "has.hpp"
+#include "rtdata/config/read.hpp"
 
 #include <doctest/doctest.h>
 #include <stdlib.h>

@@ -11,10 +11,10 @@
 #include <semaphore>
 
 #include "data/payloads.hpp"
+#include "rtdata/detail/sensors/transaction.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/loop/watch.hpp"
 #include "rtdata/sensors/feed.hpp"
-#include "rtdata/sensors/transaction.hpp"
 #include "rtdata/sinks/recording_writer.hpp"
 #include "rtdata/sinks/sink.hpp"
 

@@ -9,9 +9,9 @@
 #include <vector>
 
 #include "contract/at_end.hpp"
+#include "loop/core/latch.hpp"
 #include "loop/core/loop_core.hpp"
 #include "loop/runtime/runtime_core.hpp"
-#include "loop/support/latch.hpp"
 #include "rtdata/loop/tier.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/loop/watch.hpp"

@@ -5,8 +5,7 @@
 #include <limits>
 #include <vector>
 
-#include "rtdata/control/hysteresis.hpp"
-#include "rtdata/control/pid.hpp"
+#include "rtdata/control/controllers.hpp"
 
 using namespace rtdata;
 using namespace std::chrono_literals;

@@ -28,11 +28,11 @@
 #include "rtdata/loop/runtime.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/loop/topic.hpp"
+#include "rtdata/recording/sqlite.hpp"
+#include "rtdata/recording/verify.hpp"
 #include "rtdata/sensors/analog.hpp"
 #include "rtdata/sensors/feed.hpp"
 #include "rtdata/sensors/sensor.hpp"
-#include "rtdata/sinks/sqlite.hpp"
-#include "rtdata/sinks/verify.hpp"
 
 namespace {
 

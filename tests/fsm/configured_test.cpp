@@ -1,5 +1,5 @@
 // Machines of configurations: what check refuses, what they do with events, and going on after a pause.
-#include "rtdata/fsm/configured.hpp"
+#include "fsm/configured.hpp"
 
 #include <doctest/doctest.h>
 

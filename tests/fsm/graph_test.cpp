@@ -1,5 +1,5 @@
 // Mistakes in a machine's table, and its drawings.
-#include "rtdata/fsm/graph.hpp"
+#include "rtdata/fsm/machine.hpp"
 
 #include <doctest/doctest.h>
 

@@ -8,8 +8,8 @@
 #include <string_view>
 
 #include "data/utf8.hpp"
-#include "io/http_answer.hpp"
-#include "io/http_url.hpp"
+#include "net/http_answer.hpp"
+#include "net/http_url.hpp"
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
   using namespace rtdata::detail;

@@ -12,8 +12,8 @@
 #include <string>
 
 #include "app/core/recording_commands.hpp"
-#include "rtdata/sinks/recording.hpp"
-#include "rtdata/sinks/verify.hpp"
+#include "rtdata/recording/recording.hpp"
+#include "rtdata/recording/verify.hpp"
 
 namespace {
 

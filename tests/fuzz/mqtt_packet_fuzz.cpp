@@ -8,7 +8,7 @@
 #include <string_view>
 #include <vector>
 
-#include "io/mqtt_packet.hpp"
+#include "net/mqtt_packet.hpp"
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
   using rtdata::detail::look_at_mqtt;

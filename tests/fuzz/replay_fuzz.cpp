@@ -13,10 +13,10 @@
 #include <string>
 
 #include "rtdata/loop/topic.hpp"
+#include "rtdata/recording/recording.hpp"
+#include "rtdata/recording/replay.hpp"
+#include "rtdata/recording/sqlite.hpp"
 #include "rtdata/sensors/sensor.hpp"
-#include "rtdata/sinks/recording.hpp"
-#include "rtdata/sinks/replay.hpp"
-#include "rtdata/sinks/sqlite.hpp"
 
 namespace {
 

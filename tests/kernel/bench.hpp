@@ -15,8 +15,8 @@
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/runtime.hpp"
 #include "rtdata/loop/timer.hpp"
-#include "rtdata/sinks/recording.hpp"
-#include "rtdata/sinks/verify.hpp"
+#include "rtdata/recording/recording.hpp"
+#include "rtdata/recording/verify.hpp"
 #include "sensors/fixture.hpp"
 #include "sinks/recordings.hpp"
 

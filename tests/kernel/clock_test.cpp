@@ -5,7 +5,7 @@
 #include <sstream>
 
 #include "kernel/bench.hpp"
-#include "rtdata/sinks/export.hpp"
+#include "rtdata/recording/export.hpp"
 
 using namespace bench;
 

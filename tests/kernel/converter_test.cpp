@@ -10,11 +10,11 @@
 
 #include "kernel/bench.hpp"
 #include "rtdata/app/standard.hpp"
+#include "rtdata/chips/ina.hpp"
+#include "rtdata/chips/max31855.hpp"
+#include "rtdata/chips/nau7802.hpp"
+#include "rtdata/chips/sht.hpp"
 #include "rtdata/config/system.hpp"
-#include "rtdata/sensors/ina.hpp"
-#include "rtdata/sensors/max31855.hpp"
-#include "rtdata/sensors/nau7802.hpp"
-#include "rtdata/sensors/sht.hpp"
 
 using namespace bench;
 

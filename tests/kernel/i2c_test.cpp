@@ -12,11 +12,11 @@
 #include "kernel/bench.hpp"
 #include "kernel/gpio_bench.hpp"
 #include "rtdata/app/standard.hpp"
+#include "rtdata/chips/barometer.hpp"
+#include "rtdata/chips/imu.hpp"
+#include "rtdata/chips/lm75.hpp"
 #include "rtdata/config/system.hpp"
 #include "rtdata/io/i2c.hpp"
-#include "rtdata/sensors/barometer.hpp"
-#include "rtdata/sensors/imu.hpp"
-#include "rtdata/sensors/lm75.hpp"
 
 using namespace bench;
 

@@ -7,11 +7,11 @@
 
 #include "kernel/bench.hpp"
 #include "rtdata/app/standard.hpp"
+#include "rtdata/chips/barometer.hpp"
+#include "rtdata/chips/imu.hpp"
+#include "rtdata/chips/magnetometer.hpp"
 #include "rtdata/config/system.hpp"
 #include "rtdata/io/spi.hpp"
-#include "rtdata/sensors/barometer.hpp"
-#include "rtdata/sensors/imu.hpp"
-#include "rtdata/sensors/magnetometer.hpp"
 
 using namespace bench;
 

@@ -9,9 +9,9 @@
 
 #include "kernel/bench.hpp"
 #include "rtdata/app/standard.hpp"
+#include "rtdata/chips/mcp3x08.hpp"
 #include "rtdata/config/system.hpp"
 #include "rtdata/io/spi.hpp"
-#include "rtdata/sensors/mcp3x08.hpp"
 
 using namespace bench;
 

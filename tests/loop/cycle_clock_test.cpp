@@ -1,4 +1,4 @@
-#include "loop/support/cycle_clock.hpp"
+#include "loop/core/cycle_clock.hpp"
 
 #include <doctest/doctest.h>
 

@@ -7,11 +7,11 @@
 
 #include "loop/lane_sensor.hpp"
 #include "loop/observed.hpp"
+#include "rtdata/detail/sensors/transaction.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/runtime.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/sensors/feed.hpp"
-#include "rtdata/sensors/transaction.hpp"
 
 using namespace rtdata;
 using namespace rtdata::literals;

@@ -1,4 +1,4 @@
-#include "rtdata/loop/health.hpp"
+#include "rtdata/loop/runtime.hpp"
 
 #include <doctest/doctest.h>
 
@@ -10,7 +10,7 @@
 #include "loop/observed.hpp"
 #include "loop/run_until.hpp"
 #include "loop/virtual_time.hpp"
-#include "rtdata/loop/lane.hpp"
+#include "rtdata/detail/loop/lane.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/tier.hpp"
 #include "rtdata/loop/timer.hpp"

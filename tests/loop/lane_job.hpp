@@ -10,7 +10,7 @@
 #include <thread>
 #include <utility>
 
-#include "rtdata/loop/lane.hpp"
+#include "rtdata/detail/loop/lane.hpp"
 
 namespace lane_job {
 

@@ -17,8 +17,8 @@
 #include "loop/lane_sensor.hpp"
 #include "loop/observed.hpp"
 #include "loop/run_until.hpp"
-#include "rtdata/loop/health.hpp"
-#include "rtdata/loop/lane.hpp"
+#include "rtdata/detail/loop/lane.hpp"
+#include "rtdata/loop/runtime.hpp"
 #include "rtdata/loop/timer.hpp"
 
 using namespace rtdata;

@@ -7,8 +7,8 @@
 #include <thread>
 #include <utility>
 
+#include "rtdata/detail/sensors/transaction.hpp"
 #include "rtdata/sensors/sensor.hpp"
-#include "rtdata/sensors/transaction.hpp"
 
 namespace lane_sensor {
 

@@ -24,13 +24,13 @@
 #include "loop/run_until.hpp"
 #include "loop/runtime/runtime_core.hpp"
 #include "loop/virtual_time.hpp"
+#include "rtdata/detail/sensors/transaction.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/tier.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/loop/topic.hpp"
 #include "rtdata/sensors/feed.hpp"
 #include "rtdata/sensors/sensor.hpp"
-#include "rtdata/sensors/transaction.hpp"
 
 using namespace rtdata;
 using namespace rtdata::literals;

@@ -1,5 +1,5 @@
 // How loops wake each other.
-#include "loop/support/wake.hpp"
+#include "loop/core/wake.hpp"
 
 #include <doctest/doctest.h>
 #include <poll.h>

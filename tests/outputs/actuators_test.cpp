@@ -10,10 +10,10 @@
 #include <thread>
 
 #include "outputs/terminal.hpp"
-#include "rtdata/io/fake_gpio.hpp"
 #include "rtdata/outputs/gpio.hpp"
 #include "rtdata/outputs/pwm.hpp"
 #include "rtdata/outputs/serial.hpp"
+#include "rtdata/testing/fake_gpio.hpp"
 #include "sensors/fixture.hpp"
 
 using namespace rtdata;

@@ -7,12 +7,12 @@
 #include <utility>
 #include <vector>
 
+#include "fsm/configured.hpp"
 #include "outputs/memory_actuator.hpp"
 #include "outputs/output_log.hpp"
 #include "rtdata/app/standard.hpp"
 #include "rtdata/config/change.hpp"
 #include "rtdata/config/system.hpp"
-#include "rtdata/fsm/configured.hpp"
 #include "rtdata/loop/runtime.hpp"
 #include "rtdata/process/expression.hpp"
 #include "rtdata/sensors/sensor.hpp"

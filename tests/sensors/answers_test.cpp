@@ -10,10 +10,10 @@
 #include <random>
 #include <sstream>
 
+#include "rtdata/chips/mhz19.hpp"
+#include "rtdata/detail/loop/lane.hpp"
 #include "rtdata/io/serial.hpp"
-#include "rtdata/loop/lane.hpp"
 #include "rtdata/loop/loop.hpp"
-#include "rtdata/sensors/mhz19.hpp"
 #include "rtdata/sensors/query.hpp"
 #include "sanitized.hpp"
 #include "sensors/fixture.hpp"

@@ -8,8 +8,8 @@
 #include <string>
 #include <vector>
 
-#include "rtdata/io/fake_i2c.hpp"
-#include "rtdata/sensors/bno055.hpp"
+#include "rtdata/chips/bno055.hpp"
+#include "rtdata/testing/fake_i2c.hpp"
 #include "sensors/fixture.hpp"
 
 using namespace rtdata;

@@ -6,9 +6,9 @@
 #include <string>
 #include <vector>
 
-#include "rtdata/io/fake_i2c.hpp"
-#include "rtdata/io/fake_spi.hpp"
 #include "rtdata/loop/loop.hpp"
+#include "rtdata/testing/fake_i2c.hpp"
+#include "rtdata/testing/fake_spi.hpp"
 #include "sensors/fixture.hpp"
 
 template <class BusOf, class Wires>

@@ -10,9 +10,9 @@
 #include <vector>
 
 #include "rtdata/app/standard.hpp"
+#include "rtdata/chips/ads1x15.hpp"
+#include "rtdata/chips/nau7802.hpp"
 #include "rtdata/config/system.hpp"
-#include "rtdata/sensors/ads1x15.hpp"
-#include "rtdata/sensors/nau7802.hpp"
 #include "sensors/bus_bench.hpp"
 
 using namespace rtdata;

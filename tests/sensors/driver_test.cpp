@@ -8,16 +8,16 @@
 #include <vector>
 
 #include "rtdata/app/standard.hpp"
+#include "rtdata/chips/barometer.hpp"
+#include "rtdata/chips/ina.hpp"
+#include "rtdata/chips/lm75.hpp"
+#include "rtdata/chips/sht.hpp"
 #include "rtdata/config/system.hpp"
-#include "rtdata/io/fake_i2c.hpp"
 #include "rtdata/loop/tier.hpp"
-#include "rtdata/sensors/barometer.hpp"
-#include "rtdata/sensors/ina.hpp"
-#include "rtdata/sensors/lm75.hpp"
-#include "rtdata/sensors/sht.hpp"
-#include "rtdata/sinks/recording.hpp"
-#include "rtdata/sinks/sqlite.hpp"
-#include "rtdata/sinks/verify.hpp"
+#include "rtdata/recording/recording.hpp"
+#include "rtdata/recording/sqlite.hpp"
+#include "rtdata/recording/verify.hpp"
+#include "rtdata/testing/fake_i2c.hpp"
 #include "sensors/fixture.hpp"
 
 using namespace rtdata;

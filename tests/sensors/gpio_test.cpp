@@ -10,10 +10,10 @@
 #include "has.hpp"
 #include "rtdata/app/standard.hpp"
 #include "rtdata/config/system.hpp"
-#include "rtdata/io/fake_gpio.hpp"
 #include "rtdata/sensors/counter.hpp"
 #include "rtdata/sensors/edge.hpp"
 #include "rtdata/sensors/levels.hpp"
+#include "rtdata/testing/fake_gpio.hpp"
 #include "sensors/fixture.hpp"
 
 using namespace rtdata;

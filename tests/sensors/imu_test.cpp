@@ -9,10 +9,10 @@
 #include <vector>
 
 #include "rtdata/app/standard.hpp"
+#include "rtdata/chips/imu.hpp"
 #include "rtdata/config/system.hpp"
-#include "rtdata/io/fake_i2c.hpp"
-#include "rtdata/loop/lane.hpp"
-#include "rtdata/sensors/imu.hpp"
+#include "rtdata/detail/loop/lane.hpp"
+#include "rtdata/testing/fake_i2c.hpp"
 #include "sensors/fixture.hpp"
 
 using namespace rtdata;

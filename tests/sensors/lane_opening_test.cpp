@@ -10,8 +10,8 @@
 #include <vector>
 
 #include "loop/run_until.hpp"
+#include "rtdata/detail/sensors/transaction.hpp"
 #include "rtdata/loop/timer.hpp"
-#include "rtdata/sensors/transaction.hpp"
 #include "sensors/fixture.hpp"
 
 using namespace rtdata;

@@ -12,7 +12,7 @@
 #include "rtdata/app/standard.hpp"
 #include "rtdata/config/format.hpp"
 #include "rtdata/config/system.hpp"
-#include "rtdata/sinks/sqlite.hpp"
+#include "rtdata/recording/sqlite.hpp"
 #include "sensors/fixture.hpp"
 #include "sinks/recordings.hpp"
 

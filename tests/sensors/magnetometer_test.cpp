@@ -7,10 +7,10 @@
 #include <vector>
 
 #include "rtdata/app/standard.hpp"
+#include "rtdata/chips/magnetometer.hpp"
 #include "rtdata/config/system.hpp"
-#include "rtdata/io/fake_i2c.hpp"
-#include "rtdata/loop/lane.hpp"
-#include "rtdata/sensors/magnetometer.hpp"
+#include "rtdata/detail/loop/lane.hpp"
+#include "rtdata/testing/fake_i2c.hpp"
 #include "sensors/fixture.hpp"
 
 using namespace rtdata;

@@ -11,9 +11,9 @@
 
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/loop/topic.hpp"
+#include "rtdata/recording/recording.hpp"
+#include "rtdata/recording/sqlite.hpp"
 #include "rtdata/sensors/mqtt.hpp"
-#include "rtdata/sinks/recording.hpp"
-#include "rtdata/sinks/sqlite.hpp"
 #include "sinks/broker.hpp"
 #include "sinks/certificates.hpp"
 #include "sinks/scripted_peer.hpp"

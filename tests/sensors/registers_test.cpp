@@ -7,12 +7,12 @@
 #include <vector>
 
 #include "rtdata/app/standard.hpp"
+#include "rtdata/chips/barometer.hpp"
+#include "rtdata/chips/imu.hpp"
+#include "rtdata/chips/magnetometer.hpp"
 #include "rtdata/config/system.hpp"
-#include "rtdata/io/fake_i2c.hpp"
-#include "rtdata/io/fake_spi.hpp"
-#include "rtdata/sensors/barometer.hpp"
-#include "rtdata/sensors/imu.hpp"
-#include "rtdata/sensors/magnetometer.hpp"
+#include "rtdata/testing/fake_i2c.hpp"
+#include "rtdata/testing/fake_spi.hpp"
 #include "sensors/fixture.hpp"
 #include "sensors/spi_bridge.hpp"
 

@@ -7,7 +7,7 @@
 #include <functional>
 #include <memory>
 
-#include "rtdata/io/fake_gpio.hpp"
+#include "rtdata/chips/mhz19.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/sensors/analog.hpp"
 #include "rtdata/sensors/counter.hpp"
@@ -17,7 +17,7 @@
 #include "rtdata/sensors/host.hpp"
 #include "rtdata/sensors/iio.hpp"
 #include "rtdata/sensors/levels.hpp"
-#include "rtdata/sensors/mhz19.hpp"
+#include "rtdata/testing/fake_gpio.hpp"
 #ifdef RTDATA_WITH_MQTT
 #include "rtdata/sensors/mqtt.hpp"
 #endif

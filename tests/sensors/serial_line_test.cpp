@@ -13,18 +13,18 @@
 #include "has.hpp"
 #include "io/tty.hpp"
 #include "paths.hpp"
+#include "recording/database.hpp"
 #include "rtdata/config/format.hpp"
 #include "rtdata/config/read.hpp"
 #include "rtdata/data/codec.hpp"
 #include "rtdata/loop/timer.hpp"
-#include "rtdata/sinks/recording.hpp"
-#include "rtdata/sinks/sqlite.hpp"
-#include "rtdata/sinks/verify.hpp"
+#include "rtdata/recording/recording.hpp"
+#include "rtdata/recording/sqlite.hpp"
+#include "rtdata/recording/verify.hpp"
 #include "sensors/fixture.hpp"
 #include "sensors/pty.hpp"
 #include "sensors/serial/line_decoder.hpp"
 #include "sensors/termios2.hpp"
-#include "sinks/sqlite/database.hpp"
 
 using namespace rtdata;
 using namespace rtdata::literals;

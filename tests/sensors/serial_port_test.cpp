@@ -12,11 +12,11 @@
 
 #include "io/tty.hpp"
 #include "rtdata/app/standard.hpp"
+#include "rtdata/chips/mhz19.hpp"
 #include "rtdata/config/system.hpp"
-#include "rtdata/io/fake_serial.hpp"
 #include "rtdata/loop/timer.hpp"
-#include "rtdata/sensors/mhz19.hpp"
 #include "rtdata/sensors/query.hpp"
+#include "rtdata/testing/fake_serial.hpp"
 #include "sensors/fixture.hpp"
 #include "sensors/pty.hpp"
 #include "sensors/termios2.hpp"

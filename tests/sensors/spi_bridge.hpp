@@ -7,9 +7,9 @@
 #include <span>
 #include <vector>
 
-#include "rtdata/io/fake_i2c.hpp"
-#include "rtdata/io/fake_spi.hpp"
 #include "rtdata/io/registers.hpp"
+#include "rtdata/testing/fake_i2c.hpp"
+#include "rtdata/testing/fake_spi.hpp"
 
 namespace rtdata {
 

@@ -9,9 +9,9 @@
 #include <vector>
 
 #include "rtdata/app/standard.hpp"
+#include "rtdata/chips/mcp3x08.hpp"
 #include "rtdata/config/system.hpp"
-#include "rtdata/io/fake_spi.hpp"
-#include "rtdata/sensors/mcp3x08.hpp"
+#include "rtdata/testing/fake_spi.hpp"
 #include "sensors/fixture.hpp"
 
 using namespace rtdata;

@@ -8,9 +8,9 @@
 #include <string>
 #include <vector>
 
-#include "rtdata/sensors/max31855.hpp"
-#include "rtdata/sensors/max31856.hpp"
-#include "rtdata/sensors/max31865.hpp"
+#include "rtdata/chips/max31855.hpp"
+#include "rtdata/chips/max31856.hpp"
+#include "rtdata/chips/max31865.hpp"
 #include "sensors/bus_bench.hpp"
 
 using namespace rtdata;

@@ -6,11 +6,11 @@
 #include <string>
 #include <vector>
 
+#include "fsm/configured.hpp"
 #include "rtdata/app/standard.hpp"
 #include "rtdata/config/change.hpp"
 #include "rtdata/config/format.hpp"
 #include "rtdata/config/system.hpp"
-#include "rtdata/fsm/configured.hpp"
 #include "rtdata/process/expression.hpp"
 #include "rtdata/sensors/limit.hpp"
 #include "sensors/fixture.hpp"

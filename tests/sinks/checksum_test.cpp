@@ -1,5 +1,5 @@
 // The checksums of values and accounts: what they are of, what leaves them alone, and what they show.
-#include "sinks/sqlite/checksum.hpp"
+#include "recording/checksum.hpp"
 #include "sinks/killed.hpp"
 
 #include <sys/wait.h>

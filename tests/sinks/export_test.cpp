@@ -1,4 +1,4 @@
-#include "rtdata/sinks/export.hpp"
+#include "rtdata/recording/export.hpp"
 
 #include <doctest/doctest.h>
 

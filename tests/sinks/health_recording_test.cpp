@@ -5,7 +5,7 @@
 #include "app/core/recording_commands.hpp"
 #include "loop/virtual_time.hpp"
 #include "rtdata/loop/tier.hpp"
-#include "rtdata/sinks/verify.hpp"
+#include "rtdata/recording/verify.hpp"
 #include "sinks/recordings.hpp"
 
 using namespace recordings;

@@ -1,6 +1,6 @@
 // What answers of HTTP mean, and what is wrong with a configuration: without any network.
 #ifdef RTDATA_WITH_HTTP
-#include "io/http_answer.hpp"
+#include "net/http_answer.hpp"
 #include "has.hpp"
 
 #include <curl/curl.h>
@@ -11,7 +11,7 @@
 #include <map>
 
 #include "app/process.hpp"
-#include "io/http_url.hpp"
+#include "net/http_url.hpp"
 #include "rtdata/app/standard.hpp"
 #include "rtdata/config/format.hpp"
 #include "rtdata/config/system.hpp"

@@ -8,11 +8,11 @@
 
 #include <map>
 
-#include "rtdata/loop/account.hpp"
+#include "rtdata/loop/ledger.hpp"
 #include "rtdata/loop/timer.hpp"
-#include "rtdata/sinks/recording.hpp"
-#include "rtdata/sinks/sqlite.hpp"
-#include "rtdata/sinks/verify.hpp"
+#include "rtdata/recording/recording.hpp"
+#include "rtdata/recording/sqlite.hpp"
+#include "rtdata/recording/verify.hpp"
 #include "sinks/http_bench.hpp"
 
 using namespace rtdata;

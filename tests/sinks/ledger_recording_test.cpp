@@ -5,7 +5,7 @@
 #include <sstream>
 
 #include "app/core/recording_commands.hpp"
-#include "rtdata/sensors/transaction.hpp"
+#include "rtdata/detail/sensors/transaction.hpp"
 #include "sinks/recordings.hpp"
 
 using namespace recordings;

@@ -1,5 +1,5 @@
 // What of a run survives a kill, where it lies, and who may touch it.
-#include "sinks/sqlite/live_file.hpp"
+#include "recording/live_file.hpp"
 
 #include <doctest/doctest.h>
 #include <fcntl.h>
@@ -20,13 +20,13 @@
 #include <utility>
 #include <vector>
 
+#include "recording/private_folder.hpp"
+#include "rtdata/recording/sqlite.hpp"
+#include "rtdata/recording/verify.hpp"
 #include "rtdata/sensors/feed.hpp"
-#include "rtdata/sinks/sqlite.hpp"
-#include "rtdata/sinks/verify.hpp"
 #include "sinks/killed.hpp"
 #include "sinks/recordings.hpp"
 #include "sinks/sink_kinds.hpp"
-#include "sinks/sqlite/private_folder.hpp"
 
 using namespace rtdata;
 using namespace sinks;

@@ -11,19 +11,19 @@
 #include <string>
 #include <vector>
 
+#include "fsm/configured.hpp"
 #include "has.hpp"
 #include "loop/core/loop_core.hpp"
 #include "loop/runtime/runtime_core.hpp"
 #include "loop/virtual_time.hpp"
-#include "rtdata/fsm/configured.hpp"
 #include "rtdata/loop/tier.hpp"
 #include "rtdata/outputs/output.hpp"
 #include "rtdata/process/expression.hpp"
+#include "rtdata/recording/replay.hpp"
 #include "rtdata/sensors/derived.hpp"
 #include "rtdata/sensors/limit.hpp"
 #include "rtdata/sensors/trigger.hpp"
 #include "rtdata/sensors/vertical.hpp"
-#include "rtdata/sinks/replay.hpp"
 #include "sinks/recordings.hpp"
 
 using namespace rtdata;

@@ -17,7 +17,7 @@
 #include <thread>
 
 #include "rtdata/data/codec.hpp"
-#include "rtdata/loop/account.hpp"
+#include "rtdata/loop/ledger.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/sensors/feed.hpp"
 #include "rtdata/sinks/mqtt.hpp"

@@ -3,9 +3,9 @@
 #include <random>
 #include <set>
 
+#include "recording/checksum.hpp"
 #include "recordings.hpp"
 #include "sinks/scripted_peer.hpp"
-#include "sinks/sqlite/checksum.hpp"
 
 using namespace recordings;
 using namespace std::chrono_literals;

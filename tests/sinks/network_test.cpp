@@ -13,7 +13,7 @@
 #include "rtdata/config/format.hpp"
 #include "rtdata/config/system.hpp"
 #include "rtdata/data/codec.hpp"
-#include "rtdata/loop/account.hpp"
+#include "rtdata/loop/ledger.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/sensors/feed.hpp"
 #include "rtdata/sinks/tcp.hpp"

@@ -13,16 +13,16 @@
 #include <sstream>
 
 #include "app/core/recording_commands.hpp"
+#include "recording/sqlite_writer.hpp"
 #include "rtdata/loop/tier.hpp"
+#include "rtdata/recording/sqlite.hpp"
 #include "rtdata/sensors/feed.hpp"
 #include "rtdata/sensors/sensor.hpp"
 #include "rtdata/sensors/serial_line.hpp"
-#include "rtdata/sinks/sqlite.hpp"
 #include "sensors/pty.hpp"
 #include "sinks/killed.hpp"
 #include "sinks/recordings.hpp"
 #include "sinks/sink_kinds.hpp"
-#include "sinks/sqlite/sqlite_writer.hpp"
 
 using namespace rtdata;
 using namespace sinks;

@@ -31,13 +31,13 @@
 #ifdef RTDATA_WITH_MQTT
 #include <mosquitto.h>
 
-#include "io/mqtt_packet.hpp"
+#include "net/mqtt_packet.hpp"
 #include "rtdata/outputs/mqtt.hpp"
 #include "rtdata/sensors/mqtt.hpp"
 #include "rtdata/sinks/mqtt.hpp"
 #endif
 #ifdef RTDATA_WITH_POSTGRESQL
-#include "rtdata/sinks/postgresql.hpp"
+#include "rtdata/postgresql/sink.hpp"
 #endif
 
 using namespace rtdata;

@@ -11,10 +11,10 @@
 #include <thread>
 #include <utility>
 
-#include "rtdata/loop/account.hpp"
+#include "rtdata/loop/ledger.hpp"
+#include "rtdata/postgresql/recording.hpp"
+#include "rtdata/postgresql/sink.hpp"
 #include "rtdata/sensors/feed.hpp"
-#include "rtdata/sinks/postgresql.hpp"
-#include "rtdata/sinks/postgresql_recording.hpp"
 #include "sensors/fake_gpsd.hpp"
 #include "sinks/certificates.hpp"
 #include "sinks/postgresql_server.hpp"

@@ -21,11 +21,11 @@
 #include <vector>
 
 #include "has.hpp"
+#include "postgresql/connection.hpp"
+#include "rtdata/postgresql/recording.hpp"
 #include "rtdata/sensors/feed.hpp"
 #include "rtdata/sensors/limit.hpp"
-#include "rtdata/sinks/postgresql_recording.hpp"
 #include "sinks/killed.hpp"
-#include "sinks/postgresql/connection.hpp"
 #include "sinks/postgresql_server.hpp"
 #include "sinks/recordings.hpp"
 

@@ -1,4 +1,4 @@
-#include "rtdata/sinks/recording.hpp"
+#include "rtdata/recording/recording.hpp"
 
 #include <doctest/doctest.h>
 #include <sys/stat.h>
@@ -11,8 +11,8 @@
 #include <sstream>
 
 #include "app/core/recording_commands.hpp"
-#include "rtdata/sinks/export.hpp"
-#include "rtdata/sinks/verify.hpp"
+#include "rtdata/recording/export.hpp"
+#include "rtdata/recording/verify.hpp"
 #include "sinks/recordings.hpp"
 
 using namespace rtdata;

@@ -15,15 +15,15 @@
 #include <string>
 
 #include "data/payloads.hpp"
+#include "recording/account_sums.hpp"
+#include "recording/database.hpp"
+#include "recording/schema.hpp"
 #include "rtdata/loop/timer.hpp"
+#include "rtdata/recording/recording.hpp"
+#include "rtdata/recording/sqlite.hpp"
+#include "rtdata/recording/verify.hpp"
 #include "rtdata/sensors/feed.hpp"
 #include "rtdata/sensors/sensor.hpp"
-#include "rtdata/sinks/recording.hpp"
-#include "rtdata/sinks/sqlite.hpp"
-#include "rtdata/sinks/verify.hpp"
-#include "sinks/sqlite/account_sums.hpp"
-#include "sinks/sqlite/database.hpp"
-#include "sinks/sqlite/schema.hpp"
 
 namespace recordings {
 

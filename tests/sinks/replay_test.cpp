@@ -1,5 +1,5 @@
 // What was recorded is given to handlers and sinks again.
-#include "rtdata/sinks/replay.hpp"
+#include "rtdata/recording/replay.hpp"
 
 #include <doctest/doctest.h>
 
@@ -7,7 +7,7 @@
 #include <limits>
 #include <map>
 
-#include "rtdata/loop/health.hpp"
+#include "rtdata/loop/runtime.hpp"
 #include "sinks/recordings.hpp"
 
 using namespace rtdata;

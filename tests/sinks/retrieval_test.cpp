@@ -4,7 +4,7 @@
 #include <cmath>
 #include <limits>
 
-#include "rtdata/sinks/recording.hpp"
+#include "rtdata/recording/recording.hpp"
 #include "sinks/recordings.hpp"
 
 using namespace rtdata;

@@ -20,8 +20,8 @@
 #include <string_view>
 #include <tuple>
 
+#include "rtdata/recording/recording.hpp"
 #include "rtdata/sensors/sensor.hpp"
-#include "rtdata/sinks/recording.hpp"
 #include "rtdata/sinks/tcp.hpp"
 #include "sinks/answering_peer.hpp"
 #include "sinks/killed.hpp"

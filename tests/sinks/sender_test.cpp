@@ -6,7 +6,7 @@
 #include <numeric>
 #include <optional>
 
-#include "rtdata/loop/account.hpp"
+#include "rtdata/loop/ledger.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/sensors/feed.hpp"
 #include "rtdata/sinks/sender.hpp"

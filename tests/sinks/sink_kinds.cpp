@@ -15,12 +15,12 @@
 #include <sstream>
 #include <stdexcept>
 
+#include "recording/database.hpp"
 #include "rtdata/data/codec.hpp"
+#include "rtdata/recording/sqlite.hpp"
 #include "rtdata/sinks/console.hpp"
 #include "rtdata/sinks/file.hpp"
-#include "rtdata/sinks/sqlite.hpp"
 #include "rtdata/sinks/tcp.hpp"
-#include "sinks/sqlite/database.hpp"
 
 namespace sinks {
 namespace {

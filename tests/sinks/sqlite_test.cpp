@@ -1,4 +1,4 @@
-#include "rtdata/sinks/sqlite.hpp"
+#include "rtdata/recording/sqlite.hpp"
 
 #include <doctest/doctest.h>
 #include <fcntl.h>
@@ -17,14 +17,14 @@
 #include <sstream>
 
 #include "data/payloads.hpp"
+#include "recording/database.hpp"
 #include "rtdata/loop/timer.hpp"
+#include "rtdata/recording/verify.hpp"
 #include "rtdata/sensors/feed.hpp"
 #include "rtdata/sensors/sensor.hpp"
-#include "rtdata/sinks/verify.hpp"
 #include "sinks/killed.hpp"
 #include "sinks/recordings.hpp"
 #include "sinks/sink_kinds.hpp"
-#include "sinks/sqlite/database.hpp"
 
 using namespace rtdata;
 using namespace sinks;

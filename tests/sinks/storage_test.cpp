@@ -11,11 +11,11 @@
 #include <string>
 #include <vector>
 
+#include "recording/prune.hpp"
 #include "rtdata/app/standard.hpp"
 #include "rtdata/config/system.hpp"
 #include "sinks/killed.hpp"
 #include "sinks/recordings.hpp"
-#include "sinks/sqlite/prune.hpp"
 
 using namespace rtdata;
 using namespace rtdata::literals;

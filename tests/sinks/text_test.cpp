@@ -8,7 +8,7 @@
 #include "app/run/log.hpp"
 #include "data/utf8.hpp"
 #include "rtdata/data/codec.hpp"
-#include "rtdata/sinks/export.hpp"
+#include "rtdata/recording/export.hpp"
 #include "rtdata/sinks/file.hpp"
 #include "sinks/recordings.hpp"
 

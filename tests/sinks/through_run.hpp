@@ -11,8 +11,8 @@
 #include <vector>
 
 #include "rtdata/loop/loop.hpp"
+#include "rtdata/recording/sqlite.hpp"
 #include "rtdata/sinks/sender.hpp"
-#include "rtdata/sinks/sqlite.hpp"
 #include "sinks/recordings.hpp"
 #include "sinks/scripted_peer.hpp"
 #include "sinks/sink_kinds.hpp"

@@ -8,15 +8,15 @@
 #include <sstream>
 
 #include "app/core/recording_commands.hpp"
-#include "rtdata/loop/account.hpp"
+#include "recording/sqlite_writer.hpp"
+#include "rtdata/loop/ledger.hpp"
 #include "rtdata/loop/timer.hpp"
+#include "rtdata/recording/export.hpp"
 #include "rtdata/sensors/feed.hpp"
 #include "rtdata/sensors/sensor.hpp"
-#include "rtdata/sinks/export.hpp"
 #include "rtdata/sinks/sender.hpp"
 #include "sinks/core/row_feed.hpp"
 #include "sinks/killed.hpp"
-#include "sinks/sqlite/sqlite_writer.hpp"
 #include "sinks/through_run.hpp"
 
 using namespace rtdata;

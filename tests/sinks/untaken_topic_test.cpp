@@ -7,13 +7,13 @@
 #include <fstream>
 
 #include "has.hpp"
+#include "recording/database.hpp"
 #include "rtdata/app/standard.hpp"
 #include "rtdata/config/system.hpp"
+#include "rtdata/recording/sqlite.hpp"
+#include "rtdata/recording/verify.hpp"
 #include "rtdata/sinks/file.hpp"
-#include "rtdata/sinks/sqlite.hpp"
-#include "rtdata/sinks/verify.hpp"
 #include "sinks/sink_kinds.hpp"
-#include "sinks/sqlite/database.hpp"
 
 using namespace rtdata;
 using namespace sinks;

@@ -6,9 +6,9 @@
 #include <sstream>
 
 #include "app/core/recording_commands.hpp"
-#include "rtdata/sinks/verify.hpp"
+#include "recording/deleted_runs.hpp"
+#include "rtdata/recording/verify.hpp"
 #include "sinks/recordings.hpp"
-#include "sinks/sqlite/deleted_runs.hpp"
 
 using namespace rtdata;
 using namespace recordings;

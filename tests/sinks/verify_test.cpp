@@ -1,4 +1,4 @@
-#include "rtdata/sinks/verify.hpp"
+#include "rtdata/recording/verify.hpp"
 
 #include <doctest/doctest.h>
 
@@ -11,13 +11,13 @@
 #include "loop/core/loop_core.hpp"
 #include "loop/lane_sensor.hpp"
 #include "loop/runtime/runtime_core.hpp"
+#include "recording/positions.hpp"
 #include "rtdata/sensors/derived.hpp"
 #include "rtdata/sensors/limit.hpp"
 #include "rtdata/sensors/trigger.hpp"
 #include "sanitized.hpp"
 #include "sinks/killed.hpp"
 #include "sinks/recordings.hpp"
-#include "sinks/sqlite/positions.hpp"
 
 using namespace rtdata;
 using namespace recordings;

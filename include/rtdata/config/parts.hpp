@@ -21,7 +21,6 @@
 #include <vector>
 
 #include "rtdata/data/config_item.hpp"
-#include "rtdata/loop/load.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/outputs/output.hpp"
 #include "rtdata/sinks/sink.hpp"

@@ -30,9 +30,10 @@
 #include <utility>
 #include <vector>
 
-#include "rtdata/config/parameter_info.hpp"
+#include "rtdata/data/config_item.hpp"
+#include "rtdata/data/config_value.hpp"
 #include "rtdata/data/parameter.hpp"
-#include "rtdata/data/text_or_number.hpp"
+#include "rtdata/detail/config/parameter_info.hpp"
 
 namespace rtdata {
 
@@ -326,5 +327,24 @@ template <Configurable T>
 std::string schema_of(std::string_view title, std::string_view doc) {
   return schema(parameters_of<T>(), title, doc);
 }
+
+/// Whether the item is a reference to a secret: a text that is taken from elsewhere and never shown.
+///
+///     {"type": "...", "password": {"env": "BROKER_PASSWORD"}}
+///     {"type": "...", "token": {"file": "/run/credentials/token"}}
+///
+/// Any text parameter may be written so, but for those that recordings hold. It is resolved when the configuration is
+/// read, which blocks as the file system does; the line end at the end of a file does not count. What was resolved is
+/// not in the recorded configuration, whose text keeps the reference, and is replaced by "(secret)" in errors, the log
+/// and the status (Runtime::Config::secrets). A text of less than 4 bytes is not hidden: it would be found everywhere.
+///
+/// Errors: cannot-resolve (no such variable, file, or nothing in it), not-a-secret (a parameter that recordings hold).
+///
+/// An object with one key, "env" or "file".
+bool is_secret_reference(const ConfigItem& item) noexcept;
+/// The text that the reference stands for. False when there is none, with a problem.
+bool resolve_secret(const ConfigItem& reference, std::string& out, Problems& problems);
+/// The text with each of the secrets, of at least 4 bytes, replaced by "(secret)".
+std::string hide_secrets(std::string text, const std::vector<std::string>& secrets);
 
 }  // namespace rtdata

@@ -16,7 +16,7 @@
 ///
 /// A factory may return any class derived from AnySensor or Sink, and anything for a bus. One that takes a FeedConfig
 /// instead of a SensorConfig makes sensors without a schedule: they have no `rate` and what belongs to it. A function
-/// `ReadTime read_time(const AnalogConfig&)` beside the Config says how long one reading takes (load.hpp); without it
+/// `ReadTime read_time(const AnalogConfig&)` beside the Config says how long one reading takes (loop.hpp); without it
 /// that is not known.
 ///
 /// A part uses another by naming it: a parameter declared with `names_part("bus", "wire")` is the name of a bus of that
@@ -42,11 +42,11 @@
 #include <vector>
 
 #include "rtdata/config/parts.hpp"
-#include "rtdata/config/type_registry.hpp"
+#include "rtdata/detail/config/type_registry.hpp"
 #include "rtdata/io/bus.hpp"
 #include "rtdata/outputs/output.hpp"
 #include "rtdata/sensors/driver.hpp"
-#include "rtdata/sensors/sensor_parameters.hpp"
+#include "rtdata/sensors/feed.hpp"
 #include "rtdata/sinks/sink.hpp"
 
 namespace rtdata {

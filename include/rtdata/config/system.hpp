@@ -27,7 +27,10 @@
 /// Thread: plans any, systems the loop's.
 #pragma once
 
+#include <cstdint>
+#include <map>
 #include <memory>
+#include <optional>
 #include <set>
 #include <string>
 #include <string_view>
@@ -35,12 +38,106 @@
 
 #include "rtdata/config/format.hpp"
 #include "rtdata/config/registry.hpp"
-#include "rtdata/config/settings.hpp"
+#include "rtdata/data/parameter.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/runtime.hpp"
 #include "rtdata/loop/tier.hpp"
 
 namespace rtdata {
+
+/// Where log lines go.
+struct LogSettings {
+  std::string file = {};            ///< empty: the program's default
+  LogLevel level = LogLevel::info;  ///< lesser ones are left out
+  /// Before it becomes larger it is renamed to FILE.1, what was that to FILE.2, and so on; 0: never.
+  std::uint64_t max_bytes = std::uint64_t{10} << 20;
+  unsigned keep = 5;                 ///< how many of those before are kept
+  std::string permissions = "0640";  ///< of a file that is made, less the umask; one that is there keeps its own
+
+  friend constexpr auto parameters(type_tag<LogSettings>) {
+    return parameter_list(
+        parameter("file", &LogSettings::file,
+                  "the log file; default: the configuration file's name with .log, in the working directory",
+                  TextIs::device),
+        parameter("level", &LogSettings::level, "the least important lines that are written",
+                  choices(value("debug", LogLevel::debug), value("info", LogLevel::info),
+                          value("warning", LogLevel::warning), value("error", LogLevel::error))),
+        parameter("max_bytes", &LogSettings::max_bytes,
+                  "a new file before this one becomes larger, which is renamed to FILE.1; 0: never, else 4096 at least",
+                  unit("By")),
+        parameter("keep", &LogSettings::keep, "how many of the files before are kept", range(1, 1000)),
+        parameter("permissions", &LogSettings::permissions,
+                  "who may read and write a file that is made, in octal digits, less the umask", TextIs::permissions));
+  }
+  friend void check_config(const LogSettings& settings, const ConfigItem& item, Problems& problems);
+};
+
+/// What a file says of the main loop, in `loop`.
+constexpr auto parameters(type_tag<Loop::Config>) {
+  using namespace std::chrono_literals;
+  return parameter_list(
+      parameter("hold_limit", &Loop::Config::hold_limit, "a callback that takes longer is reported by its name",
+                range(10us, 1h)),
+      parameter("delivery_budget", &Loop::Config::delivery_budget,
+                "time of handlers in a turn before ticks are looked at again", range(10us, 1s)),
+      parameter("phase_grid", &Loop::Config::phase_grid,
+                "schedules start on multiples of it, so that they share wake-ups; 0 s: none", range(0s, 1s)));
+}
+
+/// What a file says of a tier, in `tiers`.
+struct TierSettings : Tier::Config {
+  std::optional<int> cpu = {};  ///< for `cpus`, when it is one
+
+  friend constexpr auto parameters(type_tag<TierSettings>) {
+    using namespace std::chrono_literals;
+    return parameter_list(
+        parameter("policy", &TierSettings::policy, "how the kernel schedules its thread",
+                  choices(value("other", SchedulingPolicy::other), value("fifo", SchedulingPolicy::fifo),
+                          value("rr", SchedulingPolicy::round_robin))),
+        parameter("priority", &TierSettings::priority, "1 to 99 for the policies fifo and rr, else 0", range(0, 99)),
+        parameter("cpu", &TierSettings::cpu, "the processor that it runs on; default: any", range(0, 1023)),
+        parameter("cpus", &TierSettings::cpus, "the processors that it may run on, if more than one", range(0, 1023)),
+        parameter("lock_memory", &TierSettings::lock_memory,
+                  "with a real-time policy: keep all memory of the program resident",
+                  only_with("policy", "fifo", "rr")),
+        parameter("keep_cpu_awake", &TierSettings::keep_cpu_awake,
+                  "no deep idle of any processor while it runs: less lateness, more power"),
+        parameter("spin", &TierSettings::spin,
+                  "wait the last stretch before a deadline spinning: exact, and costs that share of a processor",
+                  range(0s, 10ms)),
+        parameter("hold_limit", &TierSettings::hold_limit, "a callback that takes longer is reported by its name",
+                  range(10us, 1h)),
+        parameter("delivery_budget", &TierSettings::delivery_budget,
+                  "time of handlers in a turn before ticks are looked at again", range(10us, 1s)),
+        parameter("phase_grid", &TierSettings::phase_grid,
+                  "schedules start on multiples of it, so that they share wake-ups; 0 s: none", range(0s, 1s)));
+  }
+  friend void check_config(const TierSettings& settings, const ConfigItem& item, Problems& problems);
+  Tier::Config tier_config(const std::string& tier_name) const;
+};
+
+/// The file's keys that list no parts with types.
+struct SystemSettings {
+  std::string schema = {};
+  std::string name = {};
+  std::string notes = {};
+  LogSettings log = {};
+  Loop::Config loop = {};
+  std::map<std::string, TierSettings> tiers = {};
+
+  friend constexpr auto parameters(type_tag<SystemSettings>) {
+    return parameter_list(
+        parameter("$schema", &SystemSettings::schema, "for editors: where the JSON Schema is (rtdata types --schema)",
+                  TextIs::recorded),
+        parameter("name", &SystemSettings::name, "of the set-up, kept in recordings; default: the file's name",
+                  TextIs::name),
+        parameter("notes", &SystemSettings::notes, "anything worth knowing, kept in recordings", TextIs::recorded),
+        parameter("log", &SystemSettings::log, "the log file"),
+        parameter("loop", &SystemSettings::loop, "settings of the loop"),
+        parameter("tiers", &SystemSettings::tiers,
+                  "loops on threads of their own, by name; sensors name theirs as `tier`"));
+  }
+};
 
 struct PlanChange;  // config/change.hpp
 
@@ -57,7 +154,7 @@ struct SystemPlan {
   std::vector<PartPlan> parts;       ///< without mistakes of their own; each after those that it uses
   Problems problems;                 ///< in the order of the file
   Problems warnings;                 ///< the system runs, but perhaps not as it was meant
-  std::vector<std::string> secrets;  ///< that were resolved (secret.hpp): to be shown nowhere
+  std::vector<std::string> secrets;  ///< that were resolved (read.hpp): to be shown nowhere
 
   bool good() const noexcept { return problems.empty(); }
   /// "sensor", "sink", "bus" or "tier", in the order in which they are made. Valid as long as `parts` is not changed.
@@ -66,7 +163,7 @@ struct SystemPlan {
   void hide_secrets();
   /// Every problem with its line of the file, for people.
   std::string report() const;
-  /// How long the sensors of each loop may hold it (load.hpp): the main loop, then the tiers; those without sensors are
+  /// How long the sensors of each loop may hold it (LoopLoad): the main loop, then the tiers; those without sensors are
   /// left out. One that is overloaded, or has an overloaded lane, is among the warnings.
   std::vector<LoopLoad> loads() const;
   /// What the Runtime and the Loop of this system are to be made of.

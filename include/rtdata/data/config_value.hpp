@@ -41,6 +41,19 @@
 
 namespace rtdata {
 
+/// What a value of a configuration may be that is a text or a whole number; the schema says it:
+///
+///     template <>
+///     struct rtdata::ConfigValue<Address> {
+///       static constexpr TextOrNumber accepts{8, 119, "^0x[0-7][0-9a-f]$"};  // "0x76", or 118
+///       static bool read(const ConfigItem&, Address&, Problems&);
+///       static void write(const Address&, ConfigItem&);
+///     };
+struct TextOrNumber {
+  double least, most;        ///< of a whole number
+  std::string_view pattern;  ///< of a text: a regular expression of JSON Schema
+};
+
 namespace config_detail {
 
 bool read_boolean(const ConfigItem& item, bool& out, Problems& problems);

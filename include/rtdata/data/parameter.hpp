@@ -27,7 +27,7 @@
 /// of their own, with `include_member(&Config::member)`.
 ///
 /// A text may be written as {"env": "NAME"} or {"file": "path"}: it is then taken from the environment or from a file,
-/// and never shown; see secret.hpp. Not so one that recordings hold (TextIs: recorded, name, field, topic, unit), nor
+/// and never shown; see read.hpp. Not so one that recordings hold (TextIs: recorded, name, field, topic, unit), nor
 /// permissions.
 ///
 /// A mistake in a declaration is a compile error of one sentence. Values; any thread.

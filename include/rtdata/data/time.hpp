@@ -64,6 +64,10 @@ class Rate {
   Duration period_{0};
 };
 
+/// Times nearer than this are one instant, of which the last value counts, for whatever divides by a time: lines that
+/// USB brings in one packet come 1 ns apart, and are not.
+constexpr Duration one_instant = std::chrono::microseconds{1};
+
 /// "10 ms", "1.5s", "250us", "2 min", "1 h", "3 d"; units ns, us (or µs), ms, s, min, h, d. Exact to the nanosecond; a
 /// bare number, a negative one, or more than 292 years is an error that says what is allowed.
 Result<Duration> parse_duration(std::string_view text);

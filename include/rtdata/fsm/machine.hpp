@@ -32,6 +32,7 @@
 #pragma once
 
 #include <concepts>
+#include <cstddef>
 #include <cstdint>
 #include <memory>
 #include <optional>
@@ -39,15 +40,65 @@
 #include <string_view>
 #include <type_traits>
 #include <utility>
+#include <vector>
 
 #include "rtdata/data/describe.hpp"
 #include "rtdata/data/text.hpp"
-#include "rtdata/fsm/graph.hpp"
+#include "rtdata/data/time.hpp"
 #include "rtdata/loop/callback.hpp"
 #include "rtdata/loop/handle.hpp"
 #include "rtdata/loop/loop.hpp"
 
 namespace rtdata::fsm {
+
+/// The states and transitions of a machine as data: to look for mistakes, and to draw.
+///
+///     const fsm::Graph graph = machine.graph();
+///     for (const fsm::GraphFault& fault : fsm::find_faults(graph)) print(fault.text);
+///     print(fsm::mermaid(graph));
+struct Graph {
+  static constexpr std::size_t none = static_cast<std::size_t>(-1);
+  struct Node {
+    std::string name;
+    bool is_final = false;  ///< meant to be never left
+  };
+  struct Edge {
+    std::size_t from = 0;  ///< index in `states`
+    std::size_t to = 0;
+    std::string label = {};         ///< "burnout", "altitude > 5, for 300 ms"
+    std::string on = {};            ///< the event that it waits for; empty: any
+    bool is_unconditional = false;  ///< taken as soon as it is tried: those behind it that are tried with it never are
+    Duration after{0};              ///< the time in the state before which it is not tried
+  };
+  std::string name;  ///< of the machine
+  std::vector<Node> states;
+  std::vector<Edge> edges;   ///< of each state in the order in which they are tried
+  std::size_t start = none;  ///< index in `states`
+};
+
+/// A mistake, and the state or transition it is of.
+struct GraphFault {
+  enum class Kind {
+    no_start,     ///< there is no start state
+    unreachable,  ///< no way leads to the state from the start
+    dead_end,     ///< nothing leads out of the state, and it is not final
+    left_final,   ///< a final state that something leads out of
+    duplicate,    ///< two transitions that are the same
+    never_taken,  ///< another one is always taken before it
+  };
+  Kind kind;
+  std::size_t state = Graph::none;  ///< index in `states`
+  std::size_t edge = Graph::none;   ///< index in `edges`
+  std::string text;                 ///< "nothing leads to state `boost`"
+};
+
+/// In the order of the states, then of the transitions.
+std::vector<GraphFault> find_faults(const Graph& graph);
+
+/// A state diagram as Mermaid reads it (GitHub and GitLab show it in a ```mermaid block).
+std::string mermaid(const Graph& graph);
+/// As Graphviz reads it: `dot -Tsvg`.
+std::string dot(const Graph& graph);
 
 inline constexpr std::size_t max_name = 48;    ///< bytes of a state's or an event's name
 inline constexpr std::size_t max_cause = 120;  ///< bytes of a cause; a longer one is cut in the events of the machine

@@ -43,7 +43,6 @@
 
 #include "rtdata/data/config_value.hpp"
 #include "rtdata/data/parameter.hpp"
-#include "rtdata/data/text_or_number.hpp"
 #include "rtdata/data/time.hpp"
 #include "rtdata/loop/callback.hpp"
 #include "rtdata/loop/handle.hpp"

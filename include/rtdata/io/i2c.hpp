@@ -29,7 +29,6 @@
 #include "rtdata/data/parameter.hpp"
 #include "rtdata/data/time.hpp"
 #include "rtdata/io/bus.hpp"
-#include "rtdata/io/i2c_address.hpp"
 #include "rtdata/io/registers.hpp"
 
 namespace rtdata {

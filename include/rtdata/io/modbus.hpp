@@ -35,7 +35,7 @@
 #include "rtdata/data/problem.hpp"
 #include "rtdata/data/time.hpp"
 #include "rtdata/io/bus.hpp"
-#include "rtdata/io/serial_settings.hpp"
+#include "rtdata/io/serial.hpp"
 
 namespace rtdata {
 

@@ -12,16 +12,20 @@
 /// ends the program (std::abort), having said so. Thread: the loop's.
 #pragma once
 
+#include <cstdint>
 #include <memory>
 #include <string>
 #include <string_view>
 #include <vector>
 
+#include "rtdata/data/describe.hpp"
 #include "rtdata/data/description.hpp"
+#include "rtdata/data/error.hpp"
+#include "rtdata/data/text.hpp"
+#include "rtdata/data/time.hpp"
 #include "rtdata/loop/callback.hpp"
 #include "rtdata/loop/clock.hpp"
 #include "rtdata/loop/ledger.hpp"
-#include "rtdata/loop/scheduling.hpp"
 
 namespace rtdata {
 
@@ -46,6 +50,43 @@ struct LogRecord {
 enum class Health : std::uint8_t { ok, degraded, faulted };
 std::string_view name_of(Health health) noexcept;
 
+inline constexpr const char* health_topic = "$rtdata/health";
+
+constexpr auto describe(type_tag<Health>) {
+  return enumeration("health_state", value("ok", Health::ok), value("degraded", Health::degraded),
+                     value("faulted", Health::faulted));
+}
+
+/// A change of health of a part of a system, as an event:
+///
+///     auto s = loop.subscribe<rtdata::HealthChange>("$rtdata/health", [](const rtdata::Event<rtdata::HealthChange>& e)
+///     {
+///       if (e->state == rtdata::Health::faulted) alarm(e->kind, e->name, e->reason);
+///     });
+///
+/// One event for each change between ok, degraded and faulted, of whatever tier; its time is that of the change. `#`
+/// does not match the topic; a sink records it when it names it. Recordings in SQLite keep the changes in any case, in
+/// the table rtdata_health.
+///
+/// By kind: the name in the event, and what the states mean:
+///   sensor   its name.            degraded: reads fail. faulted: closed, and tried again now and then; or stopped by
+///                                 `on_overrun`.
+///   sink     its name.            faulted: it cannot store.
+///   lane     the device or bus.   degraded: a job was given up, its thread left behind. faulted: no thread is left to
+///                                 run jobs.
+///   loop     its or the tier's.   degraded: held longer than its limit in the last 10 s.
+///   tier     its name.            faulted: it does not turn (see TierWatch).
+struct HealthChange {
+  text<16> kind;
+  text<200> name;
+  Health state = Health::ok;
+  text<96> reason;  ///< what is longer ends with "..."; empty when it is ok
+  friend constexpr auto describe(type_tag<HealthChange>) {
+    return record("health", field("kind", &HealthChange::kind, ""), field("name", &HealthChange::name, ""),
+                  field("state", &HealthChange::state, ""), field("reason", &HealthChange::reason, ""));
+  }
+};
+
 struct SensorStatus {
   std::string name;
   std::string topic;
@@ -67,6 +108,39 @@ struct PostCounts {
 
   std::uint64_t waiting() const noexcept { return posted - run; }
 };
+
+enum class SchedulingPolicy : std::uint8_t {
+  other,        ///< SCHED_OTHER: shares the processor fairly
+  fifo,         ///< SCHED_FIFO: runs until it waits, before all of lower priority
+  round_robin,  ///< SCHED_RR: as fifo, taking turns with those of its priority
+};
+std::string_view name_of(SchedulingPolicy policy) noexcept;
+
+/// The policy and priority of a thread, as the kernel keeps them (sched(7)). The functions act on the calling thread.
+///
+///     rtdata::PriorityRange range = rtdata::priority_range(rtdata::SchedulingPolicy::fifo);   // 1 to 99
+///     if (auto set = rtdata::set_scheduling({rtdata::SchedulingPolicy::fifo, 80}); !set)
+///       std::cerr << set.error().text();
+///
+/// Real-time policies need permission: run as root, or with CAP_SYS_NICE (`setcap cap_sys_nice,cap_ipc_lock+ep
+/// PROGRAM`), or with `rtprio` in /etc/security/limits.conf, or `LimitRTPRIO=` in a systemd unit.
+struct Scheduling {
+  SchedulingPolicy policy = SchedulingPolicy::other;
+  int priority = 0;  ///< 0 for `other`, else within `priority_range`
+};
+
+struct PriorityRange {
+  int lowest = 0;
+  int highest = 0;
+};
+PriorityRange priority_range(SchedulingPolicy policy) noexcept;
+
+/// The scheduling of the calling thread.
+Scheduling current_scheduling() noexcept;
+
+/// Sets that of the calling thread. Threads that it makes afterwards begin as SCHED_OTHER (SCHED_RESET_ON_FORK).
+/// Errors: not-permitted, which says what to set; bad-argument for a priority out of range.
+Result<void> set_scheduling(Scheduling scheduling) noexcept;
 
 /// A loop or tier, and the thread that it runs on.
 struct LoopStatus {
@@ -108,6 +182,13 @@ struct TopicStatus {
   std::shared_ptr<const Description> description;  ///< null for a payload without one
   std::uint64_t published = 0;
   SubscriptionCounts subscriptions;  ///< summed
+};
+
+/// What the configuration of a run says from a time on, as recordings keep it (rtdata_configuration).
+struct ConfigurationChange {
+  Time time{};
+  std::string object;  ///< "sensor chamber": the part that was added, changed or removed; empty: the whole
+  std::string text;    ///< of the part or of the whole; empty: the part was removed
 };
 
 class Runtime {

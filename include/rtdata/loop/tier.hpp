@@ -43,7 +43,7 @@
 #include <vector>
 
 #include "rtdata/loop/loop.hpp"
-#include "rtdata/loop/scheduling.hpp"
+#include "rtdata/loop/runtime.hpp"
 #include "rtdata/loop/timer.hpp"
 
 namespace rtdata {

@@ -19,8 +19,8 @@
 #include <string_view>
 #include <utility>
 
+#include "rtdata/detail/loop/subscription_node.hpp"
 #include "rtdata/loop/loop.hpp"
-#include "rtdata/loop/subscription_node.hpp"
 
 namespace rtdata {
 

@@ -10,7 +10,6 @@
 #include <utility>
 
 #include "rtdata/io/gpio.hpp"
-#include "rtdata/outputs/checked_actuator.hpp"
 #include "rtdata/outputs/output.hpp"
 
 namespace rtdata {

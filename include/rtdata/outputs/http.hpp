@@ -17,7 +17,7 @@
 #include <memory>
 #include <string>
 
-#include "rtdata/io/http.hpp"
+#include "rtdata/net/http.hpp"
 #include "rtdata/outputs/output.hpp"
 
 namespace rtdata {

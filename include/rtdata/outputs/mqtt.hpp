@@ -23,8 +23,7 @@
 #include <memory>
 #include <string>
 
-#include "rtdata/io/mqtt.hpp"
-#include "rtdata/outputs/checked_actuator.hpp"
+#include "rtdata/net/mqtt.hpp"
 #include "rtdata/outputs/output.hpp"
 
 namespace rtdata {

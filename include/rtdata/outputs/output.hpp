@@ -46,8 +46,7 @@
 #include <string_view>
 #include <vector>
 
-#include "rtdata/control/hysteresis.hpp"
-#include "rtdata/control/pid.hpp"
+#include "rtdata/control/controllers.hpp"
 #include "rtdata/data/describe.hpp"
 #include "rtdata/data/description.hpp"
 #include "rtdata/data/parameter.hpp"
@@ -80,6 +79,17 @@ class Actuator {
   /// Returns when the device has the value.
   virtual Result<void> set(double value) = 0;
 };
+/// An Actuator whose device may go away between two values, and come back without the last one.
+///
+/// A guard (guard.hpp) asks each second. After an error the output has failed: the guard makes another Actuator, which
+/// is set to the safe value as soon as it takes that. Without a guard nobody asks.
+class CheckedActuator : public Actuator {
+ public:
+  /// Whether the device that has taken the last value is still there. Does not wait.
+  /// Errors: disconnected, or what the device says.
+  virtual Result<void> check() = 0;
+};
+
 using MakeActuator = std::function<std::unique_ptr<Actuator>()>;
 /// What the devices that it makes take. Of one that cannot be made: any finite number.
 OutputRange range_of(const MakeActuator& make) noexcept;
@@ -198,7 +208,7 @@ class Output : public AnySensor {
   /// Sets its safe value. When it is disarmed: nothing. Errors: closed.
   Result<void> disarm(std::string_view by);
 
-  /// Other settings of its controller, from the next event on, without a step in the output (control/pid.hpp). Errors:
+  /// Other settings of its controller, from the next event on, without a step in the output (controllers.hpp). Errors:
   /// bad-argument (it has no controller; one that cannot work), closed.
   Result<void> change_pid(const PidConfig& pid);
   /// The same of the set point alone.

@@ -9,8 +9,7 @@
 #include <map>
 #include <string>
 
-#include "rtdata/io/serial_settings.hpp"
-#include "rtdata/outputs/checked_actuator.hpp"
+#include "rtdata/io/serial.hpp"
 #include "rtdata/outputs/output.hpp"
 
 namespace rtdata {

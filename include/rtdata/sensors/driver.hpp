@@ -68,9 +68,9 @@
 #include <utility>
 #include <vector>
 
+#include "rtdata/detail/sensors/transaction.hpp"
 #include "rtdata/io/bus.hpp"
 #include "rtdata/sensors/sensor.hpp"
-#include "rtdata/sensors/transaction.hpp"
 
 namespace rtdata {
 

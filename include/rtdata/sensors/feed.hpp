@@ -11,6 +11,7 @@
 
 #include <string>
 
+#include "rtdata/data/parameter.hpp"
 #include "rtdata/sensors/sensor.hpp"
 
 namespace rtdata {
@@ -20,6 +21,13 @@ struct FeedConfig {
   std::string topic = {};   ///< empty: as the name
   Processing process = {};  ///< calibration and filters of its fields
 };
+
+constexpr auto parameters(type_tag<FeedConfig>) {
+  return parameter_list(
+      parameter("name", &FeedConfig::name, "the origin of its events, unique in the file", required, TextIs::name),
+      parameter("topic", &FeedConfig::topic, "where it publishes; empty: as its name", TextIs::topic),
+      parameter("process", &FeedConfig::process, "calibration and filters, by field"));
+}
 
 namespace detail {
 

@@ -34,7 +34,7 @@
 #include <string>
 #include <vector>
 
-#include "rtdata/io/mqtt.hpp"
+#include "rtdata/net/mqtt.hpp"
 #include "rtdata/sensors/serial_line.hpp"
 
 namespace rtdata {

@@ -55,7 +55,7 @@
 #include <string>
 #include <vector>
 
-#include "rtdata/io/serial_settings.hpp"
+#include "rtdata/io/serial.hpp"
 #include "rtdata/sensors/feed.hpp"
 
 namespace rtdata {

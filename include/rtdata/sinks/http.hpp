@@ -30,7 +30,7 @@
 
 #include "rtdata/data/codec.hpp"
 #include "rtdata/data/parameter.hpp"
-#include "rtdata/io/http.hpp"
+#include "rtdata/net/http.hpp"
 #include "rtdata/sinks/sender.hpp"
 #include "rtdata/sinks/sink.hpp"
 

@@ -28,7 +28,7 @@
 
 #include "rtdata/data/codec.hpp"
 #include "rtdata/data/parameter.hpp"
-#include "rtdata/io/mqtt.hpp"
+#include "rtdata/net/mqtt.hpp"
 #include "rtdata/sinks/sender.hpp"
 
 namespace rtdata {

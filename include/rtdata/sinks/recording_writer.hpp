@@ -14,7 +14,7 @@
 #include <string_view>
 #include <vector>
 
-#include "rtdata/loop/configuration_change.hpp"
+#include "rtdata/loop/runtime.hpp"
 #include "rtdata/sinks/sink.hpp"
 
 namespace rtdata {

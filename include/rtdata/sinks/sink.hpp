@@ -37,7 +37,6 @@
 #include "rtdata/data/event.hpp"
 #include "rtdata/data/parameter.hpp"
 #include "rtdata/loop/handle.hpp"
-#include "rtdata/loop/health.hpp"
 #include "rtdata/loop/ledger.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/runtime.hpp"

@@ -25,7 +25,7 @@
 
 #include "rtdata/data/codec.hpp"
 #include "rtdata/data/parameter.hpp"
-#include "rtdata/io/tls.hpp"
+#include "rtdata/net/tls.hpp"
 #include "rtdata/sinks/sender.hpp"
 
 namespace rtdata {

@@ -16,7 +16,7 @@
 #include "app/core/configuration_commands.hpp"
 #include "app/machine/machine_files.hpp"
 #include "data/rounded_time.hpp"
-#include "loop/support/processors.hpp"
+#include "loop/tier/processors.hpp"
 #include "rtdata/loop/runtime.hpp"
 #include "rtdata/loop/tier.hpp"
 #include "rtdata/loop/timer.hpp"

@@ -8,7 +8,7 @@
 
 #include "loop/runtime/final_account.hpp"
 #include "loop/runtime/runtime_core.hpp"
-#include "sinks/core/account_text.hpp"
+#include "recording/account_text.hpp"
 
 namespace rtdata::app {
 

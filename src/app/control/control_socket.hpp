@@ -17,7 +17,7 @@
 #include <string_view>
 #include <vector>
 
-#include "rtdata/loop/lane.hpp"
+#include "rtdata/detail/loop/lane.hpp"
 #include "rtdata/loop/loop.hpp"
 
 struct uv_pipe_s;

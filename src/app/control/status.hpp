@@ -13,7 +13,7 @@
 
 #include "rtdata/data/value.hpp"
 #include "rtdata/loop/runtime.hpp"
-#include "rtdata/sinks/verify.hpp"
+#include "rtdata/recording/verify.hpp"
 
 namespace rtdata::app {
 

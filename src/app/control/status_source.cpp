@@ -8,11 +8,11 @@
 #include <utility>
 
 #include "app/control/request.hpp"
+#include "fsm/configured.hpp"
 #include "loop/core/callback_survey.hpp"
 #include "loop/core/loop_core.hpp"
 #include "loop/runtime/runtime_core.hpp"
 #include "loop/tier/tier_core.hpp"
-#include "rtdata/fsm/configured.hpp"
 #include "rtdata/outputs/output.hpp"
 #include "rtdata/sensors/limit.hpp"
 

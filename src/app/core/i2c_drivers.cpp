@@ -1,10 +1,10 @@
 #include "app/core/standard_drivers.hpp"
-#include "rtdata/sensors/ads1x15.hpp"
-#include "rtdata/sensors/bno055.hpp"
-#include "rtdata/sensors/ina.hpp"
-#include "rtdata/sensors/lm75.hpp"
-#include "rtdata/sensors/nau7802.hpp"
-#include "rtdata/sensors/sht.hpp"
+#include "rtdata/chips/ads1x15.hpp"
+#include "rtdata/chips/bno055.hpp"
+#include "rtdata/chips/ina.hpp"
+#include "rtdata/chips/lm75.hpp"
+#include "rtdata/chips/nau7802.hpp"
+#include "rtdata/chips/sht.hpp"
 
 namespace rtdata::app {
 

@@ -5,7 +5,7 @@
 #include "loop/core/loop_core.hpp"
 #include "loop/runtime/runtime_core.hpp"
 #include "rtdata/outputs/output.hpp"
-#include "rtdata/sinks/recording.hpp"
+#include "rtdata/recording/recording.hpp"
 
 namespace rtdata::app {
 namespace {

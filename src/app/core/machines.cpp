@@ -6,9 +6,9 @@
 #include <set>
 #include <utility>
 
+#include "data/saturating.hpp"
 #include "loop/core/loop_core.hpp"
 #include "loop/runtime/runtime_core.hpp"
-#include "loop/support/deadline.hpp"
 #include "rtdata/data/description.hpp"
 #include "rtdata/outputs/output.hpp"
 #include "rtdata/process/expression.hpp"

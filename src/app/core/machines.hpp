@@ -5,10 +5,10 @@
 #include <string>
 #include <vector>
 
+#include "fsm/configured.hpp"
 #include "rtdata/config/registry.hpp"
-#include "rtdata/fsm/configured.hpp"
 #include "rtdata/loop/loop.hpp"
-#include "rtdata/sinks/recording.hpp"
+#include "rtdata/recording/recording.hpp"
 
 namespace rtdata::app {
 

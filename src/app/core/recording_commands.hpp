@@ -9,7 +9,7 @@
 
 #include "app/core/show_as.hpp"
 #include "rtdata/config/registry.hpp"
-#include "rtdata/sinks/replay.hpp"
+#include "rtdata/recording/replay.hpp"
 
 namespace rtdata::app {
 

@@ -1,8 +1,8 @@
 #include "app/core/standard_drivers.hpp"
 #ifdef RTDATA_WITH_SQLITE
 #include "config/read/mistakes.hpp"
-#include "rtdata/sinks/replay.hpp"
-#include "rtdata/sinks/sqlite.hpp"
+#include "rtdata/recording/replay.hpp"
+#include "rtdata/recording/sqlite.hpp"
 
 namespace rtdata {
 

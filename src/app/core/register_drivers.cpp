@@ -1,8 +1,8 @@
 #include "app/core/standard_drivers.hpp"
-#include "rtdata/sensors/accelerometer.hpp"
-#include "rtdata/sensors/barometer.hpp"
-#include "rtdata/sensors/imu.hpp"
-#include "rtdata/sensors/magnetometer.hpp"
+#include "rtdata/chips/accelerometer.hpp"
+#include "rtdata/chips/barometer.hpp"
+#include "rtdata/chips/imu.hpp"
+#include "rtdata/chips/magnetometer.hpp"
 
 namespace rtdata::app {
 

@@ -1,5 +1,5 @@
 #include "app/core/standard_drivers.hpp"
-#include "rtdata/sensors/mhz19.hpp"
+#include "rtdata/chips/mhz19.hpp"
 #include "rtdata/sensors/query.hpp"
 
 namespace rtdata::app {

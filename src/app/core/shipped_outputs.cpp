@@ -1,6 +1,6 @@
 #include "app/core/gpio_place.hpp"
 #include "app/core/standard_drivers.hpp"
-#include "io/http_url.hpp"
+#include "net/http_url.hpp"
 #include "rtdata/outputs/gpio.hpp"
 #include "rtdata/outputs/http.hpp"
 #include "rtdata/outputs/mqtt.hpp"

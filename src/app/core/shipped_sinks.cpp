@@ -15,7 +15,7 @@
 #include "rtdata/sinks/mqtt.hpp"
 #endif
 #ifdef RTDATA_WITH_POSTGRESQL
-#include "rtdata/sinks/postgresql.hpp"
+#include "rtdata/postgresql/sink.hpp"
 #endif
 
 namespace rtdata::app {

@@ -1,8 +1,8 @@
 #include "app/core/standard_drivers.hpp"
-#include "rtdata/sensors/max31855.hpp"
-#include "rtdata/sensors/max31856.hpp"
-#include "rtdata/sensors/max31865.hpp"
-#include "rtdata/sensors/mcp3x08.hpp"
+#include "rtdata/chips/max31855.hpp"
+#include "rtdata/chips/max31856.hpp"
+#include "rtdata/chips/max31865.hpp"
+#include "rtdata/chips/mcp3x08.hpp"
 
 namespace rtdata::app {
 

@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "rtdata/data/value.hpp"
-#include "rtdata/sinks/recording.hpp"
+#include "rtdata/recording/recording.hpp"
 
 namespace rtdata::app {
 

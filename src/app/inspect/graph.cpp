@@ -1,12 +1,12 @@
 // rtdata graph: draws the machines of a configuration.
-#include "rtdata/fsm/graph.hpp"
+#include "rtdata/fsm/machine.hpp"
 
 #include <iostream>
 #include <vector>
 
 #include "app/core/configuration_commands.hpp"
+#include "fsm/configured.hpp"
 #include "rtdata/config/system.hpp"
-#include "rtdata/fsm/configured.hpp"
 
 namespace rtdata::app {
 

@@ -16,13 +16,13 @@
 #include "app/inspect/import_rows.hpp"
 #include "app/inspect/import_time.hpp"
 #include "data/nearest.hpp"
+#include "data/saturating.hpp"
 #include "data/utf8.hpp"
-#include "loop/support/deadline.hpp"
 #include "rtdata/loop/clock.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/runtime.hpp"
+#include "rtdata/recording/sqlite.hpp"
 #include "rtdata/sensors/feed.hpp"
-#include "rtdata/sinks/sqlite.hpp"
 
 namespace rtdata::app {
 namespace {

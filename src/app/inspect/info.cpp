@@ -9,7 +9,7 @@
 #include "data/listed.hpp"
 #include "data/rounded_time.hpp"
 #include "data/wrap.hpp"
-#include "rtdata/sinks/recording.hpp"
+#include "rtdata/recording/recording.hpp"
 
 namespace rtdata::app {
 namespace {

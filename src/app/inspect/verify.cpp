@@ -1,4 +1,4 @@
-#include "rtdata/sinks/verify.hpp"
+#include "rtdata/recording/verify.hpp"
 
 #include <ostream>
 #include <vector>
@@ -6,7 +6,7 @@
 #include "app/core/recording_commands.hpp"
 
 #ifdef RTDATA_WITH_POSTGRESQL
-#include "rtdata/sinks/postgresql_recording.hpp"
+#include "rtdata/postgresql/recording.hpp"
 #endif
 
 namespace rtdata::app {

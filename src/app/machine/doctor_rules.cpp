@@ -17,7 +17,7 @@
 
 #include "app/machine/doctor.hpp"
 #include "data/listed.hpp"
-#include "loop/support/processors.hpp"
+#include "loop/tier/processors.hpp"
 #include "rtdata/loop/clock.hpp"
 
 namespace rtdata::app {

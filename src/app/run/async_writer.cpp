@@ -13,8 +13,8 @@
 #include <string>
 #include <system_error>
 
-#include "loop/support/no_thread.hpp"
-#include "loop/support/signals_blocked.hpp"
+#include "loop/core/no_thread.hpp"
+#include "loop/core/signals_blocked.hpp"
 
 namespace rtdata::app {
 namespace {

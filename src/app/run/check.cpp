@@ -8,7 +8,7 @@
 #include "app/run/new_files.hpp"
 #include "app/run/reload.hpp"
 #include "rtdata/config/change.hpp"
-#include "rtdata/config/secret.hpp"
+#include "rtdata/config/read.hpp"
 #include "rtdata/config/system.hpp"
 
 namespace rtdata::app {

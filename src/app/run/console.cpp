@@ -14,7 +14,7 @@
 #include "app/core/terminal_text.hpp"
 #include "app/run/log_file.hpp"
 #include "app/run/stop_signals.hpp"
-#include "rtdata/config/secret.hpp"
+#include "rtdata/config/read.hpp"
 
 namespace rtdata::app {
 namespace {

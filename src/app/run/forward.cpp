@@ -14,7 +14,7 @@
 #include "config/read/mistakes.hpp"
 #include "rtdata/config/system.hpp"
 #include "rtdata/loop/timer.hpp"
-#include "rtdata/sinks/recording.hpp"
+#include "rtdata/recording/recording.hpp"
 #include "rtdata/sinks/sink.hpp"
 
 namespace rtdata::app {

@@ -5,7 +5,7 @@
 
 #include "app/core/amounts.hpp"
 #ifdef RTDATA_WITH_SQLITE
-#include "sinks/sqlite/recording_file.hpp"
+#include "recording/recording_file.hpp"
 #endif
 
 namespace rtdata::app {

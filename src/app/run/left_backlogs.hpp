@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "rtdata/config/system.hpp"
-#include "rtdata/sinks/recording.hpp"
+#include "rtdata/recording/recording.hpp"
 
 namespace rtdata::app {
 

@@ -16,7 +16,7 @@
 #include "app/run/console.hpp"
 #include "rtdata/config/change.hpp"
 #include "rtdata/config/system.hpp"
-#include "rtdata/loop/lane.hpp"
+#include "rtdata/detail/loop/lane.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/timer.hpp"
 

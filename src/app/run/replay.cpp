@@ -1,5 +1,5 @@
 // rtdata replay: gives a recording's events to the sinks of a configuration, or to the terminal, run by run.
-#include "rtdata/sinks/replay.hpp"
+#include "rtdata/recording/replay.hpp"
 
 #include <sys/stat.h>
 
@@ -17,15 +17,15 @@
 #include "app/run/log.hpp"
 #include "app/run/passing_time.hpp"
 #include "app/run/stop_signals.hpp"
+#include "data/saturating.hpp"
 #include "loop/runtime/runtime_core.hpp"
-#include "loop/support/deadline.hpp"
-#include "rtdata/config/secret.hpp"
+#include "recording/replay_choice.hpp"
+#include "rtdata/config/read.hpp"
 #include "rtdata/config/system.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/loop/topic.hpp"
+#include "rtdata/recording/recording.hpp"
 #include "rtdata/sinks/console.hpp"
-#include "rtdata/sinks/recording.hpp"
-#include "sinks/sqlite/replay_choice.hpp"
 
 namespace rtdata::app {
 namespace {

@@ -16,7 +16,7 @@
 #include <thread>
 #include <utility>
 
-#include "loop/support/no_thread.hpp"
+#include "loop/core/no_thread.hpp"
 
 namespace rtdata::app {
 

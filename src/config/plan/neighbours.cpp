@@ -10,9 +10,9 @@
 #include "data/influx_name.hpp"
 #include "data/listed.hpp"
 #include "data/lower_case.hpp"
-#include "loop/support/name.hpp"
-#include "rtdata/loop/account.hpp"
-#include "rtdata/loop/health.hpp"
+#include "data/name.hpp"
+#include "rtdata/loop/ledger.hpp"
+#include "rtdata/loop/runtime.hpp"
 #include "rtdata/loop/topic.hpp"
 #include "rtdata/outputs/guard.hpp"
 

@@ -11,7 +11,7 @@
 
 #include "config/plan/written_file.hpp"
 #include "rtdata/config/registry.hpp"
-#include "rtdata/config/settings.hpp"
+#include "rtdata/config/system.hpp"
 
 namespace rtdata::config_detail {
 

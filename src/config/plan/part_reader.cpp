@@ -3,8 +3,8 @@
 #include "config/plan/misfit.hpp"
 #include "config/plan/warnings.hpp"
 #include "config/read/mistakes.hpp"
-#include "loop/support/name.hpp"
-#include "rtdata/config/secret.hpp"
+#include "data/name.hpp"
+#include "rtdata/config/read.hpp"
 #include "rtdata/loop/topic.hpp"
 
 namespace rtdata::config_detail {

@@ -7,7 +7,7 @@
 #include "config/plan/part_warnings.hpp"
 #include "config/plan/warnings.hpp"
 #include "config/read/mistakes.hpp"
-#include "loop/support/name.hpp"
+#include "data/name.hpp"
 #include "rtdata/config/system.hpp"
 
 namespace rtdata {

@@ -6,9 +6,9 @@
 #include <utility>
 
 #include "config/plan/neighbours.hpp"
+#include "data/saturating.hpp"
 #include "loop/events/origin_core.hpp"
 #include "loop/runtime/runtime_core.hpp"
-#include "loop/support/deadline.hpp"
 #include "rtdata/sensors/sensor.hpp"
 #include "rtdata/sinks/sink.hpp"
 

@@ -4,7 +4,7 @@
 
 #include "config/plan/misfit.hpp"
 #include "rtdata/config/format.hpp"
-#include "rtdata/config/settings.hpp"
+#include "rtdata/config/system.hpp"
 
 namespace rtdata {
 namespace {

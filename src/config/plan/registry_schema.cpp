@@ -1,7 +1,7 @@
 #include <nlohmann/json.hpp>
 
 #include "rtdata/config/registry.hpp"
-#include "rtdata/config/settings.hpp"
+#include "rtdata/config/system.hpp"
 
 namespace rtdata {
 namespace {

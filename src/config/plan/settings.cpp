@@ -1,4 +1,4 @@
-#include "rtdata/config/settings.hpp"
+#include "rtdata/config/system.hpp"
 
 #include "config/read/mistakes.hpp"
 

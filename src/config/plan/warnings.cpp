@@ -17,7 +17,7 @@
 #include "config/read/mistakes.hpp"
 #include "data/listed.hpp"
 #include "data/ucum.hpp"
-#include "rtdata/config/secret.hpp"
+#include "rtdata/config/read.hpp"
 
 namespace rtdata::config_detail {
 namespace {

@@ -10,7 +10,7 @@
 #include <utility>
 
 #include "rtdata/config/parts.hpp"
-#include "rtdata/config/settings.hpp"
+#include "rtdata/config/system.hpp"
 
 namespace rtdata::config_detail {
 

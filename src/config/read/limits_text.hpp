@@ -5,7 +5,7 @@
 #include <string>
 #include <string_view>
 
-#include "rtdata/config/parameter_info.hpp"
+#include "rtdata/detail/config/parameter_info.hpp"
 
 namespace rtdata::config_detail {
 

@@ -6,7 +6,7 @@
 #include <utility>
 #include <vector>
 
-#include "rtdata/config/secret.hpp"
+#include "rtdata/config/read.hpp"
 #include "rtdata/data/config_item.hpp"
 
 namespace rtdata::config_detail {

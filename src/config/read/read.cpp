@@ -8,9 +8,8 @@
 #include "config/read/mistakes.hpp"
 #include "config/read/parameter_table.hpp"
 #include "data/listed.hpp"
+#include "data/name.hpp"
 #include "data/permissions.hpp"
-#include "loop/support/name.hpp"
-#include "rtdata/config/secret.hpp"
 #include "rtdata/loop/topic.hpp"
 
 namespace rtdata::config_detail {

@@ -1,4 +1,4 @@
-#include "rtdata/config/parameter_info.hpp"
+#include "rtdata/detail/config/parameter_info.hpp"
 
 #include <algorithm>
 #include <array>

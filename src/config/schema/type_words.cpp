@@ -2,7 +2,7 @@
 #include <algorithm>
 #include <array>
 
-#include "rtdata/config/parameter_info.hpp"
+#include "rtdata/detail/config/parameter_info.hpp"
 
 namespace rtdata {
 namespace {

@@ -3,8 +3,8 @@
 
 #include <string>
 
-#include "loop/support/deadline.hpp"
-#include "rtdata/loop/callback_times.hpp"
+#include "loop/core/deadline.hpp"
+#include "rtdata/loop/callback.hpp"
 
 namespace rtdata::detail {
 

@@ -6,7 +6,7 @@
 #include <utility>
 #include <vector>
 
-#include "loop/support/latch.hpp"
+#include "loop/core/latch.hpp"
 #include "rtdata/loop/loop.hpp"
 
 namespace rtdata::detail {

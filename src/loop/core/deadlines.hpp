@@ -5,7 +5,7 @@
 #include <optional>
 #include <vector>
 
-#include "loop/support/deadline.hpp"
+#include "loop/core/deadline.hpp"
 
 namespace rtdata::detail {
 

@@ -1,4 +1,4 @@
-#include "rtdata/loop/lane.hpp"
+#include "rtdata/detail/loop/lane.hpp"
 
 #include <algorithm>
 #include <chrono>

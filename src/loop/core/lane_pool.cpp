@@ -10,8 +10,8 @@
 #include <utility>
 
 #include "loop/core/loop_core.hpp"
-#include "loop/support/signals_blocked.hpp"
-#include "rtdata/loop/lane.hpp"
+#include "loop/core/signals_blocked.hpp"
+#include "rtdata/detail/loop/lane.hpp"
 
 namespace rtdata::detail {
 namespace {

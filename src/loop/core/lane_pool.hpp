@@ -17,9 +17,9 @@
 #include <memory>
 #include <optional>
 
-#include "loop/support/priority_mutex.hpp"
+#include "loop/core/priority_mutex.hpp"
 #include "rtdata/data/time.hpp"
-#include "rtdata/loop/lane.hpp"
+#include "rtdata/detail/loop/lane.hpp"
 
 namespace rtdata::detail {
 

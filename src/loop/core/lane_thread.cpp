@@ -6,8 +6,8 @@
 #include <chrono>
 #include <utility>
 
-#include "loop/support/deadline.hpp"
-#include "rtdata/loop/lane.hpp"
+#include "data/saturating.hpp"
+#include "rtdata/detail/loop/lane.hpp"
 
 namespace rtdata::detail {
 namespace {

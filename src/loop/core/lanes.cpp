@@ -4,7 +4,7 @@
 
 #include "loop/core/lane_thread.hpp"
 #include "loop/core/loop_core.hpp"
-#include "rtdata/loop/lane.hpp"
+#include "rtdata/detail/loop/lane.hpp"
 
 namespace rtdata::detail {
 

@@ -13,8 +13,8 @@
 #include <utility>
 #include <vector>
 
+#include "loop/core/deadline.hpp"
 #include "loop/core/lane_pool.hpp"
-#include "loop/support/deadline.hpp"
 #include "rtdata/data/time.hpp"
 
 namespace rtdata::detail {

@@ -1,4 +1,4 @@
-#include "rtdata/loop/load.hpp"
+#include "rtdata/loop/loop.hpp"
 
 #include <algorithm>
 #include <cmath>

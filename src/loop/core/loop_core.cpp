@@ -4,9 +4,9 @@
 #include <cassert>
 #include <utility>
 
+#include "loop/core/fatal.hpp"
 #include "loop/core/virtual_threads.hpp"
 #include "loop/runtime/runtime_core.hpp"
-#include "loop/support/fatal.hpp"
 
 namespace rtdata::detail {
 

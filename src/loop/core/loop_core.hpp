@@ -12,15 +12,15 @@
 #include <utility>
 
 #include "loop/core/blame.hpp"
+#include "loop/core/cycle_clock.hpp"
 #include "loop/core/deadlines.hpp"
 #include "loop/core/deliveries.hpp"
+#include "loop/core/handler.hpp"
 #include "loop/core/lanes.hpp"
 #include "loop/core/nodes.hpp"
 #include "loop/core/posts.hpp"
 #include "loop/core/schedule.hpp"
 #include "loop/core/uv_handles.hpp"
-#include "loop/support/cycle_clock.hpp"
-#include "loop/support/handler.hpp"
 #include "rtdata/loop/handle.hpp"
 #include "rtdata/loop/loop.hpp"
 

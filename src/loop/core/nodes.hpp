@@ -8,8 +8,8 @@
 #include <utility>
 #include <vector>
 
-#include "loop/support/priority_mutex.hpp"
-#include "rtdata/loop/callback_times.hpp"
+#include "loop/core/priority_mutex.hpp"
+#include "rtdata/loop/callback.hpp"
 #include "rtdata/loop/handle.hpp"
 
 namespace rtdata::detail {

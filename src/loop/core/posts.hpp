@@ -6,7 +6,7 @@
 #include <cstdint>
 #include <vector>
 
-#include "loop/support/priority_mutex.hpp"
+#include "loop/core/priority_mutex.hpp"
 #include "rtdata/loop/callback.hpp"
 #include "rtdata/loop/runtime.hpp"
 

@@ -8,10 +8,10 @@
 #include <optional>
 #include <utility>
 
+#include "loop/core/latch.hpp"
 #include "loop/core/loop_core.hpp"
 #include "loop/core/virtual_threads.hpp"
 #include "loop/runtime/runtime_core.hpp"
-#include "loop/support/latch.hpp"
 #include "rtdata/loop/timer.hpp"
 
 namespace rtdata::detail {

@@ -7,8 +7,8 @@
 #include <utility>
 #include <vector>
 
-#include "loop/support/deadline.hpp"
-#include "loop/support/placed_list.hpp"
+#include "loop/core/deadline.hpp"
+#include "loop/core/placed_list.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/timer.hpp"
 

@@ -1,4 +1,4 @@
-#include "rtdata/loop/scheduling.hpp"
+#include "rtdata/loop/runtime.hpp"
 
 #include <sched.h>
 

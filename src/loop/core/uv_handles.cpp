@@ -11,8 +11,8 @@
 #include <limits>
 #include <memory>
 
+#include "data/no_memory.hpp"
 #include "loop/core/loop_core.hpp"
-#include "loop/support/no_memory.hpp"
 
 namespace rtdata::detail {
 

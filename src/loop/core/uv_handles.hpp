@@ -4,7 +4,7 @@
 
 #include <uv.h>
 
-#include "loop/support/wake.hpp"
+#include "loop/core/wake.hpp"
 #include "rtdata/data/time.hpp"
 
 namespace rtdata::detail {

@@ -2,9 +2,9 @@
 
 #include <uv.h>
 
+#include "data/no_memory.hpp"
 #include "loop/core/loop_core.hpp"
 #include "loop/runtime/runtime_core.hpp"
-#include "loop/support/no_memory.hpp"
 
 namespace rtdata {
 namespace detail {

@@ -8,8 +8,6 @@
 #include "rtdata/data/error.hpp"
 #include "rtdata/loop/callback.hpp"
 #include "rtdata/loop/clock.hpp"
-#include "rtdata/loop/configuration_change.hpp"
-#include "rtdata/loop/health.hpp"
 #include "rtdata/loop/ledger.hpp"
 #include "rtdata/loop/runtime.hpp"
 

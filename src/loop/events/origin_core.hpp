@@ -6,7 +6,7 @@
 #include <string>
 #include <vector>
 
-#include "loop/support/allowance.hpp"
+#include "loop/events/allowance.hpp"
 #include "rtdata/loop/ledger.hpp"
 #include "rtdata/loop/runtime.hpp"
 

@@ -5,7 +5,7 @@
 #include <string_view>
 
 #include "rtdata/loop/handle.hpp"
-#include "rtdata/loop/load.hpp"
+#include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/runtime.hpp"
 
 namespace rtdata::detail {

@@ -5,9 +5,9 @@
 #include <algorithm>
 #include <ctime>
 
+#include "data/first_line.hpp"
+#include "data/saturating.hpp"
 #include "loop/core/virtual_threads.hpp"
-#include "loop/support/deadline.hpp"
-#include "loop/support/first_line.hpp"
 
 namespace rtdata {
 namespace {

@@ -6,7 +6,7 @@
 #include <utility>
 #include <vector>
 
-#include "loop/support/deadline.hpp"
+#include "data/saturating.hpp"
 #include "rtdata/data/error.hpp"
 #include "rtdata/loop/clock.hpp"
 

@@ -6,7 +6,7 @@
 #include <utility>
 #include <vector>
 
-#include "rtdata/loop/configuration_change.hpp"
+#include "rtdata/loop/runtime.hpp"
 
 namespace rtdata::detail {
 

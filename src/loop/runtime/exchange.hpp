@@ -11,7 +11,7 @@
 #include <string_view>
 #include <vector>
 
-#include "loop/support/priority_mutex.hpp"
+#include "loop/core/priority_mutex.hpp"
 #include "rtdata/data/time.hpp"
 #include "rtdata/loop/topic.hpp"
 

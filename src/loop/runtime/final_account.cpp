@@ -6,10 +6,10 @@
 #include <string_view>
 #include <vector>
 
+#include "data/fitting.hpp"
 #include "loop/core/loop_core.hpp"
 #include "loop/runtime/runtime_core.hpp"
-#include "loop/support/fitting.hpp"
-#include "rtdata/loop/account.hpp"
+#include "rtdata/loop/ledger.hpp"
 #include "rtdata/loop/topic.hpp"
 
 namespace rtdata::detail {

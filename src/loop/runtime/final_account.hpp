@@ -1,4 +1,4 @@
-// The last events of a run: rtdata/loop/account.hpp.
+// The last events of a run: rtdata/loop/ledger.hpp.
 #pragma once
 
 #include <vector>

@@ -4,9 +4,9 @@
 #include <string>
 #include <utility>
 
+#include "data/name.hpp"
 #include "loop/core/loop_core.hpp"
 #include "loop/runtime/runtime_core.hpp"
-#include "loop/support/name.hpp"
 #include "loop/tier/bridge.hpp"
 
 namespace rtdata::detail {

@@ -7,8 +7,8 @@
 #include <string_view>
 #include <unordered_map>
 
+#include "loop/core/priority_mutex.hpp"
 #include "loop/events/origin_core.hpp"
-#include "loop/support/priority_mutex.hpp"
 
 namespace rtdata::detail {
 

@@ -9,10 +9,10 @@
 #include <string>
 #include <utility>
 
+#include "data/fitting.hpp"
 #include "loop/core/loop_core.hpp"
 #include "loop/runtime/runtime_core.hpp"
-#include "loop/support/fitting.hpp"
-#include "rtdata/loop/health.hpp"
+#include "rtdata/loop/runtime.hpp"
 
 namespace rtdata::detail {
 

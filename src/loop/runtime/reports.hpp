@@ -10,11 +10,10 @@
 #include <vector>
 
 #include "data/hidden.hpp"
-#include "loop/support/deadline.hpp"
-#include "loop/support/handler.hpp"
-#include "loop/support/repeats.hpp"
+#include "loop/core/deadline.hpp"
+#include "loop/core/handler.hpp"
+#include "loop/runtime/repeats.hpp"
 #include "rtdata/data/error.hpp"
-#include "rtdata/loop/health.hpp"
 #include "rtdata/loop/runtime.hpp"
 
 namespace rtdata::detail {

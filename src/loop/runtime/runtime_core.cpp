@@ -3,11 +3,11 @@
 #include <algorithm>
 #include <utility>
 
+#include "data/first_line.hpp"
 #include "data/lower_case.hpp"
+#include "data/name.hpp"
+#include "loop/core/fatal.hpp"
 #include "loop/core/loop_core.hpp"
-#include "loop/support/fatal.hpp"
-#include "loop/support/first_line.hpp"
-#include "loop/support/name.hpp"
 #include "loop/tier/bridge.hpp"
 #include "loop/tier/tier_core.hpp"
 

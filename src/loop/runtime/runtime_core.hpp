@@ -11,6 +11,7 @@
 #include <utility>
 #include <vector>
 
+#include "loop/core/placed_list.hpp"
 #include "loop/events/listener.hpp"
 #include "loop/events/origin_core.hpp"
 #include "loop/events/sensor_entry.hpp"
@@ -20,7 +21,6 @@
 #include "loop/runtime/exchange.hpp"
 #include "loop/runtime/names.hpp"
 #include "loop/runtime/reports.hpp"
-#include "loop/support/placed_list.hpp"
 #include "rtdata/loop/runtime.hpp"
 
 namespace rtdata {

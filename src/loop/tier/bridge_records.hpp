@@ -5,7 +5,6 @@
 #include <variant>
 
 #include "loop/events/topic_core.hpp"
-#include "rtdata/loop/health.hpp"
 #include "rtdata/loop/ledger.hpp"
 #include "rtdata/loop/runtime.hpp"
 

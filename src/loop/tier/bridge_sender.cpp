@@ -4,9 +4,9 @@
 #include <cstring>
 #include <utility>
 
+#include "data/fitting.hpp"
 #include "loop/core/loop_core.hpp"
 #include "loop/runtime/runtime_core.hpp"
-#include "loop/support/fitting.hpp"
 
 namespace rtdata::detail {
 namespace {

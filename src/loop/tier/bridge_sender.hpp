@@ -7,8 +7,8 @@
 #include <string_view>
 #include <unordered_map>
 
+#include "loop/core/deadline.hpp"
 #include "loop/events/listener.hpp"
-#include "loop/support/deadline.hpp"
 #include "loop/tier/channel.hpp"
 
 namespace rtdata::detail {

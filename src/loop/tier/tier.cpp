@@ -7,12 +7,12 @@
 #include <algorithm>
 #include <exception>
 
+#include "data/name.hpp"
+#include "loop/core/fatal.hpp"
 #include "loop/core/loop_core.hpp"
+#include "loop/core/no_thread.hpp"
+#include "loop/core/signals_blocked.hpp"
 #include "loop/runtime/runtime_core.hpp"
-#include "loop/support/fatal.hpp"
-#include "loop/support/name.hpp"
-#include "loop/support/no_thread.hpp"
-#include "loop/support/signals_blocked.hpp"
 #include "loop/tier/bridge.hpp"
 #include "loop/tier/tier_core.hpp"
 

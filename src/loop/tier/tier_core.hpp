@@ -7,8 +7,8 @@
 #include <thread>
 #include <vector>
 
+#include "loop/core/latch.hpp"
 #include "loop/core/virtual_threads.hpp"
-#include "loop/support/latch.hpp"
 #include "rtdata/loop/runtime.hpp"
 #include "rtdata/loop/tier.hpp"
 #include "rtdata/loop/timer.hpp"

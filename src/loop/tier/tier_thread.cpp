@@ -12,7 +12,7 @@
 
 #include "loop/core/loop_core.hpp"
 #include "loop/runtime/runtime_core.hpp"
-#include "loop/support/processors.hpp"
+#include "loop/tier/processors.hpp"
 #include "loop/tier/tier_core.hpp"
 
 namespace rtdata::detail {

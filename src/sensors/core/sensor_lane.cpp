@@ -3,7 +3,7 @@
 #include <utility>
 
 #include "loop/core/lane_thread.hpp"
-#include "loop/support/no_thread.hpp"
+#include "loop/core/no_thread.hpp"
 #include "sensors/core/sensor_node.hpp"
 
 namespace rtdata::detail {

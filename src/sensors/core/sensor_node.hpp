@@ -3,10 +3,10 @@
 
 #include <memory>
 
-#include "loop/support/deadline.hpp"
-#include "loop/support/retry.hpp"
+#include "data/backoff.hpp"
+#include "loop/core/deadline.hpp"
+#include "rtdata/detail/sensors/transaction.hpp"
 #include "rtdata/sensors/sensor.hpp"
-#include "rtdata/sensors/transaction.hpp"
 #include "sensors/core/source_node.hpp"
 
 namespace rtdata::detail {

@@ -4,12 +4,12 @@
 #include <memory>
 #include <string>
 
+#include "loop/core/handler.hpp"
 #include "loop/core/loop_core.hpp"
 #include "loop/runtime/runtime_core.hpp"
-#include "loop/support/handler.hpp"
 #include "process/processor.hpp"
+#include "rtdata/detail/sensors/transaction.hpp"
 #include "rtdata/loop/loop.hpp"
-#include "rtdata/sensors/transaction.hpp"
 
 namespace rtdata::detail {
 

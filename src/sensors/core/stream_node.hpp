@@ -3,7 +3,7 @@
 
 #include <string_view>
 
-#include "loop/support/retry.hpp"
+#include "data/backoff.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/sensors/feed.hpp"
 #include "sensors/core/source_node.hpp"

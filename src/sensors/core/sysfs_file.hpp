@@ -12,7 +12,7 @@
 
 #include "io/kernel_file.hpp"
 #include "rtdata/data/error.hpp"
-#include "rtdata/sensors/transaction.hpp"
+#include "rtdata/detail/sensors/transaction.hpp"
 
 namespace rtdata::detail {
 

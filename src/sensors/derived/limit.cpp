@@ -3,8 +3,8 @@
 #include <algorithm>
 #include <utility>
 
+#include "data/saturating.hpp"
 #include "loop/events/made_of.hpp"
-#include "loop/support/deadline.hpp"
 #include "process/number_field.hpp"
 #include "rtdata/data/config_value.hpp"
 #include "rtdata/loop/timer.hpp"

@@ -7,9 +7,9 @@
 #include <limits>
 #include <utility>
 
+#include "data/saturating.hpp"
 #include "loop/events/made_of.hpp"
 #include "loop/runtime/runtime_core.hpp"
-#include "loop/support/deadline.hpp"
 #include "process/expression_sources.hpp"
 #include "rtdata/data/config_value.hpp"
 #include "rtdata/loop/timer.hpp"

@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "io/enabling.hpp"
-#include "io/tcp_stream.hpp"
+#include "net/tcp_stream.hpp"
 #include "rtdata/data/config_item.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "sensors/core/stream_node.hpp"

@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <string_view>
 
-#include "loop/support/deadline.hpp"
+#include "data/saturating.hpp"
 
 namespace rtdata::detail {
 namespace {

@@ -13,7 +13,7 @@
 #include <type_traits>
 #include <utility>
 
-#include "loop/support/first_line.hpp"
+#include "data/first_line.hpp"
 #include "sensors/core/sysfs_file.hpp"
 #include "sensors/host/host_text.hpp"
 #include "sensors/host/hwmon.hpp"

@@ -4,9 +4,9 @@
 #include <functional>
 #include <utility>
 
-#include "loop/support/no_thread.hpp"
+#include "loop/core/no_thread.hpp"
+#include "rtdata/detail/loop/lane.hpp"
 #include "rtdata/io/iio.hpp"
-#include "rtdata/loop/lane.hpp"
 #include "rtdata/loop/watch.hpp"
 #include "rtdata/sensors/iio.hpp"
 #include "sensors/core/stream_node.hpp"

@@ -1,8 +1,8 @@
 #include "sensors/kernel/pps_time.hpp"
 
 #include "data/number_text.hpp"
+#include "data/saturating.hpp"
 #include "io/kernel_file.hpp"
-#include "loop/support/deadline.hpp"
 
 namespace rtdata::detail {
 namespace {

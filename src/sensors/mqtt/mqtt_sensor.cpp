@@ -3,8 +3,8 @@
 #include <algorithm>
 #include <utility>
 
-#include "io/host_lookup.hpp"
-#include "io/mqtt_connection.hpp"
+#include "net/host_lookup.hpp"
+#include "net/mqtt_connection.hpp"
 #include "rtdata/data/config_item.hpp"
 #include "rtdata/sensors/mqtt.hpp"
 #include "sensors/core/stream_node.hpp"

@@ -11,7 +11,7 @@
 #include <ctime>
 
 #include "data/utf8.hpp"
-#include "loop/support/no_sigpipe.hpp"
+#include "io/no_sigpipe.hpp"
 
 namespace rtdata {
 namespace {

@@ -6,7 +6,7 @@
 #include <cstdint>
 #include <optional>
 
-#include "loop/support/deadline.hpp"
+#include "data/saturating.hpp"
 #include "rtdata/data/time.hpp"
 
 namespace rtdata::detail {

@@ -4,7 +4,7 @@
 #include <memory>
 #include <string>
 
-#include "io/host_lookup.hpp"
+#include "net/host_lookup.hpp"
 #include "rtdata/data/codec.hpp"
 
 namespace rtdata {

@@ -1,7 +1,7 @@
 // When a sink hands over accounts, and in which parts.
 #include <algorithm>
 
-#include "loop/support/deadline.hpp"
+#include "data/saturating.hpp"
 #include "sinks/core/sink_node.hpp"
 
 namespace rtdata::detail {

@@ -1,7 +1,7 @@
 // How a sink ends: drained by its loop, or closed by its owner.
 #include <algorithm>
 
-#include "loop/support/deadline.hpp"
+#include "data/saturating.hpp"
 #include "sinks/core/sink_node.hpp"
 
 namespace rtdata::detail {

@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <exception>
 
-#include "loop/support/deadline.hpp"
+#include "data/saturating.hpp"
 
 namespace rtdata {
 namespace detail {

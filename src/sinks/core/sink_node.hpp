@@ -10,11 +10,11 @@
 #include <utility>
 #include <vector>
 
+#include "data/backoff.hpp"
+#include "loop/core/handler.hpp"
 #include "loop/core/loop_core.hpp"
 #include "loop/runtime/runtime_core.hpp"
-#include "loop/support/handler.hpp"
-#include "loop/support/retry.hpp"
-#include "rtdata/loop/lane.hpp"
+#include "rtdata/detail/loop/lane.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/sinks/sink.hpp"
 #include "sinks/core/catch_up.hpp"

@@ -2,8 +2,8 @@
 #include <algorithm>
 #include <iterator>
 
-#include "loop/support/deadline.hpp"
-#include "loop/support/no_thread.hpp"
+#include "data/saturating.hpp"
+#include "loop/core/no_thread.hpp"
 #include "sinks/core/sink_node.hpp"
 
 namespace rtdata::detail {

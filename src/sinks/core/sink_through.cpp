@@ -3,7 +3,7 @@
 #include <string>
 #include <utility>
 
-#include "loop/support/deadline.hpp"
+#include "data/saturating.hpp"
 #include "sinks/core/sink_node.hpp"
 
 namespace rtdata::detail {

@@ -3,9 +3,9 @@
 #include <algorithm>
 #include <utility>
 
+#include "data/saturating.hpp"
 #include "loop/core/loop_core.hpp"
-#include "loop/support/deadline.hpp"
-#include "rtdata/loop/account.hpp"
+#include "rtdata/loop/ledger.hpp"
 
 namespace rtdata {
 

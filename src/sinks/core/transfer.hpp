@@ -8,7 +8,7 @@
 #include <span>
 #include <vector>
 
-#include "loop/support/retry.hpp"
+#include "data/backoff.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/sinks/sender.hpp"
 #include "sinks/core/sink_queue.hpp"

@@ -6,7 +6,7 @@
 #include <optional>
 #include <utility>
 
-#include "loop/support/no_sigpipe.hpp"
+#include "io/no_sigpipe.hpp"
 
 namespace rtdata::detail {
 

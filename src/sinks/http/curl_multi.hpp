@@ -6,7 +6,7 @@
 #include <string>
 #include <unordered_map>
 
-#include "io/libcurl.hpp"
+#include "net/libcurl.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/loop/watch.hpp"
 

@@ -10,9 +10,9 @@
 
 #include "data/fnv.hpp"
 #include "data/hidden.hpp"
-#include "io/libz.hpp"
 #include "loop/core/loop_core.hpp"
 #include "loop/runtime/runtime_core.hpp"
+#include "net/libz.hpp"
 
 namespace rtdata::detail {
 namespace {

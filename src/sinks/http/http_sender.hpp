@@ -9,8 +9,8 @@
 #include <utility>
 #include <vector>
 
-#include "io/host_lookup.hpp"
-#include "io/http_request.hpp"
+#include "net/host_lookup.hpp"
+#include "net/http_request.hpp"
 #include "rtdata/data/codec.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/sinks/http.hpp"

@@ -1,4 +1,4 @@
-#include "io/libz.hpp"
+#include "net/libz.hpp"
 #include "sinks/http/http_sender.hpp"
 
 namespace rtdata {

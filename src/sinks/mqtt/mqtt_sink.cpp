@@ -11,9 +11,9 @@
 #include <utility>
 #include <vector>
 
-#include "io/mqtt_connection.hpp"
 #include "loop/core/loop_core.hpp"
 #include "loop/runtime/runtime_core.hpp"
+#include "net/mqtt_connection.hpp"
 #include "rtdata/data/config_item.hpp"
 #include "sinks/core/peer_config.hpp"
 

@@ -1,0 +1,151 @@
+/// Accelerometer: acceleration of an ADXL345 (16 g) or ADXL375 (200 g) on I2C or SPI.
+///
+///     rtdata::DriverSensor<rtdata::Accelerometer> shock(loop, {.name = "shock", .rate = 100_Hz}, bus, {.address =
+///     0x53},
+///                                                       {.model = AccelerometerModel::adxl375, .sample_rate = 800});
+///
+/// The chip measures by itself at `sample_rate` and keeps up to 32 samples in a FIFO, which each tick of the sensor
+/// empties. Times, losses, settings that are lost: inertial.hpp. Both have one identity: which of them it is cannot be
+/// found out, and a wrong `model` gives wrong values.
+///
+/// Sources: Analog Devices ADXL345, data sheet rev. E: table 1 scale and self-test, "FIFO", register map (table 19);
+/// ADXL375, rev. B: table 1 scale, register map.
+///
+/// Driver (driver.hpp): used on the bus's lane.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <span>
+#include <string_view>
+
+#include "rtdata/chips/inertial.hpp"
+#include "rtdata/data/describe.hpp"
+
+namespace rtdata {
+
+struct AccelerometerReading {
+  double acceleration_x = 0, acceleration_y = 0, acceleration_z = 0;  ///< with gravity
+  static AccelerometerReading of(const InertialSample& sample) noexcept {
+    return {sample.acceleration[0], sample.acceleration[1], sample.acceleration[2]};
+  }
+  friend constexpr auto describe(type_tag<AccelerometerReading>) {
+    return record("accelerometer", field("acceleration_x", &AccelerometerReading::acceleration_x, "m/s2"),
+                  field("acceleration_y", &AccelerometerReading::acceleration_y, "m/s2"),
+                  field("acceleration_z", &AccelerometerReading::acceleration_z, "m/s2"));
+  }
+};
+
+enum class AccelerometerModel { adxl345, adxl375 };
+
+/// The models, in the order of `AccelerometerModel`.
+namespace accelerometer_models {
+
+using namespace std::chrono_literals;
+
+inline constexpr InertialChoice rates[] = {{6.25, 6}, {12.5, 7}, {25, 8},   {50, 9},   {100, 10},
+                                           {200, 11}, {400, 12}, {800, 13}, {1600, 14}};
+// With full resolution, 256 counts a g at each range.
+inline constexpr InertialChoice adxl345_ranges[] = {{2, 0, standard_gravity / 256},
+                                                    {4, 1, standard_gravity / 256},
+                                                    {8, 2, standard_gravity / 256},
+                                                    {16, 3, standard_gravity / 256}};
+inline constexpr InertialChoice adxl375_ranges[] = {{200, 3, 0.049 * standard_gravity}};
+// Standby, no interrupts, rate, format, and on. There is no reset.
+inline constexpr InertialWrite setting_up[] = {{.number = 0x2d},
+                                               {.number = 0x2e},
+                                               {.number = 0x2c, .by_rate = 1},
+                                               {.number = 0x31, .value = 0x08, .by_acceleration = 1},
+                                               {.number = 0x2d, .value = 0x08, .pause = 12ms}};
+inline constexpr InertialWrite sleeping[] = {{.number = 0x2d}};
+constexpr InertialModel adxl(std::string_view name, std::span<const InertialChoice> ranges,
+                             InertialSelfTest self_test) {
+  return {.name = name,
+          .identity_register = 0x00,
+          .identity = 0xe5,
+          .rates = rates,
+          .accelerations = ranges,
+          .angles = {},
+          .filters = {},
+          .setting_up = setting_up,
+          .sleeping = sleeping,
+          .fifo = {.off = {.number = 0x38},
+                   .on = {.number = 0x38, .value = 0x80},
+                   .status = 0x39,
+                   .count_mask = 0x3f,
+                   .over_register = 0x30,
+                   .over_bit = 0x01,
+                   .count_bytes = 6,
+                   .capacity = 33 * 6,  // one more than the FIFO, in the output registers
+                   .keeps_whole_samples = true,
+                   .data = 0x32},
+          .self_test = self_test,
+          .addressing = {.spi_burst_bit = 0x40}};
+}
+/// At 2.5 V, to the most at 3.3 V.
+inline constexpr InertialSelfTest adxl345_self_test{.acceleration_register = 0x31,
+                                                    .acceleration_on = 0x80,
+                                                    .acceleration_output = 0x32,
+                                                    .acceleration_range = 16,
+                                                    .limits = {{{0.2 * standard_gravity, 3.72 * standard_gravity},
+                                                                {0.2 * standard_gravity, 3.72 * standard_gravity},
+                                                                {0.3 * standard_gravity, 5.0 * standard_gravity}}}};
+
+inline constexpr InertialModel all[] = {adxl("ADXL345", adxl345_ranges, adxl345_self_test),
+                                        adxl("ADXL375", adxl375_ranges, {})};
+
+}  // namespace accelerometer_models
+
+struct AccelerometerConfig {
+  AccelerometerModel model = AccelerometerModel::adxl345;
+  std::optional<double> sample_rate{};         ///< Hz of the chip; unset: 100
+  std::optional<double> acceleration_range{};  ///< g; unset: the widest
+  bool self_test = false;                      ///< at each start, of an ADXL345
+  friend constexpr auto parameters(type_tag<AccelerometerConfig>) {
+    return parameter_list(
+        parameter(
+            "model", &AccelerometerConfig::model, "which chip it is",
+            choices(value("adxl345", AccelerometerModel::adxl345), value("adxl375", AccelerometerModel::adxl375))),
+        parameter("sample_rate", &AccelerometerConfig::sample_rate,
+                  "samples a second of the chip: 6.25, 12.5, 25, 50, 100, 200, 400, 800 or 1600; `rate` says how often "
+                  "they are fetched; default: 100",
+                  unit("Hz"), range(6.25, 1600.0)),
+        parameter("acceleration_range", &AccelerometerConfig::acceleration_range,
+                  "in 9.80665 m/s2. ADXL345: 2, 4, 8 or 16; ADXL375: 200; default: the widest", range(2, 200)),
+        parameter("self_test", &AccelerometerConfig::self_test,
+                  "tests the chip at each start, in which it must lie still", only_with("model", "adxl345")));
+  }
+  static std::span<const InertialModel> models() noexcept { return accelerometer_models::all; }
+  const InertialModel& chip() const noexcept { return models()[static_cast<std::size_t>(model)]; }
+  InertialSettings settings() const { return {sample_rate, acceleration_range, {}, {}, self_test}; }
+  friend void check_config(const AccelerometerConfig& config, const ConfigItem& item, Problems& problems) {
+    InertialChip::check(config.chip(), config.settings(), item, problems);
+  }
+};
+
+class Accelerometer : public InertialDriver<AccelerometerConfig, AccelerometerReading> {
+ public:
+  static constexpr std::string_view type = "accelerometer";
+  static constexpr std::string_view description = "acceleration of an ADXL345 or ADXL375 on I2C or SPI";
+  static constexpr std::string_view notes =
+      R"(- Wires: 3.3 V, ground, SDA, SCL; CS on 3.3 V for I2C. Address: 0x53, with SDO (ALT ADDRESS) high 0x1d.
+  On SPI: SDO, SDI (SDA), SCK (SCL), CS; `chip_select` in place of `address`; to 1.6 MHz, at which the FIFO has the time
+  between two readings that it needs.
+- The chip takes `sample_rate` samples a second by itself and keeps up to 32 in its FIFO; `rate` says how often it is
+  emptied. Each sample is an event. At 800 samples a second it is full after 40 ms: `"rate": "50 Hz"` or more.
+- What does not fit is counted as `lost`, by the time and the chip's rate, within one each time.
+- Times are right within a period: the chip's clock is not read, its rate is learned.
+- An ADXL345 and an ADXL375 have one identity: a wrong `model` is not noticed, and its values are wrong by a factor of
+  12.5.
+- `"self_test": true` (ADXL345) takes 0.35 s at each start, in which the chip must lie still, and so needs a `timeout`
+  of the bus above that.
+- A read on a bus of 400 kHz takes 0.25 ms a sample.
+)";
+  static constexpr RegisterPlace place{0x53};
+
+  using InertialDriver::InertialDriver;
+  /// `bytes`: the registers 0x32 to 0x37.
+  using InertialDriver::decode;
+};
+
+}  // namespace rtdata

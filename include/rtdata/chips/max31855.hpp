@@ -1,0 +1,80 @@
+/// Max31855: a thermocouple at a MAX31855 of Maxim on SPI.
+///
+///     rtdata::DriverSensor<rtdata::Max31855> oven(loop, {.name = "oven", .rate = 5_Hz}, bus, {.chip_select = 0});
+///
+/// The chip is made for one kind of thermocouple, which the end of its name tells (MAX31855K, J, N, T, S, R, E), and
+/// takes no settings. It measures by itself, some ten times a second, in steps of 0.25 degrees; a tick reads the last
+/// value. A thermocouple that is open, or shorted to ground or to the supply, is unreadable, with that reason.
+///
+/// A chip that is not there reads as ones, which two bits that are always 0 show, or as zeros. Zeros are 0 degrees at
+/// both ends too, and are taken as nothing: unreadable. There is no identity and no checksum.
+///
+/// Clock to 5 MHz, mode 0. Source: Maxim, 19-5793, memory map (tables 2 to 5).
+///
+/// Driver (driver.hpp): used on the bus's lane.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <span>
+#include <string_view>
+
+#include "rtdata/chips/max31856.hpp"
+#include "rtdata/data/describe.hpp"
+#include "rtdata/io/spi.hpp"
+#include "rtdata/sensors/driver.hpp"
+
+namespace rtdata {
+
+class Max31855 {
+ public:
+  static constexpr std::string_view type = "max31855";
+  static constexpr std::string_view description = "temperature of a thermocouple at a MAX31855 on SPI";
+  static constexpr std::string_view notes =
+      "Pins: SO to MISO, SCK, CS; mode 0, `clock` to 5 MHz. The letter at the end of the chip's name is the kind of "
+      "its "
+      "thermocouple. It measures some ten times a second: a faster `rate` reads values twice.\n\n"
+      "An open thermocouple, and one that is shorted to ground or to the supply, is told and counted as unreadable. So "
+      "are "
+      "answers of ones and of zeros: nothing answers. Where both ends are at exactly 0 degrees, that is unreadable "
+      "too.";
+  struct Config {
+    friend constexpr auto parameters(type_tag<Config>) { return parameter_list(); }
+  };
+  using Value = ThermocoupleReading;
+  using Device = SpiDevice;
+  static constexpr SpiPlace place{};
+  explicit Max31855(const Config&) {}
+
+  Reading<ThermocoupleReading> read(SpiDevice& chip) {
+    std::array<std::uint8_t, 4> bytes{};
+    if (auto done = chip.read(bytes); !done) return std::move(done).error();
+    auto reading = decode(bytes);
+    if (!reading) {
+      Error& error = reading.error();
+      return Unreadable{chip.error(static_cast<Errc>(error.code.value()), error.what, error.why, error.advice)};
+    }
+    return *reading;
+  }
+
+  /// Errors: bad-data (no chip, or a thermocouple that is none).
+  static Result<ThermocoupleReading> decode(std::span<const std::uint8_t, 4> bytes) {
+    const std::uint32_t word = static_cast<std::uint32_t>(bytes[0]) << 24 | static_cast<std::uint32_t>(bytes[1]) << 16 |
+                               static_cast<std::uint32_t>(bytes[2]) << 8 | bytes[3];
+    constexpr std::uint32_t always_zero = 0x0002'0008, fault = 0x0001'0000;
+    const auto refused = [](const char* why, const char* advice) {
+      return Error{Errc::bad_data, "cannot read the MAX31855", "", why, advice};
+    };
+    if ((word & always_zero) != 0 || word == 0)
+      return refused(word == 0 ? "it gives zeros only: nothing answers" : "bits that are 0 are not: nothing answers",
+                     "look at its wires and supply, `chip_select`, `mode` and `clock`");
+    if ((word & 1) != 0) return refused("the thermocouple is open", "look at its wires");
+    if ((word & 2) != 0) return refused("the thermocouple is shorted to ground", "look at its wires");
+    if ((word & 4) != 0) return refused("the thermocouple is shorted to the supply", "look at its wires");
+    if ((word & fault) != 0) return refused("it tells of a fault and not of which", "look at its wires");
+    const auto bits = static_cast<std::int32_t>(word);
+    return ThermocoupleReading{(bits >> 18) * 0.25, (static_cast<std::int16_t>(word & 0xffff) >> 4) * 0.0625};
+  }
+};
+
+}  // namespace rtdata

@@ -1,0 +1,218 @@
+/// Max31865: a resistance thermometer (PT100, PT1000) at a MAX31865 of Maxim on SPI.
+///
+///     rtdata::DriverSensor<rtdata::Max31865> tank(loop, {.name = "tank", .rate = 5_Hz}, bus,
+///                                                 {.chip_select = 0, .mode = 1}, {.wires = 3});
+///
+/// Each tick switches the current through the element on, looks for faults of its wires, measures once, and switches it
+/// off again, so that the element does not heat itself; the bus is free while the input settles (10 ms) and the chip
+/// converts (66 ms against mains of 50 Hz, 55 ms of 60 Hz). Wires that are open or shorted, and resistances that belong
+/// to no temperature from -200 to 850 degrees, are unreadable, with that reason.
+///
+/// There is no identity and no checksum. The settings are read back with each measurement: a chip that was reset
+/// meanwhile is reported; ones and zeros, where nothing answers, are no such settings.
+///
+/// Clock to 5 MHz, modes 1 and 3. Sources: Maxim, 19-6478, register map, fault detection cycle; IEC 60751 for
+/// temperatures (Callendar and Van Dusen).
+///
+/// Driver (driver.hpp): used on the bus's lane.
+#pragma once
+
+#include <array>
+#include <cmath>
+#include <cstdint>
+#include <optional>
+#include <span>
+#include <string>
+#include <string_view>
+#include <utility>
+
+#include "rtdata/chips/max31856.hpp"
+#include "rtdata/data/describe.hpp"
+#include "rtdata/io/spi.hpp"
+#include "rtdata/sensors/driver.hpp"
+
+namespace rtdata {
+
+struct RtdReading {
+  double temperature = 0;
+  double resistance = 0;
+  friend constexpr auto describe(type_tag<RtdReading>) {
+    return record("rtd", field("temperature", &RtdReading::temperature, "Cel"),
+                  field("resistance", &RtdReading::resistance, "Ohm"));
+  }
+};
+
+enum class RtdElement { pt100, pt1000 };
+
+class Max31865 {
+ public:
+  static constexpr std::string_view type = "max31865";
+  static constexpr std::string_view aliases = "rtd";
+  static constexpr std::string_view description = "temperature of a PT100 or PT1000 at a MAX31865 on SPI";
+  static constexpr std::string_view notes =
+      "Pins: SDO to MISO, SDI to MOSI, SCLK, CS; `mode` 1 or 3, `clock` to 5 MHz. `reference_resistance` is printed on "
+      "the "
+      "board's resistor: 4300 or 430 is 430 Ohm for a PT100, 4301 or 4.3k 4300 Ohm for a PT1000. Boards have bridges "
+      "to "
+      "solder for 2, 3 and 4 wires. One measurement takes 77 ms (`mains` of 60 Hz: 66 ms).\n\n"
+      "Open and shorted wires, and resistances that belong to no temperature from -200 to 850 degrees, are told and "
+      "counted "
+      "as unreadable. The settings are read back with each measurement, so that a chip that was reset, or that is not "
+      "there, is told.";
+  struct Config {
+    RtdElement element = RtdElement::pt100;
+    unsigned wires = 2;
+    std::optional<double> reference_resistance = {};  ///< Ohm; unset: 430 for a PT100, 4300 for a PT1000
+    Mains mains = Mains::hz_50;
+    friend constexpr auto parameters(type_tag<Config>) {
+      return parameter_list(
+          parameter("element", &Config::element, "its resistance at 0 degrees: 100 or 1000 Ohm",
+                    choices(value("pt100", RtdElement::pt100), value("pt1000", RtdElement::pt1000))),
+          parameter("wires", &Config::wires, "to the element", range(2, 4)),
+          parameter("reference_resistance", &Config::reference_resistance,
+                    "of the board's resistor; default: 430, for a PT1000 4300", unit("Ohm"), range(10, 100'000)),
+          parameter("mains", &Config::mains, "the interference that is filtered out",
+                    choices(value("50 Hz", Mains::hz_50), value("60 Hz", Mains::hz_60))));
+    }
+  };
+  using Value = RtdReading;
+  using Device = SpiDevice;
+  static constexpr SpiPlace place{.mode = 1};
+
+  static Result<void> check(const Config& config) {
+    const auto refused = [](const char* where, std::string why) {
+      return Error{Errc::bad_argument, "cannot use the MAX31865 so", where, std::move(why), ""};
+    };
+    if (config.wires < 2 || config.wires > 4)
+      return refused("wires", std::to_string(config.wires) + " is none of 2, 3 and 4");
+    const double reference = reference_of(config);
+    if (!std::isfinite(reference) || reference <= 0)
+      return refused("reference_resistance", std::to_string(reference) + " is not above 0");
+    return {};
+  }
+  explicit Max31865(const Config& config) : config_(config) {}
+
+  Result<void> open(SpiDevice& chip) {
+    constexpr std::array<std::uint8_t, 5> no_limits{0x83, 0xff, 0xff, 0x00, 0x00};
+    if (auto done = write_settings(chip, 0); !done) return done;
+    if (auto done = chip.write(no_limits); !done) return done;
+    const Result<std::uint8_t> kept = read_settings(chip);
+    if (!kept) return kept.error();
+    if (*kept != settings_of(config_))
+      return chip.error(Errc::bad_data, "cannot use the chip as a MAX31865", "it does not keep its settings",
+                        "look at its wires and supply, `chip_select`, `mode` and `clock`");
+    return write_settings(chip, 0, Current::off);
+  }
+
+  Result<void> start(SpiDevice& chip) {
+    auto done = write_settings(chip, step_ == Step::settling ? clear_faults : one_shot);
+    if (!done) step_ = Step::settling;
+    return done;
+  }
+  static Duration reading_time(const Config& config) {
+    using namespace std::chrono_literals;
+    return 10ms + (config.mains == Mains::hz_50 ? 66ms : 55ms);
+  }
+  Duration conversion_time() const noexcept {
+    using namespace std::chrono_literals;
+    if (step_ == Step::settling) return 10ms;  // ten time constants of the usual 100 nF, and more
+    return config_.mains == Mains::hz_50 ? 66ms : 55ms;
+  }
+  bool goes_on() const noexcept { return step_ == Step::measuring; }
+
+  Reading<RtdReading> read(SpiDevice& chip) {
+    const Step step = std::exchange(step_, Step::settling);
+    if (step == Step::settling) {
+      if (auto done = write_settings(chip, look_for_faults); !done) return std::move(done).error();
+      chip.wait(std::chrono::milliseconds{1});  // 0.6 ms
+      const Result<std::uint8_t> settings = read_settings(chip);
+      if (!settings) return settings.error();
+      if (*settings != settings_of(config_)) return lost(chip);
+      step_ = Step::measuring;
+      return nothing_new;
+    }
+    std::array<std::uint8_t, 8> bytes{};
+    const std::uint8_t first = 0;
+    if (auto done = chip.write_read({&first, 1}, bytes); !done) return std::move(done).error();
+    if (auto done = write_settings(chip, 0, Current::off); !done) return std::move(done).error();
+    if (bytes[0] == (settings_of(config_) | one_shot))
+      return chip.error(Errc::timed_out, what, "it measures still, longer than it may", "");
+    if (bytes[0] != settings_of(config_)) return lost(chip);
+    auto reading = decode(bytes, config_);
+    if (!reading) {
+      const Error& error = reading.error();
+      return Unreadable{chip.error(static_cast<Errc>(error.code.value()), what, error.why, error.advice)};
+    }
+    return *reading;
+  }
+
+  /// `registers`: all of the chip. Errors: bad-data (the wires), out-of-range (no temperature has this resistance).
+  static Result<RtdReading> decode(std::span<const std::uint8_t, 8> registers, const Config& config) {
+    const auto refused = [](Errc code, const char* why) { return Error{code, what, "", why, "look at its wires"}; };
+    const unsigned fault = registers[7], code = static_cast<unsigned>(registers[1] << 8 | registers[2]) >> 1;
+    if ((fault & 0x04) != 0) return refused(Errc::bad_data, "an input is below ground or above the supply");
+    if ((fault & 0x20) != 0) return refused(Errc::bad_data, "the element, or a wire to it, is open");
+    if ((fault & 0x10) != 0) return refused(Errc::bad_data, "the wire FORCE- or the reference is open or shorted");
+    if ((fault & 0x08) != 0) return refused(Errc::bad_data, "the wire RTDIN- is open or shorted");
+    if ((fault & 0xc0) != 0 || (registers[2] & 1) != 0)
+      return refused(Errc::bad_data, "it tells of a fault of the element");
+    if (code == 0x7fff) return refused(Errc::out_of_range, "the resistance is that of the reference, or above");
+    const double resistance = code * reference_of(config) / 32768;
+    const double ratio = resistance / (config.element == RtdElement::pt100 ? 100 : 1000);
+    const std::optional<double> temperature = temperature_of(ratio);
+    if (!temperature)
+      return Error{Errc::out_of_range, what, "", std::to_string(resistance) + " Ohm is outside of -200 to 850 degrees",
+                   "look at its wires, `element` and `reference_resistance`"};
+    return RtdReading{*temperature, resistance};
+  }
+
+  /// Degrees of a platinum element with this resistance over that at 0 degrees (IEC 60751); none: outside of -200 to
+  /// 850 degrees.
+  static std::optional<double> temperature_of(double ratio) noexcept {
+    constexpr double a = 3.9083e-3, b = -5.775e-7, c = -4.183e-12;
+    const auto ratio_at = [](double t) { return 1 + a * t + b * t * t + (t < 0 ? c * (t - 100) * t * t * t : 0); };
+    constexpr double lowest = -200, highest = 850, rounding = 1e-4;
+    if (!(ratio >= ratio_at(lowest) - rounding) || !(ratio <= ratio_at(highest) + rounding)) return std::nullopt;
+    double t = (-a + std::sqrt(a * a - 4 * b * (1 - ratio))) / (2 * b);
+    if (t >= 0) return t;
+    for (int i = 0; i < 5; ++i) {  // Newton; the quadratic is within 3 degrees
+      const double slope = a + 2 * b * t + c * (4 * t * t * t - 300 * t * t);
+      t -= (ratio_at(t) - ratio) / slope;
+    }
+    return t;
+  }
+
+ private:
+  enum class Step { settling, measuring };
+  enum class Current { on, off };
+  static constexpr std::uint8_t one_shot = 0x20, look_for_faults = 0x04, clear_faults = 0x02;
+  static constexpr const char* what = "cannot read the MAX31865";
+
+  static double reference_of(const Config& config) noexcept {
+    return config.reference_resistance.value_or(config.element == RtdElement::pt100 ? 430 : 4300);
+  }
+  /// The configuration register, with the current switched on.
+  static std::uint8_t settings_of(const Config& config) noexcept {
+    return static_cast<std::uint8_t>(0x80 | (config.wires == 3 ? 0x10 : 0) | (config.mains == Mains::hz_50 ? 1 : 0));
+  }
+  Result<void> write_settings(SpiDevice& chip, std::uint8_t command, Current current = Current::on) {
+    const unsigned settings = current == Current::on ? settings_of(config_) : settings_of(config_) & 0x7fu;
+    const std::array<std::uint8_t, 2> bytes{0x80, static_cast<std::uint8_t>(settings | command)};
+    return chip.write(bytes);
+  }
+  static Result<std::uint8_t> read_settings(SpiDevice& chip) {
+    const std::uint8_t number = 0;
+    std::uint8_t value = 0;
+    if (auto done = chip.write_read({&number, 1}, {&value, 1}); !done) return std::move(done).error();
+    return value;
+  }
+  Reading<RtdReading> lost(SpiDevice& chip) const {
+    return Unreadable{
+        chip.error(Errc::bad_data, what, "it has lost its settings since the start", "look at its supply")};
+  }
+
+  Config config_;
+  Step step_ = Step::settling;
+};
+
+}  // namespace rtdata

@@ -1,0 +1,54 @@
+/// HttpPeer: where a server of HTTP is, and how it is spoken to. Shared by the sink and the output.
+///
+///     rtdata::HttpPeer relay{.url = "http://relay.local/relay/0", .user = "admin", .password = secret};
+///
+/// A value; any thread.
+#pragma once
+
+#include <map>
+#include <string>
+
+#include "rtdata/data/describe.hpp"
+#include "rtdata/data/parameter.hpp"
+#include "rtdata/net/tls.hpp"
+
+namespace rtdata {
+
+/// Which version of HTTP. `automatic` is 2 where the connection is encrypted and the peer has it, else 1.1; `two` is 2
+/// in any case, on connections that are not encrypted too.
+enum class HttpVersion { automatic, one, two };
+constexpr auto describe(type_tag<HttpVersion>) {
+  return enumeration("http_version", value("auto", HttpVersion::automatic), value("1.1", HttpVersion::one),
+                     value("2", HttpVersion::two));
+}
+
+/// The environment's proxy variables are not used.
+struct HttpPeer {
+  std::string url;                                  ///< http:// or https://, without user and password
+  std::map<std::string, std::string> headers = {};  ///< sent with each request
+  std::string bearer = {};                          ///< sent as "Authorization: Bearer ..."
+  std::string user = {};                            ///< with `password`: basic authentication
+  std::string password = {};
+  HttpVersion http_version = HttpVersion::automatic;
+  TlsConfig tls = {};      ///< of https
+  std::string proxy = {};  ///< URL of an HTTP proxy; empty: none
+  std::string proxy_user = {};
+  std::string proxy_password = {};
+
+  friend constexpr auto parameters(type_tag<HttpPeer>) {
+    return parameter_list(
+        parameter("url", &HttpPeer::url, "where to: http:// or https://, without user and password", required),
+        parameter("headers", &HttpPeer::headers, "sent with each request, by name"),
+        parameter("bearer", &HttpPeer::bearer, "token of the header Authorization"),
+        parameter("user", &HttpPeer::user, "of basic authentication"),
+        parameter("password", &HttpPeer::password, "of the user"),
+        parameter("http_version", &HttpPeer::http_version,
+                  "auto: 2 where https and the peer have it, else 1.1; 2: also without encryption"),
+        parameter("tls", &HttpPeer::tls, "how https proves who is there"),
+        parameter("proxy", &HttpPeer::proxy, "URL of an HTTP proxy; default: none, whatever the environment says"),
+        parameter("proxy_user", &HttpPeer::proxy_user, "of the proxy"),
+        parameter("proxy_password", &HttpPeer::proxy_password, "of that user"));
+  }
+};
+
+}  // namespace rtdata

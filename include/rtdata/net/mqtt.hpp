@@ -1,0 +1,55 @@
+/// MqttBroker: where a broker of MQTT is, and how it is spoken to. Shared by the sink and the sensor.
+///
+///     rtdata::MqttBroker broker{.host = "broker.local", .user = "node", .tls = rtdata::TlsConfig{}};
+///
+/// A value; any thread.
+#pragma once
+
+#include <chrono>
+#include <cstdint>
+#include <optional>
+#include <string>
+
+#include "rtdata/data/parameter.hpp"
+#include "rtdata/net/tls.hpp"
+
+namespace rtdata {
+
+enum class MqttVersion {
+  newest,  ///< 5; 3.1.1 of a broker that has no other
+  v5,
+  v311,
+};
+constexpr auto describe(type_tag<MqttVersion>) {
+  return enumeration("version", value("newest", MqttVersion::newest), value("5", MqttVersion::v5),
+                     value("3.1.1", MqttVersion::v311));
+}
+
+struct MqttBroker {
+  std::string host = "localhost";
+  std::uint16_t port = 0;  ///< 0: 1883, with TLS 8883
+  MqttVersion version = MqttVersion::newest;
+  std::string client_id = {};  ///< empty: the broker chooses
+  std::string user = {};
+  std::string password = {};
+  std::optional<TlsConfig> tls = {};
+  Duration keepalive = std::chrono::seconds{30};        ///< so often at least both sides show that they are there
+  Duration connect_timeout = std::chrono::seconds{10};  ///< with looking up the name
+
+  friend constexpr auto parameters(type_tag<MqttBroker>) {
+    using namespace std::chrono_literals;
+    return parameter_list(
+        parameter("host", &MqttBroker::host, "the broker: a name or an address"),
+        parameter("port", &MqttBroker::port, "its port; 0: 1883, with tls 8883"),
+        parameter("version", &MqttBroker::version, "of MQTT"),
+        parameter("client_id", &MqttBroker::client_id, "its name at the broker; empty: the broker chooses"),
+        parameter("user", &MqttBroker::user, "name at the broker"),
+        parameter("password", &MqttBroker::password, "to be written as {\"env\": ...} or {\"file\": ...}"),
+        parameter("tls", &MqttBroker::tls, "encrypted; {} is enough where the broker's certificate is a public one"),
+        parameter("keepalive", &MqttBroker::keepalive, "so often at least both sides show that they are there",
+                  range(5s, 18h)),
+        parameter("connect_timeout", &MqttBroker::connect_timeout, "how long connecting may take", range(10ms, 10min)));
+  }
+};
+
+}  // namespace rtdata

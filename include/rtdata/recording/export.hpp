@@ -1,0 +1,65 @@
+/// export_rows: writes recorded rows as CSV, JSON lines or any other format of a CodecRegistry.
+///
+///     rtdata::export_rows(recording, {.format = "csv", .filter = {.topic = "room/climate"}}, std::cout).or_throw();
+///     rtdata::export_files(recording, {.format = "csv", .time = rtdata::ExportTime::utc}, "out").or_throw();
+///
+/// Thread: that of the recording. Errors: not-found (format), bad-argument, those of `Rows`, those of files.
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <iosfwd>
+#include <string>
+#include <vector>
+
+#include "rtdata/data/codec.hpp"
+#include "rtdata/recording/recording.hpp"
+
+namespace rtdata {
+
+/// How far an export has got.
+struct ExportProgress {
+  std::uint64_t rows = 0;  ///< written so far, of all files
+  Time at{};               ///< the time of the last one, as it is written
+};
+
+enum class ExportTime {
+  recorded,  ///< as stored: never jumps within a run
+  utc,       ///< see UtcLine
+};
+
+struct ExportConfig {
+  std::string format = "csv";  ///< name of a codec; "jsonl" is "json", an object a line
+  RowFilter filter = {};
+  ExportTime time = ExportTime::recorded;
+  enum class TimeText { nanoseconds, iso8601 };
+  TimeText time_text = TimeText::nanoseconds;  ///< of CSV; the other formats have their own
+  enum class Header { names, names_and_units };
+  Header header = Header::names;  ///< of CSV
+  enum class Existing { refuse, replace };
+  Existing existing = Existing::refuse;  ///< files that are in the folder already
+  /// Not 0: reduced to steps of this length, see `Recording::steps`. In UTC the steps are those of UTC.
+  Duration step{0};
+  /// Called after each 256 KiB or so that were written; empty: not called.
+  std::function<void(const ExportProgress&)> on_progress = {};
+};
+
+struct ExportCount {
+  std::string path;  ///< empty for a stream
+  std::uint64_t rows = 0;
+  std::uint64_t refused = 0;  ///< rows that do not fit the format; they are left out
+  Error refusal = {};         ///< why the first of them does not fit
+};
+
+/// All rows to one stream; CSV has its header also when there are none. A format that does not name topics (CSV) takes
+/// the rows of one description only: otherwise bad-argument, before anything is written.
+Result<ExportCount> export_rows(const Recording& recording, const ExportConfig& config, std::ostream& out);
+
+/// A file a topic in a folder, which is made: room/climate.csv, then room/climate~2.csv for a second description; of
+/// JSON lines room/climate.jsonl. A file that is there already is an error (bad-argument), and nothing is written,
+/// unless `existing` says to replace it.
+Result<std::vector<ExportCount>> export_files(const Recording& recording, const ExportConfig& config,
+                                              const std::string& folder,
+                                              const CodecRegistry& registry = CodecRegistry::standard());
+
+}  // namespace rtdata

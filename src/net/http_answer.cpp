@@ -1,0 +1,244 @@
+#include "net/http_answer.hpp"
+
+#include <algorithm>
+#include <cerrno>
+#include <iterator>
+#include <system_error>
+#include <utility>
+
+#include "data/utf8.hpp"
+#include "net/http_url.hpp"
+#include "net/libcurl.hpp"
+#include "net/tls_session.hpp"
+
+namespace rtdata::detail {
+namespace {
+
+constexpr Duration longest_wish = std::chrono::hours{1};  // of Retry-After: more is a mistake, or malice
+constexpr const char* what = "cannot send";
+constexpr const char* kept = "; until then nothing is thrown away";
+
+struct Status {
+  long number;
+  const char* name;
+  const char* advice;
+};
+constexpr Status statuses[] = {
+    {300, "Multiple Choices", ""},
+    {301, "Moved Permanently", ""},
+    {302, "Found", ""},
+    {303, "See Other", ""},
+    {307, "Temporary Redirect", ""},
+    {308, "Permanent Redirect", ""},
+    {400, "Bad Request", ""},
+    {401, "Unauthorized", "the token or password is not accepted, or no longer: give the right one"},
+    {403, "Forbidden", "who is known by this token or password may not write there: have it permitted, or use another"},
+    {404, "Not Found", "there is nothing at this URL: correct `url`"},
+    {405, "Method Not Allowed", "the server wants another method at this URL: correct `method` or `url`"},
+    {406, "Not Acceptable", "correct `headers`"},
+    {407, "Proxy Authentication Required", "the proxy wants to know who sends: give `proxy_user` and `proxy_password`"},
+    {408, "Request Timeout",
+     "the server did not get the request in time: is the network slow? Try a smaller `parcel_rows`"},
+    {409, "Conflict", "see what the server says"},
+    {410, "Gone", "nothing is at this URL any more: correct `url`"},
+    {411, "Length Required", "something between here and the server removes the length: ask who runs it"},
+    {413, "Content Too Large", ""},
+    {414, "URI Too Long", "shorten `url`"},
+    {415, "Unsupported Media Type",
+     "the server does not take this format: correct `format`, `content_type` or `compression`"},
+    {422, "Unprocessable Content", ""},
+    {425, "Too Early", ""},
+    {429, "Too Many Requests",
+     "it wants fewer requests: a larger `parcel_rows`, a smaller `window`, `bytes_per_second`"},
+    {431, "Request Header Fields Too Large", "send fewer `headers`"},
+    {500, "Internal Server Error", "look into the server's log"},
+    {501, "Not Implemented", "look into the server's log"},
+    {502, "Bad Gateway", "the server behind it does not answer"},
+    {503, "Service Unavailable", "it is overloaded, or being restarted"},
+    {504, "Gateway Timeout", "the server behind it does not answer"},
+    {507, "Insufficient Storage", "make room on the server"}};
+
+const Status& status_of(long number) {
+  const auto* found = std::find_if(std::begin(statuses), std::end(statuses),
+                                   [&](const Status& status) { return status.number == number; });
+  static constexpr Status unknown{0, "", ""};
+  return found != std::end(statuses) ? *found : unknown;
+}
+
+Errc errc_of(long status) {
+  switch (status) {
+    case 401:
+    case 403:
+    case 407:
+      return Errc::not_permitted;
+    case 404:
+    case 410:
+      return Errc::not_found;
+    case 400:
+    case 422:
+      return Errc::bad_data;
+    case 413:
+      return Errc::does_not_fit;
+    case 408:
+    case 504:
+      return Errc::timed_out;
+    case 429:
+    case 503:
+      return Errc::busy;
+    case 507:
+      return Errc::storage_full;
+    default:
+      return Errc::io_failed;
+  }
+}
+
+Error said(const HttpAnswer& answer, const std::string& origin) {
+  const Status& status = status_of(answer.status);
+  std::string why = "the server answers " + std::to_string(answer.status);
+  if (status.number != 0) why += std::string(" ") + status.name;
+  if (const std::string line = first_line_of(answer.text); !line.empty()) why += ": " + line;
+  return {errc_of(answer.status), what, origin, std::move(why), status.advice};
+}
+
+std::string redirect_advice(const HttpAnswer& answer, const std::string& origin) {
+  const auto to = answer.redirect.empty() ? Result<HttpUrl>(Error{}) : parse_http_url(answer.redirect);
+  if (!to) return "it does not say where to: ask who runs it";
+  if (to->origin != origin)
+    return "it wants the events sent to " + to->origin + ": if that is right, write it into `url`";
+  return "it wants another path at the same server: correct `url` (`curl -i` shows where)";
+}
+
+}  // namespace
+
+HttpJudgement judge(const HttpAnswer& answer, const std::string& origin) {
+  if (answer.status >= 200 && answer.status < 300) return {};
+  HttpJudgement judgement;
+  judgement.why = said(answer, origin);
+  if (answer.retry_after.count() > 0) judgement.after = std::min(answer.retry_after, longest_wish);
+  if (answer.status == 400 || answer.status == 422) {
+    judgement.verdict = HttpVerdict::refused;
+  } else if (answer.status == 413) {
+    judgement.verdict = HttpVerdict::too_large;
+  } else if (answer.status == 408 || answer.status == 421 || answer.status == 425 || answer.status == 429 ||
+             (answer.status >= 500 && answer.status != 501 && answer.status != 505 && answer.status < 600)) {
+    judgement.verdict = HttpVerdict::later;
+  } else {
+    judgement.verdict = HttpVerdict::faulted;
+    if (answer.status >= 300 && answer.status < 400) judgement.why.advice = redirect_advice(answer, origin);
+    judgement.why.advice = judgement.why.advice.empty() ? "see what the server says" : judgement.why.advice;
+    judgement.why.advice += kept;
+  }
+  if ((answer.status == 307 || answer.status == 308) && !answer.redirect.empty()) {
+    const auto to = parse_http_url(answer.redirect);
+    if (to && !to->has_login && to->origin == origin) judgement.verdict = HttpVerdict::elsewhere;
+  }
+  return judgement;
+}
+
+std::string first_line_of(std::string_view body) {
+  constexpr std::size_t longest = 200;
+  std::string line;
+  while (!body.empty() && line.size() < longest) {
+    const char c = body.front();
+    if (c == '\n' || c == '\r') {
+      if (!line.empty()) break;  // those that begin with empty lines have one to say too
+      body.remove_prefix(1);
+      continue;
+    }
+    const std::size_t size = utf8_size(body);
+    const bool is_shown = size > 0 && static_cast<unsigned char>(c) >= 0x20 && c != 0x7f;
+    if (is_shown && line.size() + size > longest) break;
+    line += is_shown ? body.substr(0, size) : std::string_view("?");
+    body.remove_prefix(std::max<std::size_t>(size, 1));
+  }
+  while (line.ends_with(' ')) line.pop_back();
+  return line;
+}
+
+HttpJudgement judge(const HttpFailure& failure, const std::string& origin, const std::string& proxy_origin) {
+  HttpJudgement judgement{HttpVerdict::later, {Errc::disconnected, what, origin, failure.text, ""}, {}};
+  Error& error = judgement.why;
+  const std::string& first = proxy_origin.empty() ? origin : proxy_origin;  // with whom the connection is
+  const auto say = [&](Errc code, std::string why, std::string advice) {
+    error.code = code;
+    if (!why.empty()) error.why = std::move(why);
+    error.advice = std::move(advice);
+  };
+  const auto mentions = [&](std::string_view part) { return failure.text.find(part) != std::string::npos; };
+  if (error.why.empty() && load_curl()) error.why = curl_easy_strerror(static_cast<CURLcode>(failure.code));
+  if (failure.connect_status >= 400 && !proxy_origin.empty()) {
+    const Status& status = status_of(failure.connect_status);
+    error.where = origin + " by the proxy " + proxy_origin;
+    say(errc_of(failure.connect_status),
+        "the proxy answers " + std::to_string(failure.connect_status) + (status.number != 0 ? " " : "") + status.name,
+        failure.connect_status == 407 ? std::string(status.advice) + kept
+                                      : "does the proxy let this machine go there?");
+    if (failure.connect_status < 500) judgement.verdict = HttpVerdict::faulted;
+    return judgement;
+  }
+  switch (static_cast<CURLcode>(failure.code)) {
+    case CURLE_COULDNT_CONNECT:
+      error.where = first;
+      error.code = failure.error_number == ETIMEDOUT ? Errc::timed_out : Errc::disconnected;
+      if (failure.error_number != 0) error.why = std::generic_category().message(failure.error_number);
+      error.advice = failure.error_number == ECONNREFUSED
+                         ? "nobody listens at this port: is the server running, and is the port right?"
+                         : "is the machine on, and does the network reach it?";
+      break;
+    case CURLE_OPERATION_TIMEDOUT:
+      say(Errc::timed_out, "", "is the server overloaded, or the network slow?");
+      break;
+    case CURLE_COULDNT_RESOLVE_HOST:
+    case CURLE_COULDNT_RESOLVE_PROXY:
+      error.where = first;
+      say(Errc::not_found, "", "check the name; an address needs no looking up");
+      break;
+    case CURLE_PEER_FAILED_VERIFICATION: {
+      error.code = Errc::not_permitted;
+      // What libcurl has compared itself, the name, only its text tells.
+      long verified = failure.verify_result;
+      for (const auto& [text, code] :
+           {std::pair{"self-signed", 18L}, std::pair{"self signed", 18L}, std::pair{"does not match", 62L},
+            std::pair{"subject name", 62L}, std::pair{"not yet valid", 9L}, std::pair{"expired", 10L}})
+        if (mentions(text)) verified = code;
+      error.advice = advice_on_certificate(verified, "url");
+      break;
+    }
+    case CURLE_SSL_CONNECT_ERROR:
+      say(Errc::io_failed, "",
+          "does the server speak TLS at this port? It may also want a client certificate (`tls.certificate`)");
+      break;
+    case CURLE_SSL_CERTPROBLEM:
+      say(Errc::bad_data, "", "check the files `tls.certificate` and `tls.key`, and `tls.key_password`");
+      judgement.verdict = HttpVerdict::faulted;
+      break;
+    case CURLE_SSL_CACERT_BADFILE:
+      say(Errc::bad_data, "", "check the file `tls.ca_file`: it has to be there, readable, and PEM");
+      judgement.verdict = HttpVerdict::faulted;
+      break;
+    case CURLE_GOT_NOTHING:
+    case CURLE_PARTIAL_FILE:
+    case CURLE_SEND_ERROR:
+    case CURLE_RECV_ERROR:
+    case CURLE_HTTP2:
+    case CURLE_HTTP2_STREAM:
+      error.advice = "the connection was closed before the answer: look into the server's log";
+      break;
+    case CURLE_WEIRD_SERVER_REPLY:
+    case CURLE_UNSUPPORTED_PROTOCOL:
+    case CURLE_BAD_CONTENT_ENCODING:
+    case CURLE_WRITE_ERROR:
+      say(Errc::bad_data, "",
+          "what answers there is no server of HTTP, or of another version of it: is the port right?");
+      break;
+    case CURLE_OUT_OF_MEMORY:
+      error.advice = "this machine is out of memory, or the server answers with more headers than libcurl takes";
+      break;
+    default:
+      error.advice = "look at both ends, and at what is between them";
+      break;
+  }
+  return judgement;
+}
+
+}  // namespace rtdata::detail

@@ -1,0 +1,45 @@
+// What libcurl needs to know of a server, whoever asks it something.
+#pragma once
+
+#include <optional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "net/http_answer.hpp"
+#include "net/http_url.hpp"
+#include "net/libcurl.hpp"
+#include "rtdata/net/http.hpp"
+
+namespace rtdata::detail {
+
+/// libcurl is ready for use by any thread; the first call loads and prepares it. Throws SetupError.
+void need_curl();
+
+/// What libcurl does may raise SIGPIPE where the connection is encrypted: before 7.88 with OpenSSL.
+bool curl_may_raise_sigpipe() noexcept;
+
+/// All but the method, the headers, the time-outs and what becomes of the answer. `server` is not copied, and must
+/// outlive the handle.
+void set_server(CURL* easy, const HttpPeer& server, const HttpUrl& url);
+
+/// Throws std::bad_alloc.
+void append(curl_slist*& list, const std::string& text);
+/// Those that the server wants, behind Content-Type (none, if that is empty).
+void append_headers(curl_slist*& list, const HttpPeer& server, const std::string& content_type);
+
+/// What must not be shown of what the server answers.
+std::vector<std::string> secrets_of(const HttpPeer& server);
+
+/// Of a transfer that has ended.
+HttpFailure failure_of(CURL* easy, CURLcode result, const char* text);
+
+/// How an answer begins; longer than the most that one may be, it is none.
+struct HttpText {
+  std::string text;
+  std::size_t size = 0;
+  /// As CURLOPT_WRITEFUNCTION, with a pointer to this as CURLOPT_WRITEDATA.
+  static std::size_t take(char* data, std::size_t, std::size_t size, void* to);
+};
+
+}  // namespace rtdata::detail

@@ -1,0 +1,46 @@
+// The URL of a server, and what is wrong with how one is described.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "rtdata/data/error.hpp"
+#include "rtdata/net/http.hpp"
+
+namespace rtdata {
+
+class ConfigItem;
+class Problems;
+
+namespace detail {
+
+struct HttpUrl {
+  std::string scheme;  // "http" or "https"
+  std::string host;    // without brackets
+  std::uint16_t port = 0;
+  std::string origin;      // "https://host:8443", to show: paths and queries may hold secrets
+  bool has_login = false;  // user or password
+  bool has_fragment = false;
+  bool is_encrypted() const noexcept { return scheme == "https"; }
+  /// The same server, and the same encryption.
+  bool operator==(const HttpUrl& other) const noexcept {
+    return scheme == other.scheme && host == other.host && port == other.port;
+  }
+};
+/// libcurl can be used. Error: not-found.
+Result<void> load_curl();
+/// Errors: bad_argument, whose `why` says what is wrong; not-found (libcurl).
+Result<HttpUrl> parse_http_url(const std::string& text);
+
+struct HttpMistake {
+  std::string key;  // "url", "tls.key"
+  std::string message;
+};
+std::vector<HttpMistake> mistakes_of(const HttpPeer& server);
+bool is_one_line(const std::string& text);
+/// Each at its key.
+void add_mistakes(const std::vector<HttpMistake>& mistakes, const ConfigItem& item, Problems& problems);
+
+}  // namespace detail
+}  // namespace rtdata

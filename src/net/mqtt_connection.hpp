@@ -1,0 +1,159 @@
+// A connection to a broker of MQTT: libmosquitto on the loop. Connecting and looking up names happen on a lane.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <utility>
+#include <vector>
+
+#include "net/libmosquitto.hpp"
+#include "net/mqtt_inlet.hpp"
+#include "rtdata/detail/loop/lane.hpp"
+#include "rtdata/loop/timer.hpp"
+#include "rtdata/loop/watch.hpp"
+#include "rtdata/net/mqtt.hpp"
+
+namespace rtdata::detail {
+
+/// A client of the library, for one connection: what the library still holds ends with that.
+struct MqttClient {
+  struct Message {
+    std::string topic, payload;
+    bool is_retained = false;
+  };
+  mosquitto* handle = nullptr;
+  std::unique_ptr<MqttInlet> inlet;            // by which it reads
+  std::optional<int> answer;                   // of the broker to the connection
+  std::optional<int> goodbye;                  // why the broker has ended it
+  std::vector<std::pair<int, int>> published;  // number and reason
+  std::optional<std::vector<int>> granted;     // the answer to a subscription, for each of its filters
+  std::vector<Message> messages;               // that came; the first `arrived` of them, the others keep their memory
+  std::size_t arrived = 0;
+  std::string trouble;  // what the library says of it
+  bool is_encrypted = false;
+  bool verifies = false;  // the broker's certificate
+  long distrust = 0;      // what is wrong with that: X509_V_ERR_...
+  std::string key_password;
+
+  MqttClient() = default;
+  MqttClient(const MqttClient&) = delete;
+  MqttClient& operator=(const MqttClient&) = delete;
+  ~MqttClient();
+  std::string reason(int status) const;
+  /// Why there is no connection, after a call of the library that failed.
+  Error failure(int status, bool is_connected) const;
+};
+
+/// How the broker is to take it.
+struct MqttOptions {
+  struct Will {
+    std::string topic, message;
+    std::uint8_t qos = 0;
+    bool retain = false;
+  };
+  std::optional<Will> will = {};
+  Duration session{0};    ///< the broker keeps what comes for it for so long after the connection; 0: not at all
+  int most_sent = 0;      ///< unanswered messages to the broker; 0: what the library is used to
+  int most_received = 0;  ///< the same, to us
+  std::optional<std::size_t> longest_message = {};  ///< that it takes; none: it takes no messages
+};
+
+std::uint16_t port_of(const MqttBroker& broker) noexcept;
+/// Why messages cannot be published there; empty: they can.
+std::string obstacle_of_topic(const std::string& topic);
+/// What of the broker's configuration MQTT cannot carry: the key, and why.
+std::vector<std::pair<const char*, std::string>> mistakes_of_client(const MqttBroker& broker);
+/// A topic that both filters match (the broker sends such a message twice); empty: there is none.
+std::string topic_of_both(std::string_view one, std::string_view other);
+
+/// Makes the client's handle and connects it: blocks, as looking up names does. Status: the library's. What the broker
+/// answers comes by the library's loop. SIGPIPE is the caller's affair.
+int connect_client(MqttClient& client, const MqttBroker& broker, const MqttOptions& options, bool is_v5);
+/// The broker refuses the connection since it has no MQTT 5.
+bool is_older(int answer) noexcept;
+/// It may have ended it since it has no MQTT 5: old brokers hang up on a version that they do not know.
+bool may_be_older(int status) noexcept;
+/// For people.
+std::string refusal_of(int answer, bool is_v5);
+
+class MqttConnecting;
+
+/// Shared, since what is called may end the owner. All on the loop's thread.
+class MqttConnection : public std::enable_shared_from_this<MqttConnection> {
+ public:
+  MqttConnection(Loop& loop, std::string name, const MqttBroker& broker, MqttOptions options);
+  virtual ~MqttConnection();
+  MqttConnection(const MqttConnection&) = delete;
+  MqttConnection& operator=(const MqttConnection&) = delete;
+
+ protected:
+  static constexpr std::size_t most_in_a_turn = 256;  // messages given to the library, or taken from it
+
+  // ---- what a kind of connection does
+  /// The broker has accepted the connection.
+  virtual void connected() {}
+  /// Gives the library what there is to be sent, and counts that down. Status: the library's.
+  virtual int give(std::size_t& left) = 0;
+  /// Takes what the library has told. May end the connection.
+  virtual void take() = 0;
+  /// Whether `give` would give something.
+  virtual bool has_more() const = 0;
+  /// There is none any more, or none came about; it is closed already.
+  virtual void lost(const Error& error) = 0;
+  /// It is being closed.
+  virtual void forget() {}
+  virtual bool may_read() const { return true; }
+  virtual bool may_write() const { return true; }
+
+  bool is_idle() const noexcept { return client_ == nullptr && job_ == nullptr; }
+  void connect();
+  /// Calls the library for whatever there is to do, and takes what came of it. Answers bring new parcels: then again.
+  void work();
+  void fail(Errc code, const char* failed, std::string why, const char* advice = "it is connected to again");
+  /// `where` is filled in.
+  void fail(Error error);
+  void drop();
+  /// With a word of goodbye.
+  void leave();
+  /// The same, for good.
+  void end();
+
+  std::string peer() const;
+  bool is_connected() const noexcept { return is_connected_; }
+  bool is_v5() const noexcept { return is_v5_; }
+  mosquitto* handle() const noexcept { return client_->handle; }
+  Loop& loop() const noexcept { return loop_; }
+  std::shared_ptr<MqttClient> client_;
+
+ private:
+  void connecting_ended(MqttConnecting& job, LaneJob::Outcome outcome);
+  int call_library(std::size_t& left);
+  bool take_answer(int status);
+  bool try_older();
+  void watch();
+
+  const MqttBroker broker_;
+  const MqttOptions options_;
+  Loop& loop_;
+  const std::string name_;
+  bool is_v5_;
+  bool has_tried_older_ = false;
+  Timer more_;    // goes on in the next turn of the loop
+  Timer upkeep_;  // what the library does by time
+  std::unique_ptr<Lane> lane_;
+  std::shared_ptr<MqttConnecting> job_;     // that is waited for
+  std::weak_ptr<MqttConnecting> last_job_;  // also one that is not, and still runs
+  int fd_ = -1;
+  FdWatch watch_;
+  bool is_connected_ = false;
+  bool is_readable_ = false;
+  bool is_working_ = false;
+  unsigned watched_ = 0;
+};
+
+}  // namespace rtdata::detail

@@ -1,0 +1,57 @@
+#include "rtdata/net/tls.hpp"
+
+#include <fcntl.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <cstddef>
+#include <string>
+#include <system_error>
+
+namespace rtdata {
+namespace {
+
+constexpr off_t most_looked_at = off_t{1} << 20;  // authorities of a whole system have comments before the first
+
+/// Why the file cannot be used; empty: it can.
+std::string obstacle(const std::string& path) {
+  if (path.find('\0') != std::string::npos) return "it is no name of a file: it has a NUL byte";
+  const int fd = ::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NOCTTY | O_NONBLOCK);
+  if (fd < 0) return std::generic_category().message(errno);
+  struct stat about {};
+  const bool is_file = ::fstat(fd, &about) == 0 && S_ISREG(about.st_mode);
+  std::string text(is_file ? static_cast<std::size_t>(std::min<off_t>(about.st_size, most_looked_at)) : 0, '\0');
+  const ssize_t got = ::read(fd, text.data(), text.size());
+  ::close(fd);
+  if (!is_file) return "it is no regular file";
+  text.resize(got > 0 ? static_cast<std::size_t>(got) : 0);
+  return text.find("-----BEGIN ") != std::string::npos ? ""
+                                                       : "it is not PEM: it has no line that begins with -----BEGIN";
+}
+
+}  // namespace
+
+std::vector<TlsMistake> mistakes_of(const TlsConfig& config) {
+  std::vector<TlsMistake> mistakes;
+  const auto look_at = [&](const char* key, const std::string& path) {
+    if (path.empty()) return;
+    if (const std::string why = obstacle(path); !why.empty())
+      mistakes.push_back({key, "cannot read the file " + path + ": " + why});
+  };
+  look_at("ca_file", config.ca_file);
+  look_at("certificate", config.certificate);
+  look_at("key", config.key);
+  if (!config.certificate.empty() && config.key.empty())
+    mistakes.push_back({"certificate", "a certificate needs its private key: give the file as `key`"});
+  if (config.certificate.empty() && !config.key.empty())
+    mistakes.push_back({"key", "a key is nothing without its certificate: give the file as `certificate`"});
+  if (!config.key_password.empty() && config.key.empty())
+    mistakes.push_back({"key_password", "there is no `key` of which it could be the password"});
+  if (!config.verify && !config.ca_file.empty())
+    mistakes.push_back({"ca_file", "with `verify` false nobody is checked against it: remove one of the two"});
+  return mistakes;
+}
+
+}  // namespace rtdata

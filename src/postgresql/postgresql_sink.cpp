@@ -1,0 +1,54 @@
+#include "postgresql/libpq.hpp"
+#include "postgresql/postgresql_writer.hpp"
+#include "rtdata/data/config_item.hpp"
+#include "rtdata/postgresql/sink.hpp"
+
+namespace rtdata {
+namespace {
+
+SinkConfig named(const PostgresqlConfig& config) {
+  SinkConfig sink = config.sink;
+  if (sink.name.empty()) sink.name = "postgresql";
+  return sink;
+}
+
+std::unique_ptr<Writer> make_writer(const PostgresqlConfig& config) {
+  PostgresqlConfig whole = config;
+  whole.sink = named(config);
+  return std::make_unique<postgresql::PostgresqlWriter>(whole);
+}
+
+}  // namespace
+
+void check_config(const PostgresqlConfig& config, const ConfigItem& item, Problems& problems) {
+  if (!detail::add_not_installed(detail::libpq.load(), item, problems)) return;
+  const auto tell = [&](std::string message) {
+    const ConfigItem* url = item.find("url");
+    problems.add((url != nullptr ? *url : item).problem("bad-value", std::move(message)));
+  };
+  if (config.schema.starts_with("pg_"))
+    problems.add((item.find("schema") != nullptr ? *item.find("schema") : item)
+                     .problem("bad-value", "names that begin with pg_ are the server's own; choose another"));
+  try {
+    if (!postgresql::password_in(config.url).empty())
+      tell(
+          "it has a password in it, which recordings would hold; give it as `password`: {\"env\": ...} or {\"file\": "
+          "...}");
+  } catch (const SetupError& error) {
+    tell(error.error().why + "; " + error.error().advice);
+  }
+}
+
+std::vector<Error> refused_topics(const PostgresqlConfig&, std::span<const TopicToRecord> topics) {
+  std::vector<Error> refused;
+  for (const TopicToRecord& topic : topics) {
+    if (topic.description == nullptr) continue;
+    if (auto fits = postgresql::check_columns(topic.name, *topic.description); !fits)
+      refused.push_back(std::move(fits).error());
+  }
+  return refused;
+}
+
+PostgresqlSink::PostgresqlSink(Loop& loop, PostgresqlConfig config) : Sink(loop, named(config), make_writer(config)) {}
+
+}  // namespace rtdata

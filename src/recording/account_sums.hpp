@@ -1,0 +1,51 @@
+// What hashing the rows of the account gives: a sum for each run, in its row of rtdata_run, changed in the transaction
+// that changes the rows. The lane's.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <map>
+#include <string_view>
+#include <utility>
+
+#include "recording/checksum.hpp"
+#include "recording/database.hpp"
+
+namespace rtdata::sqlite {
+
+/// The sum of rtdata_topic, which is of all runs, and of the columns of the tables that it names: in rtdata_checksum.
+inline constexpr std::int64_t all_runs = 0;
+/// That of what is kept of senders, which is of all runs too. Whole rows of these tables come behind this number.
+inline constexpr std::int64_t of_senders = -1;
+inline constexpr std::array<std::string_view, 3> sender_tables = {"rtdata_refused", "rtdata_refused_before",
+                                                                  "rtdata_unsent"};
+
+/// How many columns of these rows are hashed: all but the checksum of rtdata_run, its last.
+int hashed_columns(sqlite3_stmt* rows) noexcept;
+
+/// Sums are changed by what comes and what goes: of rows that somebody else has changed they stay wrong.
+class AccountSums {
+ public:
+  enum class Rows { come, go };
+  /// Runs a statement that gives whole rows of a table whose first column is the run, such as one with RETURNING *.
+  void run(Statement& statement, Rows rows = Rows::come);
+  /// Takes out the rows that `before` finds, and adds what `change` makes of them.
+  void replace(Statement& before, Statement& change);
+  /// All rows of a run, around what changes many of them.
+  void add_run(const Database& database, std::int64_t run, Rows rows = Rows::come);
+  void add_topic(const Database& database, std::string_view table, Rows rows = Rows::come);
+  /// In the transaction, after its changes.
+  void write(Database& database);
+  /// The transaction was given up.
+  void clear() noexcept { changes_.clear(); }
+  /// By run: what has come, less what has gone, since the last `write`.
+  const std::map<std::int64_t, std::uint64_t>& changes() const noexcept { return changes_; }
+  /// To what `changes` gave: what came after it was undone.
+  void undo_to(std::map<std::int64_t, std::uint64_t> changes) noexcept { changes_ = std::move(changes); }
+
+ private:
+  RowHash hash_;
+  std::map<std::int64_t, std::uint64_t> changes_;
+};
+
+}  // namespace rtdata::sqlite

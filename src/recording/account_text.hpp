@@ -1,0 +1,24 @@
+// What a run lost, in sentences: the same at the end of `rtdata run` as in `rtdata verify`.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "rtdata/recording/verify.hpp"
+
+namespace rtdata::detail {
+
+/// "12 samples of room/climate (lost by the source 10, dropped by the queue 2) and 3 ticks (missed 3)".
+std::string loss_text(const TopicLoss& loss);
+
+/// "nothing lost: 12 rows"; or "LOST: ..." of each topic, "NOT KNOWN: ...", "not detectable: ...". Of rows, losses and
+/// what follows them in the report.
+std::vector<std::string> account_lines(const RunReport& run);
+/// All but the first.
+std::vector<std::string> loss_lines(const std::vector<TopicLoss>& losses, const std::vector<std::string>& not_known,
+                                    const std::vector<std::string>& not_detectable);
+
+/// Appends them, wrapped and two columns to the right.
+void add_lines(std::string& out, const std::vector<std::string>& lines);
+
+}  // namespace rtdata::detail

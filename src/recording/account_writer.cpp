@@ -1,0 +1,255 @@
+// The tables of a recording that say what became of its data: ledger, schedule, gaps, clock, errors, health.
+#include "recording/account_writer.hpp"
+
+#include <string_view>
+
+#include "recording/utc_line.hpp"
+
+namespace rtdata::sqlite {
+namespace {
+
+std::int64_t as_integer(std::uint64_t value) { return static_cast<std::int64_t>(value); }
+
+/// The last row of the topic's table; 0: it has none.
+std::int64_t last_row_of(const SlotInfo& slot, const TopicTables& tables) {
+  const bool has_table = slot.topic_number < tables.size() && tables[slot.topic_number] != nullptr;
+  return has_table ? tables[slot.topic_number]->last_rowid() : 0;
+}
+
+}  // namespace
+
+void AccountWriter::prepare(Database& database, AccountSums& sums, std::int64_t run, const std::string& boot_id) {
+  database_ = &database;
+  sums_ = &sums;
+  run_ = run;
+  boot_id_ = boot_id;
+  struct Prepared {
+    Statement& statement;
+    const char* sql;
+  };
+  const Prepared all[] = {
+      {ledger_,
+       "INSERT INTO rtdata_ledger(run, topic, origin, slot, has_schedule, scheduled, taken, missed, failed, in_flight, "
+       "late, received, "
+       "published, repeated, filtered, lost, offered, stored, dropped_newest, dropped_oldest, dropped_refused, "
+       "first_sequence, "
+       "last_sequence, rows_up_to, carried, unreadable, one_a_read, lateness, first_lines) "
+       "VALUES(?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?) "
+       "ON CONFLICT(run, topic, origin) DO UPDATE SET slot=excluded.slot, has_schedule=excluded.has_schedule, "
+       "scheduled=excluded.scheduled, taken=excluded.taken, missed=excluded.missed, failed=excluded.failed, "
+       "in_flight=excluded.in_flight, late=excluded.late, received=excluded.received, published=excluded.published, "
+       "repeated=excluded.repeated, filtered=excluded.filtered, lost=excluded.lost, offered=excluded.offered, "
+       "stored=excluded.stored, "
+       "dropped_newest=excluded.dropped_newest, dropped_oldest=excluded.dropped_oldest, "
+       "dropped_refused=excluded.dropped_refused, "
+       "first_sequence=excluded.first_sequence, last_sequence=excluded.last_sequence, rows_up_to=excluded.rows_up_to, "
+       "carried=excluded.carried, unreadable=excluded.unreadable, one_a_read=excluded.one_a_read, "
+       "lateness=excluded.lateness, first_lines=excluded.first_lines RETURNING *"},
+      {ledger_before_, "SELECT * FROM rtdata_ledger WHERE run = ? AND topic = ? AND origin = ?"},
+      {schedule_,
+       "INSERT INTO rtdata_schedule(run, origin, topic, first_due, period, end, scheduled, late_after) "
+       "VALUES(?,?,?,?,?,?,?,?) "
+       "ON CONFLICT(run, origin, first_due) DO UPDATE SET end=excluded.end, scheduled=excluded.scheduled, "
+       "period=excluded.period, late_after=excluded.late_after RETURNING *"},
+      {schedule_before_, "SELECT * FROM rtdata_schedule WHERE run = ? AND origin = ? AND first_due = ?"},
+      {slot_,
+       "INSERT OR IGNORE INTO rtdata_ledger(run, topic, origin, slot, has_schedule, scheduled, taken, missed, failed, "
+       "in_flight, late, "
+       "received, published, repeated, filtered, offered, stored, dropped_newest, dropped_oldest, dropped_refused, "
+       "first_sequence, "
+       "last_sequence, rows_up_to) VALUES(?,?,?,?,0,0,0,0,0,0,0,0,0,0,0,0,0,0,0,0,0,0,?) RETURNING *"},
+      {gap_,
+       "INSERT INTO rtdata_gap(run, topic, origin, kind, reason, first, last, count) VALUES(?,?,?,?,?,?,?,?) RETURNING "
+       "*"},
+      {grown_gap_,
+       "UPDATE rtdata_gap SET run = ?, topic = ?, origin = ?, kind = ?, reason = ?, first = ?, last = ?, count = ? "
+       "WHERE _rowid_ = ?9 AND run = ?1 AND topic = ?2 AND origin = ?3 AND first = ?10 RETURNING *"},
+      {gap_before_,
+       "SELECT * FROM rtdata_gap WHERE _rowid_ = ?9 AND run = ?1 AND topic = ?2 AND origin = ?3 AND first = ?10"},
+      {clock_,
+       "INSERT INTO rtdata_clock(run, monotonic, realtime, source, occasion, accuracy) VALUES(?,?,?,?,?,?) RETURNING "
+       "*"},
+      {error_, "INSERT INTO rtdata_error(run, time, object, id, text, count, last) VALUES(?,?,?,?,?,?,?) RETURNING *"},
+      {health_,
+       "INSERT INTO rtdata_health(run, time, kind, name, state, reason, count, last) VALUES(?,?,?,?,?,?,?,?) RETURNING "
+       "*"},
+      {configuration_, "INSERT INTO rtdata_configuration(run, time, object, text) VALUES(?,?,?,?) RETURNING *"},
+      {made_of_, "UPDATE rtdata_ledger SET made_of = ? WHERE run = ? AND topic = ? AND origin = ? RETURNING *"},
+      {run_end_, "UPDATE rtdata_run SET ended = ?, state = ?, remark = ? WHERE run = ? RETURNING *"},
+      {run_before_, "SELECT * FROM rtdata_run WHERE run = ?"},
+  };
+  for (const Prepared& one : all) {
+    if (one.statement) continue;
+    one.statement = database.prepare(one.sql);
+  }
+}
+
+void AccountWriter::write_slots(const Batch& batch, const TopicTables& tables) {
+  // Each origin has its place in the ledger before it has rows: sealing finds its live counts by the slot.
+  slots_in_transaction_ = static_cast<std::uint32_t>(batch.slots());  // the loop adds more meanwhile
+  for (std::uint32_t i = known_slots_; i < slots_in_transaction_; ++i) {
+    const SlotInfo& slot = batch.slot(i);
+    slot_.bind(1, run_).bind(2, slot.topic).bind(3, slot.origin).bind(4, std::int64_t{i});
+    slot_.bind(5, last_row_of(slot, tables));
+    sums_->run(slot_);
+  }
+}
+
+void AccountWriter::write(const Batch& batch, const Account& account, const TopicTables& tables) {
+  next_gaps_ = grown_gaps_;
+  const auto put_segment = [&](const SlotInfo& slot, const Segment& segment) {
+    schedule_.bind(1, run_).bind(2, slot.origin).bind(3, slot.topic).bind(4, to_nanoseconds(segment.first_due));
+    schedule_.bind(5, segment.period.count())
+        .bind(6, to_nanoseconds(segment.end))
+        .bind(7, as_integer(segment.scheduled))
+        .bind(8, segment.late_after.count());
+    schedule_before_.bind(1, run_).bind(2, slot.origin).bind(3, to_nanoseconds(segment.first_due));
+    sums_->replace(schedule_before_, schedule_);
+  };
+  for (const Account::SegmentEntry& entry : account.segments) put_segment(batch.slot(entry.slot), entry.segment);
+  for (const OriginAccount& origin : account.origins) {
+    const SlotInfo& slot = batch.slot(origin.slot);
+    const SensorCounts& s = origin.sensor;
+    ledger_.bind(1, run_)
+        .bind(2, slot.topic)
+        .bind(3, slot.origin)
+        .bind(4, std::int64_t{origin.slot})
+        .bind(5, std::int64_t{s.has_schedule});
+    ledger_.bind(6, as_integer(s.scheduled))
+        .bind(7, as_integer(s.taken))
+        .bind(8, as_integer(s.missed))
+        .bind(9, as_integer(s.failed));
+    ledger_.bind(10, as_integer(s.in_flight)).bind(11, as_integer(s.late)).bind(12, as_integer(s.received));
+    ledger_.bind(13, as_integer(s.published)).bind(14, as_integer(s.repeated)).bind(15, as_integer(s.filtered));
+    if (s.lost_is_known) {
+      ledger_.bind(16, as_integer(s.lost));
+    } else {
+      ledger_.bind_null(16);
+    }
+    ledger_.bind(17, as_integer(origin.offered)).bind(18, as_integer(batch.stored_after(origin.slot)));
+    ledger_.bind(19, as_integer(origin.dropped_newest)).bind(20, as_integer(origin.dropped_oldest));
+    ledger_.bind(21, as_integer(batch.refused_after(origin.slot)));
+    ledger_.bind(22, as_integer(origin.first_sequence)).bind(23, as_integer(origin.last_sequence));
+    ledger_.bind(24, last_row_of(slot, tables)).bind(25, as_integer(origin.carried));
+    ledger_.bind(26, as_integer(s.unreadable)).bind(27, std::int64_t{s.has_schedule && s.is_one_a_read});
+    ledger_.bind(28, as_integer(s.lateness));
+    if (s.first_lines != 0) {
+      ledger_.bind(29, as_integer(s.first_lines));
+    } else {
+      ledger_.bind_null(29);
+    }
+    ledger_before_.bind(1, run_).bind(2, slot.topic).bind(3, slot.origin);
+    sums_->replace(ledger_before_, ledger_);
+    if (origin.segment.scheduled > 0) {  // one without ticks says nothing, and another may begin before its first
+      put_segment(slot, origin.segment);
+    }
+  }
+  for (const Account::MadeOfEntry& entry : account.made_of) {
+    const SlotInfo& slot = batch.slot(entry.slot);
+    made_of_.bind(1, entry.topics).bind(2, run_).bind(3, slot.topic).bind(4, slot.origin);
+    ledger_before_.bind(1, run_).bind(2, slot.topic).bind(3, slot.origin);
+    sums_->replace(ledger_before_, made_of_);
+  }
+  for (const Account::GapEntry& entry : account.gaps) {
+    write_gap(entry.slot, batch.slot(entry.slot), entry.gap, GapIs::closed);
+  }
+  for (const OriginAccount& origin : account.origins) {  // those that are under way are the last
+    if (!origin.has_gap) continue;
+    write_gap(origin.slot, batch.slot(origin.slot), origin.gap, GapIs::under_way);
+  }
+  for (const ClockPair& pair : account.clock) {
+    clock_.bind(1, run_)
+        .bind(2, pair.monotonic.time_since_epoch().count())
+        .bind(3, to_nanoseconds(pair.realtime))
+        .bind(4, std::string_view(pair.source));
+    clock_.bind(5, std::string_view(pair.occasion));
+    if (pair.accuracy) {
+      clock_.bind(6, pair.accuracy->count());
+    } else {
+      clock_.bind_null(6);
+    }
+    sums_->run(clock_);
+  }
+  if (!account.clock.empty()) write_utc_line(*database_, boot_id_);
+  for (const Account::ErrorEntry& entry : account.errors) {
+    error_.bind(1, run_)
+        .bind(2, to_nanoseconds(entry.time))
+        .bind(3, entry.object)
+        .bind(4, entry.id)
+        .bind(5, entry.text)
+        .bind(6, as_integer(entry.count))
+        .bind(7, to_nanoseconds(entry.last));
+    sums_->run(error_);
+  }
+  for (const Account::HealthEntry& entry : account.health) {
+    health_.bind(1, run_)
+        .bind(2, to_nanoseconds(entry.time))
+        .bind(3, entry.change.kind.view())
+        .bind(4, entry.change.name.view());
+    health_.bind(5, name_of(entry.change.state)).bind(6, entry.change.reason.view());
+    health_.bind(7, as_integer(entry.count)).bind(8, to_nanoseconds(entry.last));
+    sums_->run(health_);
+  }
+  for (const ConfigurationChange& change : account.configurations) {
+    configuration_.bind(1, run_)
+        .bind(2, to_nanoseconds(change.time))
+        .bind(3, std::string_view(change.object))
+        .bind(4, std::string_view(change.text));
+    sums_->run(configuration_);
+  }
+  const std::string_view state = !account.is_last ? "recording" : account.unknown.empty() ? "closed" : "sealed";
+  run_end_.bind(1, to_nanoseconds(account.at)).bind(2, state).bind(3, std::string_view(account.unknown)).bind(4, run_);
+  run_before_.bind(1, run_);
+  sums_->replace(run_before_, run_end_);
+}
+
+/// One that an account had while it was under way has a row, which grows.
+void AccountWriter::write_gap(std::uint32_t number, const SlotInfo& slot, const Gap& gap, GapIs what) {
+  const auto run_with = [&](Statement& statement) {
+    statement.bind(1, run_).bind(2, slot.topic).bind(3, slot.origin).bind(4, name_of(gap.kind)).bind(5, gap.reason);
+    statement.bind(6, to_nanoseconds(gap.first)).bind(7, to_nanoseconds(gap.last));
+    if (gap.count != 0) {
+      statement.bind(8, as_integer(gap.count));
+    } else {
+      statement.bind_null(8);
+    }
+    sums_->run(statement);
+  };
+  const auto known = next_gaps_.find(number);
+  // Gaps of an origin do not overlap; one that is joined may begin earlier than it did.
+  if (known != next_gaps_.end() && gap.first <= known->second.first && known->second.first <= gap.last) {
+    const Time before = std::exchange(known->second.first, gap.first);
+    const auto grow = [&] {
+      for (Statement* statement : {&gap_before_, &grown_gap_})
+        statement->bind(9, known->second.second).bind(10, to_nanoseconds(before));
+      gap_before_.bind(1, run_).bind(2, slot.topic).bind(3, slot.origin);
+      sums_->run(gap_before_, AccountSums::Rows::go);
+      run_with(grown_gap_);
+    };
+    grow();
+    if (sqlite3_changes(database_->raw()) == 0) {  // VACUUM has given it another number
+      auto row = database_->prepare(
+          "SELECT _rowid_ FROM rtdata_gap WHERE run = ? AND topic = ? AND origin = ? AND first = ?");
+      row.bind(1, run_).bind(2, slot.topic).bind(3, slot.origin).bind(4, to_nanoseconds(before));
+      known->second.second = row.step() ? row.integer(0) : 0;
+      grow();
+    }
+    if (what == GapIs::closed) next_gaps_.erase(known);
+    return;
+  }
+  run_with(gap_);
+  if (what == GapIs::under_way) next_gaps_[number] = {gap.first, database_->last_rowid()};
+}
+
+void AccountWriter::committed(const Batch& batch) noexcept {
+  if (batch.account() != nullptr) grown_gaps_.swap(next_gaps_);
+}
+
+void AccountWriter::close() noexcept {
+  for (Statement* statement :
+       {&slot_, &ledger_, &schedule_, &gap_, &grown_gap_, &clock_, &error_, &health_, &configuration_, &run_end_,
+        &made_of_, &ledger_before_, &schedule_before_, &gap_before_, &run_before_})
+    *statement = Statement();
+}
+
+}  // namespace rtdata::sqlite

@@ -1,0 +1,68 @@
+// Writes what became of the data of a run into its recording. Thread: the writer's.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <unordered_map>
+#include <utility>
+#include <vector>
+
+#include "recording/database.hpp"
+#include "recording/topic_table.hpp"
+#include "rtdata/sinks/recording_writer.hpp"
+
+namespace rtdata::sqlite {
+
+using TopicTables = std::vector<std::unique_ptr<TopicTable>>;  // by topic number; null: it has none yet
+
+/// All but `prepare`, `slots_committed`, `committed` and `close` belong into a transaction, of which the caller says
+/// when it has committed; of one that is rolled back nothing is left here.
+class AccountWriter {
+ public:
+  /// The statements, as far as they are not there. `database` outlives them, see `close`;
+  /// `sums` gets what they change.
+  void prepare(Database& database, AccountSums& sums, std::int64_t run, const std::string& boot_id);
+  /// Each origin has its place in the ledger before it has rows: sealing finds its live counts by the slot.
+  void write_slots(const Batch& batch, const TopicTables& tables);
+  void write(const Batch& batch, const Account& account, const TopicTables& tables);
+  /// What `write_slots` has written is committed; of the batch, more may follow.
+  void slots_committed() noexcept { known_slots_ = slots_in_transaction_; }
+  /// All of the batch is.
+  void committed(const Batch& batch) noexcept;
+  /// Lets go of the database.
+  void close() noexcept;
+
+ private:
+  enum class GapIs { closed, under_way };
+  void write_gap(std::uint32_t number, const SlotInfo& slot, const Gap& gap, GapIs what);
+
+  Database* database_ = nullptr;
+  AccountSums* sums_ = nullptr;
+  std::int64_t run_ = 0;
+  std::string boot_id_;
+  Statement slot_;
+  Statement ledger_;
+  Statement schedule_;
+  Statement gap_;
+  Statement grown_gap_;
+  Statement clock_;
+  Statement error_;
+  Statement health_;
+  Statement configuration_;
+  Statement run_end_;
+  Statement made_of_;
+  // The rows as they were before.
+  Statement ledger_before_;
+  Statement schedule_before_;
+  Statement gap_before_;
+  Statement run_before_;
+  // Gaps under way that the recording has, by slot: when they began, and their rows.
+  using GrownGaps = std::unordered_map<std::uint32_t, std::pair<Time, std::int64_t>>;
+  GrownGaps grown_gaps_;
+  GrownGaps next_gaps_;                     // as the transaction under way leaves them
+  std::uint32_t known_slots_ = 0;           // those that are in the ledger
+  std::uint32_t slots_in_transaction_ = 0;  // the same, once the transaction under way is committed
+};
+
+}  // namespace rtdata::sqlite

@@ -1,0 +1,24 @@
+// What the gaps of an origin without a schedule say of its outages.
+#pragma once
+
+#include <algorithm>
+#include <vector>
+
+#include "rtdata/recording/recording.hpp"
+
+namespace rtdata::detail {
+
+/// Of those that were joined only the whole stretch is known, in which there was data too.
+inline Outages outages_of(const std::vector<const RecordedGap*>& gaps) {
+  Outages outages;
+  for (const RecordedGap* gap : gaps) {
+    const bool is_joined = gap->kind == "joined";
+    if (!is_joined && gap->kind != "disconnected" && gap->kind != "silent") continue;
+    outages.number += is_joined ? gap->count : 1;
+    outages.time += std::max(gap->last - gap->first, Duration{0});
+    outages.is_at_most = outages.is_at_most || is_joined;
+  }
+  return outages;
+}
+
+}  // namespace rtdata::detail

@@ -1,0 +1,83 @@
+// What Recording, Rows, verify and summary share: the open file and snapshots of it.
+#pragma once
+
+#include <cstddef>
+#include <optional>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "recording/database.hpp"
+#include "rtdata/recording/recording.hpp"
+
+namespace rtdata::detail {
+
+struct RecordingFile {
+  sqlite::Database database;
+  int snapshots = 0;
+  bool is_of_server = false;  // made of what a server has
+
+  /// Like Database::prepare; what does not fit the schema is damaged.
+  sqlite::Statement prepare(const std::string& sql) const;
+  Error damaged(std::string where, std::string why) const;
+};
+
+/// While one lives, all reads see the same state of the file. They nest.
+class Snapshot {
+ public:
+  explicit Snapshot(std::shared_ptr<RecordingFile> file);
+  Snapshot(Snapshot&& other) noexcept = default;
+  Snapshot& operator=(Snapshot&&) = delete;
+  ~Snapshot();
+
+ private:
+  std::shared_ptr<RecordingFile> file_;
+};
+
+/// Columns of `rows_in_order`, before those of the fields.
+enum FixedColumn { run_column, time_column, origin_column, sequence_column, fixed_columns };
+/// A filter, and what its times are on the line of each run.
+struct Selection {
+  /// Errors: bad-name, bad-argument, those of reading.
+  static Selection make(const Recording& recording, const RowFilter& filter);
+  RowFilter filter;
+  struct Bounds {
+    std::int64_t run;
+    std::optional<Time> from, until;
+  };
+  std::vector<Bounds> bounds;  // of each run when the filter's are in UTC
+};
+/// What rows of a table called t, or gaps, have to fulfil: SQL. Times are those of these columns.
+std::string conditions(const Selection& selection, const char* from_column, const char* until_column);
+/// The same of the rows of a topic's table.
+std::string row_conditions(const Selection& selection);
+/// Binds what stands in them.
+void bind_conditions(sqlite::Statement& statement, const Selection& selection);
+/// A statement that gives the rows of a topic's table, run by run, each in order of time. `columns`: SQL of those after
+/// the fixed ones, as `RowReader::columns` has it.
+sqlite::Statement rows_in_order(const RecordingFile& file, const RecordedTopic& topic, const Selection& selection,
+                                const std::string& columns);
+/// The line of the boot of a run that was recorded. A run that is not listed has none: its times stay.
+UtcLine utc_line_of(const RecordingFile& file, std::int64_t run);
+/// An error with the row that it is of.
+Error at_row(const RecordingFile& file, const RecordedTopic& topic, std::int64_t run, std::string_view origin,
+             std::uint64_t sequence, Error error);
+
+/// An error behind the row of this sequence, the last that could be read; 0: none could.
+Error behind_row(const RecordingFile& file, const RecordedTopic& topic, std::int64_t run, std::uint64_t sequence,
+                 Error error);
+
+/// Reads the columns of a topic's rows into payloads.
+class RowReader {
+ public:
+  explicit RowReader(const RecordedTopic& topic) : topic_(&topic) {}
+  /// ", t."temperature", t."position.x"": what follows other columns in a SELECT from the table called t.
+  std::string columns() const;
+  /// `first`: the column where those begin. Errors: damaged, which names the field.
+  void read(sqlite3_stmt* row, int first, std::byte* payload) const;
+
+ private:
+  const RecordedTopic* topic_;
+};
+
+}  // namespace rtdata::detail

@@ -1,0 +1,37 @@
+// What of a recording is replayed: which run, topics and times. Private to the replay.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "rtdata/recording/recording.hpp"
+#include "rtdata/recording/replay.hpp"
+
+namespace rtdata::detail {
+
+Error replay_refused(std::string where, std::string why, std::string advice);
+
+struct GivenTime {
+  Time time;
+  RowFilter::Times line;
+};
+/// UTC, or ns as recorded. None: the text is empty. Errors: bad-argument. `key`: for these.
+Result<std::optional<GivenTime>> given_time(const char* key, const std::string& text);
+
+/// Of "OLD=NEW". Errors: bad-argument.
+Result<std::pair<std::string, std::string>> renaming_of(const std::string& text);
+
+/// The last one, if none is asked for. Errors: not-found, bad-argument (it records in this program), those of reading.
+RunInfo chosen_run(const Recording& recording, const ReplayConfig& config);
+
+/// When what is asked for of the run begins, on the run's line: not before its start. Errors: bad-argument, those of
+/// reading.
+Time beginning_of(const Recording& recording, const RunInfo& run, const ReplayConfig& config);
+
+/// Those with rows in the run. Errors: not-found (none), bad-name, bad-description, those of reading.
+std::vector<RecordedTopic> chosen_topics(const Recording& recording, const ReplayConfig& config, std::int64_t run);
+
+}  // namespace rtdata::detail

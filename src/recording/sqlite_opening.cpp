@@ -1,0 +1,158 @@
+// How the SQLite writer begins: opens and locks the file, makes its tables, seals older runs, begins its own.
+#include <unistd.h>
+
+#include "recording/schema.hpp"
+#include "recording/sqlite_writer.hpp"
+#include "recording/utc_line.hpp"
+
+namespace rtdata::sqlite {
+namespace {
+
+/// The version of the recording's format; 0: the file is empty.
+std::int64_t format_of(const Database& database, const std::string& path) {
+  auto id = database.integer("PRAGMA application_id");
+  if (id != application_id) {
+    auto tables = database.integer("SELECT count(*) FROM sqlite_schema");
+    if (tables == 0) return 0;
+    if (id == application_id_before)
+      throw SetupError({Errc::not_a_recording, "cannot record into", path, written_before, advice_before});
+    throw SetupError({Errc::not_a_recording, "cannot record into", path, "it is another program's SQLite database",
+                      "choose another path"});
+  }
+  auto version = database.integer("PRAGMA user_version");
+  if (version > schema_version) {
+    throw SetupError({Errc::newer_version, "cannot record into", path,
+                      "a newer version wrote it (format " + std::to_string(version) + ", this one knows " +
+                          std::to_string(schema_version) + ")",
+                      "update rt-data, or choose another path"});
+  }
+  return version;
+}
+
+}  // namespace
+
+std::string host_name() {
+  char name[256] = {};
+  return ::gethostname(name, sizeof name - 1) == 0 ? name : "";
+}
+
+void make_recording(const Database& database) {
+  std::string sql = std::string(schema) + position_schema;
+  for (const View& view : account_views()) sql += view.sql + ";";
+  database.execute(sql + "PRAGMA application_id=" + std::to_string(application_id) +
+                   ";PRAGMA user_version=" + std::to_string(schema_version));
+}
+
+void SqliteWriter::begin() {
+  check_path(config_.path).or_throw();
+  database_ = Database::open(config_.path, Database::Mode::write, permissions_);
+  if (sqlite3_db_readonly(database_.raw(), "main") == 1) {
+    throw SetupError({Errc::not_permitted, "cannot record into", config_.path, "it is read-only",
+                      "check the permissions of the file and its folder"});
+  }
+  format_of(database_, config_.path);
+  const std::string recording = sqlite3_db_filename(database_.raw(), "main");  // without symbolic links
+  lock_ = RecordingLock::take(recording).or_throw();
+  begin_in(recording);
+}
+
+void SqliteWriter::begin_in(const std::string& recording) {
+  configure();
+  database_.execute("BEGIN IMMEDIATE");
+  is_in_transaction_ = true;
+  make_schema();
+  std::vector<LiveFile> used;
+  auto remarks = seal_runs(database_, recording, lock_.noted(), sums_, used);
+  begin_run();
+  // A program that is killed again and again as soon as it has started stores nothing, but its runs take room.
+  if (pruner_.has_limits()) pruner_.make_room(database_, sums_, *positions_, info_.started);
+  sums_.write(database_);
+  if (auto made = LiveFile::make(recording, info_.uuid)) {
+    const std::lock_guard lock(opening_mutex_);
+    live_ = std::move(*made);
+    counts_without_topics_ = !has_topics_;
+    if (counts_without_topics_) live_.begin_counting();
+  } else {
+    tell_of_live_file(made.error());
+  }
+  is_in_transaction_ = false;
+  try {
+    database_.execute("COMMIT");
+  } catch (const SetupError&) {
+    const std::lock_guard lock(opening_mutex_);
+    live_.remove();
+    throw;
+  }
+  positions_->committed();
+  {
+    const std::lock_guard lock(opening_mutex_);
+    lock_.note(live_.path());
+  }
+  remarks_ = std::move(remarks);
+  // The start after a power cut is to find this run, and what was known of those that were killed, whose live files go.
+  if (config_.profile == SqliteProfile::normal) sync().or_throw();
+  for (LiveFile& one : used) one.remove();
+  LiveFile::remove_left(recording);
+}
+
+void SqliteWriter::configure() {
+  // Of a new file. A row costs its page each time that it is committed: with small ones, many slow topics write a
+  // quarter.
+  std::string sql = config_.profile == SqliteProfile::card ? "PRAGMA page_size=1024;" : "";
+  sql += "PRAGMA auto_vacuum=INCREMENTAL; PRAGMA journal_mode=WAL; PRAGMA synchronous=";
+  switch (config_.profile) {
+    case SqliteProfile::normal:
+      sql += "NORMAL;";
+      break;
+    case SqliteProfile::safe:
+    case SqliteProfile::card:
+      sql += "FULL;";
+      break;
+    case SqliteProfile::fast:
+      sql += "OFF;";
+      break;
+  }
+  // Checkpoints are ours, outside of commits.
+  const std::uint64_t most_log = pruner_.log_bytes() != 0 ? pruner_.log_bytes() : std::uint64_t{64} << 20;
+  sql += "PRAGMA wal_autocheckpoint=0; PRAGMA temp_store=MEMORY; PRAGMA journal_size_limit=" + std::to_string(most_log);
+  database_.execute(sql);
+  auto bytes = database_.integer("PRAGMA page_size");
+  page_bytes_ = static_cast<int>(bytes);
+  // Without memory SQLite may roll a transaction back within a statement that it then runs once more, by itself, after
+  // a change of the schema: outside of the transaction. What would be committed so is refused.
+  sqlite3_commit_hook(
+      database_.raw(), [](void* is_in_transaction) { return *static_cast<bool*>(is_in_transaction) ? 1 : 0; },
+      &is_in_transaction_);
+  sqlite3_wal_hook(
+      database_.raw(),
+      [](void* pages, sqlite3*, const char*, int count) {
+        *static_cast<int*>(pages) = count;
+        return SQLITE_OK;
+      },
+      &log_pages_);
+}
+
+void SqliteWriter::make_schema() {
+  if (format_of(database_, config_.path) != 0) return;  // again, now that no other process can change it
+  make_recording(database_);
+}
+
+void SqliteWriter::begin_run() {
+  const RunInfo& run = info_;
+  auto insert = database_.prepare(
+      "INSERT INTO rtdata_run(uuid, name, notes, configuration, program, host, boot_id, pid, started, ended, "
+      "clock_offset, state, format) "
+      "VALUES(?,?,?,?,?,?,?,?,?,?,?,'recording',?) RETURNING *");
+  const std::string host = host_name();
+  const std::string program = "rtdata " RTDATA_VERSION;
+  insert.bind(1, run.uuid).bind(2, run.name).bind(3, run.notes).bind(4, run.configuration).bind(5, program).bind(6, host);
+  insert.bind(7, run.boot_id).bind(8, std::int64_t{::getpid()}).bind(9, to_nanoseconds(run.started));
+  insert.bind(10, to_nanoseconds(run.started)).bind(11, run.clock_offset.count());
+  insert.bind(12, std::int64_t{schema_version});
+  sums_.run(insert);
+  run_ = database_.last_rowid();
+  positions_->begin_run(run_);
+  pruner_.begin(run_);
+}
+
+}  // namespace rtdata::sqlite

@@ -1,0 +1,352 @@
+#include "recording/topic_table.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+
+#include "recording/schema.hpp"
+#include "rtdata/data/value.hpp"
+
+namespace rtdata::sqlite {
+namespace {
+
+constexpr std::size_t most_rows_per_statement = 16;
+constexpr std::size_t most_parameters = 32766;  // SQLITE_MAX_VARIABLE_NUMBER of stock builds
+constexpr std::size_t most_columns = 1990;      // SQLITE_MAX_COLUMN is 2000
+constexpr int fixed_parameters = 3;             // time, origin, sequence
+
+const char* type_of(const Leaf& leaf) {
+  switch (leaf.kind) {
+    case Kind::f32:
+    case Kind::f64:
+      return "REAL";
+    case Kind::text:
+      return "TEXT";
+    case Kind::character:
+    case Kind::enumeration:
+      return "";  // keeps a text and a number as they are: in a TEXT column the char 7 would become the char '7'
+    default:
+      return "INTEGER";
+  }
+}
+
+std::string column_of(const Leaf& leaf) { return quoted(leaf.path) + " " + type_of(leaf); }
+
+bool same_leaf(const Leaf& a, const Leaf& b) {
+  return a.path == b.path && a.kind == b.kind && a.unit == b.unit &&
+         (a.optional == nullptr) == (b.optional == nullptr) && a.field->values == b.field->values;
+}
+
+/// Every leaf of `part` is in `whole`, with the same meaning.
+bool is_part_of(const Description& part, const Description& whole) {
+  return std::all_of(part.leaves().begin(), part.leaves().end(), [&](const Leaf& leaf) {
+    return std::any_of(whole.leaves().begin(), whole.leaves().end(),
+                       [&](const Leaf& other) { return same_leaf(leaf, other); });
+  });
+}
+
+/// As SQLite compares names: without the case of the letters of ASCII.
+bool starts_with(const std::string& name, const char* start) {
+  return ::sqlite3_strnicmp(name.c_str(), start, static_cast<int>(std::strlen(start))) == 0;
+}
+
+/// Tables of ours and of SQLite's own are out of reach of topics.
+std::string table_name(const std::string& topic, std::int64_t version) {
+  std::string name = starts_with(topic, "rtdata_") || starts_with(topic, "sqlite_") ? "topic~" + topic : topic;
+  if (version > 1) name += "~" + std::to_string(version);
+  return name;
+}
+
+void make_table(Database& database, const std::string& name, const Description& description) {
+  std::string sql = "CREATE TABLE " + quoted(name) +
+                    "(run INTEGER NOT NULL, time INTEGER NOT NULL, origin TEXT NOT NULL, sequence INTEGER NOT NULL, " +
+                    quoted(checksum_column) + " INTEGER";
+  for (const Leaf& leaf : description.leaves()) sql += ", " + column_of(leaf);
+  database.execute(sql + ")");
+}
+
+void add_columns(Database& database, const std::string& name, const Description& old, const Description& description) {
+  for (const Leaf& leaf : description.leaves()) {
+    const bool is_there = std::any_of(old.leaves().begin(), old.leaves().end(),
+                                      [&](const Leaf& known) { return known.path == leaf.path; });
+    if (is_there) continue;
+    database.execute("ALTER TABLE " + quoted(name) + " ADD COLUMN " + column_of(leaf));
+  }
+}
+
+/// In the order of the table's columns, which is another one when a later run has added some.
+std::vector<const Leaf*> leaves_in_order(const Database& database, const std::string& name,
+                                         const Description& description) {
+  auto columns = columns_of(database, name);
+  std::vector<const Leaf*> leaves;
+  for (const std::string& column : columns) {
+    for (const Leaf& leaf : description.leaves()) {
+      if (leaf.path == column) leaves.push_back(&leaf);
+    }
+  }
+  return leaves;
+}
+
+/// Binds a value and hashes what SQLite will give back for it.
+void bind_value(sqlite3_stmt* statement, int index, const Leaf& leaf, const Value& value, RowHash& hash) {
+  struct Binder {
+    sqlite3_stmt* statement;
+    int index;
+    const Leaf& leaf;
+    RowHash& hash;
+    void integer(std::int64_t v) const {
+      sqlite3_bind_int64(statement, index, v);
+      hash.integer(v);
+    }
+    void text(std::string_view v) const {
+      sqlite3_bind_text64(statement, index, v.data(), v.size(), SQLITE_TRANSIENT, SQLITE_UTF8);
+      hash.text(v);
+    }
+    void operator()(std::monostate) const {
+      sqlite3_bind_null(statement, index);
+      hash.null();
+    }
+    void operator()(bool v) const { integer(v ? 1 : 0); }
+    void operator()(char v) const {
+      if (v >= ' ' && v <= '~') {
+        text({&v, 1});
+      } else {
+        integer(static_cast<unsigned char>(v));
+      }
+    }
+    void operator()(std::int64_t v) const { integer(v); }
+    void operator()(std::uint64_t v) const { integer(static_cast<std::int64_t>(v)); }
+    void operator()(double v) const {
+      if (std::isnan(v) && leaf.optional != nullptr) return text("NaN");
+      sqlite3_bind_double(statement, index, v);  // NaN becomes NULL
+      hash.real(v);
+    }
+    void operator()(const std::string& v) const { text(v); }
+  };
+  std::visit(Binder{statement, index, leaf, hash}, value);
+}
+
+enum class Text { utf8, other };
+/// `text` lives until the statement has run.
+Text bind_text(sqlite3_stmt* statement, int index, std::string_view text, RowHash& hash) {
+  if (detail::is_readable(text)) {
+    sqlite3_bind_text64(statement, index, text.data(), text.size(), SQLITE_STATIC, SQLITE_UTF8);
+    hash.text(text);
+    return Text::utf8;
+  }
+  sqlite3_bind_blob64(statement, index, text.data(), text.size(), SQLITE_STATIC);
+  hash.blob(text);
+  return Text::other;
+}
+
+template <class T>
+T load(const std::byte* at) {
+  T value;
+  std::memcpy(&value, at, sizeof value);
+  return value;
+}
+
+}  // namespace
+
+Result<void> check_columns(std::string_view topic, const Description& description) {
+  if (description.leaves().size() <= most_columns) return {};
+  return Error{Errc::bad_description, "cannot record", "topic " + std::string(topic),
+               "it has " + std::to_string(description.leaves().size()) + " values an event",
+               "a table has at most " + std::to_string(most_columns) + " columns: split it"};
+}
+
+TopicTable TopicTable::prepare(Database& database, const SlotInfo& slot, std::int64_t run,
+                               detail::EscapedTexts& no_utf8, AccountSums& sums, NewUtcViews& views) {
+  const Description& description = *slot.description;
+  check_columns(slot.topic, description).or_throw();
+  auto known = database.prepare(
+      "SELECT version, table_name, description FROM rtdata_topic WHERE topic = ? ORDER BY version DESC");
+  known.bind(1, slot.topic);
+  std::int64_t last_version = 0;
+  std::string name;
+  std::string widen;  // the JSON of the narrower description to be widened
+  std::int64_t version = 0;
+  while (known.step()) {
+    last_version = std::max(last_version, known.integer(0));
+    auto old = Description::from_json(known.text(2));
+    if (!old) continue;  // written by something else: leave it alone
+    if (is_part_of(**old, description) && name.empty()) {
+      name = std::string(known.text(1));
+      version = known.integer(0);
+      if ((*old)->leaves().size() != description.leaves().size()) widen = std::string(known.text(2));
+    }
+  }
+  known.reset();
+  const std::string json = description.to_json();
+  const bool is_new = name.empty();
+  if (is_new) {
+    version = last_version + 1;
+    name = table_name(slot.topic, version);
+    NewUtcViews::look_for_room(database, name);
+    make_table(database, name, description);
+    auto insert = database.prepare(
+        "INSERT INTO rtdata_topic(topic, version, table_name, description, first_run) VALUES(?,?,?,?,?)");
+    insert.bind(1, slot.topic).bind(2, version).bind(3, name).bind(4, json).bind(5, run);
+    insert.run();
+    sums.add_topic(database, name);
+  } else if (!widen.empty()) {
+    sums.add_topic(database, name, AccountSums::Rows::go);
+    add_columns(database, name, **Description::from_json(widen), description);
+    auto update = database.prepare("UPDATE rtdata_topic SET description = ? WHERE topic = ? AND version = ?");
+    update.bind(1, json).bind(2, slot.topic).bind(3, version);
+    update.run();
+    sums.add_topic(database, name);
+    replace_view(database, utc_view(name, description));
+  }
+
+  TopicTable table;
+  table.database_ = &database;
+  table.no_utf8_ = &no_utf8;
+  table.name_ = name;
+  table.topic_ = slot.topic;
+  table.run_ = run;
+  auto order = leaves_in_order(database, name, description);
+  // Whatever fails, the batch is rolled back and comes again: OR ROLLBACK spares SQLite a journal for each statement.
+  // In the order of the table's columns it moves no value twice.
+  std::string into = "INSERT OR ROLLBACK INTO " + quoted(name) + "(run, time, origin, sequence";
+  std::string values = "(" + std::to_string(run) + ",?,?,?";
+  for (const Leaf* leaf : order) {
+    table.columns_.push_back({leaf->optional == nullptr ? leaf->kind : Kind::record, leaf->offset, leaf});
+    into += ", " + quoted(leaf->path);
+    values += ",?";
+  }
+  const std::size_t width = table.columns_.size() + fixed_parameters;
+  const std::size_t most_rows = std::clamp<std::size_t>(most_parameters / width, 1, most_rows_per_statement);
+  const auto prepare_rows = [&](Insert& insert, std::size_t rows) {
+    std::string sql = into + ") VALUES ";
+    for (std::size_t i = 0; i < rows; ++i) sql += (i == 0 ? "" : ",") + values + ")";
+    auto statement = database.prepare(sql);
+    insert = {std::move(statement), std::vector<const SlotInfo*>(rows)};
+  };
+  prepare_rows(table.many_, most_rows);
+  into += ", " + quoted(checksum_column);
+  values += ",?";
+  prepare_rows(table.one_, 1);
+  table.pending_.reserve(most_rows);
+  table.last_rowid_ = database.integer("SELECT max(_rowid_) FROM " + quoted(name));
+  if (is_new) views.add(name, description);
+  return table;
+}
+
+void TopicTable::bind(sqlite3_stmt* statement, int index, const Record& record) {
+  const auto integer = [&](std::int64_t value) {
+    sqlite3_bind_int64(statement, index, value);
+    hash_.integer(value);
+  };
+  const auto real = [&](double value) {
+    sqlite3_bind_double(statement, index, value);
+    hash_.real(value);
+  };
+  hash_.begin();
+  hash_.integer(run_);
+  integer(to_nanoseconds(record.header.time));
+  ++index;
+  hash_.text(record.info->origin);  // bound already
+  ++index;
+  integer(static_cast<std::int64_t>(record.header.sequence));
+  ++index;
+  const std::byte* payload = record.payload.data();
+  for (const Column& column : columns_) {
+    const std::byte* at = payload + column.offset;
+    switch (column.kind) {
+      case Kind::f64:
+        real(load<double>(at));
+        break;
+      case Kind::f32:
+        real(load<float>(at));
+        break;
+      case Kind::i64:
+      case Kind::u64:
+        integer(load<std::int64_t>(at));
+        break;
+      case Kind::i32:
+        integer(load<std::int32_t>(at));
+        break;
+      case Kind::u32:
+        integer(load<std::uint32_t>(at));
+        break;
+      case Kind::i16:
+        integer(load<std::int16_t>(at));
+        break;
+      case Kind::u16:
+        integer(load<std::uint16_t>(at));
+        break;
+      case Kind::i8:
+        integer(load<std::int8_t>(at));
+        break;
+      case Kind::u8:
+        integer(load<std::uint8_t>(at));
+        break;
+      case Kind::boolean:
+        integer(load<bool>(at) ? 1 : 0);
+        break;
+      default:
+        if (column.leaf->kind == Kind::text) {
+          const std::byte* value = find_value(*column.leaf, payload);
+          if (value == nullptr) {
+            sqlite3_bind_null(statement, index);
+            hash_.null();
+          } else if (bind_text(statement, index, detail::text_at(*column.leaf, value), hash_) == Text::other) {
+            no_utf8_->add(record.slot);
+          }
+          break;
+        }
+        bind_value(statement, index, *column.leaf, read(*column.leaf, payload), hash_);
+        break;
+    }
+    ++index;
+  }
+  sum_ += hash_.hash_of_values();
+}
+
+void TopicTable::bind(Insert& insert, std::span<const Record> records) {
+  sqlite3_stmt* const statement = insert.statement.raw();
+  const SlotInfo** bound = insert.bound.data();
+  int index = 1;
+  for (const Record& record : records) {
+    if (*bound != record.info) {
+      *bound = record.info;
+      const std::string& origin = record.info->origin;
+      sqlite3_bind_text64(statement, index + 1, origin.data(), origin.size(), SQLITE_STATIC, SQLITE_UTF8);
+    }
+    ++bound;
+    bind(statement, index, record);
+    index += static_cast<int>(columns_.size()) + fixed_parameters;
+  }
+}
+
+void TopicTable::run(Insert& insert) {
+  insert.statement.run();
+  last_rowid_ = database_->last_rowid();
+}
+
+void TopicTable::insert(const Record& record) {
+  if (pending_.size() == many_.bound.size()) {  // not before there is another one, which may be the last
+    bind(many_, pending_);
+    pending_.clear();
+    run(many_);
+  }
+  pending_.push_back(record);
+}
+
+void TopicTable::flush() {
+  const int checksum = static_cast<int>(columns_.size()) + fixed_parameters + 1;
+  for (const Record& record : pending_) {
+    bind(one_, {&record, 1});
+    if (&record == &pending_.back()) {
+      one_.statement.bind(checksum, static_cast<std::int64_t>(sum_));
+    } else {
+      one_.statement.bind_null(checksum);
+    }
+    run(one_);
+  }
+  pending_.clear();
+  sum_ = 0;
+}
+
+}  // namespace rtdata::sqlite

@@ -1,0 +1,67 @@
+// The table of one topic in a recording: made, found or extended, and filled.
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "recording/account_sums.hpp"
+#include "recording/database.hpp"
+#include "recording/utc_line.hpp"
+#include "rtdata/data/description.hpp"
+#include "rtdata/sinks/sink.hpp"
+#include "sinks/core/escaped_texts.hpp"
+
+namespace rtdata::sqlite {
+
+/// Whether a table can have a column for each of its values. Errors: bad-description.
+Result<void> check_columns(std::string_view topic, const Description& description);
+
+class TopicTable {
+ public:
+  /// Within a transaction. Finds the table that this description fits; one whose fields are the first part of it gets
+  /// the further columns; otherwise a new table is made. Errors: those of the database, bad-name.
+  /// Texts that are no UTF-8 are counted in `no_utf8`, which outlives the table. What changes in rtdata_topic goes into
+  /// `sums`. The view of a new table is left in `views`, to be made within the same transaction.
+  static TopicTable prepare(Database& database, const SlotInfo& slot, std::int64_t run, detail::EscapedTexts& no_utf8,
+                            AccountSums& sums, NewUtcViews& views);
+
+  /// Inserts the record, at the latest with `flush`: its payload must live until then.
+  void insert(const Record& record);
+  /// At the end of the transaction: its last row takes the checksum.
+  void flush();
+  std::int64_t last_rowid() const noexcept { return last_rowid_; }
+  const std::string& name() const noexcept { return name_; }
+  const std::string& topic() const noexcept { return topic_; }
+
+ private:
+  struct Column {
+    Kind kind;
+    std::size_t offset;
+    const Leaf* leaf;  // for what needs more than its bytes
+  };
+  struct Insert {
+    Statement statement;
+    std::vector<const SlotInfo*> bound;  // whose origin each row has: bound anew only when it is another
+  };
+  /// All but the origin. Hashes the row, the origin too.
+  void bind(sqlite3_stmt* statement, int first, const Record& record);
+  void bind(Insert& insert, std::span<const Record> records);
+  void run(Insert& insert);
+
+  Database* database_ = nullptr;
+  detail::EscapedTexts* no_utf8_ = nullptr;
+  std::string name_;
+  std::string topic_;
+  std::vector<Column> columns_;  // in the order of the table's
+  std::int64_t run_ = 0;
+  RowHash hash_;
+  std::uint64_t sum_ = 0;  // of the rows of the transaction under way
+  Insert one_;
+  Insert many_;
+  std::vector<Record> pending_;
+  std::int64_t last_rowid_ = 0;
+};
+
+}  // namespace rtdata::sqlite

@@ -1,0 +1,56 @@
+// The table rtdata_utc: the UTC line of each boot, which the views apply. All of it can be computed from rtdata_clock.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "recording/database.hpp"
+#include "rtdata/recording/recording.hpp"
+
+namespace rtdata::sqlite {
+
+/// The pairs of the runs (called r) for which an SQL condition holds. Errors: those of the database.
+std::vector<RecordedClock> clock_pairs(const Database& database, const std::string& condition);
+/// The pairs that the runs of one boot recorded.
+std::vector<RecordedClock> clock_pairs_of_boot(const Database& database, std::string_view boot_id);
+
+/// Within a transaction: brings the boot's stretches in line with its pairs; those that did not change are not touched.
+void write_utc_line(Database& database, std::string_view boot_id);
+/// Whether they are so.
+bool utc_line_agrees(const Database& database, std::string_view boot_id);
+/// Writes them for all boots of the file.
+void write_utc_lines(Database& database);
+
+struct View {
+  std::string name;
+  std::string sql;  ///< that makes it, as the file's schema has it then
+};
+/// The view with UTC of a topic's table: "room/climate~utc" for "room/climate".
+View utc_view(const std::string& table, const Description& description);
+void replace_view(const Database& database, const View& view);
+
+/// Views of new tables, made together at the end of a transaction. A CREATE VIEW goes through all tables and views that
+/// there are: of thousands of topics in one batch, most of the time would be spent so.
+class NewUtcViews {
+ public:
+  /// Before the table is made. Errors: bad-description, when somebody has made a table of the view's name.
+  static void look_for_room(const Database& database, const std::string& table);
+  void add(const std::string& table, const Description& description);
+  void make(Database& database);
+  /// The transaction was given up.
+  void clear() noexcept { views_.clear(); }
+
+ private:
+  /// False: this connection does not permit it, and nothing was changed.
+  bool enter(Database& database);
+  std::vector<View> views_;
+};
+
+/// SQL for the UTC in ns of a time column of run `run`; without a line it stays. No name in them is `r` or `u`.
+std::string utc_of(const std::string& time, const std::string& run);
+
+/// The views rtdata_run_utc, "rtdata_gap~utc", "rtdata_health~utc" and "rtdata_error~utc" (the table and UTC), and
+/// rtdata_field (every field of every topic with its unit).
+std::vector<View> account_views();
+
+}  // namespace rtdata::sqlite

@@ -1,0 +1,35 @@
+// The part of verify that hashes everything again: values of rows, and tables of the account.
+#pragma once
+
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "recording/checksum.hpp"
+#include "recording/recording_file.hpp"
+#include "recording/verify_run.hpp"
+
+namespace rtdata::detail {
+
+/// The rows of a topic's table in their order, of which the last one of each transaction has the sum.
+class ValueSums {
+ public:
+  explicit ValueSums(std::string table) : table_(std::move(table)) {}
+  /// The statement is at the next row; its columns are those of the table from `first` on.
+  void add(sqlite3_stmt* row, int first, RunsRows& runs);
+  /// Rows that no sum has followed.
+  std::uint64_t rest() const noexcept { return found_.rows; }
+
+ private:
+  void tell_changed(sqlite3_stmt* row, int first, RunRows& run) const;
+
+  std::string table_;
+  sqlite::RowHash hash_;
+  sqlite::RowSum found_;  // since the last sum
+};
+
+/// Holds the tables of the account to their checksums. True: what is of all runs, rtdata_topic and the columns of its
+/// tables, was changed; that is told by `check_layout`.
+bool check_account_sums(const RecordingFile& file, const std::vector<RecordedTopic>& topics, VerifyReport& report);
+
+}  // namespace rtdata::detail
