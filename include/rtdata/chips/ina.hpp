@@ -4,11 +4,11 @@
 ///                                               {.model = InaModel::ina219, .shunt_resistance = 0.1});
 ///
 /// The chip measures by itself, some 900 times a second (INA219) or 450 times (INA226, both inputs); a tick reads the
-/// last of each. One that comes before a new measurement is ready is counted as repeated, and one without any for a
-/// second is an error. Current is the voltage at the shunt over `shunt_resistance`, power their product: the chip's own
-/// calculation of them, which has fewer bits, is not used. Voltages beyond the chip's range (shunt: INA219 0.32 V,
-/// INA226 0.08 V; bus: 32 V and 40.96 V, of which no more than 26 and 36 V are allowed), and what the chip says has
-/// overflowed, are unreadable. Addresses: 0x40 to 0x4f. The INA226 has an identity, which is checked; a chip that has
+/// last of each. A tick before the next measurement is ready is counted as repeated; no measurement for a second is an
+/// error. The current is the shunt voltage divided by `shunt_resistance`, the power is current times bus voltage; the
+/// chip's own results, which have fewer bits, are not used. A reading is unreadable if a voltage is out of the chip's
+/// range (shunt: INA219 0.32 V, INA226 0.08 V; bus: 32 V and 40.96 V, of which only 26 and 36 V are allowed) or if the
+/// chip reports an overflow. Addresses: 0x40 to 0x4f. The INA226 has an identity, which is checked; a chip that has
 /// lost its settings is reported as unreadable and set up again. After a reset, the settings are those that are used.
 ///
 /// Sources: Texas Instruments INA219, SBOS448G: 8.6.2 configuration, 8.6.3.1 shunt voltage, 8.6.3.2 bus voltage,
@@ -109,7 +109,7 @@ class Ina {
     if (!shunt) return shunt.error();
     const Result<std::uint16_t> bus = is_ina219 ? *flags : chip.read_word(bus_register);
     if (!bus) return bus.error();
-    if (is_ina219) {  // what takes the flag of being ready away
+    if (is_ina219) {  // reading this register clears the ready flag
       if (const Result<std::uint16_t> power = chip.read_word(power_register); !power) return power.error();
     }
     const bool has_overflowed = (*flags & (is_ina219 ? ina219_overflow : ina226_overflow)) != 0;
@@ -139,7 +139,7 @@ class Ina {
     std::uint16_t settings;
     double shunt_step, bus_step;  // V
     unsigned bus_shift;
-    int shunt_end, bus_end;  // codes from here on are none
+    int shunt_end, bus_end;  // codes from here on are invalid
   };
   static const Model& of(InaModel model) noexcept {
     static constexpr Model models[] = {

@@ -2,7 +2,7 @@
 ///
 ///     rtdata::DriverSensor<rtdata::Lm75> room(loop, {.name = "room", .rate = 1_Hz}, bus, {.address = 0x48});
 ///
-/// Two bytes, -55 to 125 degrees, in steps of 0.5 (LM75) to 0.0625 (TMP75); what lies outside is unreadable. Addresses:
+/// Two bytes, -55 to 125 degrees, in steps of 0.5 (LM75) to 0.0625 (TMP75); values outside are unreadable. Addresses:
 /// 0x48 to 0x4f. It measures by itself, some ten times a second. It has no identity and no checksum.
 ///
 /// Sources: NXP LM75B, data sheet of 2015, 7.4.3 temperature register; TI TMP75, 8.5.1.

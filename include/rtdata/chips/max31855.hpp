@@ -2,12 +2,12 @@
 ///
 ///     rtdata::DriverSensor<rtdata::Max31855> oven(loop, {.name = "oven", .rate = 5_Hz}, bus, {.chip_select = 0});
 ///
-/// The chip is made for one kind of thermocouple, which the end of its name tells (MAX31855K, J, N, T, S, R, E), and
-/// takes no settings. It measures by itself, some ten times a second, in steps of 0.25 degrees; a tick reads the last
+/// The chip is made for one type of thermocouple, given by the last letter of its name (MAX31855K, J, N, T, S, R, E),
+/// and has no settings. It measures by itself, some ten times a second, in steps of 0.25 degrees; a tick reads the last
 /// value. A thermocouple that is open, or shorted to ground or to the supply, is unreadable, with that reason.
 ///
-/// A chip that is not there reads as ones, which two bits that are always 0 show, or as zeros. Zeros are 0 degrees at
-/// both ends too, and are taken as nothing: unreadable. There is no identity and no checksum.
+/// Without a chip all bits read as ones or as zeros. Ones are recognised by two bits that are always 0. All zeros could
+/// also mean 0 degrees at both ends; the driver takes them as unreadable. There is no identity and no checksum.
 ///
 /// Clock to 5 MHz, mode 0. Source: Maxim, 19-5793, memory map (tables 2 to 5).
 ///
@@ -57,7 +57,7 @@ class Max31855 {
     return *reading;
   }
 
-  /// Errors: bad-data (no chip, or a thermocouple that is none).
+  /// Errors: bad-data (no chip, or a thermocouple fault).
   static Result<ThermocoupleReading> decode(std::span<const std::uint8_t, 4> bytes) {
     const std::uint32_t word = static_cast<std::uint32_t>(bytes[0]) << 24 | static_cast<std::uint32_t>(bytes[1]) << 16 |
                                static_cast<std::uint32_t>(bytes[2]) << 8 | bytes[3];

@@ -3,13 +3,13 @@
 ///     rtdata::DriverSensor<rtdata::Max31865> tank(loop, {.name = "tank", .rate = 5_Hz}, bus,
 ///                                                 {.chip_select = 0, .mode = 1}, {.wires = 3});
 ///
-/// Each tick switches the current through the element on, looks for faults of its wires, measures once, and switches it
-/// off again, so that the element does not heat itself; the bus is free while the input settles (10 ms) and the chip
-/// converts (66 ms against mains of 50 Hz, 55 ms of 60 Hz). Wires that are open or shorted, and resistances that belong
-/// to no temperature from -200 to 850 degrees, are unreadable, with that reason.
+/// Each tick switches the current through the element on, checks its wires, measures once, and switches the current off
+/// again, so that the element does not heat itself. The bus is free while the input settles (10 ms) and the chip
+/// converts (66 ms with a filter for mains of 50 Hz, 55 ms for 60 Hz). A reading is unreadable, with the reason, if a
+/// wire is open or shorted or the resistance is outside -200 to 850 degrees.
 ///
-/// There is no identity and no checksum. The settings are read back with each measurement: a chip that was reset
-/// meanwhile is reported; ones and zeros, where nothing answers, are no such settings.
+/// There is no identity and no checksum. The settings are read back with each measurement: a chip that was reset is
+/// reported. A bus without a chip reads all ones or zeros, which never match the settings.
 ///
 /// Clock to 5 MHz, modes 1 and 3. Sources: Maxim, 19-6478, register map, fault detection cycle; IEC 60751 for
 /// temperatures (Callendar and Van Dusen).
@@ -115,7 +115,7 @@ class Max31865 {
   }
   Duration conversion_time() const noexcept {
     using namespace std::chrono_literals;
-    if (step_ == Step::settling) return 10ms;  // ten time constants of the usual 100 nF, and more
+    if (step_ == Step::settling) return 10ms;  // more than ten time constants of the usual 100 nF
     return config_.mains == Mains::hz_50 ? 66ms : 55ms;
   }
   bool goes_on() const noexcept { return step_ == Step::measuring; }
@@ -166,8 +166,8 @@ class Max31865 {
     return RtdReading{*temperature, resistance};
   }
 
-  /// Degrees of a platinum element with this resistance over that at 0 degrees (IEC 60751); none: outside of -200 to
-  /// 850 degrees.
+  /// Temperature of a platinum element in degrees Celsius. `ratio`: its resistance divided by that at 0 degrees (IEC
+  /// 60751). Empty: outside -200 to 850 degrees.
   static std::optional<double> temperature_of(double ratio) noexcept {
     constexpr double a = 3.9083e-3, b = -5.775e-7, c = -4.183e-12;
     const auto ratio_at = [](double t) { return 1 + a * t + b * t * t + (t < 0 ? c * (t - 100) * t * t * t : 0); };

@@ -3,9 +3,9 @@
 ///     rtdata::SerialPort port({.device = "/dev/ttyS0"});  // 9600 8N1
 ///     rtdata::DriverSensor<rtdata::MhZ19> air(loop, {.name = "air", .rate = 0.5_Hz}, port);
 ///
-/// Each tick is a request of nine bytes and an answer of nine, with a checksum; what has a wrong one is unreadable, as
-/// is more than the 10000 ppm that it measures, and 0 ppm, which it says while it warms up and which no air has. It
-/// needs three minutes from being switched on (MH-Z19C: one); other values of that time it does not mark.
+/// Each tick sends a request of nine bytes and reads an answer of nine, with a checksum. A reading is unreadable with a
+/// wrong checksum, above 10000 ppm (the sensor's range), and at 0 ppm, which the sensor sends while it warms up. It
+/// needs three minutes after power-on (MH-Z19C: one minute); other wrong values during that time are not recognisable.
 ///
 /// Source: Winsen, MH-Z19B User's Manual V1.6, "UART output", command 0x86 and checksum.
 ///
@@ -48,7 +48,7 @@ class MhZ19 {
   using Value = Co2Reading;
   using Device = SerialDevice;
   explicit MhZ19(const Config&) {}
-  /// The line is there; a sensor that warms up answers later.
+  /// Sends nothing: the port is open, and a sensor that warms up answers later.
   Result<void> open(SerialDevice&) { return {}; }
 
   Reading<Co2Reading> read(SerialDevice& line) {

@@ -5,10 +5,10 @@
 ///
 /// Each tick starts one measurement of high repeatability and reads it when the chip has had its time (SHT3x 16 ms,
 /// SHT4x 9 ms); the bus is free for others meanwhile, and the event has the time of the start. Both numbers have a
-/// checksum: a reading with a wrong one is unreadable. At opening, the SHT3x is asked for its status and the SHT4x for
-/// its serial number, which have checksums too: another chip, or the other model, is an error. Addresses: 0x44 and 0x45
-/// (SHT4x: 0x44 to 0x46). The SHT4x gives humidities from -6 to 119 %, which are limited to 0 and 100 %, as its data
-/// sheet has it (4.6).
+/// checksum: a reading with a wrong one is unreadable. When it opens, the driver reads the status of an SHT3x or the
+/// serial number of an SHT4x, which have checksums too: another chip, or the other model, is an error. Addresses: 0x44
+/// and 0x45 (SHT4x: 0x44 to 0x46). The SHT4x gives humidities from -6 to 119 %, which are limited to 0 and 100 %, as
+/// its data sheet has it (4.6).
 ///
 /// Sources: Sensirion SHT3x-DIS, data sheet of December 2022: table 4 measurement time, 4.3 single shot, 4.11 status,
 /// 4.12 checksum, 4.13 conversion. SHT4x, data sheet of March 2022: table 4 time, 4.5 commands, 4.6 conversion.
@@ -77,7 +77,7 @@ class Sht {
     return {};
   }
   Result<void> start(I2cDevice& chip) {
-    constexpr std::array<std::uint8_t, 2> of_sht3x{0x24, 0x00};  // without holding the clock
+    constexpr std::array<std::uint8_t, 2> of_sht3x{0x24, 0x00};  // without clock stretching
     constexpr std::array<std::uint8_t, 1> of_sht4x{0xfd};
     return config_.model == ShtModel::sht3x ? chip.write(of_sht3x) : chip.write(of_sht4x);
   }

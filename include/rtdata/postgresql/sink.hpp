@@ -4,21 +4,21 @@
 ///                                          .sink = {.through = "run.db"}});
 ///
 /// One table a topic, named as the topic, made by the sink: `time` (UTC), `time_ns` (exact, as recorded), `run`,
-/// `origin`, `sequence`, then one column a field, with units as comments. Rows go in by COPY, in one transaction with
-/// the position up to which the server has the origin (rtdata_position). After whatever happened to either side, the
-/// position is read again and what the server has is not sent again. docs/postgresql.md has the layout.
+/// `origin`, `sequence`, then one column a field, with units as comments. COPY inserts the rows, in one transaction
+/// with the position of each origin on the server (rtdata_position). After any failure on either side, the sink reads
+/// the position again and does not send rows that the server already has. docs/postgresql.md has the layout.
 ///
 /// While the server is away events wait: in the sink's queue, or, with `through`, in the recording of that name. With
-/// `through` the account of the recording goes along, so that `rtdata verify postgresql://...` can hold the server's
-/// rows to it.
+/// `through` it also sends the account of the recording, so that `rtdata verify postgresql://...` can check the
+/// server's rows against it.
 ///
-/// The sink opens its connection with its first batch and makes it anew after every failure. What a server cannot do
-/// for now (it is away, full, read only, a table is locked or is not ours) is reported and tried again. A row that a
-/// table's own constraint, trigger or computed column refuses is dropped as refused; the others are stored. Passwords
-/// are in no report.
+/// The sink opens its connection with its first batch and again after every failure. If the server cannot store now (it
+/// is away, full or read-only, or a table is locked or belongs to someone else), the sink reports it and tries again. A
+/// row that is refused by a constraint, trigger or computed column of the table is dropped as refused; the others are
+/// stored. Reports never contain passwords.
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's; libpq is called on the sink's lane, and
-/// never waits longer than `timeout`. Errors of the constructor (SetupError): bad_argument (a URL that is none, a
+/// never waits longer than `timeout`. Errors of the constructor (SetupError): bad-argument (an invalid URL, or a
 /// password in it), those of `Sink`.
 #pragma once
 
@@ -37,7 +37,7 @@ struct PostgresqlConfig {
   std::string url = {};                    ///< postgresql://user@host:port/database?sslmode=...; the others add to it
   std::string host = {};      ///< a name, an address, or the folder of a Unix socket; libpq's default when empty
   int port = 0;               ///< 0: libpq's default, 5432
-  std::string database = {};  ///< libpq's default when empty: the user's name
+  std::string database = {};  ///< empty: libpq's default, the user's name
   std::string user = {};
   std::string password = {};  ///< empty: ~/.pgpass, PGPASSFILE or none
   std::string schema = {};    ///< where the tables are; it is made. Empty: the first of the server's search_path
