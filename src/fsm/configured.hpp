@@ -138,7 +138,7 @@ struct MachineSettings {
   }
 };
 
-/// What no parameter says by itself: states that are there, conditions that can be read, and what `find_faults` finds.
+/// Checks rules over several parameters: states that are there, conditions that can be read, and what `find_faults` finds.
 void check_config(const MachineSettings& settings, const ConfigItem& item, Problems& problems);
 /// Whether the inputs have the fields that the conditions name. `payload_of`: what a topic carries, null when that is
 /// not known: then nothing is said of its fields.

@@ -38,7 +38,7 @@ CREATE TABLE IF NOT EXISTS rtdata_run(
   host TEXT NOT NULL, boot_id TEXT NOT NULL, pid INTEGER NOT NULL,
   started INTEGER NOT NULL,         -- time of the start
   ended INTEGER,                    -- time of the last account
-  clock_offset INTEGER NOT NULL,    -- recorded time minus the monotonic line
+  clock_offset INTEGER NOT NULL,    -- recorded time minus the monotonic clock
   state TEXT NOT NULL,              -- recording, closed, sealed (not closed, or a tier hung at its beginning or end)
   lost INTEGER,                     -- of a sealed run: events published and not stored; NULL: not known
   remark TEXT NOT NULL DEFAULT '',  -- what is known of what is not known

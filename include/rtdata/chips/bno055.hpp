@@ -37,7 +37,7 @@ struct OrientationReading {
   double linear_acceleration_x = 0, linear_acceleration_y = 0, linear_acceleration_z = 0;  ///< without gravity
   double acceleration_x = 0, acceleration_y = 0, acceleration_z = 0;                       ///< with gravity
   double angular_velocity_x = 0, angular_velocity_y = 0, angular_velocity_z = 0;
-  std::optional<double> magnetic_field_x{}, magnetic_field_y{}, magnetic_field_z{};               ///< unset without magnetometer
+  std::optional<double> magnetic_field_x{}, magnetic_field_y{}, magnetic_field_z{};               ///< unset without it
   std::uint8_t calibration_system = 0, calibration_gyroscope = 0, calibration_accelerometer = 0;  ///< 0, none, to 3
   std::optional<std::uint8_t> calibration_magnetometer{};
   double temperature = 0;  ///< of the chip

@@ -39,7 +39,7 @@ struct DecodedEvent {
   std::string origin;
   Time time{};
   std::optional<std::uint64_t> sequence;  ///< empty if the format or its settings omit it
-  std::string run;                        ///< empty when the event was written without
+  std::string run;                        ///< empty if the event was written without a run
   std::vector<std::byte> payload;         ///< laid out as the description says
 
   /// Valid as long as this object is unchanged; sequence 0 when there is none.
@@ -159,7 +159,7 @@ struct Decoded {
   std::string origin;
   Time time{};
   std::optional<std::uint64_t> sequence;
-  std::string run;  ///< empty when the event was written without
+  std::string run;  ///< empty if the event was written without a run
   T data;
 
   /// Valid as long as this object is unchanged.

@@ -73,7 +73,7 @@ class ManualClock : public Clock {
   detail::VirtualThreads* threads_ = nullptr;  // of a main loop and its tiers, which share it
 };
 
-/// The time of day at one instant of the monotonic line, by one source.
+/// The time of day at one instant of the monotonic clock, by one source.
 struct ClockPair {
   MonotonicTime monotonic{};
   Time realtime{};

@@ -200,7 +200,7 @@ class Runtime {
     /// Texts that errors, log records and reasons of health must not show: they show "(secret)" instead.
     std::vector<std::string> secrets = {};
     Clock* clock = nullptr;          ///< null: the machine's. Must outlive the runtime.
-    OutputGuard* guard = nullptr;    ///< holds the devices of outputs (outputs/guard.hpp); null: no guard. Must outlive the runtime.
+    OutputGuard* guard = nullptr;    ///< holds the outputs' devices; null: none. Must outlive the runtime.
     std::size_t ring_events = 1024;  ///< capacity of each topic's delivery ring, rounded up to a power of two
   };
   Runtime();

@@ -31,7 +31,7 @@ class Timer : public Handle {
 
   /// (Re)starts: fires `delay` from now, once; Duration::max(): never.
   void start(Duration delay);
-  /// At an instant of the monotonic line.
+  /// At an instant of the monotonic clock.
   void start_at(MonotonicTime due);
   /// Never fires again unless started again.
   void stop();

@@ -14,9 +14,9 @@
 /// and before it opens files that the guard must not share: the guard closes all descriptors except standard error.
 ///
 /// The guard makes, sets and destroys each output's Actuator on a thread of its own. It sets the safe value
-///   - when the loop has not turned for the output's `watchdog`: then it takes no other value until the output is
+///   - when the loop has not turned for the output's `watchdog`; it then takes no other value until the output is
 ///     armed;
-///   - when the program has ended, in whatever way: at once; then it gives the device back and ends.
+///   - at once when the program has ended, for any reason; then it releases the device and ends.
 /// If a device does not take its safe value, the guard tries again; after the end of the program or of the output, for
 /// 10 s. The result is in the log, or on standard error if the program has ended.
 ///

@@ -8,22 +8,22 @@
 ///
 ///     rtdata::Output fan(loop, {.name = "fan", .on = "room/air", .expression = "temperature > 28"}, make_fan);
 ///
-/// How the device is set is an `Actuator`: two functions, which are all that a kind of one's own has.
+/// An `Actuator` sets the device: two functions, which you can write for your own devices.
 ///
-/// What an output is set to comes from one place: `set`, or the topics that its configuration names (`on`,
-/// `expression`; names and ages as of derived values, sensors/derived.hpp). Setting what it has already is no change,
-/// but extends the lease; it is counted as `repeated`.
+/// The value of an output has one source: `set`, or the topics in its configuration (`on`, `expression`; names and ages
+/// as for derived values, sensors/derived.hpp). Setting the value that it already has changes nothing, but extends the
+/// lease; it is counted as `repeated`.
 ///
 /// It has its safe value
-///   - from the start on: the device is taken with it in one step, or with `keep` as it is;
-///   - from when `stop`, the end of its loop, closing, or the destructor of the handle begins (not with `keep`);
-///   - while its input has brought nothing for `max_age`, or its expression fails or gives what the device does not
-///     take: it follows the input again when that is back;
+///   - from the start: the device is opened with it in one step, or with `keep` as it is;
+///   - from the beginning of `stop`, of the end of its loop, of closing, or of the destructor (not with `keep`);
+///   - while there is no input for `max_age`, or the expression fails or gives a value that the device does not take;
+///     the output follows the input again when it is good again;
 ///   - when `lease` has passed since the last `set`, until the next one;
-///   - after a `set` that failed: tried again each second until the device takes it;
-///   - while it is disarmed: `set` is refused, and its input is not followed;
-///   - when its loop does not turn for `watchdog`, or the program ends in whatever way, if a guard holds the device
-///     (guard.hpp): then it is disarmed, and must be armed again. Without a guard nobody does that.
+///   - after a failed `set`: the output tries again each second until the device takes it;
+///   - while it is disarmed: it refuses `set` and ignores its input;
+///   - if a guard holds the device (guard.hpp), when its loop does not turn for `watchdog` or the program ends for any
+///     reason: the output is then disarmed and must be armed again. Without a guard this does not happen.
 ///
 /// Each change is an event on its topic, an OutputChange: the requested value, the value of the device, the reason, who
 /// asked, and how long it took. Arming, disarming and refusals are events too.

@@ -40,10 +40,10 @@ struct PostgresqlConfig {
   std::string database = {};  ///< empty: libpq's default, the user's name
   std::string user = {};
   std::string password = {};  ///< empty: ~/.pgpass, PGPASSFILE or none
-  std::string schema = {};    ///< where the tables are; it is made. Empty: the first of the server's search_path
-  std::string machine = {};   ///< what this machine is called on the server; its host name when empty
-  Duration timeout = std::chrono::seconds{30};  ///< of connecting, of each answer of the server, of its statements
-  /// Larger batches than other sinks': each is a transaction, which the server forces onto its disk.
+  std::string schema = {};    ///< schema of the tables, made if missing; empty: the first of search_path
+  std::string machine = {};   ///< name of this machine on the server; empty: its host name
+  Duration timeout = std::chrono::seconds{30};  ///< for connecting, for each answer and for each statement
+  /// Larger batches than in other sinks: each is a transaction, which the server syncs to its disk.
   SinkConfig sink = {.batch_rows = 5000};
 
   friend constexpr auto parameters(type_tag<PostgresqlConfig>) {
@@ -66,7 +66,7 @@ struct PostgresqlConfig {
   friend void check_config(const PostgresqlConfig& config, const ConfigItem& item, Problems& problems);
 };
 
-/// Returns an error, `where` its topic, for each topic that the server cannot have a table for.
+/// Returns an error for each topic for which the server cannot have a table; `where` is the topic.
 std::vector<Error> refused_topics(const PostgresqlConfig& config, std::span<const TopicToRecord> topics);
 
 class PostgresqlSink : public Sink {

@@ -42,7 +42,7 @@ struct ConsoleConfig {
   }
 };
 
-/// What no parameter says by itself: that the descriptor is open for writing.
+/// Checks that the descriptor is open for writing.
 void check_config(const ConsoleConfig& config, const ConfigItem& item, Problems& problems);
 
 class ConsoleSink : public Sink {

@@ -82,7 +82,7 @@ struct HttpConfig {
             "delivered, or sent again and again"),
         include_member(&HttpConfig::sending), include_member(&HttpConfig::sink));
   }
-  /// What no parameter says by itself. Nothing is sent.
+  /// Checks rules over several parameters. Nothing is sent.
   friend void check_config(const HttpConfig& config, const ConfigItem& item, Problems& problems);
 };
 

@@ -96,7 +96,7 @@ struct MqttConfig {
   }
 };
 
-/// What no parameter says by itself: a host and topics that can be ones, a format that can be sent.
+/// Checks rules over several parameters: a host and topics that can be ones, a format that can be sent.
 void check_config(const MqttConfig& config, const ConfigItem& item, Problems& problems);
 
 class MqttSink : public Sink {

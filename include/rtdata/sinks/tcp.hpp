@@ -74,7 +74,7 @@ struct TcpConfig {
   }
 };
 
-/// What no parameter says by itself: a host that can be one, a format that can be sent.
+/// Checks rules over several parameters: a host that can be one, a format that can be sent.
 void check_config(const TcpConfig& config, const ConfigItem& item, Problems& problems);
 
 class TcpSink : public Sink {

@@ -51,7 +51,7 @@ struct UdpConfig {
   }
 };
 
-/// What no parameter says by itself: a host that can be one, a format that can be sent.
+/// Checks rules over several parameters: a host that can be one, a format that can be sent.
 void check_config(const UdpConfig& config, const ConfigItem& item, Problems& problems);
 
 class UdpSink : public Sink {

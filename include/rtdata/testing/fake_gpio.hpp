@@ -39,7 +39,7 @@ class FakeGpio final : public GpioBackend {
   void refuse(const std::string& chip, int error_number);
   /// Somebody else has the line; empty: nobody.
   void occupy(const std::string& chip, unsigned number, const std::string& consumer);
-  /// The level on the wire, at a time of the monotonic line.
+  /// The level on the wire, at a time of the monotonic clock.
   void drive(const std::string& chip, unsigned number, bool is_high, MonotonicTime time);
   /// The level on the wire, of outputs too.
   bool level(const std::string& chip, unsigned number) const;

@@ -27,7 +27,7 @@ class OriginCore {
   OriginCore(const OriginCore&) = delete;
   OriginCore& operator=(const OriginCore&) = delete;
 
-  // The schedule. Instants are on the monotonic line.
+  // The schedule. Instants are on the monotonic clock.
   void begin_segment(MonotonicTime first_due, Duration period) noexcept;
   /// Without a segment: ticks of this period that come due until the next one begins are missed ("made anew"). 0: none
   /// are. Throws.

@@ -1,4 +1,4 @@
-// The clock of a run: the monotonic line that events are timed on, and the record of the time of day against it.
+// The clock of a run: the monotonic clock that events are timed on, and the record of the time of day against it.
 #pragma once
 
 #include <algorithm>
@@ -32,7 +32,7 @@ class ClockLog {
   }
   const ClockPair& start() const noexcept { return start_; }
 
-  /// Records the time of day when it was set (moved against the monotonic line by more than 1 ms), when its accuracy is
+  /// Records the time of day when it was set (moved against the monotonic clock by more than 1 ms), when its accuracy is
   /// another, once in a while as long as that is known, or always when an occasion is given. Returns whether it did.
   bool look(const char* occasion = nullptr);
   /// See Runtime::note_wall_clock.

@@ -364,7 +364,7 @@ class IioBufferNode final : public StreamNode {
   std::size_t at_ = 0, end_ = 0;    // of the scans in it that are not published yet
   std::vector<double> values_;      // of one scan: the payload
   Duration interval_{0};            // between two scans; 0: not known
-  Duration ahead_{0};               // of the time of day before the monotonic line, at the last read
+  Duration ahead_{0};               // of the time of day before the monotonic clock, at the last read
   MonotonicTime turned_on_{};       // no time is earlier
   MonotonicTime last_{};            // of the last scan
   MonotonicTime last_published_{};  // the same, as it was published

@@ -67,7 +67,7 @@ class LaneJob {
   State take_away() noexcept;
 
   std::atomic<int> state_{idle};
-  std::atomic<std::int64_t> began_{0};  // ns of the monotonic line; before, when it was submitted
+  std::atomic<std::int64_t> began_{0};  // ns of the monotonic clock; before, when it was submitted
   Duration limit_{0};
   std::shared_ptr<LaneJob> next_outstanding_;  // of the lane
   // On its way to a thread:
