@@ -28,7 +28,7 @@
 namespace rtdata {
 
 struct VerticalKalmanConfig {
-  Duration burn = std::chrono::seconds{7};  ///< how long to ignore the barometer after liftoff, without an accelerometer
+  Duration burn = std::chrono::seconds{7};  ///< time without the barometer after liftoff, if the speed is unknown
   double noise = 0.5;                       ///< m, least noise of the barometer; it detects more by itself
   double range = 0;                         ///< g, range of the accelerometer; 0: detected by repeated values
 };

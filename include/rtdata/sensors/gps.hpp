@@ -86,8 +86,8 @@ struct GpsConfig {
   std::string host = "localhost";                         ///< where gpsd runs: a name or an address
   std::uint16_t port = 2947;                              ///< of gpsd
   std::string device = {};                                ///< the receiver, as gpsd names it; empty: any
-  Duration silence = std::chrono::seconds{10};            ///< without a fix's report for longer, it has a gap; 0: never
-  Duration report_delay = std::chrono::seconds{1};        ///< longest delay from a fix to its report; 0: not a time source
+  Duration silence = std::chrono::seconds{10};            ///< without a fix report for longer, it has a gap; 0: no limit
+  Duration report_delay = std::chrono::seconds{1};        ///< longest delay of a report; 0: not a time source
   Duration retry_first = std::chrono::milliseconds{100};  ///< wait before a lost gpsd is connected to again
   Duration retry_longest = std::chrono::seconds{10};      ///< the wait doubles up to this
   bool required = false;                                  ///< gpsd that does not answer at the start throws

@@ -50,7 +50,7 @@ constexpr auto describe(type_tag<PpsEdge>) {
 struct PpsConfig {
   std::string device = "pps0";  ///< name, or /dev/pps0
   PpsEdge edge = PpsEdge::assert_edge;
-  Duration accuracy = std::chrono::microseconds{50};      ///< accuracy of the kernel's time of a pulse; 0: not a time source
+  Duration accuracy = std::chrono::microseconds{50};      ///< of the kernel's time; 0: not a time source
   Duration silence = std::chrono::seconds{3};             ///< silent for longer, it has a gap; 0: it may be silent
   std::string root = {};                                  ///< put before /sys: where a container sees its host's
   Duration retry_first = std::chrono::milliseconds{100};  ///< wait before a lost source is opened again

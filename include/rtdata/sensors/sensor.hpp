@@ -91,7 +91,7 @@ struct SensorConfig {
   std::string topic = {};  ///< empty: as the name
   Rate rate = {};          ///< ticks a second, up to 1 MHz
   Duration phase{0};       ///< added to the start of its schedule; a negative one: within the first period
-  std::optional<Duration> late_after = {};  ///< a read later than this is late; unset: the larger of 1 ms and 10 % of the period
+  std::optional<Duration> late_after = {};  ///< unset: the larger of 1 ms and 10 % of the period
   std::optional<Duration> read_time = {};   ///< longest time on the loop or lane; unset: as the device declares
   unsigned faulted_after = 3;               ///< failures in a row that make it faulted
   Duration retry_first = std::chrono::milliseconds{100};  ///< delay before a faulted device is opened again

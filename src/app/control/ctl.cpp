@@ -42,7 +42,7 @@ int ctl(const std::vector<std::string>& given) {
     std::cerr << "rtdata: which command?\n" << ctl_help() << std::flush;
     return exit_configuration;
   }
-  // The first word may be an instance; one that is called as a command is named by its pid.
+  // The first word may be an instance. An instance with the name of a command must be given by its pid.
   std::vector<std::string> words = given;
   std::string instance;
   if (words.size() > 1 && !is_verb(words[0]) && is_verb(words[1])) {
@@ -59,7 +59,7 @@ int ctl(const std::vector<std::string>& given) {
   int status = exit_good;
   std::optional<FoundInstance> found = choose_instance(instance, "ctl", status);
   if (!found) return status;
-  // The status that was asked for comes first.
+  // The answer to the status request comes first.
   if (!found->answers) (void)found->client->receive(answer_limit);
   const nlohmann::ordered_json request{{"request", "command"}, {"version", Status::newest}, {"words", words}};
   const auto line = found->client->ask(request.dump(-1, ' ', false, nlohmann::ordered_json::error_handler_t::replace),

@@ -13,10 +13,10 @@ namespace {
 
 using Found = FoundInstance;
 
-constexpr Duration search_limit = std::chrono::milliseconds{500};  // of all instances, when the one meant has answered
-constexpr Duration longest_search = std::chrono::seconds{3};       // when it has not
+constexpr Duration search_limit = std::chrono::milliseconds{500};  // for all instances, once the wanted one has answered
+constexpr Duration longest_search = std::chrono::seconds{3};       // if it has not
 
-/// All are asked at once, and waited for together. `wanted`: see Found::matches.
+/// Asks all instances at once and waits for all answers together. `wanted`: see Found::matches.
 std::vector<Found> find_instances(const std::string& wanted) {
   std::vector<Found> all;
   for (Instance& instance : running_instances()) {
@@ -105,7 +105,7 @@ std::optional<FoundInstance> choose_instance(const std::string& wanted, const ch
     std::cerr << "rtdata: pid " << found.instance.pid << ": " << instance_does_not_answer().text() << std::endl;
     return std::nullopt;
   }
-  return found;  // without the others' connections
+  return found;  // closes the connections to the others
 }
 
 }  // namespace rtdata::app

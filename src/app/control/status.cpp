@@ -157,7 +157,8 @@ class Writer {
   Json json_ = Json::object();
 };
 
-/// Keys that are not there leave what the value has: an older instance does not know them. Throws what nlohmann throws.
+/// A missing key leaves the value unchanged, because an older instance does not know it. Throws the exceptions of
+/// nlohmann.
 class Reader {
  public:
   explicit Reader(const Json& json) : json_(json) { (void)json.get_ref<const Json::object_t&>(); }

@@ -13,7 +13,7 @@
 namespace rtdata::app {
 namespace {
 
-/// A span above nothing. None: it is no such span, and that was said.
+/// Parses a positive duration. Empty: invalid, and an error was printed.
 std::optional<Duration> span_of(const std::string& option, const std::string& text) {
   const Result<Duration> parsed = parse_duration(text);
   if (parsed && *parsed > Duration{0}) return *parsed;
@@ -132,7 +132,7 @@ Action prepare_top(CLI::App& command) {
       "  rtdata top bench --once           one look at the instance called bench\n"
       "  rtdata top 4711 --once --json     for programs");
   return [options](const Registry&) {
-    const WrappedOutput errors(std::cerr, STDERR_FILENO);  // the rest is laid out for the terminal, or data
+    const WrappedOutput errors(std::cerr, STDERR_FILENO);  // all other output is data or wrapped separately
     return top(*options);
   };
 }

@@ -13,7 +13,7 @@
 namespace rtdata::app {
 namespace {
 
-/// A whole number from there on. Without it, CLI11 takes -1 as the largest unsigned number.
+/// Accepts whole numbers from `least` on. Without it, CLI11 reads -1 as the largest unsigned number.
 CLI::Validator at_least(std::int64_t least) {
   const auto check = [least](const std::string& text) {
     std::int64_t number = 0;
@@ -85,7 +85,7 @@ Action prepare_export(CLI::App& command) {
       "examples:\n  rtdata export bench.db --topic host/cpu --format csv --utc > cpu.csv\n"
       "  rtdata export bench.db --topic host/cpu --step 1min");
   return [options](const Registry&) {
-    // Rows on the same terminal say themselves how far it is.
+    // Rows on the same terminal already show the progress.
     if (::isatty(STDERR_FILENO) == 1 && (::isatty(STDOUT_FILENO) != 1 || !options->folder.empty()))
       options->progress = Export::Progress::shown;
     const WrappedOutput errors(std::cerr, STDERR_FILENO);

@@ -9,14 +9,14 @@ namespace {
 
 constexpr std::size_t most_kept = 1000;
 
-/// Of a payload that has these fields.
+/// The text of a field in the payload.
 std::string word(const CourseEvent& event, std::string_view field) {
   for (const auto& [name, value] : event.values)
     if (name == field) return std::holds_alternative<std::monostate>(value) ? std::string() : to_string(value);
   return {};
 }
 
-/// False: a command that is no note.
+/// False: the command is not a note.
 bool tell_note(CourseEvent& event) {
   constexpr std::string_view verb = "note ";
   const std::string command = word(event, "command");

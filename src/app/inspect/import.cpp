@@ -1,4 +1,4 @@
-// rtdata import: makes a recording of somebody's table, so that it can be verified, read and exported as any other.
+// rtdata import: makes a recording from a table, to verify, read and export it like any other recording.
 #include <algorithm>
 #include <cctype>
 #include <cmath>
@@ -27,7 +27,7 @@
 namespace rtdata::app {
 namespace {
 
-/// What the table is, found by reading it once.
+/// The structure of the table, found by reading it once.
 struct Found {
   std::vector<ImportColumn> columns;  // all of the file
   std::size_t time_column = 0;
@@ -39,7 +39,7 @@ struct Found {
 /// How to write a separator on the command line.
 std::string shown_separator(char separator) { return separator == '\t' ? "tab" : std::string("\"") + separator + "\""; }
 
-/// What separates the columns, when it is another character than was said: how to say it. Empty: not known.
+/// The option for the probable separator, if the given one is wrong. Empty: unknown.
 std::string separator_advice(const ImportOptions& options, char said) {
   std::ifstream in(options.file, std::ios::binary);
   std::string head, row;
@@ -174,7 +174,7 @@ Found look_at(const ImportOptions& options, const ImportNotation& notation) {
   return found;
 }
 
-/// The number of rows, of which those that are `moved` got another time than they have in the file.
+/// Records the rows and returns their number. `moved`: how many got a later time than in the file.
 std::uint64_t record(const ImportOptions& options, const Found& found, const ImportNotation& notation,
                      std::uint64_t& moved) {
   ManualClock clock(found.first - Duration{1});
@@ -184,9 +184,9 @@ std::uint64_t record(const ImportOptions& options, const Found& found, const Imp
   loop.on_error([&](const ErrorReport& report) {
     if (!failed) failed = report.error;
   });
-  // First, since a wrong name is refused before there is a file.
+  // Made first, so that a wrong name is refused before there is a file.
   AnyFeed feed(loop, {.name = options.origin, .topic = options.topic}, found.description);
-  // Time passes as fast as it goes: what is stored together is a matter of memory, not of time.
+  // Virtual time passes as fast as possible, so batches are limited by memory, not by time.
   SqliteSink sink(loop, {.path = options.database, .sink = {.batch_time = std::chrono::hours{1}}});
   ImportRows table(options.file, notation.separator);
   std::vector<detail::CsvCell> cells;
@@ -205,7 +205,7 @@ std::uint64_t record(const ImportOptions& options, const Found& found, const Imp
       const Value value = value_of(found.columns[i], cells[i]);
       if (!write(found.description->leaves()[leaf++], payload.data(), value)) changed();
     }
-    // As the feed does: events of one origin follow each other in time.
+    // As in the feed: times of one origin must increase.
     const Time given = std::max(*time, last + Duration{1});
     if (given != *time) ++moved;
     loop.advance(given - last);

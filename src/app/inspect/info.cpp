@@ -96,7 +96,7 @@ Json json_of(const RunInfo& run, const UtcLine& line) {
   return json;
 }
 
-/// With the keys of a running instance's status, as far as a recording knows them.
+/// Uses the keys of a running instance's status, as far as a recording has the values.
 Json json_of(const TopicSummary& topic) {
   const auto rate = [](double hertz) { return hertz > 0 ? Json(hertz) : Json(); };
   const auto time = [](const std::optional<Time>& at) { return at ? Json(to_nanoseconds(*at)) : Json(); };
@@ -143,7 +143,7 @@ Json json_of(const Value& value) {
       value);
 }
 
-/// What is read of a recording before anything is printed.
+/// The data read from a recording before anything is printed.
 struct Content {
   std::vector<RunInfo> runs;
   std::vector<UtcLine> lines;  // of these
@@ -189,7 +189,7 @@ Content read(const Recording& recording, std::optional<std::int64_t> wanted, Inf
   return content;
 }
 
-/// "missed 12: reason", "disconnected: reason"; of gaps that were joined, how many there were together.
+/// "missed 12: reason", "disconnected: reason"; for joined gaps, with their number.
 std::string described(const RecordedGap& gap) {
   if (gap.kind == "joined") {
     return "several gaps joined" + (gap.count > 0 ? ", " + std::to_string(gap.count) + " together" : std::string()) +
@@ -199,7 +199,7 @@ std::string described(const RecordedGap& gap) {
          (gap.reason.empty() || gap.reason == gap.kind ? "" : ": " + gap.reason);
 }
 
-/// The first of them, a wrapped line each; nothing when there are none.
+/// Prints the first items, a wrapped line each; prints nothing if there are none.
 template <class Item, class Text>
 void print_first(const std::vector<Item>& items, std::size_t most, const std::string& heading, std::ostream& out,
                  const Text& text_of_item) {

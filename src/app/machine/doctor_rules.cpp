@@ -1,4 +1,4 @@
-// What of this machine costs timing or data: facts, and what is said of each as tables of rules.
+// Facts of this machine that cost timing or data, and tables of rules for them.
 #include <grp.h>
 #include <sys/resource.h>
 #include <sys/statvfs.h>
@@ -27,11 +27,11 @@ using Facts = std::map<std::string, std::string, std::less<>>;
 
 struct Rule {
   const char* subject;
-  const char* fact;   ///< or a file, whose text is the fact; of one that is not there nothing is said
-  const char* value;  ///< that it has: one of a|b; a* begins so. Of the rules of a fact the first holds that fits
+  const char* fact;   ///< or a file, whose text is the fact; a missing file gives no finding
+  const char* value;  ///< pattern: one of a|b; a* is a prefix. The first matching rule of a fact applies
   Severity severity;
-  const char *what, *cost = "", *advice = "";  ///< {} stands for the fact, {/proc/version} for a file's text
-  const char* needed = "";                     ///< a fact: where it is one, the finding is worse by one
+  const char *what, *cost = "", *advice = "";  ///< {} is replaced by the fact, {/proc/version} by the file's text
+  const char* needed = "";                     ///< if this fact exists, the finding is one level worse
 };
 
 using enum Severity;
@@ -158,7 +158,7 @@ std::string filled(std::string text, const std::string& fact, const MachineFiles
   return text;
 }
 
-/// `of`: what the subjects are of.
+/// `of`: the owner of the subjects.
 std::vector<Finding> judged(std::span<const Rule> rules, const MachineFiles& files, const Facts& facts,
                             const std::string& of = {}) {
   std::vector<Finding> found;
@@ -236,7 +236,7 @@ void add_power(const MachineFiles& files, Facts& facts) {
         facts["throttled " + std::to_string(bit)] = (is_so & 1) != 0 ? "now" : "since the start";
     return;
   }
-  // Its kernel does not show the firmware's state: the alarm of the driver rpi_volt.
+  // If the kernel does not show the firmware's state: the alarm of the driver rpi_volt.
   for (const std::string& chip : files.names("/sys/class/hwmon", "hwmon"))
     if (files.text("/sys/class/hwmon/" + chip + "/name") == "rpi_volt")
       facts.emplace("voltage alarm", files.text("/sys/class/hwmon/" + chip + "/in0_lcrit_alarm").value_or(""));
@@ -271,7 +271,7 @@ Facts timing_facts(const MachineFiles& files, const SystemPlan* plan) {
   return facts;
 }
 
-/// Of tiers that are bound to processors.
+/// Checks tiers that are bound to processors.
 void examine_tiers(const MachineFiles& files, const SystemPlan& plan, std::vector<Finding>& found) {
   const std::string cpus = "/sys/devices/system/cpu/cpu";
   if (!files.exists(cpus + "0")) return;
@@ -290,7 +290,7 @@ void examine_tiers(const MachineFiles& files, const SystemPlan& plan, std::vecto
   }
 }
 
-/// Of the mount of the longest path that the folder lies below. Later mounts cover earlier ones.
+/// The facts of the mount with the longest path above the folder. Later mounts cover earlier ones.
 Facts disk_facts(const MachineFiles& files, const std::string& folder) {
   std::istringstream lines(files.text("/proc/mounts").value_or(""));
   std::string best_at, best_device, best_options;
@@ -364,7 +364,7 @@ std::vector<Finding> examine_disks(const MachineFiles& files, const SystemPlan* 
 }
 
 std::vector<Finding> examine_groups(const MachineFiles& files) {
-  // To these, distributions give the devices of ports and buses.
+  // Distributions give ports and buses to these groups.
   constexpr std::string_view wanted[] = {"dialout", "i2c", "spi", "gpio", "iio"};
   std::vector<gid_t> mine;
   if (files.is_this_machine()) {
@@ -381,7 +381,7 @@ std::vector<Finding> examine_groups(const MachineFiles& files) {
     std::getline(std::getline(std::getline(std::getline(fields, name, ':'), password, ':'), number, ':'), members);
     const bool is_mine = std::any_of(mine.begin(), mine.end(),
                                      [&](gid_t one) { return std::to_string(one) == number; });
-    // Of a copy, whose users nobody knows here: anybody.
+    // On a copy the users are unknown: any member counts.
     const bool has_member = files.is_this_machine() ? is_mine : !line.ends_with(':');
     if (std::find(std::begin(wanted), std::end(wanted), name) != std::end(wanted) && !has_member)
       missing.push_back(name);

@@ -32,8 +32,8 @@ void RunConsole::open_log(SystemPlan& plan) {
   messages_.open(STDERR_FILENO);
   const LogSettings& settings = plan.settings.log;
   const std::string file = log_file_of(plan, options_.log_file);
-  if (!check_log_file(file, plan)) return;  // it is another's file
-  // Probably a mistyped name: a log beside it would only be in the way.
+  if (!check_log_file(file, plan)) return;  // the file belongs to something else
+  // Probably a mistyped name: do not make a log file for it.
   const auto is_unread = [](const Problem& problem) { return problem.id == "cannot-read"; };
   if (options_.log_file.empty() && std::any_of(plan.problems.begin(), plan.problems.end(), is_unread)) return;
   if (auto opened = log_.open(file, settings); !opened) {
@@ -53,8 +53,8 @@ AsyncWriter& RunConsole::terminal() {
   return terminal_;
 }
 
-/// What people are told of it: an object's error once, until something else is told of the object, though it comes
-/// again and is the reason of its health too. None: nothing new. The log has all.
+/// The text for people: an error of an object is shown once, until another message about the object; repeats and the
+/// same reason of its health are not shown. Empty: nothing new. The log has everything.
 std::optional<std::string> RunConsole::news(std::string_view object, const std::string& text) {
   if (object.empty() || object == "program") return text;
   std::string once = text;
@@ -100,7 +100,7 @@ void RunConsole::draw(const Status& status) {
   if (!has_view_) return;
   winsize size{};
   if (::ioctl(STDOUT_FILENO, TIOCGWINSZ, &size) != 0 || size.ws_col == 0) size = {24, 80, 0, 0};
-  const std::size_t columns = std::max<std::size_t>(size.ws_col, 20) - 1;  // the last makes some terminals wrap
+  const std::size_t columns = std::max<std::size_t>(size.ws_col, 20) - 1;  // the last column makes some terminals wrap
   const std::size_t rows = std::max<std::size_t>(size.ws_row, 6) - 1;
   std::vector<std::string> below = lines_in(for_terminal(note_, columns));
   below.resize(std::min<std::size_t>(below.size(), 5));
@@ -124,7 +124,7 @@ void RunConsole::close_view() {
   view_is_shown_ = false;
   if (note_.empty()) return;
   tell(note_ + "\n");
-  messages_.wait_until_written(std::chrono::seconds{2});  // before the tables, which go another way
+  messages_.wait_until_written(std::chrono::seconds{2});  // before the tables, which are written directly
 }
 
 void RunConsole::report(LogLevel level, const Status& status, const std::string& verdict) {

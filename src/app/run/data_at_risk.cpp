@@ -14,7 +14,7 @@ namespace {
 using config_detail::child_or_self;
 using config_detail::text_or_empty;
 
-/// It has a `silence`, which is not set.
+/// True if it has a parameter `silence` that is not set.
 bool may_go_quiet(const PartPlan& part, const std::vector<ParameterInfo>& parameters) {
   const auto silence = std::find_if(parameters.begin(), parameters.end(),
                                     [](const ParameterInfo& parameter) { return parameter.key == "silence"; });

@@ -14,7 +14,7 @@
 namespace rtdata::app {
 namespace {
 
-/// Why the log cannot be this file while the part writes those of its topics; empty: it can.
+/// Why the log cannot use this file, because the part writes it; empty: it can.
 std::string conflict_with(const PartPlan& part, const SystemPlan& plan, const config_detail::WrittenFile& log) {
   const StoredTopics& stores = *part.stores;
   if (stores.path.empty() || stores.path == "-") return "";
@@ -28,7 +28,7 @@ std::string conflict_with(const PartPlan& part, const SystemPlan& plan, const co
   return why;
 }
 
-/// Why it cannot be appended to; empty: it can.
+/// Why the log cannot append to the file; empty: it can.
 std::string obstacle(const std::string& file) {
   struct stat about {};
   if (::stat(file.c_str(), &about) == 0) {

@@ -16,8 +16,8 @@ namespace rtdata::app {
 namespace {
 
 constexpr Duration device_look = std::chrono::milliseconds{5};
-constexpr Duration storing_patience = std::chrono::milliseconds{2500};  // less than whoever asked for it waits
-constexpr std::size_t most_told = 100;                                  // mistakes: telling them takes the loop's time
+constexpr Duration storing_patience = std::chrono::milliseconds{2500};  // less than the client waits
+constexpr std::size_t most_told = 100;                                  // maximum number of mistakes to report, because reporting takes the loop's time
 constexpr Duration step_time = std::chrono::milliseconds{2};            // of a turn
 
 }  // namespace
@@ -51,7 +51,7 @@ void Reload::conclude(Change& change, LogLevel level, const std::string& text, s
     under_way_ = nullptr;
     begin_next();
   }
-  loop_.post([read = std::move(change.read)] {});  // to destroy many parts takes a turn of its own
+  loop_.post([read = std::move(change.read)] {});  // destroying many parts needs a separate turn
 }
 
 void Reload::refuse(Change& change, const std::string& text) {
@@ -92,14 +92,14 @@ bool Reload::may_be_applied(Change& change) {
   return refused("what is refused can be done by starting the program again");
 }
 
-/// Looks whether new files can be written.
+/// Checks that new files can be written.
 struct Reload::NewFilesLook final : detail::LaneJob {
   NewFilesLook(Reload& reload, const std::shared_ptr<Change>& change, std::vector<NewFile> files)
       : reload_(reload), change_(change), files_(std::move(files)) {}
   void run() noexcept override try {
     for (const NewFile& file : files_)
       if (std::string why = obstacle_to_write(file); !why.empty()) obstacles_.push_back(file.object + ": " + why);
-  } catch (...) {  // no memory: as if it had not come back
+  } catch (...) {  // no memory: treated like a job that did not return
     has_failed_ = true;
   }
   void done(Outcome outcome) override {
@@ -120,7 +120,7 @@ struct Reload::NewFilesLook final : detail::LaneJob {
  private:
   Reload& reload_;
   const Weak change_;
-  const std::vector<NewFile> files_;  // their functions are those of the plan, and hold what they use
+  const std::vector<NewFile> files_;  // their functions come from the plan and own what they use
   std::vector<std::string> obstacles_;
   bool has_failed_ = false;
 };
@@ -169,7 +169,7 @@ void Reload::then(const Weak& change, void (Reload::*step)(const std::shared_ptr
 void Reload::apply(std::shared_ptr<const NextPlan> read, const std::string& why, Told told,
                    std::set<std::string> given_up) {
   const auto change = std::make_shared<Change>(Change{std::move(read), why, std::move(told), std::move(given_up)});
-  // A device, or a disk, has held it up: the file is another by now.
+  // A device or a disk delayed the reading: the file has been read again since then.
   if (change->read->number < newest_)
     return refuse(*change, "the file was read again since, and is applied as it was then");
   newest_ = change->read->number;
@@ -229,7 +229,7 @@ void Reload::ask_tiers(const std::shared_ptr<Change>& change) {
 void Reload::stop_waiting(const std::shared_ptr<Change>& change) {
   if (!std::exchange(change->is_waiting, false)) return;  // both are there in one turn
   change->patience = {};
-  if (change->is_looking) {  // the lane gives the look up at the same time
+  if (change->is_looking) {  // the lane gives up the check at the same time
     for (const NewFile& file : new_files(system_.parts().plans(), change->read->plan, change->steps->changes()))
       change->obstacles.push_back(NewFilesLook::not_known({file}).front());
   }

@@ -33,11 +33,11 @@ namespace rtdata::app {
 namespace {
 
 constexpr Duration redraw_period = std::chrono::milliseconds{500};
-constexpr Duration longest_to_be_safe = std::chrono::seconds{12};  // of a slow device
-constexpr Duration answer_patience = std::chrono::seconds{4};      // less than that of the control socket
+constexpr Duration longest_to_be_safe = std::chrono::seconds{12};  // for a slow device
+constexpr Duration answer_patience = std::chrono::seconds{4};      // less than the limit of the control socket
 constexpr Duration line_period = std::chrono::seconds{10};         // in a pipe, and for the service manager
 
-/// One run, from the file to the exit status. Members in the order in which they may go.
+/// One run, from the file to the exit status. The order of the members is their order of construction and destruction.
 class Run {
  public:
   Run(const Registry& registry, const RunOptions& options)
@@ -80,7 +80,7 @@ class Run {
 
   int run(const SystemPlan& plan) {
     for (const Problem& warning : plan.warnings) {
-      if (warning.id == "cannot-write") continue;  // of the log: reported when it was opened
+      if (warning.id == "cannot-write") continue;  // from the log: already reported when it was opened
       console_.say(LogLevel::warning, "configuration", warning.text(), warning.id);
     }
     Runtime::Config runtime_config = plan.runtime_config();
@@ -137,7 +137,7 @@ class Run {
     {
       Service service(loop);
       loop.post([&] { be_ready(service); });
-      // Without the table there is nothing to show between two lines: the program is not woken up for it.
+      // Without the table nothing is shown between two lines, so the program need not wake up.
       Ticker ticker(loop,
                     Ticker::Config{.period = console_.has_view() ? redraw_period : line_period, .name = "display"},
                     [&](const Tick& tick) { show(runtime, service, tick.due); });
@@ -151,7 +151,7 @@ class Run {
       desk.end();
       set_safe(loop, system);
       ticker.set_period(redraw_period);
-      not_stored_ += reload.not_stored();  // what its sinks still send is among what closing counts
+      not_stored_ += reload.not_stored();  // closing counts what its sinks still send
       not_stored_ += loop.close(close_deadline_);
     }
     tell_holds(loop.callbacks());
@@ -167,7 +167,7 @@ class Run {
     return exit_status;
   }
 
-  /// Paths of the sinks for the summary, and how long closing them may take.
+  /// Notes the paths of the sinks for the summary, and how long closing them may take.
   void note_sinks(const SystemPlan& plan) {
     close_deadline_ = plan.settings.tiers.empty() ? Duration{0} : Duration{std::chrono::seconds{2}};
     for (const PartPlan& part : plan.parts) {
@@ -189,14 +189,14 @@ class Run {
       if (part.kind == "machine") info.made = &system.parts();
       if (part.publishes && (part.kind == "output" || part.type == "limit"))
         info.changes.push_back(part.publishes->topic);
-      if (part.publishes || part.stores || part.type.empty()) continue;  // which have a status of their own
+      if (part.publishes || part.stores || part.type.empty()) continue;  // these have their own status
       info.parts.push_back({{part.kind, part.name, part.type, users[{part.kind, part.name}], {}},
                             system.parts().find<Bus>(part.kind, part.name)});
     }
     return info;
   }
 
-  /// On the control socket's thread: waits for the loop, but not for ever.
+  /// On the control socket's thread: waits for the loop with a limit.
   static CommandOutcome reload_for(Loop& loop, Reload& reload, CommandDesk& desk, const std::vector<std::string>& words,
                                    const std::string& by) {
     auto outcome = std::make_shared<std::promise<CommandOutcome>>();
@@ -215,8 +215,7 @@ class Run {
             "comes of it"};
   }
 
-  /// Outputs of which nobody knows whether they have their safe value, also those that a reload closed: "output heater,
-  /// output fan".
+  /// Outputs that may not have their safe value, also those closed by a reload: "output heater, output fan".
   static std::string unsafe_outputs(const System& system, const OutputGuard* guard) {
     std::set<std::string> all;
     if (guard != nullptr)
@@ -227,7 +226,7 @@ class Run {
     }
     return detail::listed(all);
   }
-  /// Tells what held those that stop; returns those that do not, for people: "tier fast in sensor chamber".
+  /// Stops all tiers; reports what delayed them. Returns the tiers that do not stop: "tier fast in sensor chamber".
   std::string stop_tiers(const SystemPlan& plan, System& system) {
     std::string hanging;
     for (const auto& entry : plan.settings.tiers) {
@@ -243,14 +242,14 @@ class Run {
     return hanging;
   }
 
-  /// All outputs at once, while the loop turns, so that none waits for the device of another.
+  /// Sets all outputs safe at once, while the loop turns, so that none waits for another's device.
   static void set_safe(Loop& loop, System& system) {
     if (system.parts().names("output").empty()) return;
     system.finish_outputs([&loop] { loop.stop(); });
     loop.run_for(longest_to_be_safe);
   }
 
-  /// The end of a program of which a thread does not end: what it uses cannot be destroyed.
+  /// Ends the program although a thread does not end, without destroying what the thread uses.
   [[noreturn]] void leave_behind(const std::string& hanging) {
     console_.say(LogLevel::error, "program", "ended though it hangs: " + hanging + "; the recordings say what is known",
                  "not-turning");
@@ -302,13 +301,13 @@ class Run {
     }
   }
 
-  /// The loop turns, and so do its tiers.
+  /// Called when the loop and its tiers turn.
   void be_ready(Service& service) {
     const auto told = service.tell("READY=1\nSTATUS=running");
     if (!told) console_.say(LogLevel::warning, "program", told.error().text(), told.error().id());
   }
 
-  /// The callbacks that held the loop, and their times.
+  /// Logs the callbacks that held the loop, with their times.
   void tell_holds(const std::vector<CallbackStatus>& callbacks) {
     for (const CallbackStatus& callback : callbacks) {
       const CallbackTimes& times = callback.times;
@@ -338,7 +337,7 @@ class Run {
 
   void stop(Loop& loop, const char* signal) {
     is_storing_told_ = true;
-    if (is_closing_) {  // stopping the loop would end that
+    if (is_closing_) {  // stopping the loop would end the closing
       console_.say(LogLevel::info, "program",
                    std::string(signal) + ": it is storing what is queued already (again: ends at once)");
       draw();
@@ -350,13 +349,13 @@ class Run {
     loop.stop();
   }
 
-  /// The view watches as a client of its own.
+  /// The view is its own client of the status.
   void draw() {
     constexpr std::uint64_t view = 0;
     if (console_.has_view() && status_ != nullptr) console_.draw(status_->take(view));
   }
 
-  /// A run whose time is over may take long to store what is queued: said when it has taken half a second.
+  /// Shows a message if storing the queue at the end takes more than half a second.
   void tell_storing(std::uint64_t queued) {
     if (is_storing_told_ || ++shows_while_closing_ < 2 || queued == 0) return;
     is_storing_told_ = true;
@@ -376,7 +375,7 @@ class Run {
     if (is_line_due && !console_.has_view()) console_.say(LogLevel::info, "", progress(status_of(runtime)));
   }
 
-  /// `unknown`: what is not in the account; empty: it is complete.
+  /// `unknown`: what the account does not contain; empty: it is complete.
   int report(Runtime& runtime, const std::string& unknown, const std::string& unsafe,
              const std::set<std::string>& not_made) {
     console_.tell_log_failure();
@@ -388,7 +387,7 @@ class Run {
       if (followers_.contains(sink.name) && !sink.backlog)
         ending.unknown_backlogs.push_back("sink " + sink.name + (sink.reason.empty() ? "" : ": " + sink.reason));
       constexpr auto refused = static_cast<std::size_t>(DropReason::refused);
-      if (recordings_.contains(sink.name) && sink.dropped[refused] != 0) is_all_stored = false;  // by disk or file
+      if (recordings_.contains(sink.name) && sink.dropped[refused] != 0) is_all_stored = false;  // refused by the disk or file
     }
     is_all_stored = is_all_stored && ending.unknown_backlogs.empty();
     std::string said = verdict(status, ending);
@@ -401,7 +400,8 @@ class Run {
     return ending.balances && is_all_stored && unsafe.empty() ? exit_good : exit_other;
   }
 
-  /// Of a file with outputs. Before there are threads, and so before the file is checked: one with mistakes has none.
+  /// Starts the guard for a file with outputs, before there are threads and so before the file is checked. A file with
+  /// mistakes gets no guard.
   static std::unique_ptr<OutputGuard> start_guard(const Registry& registry, const ConfigDocument& document) {
     const ConfigItem* const outputs = document.root.find("outputs");
     if (outputs == nullptr || outputs->size() == 0) return nullptr;
@@ -412,19 +412,19 @@ class Run {
   const RunOptions& options_;
   ConfigDocument document_;                   // until it is checked
   const std::unique_ptr<OutputGuard> guard_;  // null: the file has no outputs
-  StopSignals signals_;                       // before the others: their threads are not to take the signals
+  StopSignals signals_;                       // before the others, so that their threads do not get the signals
   RunConsole console_;
   Log& log_ = console_.log();
-  StatusSource* status_ = nullptr;  // while there is one
+  StatusSource* status_ = nullptr;  // null: none now
   MonotonicTime last_line_{};
   bool is_closing_ = false;
   Duration close_deadline_{0};
-  std::map<std::string, std::string> paths_;  // of the sinks, also of those that were closed
+  std::map<std::string, std::string> paths_;  // of the sinks, also of closed ones
   std::set<std::string> recordings_;          // of the sinks
-  std::set<std::string> followers_;           // that go through one of them
+  std::set<std::string> followers_;           // sinks with `through`
   bool is_storing_told_ = false;
   unsigned shows_while_closing_ = 0;
-  std::uint64_t not_stored_ = 0;  // when a sink or all ended: they are lost
+  std::uint64_t not_stored_ = 0;  // lost when sinks ended
 };
 
 }  // namespace

@@ -18,7 +18,7 @@ namespace {
 
 constexpr Duration longest_limit = std::chrono::seconds{1};
 
-/// A number of the environment; 0 where there is none.
+/// A number from the environment; 0 if there is none.
 std::int64_t number_of(const char* variable) {
   const char* text = std::getenv(variable);
   std::int64_t value = 0;
@@ -80,7 +80,7 @@ Service::Service(Loop& loop) {
 
 void Service::feed() {
   if (all_turn()) {
-    (void)manager_.tell("WATCHDOG=1");  // a socket that does not work was reported with READY=1
+    (void)manager_.tell("WATCHDOG=1");  // a failing socket was already reported with READY=1
   } else {
     ++withheld_;
   }
