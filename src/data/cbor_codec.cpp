@@ -1,4 +1,4 @@
-// CBOR (RFC 8949): written by a plan of each description, read by nlohmann's parser.
+// CBOR (RFC 8949): written with a plan for each description, read with nlohmann's parser.
 #include <algorithm>
 #include <bit>
 #include <optional>
@@ -67,13 +67,13 @@ char* put_integer(char* to, std::int64_t number) {
                     : put_head(to, natural, static_cast<std::uint64_t>(number));
 }
 
-/// One that is no UTF-8 is a string of bytes, since texts of CBOR are UTF-8.
+/// A text that is not UTF-8 is written as a byte string, because CBOR texts are UTF-8.
 char* put_text(char* to, std::string_view text) {
   to = put_head(to, detail::is_utf8(text) ? text_string : bytes_string, text.size());
   return detail::copy_short(to, text.data(), text.size());
 }
 
-/// What to write for the payloads of one description: before each leaf bytes that never change.
+/// The plan for payloads of one description: the fixed bytes before each leaf.
 struct Plan {
   explicit Plan(const Description& description) : leaves_(description.leaves()) {
     steps.reserve(leaves_.size());
@@ -83,7 +83,7 @@ struct Plan {
     longest += fixed.size();
   }
 
-  /// A leaf. Of floats that are always there, the head is fixed, too: what is left are the bytes of the number.
+  /// A leaf. For floats that are always present, the head is fixed too, and only the number's bytes remain.
   struct Step {
     enum class Sort : std::uint8_t { item, number_4, number_8 } sort = Sort::item;
     std::size_t prefix_size = 0;  ///< of the next bytes of `fixed`
@@ -167,12 +167,12 @@ char* put_value(char* to, const Leaf& leaf, const std::byte* from) {
   }
 }
 
-/// Reads the heads of items, to find where the first one of a stream ends.
+/// Reads the heads of items to find the end of the first one in a stream.
 class ItemReader {
  public:
   explicit ItemReader(std::span<const std::byte> stream) : stream_(stream) {}
 
-  /// Bytes of the first item; 0: it is not all there. One that is none ends with the byte that shows it.
+  /// The size of the first item; 0: incomplete. An invalid item ends at the byte that shows the error.
   std::size_t first_item() {
     constexpr std::size_t deepest = 64;
     std::vector<std::uint64_t> left{1};  // items of each open list or map; of unknown length: `endless`
@@ -209,7 +209,7 @@ class ItemReader {
     }
     return at_;
   }
-  /// A number that was passed is less than what int64 has.
+  /// True if a number was below the range of int64.
   bool is_below_range() const noexcept { return is_below_range_; }
 
  private:
@@ -276,7 +276,7 @@ class CborCodec final : public Codec {
   Result<DecodedEvent> decode(std::span<const std::byte> bytes, const Description& description) override {
     ItemReader item(bytes);
     (void)item.first_item();
-    if (item.is_below_range())  // nlohmann's parser would make another number of it
+    if (item.is_below_range())  // nlohmann's parser would convert it wrongly
       return Error{Errc::out_of_range, "the bytes are no event in CBOR", "", "it has a number below -2^63", ""};
     return detail::decode_cbor(bytes, description);
   }

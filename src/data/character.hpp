@@ -1,5 +1,5 @@
-// A `char` of a payload is a number from 0 to 255, whether the compiler's `char` has a sign (x86) or not (ARM): in
-// text, the character of Unicode with that number.
+// A `char` of a payload is a number from 0 to 255, for signed (x86) and unsigned (ARM) `char`. In text it is the
+// Unicode character with that number.
 #pragma once
 
 #include <optional>

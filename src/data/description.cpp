@@ -65,13 +65,13 @@ std::string listed_values(const std::vector<EnumValue>& values) {
   return text;
 }
 
-/// "pressure.raw": what was added to the value "pressure", beside which no record of that name can be.
+/// "pressure.raw": a field added to the value "pressure"; there can be no record "pressure" then.
 bool is_added_name(std::string_view name, const std::vector<Field>& fields) {
   const auto dot = name.rfind('.');
   return dot != std::string_view::npos && is_name(name.substr(dot + 1)) && field_at(fields, name.substr(0, dot));
 }
 
-/// Everything of one record: names, shapes, sizes; then its records. `where` ends in a dot unless empty.
+/// Checks one record (names, shapes, sizes), then its nested records. `where` ends with a dot unless empty.
 Result<void> check(const std::vector<Field>& fields, std::size_t size, const std::string& where, int depth) {
   if (depth > deepest_record) {
     return not_usable(where, "records are nested more than " + std::to_string(deepest_record) + " deep",

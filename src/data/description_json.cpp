@@ -73,7 +73,7 @@ std::string unknown_key(const JsonNode& node, std::initializer_list<std::string_
   return {};
 }
 
-/// A key that an object in it has twice; null: none.
+/// A duplicate key in an object below; null: none.
 const std::string* key_twice(const JsonNode& node) {
   std::set<std::string_view> keys;
   for (const std::string& key : node.keys) {

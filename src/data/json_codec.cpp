@@ -22,13 +22,13 @@ using detail::put_number;
 
 char* put(char* to, std::string_view text) { return detail::copy_short(to, text.data(), text.size()); }
 
-/// Stands for itself in a string.
+/// True if the character needs no escape in a string.
 bool is_plain(char c) {
   const auto code = static_cast<unsigned char>(c);
   return code >= 0x20 && code < 0x7f && c != '"' && c != '\\';
 }
 
-/// Escapes what is no UTF-8 (utf8.hpp). Writes at most 6 bytes for each of the text's, and two quotes.
+/// Escapes bytes that are not UTF-8 (utf8.hpp). Writes at most 6 bytes for each byte of the text, and two quotes.
 char* put_string(char* to, std::string_view text) {
   *to++ = '"';
   for (;;) {
@@ -83,7 +83,7 @@ char* put_floating(char* to, T number) {
   return put_number(to, number);
 }
 
-/// What to write for the payloads of one description: before each leaf a text that never changes, and one at the end.
+/// The plan for payloads of one description: the fixed text before each leaf, and at the end.
 struct Plan {
   struct Step {
     std::size_t prefix_size = 0;  ///< of the next bytes of `fixed`
@@ -192,7 +192,7 @@ char* put_value(char* to, const Plan& plan, const Plan::Step& step, const std::b
 class JsonCodec final : public Codec {
  public:
   std::string_view name() const noexcept override { return "json"; }
-  std::string_view extension() const noexcept override { return "jsonl"; }  // as a whole it is no JSON text
+  std::string_view extension() const noexcept override { return "jsonl"; }  // the whole file is not a JSON text
   bool is_text() const noexcept override { return true; }
 
   Result<void> encode(const EventView& event, std::vector<std::byte>& out) override {

@@ -15,10 +15,10 @@ namespace {
 
 using Node = detail::JsonNode;
 
-/// What the tree was made of.
+/// The format of the source.
 enum class Source {
   json,
-  cbor,  ///< texts are what they are, without escapes
+  cbor,  ///< texts without escapes
 };
 
 /// Of one event.
@@ -54,8 +54,8 @@ class Reader {
     std::vector<const Node*> found(names.size(), nullptr);
     for (std::size_t i = 0; i < node.keys.size(); ++i) {
       const std::string& key = node.keys[i];
-      // Mostly the keys come in order. This ends after names.size() + 1 keys at the latest: the next is unknown or
-      // twice.
+      // Usually the keys come in order. The loop ends after names.size() + 1 keys at the latest: the next one is
+      // unknown or a duplicate.
       std::size_t at = i;
       if (at >= names.size() || names[at] != key) {
         at = static_cast<std::size_t>(std::find(names.begin(), names.end(), key) - names.begin());
@@ -91,14 +91,14 @@ class Reader {
     return write(leaf, payload_, value(leaf, node));
   }
 
-  /// What to write there; of a node that is no list and no object.
+  /// The value of a node that is not a list or an object.
   Value value(const Leaf& leaf, const Node& node) const {
     const bool floating = leaf.kind == Kind::f32 || leaf.kind == Kind::f64;
     switch (node.type) {
       case Node::Type::boolean:
         return node.flag;
       case Node::Type::integer:
-        if (floating && node.integer == 0) return -0.0;  // the parser takes a 0 without a sign for a natural number
+        if (floating && node.integer == 0) return -0.0;  // the parser reads an unsigned 0 as a natural number
         if (floating) return nearest(leaf.kind, node.integer);
         return node.integer;
       case Node::Type::natural:
@@ -106,7 +106,7 @@ class Reader {
         return node.natural;
       case Node::Type::fraction:
         if (leaf.kind == Kind::f32) {
-          // Not by way of the double: rounding twice may give the neighbour.
+          // Not through a double: rounding twice may give a wrong float.
           float number = 0;
           const char* end = node.text.data() + node.text.size();
           if (const auto r = std::from_chars(node.text.data(), end, number); r.ec == std::errc{} && r.ptr == end) {
@@ -130,7 +130,7 @@ class Reader {
     }
   }
 
-  /// Decimal text means the nearest number that the field can hold.
+  /// A decimal text gives the nearest number of the field's type.
   template <class T>
   static double nearest(Kind kind, T number) {
     return kind == Kind::f32 ? static_cast<double>(static_cast<float>(number)) : static_cast<double>(number);

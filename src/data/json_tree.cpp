@@ -66,7 +66,7 @@ class Builder {
       root_.type = type;
       return &root_;
     }
-    // Only the innermost open node grows, so the pointers to the others stay good.
+    // Only the innermost open node grows, so the pointers to the others stay valid.
     JsonNode& made = open_.back()->children.emplace_back();
     made.type = type;
     return &made;
@@ -109,7 +109,7 @@ std::string parse_cbor(std::span<const std::byte> bytes, JsonNode& root) {
 }
 
 void append_json(std::string& out, std::string_view text) {
-  constexpr std::string_view plain_escapes = "\"\"\\\\\bb\ff\nn\rr\tt";  // a character, what stands for it
+  constexpr std::string_view plain_escapes = "\"\"\\\\\bb\ff\nn\rr\tt";  // pairs of escape letter and character
   constexpr char digits[] = "0123456789abcdef";
   out += '"';
   while (!text.empty()) {

@@ -43,9 +43,9 @@ Error too_long(const std::string& where, std::size_t size) {
   return does_not_fit(where, "it has " + std::to_string(size) + " bytes, a value may have 255");
 }
 
-/// The values of a payload, in their order, as encoding takes them.
+/// The plan for encoding a payload: its values in order.
 struct Plan {
-  /// Numbers by their size in bytes, which always fit, and values of every other sort.
+  /// Numbers by size in bytes, which always fit, and other values.
   enum class Sort : std::uint8_t { field = 0, numbers_1 = 1, numbers_2 = 2, numbers_4 = 4, numbers_8 = 8 };
   struct Step {
     Sort sort = Sort::field;
@@ -111,10 +111,10 @@ std::byte* put_numbers(std::byte* to, const std::byte* from, std::size_t count) 
   return to;
 }
 
-/// A value of any sort. Null and the reason when it cannot be sent.
+/// Writes a value of any sort. Returns null, with the reason, if it cannot be sent.
 std::byte* put_field(std::byte* to, const Plan::Step& step, const std::byte* at, Error& why) {
   const Field& field = *step.field;
-  std::byte* const begin = ++to;  // behind the size, which comes last
+  std::byte* const begin = ++to;  // after the size, which is written last
   for (std::size_t i = 0; i < field.count; ++i, at += field.stride) {
     if (field.optional != nullptr && !field.optional->has_value(at)) {
       why = does_not_fit(step.where, "it is absent, and raw bytes have no sign for that");
@@ -149,7 +149,8 @@ std::byte* replace_numbers(std::byte* to, const std::byte* from, std::size_t cou
   return to;
 }
 
-/// The bytes of an event of numbers only: the next of the same topic, origin and description differs in the numbers.
+/// The bytes of the last event with only numbers: the next one of the same topic, origin and description only needs new
+/// numbers.
 class LastEvent {
  public:
   bool is_like(const EventView& event) const noexcept {
@@ -364,7 +365,7 @@ class RawCodec final : public Codec {
   }
 
  private:
-  /// Where an event came from, as addresses that are compared and never followed.
+  /// The source of an event, as addresses that are only compared.
   struct Source {
     const void* topic = nullptr;
     const void* origin = nullptr;
@@ -375,7 +376,7 @@ class RawCodec final : public Codec {
   [[gnu::noinline]] Result<void> encode_unlike_last(const EventView& event, std::vector<std::byte>& out) {
     if (event.topic().size() > longest_value) return too_long("topic", event.topic().size());
     if (event.origin().size() > longest_value) return too_long("origin", event.origin().size());
-    last_.forget();  // its plan may go now
+    last_.forget();  // its plan may be destroyed now
     const Plan& plan = plans_.of(event.description());
     const std::size_t begin = out.size();
     out.resize(begin + longest_header + event.topic().size() + event.origin().size() + plan.longest);
@@ -414,7 +415,7 @@ class RawCodec final : public Codec {
     const auto size = static_cast<std::uint32_t>(end - begin - 4);
     copy_number(out.data() + begin, reinterpret_cast<const std::byte*>(&size), sizeof size);
     out.resize(end);
-    // Where origins or topics take turns, keeping each would cost more than it saves.
+    // If origins or topics alternate, keeping each event would cost more than it saves.
     const Source source{event.topic().data(), event.origin().data(), &plan};
     if (plan.is_fixed && source == previous_) last_.keep(event, plan, config_.sequence, std::span(out).subspan(begin));
     previous_ = source;

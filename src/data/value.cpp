@@ -259,7 +259,7 @@ Result<void> write(const Leaf& leaf, std::byte* payload, const Value& value) {
     leaf.optional->set(to, false);
     return {};
   }
-  // An optional is laid out as its value and then the flag that it has one, which is set once the value is written.
+  // An optional is its value followed by a flag, which is set after the value is written.
   auto done = put(leaf, to, value);
   if (done) to[leaf.optional->value_size] = std::byte{1};
   return done;

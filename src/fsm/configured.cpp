@@ -11,7 +11,7 @@
 
 namespace rtdata::fsm {
 
-// Closed from its end: what hears of events goes before what they change.
+// Members are destroyed from the last: handlers of events before the state that they change.
 struct ConfiguredMachine::Core {
   Core(Loop& its_loop, const MachineSettings& its_settings, Sync its_sync);
   Core(const Core&) = delete;
@@ -21,8 +21,8 @@ struct ConfiguredMachine::Core {
   struct Age {
     bool has_come = false;
     bool is_silence_told = false;
-    bool is_forgotten = false;  // its values are too old, and taken out of the conditions of the current state
-    MonotonicTime came{};       // at first: made
+    bool is_forgotten = false;  // its values are too old and were removed from the conditions of the current state
+    MonotonicTime came{};       // initially the time of construction
   };
   /// Of a transition.
   struct When {
@@ -53,7 +53,7 @@ struct ConfiguredMachine::Core {
     const auto& fields = inputs.all()[input].fields;
     return std::any_of(fields.begin(), fields.end(), [&](const auto& field) { return expression.uses(field.index); });
   }
-  // Who acts
+  // The handler of states
   void act();
   void acted_on(std::uint64_t number);
 
@@ -68,19 +68,19 @@ struct ConfiguredMachine::Core {
   std::vector<std::vector<std::size_t>> whens_of;  // of each state
   std::size_t state = 0;
   std::optional<Time> last_time;  // of an input's event
-  bool is_evaluated = false;      // those of the current state, with the event that is taken in
-  /// The state, and when the machine came to it, for all threads: 16 bits, and 48 bits of microseconds.
+  bool is_evaluated = false;      // conditions of the current state were evaluated for the present event
+  /// The state and its arrival time, for all threads: 16 bits, and 48 bits of microseconds.
   std::atomic<std::uint64_t> shown{0};
 
   Callback<void(std::string_view)> handler;
-  bool is_acted_on = false;   // the present arrival
-  bool was_acted_on = false;  // the arrival with which it begins, of the machine before
+  bool is_acted_on = false;   // the handler was called for the present arrival
+  bool was_acted_on = false;  // the previous machine's handler was called for the first arrival
   std::uint64_t arrivals = 0;
-  std::uint64_t syncing = 0;  // the arrival that is to be on the card; 0: none is awaited
+  std::uint64_t syncing = 0;  // the arrival being synced to disk; 0: none
   std::weak_ptr<Core> self;
 
   Machine machine;
-  Timer patience;  // with the card
+  Timer patience;  // limit for syncing
   Ticker silence;
   std::vector<Subscription> subscriptions;
 };
@@ -142,7 +142,7 @@ void ConfiguredMachine::Core::build(const std::vector<std::string>& names) {
   }
 }
 
-/// Apart, since a subscription may fail.
+/// Separate, because a subscription may fail.
 void ConfiguredMachine::Core::listen() {
   subscriptions = inputs.subscribe(loop, "machine " + settings.name, [this](std::size_t input, const EventView& event) {
     take(input, event, event.time());
@@ -162,7 +162,7 @@ void ConfiguredMachine::Core::listen() {
   }
 }
 
-/// The last of inputs that bring an event only when something changes.
+/// Takes the last events of inputs that publish only changes.
 void ConfiguredMachine::Core::recall() {
   const std::shared_ptr<Core> kept = self.lock();
   const Time now = loop.core().runtime.event_time(loop.now());
@@ -185,10 +185,10 @@ void ConfiguredMachine::Core::take(std::size_t input, const EventView& event, Ti
   if (is_new) tell_missing(inputs.all()[input]);
   last_time = time;
   forget_old();
-  // All of them, since memories take in each event, whichever transitions are tried.
+  // Evaluates all conditions, because functions with a memory need each event.
   for (const std::size_t number : own) evaluate(whens[number], time);
   is_evaluated = true;
-  const std::shared_ptr<Core> kept = self.lock();  // a handler of the change may end the machine's life
+  const std::shared_ptr<Core> kept = self.lock();  // a handler of the change may destroy the machine
   rtdata::detail::Node& node = detail::node_of_open(machine, inputs.all()[input].topic);
   if (was_old)
     for (const std::size_t number : own)
@@ -204,7 +204,7 @@ void ConfiguredMachine::Core::tell_missing(const rtdata::detail::ExpressionSourc
              "it has no number `" + field.name + "`", "look at its fields, and at the conditions");
 }
 
-/// What has become too old is no value for the conditions of the current state any more.
+/// Removes values that are too old from the conditions of the current state.
 void ConfiguredMachine::Core::forget_old() {
   for (std::size_t i = 0; i < ages.size(); ++i) {
     if (ages[i].is_forgotten || !ages[i].has_come || !is_old(i)) continue;
@@ -226,7 +226,7 @@ void ConfiguredMachine::Core::evaluate(When& when, Time time) {
 
 bool ConfiguredMachine::Core::holds(std::size_t number, const Moment& moment) {
   When& when = whens[number];
-  if (!is_evaluated) {  // time has passed, or a named event came
+  if (!is_evaluated) {  // evaluated because time has passed or a named event came
     forget_old();
     evaluate(when, moment.time);
   }
@@ -251,7 +251,7 @@ void ConfiguredMachine::Core::arrived(std::size_t index) {
         if (const auto& value = values[field.index]; value && when.expression.uses(field.index))
           when.expression.set(field.index, *value);
     }
-    if (last_time) evaluate(when, *last_time);  // its memories begin with what the machine arrived with
+    if (last_time) evaluate(when, *last_time);  // its memories start with the values at the arrival
   }
   ++arrivals;
   is_acted_on = std::exchange(was_acted_on, false);

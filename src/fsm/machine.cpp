@@ -40,7 +40,7 @@ class StateOfFunctions final : public State {
   StateConfig config_;
 };
 
-/// As much of it as fits, without a broken character at its end.
+/// Cuts the text to fit, without a broken character at its end.
 text<max_cause> cut(std::string_view cause) {
   if (cause.size() > max_cause) {
     std::size_t end = max_cause;
@@ -61,7 +61,7 @@ class MachineNode final : public Node {
         time_(loop, {.name = object()}, [this] { time_passed(); }),
         go_on_(loop, {.name = object()}, [this] { take_waiting(); }),
         table_(config_.name) {
-    feed_.set_numbered();  // it makes its events itself
+    feed_.set_numbered();  // it numbers its own events
   }
 
   // Its table
@@ -128,8 +128,8 @@ class MachineNode final : public Node {
   void begin_hold_anew(std::size_t way) {
     if (current_ != nullptr && way < current_->ways.size()) current_->ways[way]->since.reset();
   }
-  /// An input's value was too old from then on. With events that came since, conditions were tried without it, so that
-  /// what holds does not need it; without one, nothing confirmed any.
+  /// An input's value was too old from `from` on. Conditions that were evaluated since then did not use it; the others
+  /// lose their hold time.
   void input_was_old(MonotonicTime from) {
     if (last_came_ > from || current_ == nullptr) return;
     for (const auto& way : current_->ways) way->since.reset();
@@ -162,7 +162,7 @@ class MachineNode final : public Node {
     const MonotonicTime now = loop()->now();
     take(event, on_line(now), now);
   }
-  /// Now, or after those that wait for the end of a change.
+  /// Takes the event now, or after the events that wait for the end of a change.
   void take(std::uint16_t event, Time time, MonotonicTime now) {
     if (is_busy_ || waiting_ > 0) [[unlikely]]
       return keep(event, time);
@@ -182,8 +182,7 @@ class MachineNode final : public Node {
     queue_[(first_ + waiting_++) % queue_.size()] = {event, time};
     if (!is_busy_) take_waiting();
   }
-  /// What waits, and in turn what that causes: at most as many as may wait at once, then the loop has a turn in
-  /// between.
+  /// Takes waiting events and those that they cause, up to the queue's size; then the loop has a turn in between.
   void take_waiting() {
     const rtdata::detail::Call call(*this);
     for (std::size_t i = 0; waiting_ > 0; ++i) {
@@ -201,14 +200,14 @@ class MachineNode final : public Node {
     take_now(no_event);
     if (is_open()) arm();
   }
-  /// The loop's time, on the line of the events: those of a recording that is replayed are of another day.
+  /// The loop's time on the events' clock: events of a replayed recording are from another day.
   Time on_line(MonotonicTime now) { return last_time_ ? *last_time_ + (now - last_came_) : loop()->face.time(); }
-  /// When an action or a condition is done, and what it called.
+  /// Called when an action or a condition, and everything it called, is done.
   void ended() {
     is_busy_ = false;
     if (table_.has_removed()) tidy();
   }
-  /// Destroys what was removed, when none of it is on the stack.
+  /// Destroys removed states and transitions when none is on the stack.
   void tidy() {
     if (!is_busy_ && table_.has_removed()) table_.tidy();
   }
@@ -232,11 +231,11 @@ class MachineNode final : public Node {
     return std::any_of(state.ways.begin(), state.ways.end(),
                        [&](const auto& way) { return way->on == event && !way->is_removed; });
   }
-  /// The first that may be taken. None: null.
+  /// The first transition that may be taken; null: none.
   Way* way_out(Entry& from, std::uint16_t event, const Moment& moment) {
     const bool is_time = event == no_event;
     if (is_time) event = any_event;
-    // By index: conditions may add ways.
+    // By index, because conditions may add transitions.
     for (std::size_t i = 0, count = from.ways.size(); i < count && is_open(); ++i) {
       Way& way = *from.ways[i];
       if (way.on != event || way.is_removed || moment.in_state < way.after) continue;
@@ -317,7 +316,7 @@ class MachineNode final : public Node {
     if (!is_open()) return false;
     return call("arrive", to, [&] { to.code->arrive({time, to.name, before}); });
   }
-  /// Wakes up when the next way of the current state may be tried.
+  /// Starts the timer for the next timed transition of the current state.
   void arm() {
     const Duration passed = in_state();
     Duration next = Duration::max();
@@ -373,10 +372,10 @@ class MachineNode final : public Node {
   const Machine::Config config_;
   Feed<StateChange> feed_;
   Timer time_;   // for the next `after`
-  Timer go_on_;  // with events that wait, after a turn of the loop
+  Timer go_on_;  // continues with waiting events after a turn of the loop
   MachineTable table_;
   Entry* current_ = nullptr;
-  Entry* going_to_ = nullptr;  // while a change is under way
+  Entry* going_to_ = nullptr;  // during a change
   MonotonicTime arrived_{};
   std::optional<Time> last_time_;  // of an input's event
   MonotonicTime last_came_{};      // when that came
@@ -391,7 +390,7 @@ class MachineNode final : public Node {
   MachineCounts counts_;
 };
 
-// Apart, so that what ends a call (`Call`) stays short.
+// Separate, so that the end of a call (`Call`) stays short.
 MachineNode::~MachineNode() = default;
 void MachineNode::drop_callbacks() noexcept { table_.clear(); }
 

@@ -1,4 +1,4 @@
-// The table of a machine: its states, and the ways from one to another. Private to the machine.
+// The table of a machine: its states and transitions. Private to the machine.
 #pragma once
 
 #include <algorithm>
@@ -15,12 +15,12 @@ namespace rtdata::fsm::detail {
 
 /// What makes a machine try its transitions: a named event, by its number, or any other.
 inline constexpr std::uint16_t any_event = 0xffff;
-/// As any_event, without an event: time has passed, or the program asked. What must hold for a time goes by events.
+/// As any_event, but without an event: time has passed, or the program asked. Hold times only count events.
 inline constexpr std::uint16_t no_event = 0xfffe;
 
 struct Entry;
 
-// What each event looks at comes first.
+// The members needed for each event come first.
 struct Way {
   std::uint16_t on;         // any_event: it waits for none
   bool is_removed = false;  // destroyed when no action runs
@@ -28,28 +28,28 @@ struct Way {
   Condition when;
   Duration after;
   Duration hold;
-  std::optional<Time> since{};  // its condition has been true, of one with `hold`
+  std::optional<Time> since{};  // since when its condition has been true, with `hold`
   std::string cause;
 };
 
-/// A state, with the ways out of it.
+/// A state with the transitions out of it.
 struct Entry {
   std::string name;
   std::unique_ptr<State> code;
   bool is_final;
-  bool has_check;  // it decides itself whether it may be gone to
+  bool has_check;  // it has its own check
   std::vector<std::unique_ptr<Way>> ways{};
 };
 
-/// Thread: the machine's loop's. What is removed stays until `tidy`, since it may be on the stack.
+/// Thread: the machine's loop's. Removed entries stay until `tidy`, because they may be on the stack.
 class MachineTable {
  public:
   explicit MachineTable(const std::string& machine) : object_("machine " + machine) {}
 
   void add_state(std::string name, std::unique_ptr<State> code, bool is_final, bool has_check);
-  /// With all ways to it.
+  /// Removes a state with all transitions to it.
   void remove_state(Entry& state);
-  /// Returns the state that it leads out of.
+  /// Returns the state of its start.
   Entry& add_transition(Transition transition);
   /// The number of those that were removed.
   std::size_t remove_transitions(std::string_view from, std::string_view to);
@@ -60,7 +60,7 @@ class MachineTable {
 
   /// None: null.
   Entry* find(std::string_view name) const noexcept;
-  /// Not there: SetupError, which says `what` cannot be done.
+  /// Throws SetupError if it does not exist; `what` names the failed action.
   Entry& entry(std::string_view name, const char* what) const;
   /// any_event: no transition waits for an event of that name.
   std::uint16_t event_number(std::string_view name) const noexcept {

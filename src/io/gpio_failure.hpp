@@ -1,4 +1,4 @@
-// What the kernel answered for a GPIO line, as an error.
+// Converts the kernel's answer for a GPIO line to an error.
 #pragma once
 
 #include <cerrno>

@@ -132,7 +132,7 @@ Result<void> I2cDevice::write_word(std::uint8_t number, std::uint16_t value) {
 
 I2cBus::I2cBus(I2cConfig config) : I2cBus(std::string(config.device), config) {}
 
-// Not moved: which argument is made first is the compiler's choice.
+// Not moved, because the order of argument evaluation is unspecified.
 I2cBus::I2cBus(std::string name, I2cConfig config) : I2cBus(std::move(name), make_kernel_i2c(config.device), config) {}
 
 I2cBus::I2cBus(std::string name, std::shared_ptr<I2cTransport> transport, I2cConfig config)

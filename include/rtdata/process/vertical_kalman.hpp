@@ -12,9 +12,9 @@
 ///     agrees with the accelerometer or, after a longer time, with itself;
 ///   - while the speed is unknown (no accelerometer, or one at the end of its range) it ignores the barometer for
 ///     `burn` after the liftoff, then uses it again when a series of heights agrees;
-///   - an accelerometer at the end of its range, or that shows one and the same value for 2 s, measures nothing; nor
-///     does a barometer that repeats a height.
-/// The deviations grow while nothing is measured: they say how sure it is.
+///   - it ignores an accelerometer at the end of its range or with the same value for 2 s, and a barometer that repeats
+///     a height.
+/// The deviations show the uncertainty; they grow while nothing is measured.
 ///
 /// A value, without a loop; allocates nothing after its construction. Any thread, one at a time.
 #pragma once

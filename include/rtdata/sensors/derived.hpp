@@ -7,7 +7,7 @@
 /// Expressions: process/expression.hpp. Their names are
 ///   - FIELD, a field of the topic `on` by its path: `x`, `accel[0]`;
 ///   - TOPIC.FIELD of any of these topics, with "." for "/": `room.climate.temperature`;
-///   - TOPIC of one with a single number, or with one called `value`.
+///   - TOPIC, if it has a single number or a field called `value`.
 /// Numbers of all kinds, booleans (1 or 0) and enumerations (their number) have values; texts have none.
 ///
 /// The fields are doubles; a field is absent while its expression waits, for example for the second value of a rate or
@@ -16,8 +16,8 @@
 ///     and the time until the next usable event is a gap (disconnected);
 ///   - an expression fails (division by zero, a number that is not finite, a missing field): the event is unreadable,
 ///     the reason is reported, and the sensor is degraded until the next good event;
-///   - else it is published, with the fields that have a value.
-/// Memories begin anew after `start`.
+///   - otherwise it is published, with the fields that have a value.
+/// Functions with a memory restart after `start`.
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's.
 #pragma once

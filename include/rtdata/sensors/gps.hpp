@@ -85,7 +85,7 @@ struct GpsFix {
 struct GpsConfig {
   std::string host = "localhost";                         ///< where gpsd runs: a name or an address
   std::uint16_t port = 2947;                              ///< of gpsd
-  std::string device = {};                                ///< the receiver, as gpsd names it; empty: any
+  std::string device = {};                                ///< gpsd's name of the receiver; empty: any
   Duration silence = std::chrono::seconds{10};            ///< without a fix report for longer, it has a gap; 0: no limit
   Duration report_delay = std::chrono::seconds{1};        ///< longest delay of a report; 0: not a time source
   Duration retry_first = std::chrono::milliseconds{100};  ///< wait before a lost gpsd is connected to again

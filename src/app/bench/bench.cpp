@@ -51,7 +51,7 @@ void add_ticks(Ticks& ticks, Duration period, Duration duration, std::optional<i
   if (cpu) config.cpus = {*cpu};
   Tier tier(loop, config);
   std::size_t count = ticks.lateness.size();
-  ticks.lateness.resize(count + static_cast<std::size_t>(duration / period) + 1000);  // writes it, so that the pages are in memory
+  ticks.lateness.resize(count + static_cast<std::size_t>(duration / period) + 1000);  // loads the pages
   Ticker ticker(tier.loop(), period, [&](const Tick& tick) {
     if (count < ticks.lateness.size()) ticks.lateness[count++] = tick.lateness().count();
     ticks.missed += tick.missed;

@@ -13,7 +13,7 @@ namespace {
 
 using Found = FoundInstance;
 
-constexpr Duration search_limit = std::chrono::milliseconds{500};  // for all instances, once the wanted one has answered
+constexpr Duration search_limit = std::chrono::milliseconds{500};  // once the wanted one has answered
 constexpr Duration longest_search = std::chrono::seconds{3};       // if it has not
 
 /// Asks all instances at once and waits for all answers together. `wanted`: see Found::matches.

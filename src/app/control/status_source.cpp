@@ -225,7 +225,7 @@ void StatusSource::add_callbacks(Status& status) {
                                     [&](const AskedTier& one) { return one.name == tier->config.name; });
     AskedTier& one = asked.emplace_back(known == tiers_.end() ? AskedTier{tier->config.name, {}, {}} : *known);
     if (one.asked != nullptr && one.asked->is_done()) one.answered = std::move(one.asked);
-    if (one.asked == nullptr) one.asked = tier->loop.core().nodes.begin_survey();  // otherwise the tier hangs: one request is enough
+    if (one.asked == nullptr) one.asked = tier->loop.core().nodes.begin_survey();  // one request at a time
     if (one.answered != nullptr) add(one.answered->callbacks(), one.name);
     const auto shown = std::find_if(status.loops.begin(), status.loops.end(),
                                     [&](const Status::Loop& loop) { return loop.name == one.name; });

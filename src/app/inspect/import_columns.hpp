@@ -24,7 +24,7 @@ struct ImportColumn {
   bool has_large = false;
   bool can_be_with_comma = true, has_comma = false;  // a number with a decimal comma
   bool can_be_thousands = true;                      // its commas may be thousands separators
-  bool are_whole = true;                             // numbers without a fraction, or with commas that may separate thousands
+  bool are_whole = true;                             // no fractions; commas may separate thousands
   std::size_t longest = 1;
 
   /// Integers that are not exact as doubles stay texts.

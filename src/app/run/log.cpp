@@ -56,7 +56,7 @@ class LogFile {
  private:
   void rotate(mode_t mode) noexcept {
     const auto numbered = [&](unsigned number) { return path_ + "." + std::to_string(number); };
-    for (unsigned i = keep_; i-- > 1;) ::rename(numbered(i).c_str(), numbered(i + 1).c_str());  // some files may not exist
+    for (unsigned i = keep_; i-- > 1;) ::rename(numbered(i).c_str(), numbered(i + 1).c_str());  // some may not exist
     if (::rename(path_.c_str(), numbered(1).c_str()) != 0) return tell(errno);
     begin_new(mode);
   }

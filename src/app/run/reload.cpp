@@ -17,7 +17,7 @@ namespace {
 
 constexpr Duration device_look = std::chrono::milliseconds{5};
 constexpr Duration storing_patience = std::chrono::milliseconds{2500};  // less than the client waits
-constexpr std::size_t most_told = 100;                                  // maximum number of mistakes to report, because reporting takes the loop's time
+constexpr std::size_t most_told = 100;                                  // reporting takes the loop's time
 constexpr Duration step_time = std::chrono::milliseconds{2};            // of a turn
 
 }  // namespace
@@ -227,7 +227,7 @@ void Reload::ask_tiers(const std::shared_ptr<Change>& change) {
 }
 
 void Reload::stop_waiting(const std::shared_ptr<Change>& change) {
-  if (!std::exchange(change->is_waiting, false)) return;  // both are there in one turn
+  if (!std::exchange(change->is_waiting, false)) return;  // both may happen in one turn
   change->patience = {};
   if (change->is_looking) {  // the lane gives up the check at the same time
     for (const NewFile& file : new_files(system_.parts().plans(), change->read->plan, change->steps->changes()))
@@ -292,7 +292,7 @@ void Reload::be_applied(const std::shared_ptr<Change>& change) {
 }
 
 void Reload::tell_unopened(const std::shared_ptr<Change>& change) {
-  if (!std::exchange(change->is_waiting, false)) return;  // both are there in one turn
+  if (!std::exchange(change->is_waiting, false)) return;  // both may happen in one turn
   change->patience = {};
   for (const std::string& name : change->waits_for) {
     const SinkStatus sink = system_.sink(name).status();

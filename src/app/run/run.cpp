@@ -387,7 +387,7 @@ class Run {
       if (followers_.contains(sink.name) && !sink.backlog)
         ending.unknown_backlogs.push_back("sink " + sink.name + (sink.reason.empty() ? "" : ": " + sink.reason));
       constexpr auto refused = static_cast<std::size_t>(DropReason::refused);
-      if (recordings_.contains(sink.name) && sink.dropped[refused] != 0) is_all_stored = false;  // refused by the disk or file
+      if (recordings_.contains(sink.name) && sink.dropped[refused] != 0) is_all_stored = false;  // by the disk
     }
     is_all_stored = is_all_stored && ending.unknown_backlogs.empty();
     std::string said = verdict(status, ending);

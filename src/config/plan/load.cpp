@@ -83,7 +83,7 @@ std::string extension_of(std::string_view file) {
   return detail::lower_case(name.substr(dot));
 }
 
-/// Shows places of a text, each with its line. Goes forwards in the text from one place to the next.
+/// Shows places of a text with their lines, in order of the text.
 class Excerpts {
  public:
   explicit Excerpts(std::string_view text) : text_(text) {

@@ -72,7 +72,7 @@ class Planner {
     if (kind.written == PartKind::Written::list) {
       if (!check_is_array(*list, plan_.problems)) return;
     } else if (list->is_array() && list->size() == 0) {
-      return;  // an empty list is none, however parts are written
+      return;  // an empty list counts as missing, for both ways of writing parts
     } else if (!check_is_object(*list, plan_.problems)) {
       return;
     }
@@ -88,7 +88,7 @@ class Planner {
     }
   }
 
-  /// What must hold between the parts; those with mistakes of their own are among them, as far as they are known.
+  /// Checks the parts against each other, including parts with mistakes as far as they are known.
   void compare() {
     Neighbours neighbours(registry_, plan_.document.file);
     for (const PartPlan& part : plan_.parts) neighbours.add(part, plan_.problems);
@@ -137,7 +137,7 @@ SystemPlan plan_system(const Registry& registry, ConfigDocument document) {
   SystemPlan plan;
   plan.document = std::move(document);
   plan.problems = plan.document.problems;
-  if (plan.document.root.is_null() && !plan.problems.empty()) return plan;  // there is nothing to look at
+  if (plan.document.root.is_null() && !plan.problems.empty()) return plan;  // nothing was read
   Planner(registry, plan).read();
   plan.problems.sort();
   plan.warnings.sort();

@@ -1,4 +1,4 @@
-// Where mistakes are shown, and words that they share. Private to src/config.
+// Common functions for the places and texts of mistakes. Private to src/config.
 #pragma once
 
 #include <string>

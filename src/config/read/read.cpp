@@ -43,7 +43,7 @@ std::string mistake_in(std::string_view text, TextIs is) {
       return detail::permissions_of(text) ? "" : detail::permissions_rule;
     case TextIs::anything:
     case TextIs::recorded:
-    case TextIs::unit:  // one that is no UCUM is a warning
+    case TextIs::unit:  // a unit that is not UCUM is a warning
       return "";
     case TextIs::name:
       return detail::is_name(text) ? "" : detail::name_rule;
@@ -101,8 +101,8 @@ bool is_name_of_something(TextIs is) {
   return is == TextIs::name || is == TextIs::field || is == TextIs::topic || is == TextIs::topic_pattern;
 }
 
-/// Where a key belongs that is often written elsewhere, or is another word for one that is known here; in the order in
-/// which they are tried. `known`: the key that is known here, and is meant or says what kind of item it is.
+/// A key that is often written in the wrong place, or is another word for a known key; tried in this order. `known`: a
+/// key of this item that is meant, or that shows the kind of item.
 struct Elsewhere {
   std::string_view keys, known, advice;
 };
@@ -201,7 +201,7 @@ bool check_duration(const ConfigItem& item, Duration value, const ParameterRules
 }
 
 bool check_rate(const ConfigItem& item, Rate value, const ParameterRules& rules, Problems& problems) {
-  // A rate is kept as its period in ns: the limits are compared as such, so that both ends belong to the range.
+  // A rate is stored as its period in ns, so the limits are compared as periods; both ends belong to the range.
   ParameterRules rounded = rules;
   if (rules.has_least && rules.least > 0) rounded.least = Rate::hertz(rules.least).hertz();
   if (rules.has_most && rules.most > 0) rounded.most = Rate::hertz(rules.most).hertz();
@@ -247,7 +247,7 @@ bool check_keys(const ConfigItem& item, const std::vector<KnownKey>& known, Unkn
   std::sort(names.begin(), names.end());
 
   bool good = true;
-  std::vector<std::string> meant;  // absent keys that are there, but misspelt: reported once, not as missing too
+  std::vector<std::string> meant;  // keys that are present but misspelt are not reported as missing too
   for (const ConfigChild& child : item.children()) {
     if (unknown == UnknownKeys::ignore || std::binary_search(names.begin(), names.end(), child.key)) continue;
     if (const Elsewhere* place = place_elsewhere(child.key, names)) {
