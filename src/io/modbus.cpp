@@ -1,4 +1,4 @@
-// Modbus: over TCP by modbus_tcp.hpp and connections that are made here in a time that is known, RTU by modbus_rtu.hpp.
+// Modbus: TCP (modbus_tcp.hpp) with connections made here within a time limit, and RTU (modbus_rtu.hpp).
 #include "rtdata/io/modbus.hpp"
 
 #include <fcntl.h>
@@ -32,7 +32,7 @@ namespace {
 constexpr const char* cannot_ask = "cannot read the device";
 constexpr const char* cannot_connect = "cannot connect";
 constexpr unsigned last_unit = 247;
-constexpr int most_silences = 3;  // of a connection, one after the other: then a new one is made
+constexpr int most_silences = 3;  // consecutive missing answers before a new connection is made
 
 /// Why a bus cannot be made of it; empty: it can.
 struct Mistake {
@@ -61,7 +61,7 @@ Mistake mistake_in(const ModbusConfig& config) {
 
 constexpr auto take_nothing = [](const std::uint8_t*) {};
 
-/// Connects in that time, to the first of the addresses that takes it.
+/// Connects within the limit, to the first address that accepts.
 Result<int> connect_to(const std::string& host, std::uint16_t port, Duration timeout) {
   const std::string server = host + " port " + std::to_string(port);
   addrinfo hints{};
@@ -129,7 +129,7 @@ class ModbusDevice::Request {
   }
   std::span<const std::uint8_t> bytes() const noexcept { return {bytes_.data(), size_}; }
   std::size_t answer_size() const noexcept { return answer_size_; }
-  /// What is read has its length before it; what was written is said again.
+  /// The answer to a read has its length first; the answer to a write repeats it.
   bool is_answered_by(const std::vector<std::uint8_t>& answer) const noexcept {
     if (answer.size() != answer_size_) return false;
     return bytes_[0] <= 4 ? answer[1] == answer_size_ - 2 : std::equal(answer.begin(), answer.end(), bytes_.begin());
@@ -151,7 +151,7 @@ struct ModbusDevice::Core {
     ~Connection() { ::close(fd); }
     const int fd;
     detail::ModbusTcp tcp;
-    std::atomic<bool> is_in_use{true};  // by who has made it, at first
+    std::atomic<bool> is_in_use{true};  // initially used by the caller that made it
     bool was_asked = false;
     int silences = 0;  // requests without an answer, one after the other
   };
@@ -169,7 +169,7 @@ struct ModbusDevice::Core {
     return std::make_shared<Connection>(*fd);
   }
 
-  /// The connection, for one request. A new one where there is none, or where a request that was given up hangs in it.
+  /// The connection for one request; a new one if there is none, or if a given-up request hangs in the old one.
   Result<Use> acquire() {
     {
       const std::lock_guard lock(mutex);
@@ -270,8 +270,8 @@ Error ModbusDevice::failure(int number) const {
   }
 }
 
-/// Over TCP. Servers close connections that they think idle, and may do so while a request is on its way: then it is
-/// sent once more, by a new one.
+/// Over TCP. A server may close an idle connection while a request is on its way; then the request is sent again on a
+/// new connection.
 template <class Take>
 Result<void> ModbusDevice::ask_by_tcp(const Request& request, Take&& take) {
   const MonotonicTime began = detail::lane_now();

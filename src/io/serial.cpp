@@ -38,7 +38,7 @@ struct SerialDevice::Core {
   const std::string bus;
   const SerialPortConfig config;
   detail::AskedLine line;
-  detail::AskedLine::Partner all;  // nothing in an answer tells whose it is
+  detail::AskedLine::Partner all;  // answers do not identify their device
 };
 
 Error SerialDevice::error(Errc code, std::string what, std::string why, std::string advice) const {
@@ -176,7 +176,7 @@ Result<std::string> SerialDevice::transact(std::string_view request, char delimi
 
 SerialPort::SerialPort(SerialPortConfig config) : SerialPort(std::string(config.device), config) {}
 
-// Not moved: which argument is made first is the compiler's choice.
+// Not moved, because the order of argument evaluation is unspecified.
 SerialPort::SerialPort(std::string name, SerialPortConfig config)
     : SerialPort(std::move(name), make_kernel_serial(config.device, config.serial), config) {}
 

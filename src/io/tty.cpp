@@ -32,7 +32,7 @@ std::string first_line_of(const std::string& path) {
   return line;
 }
 
-/// The process that has locked the file, of those that the kernel lists; 0: none of them.
+/// The process that has locked the file, according to the kernel's list; 0: none.
 long locked_by(const std::string& path) {
   struct stat status {};
   if (::stat(path.c_str(), &status) != 0) return 0;
@@ -99,7 +99,7 @@ Result<void> set_up(int fd, const std::string& path, const SerialSettings& setti
   if (::flock(fd, LOCK_EX | LOCK_NB) != 0 && errno == EWOULDBLOCK) {
     return busy_error(path);
   }
-  ::ioctl(fd, TIOCEXCL);  // whoever opens it from now on gets EBUSY (but for root, whom the lock keeps out)
+  ::ioctl(fd, TIOCEXCL);  // others get EBUSY from now on (root does not; the lock stops root)
   tty.c_iflag = settings.parity == Parity::none ? 0 : INPCK;
   tty.c_oflag = 0;
   tty.c_lflag = 0;
@@ -111,7 +111,7 @@ Result<void> set_up(int fd, const std::string& path, const SerialSettings& setti
     return system_error(errno, "cannot set up the serial line", path, "check its settings");
   struct termios2 now {};
   if (::ioctl(fd, TCGETS2, &now) != 0) return system_error(errno, "cannot set up the serial line", path);
-  // A driver sets what it can and says what that is. Pseudo terminals carry characters, not bits.
+  // A driver sets the nearest possible speed and reports it. Pseudo terminals have no speed.
   const double off = static_cast<double>(now.c_ospeed) / settings.baud_rate - 1;
   const unsigned format = CSIZE | CSTOPB | PARENB | PARODD | CMSPAR;
   if (off > 0.03 || off < -0.03) {
@@ -170,7 +170,7 @@ Result<int> open_tty(const std::string& path, const SerialSettings& settings) {
 }
 
 void close_tty(int fd) noexcept {
-  // On a pseudo terminal the mark would outlive this descriptor, and keep ourselves out as well.
+  // On a pseudo terminal the mark would outlive this descriptor and lock ourselves out too.
   ::ioctl(fd, TIOCNXCL);
   ::close(fd);
 }

@@ -86,8 +86,8 @@ class Neighbours {
   std::map<std::string, const PartPlan*, std::less<>> topics_;
   std::map<std::string, const PartPlan*> topic_by_lower_case_;
   std::map<std::string, std::vector<const PartPlan*>> publishers_;
-  std::vector<const PartPlan*> publishing_;  // in the order in which they came
-  std::vector<std::string> topic_names_;     // in the order in which they came
+  std::vector<const PartPlan*> publishing_;  // in order of adding
+  std::vector<std::string> topic_names_;     // in order of adding
   std::vector<Storing> storing_;
   std::set<const PartPlan*> refused_paths_;
   std::vector<KnownFile> files_;

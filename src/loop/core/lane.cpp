@@ -13,7 +13,7 @@
 namespace rtdata::detail {
 namespace {
 
-constexpr Duration longest_wait = std::chrono::hours{24 * 365};  // the library adds it to the time of now
+constexpr Duration longest_wait = std::chrono::hours{24 * 365};  // the standard library adds it to the present time
 
 }  // namespace
 
@@ -25,7 +25,7 @@ bool LaneJob::begin(MonotonicTime now) noexcept {
 
 bool LaneJob::end() noexcept {
   int expected = running;
-  return state_.compare_exchange_strong(expected, finished);  // before its listener's `is_waited_for` is looked at
+  return state_.compare_exchange_strong(expected, finished);  // before `is_waited_for` of its listener is read
 }
 
 LaneJob::State LaneJob::take_away() noexcept {
@@ -36,7 +36,7 @@ LaneJob::State LaneJob::take_away() noexcept {
   return static_cast<State>(was);
 }
 
-/// Looks after the limit while jobs are outstanding.
+/// Checks the limit while jobs are outstanding.
 struct Lane::Watchdog final : Deadline {
   explicit Watchdog(Lane& lane_) : lane(lane_) {}
   void fire(MonotonicTime) override { lane.check_limit(); }
@@ -91,14 +91,14 @@ Lane::~Lane() {
   loop_.deadlines.remove(*delayed_);
   for (int i = 0; i < 2; ++i) loop_.deadlines.release_one();
   if (!loop_.is_manual() && !is_left_behind_) {
-    for (LaneJob* job = first_.get(); job != nullptr; job = job->next_outstanding_.get()) {  // they shall not begin
+    for (LaneJob* job = first_.get(); job != nullptr; job = job->next_outstanding_.get()) {  // prevents them from starting
       int expected = LaneJob::queued;
       job->state_.compare_exchange_strong(expected, LaneJob::taken_away, std::memory_order_acq_rel);
     }
     for (LaneJob* job = first_.get(); job != nullptr; job = job->next_outstanding_.get()) {
       if (job->state_.load(std::memory_order_acquire) != LaneJob::running) continue;
       Duration most = std::min(job->limit_, longest_wait);
-      if (most == job->limit_) {  // since it began: lanes whose devices hang together are waited for together
+      if (most == job->limit_) {  // counted from its start, so that waits for several hanging devices overlap
         const MonotonicTime end = later(MonotonicTime{Duration{job->began_.load(std::memory_order_relaxed)}}, most);
         most = std::clamp(span_between(loop_.now(), end), Duration{0}, most);
       }
@@ -149,7 +149,7 @@ Duration Lane::run_here(LaneJob& job, MonotonicTime now) noexcept {
 void Lane::submit_in_virtual_time(std::shared_ptr<LaneJob> job) {
   auto& completions = delayed_->completions;
   if (completions.size() == completions.capacity()) completions.reserve(2 * completions.size() + 1);
-  const bool runs_later = !is_shared_ && loop_.virtual_threads()->choose();  // those of several loops keep their order
+  const bool runs_later = !is_shared_ && loop_.virtual_threads()->choose();  // jobs of several loops keep their order
   const MonotonicTime from = std::max(thread_->free_from, loop_.now());
   Duration takes = loop_.lanes.scripted_duration;
   if (!runs_later) takes = later(MonotonicTime{takes}, run_here(*job, from)).time_since_epoch();
@@ -181,7 +181,7 @@ bool Lane::submit(std::shared_ptr<LaneJob> job, Duration give_up_after) {
   add(job);
   thread_->push(std::move(job), loop_.lanes.shared_listener());
   loop_.lanes.hand_over(thread_->pool());
-  if (watchdog_->is_listed() && give_up_after >= shortest_) return true;  // it will look in time
+  if (watchdog_->is_listed() && give_up_after >= shortest_) return true;  // the watchdog will check in time
   shortest_ = std::min(shortest_, give_up_after);
   watch_until(later(loop_.now(), shortest_));
   return true;
@@ -254,7 +254,7 @@ void Lane::check_limit() {
   loop_.deadlines.remove(*watchdog_);
   collect();
   if (!*is_alive || first_ == nullptr || is_left_behind_) return;
-  if (!start_thread()) {  // another loop's job hangs in the last thread that there may be
+  if (!start_thread()) {  // another loop's job hangs in the last allowed thread
     give_up();
     if (!*is_alive || first_ == nullptr) return;
   }

@@ -12,7 +12,7 @@
 namespace rtdata::detail {
 namespace {
 
-constexpr std::size_t most_pooled_left_behind = 64;  // then a lane may leave only its first behind
+constexpr std::size_t most_pooled_left_behind = 64;  // beyond this, a lane may abandon only one thread
 
 LaneClock*& virtual_clock() noexcept {
   static thread_local LaneClock* clock = nullptr;

@@ -127,7 +127,7 @@ void OriginCore::extend_gap(Gap::Kind kind, std::string_view reason, MonotonicTi
   const Time from = topic.runtime().event_time(first), to = topic.runtime().event_time(last);
   if (gaps_ == nullptr) {
     gaps_.reset(new (std::nothrow) Gaps);
-    if (gaps_ == nullptr) {  // no memory to join it with the next ones: it stands for itself
+    if (gaps_ == nullptr) {  // no memory to join it with the next ones: report it alone
       report({kind, reason, from, to, count});
       return topic.tell_taps_of_change(*this);
     }

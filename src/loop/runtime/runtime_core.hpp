@@ -1,4 +1,4 @@
-// The core of a Runtime: the topics, origins and parts of one loop, and its members, one subject each.
+// The core of a Runtime: the topics, origins and other objects of one loop.
 #pragma once
 
 #include <cstdint>
@@ -40,12 +40,12 @@ struct ByName {
   bool operator()(const auto& a, const auto& b) const noexcept { return name(a) == name(b); }
 };
 
-/// How a payload reads in errors: the name of its description, or that of its C++ type.
+/// The name of a payload in errors: of its description or its C++ type.
 std::string payload_name(const PayloadType& type);
-/// Of a payload that is not trivially copyable.
+/// The error for a payload that is not trivially copyable.
 Error cannot_cross(const TopicCore& topic);
 
-/// A sink as it ended.
+/// A closed sink with its final status.
 struct ClosedSink : SinkStatus {
   std::string recording = {};  ///< the file of the one that it went through; empty: none
   /// Of its own file, empty for none, when another configuration took its place; else the one of its name has it.
