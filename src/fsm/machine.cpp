@@ -155,7 +155,7 @@ class MachineNode final : public Node {
   void check_use(const char* what) const { loop()->check_thread(what, config_.name); }
 
   // Events
-  /// An event of the program's, maybe outside of the loop's callbacks.
+  /// An event from the program, possibly outside the loop's callbacks.
   void take_now(std::uint16_t event) {
     const rtdata::detail::Call call(*this);
     const LoopCore::Calling calling(loop()->runtime);

@@ -50,7 +50,7 @@ class HostLookup::Job final : public LaneJob {
     if (owner != nullptr) owner->job_done(*this, outcome);
   }
 
-  HostLookup* owner;  // null: nobody waits for it any more. The loop's thread
+  HostLookup* owner;  // null: no longer waited for. The loop's thread
   int status = 0;
   std::vector<Address> addresses;
 
@@ -64,7 +64,7 @@ HostLookup::HostLookup(LoopCore& loop, std::string owner, Found found)
 
 HostLookup::~HostLookup() {
   cancel();
-  if (lane_ != nullptr && !last_job_.expired()) lane_->leave_behind();  // a silent name server holds nobody
+  if (lane_ != nullptr && !last_job_.expired()) lane_->leave_behind();  // does not wait for a silent name server
 }
 
 void HostLookup::start(const std::string& host, std::uint16_t port) {

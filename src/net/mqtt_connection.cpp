@@ -52,7 +52,7 @@ static int password_of_key(char* to, int size, int, void* handle) {
   password.copy(to, password.size());
   return static_cast<int>(password.size());
 }
-/// The library says which check failed here only; afterwards its session of TLS is gone.
+/// Only here the library tells which check failed; afterwards its TLS session no longer exists.
 static void on_log(mosquitto* handle, void* client, int level, const char* text) {
   if (level != MOSQ_LOG_ERR) return;
   MqttClient& to = of(client);
@@ -145,7 +145,7 @@ int connect_client(MqttClient& client, const MqttBroker& broker, const MqttOptio
   mosquitto_message_v5_callback_set(handle, on_message);
   mosquitto_log_callback_set(handle, on_log);
   mosquitto_int_option(handle, MOSQ_OPT_PROTOCOL_VERSION, is_v5 ? MQTT_PROTOCOL_V5 : MQTT_PROTOCOL_V311);
-  // A broker of version 5 says how many it takes; those of 3.1.1 get what they are used to, the library's 20.
+  // A broker of version 5 gives its limit; for 3.1.1 the library's usual 20 is used.
   if (is_v5 && options.most_sent != 0) mosquitto_int_option(handle, MOSQ_OPT_SEND_MAXIMUM, options.most_sent);
   if (is_v5 && options.most_received != 0)
     mosquitto_int_option(handle, MOSQ_OPT_RECEIVE_MAXIMUM, options.most_received);
@@ -294,7 +294,7 @@ class MqttConnecting final : public LaneJob {
   void done(Outcome outcome) override {
     if (const auto ended = std::exchange(ended_, nullptr)) ended(*this, outcome);
   }
-  /// Nobody waits for it any more. The loop's thread.
+  /// Stops waiting for it. The loop's thread.
   void forget() noexcept { ended_ = nullptr; }
 
   std::shared_ptr<MqttClient> client;
@@ -321,7 +321,7 @@ MqttConnection::~MqttConnection() {
   if (job_ != nullptr) job_->forget();
   if (watch_.is_open()) watch_.close();
   if (fd_ >= 0) ::close(fd_);
-  if (lane_ != nullptr && !last_job_.expired()) lane_->leave_behind();  // a silent server holds nobody
+  if (lane_ != nullptr && !last_job_.expired()) lane_->leave_behind();  // does not wait for a silent server
 }
 
 std::string MqttConnection::peer() const { return broker_.host + " port " + std::to_string(port_of(broker_)); }
@@ -420,7 +420,7 @@ bool MqttConnection::take_answer(int status) {
   if (const auto answer = std::exchange(client_->answer, {})) {
     if (*answer == 0) {
       is_connected_ = true;
-      // It formats a line for each message, whatever becomes of it; from here on the errors are those of TLS, mostly.
+      // The library formats a log line for each message, which costs time, so the callback is removed without TLS.
       if (!broker_.tls) mosquitto_log_callback_set(client_->handle, nullptr);
       connected();
       if (client_ == nullptr) return false;

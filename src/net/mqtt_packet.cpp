@@ -22,7 +22,7 @@ enum MqttType : unsigned char {
   mqtt_disconnect = 14,
 };
 
-/// What is left of a packet. A read beyond its end, or of what MQTT forbids, makes it bad.
+/// The rest of a packet. A read beyond its end, or of a forbidden value, marks it as bad.
 class MqttBytes {
  public:
   explicit MqttBytes(std::string_view bytes) : bytes_(bytes) {}
@@ -108,7 +108,7 @@ constexpr auto mqtt_properties = [] {
   return all;
 }();
 
-/// Null: they are good.
+/// Null: no mistake.
 const char* mistake_of_properties(MqttBytes& from, MqttType type) noexcept {
   constexpr unsigned subscription = 0x0b, unanswered = 0x21, user = 0x26, packet_size = 0x27;
   MqttBytes bytes = from.part(from.variable());
@@ -200,7 +200,7 @@ const char* mistake_of_message(MqttBytes& bytes, unsigned flags, bool is_v5) noe
   return is_v5 ? mistake_of_properties(bytes, mqtt_publish) : nullptr;
 }
 
-/// Null: it is good.
+/// Null: no mistake.
 const char* mistake_of_packet(MqttBytes& bytes, MqttType type, unsigned flags,
                               const MqttExpectation& expected) noexcept {
   constexpr unsigned flags_of_pubrel = 2;

@@ -64,7 +64,7 @@ void TlsStream::stream_ready() {
 void TlsStream::shake_hands() {
   for (;;) {
     const auto state = session_->handshake();
-    flush();  // what is wrong with the peer is said to it, too
+    flush();  // sends the alert to the peer, too
     if (state == TlsSession::State::done) return handshake_ended({});
     if (state == TlsSession::State::failed || state == TlsSession::State::ended) {
       Error error = session_->error();

@@ -26,7 +26,7 @@ OutputGuard::Link::~Link() {
   endings.clear();
   if (socket >= 0) ::close(socket);
   if (process > 0) {
-    // It ends when the sockets are closed; a device that hangs may keep it.
+    // The guard ends when the sockets are closed; a hanging device may delay it.
     for (int tries = 0; tries < 200 && ::waitpid(process, nullptr, WNOHANG) == 0; ++tries) {
       const timespec wait{0, 10'000'000};
       ::nanosleep(&wait, nullptr);
@@ -158,7 +158,7 @@ void OutputGuard::Link::await_end(Loop& loop, const std::string& output, int its
 }
 
 void OutputGuard::Link::beat_for(const Loop& loop) noexcept {
-  if (is_ending.load(std::memory_order_acquire)) return;  // they are to be safe, by whom it may be
+  if (is_ending.load(std::memory_order_acquire)) return;  // the outputs must become safe, by any process
   for (std::size_t slot = 0; slot < patience.size(); ++slot) {
     if (patience[slot].loop.load(std::memory_order_relaxed) != &loop) continue;
     const Duration now = std::chrono::steady_clock::now().time_since_epoch();

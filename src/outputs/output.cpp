@@ -23,7 +23,7 @@ constexpr Duration retry_period = std::chrono::seconds{1};
 constexpr Duration slow_start = std::chrono::seconds{1};
 constexpr Duration answer_limit = std::chrono::seconds{3};  // longer than a lane's
 
-/// Why the configuration cannot work; empty: it can.
+/// Why the configuration is invalid; empty: it is valid.
 std::string refusal_of(const OutputConfig& config) {
   if (!std::isfinite(config.safe)) return "`safe` is no finite number";
   if (config.on.empty()) {
@@ -56,7 +56,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     if (!config_.on.empty()) input_.emplace(config_);
   }
 
-  /// Apart, since it may fail.
+  /// Separate, because it may fail.
   void begin(OutputGuard* guard, const std::string& guarded, Output::Takes takes) {
     if (const std::string why = range_.refusal(config_.safe); !why.empty())
       throw SetupError({Errc::out_of_range, "cannot make the output", name(), "`safe`: " + why, ""});
@@ -223,7 +223,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     bool is_repeat = false;  // of the value that is on its way: it is only needed when the device does not take that
   };
 
-  /// Where it stands with its device.
+  /// The state of its device.
   enum class State : std::uint8_t { stopped, taking, ready, busy, failed, mending, ending, left };
   struct Standing {
     bool held, busy, failing, left;
@@ -232,11 +232,11 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     // clang-format off
     constexpr Standing all[] = {
         {false, false, false, false},  // stopped
-        {true,  true,  false, false},  // taking: the device, as a value that is on its way, while the loop turns
+        {true,  true,  false, false},  // taking: the device is being opened, like a value being set, while the loop turns
         {true,  false, false, false},  // ready
         {true,  true,  false, false},  // busy: a value is on its way
-        {true,  false, true,  false},  // failed: the safe value is tried again and again
-        {true,  true,  true,  false},  // mending: it is on its way
+        {true,  false, true,  false},  // failed: the safe value is tried repeatedly
+        {true,  true,  true,  false},  // mending: the safe value is being set
         {false, false, false, true},   // ending: `finish` was called, and is not over
         {false, false, false, true},   // left: it is over
     };
@@ -284,7 +284,8 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     be_held(began, opened);
     follow_input();
   }
-  /// It may come: the other errors are for who has configured it, and a reload that needs it can be taken back.
+  /// True if the device may come back. Other errors are mistakes in the configuration; a reload that caused one can be
+  /// undone.
   bool is_away(const Result<void>& opened) const {
     const auto& code = opened.error().code;
     if (is_patient_) return true;
@@ -493,7 +494,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     Call call(*this);
     if (is().held && !is().busy) be_safe(OutputCause::failure, "");
   }
-  /// It is not known what the device has. Told once; the answer may come all the same.
+  /// The value of the device is unknown. Reported once; the answer may still come.
   void miss_answer() {
     Call call(*this);
     if (!is().busy) return;
@@ -513,7 +514,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
 
   // ---- The guard
 
-  /// One that has ended takes nothing more: the program keeps the output safe, as `lost` does, and arms it no more.
+  /// A guard that has ended takes nothing: the program keeps the output safe, as in `lost`, and does not arm it again.
   void take_guard(Loop& loop, OutputGuard& guard, const std::string& guarded) {
     try {
       port_ = make_guard_port(loop, name(), guard, guarded, config_.safe, *this);
@@ -610,7 +611,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
 
   // ---- What it follows
 
-  /// Follows at once what holds since before, of topics that bring an event only when something changes.
+  /// Takes the last events of topics that publish only changes.
   void recall() {
     if (!input_) return;
     const Time time = loop()->runtime.event_time(now());
@@ -652,7 +653,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
                  " for " + to_string(config_.max_age),
              "it follows it again with its next event; a longer `max_age` bridges longer pauses");
   }
-  /// What a loop said last, and would say of a change, holds as long as it turns.
+  /// A loop's last event is valid as long as that loop turns, because it would publish a change.
   void look_at_loops() {
     Call call(*this);
     if (!is().held || is_over_) return;

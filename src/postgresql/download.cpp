@@ -157,7 +157,7 @@ struct Topic {
   std::string columns;
 };
 
-/// An origin of a run: what rtdata_position says of it, and what its rows say.
+/// An origin of a run, from rtdata_position and from its rows.
 struct Origin {
   std::string topic;
   Position said, found;
@@ -184,7 +184,7 @@ class Download {
  private:
   void read_layout();
   void read_topics();
-  /// Rows of runs that rtdata_run does not have.
+  /// Searches rows of runs that are missing in rtdata_run.
   void look_for_other_runs();
   void copy_run(const Run& run);
   void copy_rows(const Run& run, const Topic& topic);
@@ -438,7 +438,7 @@ void Download::copy_account(const Run& run) {
   }
 }
 
-/// Of a run that goes on, rows may have come since: of each origin the first so many are in the account.
+/// A running run may have newer rows: only the first rows of each origin are in the account.
 void Download::set_rows_up_to(const Run& run) {
   struct Entry {
     std::string topic, origin;
@@ -466,8 +466,7 @@ void Download::set_rows_up_to(const Run& run) {
   }
 }
 
-/// Of a run whose events came from memory, or whose account has not come yet: what rtdata_position says, and the times
-/// of its rows.
+/// For a run from memory, or without an account yet: makes an account from rtdata_position and the times of the rows.
 void Download::make_account(const Run& run) {
   auto insert = database_.prepare(
       "INSERT INTO rtdata_run(run, uuid, name, notes, configuration, program, host, boot_id, pid, started, "
@@ -482,7 +481,7 @@ void Download::make_account(const Run& run) {
                      "whole, what never came is not known.");
 }
 
-/// The account of a run that has ended, to the checksums that came with it.
+/// Compares the account of an ended run with its checksums.
 void Download::compare_account(const Run& run) {
   if (!tables_.contains("rtdata_checksum")) return;
   const Reply lines = connection_.run("SELECT table_name, columns, rows, sum FROM rtdata_checksum" + run.is_of());

@@ -91,7 +91,7 @@ Lane::~Lane() {
   loop_.deadlines.remove(*delayed_);
   for (int i = 0; i < 2; ++i) loop_.deadlines.release_one();
   if (!loop_.is_manual() && !is_left_behind_) {
-    for (LaneJob* job = first_.get(); job != nullptr; job = job->next_outstanding_.get()) {  // prevents them from starting
+    for (LaneJob* job = first_.get(); job != nullptr; job = job->next_outstanding_.get()) {  // must not start
       int expected = LaneJob::queued;
       job->state_.compare_exchange_strong(expected, LaneJob::taken_away, std::memory_order_acq_rel);
     }

@@ -234,7 +234,7 @@ struct LanePool::State : std::enable_shared_from_this<LanePool::State> {
       set_slow_ones_apart(worker.now);
       gets_on = quick_waiting.is_empty();
     }
-    LaneQueue* queue = take(last == nullptr || !comes);  // a thread that comes takes the next job, so that not all are busy
+    LaneQueue* queue = take(last == nullptr || !comes);  // leaves the next job to a coming thread
     if (std::exchange(worker.has_come, false)) {
       comes = false;  // only now, so that a loop always sees a coming thread or a running quick job
       take_sent();
@@ -330,7 +330,7 @@ void LanePool::push(std::shared_ptr<LaneJob> job, std::shared_ptr<LaneQueue> que
 }
 
 void LanePool::wake() noexcept {
-  if (state_->sent != nullptr && state_->quick_running == 0) state_->wake_one(false);  // otherwise the thread that runs one looks
+  if (state_->sent != nullptr && state_->quick_running == 0) state_->wake_one(false);  // else its thread looks
 }
 
 bool LanePool::begin_watch() noexcept {

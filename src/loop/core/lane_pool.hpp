@@ -71,7 +71,7 @@ class Chain {
 /// The jobs of one lane, or of the lanes of several loops to one bus. Shared with its jobs; the pool's mutex protects
 /// all but `behind`.
 struct LaneQueue {
-  Chain<LaneJob, &LaneJob::next_> waiting;  // jobs waiting for the running one or for a thread; they keep themselves alive
+  Chain<LaneJob, &LaneJob::next_> waiting;  // waiting jobs; they keep themselves alive
   bool is_listed = false;                   // one of them runs, or the queue waits for a thread
   bool is_quick = false;                    // so was its last job
   MonotonicTime began{};                    // the one that runs

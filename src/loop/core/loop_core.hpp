@@ -176,7 +176,7 @@ class LoopCore {
   };
 
   // Calls of code that may throw
-  /// Calls user code: an exception is reported under the name and goes no further.
+  /// Calls user code: an exception is reported under the name and not passed on.
   template <class Function>
   void call_user(std::string_view name, Function&& function) noexcept {
     const Calling calling(runtime);
@@ -217,7 +217,7 @@ class LoopCore {
   bool is_in_user_code() const noexcept;
 
   // The end
-  /// Ends the program, having said why, when the loop may not be destroyed now.
+  /// Ends the program with a message if the loop must not be destroyed now.
   void check_may_end() const noexcept;
   bool is_ending() const noexcept { return is_ending_; }
   void begin_ending() noexcept { is_ending_ = true; }

@@ -52,7 +52,7 @@ class Nodes {
   std::vector<CallbackStatus> callbacks() const;
 
   // Any thread
-  /// The name of the callback that began last; empty when that is not known.
+  /// The name of the last callback begun; empty if unknown.
   std::string doing() const;
   std::shared_ptr<CallbackSurvey> begin_survey();
 

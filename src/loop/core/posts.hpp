@@ -23,8 +23,8 @@ class Posts {
   PostCounts counts() noexcept;
 
   // The loop's thread
-  /// Runs those that wait when it begins, but ends early when it is later than `end` or, time having passed, a deadline
-  /// is due. True: some are left; then the loop is woken for another call.
+  /// Runs the functions waiting at its start, but ends early after `end` or when a deadline is due. True: some are
+  /// left; the loop is woken for another call.
   bool run(MonotonicTime end);
   bool has_some() noexcept;
   /// Runs all functions posted before the call, without regard to deadlines, until `end`. Returns how many are left.

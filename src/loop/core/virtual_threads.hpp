@@ -51,7 +51,7 @@ class VirtualThreads {
   bool has_others() const noexcept { return threads_.size() > 1; }
 
   // ---- a thread that begins and ends
-  /// Before it is started: from here on it gets turns.
+  /// Call it before the thread is started: it then gets turns.
   void add(Thread& thread);
   /// Call it if the thread could not be started.
   void remove(Thread& thread) noexcept;
@@ -61,8 +61,8 @@ class VirtualThreads {
   void end(Thread& thread) noexcept;
 
   // ---- on the thread that has the turn
-  /// Waits until this instant, or until `is_ready`. False: neither ever comes, since all others wait for ever as well;
-  /// on the main loop's thread alone.
+  /// Waits until this time, or until `is_ready`. False (only on the main loop's thread): neither will ever happen,
+  /// because all others wait for ever too.
   bool wait(MonotonicTime until, const std::function<bool()>& is_ready) noexcept;
   /// The same for an idle loop: the seed chooses the delay after which it sees data from others.
   bool wait_for_news(MonotonicTime until, const std::function<bool()>& has_news) noexcept;

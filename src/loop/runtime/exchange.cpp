@@ -14,7 +14,7 @@ namespace rtdata::detail {
 
 std::string Exchange::catch_up(Duration at_most) {
   if (standstill_) return standstill_->unknown;
-  constexpr Duration turn = std::chrono::milliseconds{1};  // time for each tier, so that a hanging one does not use the others' time
+  constexpr Duration turn = std::chrono::milliseconds{1};  // time for each tier
   LoopCore& loop = *runtime_.own_loop;
   const MonotonicTime end = later(loop.now(), at_most);
   const auto left = [&] { return std::max(end - loop.now(), Duration{0}); };

@@ -38,7 +38,7 @@ class Exchange {
   explicit Exchange(RuntimeCore& runtime) : runtime_(runtime) {}  // a deque allocates when it is made
 
   // Any thread
-  /// The loop takes announcements in this order.
+  /// The loop takes announcements in order.
   void announce(Announcement announcement);
   void forget(const Bridge& of);
 

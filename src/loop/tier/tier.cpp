@@ -95,7 +95,7 @@ TierCore::TierCore(Loop& main_, Tier::Config config_)
 }
 
 void TierCore::make_bridges() {
-  // What the others have said of each other comes before what is said to the new one.
+  // Processes announcements of the others before the new tier gets any.
   main.core().runtime.receive_all();
   for (TierCore* tier : main.core().runtime.tiers) tier->runtime.core().receive_all();
   const auto connect = [&](LoopCore& other) {
@@ -107,7 +107,7 @@ void TierCore::make_bridges() {
 }
 
 TierCore::~TierCore() {
-  // Bridges to other tiers are taken down while none of the two sides turns.
+  // Removes bridges to other tiers while neither side turns.
   const auto tiers = main.core().runtime.tiers;
   std::vector<TierCore*> interrupted;
   for (TierCore* tier : tiers) {
@@ -179,7 +179,7 @@ void TierCore::start() {
 
 void TierCore::run() {
   while (!quit_.load(std::memory_order_acquire))
-    loop.run();  // a callback may have stopped it: a tier ends with its main loop
+    loop.run();  // a callback may have stopped the loop, but a tier ends with its main loop
 }
 
 void TierCore::check_may_end() noexcept {
@@ -234,7 +234,7 @@ void TierCore::join() noexcept {
   *unknown_ = {};  // it can be asked here
   const auto waits = [](const auto& drain) { return static_cast<bool>(drain->done); };
   if (std::none_of(drains_.begin(), drains_.end(), waits)) return;
-  main.core().call_own("tier " + config.name, [&] {  // no memory: the drain finds it stopped when its time is up
+  main.core().call_own("tier " + config.name, [&] {  // no memory: the drain notices at its deadline that the tier is stopped
     main.post([this, &hub = main.core().runtime] {
       if (std::find(hub.tiers.begin(), hub.tiers.end(), this) != hub.tiers.end()) finish_drains();
     });
@@ -244,7 +244,7 @@ void TierCore::join() noexcept {
 void TierCore::call(Callback<void()> function) {
   if (!loop.core().runs_elsewhere()) return function();
   main.core().check_thread("cannot call",
-                           "tier " + config.name);  // a Writer that waited could hold what the tier waits for
+                           "tier " + config.name);  // a waiting Writer could hold something that the tier waits for
   loop.core().call_there(std::move(function));
 }
 
@@ -343,7 +343,7 @@ bool TierCore::is_heard_out() noexcept {
 }
 
 void TierCore::add_unknown(std::string& to) {
-  // By the latest of its ticks and events that is known on the main loop.
+  // The latest of its ticks and events known on the main loop.
   Time last = Time::min();
   for (const SensorStatus& sensor : main.runtime().sensors()) {
     const OriginCore* origin = sensor.loop == config.name ? main.core().runtime.find_origin(sensor.name) : nullptr;
@@ -382,7 +382,7 @@ bool TierCore::look_at_turning(Duration limit) {
   if (is_stuck_) return false;
   if (now - asked_at_ > limit) {
     is_stuck_ = true;
-    loop.core().note_standing(asked_at_);  // nobody waits for it any more
+    loop.core().note_standing(asked_at_);  // it is no longer waited for
     if (answered_.load(std::memory_order_acquire) == asked_) loop.core().note_turning();
     const Error error{Errc::not_turning, "does not turn", "",
                       "it has not come out of " + where() + " for more than " + to_string(limit),
