@@ -232,7 +232,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     // clang-format off
     constexpr Standing all[] = {
         {false, false, false, false},  // stopped
-        {true,  true,  false, false},  // taking: the device is being opened, like a value being set, while the loop turns
+        {true,  true,  false, false},  // taking: the device is being opened while the loop turns
         {true,  false, false, false},  // ready
         {true,  true,  false, false},  // busy: a value is on its way
         {true,  false, true,  false},  // failed: the safe value is tried repeatedly

@@ -22,7 +22,7 @@ constexpr std::size_t most_bytes = 4096;  // of a payload, max_payload_size
 
 bool is_finite(const std::optional<double>& value) { return !value || std::isfinite(*value); }
 
-/// Collects what is wrong with one field.
+/// Collects the mistakes of one field.
 struct Finder {
   const std::string& field;
   std::vector<ProcessingMistake>& mistakes;

@@ -44,7 +44,7 @@ void with_type(Kind kind, const Use& use) noexcept {
   }
 }
 
-/// Whether both go through the same steps; what they multiply, add and compare with may differ.
+/// True if both have the same steps; their constants may differ.
 bool has_same_steps(const FieldProcessing& a, const FieldProcessing& b) noexcept {
   if (a.calibration.has_value() != b.calibration.has_value() || a.filters.size() != b.filters.size()) return false;
   const auto has_bounds = [](const Calibration& c) { return c.least || c.most; };
@@ -391,7 +391,7 @@ bool Processor::put(const Group& group) noexcept {
   return true;
 }
 
-/// Of a sample in which the value is absent: its filters begin anew. That it is absent is a change.
+/// Handles an absent value: its filters restart, and the absence counts as a change.
 void Processor::pass_absent(Group& group, bool& is_wanted) noexcept {
   const Lane& lane = lanes_[group.first];
   if (group.is_written) group.to_optional->set(out_ + lane.to, false);
@@ -480,8 +480,8 @@ void Processor::take_medians(std::size_t lanes, Op& op) noexcept {
   op.at = op.at + 1 == op.count ? 0 : op.at + 1;
 }
 
-/// Sums of values that are in the window only, so that no large one leaves its rounding behind: those that came since
-/// the beginning of a round, and the sum of those from each place to the end of the round before.
+/// Sums only values in the window, so that no rounding errors of old large values remain: the values since the
+/// beginning of a round, and, for each place, the sum from there to the end of the previous round.
 void Processor::take_means(std::size_t lanes, Op& op) noexcept {
   double* const x = x_.data();
   double* const sums = numbers_.data() + op.first;

@@ -72,7 +72,7 @@ std::string uri_of(const std::string& path, const char* parameters) {
 
 namespace {
 
-/// Whether the file cannot be read at all. SQLite calls a file damaged, too, whose disk was pulled out.
+/// True if the file cannot be read at all. SQLite also reports a file as damaged if its disk was removed.
 bool is_unreadable(sqlite3* database) {
   sqlite3_file* file = nullptr;
   char byte = 0;

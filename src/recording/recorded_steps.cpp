@@ -1,4 +1,4 @@
-// A topic's rows reduced to steps: of each number how many values there are, the least, the largest and the mean.
+// Reduces a topic's rows to steps: count, minimum, maximum and mean of each number.
 #include <algorithm>
 #include <cmath>
 #include <limits>

@@ -42,8 +42,8 @@ std::unique_ptr<Writer> make_writer(Loop& loop, const SqliteConfig& config) {
 
 namespace sqlite {
 
-/// The first bytes of a file. By SQLite: a process that opens and closes a database itself drops the locks (fcntl) by
-/// which SQLite, in the same process, has it open.
+/// Reads the first bytes of a file through SQLite: closing the file directly would drop the fcntl locks of SQLite in
+/// the same process.
 static bool read_head(const std::string& path, void* head, int size) try {
   const auto database = Database::open(path, Database::Mode::read);
   sqlite3_file* file = nullptr;

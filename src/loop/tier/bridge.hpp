@@ -30,7 +30,7 @@ class Bridge {
   LoopCore& to() const noexcept { return to_; }
 
   // On either thread, while none of the loops turns
-  /// The receiving side takes all records that are in the ring.
+  /// The receiving side takes all records in the ring.
   void hand_over();
   /// Sends the accounts that the sending loop has not sent yet, and lets the receiving side take all of it.
   void finish();

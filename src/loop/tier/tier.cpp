@@ -234,7 +234,7 @@ void TierCore::join() noexcept {
   *unknown_ = {};  // it can be asked here
   const auto waits = [](const auto& drain) { return static_cast<bool>(drain->done); };
   if (std::none_of(drains_.begin(), drains_.end(), waits)) return;
-  main.core().call_own("tier " + config.name, [&] {  // no memory: the drain notices at its deadline that the tier is stopped
+  main.core().call_own("tier " + config.name, [&] {  // no memory: the drain notices it at its deadline
     main.post([this, &hub = main.core().runtime] {
       if (std::find(hub.tiers.begin(), hub.tiers.end(), this) != hub.tiers.end()) finish_drains();
     });
