@@ -140,7 +140,7 @@ void AccountWriter::write(const Batch& batch, const Account& account, const Topi
     }
     ledger_before_.bind(1, run_).bind(2, slot.topic).bind(3, slot.origin);
     sums_->replace(ledger_before_, ledger_);
-    if (origin.segment.scheduled > 0) {  // a segment without ticks has no information, and another may begin before its first tick
+    if (origin.segment.scheduled > 0) {  // a segment without ticks has no information
       put_segment(slot, origin.segment);
     }
   }

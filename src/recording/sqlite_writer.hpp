@@ -131,7 +131,7 @@ class SqliteWriter final : public RecordingWriter {
   std::atomic<bool> has_feeds_{false};
   Pruner pruner_;
   bool is_too_large_ = false;  // and this was reported
-  bool log_is_read_ = false;   // by another program: so it could not begin anew the last time
+  bool log_is_read_ = false;   // by another program, so it could not restart the last time
   Time now_{};                 // of the last account
   using SteadyTime = std::chrono::steady_clock::time_point;
   SteadyTime readers_waited_for_at_{};
@@ -146,12 +146,11 @@ class SqliteWriter final : public RecordingWriter {
   std::shared_ptr<const RunReport> recorded_;  // once it is closed
 };
 
-/// SQLite opens the path, and not something else that it takes it for; and there is room in it for the names beside.
+/// Checks that SQLite treats the path as a file path, and that the companion files' names are not too long.
 Result<void> check_path(const std::string& path);
 
-/// Within a transaction: seals every run that is still marked as recording, with what has survived of it. The caller
-/// holds the lock of the recording, in which `noted` was found. Adds what is then useless to `used`. Returns a remark
-/// for each.
+/// Within a transaction: seals every run still marked as recording, using its surviving live file. The caller holds the
+/// recording's lock, which had the text `noted`. Adds live files to remove to `used`. Returns a remark for each run.
 std::vector<std::string> seal_runs(Database& database, const std::string& recording, const std::string& noted,
                                    AccountSums& sums, std::vector<LiveFile>& used);
 

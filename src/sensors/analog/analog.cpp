@@ -28,7 +28,7 @@ std::string shown(std::string_view text) {
   return shown + (text.size() > 40 ? "...\"" : "\"");
 }
 
-/// What is wrong with how the converter is named; empty: nothing.
+/// The mistake in the converter's name; empty: none.
 std::string_view mistake_in_place(const AnalogConfig& config) {
   if (config.file.empty() && config.device.empty()) return "it has neither `file` nor `device`";
   if (!config.file.empty() && !config.device.empty()) return "it has both `file` and `device`";
@@ -95,7 +95,7 @@ class AnalogDevice final : public detail::LaneDevice {
   AnalogConfig config_;
 };
 
-/// What is wrong between parameters that are right by themselves; empty: nothing.
+/// The mistake in the combination of parameters; empty: none.
 const char* mistake_in_range(const AnalogConfig& config) {
   const double span = span_voltage_of_value(config);
   const bool has_width = config.conversion == AnalogConversion::standard ? span != 0

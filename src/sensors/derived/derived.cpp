@@ -20,7 +20,7 @@ std::vector<DerivedField> fields_of(const DerivedConfig& config) {
   return config.fields;
 }
 
-/// Why the configuration cannot work, its expressions apart; empty: it can.
+/// Why the configuration is invalid, apart from its expressions; empty: it is valid.
 std::string refusal_of(const DerivedConfig& config) {
   if (config.expression.empty() == config.fields.empty())
     return config.fields.empty() ? "it has no `expression`, and no `fields`"
@@ -82,7 +82,7 @@ class DerivedNode final : public FeedNode {
   }
 
  private:
-  /// What the topics `with` have, of those that bring an event only when something changes.
+  /// Takes the last events of topics `with` that publish only changes.
   void recall() {
     sources_.recall(loop()->face, [this](std::size_t from, const EventView& event) {
       if (from != 0) take(from, event);

@@ -68,12 +68,11 @@ class LimitNode final : public FeedNode {
     FeedNode::stop();
     const Time now = loop()->runtime.event_time(loop()->now());
     if (is_ending_) {
-      // The end of the run, or of this limit, which another may replace, is no change of the value; `join` may hold
-      // some back.
+      // The end of the run or of this limit is not a change of the value; publishes changes held back by `join`.
       if (waiting_ > 0) tell(now);
       return;
     }
-    // What follows the alarm has its last event until the next, and nobody watches any more.
+    // Publishes `unknown`, because followers of the alarm would keep its last event although nobody watches.
     if (watch_.take_unknown() || !has_published_) tell(now);
   }
   void stop_schedule(MonotonicTime end) override {
@@ -125,7 +124,7 @@ class LimitNode final : public FeedNode {
     consider(has_changed, event.time());
   }
 
-  /// Publishes what has changed, or joins it with what comes while `join` lasts.
+  /// Publishes a change, or joins it with others during `join`.
   void consider(bool has_changed, Time time) {
     if (has_changed) ++waiting_;
     if (waiting_ == 0 && has_published_) return;

@@ -30,7 +30,7 @@ const ConfigItem& when_item(const ConfigItem& item) {
   return at != nullptr ? *at : item;
 }
 
-/// Why the topics cannot be; empty: they can.
+/// Why the topics are invalid; empty: they are valid.
 std::string refusal_of(const TriggerConfig& config) {
   const std::vector<std::string> topics = detail::topics_of(config.on, config.with);
   for (auto topic = topics.begin(); topic != topics.end(); ++topic) {
@@ -131,7 +131,7 @@ class TriggerNode final : public FeedNode {
     sources_.put(from, event,
                  [this](std::size_t name, std::optional<double> value) { set_or_unknown(when_, name, value); });
   }
-  /// What the topics `with` have, of those that bring an event only when something changes.
+  /// Takes the last events of topics `with` that publish only changes.
   void recall() {
     sources_.recall(loop()->face, [this](std::size_t from, const EventView& event) {
       if (from != 0) put(from, event);
@@ -204,7 +204,7 @@ class TriggerNode final : public FeedNode {
     if (troubles_ == 0 && is_open()) set_health(Health::ok, nullptr);
   }
 
-  /// What is not to be published, and is too old.
+  /// Removes events that are too old and will not be published.
   void forget_before(Time now) {
     const std::uint64_t before = ring_.begin();
     while (ring_.begin() != ring_.end() && ring_.begin() >= released_ && ring_.oldest() < now &&

@@ -117,8 +117,8 @@ class VerticalNode final : public FeedNode {
     publish(&motion, event.time());
   }
 
-  /// False: it is in a unit that is not known, which is told. A payload without the field, such as of an import whose
-  /// column was empty, brings none of it, which is told once: the other sensor goes on.
+  /// False: the unit is unknown, which is reported. A payload without the field, such as from an import with an empty
+  /// column, gives no value, which is reported once; the other sensor continues.
   bool read(Field& field, const std::string& topic, const std::string& path, bool is_acceleration,
             const EventView& event, double& value) {
     const bool is_new = field.description != event.description().serial();

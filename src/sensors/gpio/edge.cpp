@@ -58,7 +58,7 @@ class EdgeNode final : public StreamNode {
     edges_.close();
   }
 
-  /// What the line counts beside the edges that it hands over.
+  /// Takes over the counts of the line besides its edges.
   void settle_accounts() noexcept {
     if (!edges_.is_open()) return;
     const GpioEdgeCounts now = edges_.counts();

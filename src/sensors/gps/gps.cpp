@@ -240,7 +240,7 @@ class GpsNode final : public StreamNode {
       tell_several();
     }
   }
-  /// Two receivers in one series of data, which may not be meant.
+  /// Reports that two receivers are mixed in one series of data.
   void tell_several() {
     if (!config_.device.empty() || !is_open()) return;
     std::vector<std::string> names;
@@ -281,7 +281,7 @@ class GpsNode final : public StreamNode {
       case GpsTimeCheck::Verdict::good:
         break;
     }
-    // One that steps by more than leap seconds explain was wrong before, or is now: nobody knows which.
+    // A larger step than leap seconds means that the time was wrong before or is wrong now.
     constexpr Duration most_step = std::chrono::seconds{20};
     const Duration ahead = difference(at_.time_since_epoch(), time.time_since_epoch());
     const Duration step = difference(time_line_.value_or(ahead), ahead);

@@ -10,8 +10,7 @@
 namespace rtdata::detail {
 namespace {
 
-// libgps has a parser for this, gps_unpack. It believes what is no value: docs/gps.md has the lines and what it made of
-// them.
+// libgps has a parser, gps_unpack, but it accepts invalid values: docs/gps.md has examples.
 
 /// The numbers of a fix that are taken as they are.
 struct NumberKey {

@@ -84,7 +84,7 @@ Result<void> enable(const std::string& file) {
   return error;
 }
 
-/// What it counts, as the configuration says. One that cannot be chosen has no such file, or one that lists others.
+/// Sets the counter's function from the configuration. A driver may not support it, or list other functions.
 Result<void> choose_function(const std::string& in, const std::string& function) {
   const std::string file = in + "/function";
   if (function.empty() || text_of(file) == function) return {};

@@ -19,14 +19,13 @@ namespace {
 constexpr const char* cannot_open = "cannot use the IIO buffer";
 // Published in one turn, so that they stay below the capacity of a topic's ring.
 constexpr std::size_t most_at_once = 512;
-// Kernels up to at least 6.1 do not wake who waits for a device that is taken away.
+// Kernels up to at least 6.1 do not wake a reader when a device is removed.
 constexpr Duration look_again = std::chrono::milliseconds{500};
-// A driver may give the first scan a time from before it was turned on, since it counts back from its interrupt.
+// A driver may give the first scan a time before the buffer was enabled, because it counts back from its interrupt.
 constexpr Duration most_before = std::chrono::seconds{1};
 constexpr Duration most_ahead = std::chrono::milliseconds{10};
 
-/// Opens the device on its lane. What is opened belongs to whoever comes last: the sensor, or this, when the sensor
-/// does not want it any more.
+/// Opens the device on its lane. The sensor owns the result, or this job if the sensor no longer wants it.
 class IioOpening final : public LaneJob {
  public:
   IioOpening(IioBufferConfig config, std::function<void(IioOpening&, Outcome)> done)
@@ -219,7 +218,7 @@ class IioBufferNode final : public StreamNode {
     if (capture != nullptr) unclosed_.push_back(std::move(capture));
     close_the_rest();
   }
-  /// Turns off on the lane what is on, which can take long. What a lane that is stuck does not take waits.
+  /// Disables open captures on the lane, which may take long. If the lane is stuck, they wait.
   void close_the_rest() noexcept {
     try {
       while (!unclosed_.empty()) {
@@ -261,7 +260,7 @@ class IioBufferNode final : public StreamNode {
     Call call(*this);
     if (capture_ != nullptr) take_scans();
   }
-  /// What came in one read, or as much of it as may be published at once.
+  /// Publishes the scans of one read, as many as allowed at once.
   void take_scans() {
     const IioLayout& layout = capture_->layout();
     const std::size_t size = layout.size();

@@ -284,7 +284,7 @@ bool Subscribing::may_read() const { return node_ == nullptr || !node_->is_holdi
 
 namespace {
 
-/// Why it cannot be subscribed to; empty: it can.
+/// Why the filter is invalid; empty: it is valid.
 std::string obstacle_of_filter(const std::string& filter) {
   constexpr std::string_view share = "$share/";
   std::string rest = filter;

@@ -100,8 +100,7 @@ std::errc parse_number(Kind kind, std::string_view text, std::byte* to, double s
   }
 }
 
-/// What could begin a number of CSV ("12.", "-1e", "na", "INF"), so that no line with one in its first column is taken
-/// for a comment.
+/// True if the text may begin a CSV number ("12.", "-1e", "na", "INF"), so that such a line is not taken as a comment.
 bool begins_a_number(std::string_view text) noexcept {
   if (!text.empty() && (text.front() == '+' || text.front() == '-')) text.remove_prefix(1);
   const std::string lower = detail::lower_case(text);
@@ -210,7 +209,7 @@ Result<void> LineDecoder::decode(std::string_view line) {
   return error;
 }
 
-/// What is probably meant by a line that is not as it was expected.
+/// Advice for an unexpected line.
 std::string LineDecoder::advice_on(std::string_view line) const {
   const auto columns_by = [&](char separator) {
     return static_cast<std::size_t>(std::count(line.begin(), line.end(), separator)) + 1;

@@ -41,7 +41,7 @@ struct NmeaFixes::Columns {
   Error bad(std::size_t i, const std::string& why) const {
     return failure(Errc::bad_data, name, "\"" + std::string(at(i).substr(0, 20)) + "\" " + why);
   }
-  /// A field that cannot be read costs itself only: it is as if it were empty, and told.
+  /// An unreadable field counts as empty and is reported; other fields are not affected.
   mutable std::optional<Error> odd = {};
   std::nullopt_t refuse(std::size_t i, const std::string& why) const {
     if (!odd) odd = bad(i, why);
@@ -207,7 +207,7 @@ Result<void> NmeaFixes::read_gsa(const Columns& columns, Draft& draft) const {
   return {};
 }
 
-/// What another talker says of the same instant: GLGGA beside GPGGA.
+/// Handles another talker's sentence for the same instant: GLGGA beside GPGGA.
 Result<void> NmeaFixes::read_other_talker(const Columns& columns, Sentence sentence, Draft& draft) const {
   Draft other;
   const bool is_gga = sentence == Sentence::gga;
@@ -288,7 +288,7 @@ void NmeaFixes::publish_now(const Publish& publish) {
 void NmeaFixes::finish(const Publish& publish) {
   if (!is_begun_) return;
   is_begun_ = false;
-  // One sentence that is missing or broken does not change what the last one is.
+  // A single missing or broken sentence does not change the learned last sentence.
   constexpr unsigned enough = 3;
   if (!is_without_time_ && (!ends_with_ || published_ || ++without_end_ == enough)) {
     ends_with_ = last_;

@@ -25,7 +25,7 @@ namespace {
 
 // Read at once, and so per turn of the loop; the most lines that this can be stay below the capacity of a topic's ring.
 constexpr std::size_t most_read = 1024;
-// So many bytes without the end of a line are none of a device that sends lines at this speed.
+// This many bytes without a line end mean that the device sends no lines at this speed.
 constexpr std::size_t least_unended = 4096;
 // A device that was silent for so long after the opening was not in the middle of a line.
 constexpr Duration silence_before_a_line = std::chrono::milliseconds{100};
@@ -116,9 +116,8 @@ class SerialLineNode final : public StreamNode {
     watch_ = FdWatch(loop()->face, fd_, FdWatch::readable, object_name(),
                      [this](const FdEvent& event) { on_ready(event); });
   }
-  /// What has waited since before the start, which only happens where another program has had the line open: nobody
-  /// knows since when, and it is not what is measured now. A line that is plugged in later has nothing of before.
-  /// True: the last of it is no end of a line.
+  /// Drops old input from before the start, which exists only if another program had the line open; its age is unknown.
+  /// True: the dropped input does not end with a line end.
   bool drop_waiting(int fd) {
     std::array<char, most_read> bytes;
     std::size_t dropped = 0;
@@ -220,7 +219,7 @@ class SerialLineNode final : public StreamNode {
     fail_line({Errc::bad_data, "no end of a line", config_.device, std::to_string(unended_) + " bytes came without one",
                "check `baud_rate`, and that the device ends its lines"});
   }
-  /// At the end: bytes came, and never a line of which anything could be made.
+  /// Reports at the end that bytes came but never a usable line.
   void tell_unended() {
     if (!is_running() || unended_ == 0 || !is_beginning_ || origin_.counts.received != 0) return;
     if (!std::exchange(is_unended_told_, true)) fail_unended();
@@ -298,7 +297,7 @@ class SerialLineNode final : public StreamNode {
       line.remove_prefix(end + 1);
     }
     if (line.empty()) return;
-    // What stands before the sentence, such as a maker's own bytes, makes no line of its own.
+    // Bytes before the sentence, such as a manufacturer's own data, are skipped.
     const std::size_t begin = line.rfind('$');
     const bool has_more = line.front() != '!' && begin != 0 && begin != std::string_view::npos;
     const unsigned opening = openings_;
@@ -328,7 +327,7 @@ class SerialLineNode final : public StreamNode {
     return a.gps_time == b.gps_time && a.lat == b.lat && a.lon == b.lon && a.alt_msl == b.alt_msl &&
            a.speed == b.speed && a.track == b.track && a.mode == b.mode && a.satellites_used == b.satellites_used;
   }
-  /// What has come of the last fix, when no more will.
+  /// Publishes the last fix when no more sentences will come.
   void finish_fix() {
     if (fixes_ != nullptr && is_running()) fixes_->finish(publish_fix_);
   }

@@ -16,7 +16,7 @@
 namespace rtdata {
 namespace {
 
-/// Why nothing can be written to it; empty: it can.
+/// Why the descriptor cannot be written; empty: it can.
 const char* obstacle(int descriptor) {
   const int flags = ::fcntl(descriptor, F_GETFL);
   return flags < 0 ? "it is not open" : (flags & O_ACCMODE) == O_RDONLY ? "it is open for reading only" : "";

@@ -1,4 +1,4 @@
-// How a sink ends: drained by its loop, or closed by its owner.
+// The end of a sink: drained by its loop, or closed by its owner.
 #include <algorithm>
 
 #include "data/saturating.hpp"
@@ -22,8 +22,8 @@ void SinkNode::begin_closing(MonotonicTime deadline) {
   if (life_ != Life::attached) return;
   runtime.reports.flush(Reports::Repeated::all);
   if (life_ != Life::attached) return;  // a user's handler has closed this sink
-  // What was published, by tiers too, and what is known to have been published is to be the same: nothing of the user's
-  // runs between here and the last account. Storing needs time, too.
+  // The published events, including those of tiers, must match the last account, so no user code runs between here and
+  // the account. Storing needs time, too.
   std::string unknown = runtime.exchange.unknown();
   note([&] {
     if (unknown.empty())

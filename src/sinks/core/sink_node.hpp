@@ -59,25 +59,25 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
 
   // ---- called by the taps
   enum class Hand { rows, rows_and_account };
-  /// Hands over to the lane what is queued, now or as soon as it is free.
+  /// Passes the queue to the lane, now or when the lane is free.
   void hand_over(Hand what);
-  /// Hands over what is queued; `done` is called when that survives a power cut.
+  /// Stores the queue; calls `done` when it survives a power failure.
   void sync(Callback<void()> done);
-  /// Puts the lane to work, unless it is or waits for a retry.
+  /// Starts the lane, unless it works already or waits for a retry.
   void start_work();
-  /// An origin that no account has yet: the next account comes soon, as after a changed schedule, so that a kill in the
-  /// first second leaves them too.
+  /// Makes the next account soon, for a new origin or a changed schedule, so that a kill in the first second does not
+  /// lose them.
   void account_is_due();
-  /// The run of the events of a topic, for who gets them elsewhere: that of the first recording that takes it, else the
-  /// program's. Of a recording, and of what goes through one: empty.
+  /// The run of a topic's events for peers: that of the first recording that takes it, otherwise the program's. Empty
+  /// for a recording and for a sink with `through`.
   std::string run_of(const TopicCore& topic) const;
 
   Handler<ErrorReport> on_error_;
   const std::string& name() const noexcept override { return config_.name; }
   SinkCounts counts() const noexcept override { return last_ ? last_->counts : queue_->counts(); }
   Health health() const noexcept { return health_; }
-  /// Its peer has something to answer; or it tries again later, and meanwhile its queue fills. What waits in a
-  /// recording is safe there.
+  /// True if it waits for its peer's answer, or for a retry while its queue fills. Events in a recording are safe and
+  /// do not count.
   bool needs_real_time() const noexcept {
     if (work_ == Work::sending) return !is_fed() || !transfer_->is_waiting();
     return is_attached() && is_waiting() && !is_fed();
@@ -101,7 +101,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
     waiting,             // for the retry after an error
     waiting_for_thread,  // the same, after the system gave none
   };
-  /// A turn of work. Shared with the lane's thread, which may be left behind with it.
+  /// A job of the lane. Shared with the lane's thread, which may be abandoned with it.
   class Job final : public LaneJob {
    public:
     explicit Job(std::shared_ptr<SinkQueue> queue) : queue_(std::move(queue)) {}
@@ -135,7 +135,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   /// This recording has begun, or ended: tells the other sinks.
   void tell_of_run() noexcept;
 
-  /// Calls a function that needs memory for a report: when there is none, the account says that it does not know.
+  /// Calls a function that needs memory for a report; without memory the account is marked as incomplete.
   template <class Function>
   void note(Function&& function) noexcept {
     try {
@@ -156,10 +156,10 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   /// Storing an account costs some pages however little it says: while nothing but counts go on, one is made now and
   /// then.
   bool is_account_worth_it() const noexcept;
-  /// Hands over the account of what changed since the last one, or its first part; the others follow. False: nothing
-  /// was handed over.
+  /// Queues the account of all changes since the last one, or its first part; the others follow. False: nothing was
+  /// queued.
   bool begin_account();
-  /// Hands over a part of the account, or all. False: there is nothing to report; or no memory, then it is due again.
+  /// Queues a part of the account, or all. False: nothing to report, or no memory; then it is due again.
   bool enqueue_account(SinkAccount::Part part) noexcept;
   void account_timer_fired();
   void follow_timer_fired();
@@ -177,7 +177,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   void stop_waiting();
   void work_timer_fired();
   void work_done(LaneJob::Outcome outcome);
-  /// Takes the state that follows from what was stored, and goes on storing. Calls no code of the user's.
+  /// Updates the state after a job and continues storing. Calls no user code.
   void go_on_after(const SinkTurnResult& turn);
   /// Reports and logs the result. Handlers may do anything to this sink, its closing included.
   void report_result(const SinkTurnResult& turn, Health before);

@@ -1,4 +1,4 @@
-// What a recording holds besides events and counts, between two accounts. Loop's thread.
+// Data for a recording besides events and counts, between two accounts. Loop's thread.
 #pragma once
 
 #include <algorithm>
@@ -11,8 +11,8 @@
 
 namespace rtdata::detail {
 
-/// Bounded, however long storage stalls: then gaps of one origin become one, and errors alike are counted. What finds
-/// no place any more is counted in an error of its own.
+/// Bounded, even if storage stalls: then gaps of one origin are joined, and equal errors are counted. Data that does
+/// not fit is counted in a separate error.
 class SinkNotes {
  public:
   static constexpr std::size_t most_segments = 16384;
@@ -100,7 +100,7 @@ class SinkNotes {
   }
   bool has_end() const noexcept { return !clock_.empty() && std::string_view(clock_.back().occasion) == "end"; }
 
-  /// Adds to the errors what found no place, as `move_into` must not: it throws when there is no memory.
+  /// Adds an error for data that did not fit; throws without memory, so `move_into` must not do this.
   void tell_lost(Time at) {
     tell_lost(at, lost_segments_, "stretches of schedule");
     tell_lost(at, lost_errors_, "errors");

@@ -1,4 +1,4 @@
-// How a sink's lane is put to work: opened, given what is queued, tried again after a failure.
+// Control of a sink's lane: opening, storing the queue, retrying after a failure.
 #include <algorithm>
 #include <iterator>
 

@@ -1,4 +1,4 @@
-// How a sink goes through a recording: it is fed with what is committed there, and keeps its position in it.
+// A sink with `through`: reads committed rows of a recording and keeps its position there.
 #include <algorithm>
 #include <string>
 #include <utility>
@@ -99,7 +99,7 @@ void SinkNode::rows_came() {
   if (!is_at_work()) note([&] { queue_->note_committed(); });
 }
 
-/// It closes, and its peer is away. What the recording has still to commit counts as waiting, too.
+/// Called when it closes and its peer is away. Rows that the recording has still to commit also count as waiting.
 void SinkNode::give_up() {
   if (recording_ == nullptr || recording_->life_ != Life::closing || recording_->has_all_rows_) return finish_drain();
   has_given_up_ = true;

@@ -78,7 +78,7 @@ std::string path_of_run(const std::string& pattern) {
   return replaced(path, run_mark, std::to_string(next_run(path)));
 }
 
-/// Whether no file system of Linux takes the path. The disk is not asked: it may not answer, and the loop would wait.
+/// True if the path is too long for every Linux file system. Does not access the disk, which might hold the loop.
 bool is_too_long(std::string_view path) noexcept {
   if (path.size() >= PATH_MAX) return true;
   while (!path.empty()) {
@@ -134,8 +134,8 @@ class FileWriter final : public RecordingWriter {
     return {};
   }
 
-  /// Opens the files of all topics that there are, so that one which cannot be opened is reported at the start. After
-  /// that, a topic's file is opened for its next event, and what is wrong with it costs no other topic anything.
+  /// Opens the files of all present topics, so that errors are reported at the start. Later, a topic's file is opened
+  /// for its next event, and its errors do not affect other topics.
   Result<void> open() override {
     if (is_opened_) return {};
     if (path_.empty()) path_ = path_of_run(config_.path);
@@ -247,7 +247,7 @@ class FileWriter final : public RecordingWriter {
     std::string header;
   };
 
-  /// What was found at the ends of the files since the last call.
+  /// Reports repairs at the ends of files since the last call.
   Error take_repairs() {
     std::string all;
     for (const std::string& repair : repairs_) all += (all.empty() ? "" : "; ") + repair;
@@ -274,7 +274,7 @@ class FileWriter final : public RecordingWriter {
     return done;
   }
 
-  /// Sees to it that the topic has an open file, which begins with this header.
+  /// Makes sure that the topic has an open file with this header.
   Result<void> prepare(std::uint32_t number, const std::string& path, const std::string& header) {
     if (by_topic_.size() <= number) by_topic_.resize(number + 1, none);
     if (by_topic_[number] == none) {

@@ -83,7 +83,7 @@ class Publishing final : public detail::MqttConnection {
   }
 
  private:
-  /// What is done of a parcel, so that only the rest of it is sent again.
+  /// The progress of a parcel, so that only the rest is sent again.
   struct Progress {
     const SlotInfo* info = nullptr;  // of its first row
     std::uint64_t sequence = 0;      // the same
@@ -177,7 +177,7 @@ class Publishing final : public detail::MqttConnection {
     return MOSQ_ERR_SUCCESS;
   }
 
-  /// What the library has told, once it has returned.
+  /// Processes the library's notifications after it has returned.
   void take() override {
     const auto client = client_;
     bool is_short_of_room = false, is_unheard = false;
@@ -357,7 +357,7 @@ MqttConfig named(MqttConfig config) {
   return config;
 }
 
-/// Whether it can know that nobody is subscribed; empty: it can.
+/// Why missing subscribers cannot be detected; empty: they can.
 std::string obstacle_of_waiting(const MqttConfig& config) {
   if (!config.wait_for_subscriber) return {};
   if (config.qos == 0) return "with qos 0 the broker says nothing of an event: set qos 1";

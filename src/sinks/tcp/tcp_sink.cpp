@@ -29,7 +29,7 @@ constexpr char ack = 0x06, nak = 0x15;
 constexpr Duration short_life = std::chrono::seconds{1};  // of a connection; the next one has to last before it is used
 constexpr Duration probation = std::chrono::milliseconds{500};
 
-/// What is under way on the loop: shared, since an answer may end the sink while one of its functions runs.
+/// The connection on the loop. Shared, because an answer may end the sink while one of its functions runs.
 class Connection : public std::enable_shared_from_this<Connection> {
  public:
   Connection(Loop& loop, const TcpConfig& config, std::shared_ptr<const TlsContext> tls)
