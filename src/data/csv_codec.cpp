@@ -63,7 +63,7 @@ bool to_number(std::string_view text, T& number) {
 using Cell = detail::CsvCell;
 
 Error bad(std::string where, std::string why) {
-  return {Errc::bad_data, "the text is no row of CSV", std::move(where), std::move(why), ""};
+  return {Errc::bad_data, "the text is not a row of CSV", std::move(where), std::move(why), ""};
 }
 
 /// The value of a cell for this leaf.
@@ -188,7 +188,7 @@ class CsvCodec final : public Codec {
     event.origin = detail::unescaped((*cells)[1].text);
     if (const std::string& text = (*cells)[2].text; !text.empty()) {
       std::uint64_t sequence = 0;
-      if (!to_number(text, sequence)) return bad("sequence", "\"" + text + "\" is no number");
+      if (!to_number(text, sequence)) return bad("sequence", "\"" + text + "\" is not a number");
       event.sequence = sequence;
     }
     event.payload.resize(description.size());

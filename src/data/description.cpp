@@ -102,7 +102,7 @@ Result<void> check(const std::vector<Field>& fields, std::size_t size, const std
     if (field.count == 0 || (!field.is_array && field.count != 1)) {
       return not_usable(place, "an array needs at least one element", "give it a count");
     }
-    if (!is_good_text(field.unit)) return not_usable(place, "its unit is no UTF-8", "write it in UTF-8");
+    if (!is_good_text(field.unit)) return not_usable(place, "its unit is not UTF-8", "write it in UTF-8");
     std::size_t expected = size_of(field.kind);
     if (field.kind == Kind::enumeration) {
       if (!is_integer_kind(field.enum_base))
@@ -112,7 +112,7 @@ Result<void> check(const std::vector<Field>& fields, std::size_t size, const std
       std::set<std::string> names;
       std::set<std::int64_t> numbers;
       for (const EnumValue& value : field.values) {
-        if (!is_good_text(value.name)) return not_usable(place, "the name of a value is no UTF-8", "write it in UTF-8");
+        if (!is_good_text(value.name)) return not_usable(place, "the name of a value is not UTF-8", "write it in UTF-8");
         if (value.name.empty()) return not_usable(place, "a value of the enumeration has no name", "name it");
         if (!names.insert(value.name).second) {
           return not_usable(place, "the value " + value.name + " is there twice", "rename one of them");

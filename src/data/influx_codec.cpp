@@ -13,7 +13,7 @@
 namespace rtdata {
 namespace {
 
-constexpr const char* no_line = "the text is no line of InfluxDB";
+constexpr const char* no_line = "the text is not a line of InfluxDB";
 constexpr std::string_view sequence_key = "sequence";
 constexpr std::string_view run_key = "run";
 
@@ -279,7 +279,7 @@ class InfluxCodec final : public Codec {
         std::uint64_t number = 0;
         if (word.empty() || (word.back() != 'i' && word.back() != 'u') ||
             detail::read_number(std::string_view(word).substr(0, word.size() - 1), number) != std::errc{})
-          return bad("field sequence", "\"" + word.substr(0, 64) + "\" is no number from 0 on");
+          return bad("field sequence", "\"" + word.substr(0, 64) + "\" is not a number from 0 on");
         event.sequence = number;
         continue;
       }
@@ -304,7 +304,7 @@ class InfluxCodec final : public Codec {
     }
     std::int64_t nanoseconds = 0;
     if (!line.take(' ') || detail::read_number(line.rest(), nanoseconds) != std::errc{})
-      return bad("time", "it is no integer of 64 bits");
+      return bad("time", "it is not an integer of 64 bits");
     event.time = from_nanoseconds(nanoseconds);
     return event;
   }

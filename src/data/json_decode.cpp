@@ -28,7 +28,7 @@ class Reader {
   Result<DecodedEvent> event(const Node& root, const Description& description);
 
   Error bad(std::string where, std::string why, std::string advice = {}) const {
-    return {Errc::bad_data, source_ == Source::json ? "the text is no event in JSON" : "the bytes are no event in CBOR",
+    return {Errc::bad_data, source_ == Source::json ? "the text is not an event in JSON" : "the bytes are no event in CBOR",
             std::move(where), std::move(why), std::move(advice)};
   }
 
@@ -50,7 +50,7 @@ class Reader {
   Result<std::vector<const Node*>> find(const Node& node, const std::vector<std::string_view>& names,
                                         std::size_t needed, const std::string& path) const {
     const std::string where = path.empty() ? "" : "field " + path.substr(0, path.size() - 1);
-    if (node.type != Node::Type::object) return bad(where, "it is no object");
+    if (node.type != Node::Type::object) return bad(where, "it is not a object");
     std::vector<const Node*> found(names.size(), nullptr);
     for (std::size_t i = 0; i < node.keys.size(); ++i) {
       const std::string& key = node.keys[i];
@@ -73,7 +73,7 @@ class Reader {
   Result<void> field(const Field& field, const Node& node, const std::string& path) {
     if (!field.is_array) return element(field, node, path);
     if (node.type != Node::Type::array || node.children.size() != field.count) {
-      return bad("field " + path, "it is no list of " + std::to_string(field.count));
+      return bad("field " + path, "it is not a list of " + std::to_string(field.count));
     }
     for (std::size_t i = 0; i < field.count; ++i) {
       if (auto done = element(field, node.children[i], path + "[" + std::to_string(i) + "]"); !done) return done;
@@ -152,8 +152,8 @@ Result<DecodedEvent> Reader::event(const Node& root, const Description& descript
   const auto& [topic, time, origin, data, sequence, run] = std::array{(*found)[0], (*found)[1], (*found)[2],
                                                                       (*found)[3], (*found)[4], (*found)[5]};
   DecodedEvent event;
-  if (topic->type != Node::Type::string) return bad("topic", "it is no string");
-  if (origin->type != Node::Type::string) return bad("origin", "it is no string");
+  if (topic->type != Node::Type::string) return bad("topic", "it is not a string");
+  if (origin->type != Node::Type::string) return bad("origin", "it is not a string");
   event.topic = topic->text;
   event.origin = text_of(*origin);
   if (time->type == Node::Type::integer) {
@@ -162,14 +162,14 @@ Result<DecodedEvent> Reader::event(const Node& root, const Description& descript
              time->natural <= std::uint64_t{std::numeric_limits<std::int64_t>::max()}) {
     event.time = from_nanoseconds(static_cast<std::int64_t>(time->natural));
   } else {
-    return bad("time", "it is no integer of 64 bits", "write ns since 1970-01-01");
+    return bad("time", "it is not an integer of 64 bits", "write ns since 1970-01-01");
   }
   if (sequence != nullptr) {
-    if (sequence->type != Node::Type::natural) return bad("sequence", "it is no number from 0 on");
+    if (sequence->type != Node::Type::natural) return bad("sequence", "it is not a number from 0 on");
     event.sequence = sequence->natural;
   }
   if (run != nullptr) {
-    if (run->type != Node::Type::string) return bad("run", "it is no string");
+    if (run->type != Node::Type::string) return bad("run", "it is not a string");
     event.run = text_of(*run);
   }
   event.payload.resize(description.size());

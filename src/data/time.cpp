@@ -358,7 +358,7 @@ Result<Rate> parse_rate(std::string_view text) {
     }
     return not_a_rate(text, static_cast<Errc>(error.code.value()), error.why, advice);
   }
-  if (period->count() == 0) return not_a_rate(text, Errc::out_of_range, "a period of zero is no rate", advice);
+  if (period->count() == 0) return not_a_rate(text, Errc::out_of_range, "a period of zero is not a rate", advice);
   return Rate::from_period(*period);
 }
 

@@ -152,7 +152,7 @@ void ConfiguredMachine::Core::listen() {
     patience = Timer(loop, {.name = "machine " + settings.name}, [this] {
       report(Errc::timed_out, "what acts on a change does not wait for the card any longer",
              "state " + settings.states[state].name, "it took longer than " + to_string(settings.resume->wait),
-             "look at the recording: after a power cut now, the machine would not go on in this state");
+             "check the recording: after a power failure now, the machine would not go on in this state");
       acted_on(syncing);
     });
   if (settings.max_age > Duration{0} && !ages.empty()) {
@@ -201,7 +201,7 @@ void ConfiguredMachine::Core::tell_missing(const rtdata::detail::ExpressionSourc
   for (const auto& field : source.fields)
     if (field.leaf == nullptr)
       report(Errc::not_found, "a condition has no value", "topic " + source.topic,
-             "it has no number `" + field.name + "`", "look at its fields, and at the conditions");
+             "it has no number `" + field.name + "`", "check its fields, and the conditions");
 }
 
 /// Removes values that are too old from the conditions of the current state.
@@ -220,7 +220,7 @@ void ConfiguredMachine::Core::evaluate(When& when, Time time) {
     when.is_failure_told = false;
   } else if (!std::exchange(when.is_failure_told, true)) {
     report(Errc::bad_data, "a condition failed", when.of, when.expression.why(),
-           "it counts as false; guard it, as in `x != 0 and 1 / x > 5`, or look at what is measured");
+           "it counts as false; guard it, as in `x != 0 and 1 / x > 5`, or check what is measured");
   }
 }
 
@@ -283,8 +283,8 @@ void ConfiguredMachine::Core::tell_silence() {
     const bool is_silent = loop.now() - ages[i].came > settings.max_age && !inputs.all()[i].is_held;
     if (!is_silent || std::exchange(ages[i].is_silence_told, true)) continue;
     report(Errc::timed_out, "conditions wait", "topic " + settings.inputs[i],
-           ages[i].has_come ? "it has brought nothing for more than " + to_string(settings.max_age)
-                            : "it has brought nothing yet",
+           ages[i].has_come ? "it has had no event for more than " + to_string(settings.max_age)
+                            : "it has had no event yet",
            "they go on with its next event; a longer `max_age` bridges longer pauses");
   }
 }

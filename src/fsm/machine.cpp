@@ -23,7 +23,7 @@ using detail::Way;
 using rtdata::detail::LoopCore;
 using rtdata::detail::Node;
 
-constexpr const char* not_standard = "an exception that is no std::exception";
+constexpr const char* not_standard = "an exception that is not a std::exception";
 
 class StateOfFunctions final : public State {
  public:

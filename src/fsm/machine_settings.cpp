@@ -53,7 +53,7 @@ class Checker {
     const auto& inputs = settings_.inputs;
     for (std::size_t i = 0; i < inputs.size(); ++i) {
       if (!is_topic_name(inputs[i])) {
-        add(element_of(item_, "inputs", i), "bad-value", "\"" + inputs[i] + "\" is no topic");
+        add(element_of(item_, "inputs", i), "bad-value", "\"" + inputs[i] + "\" is not a topic");
       } else if (std::find(inputs.begin(), inputs.begin() + std::ptrdiff_t(i), inputs[i]) !=
                  inputs.begin() + std::ptrdiff_t(i)) {
         add(element_of(item_, "inputs", i), "bad-value", "the topic \"" + inputs[i] + "\" is there twice");

@@ -23,7 +23,7 @@ std::string mistake_in(I2cAddress address) {
     return to_string(address) + " is an address of 8 bits, with that for reading or writing; without it, it is " +
            to_string(I2cAddress(number / 2));
   if (number == 0) return "the address of the chip is missing: such as 0x76";
-  return to_string(address) + " is no address of 7 bits for a chip: 0x08 to 0x77";
+  return to_string(address) + " is not an address of 7 bits for a chip: 0x08 to 0x77";
 }
 
 bool ConfigValue<I2cAddress>::read(const ConfigItem& item, I2cAddress& out, Problems& problems) {
@@ -35,7 +35,7 @@ bool ConfigValue<I2cAddress>::read(const ConfigItem& item, I2cAddress& out, Prob
     const std::string_view digits = text.substr(is_hex ? 2 : 0);
     const auto [end, status] = std::from_chars(digits.data(), digits.data() + digits.size(), number, is_hex ? 16 : 10);
     if (status != std::errc{} || end != digits.data() + digits.size()) {
-      problems.add(item.problem("bad-value", "\"" + std::string(text) + "\" is no address: write it as \"0x76\""));
+      problems.add(item.problem("bad-value", "\"" + std::string(text) + "\" is not an address: write it as \"0x76\""));
       return false;
     }
   } else if (!ConfigValue<unsigned>::read(item, number, problems)) {
@@ -66,7 +66,7 @@ Error I2cDevice::failure(int errno_value) const {
     case ENXIO:
     case EREMOTEIO:
       return error(Errc::disconnected, what, "nothing acknowledges this address",
-                   "look at its wires and its supply; `i2cdetect -y` shows who answers");
+                   "check its wires and its supply; `i2cdetect -y` shows who answers");
     case ETIMEDOUT:
       return error(Errc::timed_out, what, "the adapter waited in vain",
                    "a chip may hold SCL or SDA: switch it off and on");

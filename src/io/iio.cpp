@@ -245,7 +245,7 @@ Result<double> IioDevice::number_of(const std::string& file) const {
   double number = 0;
   if (detail::read_number(*text, number) != std::errc{} || !std::isfinite(number)) {
     return Error{Errc::not_a_number, cannot_use_device, folder_ + "/" + file,
-                 "\"" + text->substr(0, 40) + "\" is no number", ""};
+                 "\"" + text->substr(0, 40) + "\" is not a number", ""};
   }
   return number;
 }

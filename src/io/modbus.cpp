@@ -230,32 +230,32 @@ Error ModbusDevice::failure(int number) const {
       return exception(Errc::io_failed, "memory parity error", "its memory is damaged: it may need service");
     case EMBXGPATH:
       return exception(Errc::disconnected, "gateway path unavailable",
-                       "the gateway has no way to this unit: look at `unit` and at its settings");
+                       "the gateway has no way to this unit: check `unit` and its settings");
     case EMBXGTAR:
       return exception(Errc::timed_out, "gateway target device failed to respond",
-                       "look at the device behind the gateway");
+                       "check the device behind the gateway");
     case EMBBADCRC:
       return error(Errc::bad_data, cannot_ask, "the checksum of its answer is wrong",
-                   "look at the wires, their termination, `baud_rate` and `parity`");
+                   "check the wires, their termination, `baud_rate` and `parity`");
     case EMBBADSLAVE:
       return error(Errc::bad_data, cannot_ask, "another unit answers",
-                   "look whether two devices have this address, or answer later than `answer_timeout`");
+                   "check whether two devices have this address, or answer later than `answer_timeout`");
     case detail::modbus_echo:
       return error(Errc::bad_data, cannot_ask, "it sends back what was asked",
-                   "switch off the echo of the adapter (many have a jumper for it), and look at its wires");
+                   "switch off the echo of the adapter (many have a jumper for it), and check its wires");
     case detail::modbus_incomplete:
       return error(Errc::timed_out, cannot_ask,
                    "its answer was not complete in " + to_string(core_->config.answer_timeout),
-                   "look at the wires and `baud_rate`; make `answer_timeout` longer if the device is slow");
+                   "check the wires and `baud_rate`; make `answer_timeout` longer if the device is slow");
     case EMBBADDATA:
     case EMBUNKEXC:
       return error(Errc::bad_data, cannot_ask, modbus_strerror(number),
-                   core_->rtu ? "look at the wires, `baud_rate` and `parity`, and who else is on the line"
-                              : "look whether that server speaks Modbus");
+                   core_->rtu ? "check the wires, `baud_rate` and `parity`, and who else is on the line"
+                              : "check whether that server speaks Modbus");
     case ETIMEDOUT:
       return error(Errc::timed_out, cannot_ask, "no answer in " + to_string(core_->config.answer_timeout),
-                   core_->rtu ? "look at the device, its wires, `unit`, `baud_rate` and `parity`"
-                              : "look at the device, and at `unit`");
+                   core_->rtu ? "check the device, its wires, `unit`, `baud_rate` and `parity`"
+                              : "check the device, and `unit`");
     case EIO:
     case ENXIO:
     case ENODEV:

@@ -99,7 +99,7 @@ Result<void> SerialDevice::read(std::span<std::uint8_t> bytes, std::optional<Dur
     return error(Errc::timed_out, cannot_read,
                  std::to_string(pending_.size()) + " of " + std::to_string(bytes.size()) + " bytes came in " +
                      to_string(patience),
-                 "look at the device, its wires, and `baud_rate`");
+                 "check the device, its wires, and `baud_rate`");
   }
   std::copy_n(pending_.begin(), bytes.size(), bytes.begin());
   pending_.erase(0, bytes.size());
@@ -156,7 +156,7 @@ Result<std::string> SerialDevice::read_until(char delimiter, std::optional<Durat
                  pending_.empty()
                      ? "nothing came in " + to_string(patience)
                      : std::to_string(pending_.size()) + " bytes came in " + to_string(patience) + ", without an end",
-                 "look at the device, its wires, `baud_rate`, and how it ends its answers");
+                 "check the device, its wires, `baud_rate`, and how it ends its answers");
   }
 }
 

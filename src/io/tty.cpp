@@ -94,7 +94,7 @@ bool is_pseudo_terminal(int fd) noexcept {
 Result<void> set_up(int fd, const std::string& path, const SerialSettings& settings, unsigned flags) {
   struct termios2 tty {};
   if (::ioctl(fd, TCGETS2, &tty) != 0) {
-    return Error{Errc::bad_argument, cannot_open, path, "it is no serial line", "check `device`"};
+    return Error{Errc::bad_argument, cannot_open, path, "it is not a serial line", "check `device`"};
   }
   if (::flock(fd, LOCK_EX | LOCK_NB) != 0 && errno == EWOULDBLOCK) {
     return busy_error(path);

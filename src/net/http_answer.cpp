@@ -16,7 +16,7 @@ namespace {
 
 constexpr Duration longest_wish = std::chrono::hours{1};  // of Retry-After: more is a mistake, or malice
 constexpr const char* what = "cannot send";
-constexpr const char* kept = "; until then nothing is thrown away";
+constexpr const char* kept = "; until then nothing is discarded";
 
 struct Status {
   long number;
@@ -51,8 +51,8 @@ constexpr Status statuses[] = {
     {429, "Too Many Requests",
      "it wants fewer requests: a larger `parcel_rows`, a smaller `window`, `bytes_per_second`"},
     {431, "Request Header Fields Too Large", "send fewer `headers`"},
-    {500, "Internal Server Error", "look into the server's log"},
-    {501, "Not Implemented", "look into the server's log"},
+    {500, "Internal Server Error", "see the server's log"},
+    {501, "Not Implemented", "see the server's log"},
     {502, "Bad Gateway", "the server behind it does not answer"},
     {503, "Service Unavailable", "it is overloaded, or being restarted"},
     {504, "Gateway Timeout", "the server behind it does not answer"},
@@ -222,7 +222,7 @@ HttpJudgement judge(const HttpFailure& failure, const std::string& origin, const
     case CURLE_RECV_ERROR:
     case CURLE_HTTP2:
     case CURLE_HTTP2_STREAM:
-      error.advice = "the connection was closed before the answer: look into the server's log";
+      error.advice = "the connection was closed before the answer: see the server's log";
       break;
     case CURLE_WEIRD_SERVER_REPLY:
     case CURLE_UNSUPPORTED_PROTOCOL:
@@ -235,7 +235,7 @@ HttpJudgement judge(const HttpFailure& failure, const std::string& origin, const
       error.advice = "this machine is out of memory, or the server answers with more headers than libcurl takes";
       break;
     default:
-      error.advice = "look at both ends, and at what is between them";
+      error.advice = "check both ends, and what is between them";
       break;
   }
   return judgement;

@@ -427,7 +427,7 @@ bool MqttConnection::take_answer(int status) {
     } else {
       if (is_v5_ && broker_.version == MqttVersion::newest && is_older(*answer)) return try_older();
       const std::string why = refusal_of(*answer, is_v5_);
-      fail(Errc::not_permitted, "the broker refuses the connection", why, "look at `user`, `password` and `client_id`");
+      fail(Errc::not_permitted, "the broker refuses the connection", why, "check `user`, `password` and `client_id`");
       return false;
     }
   }

@@ -193,7 +193,7 @@ const char* mistake_of_message(MqttBytes& bytes, unsigned flags, bool is_v5) noe
   const unsigned qos = (flags & qos_mask) >> 1;
   if (qos > 2 || (qos == 0 && (flags & duplicate) != 0)) return "a message of a QoS that there is not";
   const std::string_view topic = bytes.text();
-  if (!bytes.is_good()) return "a message whose topic is no text";
+  if (!bytes.is_good()) return "a message whose topic is not text";
   if (topic.empty()) return "a message without a topic";
   if (topic.find_first_of("+#") != std::string_view::npos) return "a message whose topic is a pattern";
   if (qos > 0 && bytes.number(2) == 0) return "a message without a number";

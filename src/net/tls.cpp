@@ -17,7 +17,7 @@ constexpr off_t most_looked_at = off_t{1} << 20;  // authorities of a whole syst
 
 /// Why the file cannot be used; empty: it can.
 std::string obstacle(const std::string& path) {
-  if (path.find('\0') != std::string::npos) return "it is no name of a file: it has a NUL byte";
+  if (path.find('\0') != std::string::npos) return "it is not a name of a file: it has a NUL byte";
   const int fd = ::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NOCTTY | O_NONBLOCK);
   if (fd < 0) return std::generic_category().message(errno);
   struct stat about {};
@@ -25,7 +25,7 @@ std::string obstacle(const std::string& path) {
   std::string text(is_file ? static_cast<std::size_t>(std::min<off_t>(about.st_size, most_looked_at)) : 0, '\0');
   const ssize_t got = ::read(fd, text.data(), text.size());
   ::close(fd);
-  if (!is_file) return "it is no regular file";
+  if (!is_file) return "it is not a regular file";
   text.resize(got > 0 ? static_cast<std::size_t>(got) : 0);
   return text.find("-----BEGIN ") != std::string::npos ? ""
                                                        : "it is not PEM: it has no line that begins with -----BEGIN";

@@ -104,7 +104,7 @@ struct HttpActuator::Request {
                                                             url.origin);
       if (judgement.verdict == detail::HttpVerdict::taken) return {};
       return Error{judgement.why.code, cannot_set_http, url.origin, judgement.why.why,
-                   "look at `url`, `method` and `text`"};
+                   "check `url`, `method` and `text`"};
     }
     const detail::HttpUrl proxy = config.server.proxy.empty() ? detail::HttpUrl{}
                                                               : detail::parse_http_url(config.server.proxy).or_throw();

@@ -146,7 +146,7 @@ class LanePort final : public OutputPort {
   Error hanging() const {
     return {Errc::timed_out, "cannot set the output", name_,
             "its device did not return within " + to_string(limit_) + ", and nothing else can use it meanwhile",
-            "look at the device, and start the program again"};
+            "check the device, and start the program again"};
   }
 
   const std::string name_;

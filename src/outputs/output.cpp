@@ -25,7 +25,7 @@ constexpr Duration answer_limit = std::chrono::seconds{3};  // longer than a lan
 
 /// Why the configuration is invalid; empty: it is valid.
 std::string refusal_of(const OutputConfig& config) {
-  if (!std::isfinite(config.safe)) return "`safe` is no finite number";
+  if (!std::isfinite(config.safe)) return "`safe` is not a finite number";
   if (config.on.empty()) {
     if (!config.expression.empty() || !config.with.empty() || config.hysteresis || config.pid)
       return "`expression`, `with`, `hysteresis` and `pid` need the topic `on` that it follows";
@@ -86,7 +86,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
 
   Result<void> set(double value, std::string_view by) {
     if (state_ == State::stopped) return stopped();
-    if (!std::isfinite(value)) return refusal(Errc::bad_argument, "the value is no finite number", "");
+    if (!std::isfinite(value)) return refusal(Errc::bad_argument, "the value is not a finite number", "");
     if (input_)
       return refusal(Errc::bad_argument, "it follows the topic \"" + config_.on + "\"", "disarm it to hold it safe");
     const Order order{value, OutputCause::set, fitting<48>(by), now()};
@@ -158,7 +158,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     const bool is_finite = std::all_of(std::begin(all), std::end(all), [](double one) { return std::isfinite(one); });
     if (!is_finite || !(pid.least < pid.most))
       return Error{Errc::bad_argument, cannot_control, name(),
-                   is_finite ? "`least` is not below `most`" : "a setting is no finite number", ""};
+                   is_finite ? "`least` is not below `most`" : "a setting is not a finite number", ""};
     input_->pid()->change(pid);
     is_setpoint_commanded_ = false;
     return {};
@@ -501,14 +501,14 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     if (state_ == State::taking)
       return complain({Errc::timed_out, "the output cannot be set yet", name(),
                        "its device has not answered for " + to_string(slow_start),
-                       "what it is to be set to waits; look at the device"},
+                       "what it is to be set to waits; check the device"},
                       Health::degraded);
     // Started with an earlier value, which was answered.
     if (const MonotonicTime due = sent_ + answer_limit; due > now()) return patience_.start_at(due);
     value_.reset();
     complain({Errc::timed_out, cannot_set, name(),
               "there is no answer after " + to_string(answer_limit) + (is_guarded() ? " from the guard" : ""),
-              "look at the device, or start the program again"},
+              "check the device, or start the program again"},
              Health::faulted);
   }
 
@@ -586,7 +586,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     if (!done) {
       error.what = "the guard could not set the output to its safe value";
       error.why += ", and the device did not take the value: " + done.error().why;
-      error.advice = "look at the device: it is tried again until it takes it";
+      error.advice = "check the device: it is tried again until it takes it";
     }
     complain(error, done ? Health::degraded : Health::faulted);
   }
@@ -624,10 +624,10 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     if (input_->has_held() && !turning_.is_running()) turning_.start(Duration{0});
     if (hanging_ != nullptr || !input_->computes_with(topic)) return;
     const std::optional<double> value = input_->evaluate(time, now());
-    if (!input_->why().empty()) return go_stale(Errc::bad_data, input_->why(), "look at what is measured");
+    if (!input_->why().empty()) return go_stale(Errc::bad_data, input_->why(), "check what is measured");
     if (!value) return;
     if (const std::string why = range_.refusal(*value); !why.empty())
-      return go_stale(Errc::out_of_range, why, "look at what is measured, and at the expression");
+      return go_stale(Errc::out_of_range, why, "check what is measured, and the expression");
     last_input_ = now();
     is_stale_ = false;
     const OutputInput::Silence silence = input_->silence();

@@ -55,7 +55,7 @@ const ConfigItem& child_or_self(const ConfigItem& item, const char* key) {
 }  // namespace
 
 std::string OutputRange::refusal(double value) const {
-  if (!std::isfinite(value)) return "the value is no finite number";
+  if (!std::isfinite(value)) return "the value is not a finite number";
   const bool fits = value >= least && value <= most && (!is_whole || value == std::floor(value));
   if (fits) return "";
   std::string text = detail::number_text(value) + " is not what the device takes: ";

@@ -87,7 +87,7 @@ Result<void> SerialActuator::set(double value) {
   const Deadline until = std::chrono::steady_clock::now() + config_.timeout;
   const auto late = [&](std::string why) {
     return Error{Errc::timed_out, cannot_set_serial, config_.device, std::move(why),
-                 "look at the device and its settings"};
+                 "check the device and its settings"};
   };
   const auto failed = [&] {
     if (errno == EIO || errno == ENXIO || errno == ENODEV)

@@ -399,7 +399,7 @@ struct Expression::Program {
     const std::string column = " in column " + std::to_string(outcome.at);
     switch (outcome.failure) {
       case Failure::not_finite:
-        return name_of(outcome.at) + " is no finite number";
+        return name_of(outcome.at) + " is not a finite number";
       case Failure::division_by_zero:
         return "division by zero, or the logarithm of 0," + column;
       case Failure::too_large:
@@ -553,7 +553,7 @@ class Expression::Compiler {
       case Failure::too_large:
         refuse(tree_.nodes[at].column, "this is too large for a double, whatever the values are");
       default:
-        refuse(tree_.nodes[at].column, "this is no number, whatever the values are");
+        refuse(tree_.nodes[at].column, "this is not a number, whatever the values are");
     }
   }
 

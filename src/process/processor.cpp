@@ -535,11 +535,11 @@ Error Processor::error(const std::string& sensor) const {
   switch (failure_) {
     case Failure::raw_not_finite:
       error.why = "it is " + value;
-      error.advice = "look at the sensor: what is calibrated or filtered has to be a finite number";
+      error.advice = "check the sensor: what is calibrated or filtered has to be a finite number";
       break;
     case Failure::not_finite:
-      error.why = "calibrated and filtered, it is no finite number";
-      error.advice = "look at its calibration";
+      error.why = "calibrated and filtered, it is not a finite number";
+      error.advice = "check its calibration";
       break;
     case Failure::outside_table:
       error.why = value + " is outside the table of its calibration";
@@ -548,11 +548,11 @@ Error Processor::error(const std::string& sensor) const {
       break;
     case Failure::below:
       error.why = value + " is below " + bound + ", the least";
-      error.advice = "look at the sensor, or at `least` of its calibration";
+      error.advice = "check the sensor, or `least` of its calibration";
       break;
     case Failure::above:
       error.why = value + " is above " + bound + ", the most";
-      error.advice = "look at the sensor, or at `most` of its calibration";
+      error.advice = "check the sensor, or `most` of its calibration";
       break;
   }
   return error;

@@ -49,7 +49,7 @@ Error failed(int reason, const std::string& path) {
 }
 
 Error no_lock_file(const std::string& path) {
-  return {Errc::not_permitted, "cannot lock the recording", path, "it is no regular file", "remove it"};
+  return {Errc::not_permitted, "cannot lock the recording", path, "it is not a regular file", "remove it"};
 }
 
 Error held(const std::string& recording, const std::string& holder, const char* advice) {

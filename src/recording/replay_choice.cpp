@@ -27,7 +27,7 @@ Result<std::optional<GivenTime>> given_time(const char* key, const std::string& 
     return std::optional<GivenTime>{{from_nanoseconds(ns), RowFilter::Times::recorded}};
   auto time = parse_iso8601(text);
   if (time) return std::optional<GivenTime>{{*time, RowFilter::Times::utc}};
-  return replay_refused(std::string(key) + " \"" + text + "\"", "it is no time",
+  return replay_refused(std::string(key) + " \"" + text + "\"", "it is not a time",
                         "write it as 2026-03-01T12:00:00Z, or as recorded ns");
 }
 

@@ -178,7 +178,7 @@ std::string VerifyReport::text() const {
       wrap(out, "  ", n(run.received) + " received, " + n(run.unreadable) + " of them unreadable");
     for (const auto& [topic, count] : run.first_lines)
       wrap(out, "  ",
-           plural(count, "first line") + " of " + topic + " thrown away: the port was opened in the middle of a line");
+           plural(count, "first line") + " of " + topic + " discarded: the port was opened in the middle of a line");
     for (const std::string& problem : run.problems) wrap(out, "  ! ", problem);
     if (run.more_problems != 0) wrap(out, "  ! ", n(run.more_problems) + " more problems.");
     for (const std::string& note : run.notes) wrap(out, "  - ", note);

@@ -102,7 +102,7 @@ TEST_SUITE("app") {
       other.execute("BEGIN IMMEDIATE");
       CHECK(has(b.ctl({"disarm", "igniter"}, 1),
                 "output igniter is disarmed: it has its safe value; but that is not on the card in run.db, after 3 s: "
-                "after a kill or a power cut now, machine m would arm it again"));
+                "after a kill or a power failure now, machine m would arm it again"));
       CHECK(has(b.ctl({"arm", "igniter"}, 1),
                 "output igniter is armed; but that is not on the card in run.db, after 3 s: after a kill or a power "
                 "cut now, machine m would not arm it again"));

@@ -206,7 +206,7 @@ TEST_SUITE("app") {
     CHECK(health_of(status, "a") == "ok");
     Process once(folder, program, {"top", "--once"});
     CHECK(once.end() == 0);
-    CHECK(has(once.out, "\n  ! it does not turn: it has not come out of sensor b\n"));
+    CHECK(has(once.out, "\n  ! it does not turn: it has not returned from sensor b\n"));
     CHECK(has(once.out, "\nsensor a                       fast "));
     run.signal(SIGTERM);
     CHECK(run.end() == 1);

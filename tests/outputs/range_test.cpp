@@ -91,7 +91,7 @@ TEST_SUITE("outputs") {
     for (const double value : {0.0, -1e300, 1e300, 0.5}) CHECK(any.refusal(value).empty());
     for (const OutputRange& range : {any, line, duty, steps})
       for (const double value : {std::nan(""), infinite, -infinite})
-        CHECK(range.refusal(value) == "the value is no finite number");
+        CHECK(range.refusal(value) == "the value is not a finite number");
     CHECK(line.refusal(0).empty());
     CHECK(line.refusal(1).empty());
     CHECK(line.refusal(0.5) == "0.5 is not what the device takes: 0 or 1");
@@ -227,8 +227,8 @@ TEST_SUITE("outputs") {
       CHECK(text_of(duty) == "500000");
     };
     refuses("2", "2 is not what the device takes: from 0 to 1");
-    refuses("nan", "the value is no finite number");
-    refuses("inf", "the value is no finite number");
+    refuses("nan", "the value is not a finite number");
+    refuses("inf", "the value is not a finite number");
     run.signal(SIGTERM);
     CHECK(run.end() == 0);
     CHECK(text_of(duty) == "0");

@@ -260,7 +260,7 @@ TEST_SUITE("sensors") {
     CHECK(battery.counts().repeated == 5);
     CHECK(battery.counts().published == published);
     bench.loop.advance(700ms);
-    CHECK(battery.status().reason.find("it measures no more") != std::string::npos);
+    CHECK(battery.status().reason.find("it has stopped measuring") != std::string::npos);
     chip.set_word(2, 4000 << 3 | 3);
     bench.loop.advance(1s);
     CHECK(battery.status().reason.find("it tells of an overflow") != std::string::npos);
@@ -559,7 +559,7 @@ TEST_SUITE("sensors") {
     CHECK(problems(R"({"name": "b", "type": "lm75", "rate": "1 Hz", "bus": "i2c1", "address": "0x90"})")
               .find("0x90 is an address of 8 bits, with that for reading or writing; without it, it is 0x48") !=
           std::string::npos);
-    CHECK(problems(R"({"name": "b", "type": "lm75", "rate": "1 Hz", "address": "high"})").find("is no address") !=
+    CHECK(problems(R"({"name": "b", "type": "lm75", "rate": "1 Hz", "address": "high"})").find("is not an address") !=
           std::string::npos);
     CHECK(problems(R"({"name": "b", "type": "barometer", "rate": "1 Hz", "bus": "i2c1", "pressure_oversampling": 3})")
               .find("3 is none of 1, 2, 4, 8, 16") != std::string::npos);

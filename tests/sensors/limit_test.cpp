@@ -330,7 +330,7 @@ TEST_CASE("a topic that falls silent is an alarm, a gap and a fault, and told on
   CHECK(bench.sensor.health() == Health::faulted);
   bench.loop.advance(20s);
   CHECK(bench.alarms.empty());
-  CHECK(bench.errors == std::vector<std::string>{"the topic \"tank\" has brought nothing for 2 s"});
+  CHECK(bench.errors == std::vector<std::string>{"the topic \"tank\" has had no event for 2 s"});
   bench.take(50, 1s);
   CHECK(bench.levels() == std::vector{normal});
   CHECK(bench.sensor.health() == Health::ok);

@@ -220,7 +220,7 @@ TEST_SUITE("sinks") {
            "cannot make file sink: " + directory + "/no/{topic}: there is no directory");
     starts({.path = directory + "/{topic}/run"},
            "cannot make file sink: " + directory + "/{topic}/run: {topic} stands in");
-    starts({.path = "/dev/null"}, "cannot record into: /dev/null: it is no regular file");
+    starts({.path = "/dev/null"}, "cannot record into: /dev/null: it is not a regular file");
     starts({.path = directory + "/run", .format = "cvs"}, CodecRegistry::standard().make("cvs").error().text());
     starts({.path = directory + "/run.csv", .format = "csv"},
            "cannot record topic b/c: " + directory +

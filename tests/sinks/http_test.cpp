@@ -342,7 +342,7 @@ TEST_CASE("US-32 a token that has expired throws nothing away, and is never show
                      .sink = {.name = "collector", .retry_longest = 1min}});
     bench.publish(20);
     CHECK(bench.is_faulted());
-    CHECK_MESSAGE(has(bench.reason(), "nothing is thrown away"), bench.reason());
+    CHECK_MESSAGE(has(bench.reason(), "nothing is discarded"), bench.reason());
     CHECK(has(bench.reason(), status));
     CHECK_MESSAGE(has(bench.said(), "(secret)"), bench.said());
     for (const char* secret : {"s3cr3t-token", "of-mine", "key=value"})

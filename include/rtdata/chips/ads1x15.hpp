@@ -131,7 +131,7 @@ class Ads1x15 {
     if (!kept) return kept.error();
     if ((*kept & ~ready) != settings)
       return chip.error(Errc::bad_data, "cannot use the chip as an ADS1x15", "it does not keep its settings",
-                        "look at which chip is at this address");
+                        "check which chip is at this address");
     return {};
   }
 
@@ -163,12 +163,12 @@ class Ads1x15 {
     const std::uint16_t settings = settings_of(config_, channel);
     if ((*before & ~ready) != settings || (*after & ~ready) != settings) {
       out.unreadable(
-          chip.error(Errc::bad_data, what, "it has lost its settings since the start", "look at its supply"));
+          chip.error(Errc::bad_data, what, "it has lost its settings since the start", "check its supply"));
       next_ = 0;
       return {};
     }
     if ((*before & ready) == 0)
-      return restarted_after(chip.error(Errc::timed_out, what, "it converts still, longer than it may"));
+      return restarted_after(chip.error(Errc::timed_out, what, "the conversion takes too long"));
     const Result<double> voltage = decode(config_.model, *code, channel.range);
     if (voltage) {
       voltages_.voltages[next_] = *voltage;

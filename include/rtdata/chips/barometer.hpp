@@ -390,8 +390,8 @@ class Barometer {
   static Result<BarometerReading> reading(const AirMeasurement& air, double reference_pressure) {
     constexpr double most = 200'000;
     if (!(air.pressure > 0 && air.pressure <= most))
-      return Error{Errc::out_of_range, what, "", std::to_string(air.pressure) + " Pa is outside of what it measures",
-                   "look at its wires and its supply"};
+      return Error{Errc::out_of_range, what, "", std::to_string(air.pressure) + " Pa is outside its range",
+                   "check its wires and its supply"};
     return BarometerReading{air.pressure, air.temperature,
                             pressure_altitude(air.pressure) - pressure_altitude(reference_pressure), air.humidity};
   }
@@ -460,7 +460,7 @@ class Barometer {
     const Result<std::uint8_t> found = chip.read_register(0xd0);
     if (found && *found == 0x55) return "it seems to be a BMP180, which has no driver here";
     if (found && *found == 0x61) return "it seems to be a BME680, which has no driver here";
-    return "look at which chip is at this address, and at `model`";
+    return "check which chip is at this address, and `model`";
   }
 
   template <class Trimming>
@@ -514,10 +514,10 @@ class Barometer {
 
   static Unreadable lost_settings(RegisterDevice& chip) {
     return Unreadable{
-        chip.error(Errc::bad_data, what, "it has lost its settings since the start", "look at its supply")};
+        chip.error(Errc::bad_data, what, "it has lost its settings since the start", "check its supply")};
   }
   static Error measures_still(RegisterDevice& chip) {
-    return chip.error(Errc::timed_out, what, "it measures still, longer than it may", "");
+    return chip.error(Errc::timed_out, what, "the measurement takes too long", "");
   }
   Reading<BarometerReading> reading_of(RegisterDevice& chip, const Result<AirMeasurement>& air) const {
     auto made = air ? reading(*air, config_.reference_pressure) : Result<BarometerReading>(air.error());

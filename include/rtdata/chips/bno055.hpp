@@ -100,7 +100,7 @@ class Bno055 {
     if (*found != identity) {
       return chip.error(Errc::bad_data, "cannot use the chip as a BNO055",
                         "its identity is " + to_string(I2cAddress(*found)) + ", that of a BNO055 is 0xa0",
-                        "look at which chip is at this address; a BNO055 needs 0.7 s after it was switched on");
+                        "check which chip is at this address; a BNO055 needs 0.7 s after it was switched on");
     }
     const Result<std::uint8_t> tested = chip.read_register(0x36);
     if (!tested) return tested.error();
@@ -118,7 +118,7 @@ class Bno055 {
     if (auto done = chip.read_registers(first_register, bytes); !done) return std::move(done).error();
     const std::uint8_t status = bytes[0x39 - first_register], error = bytes[0x3a - first_register];
     if (bytes[0x3b - first_register] != units || bytes[0x3d - first_register] != mode_code()) {
-      auto lost = chip.error(Errc::bad_data, what, "it has lost its settings", "look at its supply");
+      auto lost = chip.error(Errc::bad_data, what, "it has lost its settings", "check its supply");
       if (auto done = set_up(chip); !done) return std::move(done).error();
       return Unreadable{std::move(lost)};
     }

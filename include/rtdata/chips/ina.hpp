@@ -81,7 +81,7 @@ class Ina {
       if (!die) return die.error();
       if (*maker != 0x5449 || (*die & 0xfff0) != 0x2260)
         return chip.error(Errc::bad_data, "cannot use the chip as an INA226", "it does not have its identity",
-                          "look at which chip is at this address, and `model`");
+                          "check which chip is at this address, and `model`");
     }
     last_ = Samples<PowerReading>::now();
     return chip.write_word(settings_register, of(config_.model).settings);
@@ -93,7 +93,7 @@ class Ina {
     if (*settings != of(config_.model).settings) {
       if (auto done = open(chip); !done) return std::move(done).error();
       return Unreadable{
-          chip.error(Errc::bad_data, what, "it has lost its settings, and is set up again", "look at its supply")};
+          chip.error(Errc::bad_data, what, "it has lost its settings, and is set up again", "check its supply")};
     }
     const bool is_ina219 = config_.model == InaModel::ina219;
     const Result<std::uint16_t> flags = chip.read_word(is_ina219 ? bus_register : mask_register);
@@ -101,7 +101,7 @@ class Ina {
     const MonotonicTime now = Samples<PowerReading>::now();
     if ((*flags & (is_ina219 ? ina219_ready : ina226_ready)) == 0) {
       if (now - last_ > std::chrono::seconds{1})
-        return chip.error(Errc::timed_out, what, "it measures no more", "look at its supply, and `model`");
+        return chip.error(Errc::timed_out, what, "it has stopped measuring", "check its supply, and `model`");
       return nothing_new;
     }
     last_ = now;
@@ -128,7 +128,7 @@ class Ina {
     const int bus_code = bus >> model.bus_shift;
     if (bus_code >= model.bus_end)
       return Error{Errc::out_of_range, what, "", "the voltage of the bus is beyond what it can measure",
-                   "look at its wires"};
+                   "check its wires"};
     const double current = code * model.shunt_step / config.shunt_resistance;
     const double voltage = bus_code * model.bus_step;
     return PowerReading{voltage, current, voltage * current};

@@ -240,7 +240,7 @@ class InertialChip {
     if (!mode) return mode.error();
     // These bits are not compared: an MPU-9250 clears them by itself.
     if (((*mode ^ value_of(fifo.on)) & ~fifo.on.on_spi) != 0) {
-      out.unreadable(chip.error(Errc::bad_data, what, "it has lost its settings", "look at its supply"));
+      out.unreadable(chip.error(Errc::bad_data, what, "it has lost its settings", "check its supply"));
       auto done = set_up(chip);
       if (done) give_up_samples(Samples<Value>::now(), out);
       return done;
@@ -264,7 +264,7 @@ class InertialChip {
     const std::size_t filled = (status & fifo.count_mask) * fifo.count_bytes;
     if (filled > fifo.capacity) {
       return chip.error(Errc::bad_data, what, "its FIFO has " + std::to_string(filled) + " bytes, more than there are",
-                        "look at its wires");
+                        "check its wires");
     }
     has_run_over = has_run_over || (status & fifo.over_mask) != 0 || filled + model_.sample_bytes > fifo.capacity;
     if (!fifo.keeps_whole_samples && (has_run_over || is_torn_ || (status & fifo.torn_mask) != 0))
@@ -296,7 +296,7 @@ class InertialChip {
     is_uncertain_ = !result || (has_gap && !has_samples);
     if (const auto bad = std::exchange(bad_words_, 0); bad > 0) {
       out.unreadable(chip.error(Errc::bad_data, what, std::to_string(bad) + " words of its FIFO have a wrong parity",
-                                "look at its wires"));
+                                "check its wires"));
     }
     return result;
   }
@@ -394,7 +394,7 @@ class InertialChip {
   }
 
   Error another_chip(RegisterDevice& chip, std::uint8_t found) const {
-    std::string advice = "look at which chip is at this address, and at `model`";
+    std::string advice = "check which chip is at this address, and `model`";
     for (const InertialModel& other : all_) {
       const Result<std::uint8_t> its = chip.read_register(other.identity_register);
       if (!its || *its != other.identity) continue;

@@ -53,8 +53,8 @@ class Lm75 {
     if (degrees < least || degrees > most) {
       return Unreadable{
           chip.error(Errc::out_of_range, "cannot read the LM75",
-                     std::to_string(degrees) + " degrees is outside of what it measures, -55 to 125 degrees",
-                     "look at its wires, and whether this is an LM75")};
+                     std::to_string(degrees) + " degrees is outside its range, -55 to 125 degrees",
+                     "check its wires, and whether this is an LM75")};
     }
     return TemperatureReading{degrees};
   }

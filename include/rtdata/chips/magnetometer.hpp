@@ -291,7 +291,7 @@ class Magnetometer {
       return chip.error(Errc::bad_data, "cannot use the chip as " + name(),
                         "its identity is " + to_string(I2cAddress(identity[i])) + ", that of " + name() + " is " +
                             to_string(I2cAddress(wanted)),
-                        "look at which chip is at this address, and at `model`");
+                        "check which chip is at this address, and `model`");
     }
     if (model_.adjustment_register != 0) {
       if (auto done = read_adjustment(chip); !done) return done;
@@ -301,7 +301,7 @@ class Magnetometer {
     if (auto done = read_pieces(chip, bytes); !done) return done;
     if (!has_settings(bytes))
       return chip.error(Errc::bad_data, "cannot use the chip as " + name(), "it does not keep its settings",
-                        "look at which chip is at this address, and at its supply");
+                        "check which chip is at this address, and its supply");
     return {};
   }
 
@@ -309,7 +309,7 @@ class Magnetometer {
     std::array<std::uint8_t, most_bytes> bytes{};
     if (auto done = read_pieces(chip, bytes); !done) return std::move(done).error();
     if (!has_settings(bytes)) {
-      auto lost = chip.error(Errc::bad_data, what, "it has lost its settings", "look at its supply");
+      auto lost = chip.error(Errc::bad_data, what, "it has lost its settings", "check its supply");
       if (auto done = set_up(chip); !done) return std::move(done).error();
       return Unreadable{std::move(lost)};
     }
@@ -317,7 +317,7 @@ class Magnetometer {
     if (model_.is_new.mask != 0 && (bytes[model_.is_new.at] & model_.is_new.mask) == 0) {
       if (now - last_ <= patience()) return NothingNew{};
       return chip.error(Errc::timed_out, what, "it has brought no sample since " + to_string(patience()),
-                        "look at its supply");
+                        "check its supply");
     }
     last_ = now;
     auto reading = decode(bytes, config_, adjustment_);

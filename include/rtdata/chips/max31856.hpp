@@ -89,7 +89,7 @@ class Max31856 {
     if (auto done = read_registers(chip, bytes); !done) return done;
     if (!has_settings(bytes, config_))
       return chip.error(Errc::bad_data, "cannot use the chip as a MAX31856", "it does not keep its settings",
-                        "look at its wires and supply, `chip_select`, `mode` and `clock`");
+                        "check its wires and supply, `chip_select`, `mode` and `clock`");
     return {};
   }
   Result<void> start(SpiDevice& chip) {
@@ -110,10 +110,10 @@ class Max31856 {
     };
     if (!has_settings(bytes, config_)) {
       if (auto done = set_up(chip); !done) return std::move(done).error();
-      return unreadable({Errc::bad_data, what, "", "it has lost its settings since the start", "look at its supply"});
+      return unreadable({Errc::bad_data, what, "", "it has lost its settings since the start", "check its supply"});
     }
     if ((bytes[0] & one_shot) != 0)
-      return chip.error(Errc::timed_out, what, "it measures still, longer than it may", "");
+      return chip.error(Errc::timed_out, what, "the measurement takes too long", "");
     auto reading = decode(bytes);
     if (!reading) return unreadable(reading.error());
     return *reading;
@@ -122,12 +122,12 @@ class Max31856 {
   /// `registers`: all of the chip. Errors: bad-data (the thermocouple), out-of-range (temperatures).
   static Result<ThermocoupleReading> decode(std::span<const std::uint8_t, 16> registers) {
     const unsigned fault = registers[15];
-    const auto refused = [](Errc code, const char* why) { return Error{code, what, "", why, "look at its wires"}; };
+    const auto refused = [](Errc code, const char* why) { return Error{code, what, "", why, "check its wires"}; };
     if ((fault & 0x01) != 0) return refused(Errc::bad_data, "the thermocouple is open");
     if ((fault & 0x02) != 0) return refused(Errc::bad_data, "an input is below ground or above the supply");
     if ((fault & 0x40) != 0)
-      return refused(Errc::out_of_range, "the temperature is outside of its thermocouple's range");
-    if ((fault & 0xb0) != 0) return refused(Errc::out_of_range, "the cold junction is outside of its range");
+      return refused(Errc::out_of_range, "the temperature is outside its thermocouple's range");
+    if ((fault & 0xb0) != 0) return refused(Errc::out_of_range, "the cold junction is outside its range");
     const auto cold = static_cast<std::int16_t>(registers[10] << 8 | registers[11]);
     const auto tip = static_cast<std::int32_t>(static_cast<std::uint32_t>(registers[12]) << 24 |
                                                static_cast<std::uint32_t>(registers[13]) << 16 |

@@ -100,7 +100,7 @@ class Max31865 {
     if (!kept) return kept.error();
     if (*kept != settings_of(config_))
       return chip.error(Errc::bad_data, "cannot use the chip as a MAX31865", "it does not keep its settings",
-                        "look at its wires and supply, `chip_select`, `mode` and `clock`");
+                        "check its wires and supply, `chip_select`, `mode` and `clock`");
     return write_settings(chip, 0, Current::off);
   }
 
@@ -136,7 +136,7 @@ class Max31865 {
     if (auto done = chip.write_read({&first, 1}, bytes); !done) return std::move(done).error();
     if (auto done = write_settings(chip, 0, Current::off); !done) return std::move(done).error();
     if (bytes[0] == (settings_of(config_) | one_shot))
-      return chip.error(Errc::timed_out, what, "it measures still, longer than it may", "");
+      return chip.error(Errc::timed_out, what, "the measurement takes too long", "");
     if (bytes[0] != settings_of(config_)) return lost(chip);
     auto reading = decode(bytes, config_);
     if (!reading) {
@@ -148,7 +148,7 @@ class Max31865 {
 
   /// `registers`: all of the chip. Errors: bad-data (the wires), out-of-range (no temperature has this resistance).
   static Result<RtdReading> decode(std::span<const std::uint8_t, 8> registers, const Config& config) {
-    const auto refused = [](Errc code, const char* why) { return Error{code, what, "", why, "look at its wires"}; };
+    const auto refused = [](Errc code, const char* why) { return Error{code, what, "", why, "check its wires"}; };
     const unsigned fault = registers[7], code = static_cast<unsigned>(registers[1] << 8 | registers[2]) >> 1;
     if ((fault & 0x04) != 0) return refused(Errc::bad_data, "an input is below ground or above the supply");
     if ((fault & 0x20) != 0) return refused(Errc::bad_data, "the element, or a wire to it, is open");
@@ -161,8 +161,8 @@ class Max31865 {
     const double ratio = resistance / (config.element == RtdElement::pt100 ? 100 : 1000);
     const std::optional<double> temperature = temperature_of(ratio);
     if (!temperature)
-      return Error{Errc::out_of_range, what, "", std::to_string(resistance) + " Ohm is outside of -200 to 850 degrees",
-                   "look at its wires, `element` and `reference_resistance`"};
+      return Error{Errc::out_of_range, what, "", std::to_string(resistance) + " Ohm is outside -200 to 850 degrees",
+                   "check its wires, `element` and `reference_resistance`"};
     return RtdReading{*temperature, resistance};
   }
 
@@ -208,7 +208,7 @@ class Max31865 {
   }
   Reading<RtdReading> lost(SpiDevice& chip) const {
     return Unreadable{
-        chip.error(Errc::bad_data, what, "it has lost its settings since the start", "look at its supply")};
+        chip.error(Errc::bad_data, what, "it has lost its settings since the start", "check its supply")};
   }
 
   Config config_;

@@ -111,7 +111,7 @@ class Mcp3x08 {
       if (!code)
         return Unreadable{chip.error(Errc::bad_data, "cannot read the converter",
                                      detail::field_of(config_.channels[i]) + " has no null bit: nothing answers",
-                                     "look at its wires and supply, `chip_select`, `mode`, `clock`, and `model`")};
+                                     "check its wires and supply, `chip_select`, `mode`, `clock`, and `model`")};
       reading.voltages[i] = *code * step;
     }
     return reading;

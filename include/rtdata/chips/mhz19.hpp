@@ -57,12 +57,12 @@ class MhZ19 {
     if (auto done = line.transact(request, answer); !done) return std::move(done).error();
     if (answer == request)
       return Unreadable{line.error(Errc::bad_data, "cannot read the MH-Z19", "it sends back what was asked",
-                                   "switch off the echo of the adapter, or look whether its RX and TX are joined")};
+                                   "switch off the echo of the adapter, or check whether its RX and TX are joined")};
     Result<Co2Reading> reading = decode(answer);
     if (!reading) {
       const Error& e = reading.error();
       return Unreadable{
-          line.error(Errc::bad_data, "cannot read the MH-Z19", e.why, "look at its wires and its supply")};
+          line.error(Errc::bad_data, "cannot read the MH-Z19", e.why, "check its wires and its supply")};
     }
     return *reading;
   }
@@ -83,7 +83,7 @@ class MhZ19 {
     if (answer[0] != 0xff || answer[1] != 0x86) return refuse("this answers something else");
     const unsigned ppm = static_cast<unsigned>(answer[2]) << 8 | answer[3];
     if (ppm == 0) return refuse("it says 0 ppm, as while it warms up: no air has so little");
-    if (ppm > most) return refuse(std::to_string(ppm) + " ppm is outside of what it measures, 0 to 10000 ppm");
+    if (ppm > most) return refuse(std::to_string(ppm) + " ppm is outside its range, 0 to 10000 ppm");
     return Co2Reading{static_cast<double>(ppm)};
   }
 };

@@ -108,14 +108,14 @@ class Nau7802 {
     if ((*revision & 0x0f) != 0x0f)
       return chip.error(Errc::bad_data, "cannot use the chip as a NAU7802",
                         "its revision code is " + to_string(I2cAddress(*revision)) + ", that of a NAU7802 is 0x0f",
-                        "look at which chip is at this address");
+                        "check which chip is at this address");
     if (auto done = chip.write_register(power_register, reset); !done) return done;
     if (auto done = chip.write_register(power_register, digital_on); !done) return done;
     chip.wait(1ms);  // 0.2 ms
     std::array<std::uint8_t, 3> found{};
     if (auto done = chip.read_registers(power_register, found); !done) return done;
     if ((found[0] & powered_up) == 0)
-      return chip.error(Errc::bad_data, "cannot use the NAU7802", "it does not power up", "look at its supply");
+      return chip.error(Errc::bad_data, "cannot use the NAU7802", "it does not power up", "check its supply");
     const std::array<std::array<std::uint8_t, 2>, 5> settings{{{gain_register, gain_of(config_)},
                                                                {rate_register, rate_of(config_)},
                                                                {chopper_register, no_chopper},
@@ -156,12 +156,12 @@ class Nau7802 {
         settings[2] != rate_of(config_)) {
       if (auto done = open(chip); !done) return std::move(done).error();
       return Unreadable{
-          chip.error(Errc::bad_data, what, "it has lost its settings, and is set up again", "look at its supply")};
+          chip.error(Errc::bad_data, what, "it has lost its settings, and is set up again", "check its supply")};
     }
     const MonotonicTime now = Samples<BridgeReading>::now();
     if ((settings[0] & sample_ready) == 0) {
       if (now - last_ > longest_silence)
-        return chip.error(Errc::timed_out, what, "it measures no more", "look at its supply");
+        return chip.error(Errc::timed_out, what, "it has stopped measuring", "check its supply");
       return nothing_new;
     }
     last_ = now;
@@ -170,7 +170,7 @@ class Nau7802 {
     const std::int32_t code = decode(bytes);
     if (code >= most || code <= -most - 1)
       return Unreadable{chip.error(Errc::out_of_range, what, "the bridge is at the end of its range",
-                                   "look at its wires, or choose a smaller `gain`")};
+                                   "check its wires, or choose a smaller `gain`")};
     return tared(code);
   }
 
@@ -193,11 +193,11 @@ class Nau7802 {
       goes_on_ = ++waited_ < longest_calibration;
       if (goes_on_) return nothing_new;
       step_ = Step::settling;
-      return chip.error(Errc::timed_out, what, "its calibration does not end", "look at its supply");
+      return chip.error(Errc::timed_out, what, "its calibration does not end", "check its supply");
     }
     if ((settings[2] & calibration_failed) != 0) {
       step_ = Step::settling;
-      return chip.error(Errc::bad_data, what, "its calibration has failed", "look at its supply, and the bridge's");
+      return chip.error(Errc::bad_data, what, "its calibration has failed", "check its supply, and the bridge's");
     }
     std::array<std::uint8_t, 3> of_before{};  // discards a sample from before the calibration
     if (auto done = chip.read_registers(data_register, of_before); !done) return std::move(done).error();

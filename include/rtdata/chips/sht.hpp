@@ -73,7 +73,7 @@ class Sht {
     if (checksum(std::span(bytes).first<2>()) != bytes[2])
       return chip.error(Errc::bad_data, "cannot use the chip as a hygrometer",
                         "its answer to the question who it is has a wrong checksum",
-                        "look at which chip is at this address, and `model`");
+                        "check which chip is at this address, and `model`");
     return {};
   }
   Result<void> start(I2cDevice& chip) {
@@ -106,7 +106,7 @@ class Sht {
   /// `bytes`: temperature, checksum, humidity, checksum. Errors: bad-data (a checksum).
   static Result<HumidityReading> decode(std::span<const std::uint8_t, 6> bytes, ShtModel model) {
     if (checksum(bytes.subspan<0, 2>()) != bytes[2] || checksum(bytes.subspan<3, 2>()) != bytes[5])
-      return Error{Errc::bad_data, what, "", "a checksum is wrong", "look at its wires, and `model`"};
+      return Error{Errc::bad_data, what, "", "a checksum is wrong", "check its wires, and `model`"};
     const auto fraction = [&](std::size_t at) { return (bytes[at] << 8 | bytes[at + 1]) / 65535.0; };
     const double temperature = -45 + 175 * fraction(0);
     const double share = fraction(3);

@@ -154,7 +154,7 @@ struct OutputConfig {
                   TextIs::recorded),
         parameter("hysteresis", &OutputConfig::hysteresis, "on or off by two thresholds of the expression's value"),
         parameter("pid", &OutputConfig::pid, "a controller that brings the expression's value to its set point"),
-        parameter("max_age", &OutputConfig::max_age, "safe while its input has brought nothing for longer",
+        parameter("max_age", &OutputConfig::max_age, "safe while its input has had no event for longer",
                   range(Duration{1ms}, Duration{24h * 365})),
         parameter("lease", &OutputConfig::lease, "safe when nobody has set it for longer; 0: a value holds",
                   range(Duration{0}, Duration{24h * 365})),

@@ -298,7 +298,7 @@ class DriverDevice final : public detail::LaneDevice {
       } catch (const std::exception& e) {
         return Error{Errc::handler_threw, what, "", e.what(), ""};
       } catch (...) {
-        return Error{Errc::handler_threw, what, "", "an exception that is no std::exception", ""};
+        return Error{Errc::handler_threw, what, "", "an exception that is not a std::exception", ""};
       }
     } catch (...) {  // no memory for the error
       return Error{Errc::handler_threw, "", "", "", ""};
@@ -439,7 +439,7 @@ class DriverDevice final : public detail::LaneDevice {
     const std::string place = BusOf::text_of(place_);
     return {Errc::timed_out, "cannot read the chip", "bus " + bus_.name() + (place.empty() ? "" : ", " + place),
             "no answer within " + to_string(bus_.give_up_after()),
-            "look at the chip and its wires; `timeout` of the bus sets how long to wait"};
+            "check the chip and its wires; `timeout` of the bus sets how long to wait"};
   }
 
  private:

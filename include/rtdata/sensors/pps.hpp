@@ -64,7 +64,7 @@ struct PpsConfig {
         parameter("device", &PpsConfig::device, "the source of pulses, such as pps0", TextIs::recorded),
         parameter("edge", &PpsConfig::edge, "which edge of a pulse counts"),
         parameter("accuracy", &PpsConfig::accuracy,
-                  "how far a pulse, as the kernel sees it, may be from the second; 0: it is no source of the time",
+                  "how far a pulse, as the kernel sees it, may be from the second; 0: it is not a source of the time",
                   range(Duration{0}, Duration{100ms})),
         parameter("silence", &PpsConfig::silence, "silent for longer, it is degraded and has a gap; 0: never",
                   range(Duration{0}, Duration{24h})),

@@ -233,7 +233,7 @@ std::string verdict(const Status& status, const Ending& ending) {
             " in a recording to be sent";
   if (all.first_lines > 0)
     text += "; " + std::to_string(all.first_lines) +
-            (all.first_lines == 1 ? " first line thrown away (" : " first lines thrown away (") +
+            (all.first_lines == 1 ? " first line discarded (" : " first lines discarded (") +
             topics_of(&Status::Account::first_lines) + ")";
   if (!ending.unknown.empty()) return text;
   text += ending.balances ? "; ledger balances" : "; the ledger does NOT balance";

@@ -82,7 +82,7 @@ void ArmKeeper::conclude(const std::shared_ptr<Waiting>& waiting, const std::str
     missing += (missing.empty() ? "" : " and ") + name;
   waiting->told(why.empty()
                     ? ""
-                    : "but that is not on the card in " + missing + ", " + why + ": after a kill or a power cut now, " +
+                    : "but that is not on the card in " + missing + ", " + why + ": after a kill or a power failure now, " +
                           waiting->machines + " would " + (waiting->is_armed ? "not " : "") + "arm it again");
 }
 

@@ -211,7 +211,7 @@ namespace {
 
 std::string hanging_text(const Tier& tier, const std::string& time = {}) {
   const std::string at = tier.doing();
-  return "tier " + tier.config().name + " has not come out of " + (at.empty() ? "a callback" : at) + time +
+  return "tier " + tier.config().name + " has not returned from " + (at.empty() ? "a callback" : at) + time +
          ": nothing was done; look for what blocks there";
 }
 

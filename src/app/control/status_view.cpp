@@ -116,7 +116,7 @@ Lines head_of(const Status& status, std::size_t columns) {
                    right(load.data(), 8) + late(&Status::Lateness::p50) + late(&Status::Lateness::p99) +
                    late(&Status::Lateness::max));
     for (const std::string& warning : loop.warnings) head.push_back("  ! " + warning);
-    if (loop.hangs_in) head.push_back("  ! it does not turn: it has not come out of " + *loop.hangs_in);
+    if (loop.hangs_in) head.push_back("  ! it does not turn: it has not returned from " + *loop.hangs_in);
   }
   head.emplace_back();
   return head;
@@ -137,10 +137,10 @@ Lines lines_of(const Status::Sensor& sensor, bool has_unreadable, std::size_t co
         columns, 3);
   if (sensor.lost > 0) lines.push_back("  - " + std::to_string(sensor.lost) + " lost by the source");
   if (sensor.repeated > 0)
-    lines.push_back("  - " + std::to_string(sensor.repeated) + " repeated by the source, which is no loss");
+    lines.push_back("  - " + std::to_string(sensor.repeated) + " repeated by the source, which is not a loss");
   if (sensor.first_lines > 0)
     lines.push_back("  - " + std::to_string(sensor.first_lines) +
-                    (sensor.first_lines == 1 ? " first line" : " first lines") + " thrown away");
+                    (sensor.first_lines == 1 ? " first line" : " first lines") + " discarded");
   if (sensor.outages.number > 0) lines.push_back("  - " + to_string(sensor.outages));
   return lines;
 }

@@ -170,7 +170,7 @@ std::optional<fsm::ConfiguredMachine::Beginning> after_reload(Loop& loop, const 
     return fsm::ConfiguredMachine::Beginning{before.state, now - before.since, "reloaded", before.is_acted_on};
   loop.runtime().core().log(
       LogLevel::warning, "machine " + settings.name,
-      "it was in " + before.state + ", which is no state of it any more: it begins in " + settings.start);
+      "it was in " + before.state + ", which is not a state of it any more: it begins in " + settings.start);
   return std::nullopt;
 }
 

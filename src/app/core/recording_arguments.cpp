@@ -31,7 +31,7 @@ Action prepare_verify(CLI::App& command) {
       "examples:\n  rtdata verify bench.db\n  rtdata verify bench.db --run 3\n  rtdata verify "
       "postgresql://rt@db.example/plant\nexit status:\n"
       "  0  balanced: every tick and event is accounted for, losses too; or sealed:\n"
-      "     so up to the kill or power cut that ended it; or being recorded\n"
+      "     so up to the kill or power failure that ended it; or being recorded\n"
       "  1  a run is not balanced, or not sealed yet: record into it again\n"
       "  2  unreadable or damaged");
   command.add_option("DB", options->database, "The recording, or a server: postgresql://...")->required();

@@ -11,7 +11,7 @@ static constexpr auto parameters(type_tag<SqliteConfig>) {
       parameter("path", &SqliteConfig::path, "the file; one that exists is added to", required, TextIs::output_file),
       parameter(
           "profile", &SqliteConfig::profile,
-          "what a power cut may cost: normal: 30 s, safe: what was not committed, fast: the file; card: for SD cards, "
+          "what a power failure may cost: normal: 30 s, safe: what was not committed, fast: the file; card: for SD cards, "
           "10 s at risk",
           choices(value("normal", SqliteProfile::normal), value("safe", SqliteProfile::safe),
                   value("fast", SqliteProfile::fast), value("card", SqliteProfile::card))),

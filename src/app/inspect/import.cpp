@@ -69,7 +69,7 @@ std::string separator_advice(const ImportOptions& options, char said) {
 void check_text(const ImportRows& table, const ImportColumn& column, const std::string& text, const std::string& file) {
   if (detail::is_readable(text)) return;
   refuse(table.where(),
-         "the text \"" + detail::readable(text.substr(0, 40)) + "\" in column " + column.heading + " is no UTF-8",
+         "the text \"" + detail::readable(text.substr(0, 40)) + "\" in column " + column.heading + " is not UTF-8",
          "convert the file: iconv -f WINDOWS-1252 -t UTF-8 " + file);
 }
 
@@ -83,7 +83,7 @@ Found look_at(const ImportOptions& options, const ImportNotation& notation) {
   std::vector<std::string_view> headings;
   for (const detail::CsvCell& cell : cells) {
     if (!detail::is_readable(cell.text))
-      refuse(table.where(), "the heading \"" + detail::readable(cell.text.substr(0, 40)) + "\" is no UTF-8",
+      refuse(table.where(), "the heading \"" + detail::readable(cell.text.substr(0, 40)) + "\" is not UTF-8",
              "convert the file: iconv -f WINDOWS-1252 -t UTF-8 " + options.file);
     ImportColumn& column = found.columns.emplace_back();
     column.heading = cell.text;
@@ -125,12 +125,12 @@ Found look_at(const ImportOptions& options, const ImportNotation& notation) {
                              is_number(when, ',', number) && !may_have_thousands(when);
       const bool has_date = when.size() >= 10 && when[4] == '-' && when[7] == '-';
       refuse(table.where(),
-             "\"" + detail::readable(when.substr(0, 64)) + "\" in column " + options.time_column + " is no time" +
+             "\"" + detail::readable(when.substr(0, 64)) + "\" in column " + options.time_column + " is not a time" +
                  (is_beyond  ? " that can be recorded, which are those from 1678 to 2261"
                   : has_date ? ": " + time.error().why
                              : ""),
-             is_start                                   ? "look at --start"
-             : is_beyond                                ? "look at --scale" + scale_of(number)
+             is_start                                   ? "check --start"
+             : is_beyond                                ? "check --scale" + scale_of(number)
              : has_comma                                ? "its numbers have decimal commas: write --decimal ,"
              : has_date && !time.error().advice.empty() ? time.error().advice
                                                         : "a number, or a time as 2026-03-01T12:00:00Z");
@@ -153,7 +153,7 @@ Found look_at(const ImportOptions& options, const ImportNotation& notation) {
   }
   if (found.rows == 0) refuse(options.file, "it has no rows", "");
   if (detail::span_between(found.first, found.last) == Duration::max())
-    refuse(options.file, "its times span more than 292 years", "look at --scale");
+    refuse(options.file, "its times span more than 292 years", "check --scale");
   for (ImportColumn& column : found.columns) {
     column.look_at_all();
     if (options.decimal.empty() && column.seems_to_have_decimal_commas())
@@ -229,12 +229,12 @@ ImportNotation notation_of(const ImportOptions& options) {
   const std::string& said = options.separator;
   const char separator = said == "tab" || said == "\\t" ? '\t' : said.size() == 1 ? said[0] : '\0';
   if (separator != '\t' && (separator < ' ' || separator == '"' || std::isalnum(static_cast<unsigned char>(separator))))
-    refuse("--separator " + said, "it is no character between cells", "such as \";\", or tab");
+    refuse("--separator " + said, "it is not a character between cells", "such as \";\", or tab");
   notation.separator = separator;
   if (options.decimal == ",") notation.decimal = ',';
   if (separator == notation.decimal) refuse("--separator " + said, "it is the decimal mark, too", "set --decimal");
   if (!notation.zone.empty() && !parse_iso8601("2026-03-01T12:00:00" + notation.zone))
-    refuse("--zone " + notation.zone, "it is no time zone", "Z, which is UTC, or such as +01:00");
+    refuse("--zone " + notation.zone, "it is not a time zone", "Z, which is UTC, or such as +01:00");
   return notation;
 }
 

@@ -92,7 +92,7 @@ Result<Time> time_of(const std::string& text, const ImportNotation& notation) {
     if (!since_start && std::abs(ns) < 9.2e18) since_start = Duration{std::llround(ns)};
     const auto time = since_start ? later_than(notation.start, *since_start) : std::nullopt;
     if (time) return *time;
-    return import_refused("", text + " is no time that can be recorded", "look at --scale and --start");
+    return import_refused("", text + " is not a time that can be recorded", "check --scale and --start");
   }
   // The end of a day, as tables of weather have it.
   constexpr std::size_t hour = 11;

@@ -37,13 +37,13 @@ std::string table_of(const std::vector<TopicSummary>& topics) {
     add(topic.unreadable, "unreadable");
     add(topic.late, "late");
     add(topic.lost.value_or(0), "lost by the source");
-    add(topic.first_lines, topic.first_lines == 1 ? "first line thrown away" : "first lines thrown away");
+    add(topic.first_lines, topic.first_lines == 1 ? "first line discarded" : "first lines discarded");
     if (topic.outages.number != 0) losses += (losses.empty() ? "" : ", ") + to_string(topic.outages);
     if (topic.pruned != 0)
       losses += (losses.empty() ? "" : ", ") + std::to_string(topic.pruned) +
                 " more rows were pruned (max_age, max_bytes)";
     if (topic.repeated != 0)
-      losses += (losses.empty() ? "" : "; ") + count_of(topic.repeated) + " repeated by the source, which is no loss";
+      losses += (losses.empty() ? "" : "; ") + count_of(topic.repeated) + " repeated by the source, which is not a loss";
     if (!topic.made_of_it.empty())
       losses += (losses.empty() ? "" : "; ") +
                 ("not recorded itself: account of what is made of it, " + detail::listed(topic.made_of_it));

@@ -59,7 +59,7 @@ Finding examine_device(const MachineFiles& files, const PartPlan& part, const st
   struct stat status {};
   if (files.is_this_machine() && is_node && ::stat(device.c_str(), &status) == 0 && !S_ISCHR(status.st_mode))
     return at_fault(
-        part, device + " is no device but a file or folder",
+        part, device + " is not a device but a file or folder",
         "somebody wrote to that name while the device was not there: remove it, and plug the device in again");
   const std::string holder = files.is_this_machine() && is_node && part.type == "serial" ? detail::holder_of(device)
                                                                                          : "";
@@ -97,7 +97,7 @@ Found examine_w1(const MachineFiles& files, const PartPlan& part) {
   const std::string folder = bus + "/devices/" + device;
   if (!files.exists(folder))
     return at_fault(part, device + " is not on the 1-Wire bus",
-                    "look at its wires and its pull-up resistor; `rtdata scan` lists those that answer");
+                    "check its wires and its pull-up resistor; `rtdata scan` lists those that answer");
   if (!files.exists(folder + "/w1_slave")) return at_fault(part, device + " has no driver", load_w1_therm);
   return well(part, device + " is on the 1-Wire bus");
 }

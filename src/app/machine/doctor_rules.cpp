@@ -128,7 +128,7 @@ constexpr Rule disk_rules[] = {
     {"disk", "type", "nfs*|cifs|smb3|fuse.*", warning, "it is a network's or a program's ({})",
      "writes wait for it, and locks of SQLite may not hold", "record onto a local disk, and copy afterwards"},
     {"disk", "type", "vfat|exfat|msdos", warning, "its file system has no journal ({})",
-     "a power cut can damage all of it", "ext4 for what is recorded onto"},
+     "a power failure can damage all of it", "ext4 for what is recorded onto"},
     {"disk", "card", "*", note, "it is an SD card or eMMC", "writes wear it out",
      "`\"profile\": \"card\"` of a recording writes less often"},
     {"disk", "full", "*", warning, "{} MB are free", "recording stops within minutes", "make room", "needs disk"},

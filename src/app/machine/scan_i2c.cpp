@@ -116,7 +116,7 @@ void probe(Scanner& scanner, const std::string& adapter, const std::string& bus_
       // If a line of the bus is stuck, every address takes the adapter's timeout.
       if (answered.error().code == Errc::timed_out && ++timeouts < 3) continue;
       scanner.add({"i2c", path, "cannot be probed", answered.error().why,
-                   "look at its wires and pull-up resistors: SDA and SCL are high on a bus at rest"});
+                   "check its wires and pull-up resistors: SDA and SCL are high on a bus at rest"});
       return;
     }
     const std::string text = to_string(I2cAddress(address));

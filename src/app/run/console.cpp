@@ -154,13 +154,13 @@ void RunConsole::end_at_once(const char* signal, std::optional<std::uint64_t> qu
 }
 
 void RunConsole::end_hanging(const char* signal, const std::string& where) {
-  leave(std::string("ended by ") + signal + " though it hangs: the main loop has not come out of " + where + " for " +
+  leave(std::string("ended by ") + signal + " though it hangs: the main loop has not returned from " + where + " for " +
         to_string(StopSignals::hang_limit) + "; the next run on its recordings says what is known");
 }
 
 void RunConsole::starts_slowly(const std::string& where) {
   const std::string text = "does not run yet after " + to_string(StopSignals::slow_limit) +
-                           ": it has not come out of " + where + "; look at its device";
+                           ": it has not returned from " + where + "; check its device";
   log_.write(LogLevel::warning, "program", text);
   const std::string line = for_terminal("rtdata: warning: program: " + text + "\n", columns_of(STDERR_FILENO));
   write_fully(STDERR_FILENO, line.data(), line.size());

@@ -102,7 +102,7 @@ std::string starter_file(const Registry& registry, const std::string& file, cons
                             R"(, "topics": ["#"], "rotate": {"bytes": 100000000}, "keep": 9})";
   add_list(text, registry, "sinks",
            {{"check it with: rtdata verify " + stem + ".db; at 1 GB its oldest rows give way to new ones" +
-                 (is_card ? "\n    // card: fewer writes, since this is an SD card; a power cut costs 10 s" : ""),
+                 (is_card ? "\n    // card: fewer writes, since this is an SD card; a power failure costs 10 s" : ""),
              recording},
             {"one JSON object a line; 10 files of 100 MB, then the oldest goes", lines}});
   return text + "\n}\n";

@@ -110,7 +110,7 @@ void check_output_file(const ParameterInfo& parameter, const ConfigItem& leaf, P
   if (!is_there && (errno == ENAMETOOLONG || errno == ELOOP))
     return refuse(shown + " cannot be written: " + std::generic_category().message(errno));
   if (is_there && S_ISDIR(about.st_mode)) return refuse(shown + " is a folder: give the name of a file in it");
-  if (is_there && !S_ISREG(about.st_mode)) return refuse(shown + " is no regular file: give the path of a file");
+  if (is_there && !S_ISREG(about.st_mode)) return refuse(shown + " is not a regular file: give the path of a file");
   if (!parsed.has_filename()) return refuse(shown + " names no file");
   if (is_of_kernel(folder)) return refuse("in the folder of " + shown + " the kernel lets no file be made");
   if (is_there && ::faccessat(AT_FDCWD, path.c_str(), R_OK | W_OK, AT_EACCESS) != 0)
@@ -184,7 +184,7 @@ void warn_of(const std::vector<ParameterInfo>& parameters, const ConfigItem& ite
     const bool is_unit = (type.element.empty() ? type : type.element.front()).text == TextIs::unit;
     if (text != nullptr && is_unit && !detail::is_ucum(*text))
       warnings.add(
-          leaf.problem("unknown-unit", "\"" + *text + "\" is no unit of UCUM (ucum.org)", detail::ucum_for(*text)));
+          leaf.problem("unknown-unit", "\"" + *text + "\" is not a unit of UCUM (ucum.org)", detail::ucum_for(*text)));
     if (text != nullptr && type.text == TextIs::output_file) warn_of_placeholders(parameter, leaf, *text, warnings);
   };
   const auto warn_of_no_effect = [&](const ParameterInfo& parameter, const ConfigItem& value, const std::string& is) {

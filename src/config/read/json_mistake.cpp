@@ -95,7 +95,7 @@ bool broken_token(const JsonMistake& mistake, const TextScanner& before, const T
   else if (token.text.front() == '/')
     out = problem(token.position, mistake.library_text.find("missing closing") != std::string_view::npos
                                       ? "this comment is not closed: there is no '*/'"
-                                      : "a '/' alone is no comment: write // or /* */");
+                                      : "a '/' alone is not a comment: write // or /* */");
   else if (token.text.front() == '\'')
     out = problem(token.position, "text needs double quotes (\"), not single ones");
   else if (token.text.front() == '#')

@@ -47,7 +47,7 @@ inline std::string place_of(const ConfigItem& item) {
 
 inline std::string topic_advice(std::string_view topic) {
   return "\"" + std::string(topic) +
-         "\" is no topic name: letters, digits, _ . - in levels joined by /, such as \"room/climate\"";
+         "\" is not a topic name: letters, digits, _ . - in levels joined by /, such as \"room/climate\"";
 }
 
 /// Replaces the secrets in the texts of the problems.

@@ -62,7 +62,7 @@ std::string mistake_in(std::string_view text, TextIs is) {
     case TextIs::topic_pattern:
       return is_topic_pattern(text) ? ""
                                     : "\"" + std::string(text) +
-                                          "\" is no topic or pattern: levels joined by /, + for one level, # at the "
+                                          "\" is not a topic or pattern: levels joined by /, + for one level, # at the "
                                           "end for all below";
     case TextIs::output_file:
       if (detail::has_control(text)) return "a path that is written has no control characters: it is shown as a name";

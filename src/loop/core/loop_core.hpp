@@ -185,7 +185,7 @@ class LoopCore {
     } catch (const std::exception& e) {
       report_exception(name, e.what());
     } catch (...) {
-      report_exception(name, "an exception that is no std::exception");
+      report_exception(name, "an exception that is not a std::exception");
     }
   }
   /// Calls code of this library, which throws without memory. False: it threw, which is reported in the same way.

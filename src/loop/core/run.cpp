@@ -92,7 +92,7 @@ void LoopCore::call_there(Callback<void()> function, Begun begun) {
 
 std::string LoopCore::where() const {
   const std::string at = nodes.doing();
-  return "it has not come out of " + (at.empty() ? "a callback" : at);
+  return "it has not returned from " + (at.empty() ? "a callback" : at);
 }
 
 void LoopCore::request_stop() noexcept {

@@ -114,7 +114,7 @@ void Schedule::begin_waiting() noexcept {
     } catch (const std::exception& e) {
       report(*member, e.what());
     } catch (...) {
-      report(*member, "an exception that is no std::exception");
+      report(*member, "an exception that is not a std::exception");
     }
     member->is_waiting_ = member->group_ == nullptr;
     if (!member->is_waiting_) waiting_.remove_at(i);

@@ -107,8 +107,8 @@ class Drain : public std::enable_shared_from_this<Drain> {
       tier->give_up();
       runtime_.unknown_end += (runtime_.unknown_end.empty() ? "" : "; ") + tier->unknown();
       errors.push_back({"tier " + tier->config.name,
-                        {Errc::timed_out, "did not stop in time", "", "it has not come out of " + tier->where(),
-                         "look at what blocks there"}});
+                        {Errc::timed_out, "did not stop in time", "", "it has not returned from " + tier->where(),
+                         "check what blocks there"}});
     }
     for (const auto& [name, error] : errors) runtime_.report(&loop_.core(), name, error);
     tiers_done();

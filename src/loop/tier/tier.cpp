@@ -351,7 +351,7 @@ void TierCore::add_unknown(std::string& to) {
     last = std::max(last, origin->last_time);
     if (origin->has_segment()) last = std::max(last, origin->segment(main.now()).end);
   }
-  to += (to.empty() ? "tier " : "; tier ") + config.name + " did not come out of " + where() +
+  to += (to.empty() ? "tier " : "; tier ") + config.name + " did not return from " + where() +
         ": what its sensors did after " + (last == Time::min() ? "its start" : to_iso8601(last)) + " is not known";
 }
 
@@ -385,7 +385,7 @@ bool TierCore::look_at_turning(Duration limit) {
     loop.core().note_standing(asked_at_);  // it is no longer waited for
     if (answered_.load(std::memory_order_acquire) == asked_) loop.core().note_turning();
     const Error error{Errc::not_turning, "does not turn", "",
-                      "it has not come out of " + where() + " for more than " + to_string(limit),
+                      "it has not returned from " + where() + " for more than " + to_string(limit),
                       "look for what blocks in its sensors and handlers, and for what else takes its processor"};
     hub.health_changed("tier", config.name, Health::faulted, error.what + ": " + error.why);
     hub.report(&main.core(), name, error);  // as above

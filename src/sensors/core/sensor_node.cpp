@@ -254,7 +254,7 @@ Error SensorNode::thrown(const char* what) const noexcept {
     } catch (const std::exception& e) {
       return {Errc::handler_threw, what, object_name(), e.what(), ""};
     } catch (...) {
-      return {Errc::handler_threw, what, object_name(), "an exception that is no std::exception", ""};
+      return {Errc::handler_threw, what, object_name(), "an exception that is not a std::exception", ""};
     }
   } catch (...) {  // no memory even for an error: uses texts that need none
     return {Errc::handler_threw, "cannot read", "", "no memory", ""};

@@ -27,9 +27,9 @@ std::string refusal_of(const DerivedConfig& config) {
                                  : "give `expression` or `fields`, not both";
   if (!config.unit.empty() && config.expression.empty())
     return "`unit` is that of `expression`; each of `fields` has one";
-  if (!is_topic_name(config.on)) return "\"" + config.on + "\" is no topic";
+  if (!is_topic_name(config.on)) return "\"" + config.on + "\" is not a topic";
   for (const std::string& topic : config.with)
-    if (!is_topic_name(topic)) return "\"" + topic + "\" is no topic";
+    if (!is_topic_name(topic)) return "\"" + topic + "\" is not a topic";
   for (std::size_t i = 0; i < config.with.size(); ++i)
     if (config.with[i] == config.on || std::find(config.with.begin(), config.with.begin() + std::ptrdiff_t(i),
                                                  config.with[i]) != config.with.begin() + std::ptrdiff_t(i))
@@ -108,7 +108,7 @@ class DerivedNode final : public FeedNode {
     if (const ExpressionSources::Source* const lacking = sources_.lacking(time, age_)) {
       if (lacking->missing != nullptr)
         return fail({Errc::not_found, cannot_derive, object_name(), ExpressionSources::why(*lacking, age_),
-                     "look at its fields, and at the expression"});
+                     "check its fields, and the expression"});
       // Told once, and again when it is another topic that is missing.
       if (health() == Health::faulted && absent_ == lacking) return;
       absent_ = lacking;
@@ -125,7 +125,7 @@ class DerivedNode final : public FeedNode {
     }
     if (failed != nullptr) {
       fail({Errc::bad_data, cannot_derive, object_name() + ", field " + failed->leaf->path, failed->expression.why(),
-            "guard the expression, as in `x != 0 ? 1 / x : 0`, or look at what is measured"});
+            "guard the expression, as in `x != 0 ? 1 / x : 0`, or check what is measured"});
       return;
     }
     publish(payload_.data(), time);

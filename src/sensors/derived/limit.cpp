@@ -118,7 +118,7 @@ class LimitNode final : public FeedNode {
     const bool has_changed = value ? watch_.take(*value, event.time()) : watch_.take_unknown();
     if (field_ == nullptr) {
       if (has_changed || !has_published_) tell(event.time());
-      fail({Errc::not_found, cannot_watch, object_name(), no_such_number(config_), "look at the fields of the topic"});
+      fail({Errc::not_found, cannot_watch, object_name(), no_such_number(config_), "check the fields of the topic"});
       return;
     }
     consider(has_changed, event.time());
@@ -167,7 +167,7 @@ class LimitNode final : public FeedNode {
     if (waiting_ > 0 || !has_published_) tell(loop()->runtime.event_time(loop()->now()));
     if (!is_open()) return;
     fault({Errc::timed_out, cannot_watch, object_name(),
-           "the topic \"" + config_.on + "\" has brought nothing for " + to_string(config_.silence),
+           "the topic \"" + config_.on + "\" has had no event for " + to_string(config_.silence),
            "it goes on with the next event of that topic; a longer `silence` bridges longer pauses"});
   }
 
@@ -201,7 +201,7 @@ void check_config(const LimitConfig& config, const ConfigItem& item, Problems& p
   if (const auto good = check_limits(config.settings()); !good)
     problems.add(item.problem("bad-value", good.error().why + "; " + good.error().advice));
   if (!is_topic_name(config.on))
-    problems.add(item_at(item, "on").problem("bad-value", "\"" + config.on + "\" is no topic"));
+    problems.add(item_at(item, "on").problem("bad-value", "\"" + config.on + "\" is not a topic"));
 }
 
 void check_limit_field(const LimitConfig& config,
@@ -224,7 +224,7 @@ void check_limit_field(const LimitConfig& config,
 LimitSensor::LimitSensor(Loop& loop, FeedConfig feed, LimitConfig config) {
   if (!is_topic_name(config.on))
     throw SetupError(
-        {Errc::bad_argument, cannot_watch, "sensor " + feed.name, "\"" + config.on + "\" is no topic", ""});
+        {Errc::bad_argument, cannot_watch, "sensor " + feed.name, "\"" + config.on + "\" is not a topic", ""});
   auto* const node = new detail::LimitNode(loop, feed, config);
   *this = LimitSensor(node);
   node->subscribe(loop);

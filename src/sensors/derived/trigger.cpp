@@ -34,7 +34,7 @@ const ConfigItem& when_item(const ConfigItem& item) {
 std::string refusal_of(const TriggerConfig& config) {
   const std::vector<std::string> topics = detail::topics_of(config.on, config.with);
   for (auto topic = topics.begin(); topic != topics.end(); ++topic) {
-    if (!is_topic_name(*topic)) return "\"" + *topic + "\" is no topic";
+    if (!is_topic_name(*topic)) return "\"" + *topic + "\" is not a topic";
     if (std::find(topics.begin(), topic, *topic) != topic) return "the topic \"" + *topic + "\" is there twice";
   }
   return "";

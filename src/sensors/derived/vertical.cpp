@@ -58,7 +58,7 @@ std::string vertical_mistake(const VerticalConfig& config) {
   if (config.barometer.empty() && config.accelerometer.empty())
     return "give a topic as `barometer`, `accelerometer`, or both";
   for (const std::string* const topic : {&config.barometer, &config.accelerometer})
-    if (!topic->empty() && !is_topic_name(*topic)) return "\"" + *topic + "\" is no topic";
+    if (!topic->empty() && !is_topic_name(*topic)) return "\"" + *topic + "\" is not a topic";
   return "";
 }
 
@@ -133,7 +133,7 @@ class VerticalNode final : public FeedNode {
     }
     const Error error{Errc::not_found, cannot_estimate, object_name(),
                       vertical_refusal(event.description(), topic, path, is_acceleration),
-                      "look at the fields of the topic; a derived topic converts units"};
+                      "check the fields of the topic; a derived topic converts units"};
     if (field.leaf != nullptr) {
       fail(error);
       return false;

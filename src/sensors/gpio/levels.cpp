@@ -107,7 +107,7 @@ class LevelsDevice final : public detail::LaneDevice {
   ReadTime read_time() const override { return rtdata::read_time(config_); }
   Error given_up_error() const override {
     return {Errc::timed_out, "cannot read the GPIO lines", consumer_, "no answer within " + to_string(config_.timeout),
-            "look at the chip and its bus; `timeout` sets how long to wait"};
+            "check the chip and its bus; `timeout` sets how long to wait"};
   }
 
  private:

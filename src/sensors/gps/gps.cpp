@@ -272,7 +272,7 @@ class GpsNode final : public StreamNode {
         return;
       case GpsTimeCheck::Verdict::other_clock:
         return refuse_time(both("is kept right to " + to_string(*system.accuracy)),
-                           "the clock is believed; look at the receiver with `gpsmon`, and at what keeps the clock");
+                           "the clock is believed; check the receiver with `gpsmon`, and what keeps the clock");
       case GpsTimeCheck::Verdict::other_age:
         return refuse_time(
             both("nobody keeps right") + "; this program was made in " + std::to_string(int{this_release.date.year()}),
@@ -311,7 +311,7 @@ class GpsNode final : public StreamNode {
       return no_receiver();
     return {Errc::timed_out, "nothing comes", config_.device.empty() ? joined(devices_) : config_.device,
             "gpsd has reported no fix for " + to_string(config_.silence),
-            "look at the receiver with `gpsmon`; `silence` sets how long it may be silent"};
+            "check the receiver with `gpsmon`; `silence` sets how long it may be silent"};
   }
   /// gpsd answers at once, so that a connection whose other end is gone without a word is noticed.
   void fell_silent() override {
@@ -331,7 +331,7 @@ class GpsNode final : public StreamNode {
   }
   Error no_sign_of_life() const {
     return {Errc::timed_out, "lost gpsd", server(), "it gives no sign of life",
-            "it is connected to again; look whether its machine and the network are up"};
+            "it is connected to again; check whether its machine and the network are up"};
   }
 
   void on_close() noexcept override {

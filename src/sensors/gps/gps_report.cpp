@@ -75,7 +75,7 @@ class ReportHandler {
     if (target_ == Target::satellite_used) {
       if (is_true) ++used_;
     } else if (target_ != Target::nothing) {
-      refuse(Errc::not_a_number, "it is no number");
+      refuse(Errc::not_a_number, "it is not a number");
     }
     return depth_ != 0;
   }
@@ -105,12 +105,12 @@ class ReportHandler {
   bool end_array() { return end_object(); }
   bool key(string_t& name);
   bool parse_error(std::size_t position, const std::string&, const nlohmann::detail::exception&) {
-    error_ = unusable(Errc::bad_data, "", "it is no JSON from byte " + std::to_string(position) + " on");
+    error_ = unusable(Errc::bad_data, "", "it is not JSON from byte " + std::to_string(position) + " on");
     return false;
   }
 
   Result<void> end();
-  Error take_error() { return error_ ? std::move(*error_) : unusable(Errc::bad_data, "", "it is no JSON object"); }
+  Error take_error() { return error_ ? std::move(*error_) : unusable(Errc::bad_data, "", "it is not a JSON object"); }
 
  private:
   enum class Target {
@@ -225,7 +225,7 @@ bool ReportHandler::take(double number) {
     case Target::device:
     case Target::time:
     case Target::message:
-      refuse(Errc::bad_data, "it is no text");
+      refuse(Errc::bad_data, "it is not text");
       break;
     default:
       break;
@@ -250,7 +250,7 @@ bool ReportHandler::string(string_t& text) {
       } else if (is_leap_second(text)) {  // there is no number for it
         report_.fix.gps_time.reset();
       } else {
-        refuse(Errc::bad_data, shown(text) + " is no time");
+        refuse(Errc::bad_data, shown(text) + " is not a time");
       }
       break;
     case Target::message:
@@ -263,7 +263,7 @@ bool ReportHandler::string(string_t& text) {
     case Target::nothing:
       break;
     default:
-      refuse(Errc::not_a_number, shown(text) + " is no number");
+      refuse(Errc::not_a_number, shown(text) + " is not a number");
       break;
   }
   return depth_ != 0;

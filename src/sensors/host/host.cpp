@@ -184,14 +184,14 @@ class SysDevice final : public detail::LaneDevice {
   ReadTime read_time() const override { return rtdata::read_time(config_); }
   Error given_up_error() const override {
     return {Errc::timed_out, cannot_read, files_.value, "no answer within " + to_string(config_.timeout),
-            "look at the chip; `timeout` sets how long to wait"};
+            "check the chip; `timeout` sets how long to wait"};
   }
   detail::Sampled decode(detail::Transaction& transaction, detail::SamplePort& port) override {
     const auto& read = static_cast<ReadFiles&>(transaction);
     // A sensor that is broken may have a value all the same, or an error of that.
     if (read.fault != nullptr && flag_in(*read.fault).value_or(false)) {
       return port.fail({Errc::bad_data, cannot_read, read.fault->path(), "the chip tells of a fault of its sensor",
-                        "look at the sensor and its wires"});
+                        "check the sensor and its wires"});
     }
     const detail::SysfsFile& file = read.value;
     if (file.error_number() != 0)

@@ -185,7 +185,7 @@ class EncoderDevice final : public detail::LaneDevice {
   ReadTime read_time() const override { return rtdata::read_time(config_); }
   Error given_up_error() const override {
     return {Errc::timed_out, cannot_read_counter, found_.folder, "no answer within " + to_string(config_.timeout),
-            "look at the counter; `timeout` sets how long to wait"};
+            "check the counter; `timeout` sets how long to wait"};
   }
 
   detail::Sampled decode(detail::Transaction& transaction, detail::SamplePort& port) override {
@@ -299,7 +299,7 @@ EncoderSensor::EncoderSensor(Loop& loop, SensorConfig sensor, EncoderConfig conf
     throw SetupError({Errc::bad_argument, "cannot use this counter", "sensor " + sensor.name, why, advice});
   };
   if (!std::isfinite(config.per_count) || config.per_count == 0) refuse("per_count is 0 or no number", "such as 1");
-  if (config.per != "s" && config.per != "min" && config.per != "h") refuse("`per` is no unit of time", "s, min or h");
+  if (config.per != "s" && config.per != "min" && config.per != "h") refuse("`per` is not a unit of time", "s, min or h");
   if (config.bits > 63) refuse("`bits` is more than 63", "such as 16");
   auto type = detail::described_type(encoder_description(config).or_throw());
   *this = EncoderSensor(detail::make_sensor(loop, std::move(sensor), std::move(type),

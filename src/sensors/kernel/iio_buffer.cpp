@@ -173,7 +173,7 @@ class IioBufferNode final : public StreamNode {
   }
   Error given_up_error() const {
     return {Errc::timed_out, cannot_open, config_.device, "no answer within " + to_string(config_.timeout),
-            "look at the chip and its bus; `timeout` sets how long to wait"};
+            "check the chip and its bus; `timeout` sets how long to wait"};
   }
 
   void on_opened(IioOpening& job, LaneJob::Outcome outcome) {
@@ -321,7 +321,7 @@ class IioBufferNode final : public StreamNode {
     degrade(
         {Errc::backlog, "scans are missing", config_.device,
          is_dropped ? "the buffer was full: " + many : many + ": trigger or driver left them out",
-         is_dropped ? "make `length` longer, or find out what held the loop" : "lower its rate, or look at its bus"});
+         is_dropped ? "make `length` longer, or find out what held the loop" : "lower its rate, or check its bus"});
   }
   void tell_odd_time() {
     degrade({Errc::bad_data, "the times of scans are not used", config_.device,
@@ -339,7 +339,7 @@ class IioBufferNode final : public StreamNode {
 
   Error silence_error() const override {
     return {Errc::timed_out, "nothing comes", config_.device, "no scan for " + to_string(config_.silence),
-            "look whether its trigger fires; `silence` sets how long it may be silent"};
+            "check whether its trigger fires; `silence` sets how long it may be silent"};
   }
   void on_close() noexcept override {
     StreamNode::on_close();

@@ -166,7 +166,7 @@ class PpsNode final : public StreamNode {
 
   Error silence_error() const override {
     return {Errc::timed_out, "nothing comes", file_.path(), "no pulse for " + to_string(config_.silence),
-            "receivers give none before they have a fix; look at the wire"};
+            "receivers give none before they have a fix; check the wire"};
   }
   void on_close() noexcept override {
     StreamNode::on_close();

@@ -186,7 +186,7 @@ LineDecoder::LineDecoder(const SerialConfig& config, AroundLine around)
   if (config.sequence_field.empty()) return;
   sequence_ = description_->find(config.sequence_field);
   if (sequence_ == nullptr || !is_integer_kind(sequence_->kind)) {
-    throw SetupError(refused("sequence_field", "\"" + config.sequence_field + "\" is no integer among the fields",
+    throw SetupError(refused("sequence_field", "\"" + config.sequence_field + "\" is not an integer among the fields",
                              "name one of `fields` whose type is an integer"));
   }
   if (sequence_->optional != nullptr) {
@@ -390,12 +390,12 @@ class LineDecoder::JsonHandler {
     error_ = why.id == number_overflow
                  ? Error{Errc::out_of_range, decoder_.bad_line_, "", shown(token) + " does not fit into a double", ""}
                  : Error{Errc::bad_data, decoder_.bad_line_, "",
-                         "it is no JSON from byte " + std::to_string(position) + " on", check_fields};
+                         "it is not JSON from byte " + std::to_string(position) + " on", check_fields};
     return false;
   }
   Error take_error() {
     return error_ ? std::move(*error_)
-                  : Error{Errc::bad_data, decoder_.bad_line_, "", "it is no JSON object", check_fields};
+                  : Error{Errc::bad_data, decoder_.bad_line_, "", "it is not a JSON object", check_fields};
   }
 
  private:

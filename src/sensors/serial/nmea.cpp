@@ -51,7 +51,7 @@ struct NmeaFixes::Columns {
     const std::string_view word = at(i);
     if (word.empty()) return std::nullopt;
     double value = 0;
-    if (read_number(word, value) != std::errc{} || !std::isfinite(value)) return refuse(i, "is no number");
+    if (read_number(word, value) != std::errc{} || !std::isfinite(value)) return refuse(i, "is not a number");
     return value;
   }
   std::optional<unsigned> whole(std::size_t i, unsigned most) const {
@@ -86,12 +86,12 @@ struct NmeaFixes::Columns {
     if (word.empty()) return std::optional<std::int64_t>();
     const bool is_time = word.size() >= 6 &&
                          std::all_of(word.begin(), word.begin() + 6, [](char c) { return c >= '0' && c <= '9'; });
-    if (!is_time || (word.size() > 6 && word[6] != '.')) return bad(i, "is no time");
+    if (!is_time || (word.size() > 6 && word[6] != '.')) return bad(i, "is not a time");
     const auto pair = [&](std::size_t at_) { return (word[at_] - '0') * 10 + (word[at_ + 1] - '0'); };
-    if (pair(0) > 23 || pair(2) > 59 || pair(4) > 60) return bad(i, "is no time");
+    if (pair(0) > 23 || pair(2) > 59 || pair(4) > 60) return bad(i, "is not a time");
     std::int64_t fraction = 0, unit = second;
     for (std::size_t j = 7; j < word.size(); ++j) {
-      if (word[j] < '0' || word[j] > '9') return bad(i, "is no time");
+      if (word[j] < '0' || word[j] > '9') return bad(i, "is not a time");
       unit /= 10;
       fraction += unit * (word[j] - '0');
     }
@@ -102,14 +102,14 @@ struct NmeaFixes::Columns {
     const std::string_view word = at(i);
     if (word.empty()) return std::nullopt;
     if (word.size() != 6 || !std::all_of(word.begin(), word.end(), [](char c) { return c >= '0' && c <= '9'; }))
-      return refuse(i, "is no date");
+      return refuse(i, "is not a date");
     const auto pair = [&](std::size_t at_) {
       return static_cast<unsigned>((word[at_] - '0') * 10 + (word[at_ + 1] - '0'));
     };
     const int year = static_cast<int>(pair(4)) + (pair(4) >= 80 ? 1900 : 2000);
     const std::chrono::year_month_day day{std::chrono::year(year), std::chrono::month(pair(2)),
                                           std::chrono::day(pair(0))};
-    if (!day.ok()) return refuse(i, "is no date");
+    if (!day.ok()) return refuse(i, "is not a date");
     return std::chrono::sys_days(day).time_since_epoch().count() * day_length;
   }
 };
@@ -143,7 +143,7 @@ Result<void> NmeaFixes::read_gga(const Columns& columns, Draft& draft) const {
   draft.fix.satellites_used.reset();
   if (used) draft.fix.satellites_used = static_cast<std::uint16_t>(*used);
   if (!quality)
-    return columns.has_position(2) ? columns.bad(6, "is no quality of a fix") : Result<void>();  // it says nothing
+    return columns.has_position(2) ? columns.bad(6, "is not a quality of a fix") : Result<void>();  // it says nothing
   if (*quality == 0) {  // what stands for the position is none
     draft.is_void = true;
     return {};
@@ -176,7 +176,7 @@ Result<void> NmeaFixes::read_rmc(const Columns& columns, Draft& draft) const {
     draft.is_void = true;
     return {};
   }
-  if (status != "A") return columns.bad(2, "is no status of a fix");
+  if (status != "A") return columns.bad(2, "is not a status of a fix");
   const auto position = columns.position(3);
   if (position && (!draft.fix.lat || !draft.fix.lon)) {  // GGA may have more digits
     draft.fix.lat = position->first;
@@ -299,7 +299,7 @@ void NmeaFixes::finish(const Publish& publish) {
 
 Result<void> NmeaFixes::take(std::string_view line, Time time, const Publish& publish) {
   const auto bad = [&](const char* why) { return failure(Errc::bad_data, line, why); };
-  if (line.size() < 4 || (line[0] != '$' && line[0] != '!')) return bad("this is no sentence of NMEA");
+  if (line.size() < 4 || (line[0] != '$' && line[0] != '!')) return bad("this is not a sentence of NMEA");
   const std::size_t star = line.size() - 3;
   if (line[star] != '*') return bad("it has no checksum");
   const int high = hex_digit(line[star + 1]), low = hex_digit(line[star + 2]);

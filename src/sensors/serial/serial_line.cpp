@@ -227,7 +227,7 @@ class SerialLineNode final : public StreamNode {
 
   Error silence_error() const override {
     return {Errc::timed_out, "nothing comes", config_.device, "it has been silent for " + to_string(config_.silence),
-            "look at the device; `silence` sets how long it may be silent"};
+            "check the device; `silence` sets how long it may be silent"};
   }
 
   void take_line(std::string_view line) {
@@ -286,7 +286,7 @@ class SerialLineNode final : public StreamNode {
     unusable_lines_ += held_.unusable;
     fail_line({Errc::bad_data, "cannot use a line", config_.device,
                "its number makes a jump that the next line takes back",
-               "a digit was lost or changed on the way: look at the wires, and at who else writes to the line"});
+               "a digit was lost or changed on the way: check the wires, and who else writes to the line"});
   }
 
   void take_sentence(std::string_view line) {

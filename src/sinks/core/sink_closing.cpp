@@ -102,8 +102,8 @@ std::uint64_t SinkNode::leave() noexcept {
                      {Errc::timed_out, "lost " + std::to_string(lost) + " events", config_.name,
                       "they could not be stored before the deadline" + why,
                       queue_->sender() != nullptr
-                          ? "look at the peer; with `through` events wait in a recording"
-                          : "look at the storage; of a recording, the next start writes down what was lost"});
+                          ? "check the peer; with `through` events wait in a recording"
+                          : "check the storage; of a recording, the next start writes down what was lost"});
     } else if (!is_closed && !is_fed()) {
       runtime.report(loop(), object_name(),
                      {Errc::timed_out, "not closed", config_.name, "there was no time or no memory for its end" + why,

@@ -139,7 +139,7 @@ Result<void> SinkQueue::call_writer(Call&& call) {
     } catch (const std::exception& e) {
       result = Error{Errc::handler_threw, "the writer threw", "", e.what(), ""};
     } catch (...) {
-      result = Error{Errc::handler_threw, "the writer threw", "", "an exception that is no std::exception", ""};
+      result = Error{Errc::handler_threw, "the writer threw", "", "an exception that is not a std::exception", ""};
     }
   } catch (...) {
     result = no_memory();

@@ -109,7 +109,7 @@ Result<void> SinkNode::on_topic(TopicCore& topic) {
   } catch (const std::exception& e) {
     taken = threw(e.what());
   } catch (...) {
-    taken = threw("an exception that is no std::exception");
+    taken = threw("an exception that is not a std::exception");
   }
   if (!taken) {
     account_.refuse_topic(topic, *this);

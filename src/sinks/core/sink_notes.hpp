@@ -125,7 +125,7 @@ class SinkNotes {
   void tell_lost(Time at, std::uint64_t& count, const char* what) {
     if (count == 0) return;
     const Error error{Errc::io_failed, "not kept", what, "too many came while nothing could be stored",
-                      "look at the storage"};
+                      "check the storage"};
     errors_.push_back({at, "sink", std::string(error.id()), error.text(), count, at});
     count = 0;
   }

@@ -80,7 +80,7 @@ std::uint32_t SinkQueue::add_slot(SlotInfo info) {
 
 void SinkQueue::note_set_up_error(const char* call) noexcept {
   if (set_up_error_) return;
-  const char* what = "an exception that is no std::exception";
+  const char* what = "an exception that is not a std::exception";
   try {
     try {
       throw;

@@ -32,7 +32,7 @@ void SinkNode::follow_recording() {
   auto feed = recording_->queue_->make_feed(
       {config_.name, config_.topics, config_.from,
        queue_->sender() != nullptr ? RowFeedConfig::Times::utc : RowFeedConfig::Times::recorded, rows});
-  if (feed == nullptr) refuse("it is no recording", "name a sqlite sink");
+  if (feed == nullptr) refuse("it is not a recording", "name a sqlite sink");
   take_over(feed->path());
   queue_->feed_from(std::move(feed));
   recording_->followers_.push_back(this);

@@ -318,7 +318,7 @@ void Transfer::timer_fired() {
   if (const auto deadline = next_deadline(); deadline && *deadline <= now) {
     const auto self = shared_from_this();
     give_up({Errc::timed_out, "cannot send", config_.name, "no answer for " + to_string(sending_.timeout),
-             "look at the peer and the network; everything is sent again"});
+             "check the peer and the network; everything is sent again"});
     if (owner_ == nullptr) return;
   }
   go_on();

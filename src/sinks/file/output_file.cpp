@@ -91,7 +91,7 @@ Error cannot_open(int reason, const std::string& path) {
 }
 
 Error no_regular_file(const std::string& path) {
-  return {Errc::bad_argument, "cannot record into", path, "it is no regular file", "give the path of a file"};
+  return {Errc::bad_argument, "cannot record into", path, "it is not a regular file", "give the path of a file"};
 }
 
 Error held(const std::string& path, const std::string& holder) {

@@ -437,7 +437,7 @@ void HttpSender::count_cut_answer(const Request& request) {
   loop_->core().runtime.log(
       LogLevel::warning, "sink " + config_.sink.name,
       url_.origin + " says that it has taken a request, and cut its answer off " + std::to_string(most_cut_answers) +
-          " times: the events count as delivered. Look into its log, or set `cut_answer`; how many there are is told "
+          " times: the events count as delivered. See its log, or set `cut_answer`; how many there are is told "
           "at the end");
 }
 
@@ -547,7 +547,7 @@ Error HttpSender::where_it_stands(const Request& request) const {
     error.advice = "does the server speak TLS at this port?";
   } else {
     error.why = "there was no answer" + limit;
-    error.advice = "the server takes connections and does not answer: look into its log; is `timeout` long enough?";
+    error.advice = "the server takes connections and does not answer: see its log; is `timeout` long enough?";
   }
   return error;
 }

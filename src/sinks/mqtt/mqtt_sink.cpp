@@ -171,7 +171,7 @@ class Publishing final : public detail::MqttConnection {
             status != MOSQ_ERR_MALFORMED_UTF8)
           return status;
         one.progress.refuse(row, {Errc::bad_data, "cannot be sent by MQTT", topic_of(one.parcel->rows()[row]),
-                                  client_->reason(status), "look at the topic and the size of the event"});
+                                  client_->reason(status), "check the topic and the size of the event"});
       }
     }
     return MOSQ_ERR_SUCCESS;
@@ -200,7 +200,7 @@ class Publishing final : public detail::MqttConnection {
         if (!of->forbidden)
           of->forbidden = refusal("permit it in its access control, or leave the topic out of `topics`; events wait");
       } else if (is_refusal(reason)) {
-        of->progress.refuse(ended.row, refusal("look at the topic and what the broker's log says"));
+        of->progress.refuse(ended.row, refusal("check the topic and what the broker's log says"));
       } else if (reason >= 0x80) {
         is_short_of_room = true;
         why = reason;

@@ -118,7 +118,7 @@ class Datagrams : public std::enable_shared_from_this<Datagrams> {
   void open(const std::vector<HostLookup::Address>& addresses) {
     const int error_number = connect_to(addresses);
     if (error_number == 0) return send_some();
-    fail(system_error(error_number, "cannot send", peer(), "look at the network and its routes"));
+    fail(system_error(error_number, "cannot send", peer(), "check the network and its routes"));
   }
 
   /// The name has these addresses now.
@@ -190,7 +190,7 @@ class Datagrams : public std::enable_shared_from_this<Datagrams> {
                                  "send less in one event, or by tcp"});
       } else {
         close();
-        return fail(system_error(error_number, "cannot send", peer(), "look at the network and its routes"));
+        return fail(system_error(error_number, "cannot send", peer(), "check the network and its routes"));
       }
     }
     int error_number = 0;

@@ -116,7 +116,7 @@ class SubscriptionNode : public Node {
       } catch (const std::exception& e) {
         report_exception(e.what());
       } catch (...) {
-        report_exception("an exception that is no std::exception");
+        report_exception("an exception that is not a std::exception");
       }
     }
     return result;
