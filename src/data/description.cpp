@@ -112,7 +112,8 @@ Result<void> check(const std::vector<Field>& fields, std::size_t size, const std
       std::set<std::string> names;
       std::set<std::int64_t> numbers;
       for (const EnumValue& value : field.values) {
-        if (!is_good_text(value.name)) return not_usable(place, "the name of a value is not UTF-8", "write it in UTF-8");
+        if (!is_good_text(value.name))
+          return not_usable(place, "the name of a value is not UTF-8", "write it in UTF-8");
         if (value.name.empty()) return not_usable(place, "a value of the enumeration has no name", "name it");
         if (!names.insert(value.name).second) {
           return not_usable(place, "the value " + value.name + " is there twice", "rename one of them");

@@ -28,7 +28,8 @@ class Reader {
   Result<DecodedEvent> event(const Node& root, const Description& description);
 
   Error bad(std::string where, std::string why, std::string advice = {}) const {
-    return {Errc::bad_data, source_ == Source::json ? "the text is not an event in JSON" : "the bytes are no event in CBOR",
+    return {Errc::bad_data,
+            source_ == Source::json ? "the text is not an event in JSON" : "the bytes are no event in CBOR",
             std::move(where), std::move(why), std::move(advice)};
   }
 

@@ -150,7 +150,7 @@ void ConfiguredMachine::Core::listen() {
   for (const std::string& topic : settings.inputs) detail::is_made_of(detail::node_of_open(machine, topic), topic);
   if (sync)
     patience = Timer(loop, {.name = "machine " + settings.name}, [this] {
-      report(Errc::timed_out, "what acts on a change does not wait for the card any longer",
+      report(Errc::timed_out, "actions on a change do not wait for the disk any longer",
              "state " + settings.states[state].name, "it took longer than " + to_string(settings.resume->wait),
              "check the recording: after a power failure now, the machine would not go on in this state");
       acted_on(syncing);

@@ -55,11 +55,11 @@ struct StateSettings {
   friend constexpr auto parameters(type_tag<StateSettings>) {
     return parameter_list(
         parameter("name", &StateSettings::name, "its name, of 48 bytes at most", required, TextIs::name),
-        parameter("set", &StateSettings::set, "what outputs are set to when the machine arrives"),
+        parameter("set", &StateSettings::set, "values of outputs, set when the machine enters the state"),
         parameter("arm", &StateSettings::arm,
                   "outputs that can be armed in this state; an output that states name here, in no other",
                   names_part("output")),
-        parameter("final", &StateSettings::is_final, "nothing leads out of it, and that is meant"));
+        parameter("final", &StateSettings::is_final, "no transition leads out of it, on purpose"));
   }
 };
 
@@ -106,7 +106,7 @@ struct ResumeSettings {
                                     "what it does when the clock cannot say how long the pause was", required,
                                     choices(value("resume", UnknownAge::resume), value("start", UnknownAge::start))),
                           parameter("wait", &ResumeSettings::wait,
-                                    "how long what acts on a change waits for it to be on the card, at most",
+                                    "how long actions on a change wait, at most, until the disk has the change",
                                     range(Duration{1ms}, Duration{1min})));
   }
 };
@@ -127,7 +127,7 @@ struct MachineSettings {
         parameter("name", &MachineSettings::name, "unique; its changes are recorded under it", required, TextIs::name),
         parameter("topic", &MachineSettings::topic, "of its changes; default: as `name`", TextIs::topic),
         parameter("inputs", &MachineSettings::inputs,
-                  "topics with each of whose events the transitions are tried, and whose fields `when` knows",
+                  "topics: each of their events tries the transitions, and `when` knows their fields",
                   names_part("topic")),
         parameter("max_age", &MachineSettings::max_age, "older values of inputs count as absent; 0 s: however old",
                   range(Duration{0}, Duration{24h * 365})),
@@ -138,7 +138,8 @@ struct MachineSettings {
   }
 };
 
-/// Checks rules over several parameters: states that are there, conditions that can be read, and what `find_faults` finds.
+/// Checks rules over several parameters: that states exist, that conditions can be read, and the faults of
+/// `find_faults`.
 void check_config(const MachineSettings& settings, const ConfigItem& item, Problems& problems);
 /// Checks that the inputs have the fields of the conditions. `payload_of`: the description of a topic; null if unknown,
 /// then its fields are not checked.

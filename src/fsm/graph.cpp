@@ -102,7 +102,7 @@ std::vector<GraphFault> find_faults(const Graph& graph) {
     }
     if (is_left && state.is_final)
       faults.push_back(
-          {Kind::left_final, i, Graph::none, "state `" + state.name + "` is final, and something leads out of it"});
+          {Kind::left_final, i, Graph::none, "state `" + state.name + "` is final, but a transition leads out of it"});
   }
   for (std::size_t i = 0; i < graph.edges.size(); ++i) {
     const Graph::Edge& edge = graph.edges[i];

@@ -171,7 +171,7 @@ Error refusal_of(int error_number, GpioBackend& backend, const Place& place) {
       for (const GpioChipInfo& chip : backend.chips())  // another program may have just taken it
         if (chip.path == place.path && place.number < chip.lines.size()) who = chip.lines[place.number].consumer;
       return {Errc::busy, cannot_use_line, place.text(),
-              who.empty() ? "somebody has it, who gives no name" : "\"" + who + "\" has it",
+              who.empty() ? "another program uses it, which gives no name" : "\"" + who + "\" has it",
               "end that, or use another line; a driver of the kernel is named in the device tree"};
     }
     case EINVAL:

@@ -241,7 +241,7 @@ Error ModbusDevice::failure(int number) const {
       return error(Errc::bad_data, cannot_ask, "another unit answers",
                    "check whether two devices have this address, or answer later than `answer_timeout`");
     case detail::modbus_echo:
-      return error(Errc::bad_data, cannot_ask, "it sends back what was asked",
+      return error(Errc::bad_data, cannot_ask, "it echoes the request",
                    "switch off the echo of the adapter (many have a jumper for it), and check its wires");
     case detail::modbus_incomplete:
       return error(Errc::timed_out, cannot_ask,

@@ -215,7 +215,7 @@ std::vector<std::pair<const char*, std::string>> mistakes_of_client(const MqttBr
   if (broker.password.find('\0') != std::string::npos)
     mistakes.emplace_back("password", "it has a NUL byte, at which it would end");
   if (broker.user.empty() && !broker.password.empty())
-    mistakes.emplace_back("password", "there is no `user` of whom it could be");
+    mistakes.emplace_back("password", "there is no `user` that it belongs to");
   return mistakes;
 }
 

@@ -154,7 +154,7 @@ const char* mistake_of_properties(MqttBytes& from, MqttType type) noexcept {
 
 const char* mistake_of_connack(MqttBytes& bytes, bool is_v5) noexcept {
   const unsigned flags = bytes.number(1), reason = bytes.number(1);
-  if (!bytes.is_good() || flags > 1) return "an answer to the connection that is none";
+  if (!bytes.is_good() || flags > 1) return "a malformed answer to the connection";
   // A broker that has no MQTT 5 may refuse it as 3.1.1 does.
   if (!is_v5 || (bytes.size() == 0 && reason != 0)) return nullptr;
   return mistake_of_properties(bytes, mqtt_connack);
@@ -173,15 +173,15 @@ const char* mistake_of_suback(MqttBytes& bytes, bool is_v5) noexcept {
   const unsigned number = bytes.number(2);
   if (!bytes.is_good() || number == 0) return "an answer to no subscription";
   if (const char* const mistake = is_v5 ? mistake_of_properties(bytes, mqtt_suback) : nullptr) return mistake;
-  if (bytes.size() == 0) return "an answer to a subscription without a word of it";
+  if (bytes.size() == 0) return "an answer to a subscription without its result";
   while (bytes.size() > 0)
     if (const unsigned granted = bytes.number(1); granted > 2 && granted < 0x80)
-      return "an answer to a subscription that is none";
+      return "a malformed answer to a subscription";
   return nullptr;
 }
 
 const char* mistake_of_disconnect(MqttBytes& bytes, bool is_v5) noexcept {
-  if (!is_v5) return "a goodbye, which only clients say in MQTT 3.1.1";
+  if (!is_v5) return "a DISCONNECT, which only clients send in MQTT 3.1.1";
   if (bytes.size() == 0) return nullptr;
   bytes.number(1);
   return bytes.size() == 0 ? nullptr : mistake_of_properties(bytes, mqtt_disconnect);
@@ -248,11 +248,11 @@ MqttPacket look_at_mqtt(std::string_view bytes, const MqttExpectation& expected)
   const std::size_t end_of_prefix = std::find_if(bytes.begin() + 1, bytes.begin() + std::min(bytes.size(), most_prefix),
                                                  [](char c) { return (c & 0x80) == 0; }) -
                                     bytes.begin();
-  if (end_of_prefix == most_prefix) return bad_mqtt(packet, "a packet whose length is none");
+  if (end_of_prefix == most_prefix) return bad_mqtt(packet, "a packet with a malformed length");
   if (end_of_prefix >= bytes.size()) return packet;
   MqttBytes prefix(bytes.substr(1, end_of_prefix));
   const std::size_t length = prefix.variable();
-  if (!prefix.is_good()) return bad_mqtt(packet, "a packet whose length is none");
+  if (!prefix.is_good()) return bad_mqtt(packet, "a packet with a malformed length");
   packet.prefix = 1 + end_of_prefix;
   bytes.remove_prefix(packet.prefix);
   const bool is_message = packet.type == mqtt_publish;
@@ -268,7 +268,7 @@ MqttPacket look_at_mqtt(std::string_view bytes, const MqttExpectation& expected)
   }
   if (!rest.is_good() || (!is_message && rest.size() > 0)) {
     if (is_message && !is_whole && there <= most_mqtt_head) return packet;
-    return bad_mqtt(packet, "a packet that is longer or shorter than what it has to say");
+    return bad_mqtt(packet, "a packet that is longer or shorter than its content");
   }
   packet.state = MqttPacket::State::good;
   packet.head = packet.prefix + there - rest.size();

@@ -48,7 +48,7 @@ std::vector<TlsMistake> mistakes_of(const TlsConfig& config) {
   if (config.certificate.empty() && !config.key.empty())
     mistakes.push_back({"key", "a key is nothing without its certificate: give the file as `certificate`"});
   if (!config.key_password.empty() && config.key.empty())
-    mistakes.push_back({"key_password", "there is no `key` of which it could be the password"});
+    mistakes.push_back({"key_password", "there is no `key` that it could be the password of"});
   if (!config.verify && !config.ca_file.empty())
     mistakes.push_back({"ca_file", "with `verify` false nobody is checked against it: remove one of the two"});
   return mistakes;

@@ -25,10 +25,10 @@ std::string advice_on_certificate(long verified, const std::string& key) {
              "`, or have the certificate made for this one";
     case 18:  // ..._DEPTH_ZERO_SELF_SIGNED_CERT
     case 19:  // ..._SELF_SIGNED_CERT_IN_CHAIN
-      return "nobody vouches for the server's certificate but itself: give it (or that of its authority) as "
-             "`tls.ca_file`, if you know that it is right";
+      return "the server's certificate is self-signed: give it (or that of its authority) as `tls.ca_file`, if you "
+             "know that it is right";
     default:
-      return "this machine does not trust who has signed the server's certificate: give the authority's as "
+      return "this machine does not trust the authority that signed the server's certificate: give the authority's as "
              "`tls.ca_file`, or install the package ca-certificates";
   }
 }

@@ -82,7 +82,7 @@ Result<int> OutputGuard::Link::introduce(const std::string& name, double safe, c
                                          std::uint32_t& slot) {
   constexpr const char* cannot = "cannot hand the output to its guard";
   if (what.size() > detail::most_guarded_text)
-    return Error{Errc::does_not_fit, cannot, "", "what it is made of has more than 64 KiB", ""};
+    return Error{Errc::does_not_fit, cannot, "", "its sources have more than 64 KiB", ""};
   const std::lock_guard lock(mutex);
   const auto free = std::find(is_taken.begin(), is_taken.end(), false);
   if (free == is_taken.end()) return Error{Errc::does_not_fit, cannot, "", "it has 1024 already", ""};
@@ -143,7 +143,7 @@ void OutputGuard::Link::await_end(Loop& loop, const std::string& output, int its
     const bool is_safe = is_told && answer.code == 0;
     loop.runtime().core().log(
         is_safe ? LogLevel::warning : LogLevel::error, ending->output,
-        is_told ? detail::text_of_end(answer.result()) : "its guard has ended, and nobody tries to set it safe");
+        is_told ? detail::text_of_end(answer.result()) : "its guard has ended, and nothing tries to set it safe");
     if (is_safe) note(ending->output, true);
     std::list<Ending> over;  // is destroyed without the lock
     const std::lock_guard again(mutex);

@@ -95,7 +95,7 @@ inline std::string text_of_end(const Result<void>& done) {
   if (done.error().code == make_error_code(Errc::closed))
     return "its device could not be taken, and is as it was: " + done.error().why;
   if (done.error().code == make_error_code(Errc::busy))
-    return "its device is somebody else's now, and the guard no longer tries to set it safe";
+    return "another output has its device now, and the guard no longer tries to set it safe";
   return "its device has not taken the safe value for " + to_string(longest_after_end) +
          ", and the guard no longer tries: " + done.error().why;
 }

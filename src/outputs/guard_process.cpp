@@ -72,7 +72,7 @@ Error passing(Error error) noexcept {
   if (error.code != make_error_code(Errc::busy) && error.code != make_error_code(Errc::timed_out)) return error;
   try {
     error.code = make_error_code(Errc::disconnected);
-    error.why += "; the guard of what had it before still tries to set it safe";
+    error.why += "; the guard of its earlier output still tries to set it safe";
     error.advice = "leave that guard alone: it ends after 10 s, and this output is tried again each second";
   } catch (const std::exception&) {  // no memory: the error stays as it is
   }

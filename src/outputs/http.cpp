@@ -15,7 +15,7 @@
 namespace rtdata {
 namespace {
 
-constexpr const char* cannot_set_http = "cannot set what is at the URL";
+constexpr const char* cannot_set_http = "cannot set the device at the URL";
 constexpr Duration spare = std::chrono::milliseconds{100};  // beyond libcurl's own limit
 
 /// With each word in place of the value, and with 0.

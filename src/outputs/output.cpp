@@ -499,10 +499,10 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     Call call(*this);
     if (!is().busy) return;
     if (state_ == State::taking)
-      return complain({Errc::timed_out, "the output cannot be set yet", name(),
-                       "its device has not answered for " + to_string(slow_start),
-                       "what it is to be set to waits; check the device"},
-                      Health::degraded);
+      return complain(
+          {Errc::timed_out, "the output cannot be set yet", name(),
+           "its device has not answered for " + to_string(slow_start), "the next value waits; check the device"},
+          Health::degraded);
     // Started with an earlier value, which was answered.
     if (const MonotonicTime due = sent_ + answer_limit; due > now()) return patience_.start_at(due);
     value_.reset();
@@ -547,8 +547,8 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     const bool is_silent = is().held && !is().busy && value_ && *value_ != config_.safe && seen &&
                            now() - std::max(*seen, turning_since_) > 4 * config_.watchdog;
     if (!std::exchange(is_guard_silent_, is_silent) && is_silent)
-      complain({Errc::timed_out, "nobody would set the output safe", name(), "its guard does not run",
-                "look for what has stopped the process rtdata-guard"},
+      complain({Errc::timed_out, "nothing would set the output safe", name(), "its guard does not run",
+                "find what has stopped the process rtdata-guard"},
                Health::faulted);
   }
   void tripped(const Result<void>& done) override {
@@ -582,7 +582,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     record({config_.safe, OutputCause::watchdog, fitting<48>("guard"), now()}, value_, done ? "" : done.error().why);
     Error error{Errc::not_turning, "the guard has set the output to its safe value", name(),
                 "the loop did not turn for " + to_string(config_.watchdog),
-                "look for what held it, then arm the output again"};
+                "find what held it, then arm the output again"};
     if (!done) {
       error.what = "the guard could not set the output to its safe value";
       error.why += ", and the device did not take the value: " + done.error().why;
@@ -665,7 +665,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
       go_stale(Errc::not_turning,
                "loop " + hanging_->config.name + ", which would tell of changes, has not turned for " +
                    to_string(config_.max_age),
-               "it follows again when that loop turns; look for what blocks there");
+               "it follows again when that loop turns; find what blocks there");
     if (hanging_ == nullptr && before != nullptr) recall();
   }
   void go_stale(Errc code, const std::string& why, std::string advice) {

@@ -16,7 +16,7 @@
 namespace rtdata {
 namespace {
 
-constexpr const char* cannot_set_serial = "cannot set what is on the serial line";
+constexpr const char* cannot_set_serial = "cannot set the device on the serial line";
 using Deadline = std::chrono::steady_clock::time_point;
 
 /// False: the time is over.

@@ -221,8 +221,9 @@ TEST_SUITE("app") {
     folder.write("late.csv", "time,v\n2026-11-28T24:01:00Z,1\n");
     Process sixty(folder, program, {"import", "sixty.csv", "--time", "time", "--zone", "Z"});
     CHECK(sixty.end() == 1);
-    CHECK_MESSAGE(has(sixty.err, "sixty.csv:3: \"2026-11-28T12:00:60\" in column time is not a time: seconds go up to 59"),
-                  sixty.err);
+    CHECK_MESSAGE(
+        has(sixty.err, "sixty.csv:3: \"2026-11-28T12:00:60\" in column time is not a time: seconds go up to 59"),
+        sixty.err);
     Process late(folder, program, {"import", "late.csv", "--time", "time"});
     CHECK(late.end() == 1);
     CHECK_MESSAGE(has(late.err, "there is no such time of day"), late.err);

@@ -402,7 +402,7 @@ TEST_SUITE("config") {
         {sinks(R"({"type": "mqtt", "host": "127.0.0.1", "client_id": ")" + std::string(65536, 'c') + "\"}"),
          "it has 65536 bytes: a text of MQTT has at most 65535"},
         {sinks(R"({"type": "mqtt", "host": "127.0.0.1", "password": "secret"})"),
-         "there is no `user` of whom it could be"},
+         "there is no `user` that it belongs to"},
         {R"({"sensors": [{"name": "s", "type": "mqtt", "host": "127.0.0.1", "client_id": "a\u0000b",
              "topics": ["a"], "fields": [{"name": "x"}]}]})",
          "it has a control character"},
@@ -598,8 +598,8 @@ TEST_SUITE("config") {
       return R"({"sensors": [{"name": "a", "type": "analog", "rate": "1 Hz", "file": "x")" + more + "}]" + sinks;
     };
     CHECK(warnings(analog(R"(, "unit": "bar")")).empty());
-    CHECK(
-        has(warnings(analog(R"(, "unit": "degC")")), "\"degC\" is not a unit of UCUM (ucum.org) (did you mean \"Cel\"?)"));
+    CHECK(has(warnings(analog(R"(, "unit": "degC")")),
+              "\"degC\" is not a unit of UCUM (ucum.org) (did you mean \"Cel\"?)"));
     CHECK(has(warnings(analog(R"(, "unit": "m/s^2")")), "(did you mean \"m/s2\"?)"));
     const auto serial = [&](const std::string& field, const std::string& more) {
       return R"({"sensors": [{"name": "a", "type": "serial", "device": "/dev/null", "fields": [)" + field + "]" + more +

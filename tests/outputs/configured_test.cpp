@@ -77,7 +77,7 @@ TEST_SUITE("outputs") {
   TEST_CASE("US-35 check finds the mistakes of outputs") {
     const std::string pwm = R"({"name": "fan", "type": "pwm", )";
     CHECK(problems_of(pwm + R"("on": "load", "expression": "minutes_1 > 2"})").empty());
-    CHECK(is_refused(pwm + R"("safe": 2})", "2 is not what the device takes: from 0 to 1"));
+    CHECK(is_refused(pwm + R"("safe": 2})", "2 is not a value for the device: from 0 to 1"));
     CHECK(is_refused(pwm + R"("on": "lod", "expression": "1"})", "lod"));
     CHECK(is_refused(pwm + R"("on": "load", "expression": "minutes_1 >"})", "f.json:2"));
     CHECK(is_refused(pwm + R"("on": "load", "expression": "minute_1 > 2"})", "minute_1"));

@@ -146,8 +146,7 @@ TEST_SUITE("outputs") {
     CHECK(b.output.value() == 1);
     b.loop.advance(100ms);
     CHECK(b.output.value() == 0);
-    CHECK(b.errors ==
-          Lines{"the topic \"air\" has had no event yet", "the topic \"air\" has had no event for 1 s"});
+    CHECK(b.errors == Lines{"the topic \"air\" has had no event yet", "the topic \"air\" has had no event for 1 s"});
     give(21);
     CHECK(b.output.value() == 1);
     CHECK(b.told() == Lines{"start 0 > 0", "stale 0 > 0 by hot", "input 1 > 1 by hot", "input 0 > 0 by hot",

@@ -426,7 +426,7 @@ TEST_SUITE("sensors") {
       }
       BarometerSensor air(loop, {.name = "air", .rate = 20_Hz}, bus, {0x77}, {.model = BarometerModel::ms5611});
       CHECK(air.health() == Health::faulted);
-      CHECK(air.status().reason.find(is_zero ? "its PROM has the same in all places"
+      CHECK(air.status().reason.find(is_zero ? "all words of its PROM are the same"
                                              : "the checksum of its PROM is wrong") != std::string::npos);
     }
   }

@@ -263,7 +263,7 @@ TEST_SUITE("sensors") {
     CHECK(battery.status().reason.find("it has stopped measuring") != std::string::npos);
     chip.set_word(2, 4000 << 3 | 3);
     bench.loop.advance(1s);
-    CHECK(battery.status().reason.find("it tells of an overflow") != std::string::npos);
+    CHECK(battery.status().reason.find("it reports an overflow") != std::string::npos);
     CHECK(battery.counts().published == published);
     chip.set_word(2, 4000 << 3 | 2);
     bench.loop.advance(1s);
@@ -274,7 +274,7 @@ TEST_SUITE("sensors") {
     DriverSensor<Ina> motor(bench.loop, {.name = "motor", .rate = 10_Hz, .retry_longest = 1s}, bench.bus, {0x41},
                             config);
     CHECK(motor.health() == Health::faulted);
-    CHECK(bench.errors.back().find("it does not have its identity") != std::string::npos);
+    CHECK(bench.errors.back().find("it does not answer with the identity of that chip") != std::string::npos);
     other.set_word(0xfe, 0x5449);
     other.set_word(0xff, 0x2260);
     other.set_word(6, 0x0008);
@@ -283,7 +283,7 @@ TEST_SUITE("sensors") {
     CHECK(motor.counts().published > 0);
     other.set_word(6, 0x000c);
     bench.loop.advance(1s);
-    CHECK(motor.status().reason.find("it tells of an overflow") != std::string::npos);
+    CHECK(motor.status().reason.find("it reports an overflow") != std::string::npos);
     CHECK_THROWS_AS(
         DriverSensor<Ina>(bench.loop, {.name = "b", .rate = 1_Hz}, bench.bus, {0x42}, {.shunt_resistance = 0}),
         SetupError);

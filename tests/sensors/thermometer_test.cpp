@@ -79,7 +79,7 @@ TEST_SUITE("sensors") {
     CHECK(max31855(0x00010191).error().why == "the thermocouple is open");
     CHECK(max31855(0x00010192).error().why == "the thermocouple is shorted to ground");
     CHECK(max31855(0x00010194).error().why == "the thermocouple is shorted to the supply");
-    CHECK(max31855(0x00010190).error().why == "it tells of a fault and not of which");
+    CHECK(max31855(0x00010190).error().why == "it reports an unknown fault");
     CHECK(max31855(0xffffffff).error().why == "bits that are 0 are not: nothing answers");
     CHECK(max31855(0x00000000).error().why == "it gives zeros only: nothing answers");
   }

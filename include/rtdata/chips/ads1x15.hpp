@@ -100,8 +100,8 @@ class Ads1x15 {
 
   static Result<void> check(const Config& config) {
     const auto refused = [](std::string where, const auto& value, std::string advice) {
-      return Error{Errc::bad_argument, "cannot use the ADS1x15 so", std::move(where),
-                   std::string(value) + " is not a value that it has", std::move(advice)};
+      return Error{Errc::bad_argument, "cannot use these settings of the ADS1x15", std::move(where),
+                   std::string(value) + " is not one of its values", std::move(advice)};
     };
     for (std::size_t i = 0; i < config.channels.size(); ++i) {
       if (const auto input = detail::find_input(inputs, config.channels[i].input, i); !input) return input.error();
@@ -162,8 +162,7 @@ class Ads1x15 {
     if (!after) return restarted_after(after.error());
     const std::uint16_t settings = settings_of(config_, channel);
     if ((*before & ~ready) != settings || (*after & ~ready) != settings) {
-      out.unreadable(
-          chip.error(Errc::bad_data, what, "it has lost its settings since the start", "check its supply"));
+      out.unreadable(chip.error(Errc::bad_data, what, "it has lost its settings since the start", "check its supply"));
       next_ = 0;
       return {};
     }

@@ -494,7 +494,7 @@ class Barometer {
         if (auto done = chip.read_registers(0xe1, rest); !done) return done;
         trimming.decode_humidity(*first, rest);
         if (trimming.h2 == 0 || trimming.h2 == -1)
-          return chip.error(Errc::bad_data, "cannot use the " + name, "its trimming parameters of humidity are none",
+          return chip.error(Errc::bad_data, "cannot use the " + name, "it has no trimming parameters of humidity",
                             "the chip is damaged");
       }
     }
@@ -513,8 +513,7 @@ class Barometer {
   }
 
   static Unreadable lost_settings(RegisterDevice& chip) {
-    return Unreadable{
-        chip.error(Errc::bad_data, what, "it has lost its settings since the start", "check its supply")};
+    return Unreadable{chip.error(Errc::bad_data, what, "it has lost its settings since the start", "check its supply")};
   }
   static Error measures_still(RegisterDevice& chip) {
     return chip.error(Errc::timed_out, what, "the measurement takes too long", "");
@@ -579,7 +578,7 @@ class Barometer {
     const bool are_alike = std::all_of(prom_.words.begin(), prom_.words.end(),
                                        [&](std::uint16_t word) { return word == prom_.words[0]; });
     return chip.error(Errc::bad_data, "cannot use the chip as an MS5611",
-                      are_alike ? "its PROM has the same in all places" : "the checksum of its PROM is wrong",
+                      are_alike ? "all words of its PROM are the same" : "the checksum of its PROM is wrong",
                       seems_to_be(chip));
   }
 

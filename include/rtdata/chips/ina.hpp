@@ -80,7 +80,8 @@ class Ina {
       const Result<std::uint16_t> die = chip.read_word(die_register);
       if (!die) return die.error();
       if (*maker != 0x5449 || (*die & 0xfff0) != 0x2260)
-        return chip.error(Errc::bad_data, "cannot use the chip as an INA226", "it does not have its identity",
+        return chip.error(Errc::bad_data, "cannot use the chip as an INA226",
+                          "it does not answer with the identity of that chip",
                           "check which chip is at this address, and `model`");
     }
     last_ = Samples<PowerReading>::now();
@@ -113,7 +114,7 @@ class Ina {
       if (const Result<std::uint16_t> power = chip.read_word(power_register); !power) return power.error();
     }
     const bool has_overflowed = (*flags & (is_ina219 ? ina219_overflow : ina226_overflow)) != 0;
-    auto reading = has_overflowed ? Error{Errc::out_of_range, what, "", "it tells of an overflow", "a smaller shunt"}
+    auto reading = has_overflowed ? Error{Errc::out_of_range, what, "", "it reports an overflow", "a smaller shunt"}
                                   : decode(*shunt, *bus, config_);
     if (!reading) return Unreadable{chip.error(Errc::out_of_range, what, reading.error().why, reading.error().advice)};
     return *reading;

@@ -66,12 +66,12 @@ struct InertialWrite {
 
 /// How to query and read the FIFO.
 struct InertialFifo {
-  InertialWrite off, on;         ///< off and on empties it; `on` not read back: settings are lost
-  std::uint8_t status = 0;       ///< register of the number of samples
-  std::size_t status_bytes = 1;  ///< the first one is the lowest, unless `big_endian`
-  std::uint32_t count_mask = 0;  ///< in the status
-  std::uint32_t over_mask = 0;   ///< it has run over
-  std::uint32_t torn_mask = 0;   ///< the next byte is not the first one of a sample
+  InertialWrite off, on;                         ///< off and on empties it; `on` not read back: settings are lost
+  std::uint8_t status = 0;                       ///< register of the number of samples
+  std::size_t status_bytes = 1;                  ///< the first one is the lowest, unless `big_endian`
+  std::uint32_t count_mask = 0;                  ///< in the status
+  std::uint32_t over_mask = 0;                   ///< it has run over
+  std::uint32_t torn_mask = 0;                   ///< the next byte is not the first one of a sample
   std::uint8_t over_register = 0, over_bit = 0;  ///< a separate overflow flag; reading clears it
   std::size_t count_bytes = 1;                   ///< of what is counted
   std::size_t capacity = 0;                      ///< bytes

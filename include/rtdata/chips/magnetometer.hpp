@@ -252,7 +252,7 @@ class Magnetometer {
   static Result<void> check(const Config& config) {
     const Model& model = config.chip();
     const auto refused = [&](const char* key, double number, const std::string& good) -> Result<void> {
-      return Error{Errc::bad_argument, "cannot use the magnetometer so", key,
+      return Error{Errc::bad_argument, "cannot use these settings of the magnetometer", key,
                    text_of(number) + " is none of " + good + ", which the " + std::string(model.name) + " has", ""};
     };
     if (find_rate(config) == nullptr) {
@@ -316,7 +316,7 @@ class Magnetometer {
     const MonotonicTime now = Samples<int>::now();
     if (model_.is_new.mask != 0 && (bytes[model_.is_new.at] & model_.is_new.mask) == 0) {
       if (now - last_ <= patience()) return NothingNew{};
-      return chip.error(Errc::timed_out, what, "it has brought no sample since " + to_string(patience()),
+      return chip.error(Errc::timed_out, what, "it has given no sample since " + to_string(patience()),
                         "check its supply");
     }
     last_ = now;

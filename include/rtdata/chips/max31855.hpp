@@ -71,7 +71,7 @@ class Max31855 {
     if ((word & 1) != 0) return refused("the thermocouple is open", "check its wires");
     if ((word & 2) != 0) return refused("the thermocouple is shorted to ground", "check its wires");
     if ((word & 4) != 0) return refused("the thermocouple is shorted to the supply", "check its wires");
-    if ((word & fault) != 0) return refused("it tells of a fault and not of which", "check its wires");
+    if ((word & fault) != 0) return refused("it reports an unknown fault", "check its wires");
     const auto bits = static_cast<std::int32_t>(word);
     return ThermocoupleReading{(bits >> 18) * 0.25, (static_cast<std::int16_t>(word & 0xffff) >> 4) * 0.0625};
   }

@@ -78,8 +78,8 @@ class Max31856 {
   static Result<void> check(const Config& config) {
     for (const unsigned good : {1u, 2u, 4u, 8u, 16u})
       if (config.average == good) return {};
-    return Error{Errc::bad_argument, "cannot use the MAX31856 so", "average",
-                 std::to_string(config.average) + " is not a value that it has", "take 1, 2, 4, 8 or 16"};
+    return Error{Errc::bad_argument, "cannot use these settings of the MAX31856", "average",
+                 std::to_string(config.average) + " is not one of its values", "take 1, 2, 4, 8 or 16"};
   }
   explicit Max31856(const Config& config) : config_(config) {}
 
@@ -112,8 +112,7 @@ class Max31856 {
       if (auto done = set_up(chip); !done) return std::move(done).error();
       return unreadable({Errc::bad_data, what, "", "it has lost its settings since the start", "check its supply"});
     }
-    if ((bytes[0] & one_shot) != 0)
-      return chip.error(Errc::timed_out, what, "the measurement takes too long", "");
+    if ((bytes[0] & one_shot) != 0) return chip.error(Errc::timed_out, what, "the measurement takes too long", "");
     auto reading = decode(bytes);
     if (!reading) return unreadable(reading.error());
     return *reading;
@@ -125,8 +124,7 @@ class Max31856 {
     const auto refused = [](Errc code, const char* why) { return Error{code, what, "", why, "check its wires"}; };
     if ((fault & 0x01) != 0) return refused(Errc::bad_data, "the thermocouple is open");
     if ((fault & 0x02) != 0) return refused(Errc::bad_data, "an input is below ground or above the supply");
-    if ((fault & 0x40) != 0)
-      return refused(Errc::out_of_range, "the temperature is outside its thermocouple's range");
+    if ((fault & 0x40) != 0) return refused(Errc::out_of_range, "the temperature is outside its thermocouple's range");
     if ((fault & 0xb0) != 0) return refused(Errc::out_of_range, "the cold junction is outside its range");
     const auto cold = static_cast<std::int16_t>(registers[10] << 8 | registers[11]);
     const auto tip = static_cast<std::int32_t>(static_cast<std::uint32_t>(registers[12]) << 24 |

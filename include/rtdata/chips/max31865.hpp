@@ -81,10 +81,10 @@ class Max31865 {
 
   static Result<void> check(const Config& config) {
     const auto refused = [](const char* where, std::string why) {
-      return Error{Errc::bad_argument, "cannot use the MAX31865 so", where, std::move(why), ""};
+      return Error{Errc::bad_argument, "cannot use these settings of the MAX31865", where, std::move(why), ""};
     };
     if (config.wires < 2 || config.wires > 4)
-      return refused("wires", std::to_string(config.wires) + " is none of 2, 3 and 4");
+      return refused("wires", std::to_string(config.wires) + " is not 2, 3 or 4");
     const double reference = reference_of(config);
     if (!std::isfinite(reference) || reference <= 0)
       return refused("reference_resistance", std::to_string(reference) + " is not above 0");
@@ -155,7 +155,7 @@ class Max31865 {
     if ((fault & 0x10) != 0) return refused(Errc::bad_data, "the wire FORCE- or the reference is open or shorted");
     if ((fault & 0x08) != 0) return refused(Errc::bad_data, "the wire RTDIN- is open or shorted");
     if ((fault & 0xc0) != 0 || (registers[2] & 1) != 0)
-      return refused(Errc::bad_data, "it tells of a fault of the element");
+      return refused(Errc::bad_data, "it reports a fault of the element");
     if (code == 0x7fff) return refused(Errc::out_of_range, "the resistance is that of the reference, or above");
     const double resistance = code * reference_of(config) / 32768;
     const double ratio = resistance / (config.element == RtdElement::pt100 ? 100 : 1000);
@@ -207,8 +207,7 @@ class Max31865 {
     return value;
   }
   Reading<RtdReading> lost(SpiDevice& chip) const {
-    return Unreadable{
-        chip.error(Errc::bad_data, what, "it has lost its settings since the start", "check its supply")};
+    return Unreadable{chip.error(Errc::bad_data, what, "it has lost its settings since the start", "check its supply")};
   }
 
   Config config_;

@@ -56,13 +56,12 @@ class MhZ19 {
     std::array<std::uint8_t, 9> answer{};
     if (auto done = line.transact(request, answer); !done) return std::move(done).error();
     if (answer == request)
-      return Unreadable{line.error(Errc::bad_data, "cannot read the MH-Z19", "it sends back what was asked",
+      return Unreadable{line.error(Errc::bad_data, "cannot read the MH-Z19", "it echoes the request",
                                    "switch off the echo of the adapter, or check whether its RX and TX are joined")};
     Result<Co2Reading> reading = decode(answer);
     if (!reading) {
       const Error& e = reading.error();
-      return Unreadable{
-          line.error(Errc::bad_data, "cannot read the MH-Z19", e.why, "check its wires and its supply")};
+      return Unreadable{line.error(Errc::bad_data, "cannot read the MH-Z19", e.why, "check its wires and its supply")};
     }
     return *reading;
   }
@@ -80,7 +79,7 @@ class MhZ19 {
       return Error{Errc::bad_data, "cannot read the MH-Z19", "", std::move(why), ""};
     };
     if (answer[8] != checksum(answer)) return refuse("the checksum of its answer is wrong");
-    if (answer[0] != 0xff || answer[1] != 0x86) return refuse("this answers something else");
+    if (answer[0] != 0xff || answer[1] != 0x86) return refuse("this is not the answer to the request");
     const unsigned ppm = static_cast<unsigned>(answer[2]) << 8 | answer[3];
     if (ppm == 0) return refuse("it says 0 ppm, as while it warms up: no air has so little");
     if (ppm > most) return refuse(std::to_string(ppm) + " ppm is outside its range, 0 to 10000 ppm");

@@ -85,8 +85,8 @@ class Nau7802 {
 
   static Result<void> check(const Config& config) {
     const auto refused = [](const char* where, const std::string& value, const char* advice) {
-      return Error{Errc::bad_argument, "cannot use the NAU7802 so", where, value + " is not a value that it has",
-                   advice};
+      return Error{Errc::bad_argument, "cannot use these settings of the NAU7802", where,
+                   value + " is not one of its values", advice};
     };
     if (!detail::place_of(gains, config.gain))
       return refused("gain", std::to_string(config.gain), "take 1, 2, 4, 8, 16, 32, 64 or 128");

@@ -72,7 +72,7 @@ class Sht {
     if (auto done = chip.read(bytes); !done) return done;
     if (checksum(std::span(bytes).first<2>()) != bytes[2])
       return chip.error(Errc::bad_data, "cannot use the chip as a hygrometer",
-                        "its answer to the question who it is has a wrong checksum",
+                        "the answer with its identity has a wrong checksum",
                         "check which chip is at this address, and `model`");
     return {};
   }

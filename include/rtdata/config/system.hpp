@@ -67,7 +67,7 @@ struct LogSettings {
                   unit("By")),
         parameter("keep", &LogSettings::keep, "how many of the files before are kept", range(1, 1000)),
         parameter("permissions", &LogSettings::permissions,
-                  "who may read and write a file that is made, in octal digits, less the umask", TextIs::permissions));
+                  "permissions of a new file, in octal digits, minus the umask", TextIs::permissions));
   }
   friend void check_config(const LogSettings& settings, const ConfigItem& item, Problems& problems);
 };
@@ -79,7 +79,7 @@ constexpr auto parameters(type_tag<Loop::Config>) {
       parameter("hold_limit", &Loop::Config::hold_limit, "a callback that takes longer is reported by its name",
                 range(10us, 1h)),
       parameter("delivery_budget", &Loop::Config::delivery_budget,
-                "time of handlers in a turn before ticks are looked at again", range(10us, 1s)),
+                "time of handlers in a turn before due ticks are checked again", range(10us, 1s)),
       parameter("phase_grid", &Loop::Config::phase_grid,
                 "schedules start on multiples of it, so that they share wake-ups; 0 s: none", range(0s, 1s)));
 }
@@ -108,7 +108,7 @@ struct TierSettings : Tier::Config {
         parameter("hold_limit", &TierSettings::hold_limit, "a callback that takes longer is reported by its name",
                   range(10us, 1h)),
         parameter("delivery_budget", &TierSettings::delivery_budget,
-                  "time of handlers in a turn before ticks are looked at again", range(10us, 1s)),
+                  "time of handlers in a turn before due ticks are checked again", range(10us, 1s)),
         parameter("phase_grid", &TierSettings::phase_grid,
                   "schedules start on multiples of it, so that they share wake-ups; 0 s: none", range(0s, 1s)));
   }

@@ -74,13 +74,13 @@ class text {
   friend constexpr auto operator<=>(const text& a, const text& b) noexcept { return a.view() <=> b.view(); }
   // clang-format 14 misplaces the body of a function with `requires`. clang-format off
   template <class Other>
-    requires(std::is_convertible_v<const Other&, std::string_view> && !std::is_same_v<Other, text>)
-  friend constexpr bool operator==(const text& a, const Other& b) noexcept {
+  requires(std::is_convertible_v<const Other&, std::string_view> && !std::is_same_v<Other, text>) friend constexpr bool
+  operator==(const text& a, const Other& b) noexcept {
     return a.view() == std::string_view(b);
   }
   template <class Other>
-    requires(std::is_convertible_v<const Other&, std::string_view> && !std::is_same_v<Other, text>)
-  friend constexpr auto operator<=>(const text& a, const Other& b) noexcept {
+  requires(std::is_convertible_v<const Other&, std::string_view> && !std::is_same_v<Other, text>) friend constexpr auto
+  operator<=>(const text& a, const Other& b) noexcept {
     return a.view() <=> std::string_view(b);
   }
   // clang-format on

@@ -109,7 +109,7 @@ struct GpioInput {
         parameter("bias", &GpioInput::bias, "the resistor in the chip"),
         parameter("active_low", &GpioInput::active_low, "the line is active when it is low"),
         parameter("edges", &GpioInput::edges, "which of them count: a rising one makes the line active"),
-        parameter("debounce", &GpioInput::debounce, "a level that lasts for less is none; 0: every edge counts",
+        parameter("debounce", &GpioInput::debounce, "a shorter level is ignored; 0: every edge counts",
                   range(Duration{0}, Duration{10s})));
   }
 };

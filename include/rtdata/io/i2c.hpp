@@ -46,8 +46,8 @@ class I2cTransport {
 };
 
 struct I2cConfig {
-  std::string device = {};  ///< the adapter, "/dev/i2c-1"
-  unsigned retries = 0;     ///< of failed transfers; 0 if a repeated read loses data, as with FIFOs
+  std::string device = {};                     ///< the adapter, "/dev/i2c-1"
+  unsigned retries = 0;                        ///< of failed transfers; 0 if a repeated read loses data, as with FIFOs
   Duration timeout = std::chrono::seconds{1};  ///< limit of each job of a sensor on the bus
 
   friend constexpr auto parameters(type_tag<I2cConfig>) {

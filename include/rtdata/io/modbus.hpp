@@ -53,7 +53,7 @@ struct ModbusConfig {
   std::uint16_t port = 502;   ///< TCP
   Duration connect_delay{0};  ///< TCP: wait before the first request; some servers ignore an early one
   Duration answer_timeout = std::chrono::milliseconds{500};  ///< longest wait for an answer
-  Duration timeout = std::chrono::seconds{5};  ///< limit of each job of a sensor on the bus
+  Duration timeout = std::chrono::seconds{5};                ///< limit of each job of a sensor on the bus
 
   friend constexpr auto parameters(type_tag<ModbusConfig>) {
     using namespace std::chrono_literals;

@@ -80,7 +80,7 @@ struct SerialPortConfig {
   std::string device = {};  ///< "/dev/serial/by-id/...", "/dev/ttyUSB0"
   SerialSettings serial = {};
   Duration answer_timeout = std::chrono::milliseconds{500};  ///< longest wait for an answer
-  Duration timeout = std::chrono::seconds{5};  ///< limit of each job of a sensor on the port
+  Duration timeout = std::chrono::seconds{5};                ///< limit of each job of a sensor on the port
 
   friend constexpr auto parameters(type_tag<SerialPortConfig>) {
     using namespace std::chrono_literals;

@@ -130,7 +130,7 @@ class Loop {
     Duration delivery_budget = std::chrono::milliseconds{1};  ///< time for handlers before ticks are checked again
     Duration hold_limit = std::chrono::milliseconds{10};      ///< a callback that takes longer is reported by its name
     Duration phase_grid = std::chrono::milliseconds{1};       ///< schedules start on its multiples; 0: none
-    Duration spin{0};  ///< busy-wait for this long before a deadline: exact, but uses a processor
+    Duration spin{0};         ///< busy-wait for this long before a deadline: exact, but uses a processor
     Duration timer_slack{1};  ///< PR_SET_TIMERSLACK of the running thread while run() runs; 0: leave it
   };
   /// How a manual loop and its tiers are interleaved; repeatable for the same seed.

@@ -95,8 +95,8 @@ struct SensorStatus {
   std::string reason;  ///< why it is not ok
   SensorCounts counts;
   std::string loop = {};  ///< the name of the loop or tier that it is on
-  Time first_due{};  ///< ticks are due at first_due + n * period; valid only while running
-  Outages outages = {};  ///< without a schedule; a current one counts up to now
+  Time first_due{};       ///< ticks are due at first_due + n * period; valid only while running
+  Outages outages = {};   ///< without a schedule; a current one counts up to now
 };
 
 /// The functions passed to `Loop::post` of one loop: each was run or waits.

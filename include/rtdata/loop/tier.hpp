@@ -58,12 +58,12 @@ class Tier {
   struct Config {
     std::string name = "fast";  ///< in log lines, and of its thread (the first 15 characters)
     SchedulingPolicy policy = SchedulingPolicy::other;
-    int priority = 0;            ///< 1 to 99 for real-time policies
-    std::vector<int> cpus = {};  ///< processors that it may run on; empty: any
-    bool lock_memory = true;     ///< with a real-time policy: mlockall, so that the process is not swapped out
+    int priority = 0;                ///< 1 to 99 for real-time policies
+    std::vector<int> cpus = {};      ///< processors that it may run on; empty: any
+    bool lock_memory = true;         ///< with a real-time policy: mlockall, so that the process is not swapped out
     std::size_t stack = 256 * 1024;  ///< bytes of its stack to touch at the start, so that they are in memory
     bool keep_cpu_awake = false;  ///< /dev/cpu_dma_latency 0 while it runs: less lateness, more power, all processors
-    Duration spin{0};  ///< busy-wait before a deadline, up to 10 ms: uses the processor that long each tick
+    Duration spin{0};             ///< busy-wait before a deadline, up to 10 ms: uses the processor that long each tick
     Duration hold_limit = Loop::Config{}.hold_limit;
     Duration delivery_budget = Loop::Config{}.delivery_budget;
     Duration phase_grid = Loop::Config{}.phase_grid;

@@ -44,7 +44,7 @@ struct HttpPeer {
         parameter("password", &HttpPeer::password, "of the user"),
         parameter("http_version", &HttpPeer::http_version,
                   "auto: 2 where https and the peer have it, else 1.1; 2: also without encryption"),
-        parameter("tls", &HttpPeer::tls, "how https proves who is there"),
+        parameter("tls", &HttpPeer::tls, "how https checks the peer's identity"),
         parameter("proxy", &HttpPeer::proxy, "URL of an HTTP proxy; default: none, whatever the environment says"),
         parameter("proxy_user", &HttpPeer::proxy_user, "of the proxy"),
         parameter("proxy_password", &HttpPeer::proxy_password, "of that user"));

@@ -46,7 +46,7 @@ struct MqttBroker {
         parameter("user", &MqttBroker::user, "name at the broker"),
         parameter("password", &MqttBroker::password, "to be written as {\"env\": ...} or {\"file\": ...}"),
         parameter("tls", &MqttBroker::tls, "encrypted; {} is enough where the broker's certificate is a public one"),
-        parameter("keepalive", &MqttBroker::keepalive, "so often at least both sides show that they are there",
+        parameter("keepalive", &MqttBroker::keepalive, "longest silence of a side before it sends a ping",
                   range(5s, 18h)),
         parameter("connect_timeout", &MqttBroker::connect_timeout, "how long connecting may take", range(10ms, 10min)));
   }

@@ -26,14 +26,15 @@ struct TlsConfig {
 
   friend constexpr auto parameters(type_tag<TlsConfig>) {
     return parameter_list(
-        parameter("verify", &TlsConfig::verify,
-                  "false: the peer need not prove who it is, so that anybody between can read and change everything"),
+        parameter(
+            "verify", &TlsConfig::verify,
+            "false: the peer's identity is not checked, so that anybody on the way can read and change everything"),
         parameter("ca_file", &TlsConfig::ca_file,
                   "file (PEM) with the authorities that are trusted; default: those of this machine"),
         parameter("certificate", &TlsConfig::certificate,
-                  "file (PEM) by which this machine proves who it is, where the peer asks for it"),
+                  "file (PEM) with the certificate of this machine, if the peer asks for one"),
         parameter("key", &TlsConfig::key, "file (PEM) with the private key of the certificate"),
-        parameter("key_password", &TlsConfig::key_password, "of the key, where it has one"));
+        parameter("key_password", &TlsConfig::key_password, "password of the key, if it has one"));
   }
 };
 

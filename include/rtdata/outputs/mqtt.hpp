@@ -30,8 +30,8 @@ namespace rtdata {
 
 struct MqttActuatorConfig {
   MqttBroker broker = {.keepalive = std::chrono::seconds{10}};
-  std::string to = {};           ///< the topic
-  std::string text = "{value}";  ///< the message; `{value}`: the shortest exact number: 1, 0.5
+  std::string to = {};                            ///< the topic
+  std::string text = "{value}";                   ///< the message; `{value}`: the shortest exact number: 1, 0.5
   std::map<std::string, std::string> words = {};  ///< texts to send for values: {"0": "OFF", "1": "ON"}
   std::uint8_t qos = 1;
   bool retain = false;                         ///< the broker keeps the last message for devices that connect later
@@ -44,10 +44,11 @@ struct MqttActuatorConfig {
         parameter("to", &MqttActuatorConfig::to, "the topic of the message", required),
         parameter("text", &MqttActuatorConfig::text, "the message; {value} stands for the value",
                   placeholders("value")),
-        parameter("words", &MqttActuatorConfig::words, "what {value} is, by value: {\"0\": \"OFF\", \"1\": \"ON\"}"),
+        parameter("words", &MqttActuatorConfig::words,
+                  "the text in place of {value}, by value: {\"0\": \"OFF\", \"1\": \"ON\"}"),
         parameter("qos", &MqttActuatorConfig::qos, "0: at most once, 1: at least once, 2: once", range(0, 2)),
         parameter("retain", &MqttActuatorConfig::retain,
-                  "whether the broker keeps the last message for who comes later"),
+                  "whether the broker keeps the last message for later subscribers"),
         parameter("timeout", &MqttActuatorConfig::timeout, "from connecting to the broker's confirmation",
                   range(Duration{10ms}, Duration{1500ms})));
   }

@@ -19,7 +19,7 @@ struct SerialActuatorConfig {
   SerialSettings serial = {};
   std::string text = "{value}\n";                 ///< `{value}`: the shortest exact number: 1, 0.5
   std::map<std::string, std::string> words = {};  ///< texts to send for values: {"0": "off", "1": "on"}
-  std::string answer = {};  ///< the device's reply after a value; empty: do not wait for one
+  std::string answer = {};                        ///< the device's reply after a value; empty: do not wait for one
   Duration timeout = std::chrono::milliseconds{500};
 
   friend constexpr auto parameters(type_tag<SerialActuatorConfig>) {
@@ -29,7 +29,8 @@ struct SerialActuatorConfig {
         include_member(&SerialActuatorConfig::serial),
         parameter("text", &SerialActuatorConfig::text, "what is sent; {value} stands for the value",
                   placeholders("value")),
-        parameter("words", &SerialActuatorConfig::words, "what {value} is, by value: {\"0\": \"off\", \"1\": \"on\"}"),
+        parameter("words", &SerialActuatorConfig::words,
+                  "the text in place of {value}, by value: {\"0\": \"off\", \"1\": \"on\"}"),
         parameter("answer", &SerialActuatorConfig::answer,
                   "what the device sends when it has the value; empty: it is not waited for"),
         parameter("timeout", &SerialActuatorConfig::timeout, "for sending and the answer",

@@ -60,7 +60,7 @@ struct PostgresqlConfig {
         parameter("schema", &PostgresqlConfig::schema, "of the tables; made when it is not there"),
         parameter("machine", &PostgresqlConfig::machine, "this machine's name on the server; its host name by default",
                   TextIs::name),
-        parameter("timeout", &PostgresqlConfig::timeout, "the server has so long for each answer", range(100ms, 1h)),
+        parameter("timeout", &PostgresqlConfig::timeout, "time limit of each answer of the server", range(100ms, 1h)),
         include_member(&PostgresqlConfig::sink));
   }
   friend void check_config(const PostgresqlConfig& config, const ConfigItem& item, Problems& problems);

@@ -109,7 +109,7 @@ constexpr auto parameters(type_tag<Calibration>) {
       parameter("offset", &Calibration::offset, "added to that"),
       parameter("polynomial", &Calibration::polynomial, "its coefficients, of that: c0, c1, c2 ..., 2 to 10"),
       parameter("table", &Calibration::table, "pairs of that and the value, 2 to 1000, straight between them"),
-      parameter("outside", &Calibration::outside, "what becomes of a value outside the table",
+      parameter("outside", &Calibration::outside, "how a value outside the table is treated",
                 choices(value("refuse", OutsideTable::refuse), value("clamp", OutsideTable::clamp),
                         value("extend", OutsideTable::extend))),
       parameter("least", &Calibration::least, "a value below it is unreadable"),
@@ -124,14 +124,14 @@ constexpr auto parameters(type_tag<Filter>) {
                         value("exponential", FilterType::exponential), value("clamp", FilterType::clamp),
                         value("throttle", FilterType::throttle), value("delta", FilterType::delta),
                         value("rate_of_change", FilterType::rate_of_change))),
-      parameter("of", &Filter::of, "so many samples: of a median odd, 3 to 255; of a mean 2 to 1000",
+      parameter("of", &Filter::of, "number of samples: of a median odd, 3 to 255; of a mean 2 to 1000",
                 only_with("type", "median", "mean")),
       parameter("weight", &Filter::weight, "of the new value, above 0, up to 1", only_with("type", "exponential")),
-      parameter("least", &Filter::least, "what is below becomes this", only_with("type", "clamp")),
-      parameter("most", &Filter::most, "what is above becomes this", only_with("type", "clamp")),
+      parameter("least", &Filter::least, "values below it become it", only_with("type", "clamp")),
+      parameter("most", &Filter::most, "values above it become it", only_with("type", "clamp")),
       parameter("time", &Filter::time, "at most one sample in this time", range(Duration{1}, Duration{24h}),
                 only_with("type", "throttle")),
-      parameter("by", &Filter::by, "only what differs by so much from what was published last",
+      parameter("by", &Filter::by, "only values that differ by at least this from the last published one",
                 only_with("type", "delta")));
 }
 

@@ -62,7 +62,7 @@ struct ReplayConfig {
         parameter("topics", &ReplayConfig::topics, "which topics: names or patterns, + for one level, # for all below",
                   TextIs::topic_pattern),
         parameter("rename", &ReplayConfig::rename, "\"OLD=NEW\": the topic OLD, and those below it, become NEW"),
-        parameter("prefix", &ReplayConfig::prefix, "put before the names of the origins"),
+        parameter("prefix", &ReplayConfig::prefix, "prefix of the names of the origins"),
         parameter("from", &ReplayConfig::from, "first time, in UTC as 2026-03-01T12:00:00Z or as recorded in ns"),
         parameter("until", &ReplayConfig::until, "first time that is left out"),
         parameter("speed", &ReplayConfig::speed, "2: twice as fast as it was recorded", range(1e-6, 1e6)));

@@ -80,7 +80,7 @@ struct RunReport {
   std::size_t origins = 0, gaps = 0;                 ///< outages are gaps, too
   std::vector<OriginOutages> outages;                ///< of each origin that had some, the longest first
   std::vector<TopicLoss> losses;                     ///< of each topic that lost something, the most first
-  std::vector<std::string> not_known;  ///< data for which a loss is unknown; empty: all is known
+  std::vector<std::string> not_known;                ///< data for which a loss is unknown; empty: all is known
   /// Topics with a source that has no schedule and no numbers: its own losses cannot be detected.
   std::vector<std::string> not_detectable;
   /// The losses and unknowns as lines of text, also shown by `rtdata run` at its end. At least one line.

@@ -50,11 +50,11 @@ struct CounterConfig {
     using namespace std::chrono_literals;
     return parameter_list(
         include_member(&CounterConfig::input),
-        parameter("per_pulse", &CounterConfig::per_pulse, "what one pulse stands for, in `unit`", not_zero),
+        parameter("per_pulse", &CounterConfig::per_pulse, "the amount of one pulse, in `unit`", not_zero),
         parameter("unit", &CounterConfig::unit, "of `total` (UCUM), such as L, {rev}, mm, kW.h; empty: pulses",
                   TextIs::unit),
         parameter("per", &CounterConfig::per, "the time in the unit of `speed`", choices("s", "min", "h")),
-        parameter("still_after", &CounterConfig::still_after, "without a pulse for so long, the frequency is 0",
+        parameter("still_after", &CounterConfig::still_after, "without a pulse for this time, the frequency is 0",
                   range(Duration{1ms}, Duration{24h})));
   }
 };

@@ -58,8 +58,8 @@ struct DerivedConfig {
   friend constexpr auto parameters(type_tag<DerivedConfig>) {
     using namespace std::chrono_literals;
     return parameter_list(
-        parameter("on", &DerivedConfig::on, "the topic each of whose events gives one", required, names_part("topic")),
-        parameter("with", &DerivedConfig::with, "other topics, of which the latest values count", names_part("topic")),
+        parameter("on", &DerivedConfig::on, "the topic: each of its events gives one", required, names_part("topic")),
+        parameter("with", &DerivedConfig::with, "other topics; their latest values are used", names_part("topic")),
         parameter("age", &DerivedConfig::age, "older values of the topics `with` are not used: there is a gap",
                   range(Duration{1us}, Duration{24h * 365})),
         parameter("expression", &DerivedConfig::expression, "of a single field called `value`", TextIs::recorded),

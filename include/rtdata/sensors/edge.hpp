@@ -49,7 +49,7 @@ struct EdgeConfig {
         include_member(&EdgeConfig::input),
         parameter("silence", &EdgeConfig::silence, "without an edge for longer, it is degraded and has a gap; 0: never",
                   range(Duration{0}, Duration{24h})),
-        parameter("retry_first", &EdgeConfig::retry_first, "wait before a lost chip is looked for again",
+        parameter("retry_first", &EdgeConfig::retry_first, "wait before the program looks for a lost chip again",
                   range(Duration{1ms}, Duration{1h})),
         parameter("retry_longest", &EdgeConfig::retry_longest, "the wait doubles up to this",
                   range(Duration{1ms}, Duration{24h})),

@@ -55,7 +55,7 @@ struct EncoderConfig {
   std::string unit = {};                       ///< UCUM; empty: counts
   std::string per = "s";                       ///< of the speed: "s", "min", "h"
   unsigned bits = 0;                           ///< of a counter without a ceiling; 0: as the driver says
-  std::string root = {};                       ///< put before /sys: where a container sees its host's
+  std::string root = {};                       ///< prefix of /sys: where a container sees its host's
   Duration timeout = std::chrono::seconds{1};  ///< a read that takes longer is given up
 
   friend constexpr auto parameters(type_tag<EncoderConfig>) {
@@ -64,17 +64,17 @@ struct EncoderConfig {
     return parameter_list(
         parameter("device", &C::device, "the counter: its name, number or path; empty: the only one that there is",
                   TextIs::device),
-        parameter("channel", &C::channel, "which count of it: its name or number; empty: the only one",
+        parameter("channel", &C::channel, "the count of that counter: its name or number; empty: the only one",
                   TextIs::recorded),
         parameter(
             "function", &C::function,
-            "what of its signals it counts, as the driver calls it, such as \"quadrature x4\"; empty: as it is set",
+            "which of its signals it counts, as the driver calls it, such as \"quadrature x4\"; empty: as it is set",
             TextIs::recorded),
-        parameter("per_count", &C::per_count, "what one count stands for, in `unit`", not_zero),
+        parameter("per_count", &C::per_count, "the amount of one count, in `unit`", not_zero),
         parameter("unit", &C::unit, "of `position` (UCUM), such as {rev}, mm, rad, L; empty: counts", TextIs::unit),
         parameter("per", &C::per, "the time in the unit of `speed`", choices("s", "min", "h")),
-        parameter("bits", &C::bits, "it wraps around after so many bits; 0: as its driver says", range(0, 63)),
-        parameter("root", &C::root, "put before /sys: where a container sees its host's", TextIs::device),
+        parameter("bits", &C::bits, "it wraps around after this number of bits; 0: as its driver says", range(0, 63)),
+        parameter("root", &C::root, "prefix of /sys: where a container sees its host's", TextIs::device),
         parameter("timeout", &C::timeout, "a read that takes longer is given up", range(Duration{1ms}, Duration{1h})));
   }
 };

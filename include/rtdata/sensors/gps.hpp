@@ -86,9 +86,9 @@ struct GpsConfig {
   std::string host = "localhost";                         ///< where gpsd runs: a name or an address
   std::uint16_t port = 2947;                              ///< of gpsd
   std::string device = {};                                ///< gpsd's name of the receiver; empty: any
-  Duration silence = std::chrono::seconds{10};            ///< without a fix report for longer, it has a gap; 0: no limit
+  Duration silence = std::chrono::seconds{10};            ///< without a fix report for longer: a gap; 0: no limit
   Duration report_delay = std::chrono::seconds{1};        ///< longest delay of a report; 0: not a time source
-  Duration retry_first = std::chrono::milliseconds{100};  ///< wait before a lost gpsd is connected to again
+  Duration retry_first = std::chrono::milliseconds{100};  ///< wait before the program connects to a lost gpsd again
   Duration retry_longest = std::chrono::seconds{10};      ///< the wait doubles up to this
   bool required = false;                                  ///< gpsd that does not answer at the start throws
   bool start = true;                                      ///< start when made
@@ -104,7 +104,7 @@ struct GpsConfig {
         parameter("report_delay", &GpsConfig::report_delay,
                   "from a fix to its report at most: the accuracy of the time of day that it gives; 0: it gives none",
                   range(Duration{0}, Duration{1min})),
-        parameter("retry_first", &GpsConfig::retry_first, "wait before a lost gpsd is connected to again",
+        parameter("retry_first", &GpsConfig::retry_first, "wait before the program connects to a lost gpsd again",
                   range(Duration{1ms}, Duration{1h})),
         parameter("retry_longest", &GpsConfig::retry_longest, "the wait doubles up to this",
                   range(Duration{1ms}, Duration{24h})),

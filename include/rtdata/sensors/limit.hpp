@@ -51,7 +51,7 @@ struct LimitConfig {
         parameter("high", &C::high, "greater values are a warning"),
         parameter("high_high", &C::high_high, "greater values are critical"),
         parameter("hysteresis", &C::hysteresis, "a level ends when the value is back by this much", range(0.0, 1e300)),
-        parameter("delay", &C::delay, "a level begins when the value has been beyond the limit for so long",
+        parameter("delay", &C::delay, "a level begins when the value has been beyond the limit for this time",
                   range(Duration{0}, longest)),
         parameter("latched", &C::latched, "the alarm stays until it is acknowledged"),
         parameter("silence", &C::silence, "without an event for longer, the value is unknown; 0: never",

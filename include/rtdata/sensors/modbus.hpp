@@ -47,8 +47,7 @@ struct ModbusField {
   friend constexpr auto parameters(type_tag<ModbusField>) {
     return parameter_list(
         parameter("name", &ModbusField::name, "name of the field", required, TextIs::field),
-        parameter("table", &ModbusField::table,
-                  "what it is one of: registers (holding, input) or bits (coil, discrete)"),
+        parameter("table", &ModbusField::table, "its table: registers (holding, input) or bits (coil, discrete)"),
         parameter("address", &ModbusField::address, "of its first register or bit, from 0", required),
         parameter("type", &ModbusField::type, "type of the value in the registers",
                   choices(value("int16", Kind::i16), value("int32", Kind::i32), value("int64", Kind::i64),
@@ -58,7 +57,7 @@ struct ModbusField {
         parameter("scale", &ModbusField::scale, "factor", not_zero, only_with("table", "holding", "input")),
         parameter("offset", &ModbusField::offset, "added after scaling", only_with("table", "holding", "input")),
         parameter("unit", &ModbusField::unit, "unit of the value (UCUM)", TextIs::unit),
-        parameter("no_value", &ModbusField::no_value, "the raw number that stands for none",
+        parameter("no_value", &ModbusField::no_value, "the raw number that means no value",
                   only_with("table", "holding", "input")));
   }
 };

@@ -60,7 +60,7 @@ struct MqttSensorConfig {
   Duration session{0};         ///< how long the broker keeps messages for this sensor; 0: not at all
   std::string stored_by = {};  ///< name of a sink of this loop: acknowledge after it has stored the event
   Duration silence{0};         ///< without a message for longer, it has a gap; 0: no limit
-  Duration retry_first = std::chrono::milliseconds{100};  ///< wait before a lost broker is connected to again
+  Duration retry_first = std::chrono::milliseconds{100};  ///< wait before the program connects to a lost broker again
   Duration retry_longest = std::chrono::seconds{10};      ///< the wait doubles up to this
   bool start = true;                                      ///< start when made
 
@@ -79,16 +79,16 @@ struct MqttSensorConfig {
         parameter("max_message", &MqttSensorConfig::max_message, "a longer message is unreadable", rtdata::unit("By"),
                   range(16, 1048576)),
         parameter("retained", &MqttSensorConfig::retained,
-                  "what the broker has kept from before: skip it, or take it as if it came now"),
+                  "messages that the broker has kept from before: skip them, or take them as if they came now"),
         parameter("session", &MqttSensorConfig::session,
-                  "so long the broker keeps what comes while this is away; needs `client_id`; 0: not at all",
+                  "how long the broker keeps messages while this program is away; needs `client_id`; 0: not at all",
                   range(Duration{0}, Duration{87600h})),
         parameter("stored_by", &MqttSensorConfig::stored_by,
                   "a sink: the broker hears that a message has come once this has stored it", names_part("sink")),
         parameter("silence", &MqttSensorConfig::silence, "silent for longer, it is degraded and has a gap; 0: never",
                   range(Duration{0}, Duration{24h})),
-        parameter("retry_first", &MqttSensorConfig::retry_first, "wait before a lost broker is connected to again",
-                  range(Duration{1ms}, Duration{1h})),
+        parameter("retry_first", &MqttSensorConfig::retry_first,
+                  "wait before the program connects to a lost broker again", range(Duration{1ms}, Duration{1h})),
         parameter("retry_longest", &MqttSensorConfig::retry_longest, "the wait doubles up to this",
                   range(Duration{1ms}, Duration{24h})),
         parameter("start", &MqttSensorConfig::start, "start it with the system"));

@@ -45,14 +45,13 @@ struct TriggerConfig {
     using namespace std::chrono_literals;
     return parameter_list(
         parameter("on", &TriggerConfig::on, "the topic whose events it passes on", required, names_part("topic")),
-        parameter("with", &TriggerConfig::with, "other topics, of which `when` has the latest values",
-                  names_part("topic")),
-        parameter("when", &TriggerConfig::when, "while this expression is true, events are passed on", required,
+        parameter("with", &TriggerConfig::with, "other topics; `when` uses their latest values", names_part("topic")),
+        parameter("when", &TriggerConfig::when, "events are passed on while this expression is true", required,
                   TextIs::recorded),
-        parameter("before", &TriggerConfig::before, "events that came so long before that are passed on, too",
+        parameter("before", &TriggerConfig::before, "events that came within this time before that are passed on, too",
                   range(Duration{0}, Duration{24h})),
-        parameter("events", &TriggerConfig::events, "room for so many, taken at the start; a full ring is told",
-                  range(1, 100'000'000)),
+        parameter("events", &TriggerConfig::events,
+                  "room for that many events, allocated at the start; a full ring is reported", range(1, 100'000'000)),
         parameter("age", &TriggerConfig::age, "older values of the topics `with` are not used: `when` does not hold",
                   range(Duration{1us}, Duration{24h * 365})));
   }

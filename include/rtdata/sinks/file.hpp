@@ -79,8 +79,8 @@ struct FileConfig {
   /// ends with .csv or .cbor, else jsonl
   std::string format = {};
   FileSync sync = FileSync::at_close;
-  FileRotation rotate = {};  ///< run.csv is the current file; earlier ones are run-00000001.csv and so on
-  std::uint64_t keep = 0;    ///< with `rotate`: how many earlier files are kept; 0: all
+  FileRotation rotate = {};          ///< run.csv is the current file; earlier ones are run-00000001.csv and so on
+  std::uint64_t keep = 0;            ///< with `rotate`: how many earlier files are kept; 0: all
   std::string permissions = "0640";  ///< of a new file, minus the umask; an existing file keeps its own
   SinkConfig sink = {};              ///< name: the file's by default
 
@@ -98,7 +98,7 @@ struct FileConfig {
         parameter("rotate", &FileConfig::rotate, "when a new file is begun; those before get numbers that sort"),
         parameter("keep", &FileConfig::keep, "how many of those before are kept; 0: all"),
         parameter("permissions", &FileConfig::permissions,
-                  "who may read and write a file that is made, in octal digits, less the umask", TextIs::permissions),
+                  "permissions of a new file, in octal digits, minus the umask", TextIs::permissions),
         include_member(&FileConfig::sink));
   }
   friend void check_config(const FileConfig& config, const ConfigItem& item, Problems& problems);

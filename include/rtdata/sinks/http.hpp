@@ -77,10 +77,9 @@ struct HttpConfig {
             "by the program"),
         parameter("content_type", &HttpConfig::content_type, "in place of the format's own"),
         parameter("compression", &HttpConfig::compression, "of what is sent"),
-        parameter(
-            "cut_answer", &HttpConfig::cut_answer,
-            "what a request counts as that was sent whole, and whose answer of 200 to 299 was cut off four times: "
-            "delivered, or sent again and again"),
+        parameter("cut_answer", &HttpConfig::cut_answer,
+                  "a request that was sent whole, and whose answer of 200 to 299 was cut off four times, counts as "
+                  "delivered, or is sent again and again"),
         include_member(&HttpConfig::sending), include_member(&HttpConfig::sink));
   }
   /// Checks rules over several parameters. Sends nothing.

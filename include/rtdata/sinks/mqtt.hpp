@@ -47,7 +47,7 @@ struct MqttWill {
     return parameter_list(parameter("topic", &MqttWill::topic, "where the broker publishes it", required),
                           parameter("message", &MqttWill::message, "what it publishes when the connection is lost"),
                           parameter("qos", &MqttWill::qos, "0, 1 or 2", range(0, 2)),
-                          parameter("retain", &MqttWill::retain, "whether the broker keeps it for who comes later"));
+                          parameter("retain", &MqttWill::retain, "whether the broker keeps it for later subscribers"));
   }
 };
 
@@ -80,16 +80,16 @@ struct MqttConfig {
         parameter("format", &MqttConfig::format, "json, cbor, influx or raw"),
         parameter("qos", &MqttConfig::qos, "0: at most once, 1: at least once, 2: once for each connection",
                   range(0, 2)),
-        parameter("retain", &MqttConfig::retain, "whether the broker keeps the last message for who comes later"),
+        parameter("retain", &MqttConfig::retain, "whether the broker keeps the last message for later subscribers"),
         parameter("wait_for_subscriber", &MqttConfig::wait_for_subscriber,
-                  "an event that nobody is subscribed to waits until somebody is; version 5, qos 1"),
+                  "an event without a subscriber waits until there is one; version 5, qos 1"),
         parameter("version", &MqttConfig::version, "of MQTT"),
         parameter("client_id", &MqttConfig::client_id, "its name at the broker; empty: the broker chooses"),
         parameter("user", &MqttConfig::user, "name at the broker"),
         parameter("password", &MqttConfig::password, "to be written as {\"env\": ...} or {\"file\": ...}"),
         parameter("tls", &MqttConfig::tls, "encrypted; {} is enough where the broker's certificate is a public one"),
         parameter("will", &MqttConfig::will, "what the broker publishes when the connection is lost"),
-        parameter("keepalive", &MqttConfig::keepalive, "so often at least both sides show that they are there",
+        parameter("keepalive", &MqttConfig::keepalive, "longest silence of a side before it sends a ping",
                   range(5s, 18h)),
         parameter("connect_timeout", &MqttConfig::connect_timeout, "how long connecting may take", range(10ms, 10min)),
         include_member(&MqttConfig::sending), include_member(&MqttConfig::sink));

@@ -113,9 +113,9 @@ class RecordingWriter : public Writer {
   /// When to open the sink.
   enum class Opening {
     with_first_batch,  ///< a failure is tried again, like storing
-    at_set_up,  ///< by the sink's constructor. While the loop does not run, it waits and throws
-                ///< what went wrong (SetupError); in a callback it does not wait, and what fails is reported and
-                ///< tried again. Events published meanwhile are queued.
+    at_set_up,         ///< by the sink's constructor. While the loop does not run, it waits and throws
+                       ///< what went wrong (SetupError); in a callback it does not wait, and what fails is reported and
+                       ///< tried again. Events published meanwhile are queued.
   };
 
   // ---- on the loop's thread

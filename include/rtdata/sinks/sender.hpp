@@ -46,9 +46,9 @@ struct SendingConfig {
     return parameter_list(
         parameter("window", &SendingConfig::window, "parcels that are under way at a time", range(1, 1000)),
         parameter("parcel_rows", &SendingConfig::parcel_rows, "events of a parcel, at most", range(1, 100'000)),
-        parameter("parcel_bytes", &SendingConfig::parcel_bytes, "a parcel has no more events once it is so long",
+        parameter("parcel_bytes", &SendingConfig::parcel_bytes, "a parcel takes no more events once it has this size",
                   unit("By"), range(1.0, 268435456.0)),
-        parameter("timeout", &SendingConfig::timeout, "without an answer for so long a parcel is sent again",
+        parameter("timeout", &SendingConfig::timeout, "a parcel without an answer for this long is sent again",
                   range(10ms, 1h)),
         parameter("bytes_per_second", &SendingConfig::bytes_per_second, "sent, on average; 0: no limit", unit("By/s")));
   }

@@ -219,7 +219,7 @@ std::string verdict(const Status& status, const Ending& ending) {
             (ending.not_stored == 1 ? " event was NOT stored; " : " events were NOT stored; ");
   if (!ending.not_made.empty()) text += "NOT made by a reload: " + ending.not_made + "; ";
   for (const std::string& sink : ending.unknown_backlogs)
-    text += "what waits in a recording is NOT known (" + sink + "); ";
+    text += "the backlog in a recording is NOT known (" + sink + "); ";
   if (!mute.empty()) text += "NO EVENT ever came from " + mute + "; ";
   text += losses.empty()
               ? (mute.empty() && ending.unknown_backlogs.empty() && ending.unknown.empty() && ending.not_made.empty()

@@ -80,10 +80,10 @@ void ArmKeeper::conclude(const std::shared_ptr<Waiting>& waiting, const std::str
   std::string missing;
   for (const std::string& name : waiting->recordings.empty() ? waiting->all : waiting->recordings)
     missing += (missing.empty() ? "" : " and ") + name;
-  waiting->told(why.empty()
-                    ? ""
-                    : "but that is not on the card in " + missing + ", " + why + ": after a kill or a power failure now, " +
-                          waiting->machines + " would " + (waiting->is_armed ? "not " : "") + "arm it again");
+  waiting->told(why.empty() ? ""
+                            : "but that is not on the disk in " + missing + ", " + why +
+                                  ": after a kill or a power failure now, " + waiting->machines + " would " +
+                                  (waiting->is_armed ? "not " : "") + "arm it again");
 }
 
 void ArmKeeper::end() {

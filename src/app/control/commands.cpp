@@ -212,7 +212,7 @@ namespace {
 std::string hanging_text(const Tier& tier, const std::string& time = {}) {
   const std::string at = tier.doing();
   return "tier " + tier.config().name + " has not returned from " + (at.empty() ? "a callback" : at) + time +
-         ": nothing was done; look for what blocks there";
+         ": nothing was done; find what blocks there";
 }
 
 }  // namespace

@@ -378,8 +378,8 @@ Result<ControlClient> ControlClient::connect(const std::string& path) {
   ::setsockopt(client.fd_, SOL_SOCKET, SO_SNDTIMEO, &patience, sizeof patience);
   const bool is_connected = client.fd_ >= 0 && ::connect(client.fd_, generic(address), sizeof address) == 0;
   if (!is_connected && errno == EAGAIN) {
-    return Error{Errc::busy, "cannot connect", path, "too many wait to be connected",
-                 "see whether the process is stopped"};
+    return Error{Errc::busy, "cannot connect", path, "too many clients wait for a connection",
+                 "check whether the process is stopped"};
   }
   if (!is_connected) return system_error(errno, "cannot connect", path);
   if (!is_trusted(client.fd_) && ::geteuid() != 0)
@@ -397,7 +397,7 @@ Result<std::string> ControlClient::ask(std::string_view line, Duration at_most) 
   if (!answer) return std::move(answer).error();
   if (*answer) return std::move(**answer);
   return Error{Errc::timed_out, "no answer", "instance", "it did not answer in time",
-               "see whether it is stopped, its loop is held, or the machine is busy"};
+               "check whether it is stopped, its loop is held, or the machine is busy"};
 }
 
 void ControlClient::send(std::string_view line) {
@@ -429,8 +429,8 @@ Result<std::optional<std::string>> ControlClient::receive(Duration at_most) {
       char buffer[16 * 1024];
       const ssize_t size = ::recv(fd_, buffer, sizeof buffer, MSG_DONTWAIT);
       if (size == 0 || (size < 0 && errno != EAGAIN && errno != EINTR)) {
-        return Error{Errc::closed, "no answer", "instance", "it has ended, or serves others, who came later: 8 at most",
-                     "look again when fewer look at it"};
+        return Error{Errc::closed, "no answer", "instance", "it has ended, or serves other, later clients: 8 at most",
+                     "try again when it has fewer clients"};
       }
       if (size > 0) rest_.append(buffer, static_cast<std::size_t>(size));
     }

@@ -70,7 +70,7 @@ int ctl(const std::vector<std::string>& given) {
   };
   if (!line) return fail(line.error().text() + "; whether it was done, its log says");
   if (line->find_first_not_of(" \r\n") == std::string::npos)
-    return fail("it is not done yet; its log says what comes of it");
+    return fail("it is not done yet; its log will have the result");
   const auto answer = nlohmann::ordered_json::parse(*line, nullptr, false);
   for (const char* key : {"done", "refused", "error", "ended"}) {
     if (!answer.is_object() || !answer.contains(key) || !answer[key].is_string()) continue;
@@ -79,7 +79,7 @@ int ctl(const std::vector<std::string>& given) {
     std::cout << text << std::endl;
     return exit_good;
   }
-  return fail("it answers something else; use the same version of the program on both sides");
+  return fail("its answer does not fit the request; use the same version of the program on both sides");
 }
 
 }  // namespace rtdata::app

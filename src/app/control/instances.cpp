@@ -65,14 +65,14 @@ void FoundInstance::hear(Duration at_most) {
 
 Error instance_does_not_answer() {
   return {Errc::timed_out, "no status", "instance", "it does not answer",
-          "see whether it is stopped, its loop is held, or the machine is busy"};
+          "check whether it is stopped, its loop is held, or the machine is busy"};
 }
 
 std::optional<FoundInstance> choose_instance(const std::string& wanted, const char* command, int& status) {
   status = exit_other;
   std::vector<Found> instances = find_instances(wanted);
   if (instances.empty()) {
-    std::cerr << "rtdata: no instance is running that this user may look at; `rtdata run FILE` starts one" << std::endl;
+    std::cerr << "rtdata: no instance is running that this user may see; `rtdata run FILE` starts one" << std::endl;
     for (const std::string& folder : closed_folders())
       std::cerr << "rtdata: " << folder << " is of another user, such as a service: `sudo rtdata " << command << "`"
                 << std::endl;

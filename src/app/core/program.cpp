@@ -51,7 +51,7 @@ struct Command {
 
 constexpr Command commands[] = {
     {"init", "Write a starter file for this machine, ready to run", app::prepare_init},
-    {"run", "Run a configuration; Ctrl-C ends it and stores what is queued", app::prepare_run},
+    {"run", "Run a configuration; Ctrl-C ends it and stores the queued events", app::prepare_run},
     {"top", "Look at a running instance: rates, lateness, losses, sinks", app::prepare_top},
     {"ctl", "Command a running instance: rates, alarms, notes, reload", app::prepare_ctl},
     {"scan", "List the devices of this machine, with lines to paste", app::prepare_scan},
@@ -60,14 +60,14 @@ constexpr Command commands[] = {
     {"check", "Find every mistake in a configuration; exit 2 if there is any", app::prepare_check},
     {"graph", "Draw the machines of a configuration", app::prepare_graph},
     {"types", "List the types of sensors, sinks and formats with their parameters", app::prepare_types},
-    {"explain", "Say what an error means, by the id in brackets behind it", app::prepare_explain},
+    {"explain", "Explain an error, by the id in brackets behind it", app::prepare_explain},
 #ifdef RTDATA_WITH_SQLITE
     {"verify", "Check a recording: exit 0 balanced or sealed, 1 not, 2 unreadable", app::prepare_verify},
     {"info", "Sum up a recording", app::prepare_info},
     {"export", "Write out what was recorded", app::prepare_export},
     {"replay", "Give recorded events to sinks again, as they came or faster", app::prepare_replay},
     {"import", "Make a recording of a table in CSV", app::prepare_import},
-    {"forward", "Send what waits in a recording that was moved elsewhere", app::prepare_forward},
+    {"forward", "Send the backlog of a recording that was moved elsewhere", app::prepare_forward},
 #endif
 };
 

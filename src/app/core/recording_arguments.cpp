@@ -71,12 +71,12 @@ Action prepare_export(CLI::App& command) {
   command.add_option("--origin", options->origin, "Only events of this sensor")->type_name("NAME");
   command.add_option("--from", options->from, "First time, as 2026-03-01T12:00:00Z or in ns")->type_name("TIME");
   command.add_option("--until", options->until, "First time that is left out")->type_name("TIME");
-  command.add_option("--limit", options->limit, "At most so many rows; 0: all")->check(at_least(0));
+  command.add_option("--limit", options->limit, "At most this many rows; 0: all")->check(at_least(0));
   command.add_option("--every", options->every, "Only each n-th row")->check(at_least(1));
   command
-      .add_option("--step", options->step,
-                  "Reduced: for each step of this length how many values, the least, the largest and the mean of each "
-                  "number")
+      .add_option(
+          "--step", options->step,
+          "Reduced: for each step of this length how many values, the least, the largest and the mean of each number")
       ->type_name("DURATION");
   add_flag(command, "--utc", options->times, Export::Times::utc,
            "Times as UTC, by the clock when it was right; --from and --until are UTC, too");
@@ -142,7 +142,7 @@ Action prepare_replay(CLI::App& command) {
   command.add_option("--topic", config.topics, "Topics or patterns; default: all")->expected(1, -1);
   command.add_option("--rename", config.rename, "OLD=NEW: the topic OLD, and those below it, become NEW")
       ->expected(1, -1);
-  command.add_option("--prefix", config.prefix, "Put before the names of the origins");
+  command.add_option("--prefix", config.prefix, "Prefix of the names of the origins");
   command.add_option("--from", config.from, "First time, in UTC as 2026-03-01T12:00:00Z, or as recorded in ns")
       ->type_name("TIME");
   command.add_option("--until", config.until, "First time that is left out")->type_name("TIME");

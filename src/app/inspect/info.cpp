@@ -43,7 +43,8 @@ std::string table_of(const std::vector<TopicSummary>& topics) {
       losses += (losses.empty() ? "" : ", ") + std::to_string(topic.pruned) +
                 " more rows were pruned (max_age, max_bytes)";
     if (topic.repeated != 0)
-      losses += (losses.empty() ? "" : "; ") + count_of(topic.repeated) + " repeated by the source, which is not a loss";
+      losses += (losses.empty() ? "" : "; ") + count_of(topic.repeated) +
+                " repeated by the source, which is not a loss";
     if (!topic.made_of_it.empty())
       losses += (losses.empty() ? "" : "; ") +
                 ("not recorded itself: account of what is made of it, " + detail::listed(topic.made_of_it));

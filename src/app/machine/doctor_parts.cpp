@@ -128,9 +128,10 @@ Found examine_line(const MachineFiles& files, const PartPlan& part, [[maybe_unus
         part, found.error().where + ": " + found.error().why, found.error().advice, no_start);
   if (!found->line.is_used) return well(part, found->text + " is free");
   const std::string& who = found->line.consumer;
-  return Finding{Severity::warning, part.object(),
-                 found->text + ": " + (who.empty() ? "somebody has it, who gives no name" : "\"" + who + "\" has it"),
-                 no_start, "end that, or use another line; a driver of the kernel is named in the device tree"};
+  return Finding{
+      Severity::warning, part.object(),
+      found->text + ": " + (who.empty() ? "another program uses it, which gives no name" : "\"" + who + "\" has it"),
+      no_start, "end that, or use another line; a driver of the kernel is named in the device tree"};
 #else
   return {};
 #endif

@@ -211,8 +211,8 @@ class Run {
     });
     if (told.wait_for(answer_patience) == std::future_status::ready) return told.get();
     return {false,
-            "it is not applied yet: the loop is busy, such as storing what a closed sink has; the log says what "
-            "comes of it"};
+            "it is not applied yet: the loop is busy, such as storing the queue of a closed sink; the log will have "
+            "the result"};
   }
 
   /// Outputs that may not have their safe value, also those closed by a reload: "output heater, output fan".
@@ -272,9 +272,8 @@ class Run {
       desk.run(words, by, [outcome](const CommandOutcome& came) { outcome->set_value(came); });
       return [told = std::make_shared<std::future<CommandOutcome>>(outcome->get_future())] {
         if (told->wait_for(answer_patience) == std::future_status::ready) return command_answer(told->get());
-        return command_answer({false,
-                               "it is not known yet whether that is on the card: the loop is busy; the log "
-                               "says what comes of it"});
+        return command_answer(
+            {false, "it is not known yet whether that is on the disk: the loop is busy; the log will have the result"});
       };
     };
     try {

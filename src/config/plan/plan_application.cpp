@@ -102,8 +102,9 @@ void PlanApplication::end() {
   }
   if (failure_ == nullptr) {
     if (missing.empty()) return;
-    throw SetupError({Errc::not_turning, "not made", missing, "",
-                      "all else is as it was to be; what is made late is closed again: look for what blocks there"});
+    throw SetupError(
+        {Errc::not_turning, "not made", missing, "",
+         "everything else is as configured; parts that are made late are closed again: find what blocks there"});
   }
   try {
     std::rethrow_exception(std::exchange(failure_, nullptr));
@@ -149,8 +150,8 @@ void PlanApplication::refuse_hanging() const {
     } catch (const SetupError& error) {
       if (error.error().code != Errc::not_turning) continue;  // the tier does not exist yet
       throw SetupError({Errc::not_turning, "cannot apply the configuration", "tier " + name, error.error().why,
-                        "nothing was changed; look for what blocks there, or leave as they are its parts, and the "
-                        "sinks that take its topics"});
+                        "nothing was changed; find what blocks there, or leave its parts as they are, and the sinks "
+                        "that take its topics"});
     }
   }
 }

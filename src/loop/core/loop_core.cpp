@@ -189,7 +189,7 @@ void LoopCore::dispose_later(Node& node) noexcept {
 void LoopCore::dispose_when_it_turns(Node& node) noexcept {
   post_disposal(node, {Errc::not_turning, "was closed late", "loop " + config.name,
                        "the loop did not turn when it was to be closed; it is closed now, by its loop",
-                       "look for what blocked in its sensors and handlers"});
+                       "find what blocked in its sensors and handlers"});
 }
 
 void LoopCore::post_disposal(Node& node, Error why) noexcept {

@@ -84,8 +84,8 @@ class Exchange {
   Time begins_at(Time now) const noexcept { return standstill_ ? standstill_->time : now; }
   bool is_wanted(std::string_view topic) const noexcept;
 
-  std::uint64_t lost = 0;  ///< dropped events from other loops: this loop could not make their topic, because
-                           ///< its payload differs here, which was reported
+  std::uint64_t lost = 0;           ///< dropped events from other loops: this loop could not make their topic, because
+                                    ///< its payload differs here, which was reported
   bool tiers_were_balanced = true;  ///< of the tiers that have ended
   bool tiers_had_loss = false;      ///< of the tiers that have ended
 

@@ -386,7 +386,7 @@ bool TierCore::look_at_turning(Duration limit) {
     if (answered_.load(std::memory_order_acquire) == asked_) loop.core().note_turning();
     const Error error{Errc::not_turning, "does not turn", "",
                       "it has not returned from " + where() + " for more than " + to_string(limit),
-                      "look for what blocks in its sensors and handlers, and for what else takes its processor"};
+                      "find what blocks in its sensors and handlers, and what else uses its processor"};
     hub.health_changed("tier", config.name, Health::faulted, error.what + ": " + error.why);
     hub.report(&main.core(), name, error);  // as above
     return false;

@@ -190,7 +190,7 @@ class SysDevice final : public detail::LaneDevice {
     const auto& read = static_cast<ReadFiles&>(transaction);
     // A sensor that is broken may have a value all the same, or an error of that.
     if (read.fault != nullptr && flag_in(*read.fault).value_or(false)) {
-      return port.fail({Errc::bad_data, cannot_read, read.fault->path(), "the chip tells of a fault of its sensor",
+      return port.fail({Errc::bad_data, cannot_read, read.fault->path(), "the chip reports a fault of its sensor",
                         "check the sensor and its wires"});
     }
     const detail::SysfsFile& file = read.value;

@@ -96,11 +96,11 @@ Result<void> choose_function(const std::string& in, const std::string& function)
     available += (available.empty() ? "" : ", ") + line;
   }
   if (!found) {
-    return Error{Errc::bad_argument, "cannot set what is counted", file,
+    return Error{Errc::bad_argument, "cannot set the signals to count", file,
                  "the driver has no function \"" + function + "\"" + (available.empty() ? "" : "; it has " + available),
                  "set `function` to one of the driver's"};
   }
-  auto written = detail::write_kernel_file(file, function, "cannot set what is counted");
+  auto written = detail::write_kernel_file(file, function, "cannot set the signals to count");
   if (written) return {};
   Error error = std::move(written).error();
   error.advice = "run as a user that may write the file, or add a udev rule (docs/iio.md)";
@@ -299,7 +299,8 @@ EncoderSensor::EncoderSensor(Loop& loop, SensorConfig sensor, EncoderConfig conf
     throw SetupError({Errc::bad_argument, "cannot use this counter", "sensor " + sensor.name, why, advice});
   };
   if (!std::isfinite(config.per_count) || config.per_count == 0) refuse("per_count is 0 or no number", "such as 1");
-  if (config.per != "s" && config.per != "min" && config.per != "h") refuse("`per` is not a unit of time", "s, min or h");
+  if (config.per != "s" && config.per != "min" && config.per != "h")
+    refuse("`per` is not a unit of time", "s, min or h");
   if (config.bits > 63) refuse("`bits` is more than 63", "such as 16");
   auto type = detail::described_type(encoder_description(config).or_throw());
   *this = EncoderSensor(detail::make_sensor(loop, std::move(sensor), std::move(type),

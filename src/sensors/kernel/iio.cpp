@@ -31,7 +31,8 @@ std::string mistake_in(const std::string& channel, std::string& nearest) {
   nearest = nearest_name(channel.substr(0, end), known);
   if (!nearest.empty()) nearest += channel.substr(end);
   if (iio_quantity(nearest) == nullptr) nearest.clear();
-  return "\"" + channel + "\" is not a channel: a type of the kernel's, and an index or axis, such as voltage0 or accel_x";
+  return "\"" + channel +
+         "\" is not a channel: a type of the kernel's, and an index or axis, such as voltage0 or accel_x";
 }
 
 void check_channels(const std::vector<std::string>& channels, const ConfigItem& item, Problems& problems) {

@@ -318,10 +318,9 @@ class IioBufferNode final : public StreamNode {
   void tell_missing(bool is_dropped) {
     const std::string many = missing_ > 0 ? "about " + std::to_string(missing_) + " by their times"
                                           : std::string("how many is not known");
-    degrade(
-        {Errc::backlog, "scans are missing", config_.device,
-         is_dropped ? "the buffer was full: " + many : many + ": trigger or driver left them out",
-         is_dropped ? "make `length` longer, or find out what held the loop" : "lower its rate, or check its bus"});
+    degrade({Errc::backlog, "scans are missing", config_.device,
+             is_dropped ? "the buffer was full: " + many : many + ": trigger or driver left them out",
+             is_dropped ? "make `length` longer, or find out what held the loop" : "lower its rate, or check its bus"});
   }
   void tell_odd_time() {
     degrade({Errc::bad_data, "the times of scans are not used", config_.device,

@@ -175,7 +175,7 @@ Result<double> Modbus::decode(const ModbusField& field, std::span<const std::uin
   const double number = raw * field.scale + field.offset;
   if (!std::isfinite(number))
     return Error{Errc::not_a_number, "cannot use a value", "field " + field.name, "it is not a number",
-                 "check `address`, `type` and `word_order`; `no_value` names the raw number that stands for none"};
+                 "check `address`, `type` and `word_order`; `no_value` names the raw number that means \"no value\""};
   return number;
 }
 

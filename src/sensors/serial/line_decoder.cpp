@@ -275,7 +275,7 @@ Result<void> LineDecoder::put_value(std::size_t index, const Leaf& leaf_of_it, s
     case Kind::boolean: {
       bool flag = false;
       if (!read_boolean(text, flag)) {
-        return failure(Errc::bad_data, index, shown(text) + " is none of true, false, 1 and 0");
+        return failure(Errc::bad_data, index, shown(text) + " is not true, false, 1 or 0");
       }
       *to = static_cast<std::byte>(flag);
       return {};

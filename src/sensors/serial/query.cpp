@@ -105,7 +105,7 @@ Reading<DescribedValue> Query::read(SerialDevice& line) {
   };
   const std::string_view text = without_end(*answer);
   if (text == without_end(request_))
-    return Unreadable{line.error(Errc::bad_data, "cannot use an answer", "it sends back what was asked",
+    return Unreadable{line.error(Errc::bad_data, "cannot use an answer", "it echoes the request",
                                  "switch its echo off, or that of the adapter, or set `skip_lines` to 1")};
   detail::LineDecoder& decoder = decoding_->decoder;
   if (auto done = decoder.decode(text); !done) {

@@ -302,7 +302,7 @@ class SerialLineNode final : public StreamNode {
     const bool has_more = line.front() != '!' && begin != 0 && begin != std::string_view::npos;
     const unsigned opening = openings_;
     if (has_more) {
-      fail_line({Errc::bad_data, "cannot use what stands before a sentence", config_.device,
+      fail_line({Errc::bad_data, "cannot use the bytes before a sentence", config_.device,
                  std::to_string(begin) + " bytes that are no sentence of NMEA", "let the receiver send NMEA only"});
       if (fd_ < 0 || openings_ != opening) return;
       line.remove_prefix(begin);

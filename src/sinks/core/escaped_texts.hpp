@@ -34,8 +34,8 @@ class EscapedTexts {
       if (!known_.insert(slot).second) continue;
       const SlotInfo& info = batch.slot(slot);
       if (!warning_) {
-        warning_ = Error{Errc::bad_data, "a text is not UTF-8", "topic " + info.topic + ", origin " + info.origin, fate_,
-                         "let the device send UTF-8; of a serial line, check `baud_rate`"};
+        warning_ = Error{Errc::bad_data, "a text is not UTF-8", "topic " + info.topic + ", origin " + info.origin,
+                         fate_, "let the device send UTF-8; of a serial line, check `baud_rate`"};
       } else {
         warning_->where += "; topic " + info.topic + ", origin " + info.origin;
       }

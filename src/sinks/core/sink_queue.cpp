@@ -41,7 +41,7 @@ SinkQueue::SinkQueue(const SinkConfig& config, std::unique_ptr<Writer> writer)
   void* memory = ::mmap(nullptr, memory_bytes_, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1,
                         0);
   if (memory == MAP_FAILED) {
-    throw SetupError(system_error(errno, "cannot set aside the queue", config.name, "make `queue_bytes` smaller"));
+    throw SetupError(system_error(errno, "cannot allocate the queue", config.name, "make `queue_bytes` smaller"));
   }
   memory_ = static_cast<std::byte*>(memory);
   for (std::size_t i = 0; i < chunks_.size(); ++i) chunks_[i].data = memory_ + i * chunk_bytes;

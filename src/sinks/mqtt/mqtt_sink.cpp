@@ -210,7 +210,7 @@ class Publishing final : public detail::MqttConnection {
         losses_ = 0;
         if (reason == MQTT_RC_NO_MATCHING_SUBSCRIBERS && !config_.retain) {
           ++of->progress.unheard;
-          of->progress.refuse(ended.row, {Errc::disconnected, "the broker has thrown the event away",
+          of->progress.refuse(ended.row, {Errc::disconnected, "the broker has discarded the event",
                                           topic_of(of->parcel->rows()[ended.row]), "nobody was subscribed",
                                           "subscribe with a session that lasts, or set `wait_for_subscriber` or "
                                           "`retain`"});

@@ -77,7 +77,7 @@ struct TypePage {
   std::string bus = {};                       ///< of a driver: the type of its bus
   std::vector<std::string> other_buses = {};  ///< of a driver that has a choice: the other types
   std::string notes = {};                     ///< Markdown: wiring, addresses, limits
-  std::string aliases = {};  ///< further search words, separated by blanks
+  std::string aliases = {};                   ///< further search words, separated by blanks
   /// The description of its events with default parameters; null: not known without the parameters.
   std::shared_ptr<const Description> (*publishes)() = nullptr;
   bool depends_on_parameters = false;  ///< the description of its events depends on the parameters
