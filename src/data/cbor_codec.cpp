@@ -277,7 +277,7 @@ class CborCodec final : public Codec {
     ItemReader item(bytes);
     (void)item.first_item();
     if (item.is_below_range())  // nlohmann's parser would convert it wrongly
-      return Error{Errc::out_of_range, "the bytes are no event in CBOR", "", "it has a number below -2^63", ""};
+      return Error{Errc::out_of_range, "the bytes are not an event in CBOR", "", "it has a number below -2^63", ""};
     return detail::decode_cbor(bytes, description);
   }
 

@@ -29,7 +29,7 @@ class Reader {
 
   Error bad(std::string where, std::string why, std::string advice = {}) const {
     return {Errc::bad_data,
-            source_ == Source::json ? "the text is not an event in JSON" : "the bytes are no event in CBOR",
+            source_ == Source::json ? "the text is not an event in JSON" : "the bytes are not an event in CBOR",
             std::move(where), std::move(why), std::move(advice)};
   }
 

@@ -220,7 +220,7 @@ class Decoder {
   explicit Decoder(std::span<const std::byte> bytes) : rest_(bytes) {}
 
   static Error bad(std::string where, std::string why) {
-    return {Errc::bad_data, "the bytes are no event in raw format", std::move(where), std::move(why), ""};
+    return {Errc::bad_data, "the bytes are not an event in raw format", std::move(where), std::move(why), ""};
   }
 
   Result<std::span<const std::byte>> next(const std::string& where) {

@@ -42,7 +42,7 @@ struct OutputValue {
 
   friend constexpr auto parameters(type_tag<OutputValue>) {
     return parameter_list(parameter("output", &OutputValue::output, "which output", required, names_part("output")),
-                          parameter("value", &OutputValue::value, "what it is set to; of a line 1 is on, 0 off"));
+                          parameter("value", &OutputValue::value, "the value to set; of a line 1 is on, 0 off"));
   }
 };
 
@@ -83,7 +83,7 @@ struct TransitionSettings {
         parameter("after", &TransitionSettings::after, "the machine must have been in `from` that long",
                   range(Duration{0}, Duration{24h * 365})),
         parameter("event", &TransitionSettings::event, "the named event that it waits for, and no other", TextIs::name),
-        parameter("cause", &TransitionSettings::cause, "what is recorded as the cause; default: made of the above",
+        parameter("cause", &TransitionSettings::cause, "the recorded cause; default: made of the above",
                   TextIs::recorded));
   }
 };
@@ -103,7 +103,7 @@ struct ResumeSettings {
                           parameter("max_age", &ResumeSettings::max_age, "after a longer pause it begins in `start`",
                                     required, range(Duration{1ms}, Duration{24h * 365})),
                           parameter("unknown_age", &ResumeSettings::unknown_age,
-                                    "what it does when the clock cannot say how long the pause was", required,
+                                    "how it starts when the clock cannot say how long the pause was", required,
                                     choices(value("resume", UnknownAge::resume), value("start", UnknownAge::start))),
                           parameter("wait", &ResumeSettings::wait,
                                     "how long actions on a change wait, at most, until the disk has the change",

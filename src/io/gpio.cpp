@@ -178,7 +178,7 @@ Error refusal_of(int error_number, GpioBackend& backend, const Place& place) {
     case ENXIO:
     case EOPNOTSUPP:
     case 524:  // ENOTSUPP, the kernel's own
-      return {Errc::bad_argument, cannot_use_line, place.text(), "its chip cannot do what is asked for",
+      return {Errc::bad_argument, cannot_use_line, place.text(), "its chip cannot do that",
               "a chip may lack resistors (`bias`), interrupts (edges), or reading of outputs"};
     default:
       return detail::gpio_failure(error_number, cannot_use_line, place.text());

@@ -219,13 +219,13 @@ Error ModbusDevice::failure(int number) const {
           "it does not give so many registers at a time: set `gap` to 0, or divide `fields` among sensors");
     case EMBXSFAIL:
       return exception(Errc::io_failed, "server device failure",
-                       "it failed while it looked for the answer: its display or log may say more");
+                       "it failed while it prepared the answer: its display or log may say more");
     case EMBXACK:
       return exception(Errc::busy, "acknowledge", "it takes longer: lower `rate`");
     case EMBXSBUSY:
       return exception(Errc::busy, "server device busy", "lower `rate`, or look who else asks it");
     case EMBXNACK:
-      return exception(Errc::io_failed, "negative acknowledge", "its document says what it wants first");
+      return exception(Errc::io_failed, "negative acknowledge", "its manual says what it needs first");
     case EMBXMEMPAR:
       return exception(Errc::io_failed, "memory parity error", "its memory is damaged: it may need service");
     case EMBXGPATH:
@@ -263,7 +263,7 @@ Error ModbusDevice::failure(int number) const {
     case EPIPE:
     case EBADF:
       return error(Errc::disconnected, core_->rtu ? "lost the serial line" : "lost the connection",
-                   core_->rtu ? "the device has gone away" : "the server has closed it",
+                   core_->rtu ? "the device has disappeared" : "the server has closed it",
                    "it is opened again when it is back");
     default:
       return system_error(number, cannot_ask, "bus " + core_->bus + ", unit " + std::to_string(unit_));

@@ -103,7 +103,7 @@ class KernelSerial final : public SerialTransport {
     }
     constexpr const char* advice = "check the plug and the cable; it is opened again when it is back";
     if (number == EIO || number == ENXIO || number == ENODEV)
-      return {Errc::disconnected, lost, device_, "the device has gone away", advice};
+      return {Errc::disconnected, lost, device_, "the device has disappeared", advice};
     return system_error(number, lost, device_, advice);
   }
   Result<bool> wait(const std::shared_ptr<Line>& line, short what, Duration left) {

@@ -60,7 +60,7 @@ Error busy_error(const std::string& path) {
     const std::string name = first_line_of("/proc/" + std::to_string(process) + "/comm");
     return {Errc::busy, cannot_open, path,
             (name.empty() ? "a program" : name) + " (process " + std::to_string(process) + ") uses it",
-            name == "rtdata-guard" ? "end the run whose output it is, not the guard, which sets that safe"
+            name == "rtdata-guard" ? "end the run that has the output, not the guard, which sets it safe"
                                    : "end it: a serial line is for one program"};
   }
   return {Errc::busy, cannot_open, path, "another program uses it",

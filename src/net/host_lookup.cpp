@@ -83,7 +83,7 @@ void HostLookup::start(const std::string& host, std::uint16_t port) {
   const std::shared_ptr<Job> job = job_;
   if (!lane_->submit(job) && job_ == job) {
     job_ = nullptr;
-    found_(unknown("no thread can look it up: earlier attempts still hang"));
+    found_(unknown("no thread is free to look it up: earlier attempts still hang"));
   }
 }
 
@@ -115,14 +115,14 @@ std::string obstacle_of_host(const std::string& host) {
   const bool has_other = std::any_of(host.begin(), host.end(), [](char c) {
     return static_cast<unsigned char>(c) <= ' ' || c == '/' || c == '\\' || c == '"' || c == 0x7f;
   });
-  if (has_other) return "it is not a name of a host, nor an address";
+  if (has_other) return "it is neither a host name nor an address";
   if (host.front() == '[') return "it has brackets, as in a URL: give the address alone";
   if (const std::size_t colon = host.find(':'); colon != std::string::npos) {
     const std::string address = host.substr(0, host.find('%'));  // without its zone
     in6_addr ignored{};
     if (::inet_pton(AF_INET6, address.c_str(), &ignored) != 1) {
       const bool is_one = host.find(':', colon + 1) == std::string::npos;
-      return is_one ? "it has a port: give that as `port`" : "it is not a name of a host, nor an address";
+      return is_one ? "it has a port: give that as `port`" : "it is neither a host name nor an address";
     }
   }
   return host.size() > 253 ? "it is longer than names of hosts are" : "";

@@ -101,7 +101,7 @@ std::vector<HttpMistake> mistakes_of(const HttpPeer& config) {
   if (!url) add("url", url.error().why);
   if (url && url->has_login)
     add("url", "user and password in a URL would be shown with it: give `user` and `password`, or `bearer`");
-  if (url && url->has_fragment) add("url", "what stands behind # is never sent: remove it");
+  if (url && url->has_fragment) add("url", "the part after # is never sent: remove it");
   if (!config.bearer.empty() && !config.user.empty()) add("bearer", "give either `bearer` or `user`, not both");
   if (config.user.empty() && !config.password.empty()) add("password", "there is no `user` that it belongs to");
   if (config.user.find(':') != std::string::npos) add("user", "a user's name in basic authentication has no colon");
@@ -112,9 +112,9 @@ std::vector<HttpMistake> mistakes_of(const HttpPeer& config) {
   for (const auto& [name, text] : config.headers) {
     const std::string why = owner_of(name);
     if (!is_token(name)) {
-      add("headers", "\"" + name + "\" is not a name of a header: letters, digits and - make one");
+      add("headers", "\"" + name + "\" is not a header name: use letters, digits and -");
     } else if (!why.empty()) {
-      add("headers", "the header " + name + " is not to be set here: " + why);
+      add("headers", "the header " + name + " cannot be set here: " + why);
     } else if (!is_one_line(text)) {
       add("headers", "the header " + name + " has a line break or another control character");
     }

@@ -109,7 +109,7 @@ std::string MqttClient::reason(int status) const {
 
 Error MqttClient::failure(int status, bool is_connected) const {
   Error error{Errc::disconnected, is_connected ? "lost the connection" : "cannot connect", "", reason(status),
-              "it is connected to again"};
+              "the program connects to it again"};
   if (status == MOSQ_ERR_TLS && distrust != 0) {
     error.code = Errc::not_permitted;
     error.advice = advice_on_certificate(distrust, "host");
@@ -119,7 +119,7 @@ Error MqttClient::failure(int status, bool is_connected) const {
         "trust "
         "that";
   } else if (status == MOSQ_ERR_CONN_LOST && !is_connected) {
-    error.advice = "it is connected to again; if this port is one of TLS, set `tls`";
+    error.advice = "the program connects to it again; if this port is one of TLS, set `tls`";
   }
   return error;
 }
@@ -338,7 +338,7 @@ void MqttConnection::connect() {
   last_job_ = job;
   if (!lane_->submit(job) && job_ == job) {
     job_ = nullptr;
-    fail(Errc::timed_out, "cannot connect", "no thread can do it: earlier attempts still hang");
+    fail(Errc::timed_out, "cannot connect", "no thread is free for it: earlier attempts still hang");
   }
 }
 

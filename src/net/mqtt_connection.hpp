@@ -114,7 +114,7 @@ class MqttConnection : public std::enable_shared_from_this<MqttConnection> {
   void connect();
   /// Lets the library do its work and processes the results; repeats if answers allow new parcels.
   void work();
-  void fail(Errc code, const char* failed, std::string why, const char* advice = "it is connected to again");
+  void fail(Errc code, const char* failed, std::string why, const char* advice = "the program connects to it again");
   /// `where` is filled in.
   void fail(Error error);
   void drop();

@@ -116,9 +116,9 @@ const char* mistake_of_properties(MqttBytes& from, MqttType type) noexcept {
   while (from.is_good() && bytes.is_good() && bytes.size() > 0) {
     const unsigned number = bytes.variable();
     const MqttProperty property = number < mqtt_properties.size() ? mqtt_properties[number] : MqttProperty{};
-    if ((property.packets & mqtt_bit(type)) == 0) return "a property that MQTT does not have there";
+    if ((property.packets & mqtt_bit(type)) == 0) return "a property that MQTT does not allow there";
     const std::uint64_t mark = std::uint64_t{1} << number;
-    if ((seen & mark) != 0 && number != user && number != subscription) return "a property that is there twice";
+    if ((seen & mark) != 0 && number != user && number != subscription) return "a property that occurs twice";
     seen |= mark;
     unsigned value = 1;
     switch (property.kind) {
@@ -149,7 +149,7 @@ const char* mistake_of_properties(MqttBytes& from, MqttType type) noexcept {
     const bool may_be_zero = number != unanswered && number != packet_size && number != subscription;
     if (value == 0 && !may_be_zero) return "a property that is 0";
   }
-  return from.is_good() && bytes.is_good() ? nullptr : "properties that are cut short";
+  return from.is_good() && bytes.is_good() ? nullptr : "truncated properties";
 }
 
 const char* mistake_of_connack(MqttBytes& bytes, bool is_v5) noexcept {
@@ -163,7 +163,7 @@ const char* mistake_of_connack(MqttBytes& bytes, bool is_v5) noexcept {
 /// Of an answer to a message, or to an answer.
 const char* mistake_of_answer(MqttBytes& bytes, MqttType type, bool is_v5) noexcept {
   const unsigned number = bytes.number(2);
-  if (!bytes.is_good() || number == 0) return "an answer to no message";
+  if (!bytes.is_good() || number == 0) return "an answer to an unknown message";
   if (!is_v5 || bytes.size() == 0) return nullptr;
   bytes.number(1);
   return bytes.size() == 0 ? nullptr : mistake_of_properties(bytes, type);
@@ -171,7 +171,7 @@ const char* mistake_of_answer(MqttBytes& bytes, MqttType type, bool is_v5) noexc
 
 const char* mistake_of_suback(MqttBytes& bytes, bool is_v5) noexcept {
   const unsigned number = bytes.number(2);
-  if (!bytes.is_good() || number == 0) return "an answer to no subscription";
+  if (!bytes.is_good() || number == 0) return "an answer to an unknown subscription";
   if (const char* const mistake = is_v5 ? mistake_of_properties(bytes, mqtt_suback) : nullptr) return mistake;
   if (bytes.size() == 0) return "an answer to a subscription without its result";
   while (bytes.size() > 0)
@@ -191,7 +191,7 @@ const char* mistake_of_disconnect(MqttBytes& bytes, bool is_v5) noexcept {
 const char* mistake_of_message(MqttBytes& bytes, unsigned flags, bool is_v5) noexcept {
   constexpr unsigned qos_mask = 6, duplicate = 8;
   const unsigned qos = (flags & qos_mask) >> 1;
-  if (qos > 2 || (qos == 0 && (flags & duplicate) != 0)) return "a message of a QoS that there is not";
+  if (qos > 2 || (qos == 0 && (flags & duplicate) != 0)) return "a message with an invalid QoS";
   const std::string_view topic = bytes.text();
   if (!bytes.is_good()) return "a message whose topic is not text";
   if (topic.empty()) return "a message without a topic";
@@ -205,11 +205,11 @@ const char* mistake_of_packet(MqttBytes& bytes, MqttType type, unsigned flags,
                               const MqttExpectation& expected) noexcept {
   constexpr unsigned flags_of_pubrel = 2;
   if ((type == mqtt_connack) == expected.is_accepted)
-    return expected.is_accepted ? "a second answer to the connection" : "something before the answer to the connection";
+    return expected.is_accepted ? "a second answer to the connection" : "a packet before the answer to the connection";
   if (type != mqtt_publish && flags != (type == mqtt_pubrel ? flags_of_pubrel : 0))
     return "flags that MQTT does not have";
   if ((type == mqtt_publish || type == mqtt_pubrel || type == mqtt_suback) && !expected.takes_messages)
-    return "a message, and nothing was subscribed to";
+    return "a message without a subscription";
   const bool is_v5 = expected.is_v5;
   switch (type) {
     case mqtt_connack:

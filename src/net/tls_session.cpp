@@ -16,7 +16,7 @@ static constexpr const char* not_trusted = "it is not trusted";
 std::string advice_on_certificate(long verified, const std::string& key) {
   switch (verified) {
     case 10:  // X509_V_ERR_CERT_HAS_EXPIRED
-      return "the server's certificate is over: have it renewed there; or this machine's clock is wrong (`date`)";
+      return "the server's certificate has expired: have it renewed there; or this machine's clock is wrong (`date`)";
     case 9:  // ..._CERT_NOT_YET_VALID
       return "the server's certificate is not valid yet: most probably this machine's clock is wrong (`date`)";
     case other_host_name:
@@ -97,7 +97,7 @@ Result<std::shared_ptr<const TlsContext>> TlsContext::load(const TlsConfig& conf
                                               : SSL_CTX_load_verify_file(context, config.ca_file.c_str());
     if (loaded != 1)
       return refuse(config.ca_file.empty() ? "the authorities of this machine" : config.ca_file,
-                    "`tls.ca_file` has to be there, readable, and PEM");
+                    "`tls.ca_file` must exist, be readable, and be PEM");
   }
   if (!config.certificate.empty()) {
     constexpr const char* advice = "check the files `tls.certificate` and `tls.key`, and `tls.key_password`";

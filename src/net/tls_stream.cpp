@@ -163,7 +163,8 @@ ssize_t TlsStream::write(const std::byte* from, std::size_t size) {
 }
 
 Error TlsStream::failure(int error_number) const {
-  if (!has_failed_) return system_error(error_number, "lost the connection", peer(), "it is connected to again");
+  if (!has_failed_)
+    return system_error(error_number, "lost the connection", peer(), "the program connects to it again");
   Error error = session_->error();
   error.where = peer();
   return error;

@@ -685,9 +685,10 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     if (const MonotonicTime due = last_set_ + config_.lease; due > now()) return lease_.start_at(due);
     is_overdue_ = true;
     be_safe(OutputCause::lease, "");
-    complain({Errc::timed_out, "the output is being set to its safe value", name(),
-              "nobody has set it for " + to_string(config_.lease), "set it again if it is to keep its value"},
-             worst(Health::degraded));
+    complain(
+        {Errc::timed_out, "the output is being set to its safe value", name(),
+         "no program or command has set it for " + to_string(config_.lease), "set it again if it is to keep its value"},
+        worst(Health::degraded));
   }
 
   // ---- What is told

@@ -395,7 +395,7 @@ struct Expression::Program {
   std::string why() const {
     if (outcome.is_value()) return {};
     if (outcome.failure == waiting)
-      return name_of(outcome.at) + (outcome.at < names.size() ? " has no value yet" : " has nothing to tell yet");
+      return name_of(outcome.at) + (outcome.at < names.size() ? " has no value yet" : " has no value yet");
     const std::string column = " in column " + std::to_string(outcome.at);
     switch (outcome.failure) {
       case Failure::not_finite:

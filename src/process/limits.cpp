@@ -43,7 +43,7 @@ Result<void> check_limits(const LimitSettings& settings) {
   const auto lower = settings.low ? settings.low : settings.low_low;
   const auto upper = settings.high ? settings.high : settings.high_high;
   if (lower && upper && settings.hysteresis >= *upper - *lower)
-    return refuse("`hysteresis` is as large as what is between the limits: the value could never be normal again",
+    return refuse("`hysteresis` is as large as the distance of the limits: the value could never be normal again",
                   "a little more than the noise of the value");
   if (settings.delay < Duration{0}) return refuse("`delay` is negative", "0 for none");
   return {};

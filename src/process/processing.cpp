@@ -55,7 +55,7 @@ struct Finder {
         add(place, "the table does not ascend here", "put the points in the order of their first numbers, each once");
     }
     if (c.outside != OutsideTable::refuse && c.table.empty())
-      add("calibration.outside", "there is no table outside of which a value could be",
+      add("calibration.outside", "there is no table, so no value can be outside of one",
           "leave it out, or add a `table`");
     look_at_bounds("calibration", c.least, c.most);
   }

@@ -535,7 +535,7 @@ Error Processor::error(const std::string& sensor) const {
   switch (failure_) {
     case Failure::raw_not_finite:
       error.why = "it is " + value;
-      error.advice = "check the sensor: what is calibrated or filtered has to be a finite number";
+      error.advice = "check the sensor: only finite numbers can be calibrated or filtered";
       break;
     case Failure::not_finite:
       error.why = "calibrated and filtered, it is not a finite number";

@@ -40,7 +40,7 @@ const char* advice_of(Errc code) {
     case Errc::busy:
       return "another program holds a lock on it: close that one";
     case Errc::storage_full:
-      return "make room; what waits is kept in memory meanwhile";
+      return "make room; until then events wait in memory";
     case Errc::not_permitted:
       return "check the permissions of the file and its folder";
     case Errc::not_a_recording:

@@ -168,7 +168,7 @@ Result<std::optional<LiveFile>> LiveFile::find(const std::string& recording, con
         found->header_->layout != layout || uuid != found->header_->uuid || found->header_->inode != about.st_ino)
       continue;
     if (is_held) {
-      return Error{Errc::busy, "cannot record into", recording, "a process records into it whose lock was removed",
+      return Error{Errc::busy, "cannot record into", recording, "a process records into it, but its lock was removed",
                    "stop that one, or record into another file"};
     }
     return Result<std::optional<LiveFile>>(std::move(found));

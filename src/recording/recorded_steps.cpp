@@ -252,7 +252,7 @@ class StepCursor final : public RowCursor {
     throw SetupError(at_row(*file_, topic_, run, statements_.front().text(2),
                             static_cast<std::uint64_t>(row.integer(0)),
                             {Errc::damaged, "cannot read a row", "field " + leaf.path,
-                             "it holds what is no " + std::string(name_of(leaf.kind)), ""}));
+                             "it holds a value that is not a valid " + std::string(name_of(leaf.kind)), ""}));
   }
 
   const std::shared_ptr<RecordingFile> file_;

@@ -80,8 +80,8 @@ std::int64_t application_id_of(Database& opened, const std::string& path) {
   } catch (const SetupError& error) {
     const int code = sqlite3_errcode(opened.raw()) & 0xff;
     if (sqlite3_extended_errcode(opened.raw()) == SQLITE_READONLY_ROLLBACK)
-      throw SetupError(no_recording(
-          path, "it was being made when its program ended, and nothing is in it: the next run makes it anew"));
+      throw SetupError(
+          no_recording(path, "its program ended while it made the file, which is empty: the next run makes it again"));
     Error why = error.error();
     if ((code == SQLITE_CANTOPEN || code == SQLITE_READONLY) && is_at_rest(path)) {
       opened = Database::open(path, Database::Mode::read_at_rest);

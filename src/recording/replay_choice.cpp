@@ -47,7 +47,7 @@ RunInfo chosen_run(const Recording& recording, const ReplayConfig& config) {
   for (RunInfo& run : runs) {
     if (run.state == RunState::recording && run.pid == ::getpid()) {
       throw SetupError(replay_refused(config.file,
-                                      "this program records into it: what is replayed would be recorded again",
+                                      "this program records into it: the replayed events would be recorded again",
                                       "record into another file"));
     }
     numbers += (numbers.empty() ? "" : ", ") + std::to_string(run.run);

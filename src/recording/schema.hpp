@@ -26,7 +26,7 @@ inline constexpr int columns_before_fields = 5;
 
 /// Of what was recorded before version 0.1.0.
 inline constexpr int application_id_before = 0x52544441;
-inline constexpr const char* written_before = "it is a recording from before version 0.1.0, whose format is another";
+inline constexpr const char* written_before = "it is a recording of a version before 0.1.0, which had another format";
 inline constexpr const char* advice_before = "export it with the rtdata that recorded it, or record into another file";
 
 inline constexpr const char* schema = R"sql(

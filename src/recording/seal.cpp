@@ -189,7 +189,7 @@ std::string seal_run(Database& database, const OpenRun& run, LiveFile* live, Acc
                           : "; lost " + std::to_string(lost) + " events, published and not yet committed";
   if (lost_by_disk != 0) {
     remark += "; at least " + std::to_string(lost_by_disk) +
-              " of them had been committed, and the disk has lost them: what it holds is up to an earlier transaction";
+              " of them had been committed, and the disk has lost them: it has the data up to an earlier transaction";
   }
   auto update = database.prepare(
       "UPDATE rtdata_run SET state = 'sealed', ended = ?, lost = ?, remark = ? WHERE run = ?");

@@ -207,9 +207,9 @@ Position SqliteFeed::position_now(const Table& table, Position position) {
   const std::string last = position.sequence == 0 ? ""
                                                   : "the event that was sent last, " + position.origin + " " +
                                                         std::to_string(position.sequence) + ", is not there; ";
-  remarks_.push_back(of + last +
-                     "the rows of the recording have other numbers than before, or it is an older copy: all of it "
-                     "is sent");
+  remarks_.push_back(
+      of + last +
+      "the rows of the recording have other numbers than before, or it is an older copy: all of its events are sent");
   return beginning_of(table);
 }
 

@@ -24,7 +24,7 @@ void check_columns_of(const RecordingFile& file, const RecordedTopic& topic, boo
   const std::set<std::string> described(wanted.begin(), wanted.end());
   for (const std::string& column : columns) {
     if (!described.contains(column))
-      problems.push_back(topic.topic + ": the table has a column \"" + column + "\", which is none of the topic's.");
+      problems.push_back(topic.topic + ": the table has a column \"" + column + "\", which is not one of the topic's.");
   }
   for (const std::string& column : wanted) {
     if (!there.contains(column)) problems.push_back(topic.topic + ": the table has no column \"" + column + "\".");

@@ -358,7 +358,7 @@ void note_end(const Findings& found, Recorder recorder) {
   if (info.state == RunState::sealed) {
     found.note(info.lost ? "It ended without closing: " + plural(*info.lost, "event") +
                                " that were published could not be stored."
-                         : "Its account is not complete: what was lost is not known.");
+                         : "Its account is not complete: its losses are not known.");
     // Losses of sensors that had just started are in no ledger; they are counted separately.
     if (info.lost && *info.lost > found.report.unsaved) {
       found.note(plural(*info.lost - found.report.unsaved, "event") + " of " + number(*info.lost) +
@@ -375,10 +375,10 @@ void note_end(const Findings& found, Recorder recorder) {
     } else if (recorder == Recorder::of_another_file) {
       found.note(process +
                  " records this run into another file, of which this is a copy without its log (-wal): it holds" +
-                 up_to + ", and what the log had then is not in it. Copy the two together, or with sqlite3: .backup");
+                 up_to + ", without the content of that log. Copy the two together, or with sqlite3: .backup");
     } else {
       found.note("It ended without closing and is not sealed: this holds" + up_to +
-                 ". Start recording into the file again: that seals it and says what was lost.");
+                 ". Start recording into the file again: that seals it and reports the losses.");
     }
   }
 }

@@ -105,7 +105,7 @@ TEST_SUITE("app") {
                 "after a kill or a power failure now, machine m would arm it again"));
       CHECK(has(b.ctl({"arm", "igniter"}, 1),
                 "output igniter is armed; but that is not on the disk in run.db, after 3 s: after a kill or a power "
-                "cut now, machine m would not arm it again"));
+                "failure now, machine m would not arm it again"));
     }
     // A second command waits for it anew.
     CHECK(b.ctl({"arm", "igniter"}) == "output igniter is armed already\n");

@@ -405,14 +405,14 @@ TEST_SUITE("app") {
     Process run(folder, program, {"run", "bench.json"}, Process::Output::one_terminal);
     REQUIRE(run.wait_for("queued; "));
     run.signal(SIGINT);
-    REQUIRE(run.wait_for("stopping on SIGINT: storing what is queued"));
+    REQUIRE(run.wait_for("stopping on SIGINT: storing the queued events"));
     CHECK_FALSE(has(run.out, "\x1b[?25h"));  // in the view, not after it
     CHECK(run.end() == 1);
     CHECK(run.out.rfind("stopping on SIGINT") < run.out.rfind("ledger balances"));
     CHECK(run.out.rfind("stopping on SIGINT") < run.out.rfind("health  where"));
     Process timed(folder, program, {"run", "bench.json", "--for", "300ms"});
     CHECK(timed.end() == 1);
-    CHECK(has(timed.err, "storing what is queued: "));
+    CHECK(has(timed.err, "storing the queued events: "));
     CHECK(has(timed.err, " events, for at most 2 s"));
   }
 

@@ -319,7 +319,7 @@ TEST_SUITE("app") {
     CHECK(live.end() == 0);
     Process once(folder, program, {"top", pid, "--once"});
     CHECK(once.end() == 1);
-    CHECK(has(once.err, "pid " + pid + ": no status: instance: it does not answer: see whether it is stopped"));
+    CHECK(has(once.err, "pid " + pid + ": no status: instance: it does not answer: check whether it is stopped"));
     Process healthy(folder, program, {"top", "other", "--once"});
     CHECK(healthy.end() == 0);
     CHECK(healthy.out.starts_with("other  pid "));

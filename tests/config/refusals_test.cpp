@@ -228,14 +228,14 @@ TEST_SUITE("config") {
     };
     ::setenv("HOME", "/home/ann", 1);
     CHECK(has(said(R"({"sinks": [{"type": "sqlite", "path": "~/bench.db"}]})"),
-              "nobody expands here: write \"/home/ann/bench.db\""));
+              "this program does not: write \"/home/ann/bench.db\""));
     CHECK(has(said(R"({"sinks": [{"type": "file", "path": "~/bench.csv"}]})"), "write \"/home/ann/bench.csv\""));
     for (const char* port : {"COM3", "com12"})
       CHECK(has(said(R"({"buses": {"b": {"type": "serial", "device": ")" + std::string(port) + "\"}}}"),
                 "\"" + std::string(port) + "\" is a name of Windows; here a serial device is such as /dev/ttyUSB0"));
     CHECK(has(said(R"({"sensors": [{"name": "s", "type": "serial", "device": "/dev/ttyS0", "fields": ["force"]}]})"),
               "sensors[0].fields[0]: expected an object, got the string \"force\"; write {\"name\": \"force\"}"));
-    CHECK(has(said(line(R"(, "rate": "10 Hz")")), "a serial line takes what comes: it has no rate"));
+    CHECK(has(said(line(R"(, "rate": "10 Hz")")), "a serial line takes every line that comes: it has no rate"));
     CHECK(has(said(R"({"sensors": [{"name": "s", "type": "host", "quantity": "load", "rate": "2,5 Hz"}]})"),
               "its decimals come after a comma; write a point"));
     const std::string schema = said(
@@ -388,11 +388,11 @@ TEST_SUITE("config") {
         {sinks(R"({"type": "tcp", "host": "a", "port": 1, "format": "csv"})"), "do not say which topic they are of"},
         {sinks(R"({"type": "tcp", "host": "http://a", "port": 1})"), "it is a URL"},
         {sinks(R"({"type": "tcp", "host": "a", "port": 0})"), "port"},
-        {sinks(R"({"type": "udp", "host": "a b"})"), "it is not a name of a host"},
+        {sinks(R"({"type": "udp", "host": "a b"})"), "it is neither a host name nor an address"},
         {sinks(R"({"type": "udp", "host": ""})"), "there is no host"},
         {sinks(R"({"type": "tcp", "host": "127.0.0.1:80", "port": 1})"), "it has a port: give that as `port`"},
         {sinks(R"({"type": "tcp", "host": "[::1]", "port": 1})"), "it has brackets"},
-        {sinks(R"({"type": "tcp", "host": "::1::", "port": 1})"), "it is not a name of a host"},
+        {sinks(R"({"type": "tcp", "host": "::1::", "port": 1})"), "it is neither a host name nor an address"},
         {R"({"sensors": [{"name": "a\\", "type": "host", "quantity": "load", "rate": "1 Hz", "topic": "a"}],
              "sinks": [{"type": "tcp", "host": "127.0.0.1", "port": 1, "format": "influx"}]})",
          "cannot be in the lines of InfluxDB"},
@@ -424,9 +424,9 @@ TEST_SUITE("config") {
          "it is a recording, or another SQLite database"},
         {sinks(R"({"type": "file", "path": "recorded-{topic}.csv"})"), "it is a recording, or another SQLite database"},
         {sinks(R"({"type": "file", "path": "open.db"})"), "it is a recording, or another SQLite database"},
-        {sinks(R"({"type": "file", "path": "short.txt", "format": "cbor"})"), "what it holds is no cbor"},
-        {sinks(R"({"type": "file", "path": "text.txt", "format": "cbor"})"), "what it holds is no cbor"},
-        {sinks(R"({"type": "file", "path": "text.txt", "format": "raw"})"), "what it holds is no raw"},
+        {sinks(R"({"type": "file", "path": "short.txt", "format": "cbor"})"), "its content is not a valid cbor"},
+        {sinks(R"({"type": "file", "path": "text.txt", "format": "cbor"})"), "its content is not a valid cbor"},
+        {sinks(R"({"type": "file", "path": "text.txt", "format": "raw"})"), "its content is not a valid raw"},
         {sinks(R"({"type": "sqlite", "path": "dangling"})"),
          "there is no folder \"/nope\", to which \"dangling\" is a symbolic link: make it first"},
         {sinks(R"({"type": "file", "path": "dangling"})"), "there is no folder \"/nope\", to which \"dangling\" is"},
@@ -539,9 +539,9 @@ TEST_SUITE("config") {
         {process(R"("minutes_1": {"filters": [{"type": "median", "of": 3, "weight": 0.5}]})"),
          "a filter of this type has no such setting"},
         {process(R"("minutes_1": {"calibration": {"scale": 2, "outside": "clamp"}})"),
-         "there is no table outside of which"},
+         "there is no table, so no value can be outside of one"},
         {process(R"("minutes_1": {"calibration": {"scale": 2, "outside": "extend"}})"),
-         "there is no table outside of which"},
+         "there is no table, so no value can be outside of one"},
 #ifdef RTDATA_WITH_MODBUS
         {R"({"buses": {"plc": {"type": "modbus", "device": "/dev/ttyS9", "character_size": 7}}, "sensors": [)" + load +
              "]}",

@@ -41,7 +41,7 @@ BEYOND_A_SCHEMA = [
     "already at",  # a key that is there twice
     "there is no `user`", "it has no effect without", "begins with -----BEGIN", "there is no sslmode", "there is no port",
     "in the manual of libpq", "a text of MQTT has at most",  # of other libraries and protocols
-    "another SQLite database", "what it holds is no", "by zero",  # what is in a file, or in an expression
+    "another SQLite database", "its content is not a valid", "by zero",  # what is in a file, or in an expression
     "shares the topic", "sets the output", "of settings; the guard",
     "there is no bus", "there is no sink", "goes through no other", "is not among those of the recording", "this needs sqlite", r"\.(address|line): ",  # names of other parts; numbers that may be texts
 ]

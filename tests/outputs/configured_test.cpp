@@ -151,7 +151,7 @@ TEST_SUITE("outputs") {
         R"({"name": "a", "final": true, "set": [{"output": "fan", "value": 1}, {"output": "fan", "value": 0}]})", "",
         "the state sets the output \"fan\" already"));
     CHECK(is_refused_with(R"({"name": "a", "final": true, "set": [{"output": "own", "value": 1}]})", "",
-                          "follows a topic, and is set by nobody else"));
+                          "follows a topic, and nothing else sets it"));
     CHECK(is_refused_with(R"({"name": "a", "final": true, "set": [{"output": "far", "value": 1}]})", "",
                           "is on another loop"));
     CHECK(is_refused_with(

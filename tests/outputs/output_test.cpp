@@ -264,7 +264,7 @@ TEST_SUITE("outputs") {
     CHECK(b.output.value() == 0);
     CHECK(b.told() == Lines{"start 0 > 0", "set 1 > 1 by program", "lease 0 > 0"});
     CHECK(b.output.health() == Health::degraded);
-    CHECK(b.errors == Lines{"nobody has set it for 100 ms"});
+    CHECK(b.errors == Lines{"no program or command has set it for 100 ms"});
     CHECK(b.output.set(1).has_value());
     b.loop.advance(1ms);
     CHECK(b.output.health() == Health::ok);

@@ -224,7 +224,7 @@ TEST_CASE("a long sum is no deep one") {
 TEST_CASE("highest, lowest, previous, delta") {
   Series highest("highest(x)"), lowest("lowest(x)"), previous("previous(x)"), delta("delta(x)");
   CHECK(previous.take(3).state == State::waiting);
-  CHECK(previous.expression.why() == "previous in column 1 has nothing to tell yet");
+  CHECK(previous.expression.why() == "previous in column 1 has no value yet");
   CHECK(delta.take(3).state == State::waiting);
   CHECK(previous.take(5).value == 3);
   CHECK(delta.take(5).value == 2);

@@ -172,7 +172,7 @@ TEST_SUITE("sensors") {
     chip.on_write(0x24, [&](std::uint16_t value) { started += value == 0; });
     DriverSensor<Sht> room(bench.loop, {.name = "room", .rate = 10_Hz}, bench.bus);
     CHECK(room.health() == Health::faulted);
-    CHECK(bench.errors.back().find("the question who it is has a wrong checksum") != std::string::npos);
+    CHECK(bench.errors.back().find("the answer with its identity has a wrong checksum") != std::string::npos);
     chip.set(0xf6, {Sht::checksum(status)});
     bench.loop.advance(100ms);
     started = 0;
@@ -562,7 +562,7 @@ TEST_SUITE("sensors") {
     CHECK(problems(R"({"name": "b", "type": "lm75", "rate": "1 Hz", "address": "high"})").find("is not an address") !=
           std::string::npos);
     CHECK(problems(R"({"name": "b", "type": "barometer", "rate": "1 Hz", "bus": "i2c1", "pressure_oversampling": 3})")
-              .find("3 is none of 1, 2, 4, 8, 16") != std::string::npos);
+              .find("3 is not one of 1, 2, 4, 8, 16") != std::string::npos);
     CHECK(
         problems(R"({"name": "b", "type": "lm75", "rate": "1 Hz", "bus": "i2c2"})").find("there is no bus \"i2c2\"") !=
         std::string::npos);

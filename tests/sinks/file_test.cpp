@@ -231,7 +231,7 @@ TEST_SUITE("sinks") {
         "cannot append to: " + directory + "/other.csv: its header is \"time,origin,sequence,speed\"");
     std::ofstream(directory + "/text") << "this is a text and not raw bytes\n";
     starts({.path = directory + "/text", .format = "raw"},
-           "cannot append to: " + directory + "/text: what it holds is no raw");
+           "cannot append to: " + directory + "/text: its content is not a valid raw");
     CHECK(content(directory + "/text") == "this is a text and not raw bytes\n");
     if (::geteuid() == 0) {
       MESSAGE("skipped: a directory without permission, since root may write everywhere");

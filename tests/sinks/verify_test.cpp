@@ -48,7 +48,7 @@ bool has(const std::string& text, const std::string& part) {
 
 TEST_CASE("US-26 a column or a view that is damaged is found") {
   CHECK(has(after("ALTER TABLE \"room/climate\" RENAME COLUMN temperature TO tempesature"),
-            "room/climate: the table has a column \"tempesature\", which is none of the topic's.\n"
+            "room/climate: the table has a column \"tempesature\", which is not one of the topic's.\n"
             "room/climate: the table has no column \"temperature\"."));
   CHECK(has(after("DROP VIEW rtdata_run_utc; CREATE VIEW rtdata_run_utc AS SELECT rum FROM rtdata_run"),
             "The view rtdata_run_utc is damaged: no such column: rum."));

@@ -442,14 +442,14 @@ class Barometer {
         continue;
       }
       if (!std::has_single_bit(count) || count < model.least_oversampling || count > model.most_oversampling)
-        all[i].mistake = std::to_string(count) + " is none of " + list + ", which the " + std::string(model.name) +
+        all[i].mistake = std::to_string(count) + " is not one of " + list + ", which the " + std::string(model.name) +
                          " has";
     }
     return all;
   }
   const Model& model() const noexcept { return models[static_cast<std::size_t>(config_.model)]; }
 
-  /// Names the chip that answered, for an error message; the value of the identity register if it is none of these
+  /// Names the chip that answered, for an error message; the value of the identity register if it is not one of these
   /// chips.
   static std::string seems_to_be(RegisterDevice& chip) {
     for (const Model& other : models) {

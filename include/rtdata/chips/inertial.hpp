@@ -150,7 +150,7 @@ class InertialChip {
       std::string list;
       for (const InertialChoice& one : choices) list += (list.empty() ? "" : ", ") + text_of(one.number);
       mistakes.push_back({key, choices.empty() ? "the " + std::string(model.name) + " has no such setting"
-                                               : text_of(*wanted) + " is none of " + list + ", which the " +
+                                               : text_of(*wanted) + " is not one of " + list + ", which the " +
                                                      std::string(model.name) + " has"});
     };
     check("sample_rate", model.rates, settings.rate);

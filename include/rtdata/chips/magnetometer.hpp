@@ -253,7 +253,7 @@ class Magnetometer {
     const Model& model = config.chip();
     const auto refused = [&](const char* key, double number, const std::string& good) -> Result<void> {
       return Error{Errc::bad_argument, "cannot use these settings of the magnetometer", key,
-                   text_of(number) + " is none of " + good + ", which the " + std::string(model.name) + " has", ""};
+                   text_of(number) + " is not one of " + good + ", which the " + std::string(model.name) + " has", ""};
     };
     if (find_rate(config) == nullptr) {
       std::string good;

@@ -18,7 +18,7 @@ struct VerifyOptions {
   std::optional<std::int64_t> run = {};  // all of them unless given
   ShowAs show_as = ShowAs::text;
 };
-/// 0 balanced, sealed or being recorded; 1 a run is not balanced or not sealed, or there is none of that number; 2
+/// 0 balanced, sealed or being recorded; 1 a run is not balanced or not sealed, or there is no run of that number; 2
 /// unreadable.
 int verify(const VerifyOptions& options, std::ostream& out, std::ostream& err);
 

@@ -60,7 +60,7 @@ Finding examine_device(const MachineFiles& files, const PartPlan& part, const st
   if (files.is_this_machine() && is_node && ::stat(device.c_str(), &status) == 0 && !S_ISCHR(status.st_mode))
     return at_fault(
         part, device + " is not a device but a file or folder",
-        "somebody wrote to that name while the device was not there: remove it, and plug the device in again");
+        "a program wrote to that name while the device was unplugged: remove it, and plug the device in again");
   const std::string holder = files.is_this_machine() && is_node && part.type == "serial" ? detail::holder_of(device)
                                                                                          : "";
   if (holder.empty()) return well(part, device + " can be used");

@@ -59,7 +59,7 @@ constexpr Rule timing_rules[] = {
     {"real-time priorities", "priority in files", "*", good, "{}"},
     {"memory lock", "memory lock", "all", good, "this user may lock all memory"},
     {"memory lock", "memory lock", "*", note, "this user may lock {} KiB",
-     "a page that was swapped out costs milliseconds when it is used again", limits_advice, "needs lock"},
+     "a page that was swapped out costs milliseconds at its next use", limits_advice, "needs lock"},
     {"swap", "swap", "/dev/zram*", note, "there is swap space: {}",
      "memory that is not locked may be compressed meanwhile", lock_advice},
     {"swap", "swap", "*", note, "there is swap space: {}",
@@ -80,10 +80,9 @@ constexpr Rule processor_rules[] = {
     {"real-time share", "real-time share", "*", note, "real-time threads get {} if others want the rest",
      "matters to those that spin", "sudo sysctl kernel.sched_rt_runtime_us=-1"},
     {"timer slack", "timer slack", "*", note, "{} ns",
-     "what the program is started from lets its timers be that late; loops and tiers set their own",
-     "`timer_slack` of a tier"},
+     "the parent process lets its timers be that late; loops and tiers set their own", "`timer_slack` of a tier"},
     {"power", "unreadable state", "*", warning, "the firmware's state cannot be read: \"{}\"",
-     "nobody knows whether the supply is too weak", good_state},
+     "it is not known whether the supply is too weak", good_state},
     // The bits of vcgencmd get_throttled.
     {"power", "throttled 0", "*", warning, "the supply's voltage was too low {}", supply_cost, supply_advice},
     {"power", "throttled 1", "*", warning, "the frequency was limited {}", are_slow, see_supply},
@@ -94,7 +93,7 @@ constexpr Rule processor_rules[] = {
     {"power", "voltage alarm", "0", good, "the supply's voltage is not too low"},
     {"power", "voltage alarm", "1", warning, "the supply's voltage is or was too low", supply_cost, supply_advice},
     {"power", "voltage alarm", "*", warning, "the supply's state cannot be read: \"{}\"",
-     "nobody knows whether it is too weak", good_state},
+     "it is not known whether it is too weak", good_state},
 };
 
 constexpr const char* clock_source = "/sys/devices/system/clocksource/clocksource0/current_clocksource";
@@ -123,12 +122,12 @@ constexpr Rule clock_rules[] = {
 constexpr Rule disk_rules[] = {
     {"disk", "read-only", "*", warning, "it is mounted read-only", "nothing can be recorded",
      "after an error the kernel does this: see dmesg, then check the file system", "needs disk"},
-    {"disk", "type", "tmpfs|ramfs", warning, "it is memory ({})", "what is recorded is gone when the power is",
+    {"disk", "type", "tmpfs|ramfs", warning, "it is memory ({})", "recordings are lost when the power fails",
      "record into a folder of a disk"},
     {"disk", "type", "nfs*|cifs|smb3|fuse.*", warning, "it is a network's or a program's ({})",
      "writes wait for it, and locks of SQLite may not hold", "record onto a local disk, and copy afterwards"},
     {"disk", "type", "vfat|exfat|msdos", warning, "its file system has no journal ({})",
-     "a power failure can damage all of it", "ext4 for what is recorded onto"},
+     "a power failure can damage all of it", "a disk with ext4 for recordings"},
     {"disk", "card", "*", note, "it is an SD card or eMMC", "writes wear it out",
      "`\"profile\": \"card\"` of a recording writes less often"},
     {"disk", "full", "*", warning, "{} MB are free", "recording stops within minutes", "make room", "needs disk"},
@@ -388,7 +387,7 @@ std::vector<Finding> examine_groups(const MachineFiles& files) {
   }
   if (missing.empty()) return {{good, "groups", "of those that devices belong to, none is missing"}};
   const std::string all = detail::listed(missing, ",");
-  return {{note, "groups", (files.is_this_machine() ? "this user is not in: " : "nobody is in: ") + all,
+  return {{note, "groups", (files.is_this_machine() ? "this user is not in: " : "no user is in: ") + all,
            "devices of these groups cannot be opened", "sudo usermod -aG " + all + " $USER, then log in again"}};
 }
 

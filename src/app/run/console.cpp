@@ -155,7 +155,7 @@ void RunConsole::end_at_once(const char* signal, std::optional<std::uint64_t> qu
 
 void RunConsole::end_hanging(const char* signal, const std::string& where) {
   leave(std::string("ended by ") + signal + " though it hangs: the main loop has not returned from " + where + " for " +
-        to_string(StopSignals::hang_limit) + "; the next run on its recordings says what is known");
+        to_string(StopSignals::hang_limit) + "; the next run on its recordings reports the rest of the account");
 }
 
 void RunConsole::starts_slowly(const std::string& where) {

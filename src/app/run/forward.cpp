@@ -76,7 +76,7 @@ ConfigItem forwarding_configuration(const ConfigItem& root, const std::vector<st
   }
   ConfigItem result = ConfigItem::object();
   if (const ConfigItem* name = root.find("name")) result.set("name", *name);
-  result.set("notes", "sent what waited in this recording");
+  result.set("notes", "sent the backlog of this recording");
   result.set("sinks", kept);
   return result;
 }
@@ -101,10 +101,9 @@ class Forward {
     if (recordings.size() > 1) {
       std::cerr << "rtdata: sinks of " << options_.file << " go through " << recordings.size() << " recordings,";
       for (const std::string& name : recordings) std::cerr << " \"" << name << "\"";
-      std::cerr
-          << ", and which of them " << options_.database
-          << " is cannot be told: it has the file name of none, and positions of none of their sinks alone; leave "
-             "the others out of a copy of the configuration\n";
+      std::cerr << "; it is unknown which of them " << options_.database
+                << " is: its file name is that of none of them, and its positions fit no one of them alone; "
+                   "leave the others out of a copy of the configuration\n";
       return exit_configuration;
     }
     ConfigItem root;
@@ -177,7 +176,7 @@ class Forward {
     const bool is_all = left == 0 && refused == 0 && is_known;
     std::cout << (is_all     ? "all is sent: "
                   : is_known ? "not all is sent: "
-                             : "it is not known what was to be sent: ")
+                             : "it is not known which events were to be sent: ")
               << sent << " events, " << refused << " dropped, " << left << " wait" << std::endl;
     return is_all ? exit_good : exit_other;
   }

@@ -85,7 +85,7 @@ void warn_of_left_backlogs(SystemPlan& plan) {
     for (const RecordedBacklog& backlog : *backlogs)
       plan.warnings.add(part->item.problem(
           "left-backlog", waiting_text({backlog.events, backlog.bytes, {}, {}}) + " in " + path + " for a sink \"" +
-                              backlog.sink + "\", and no sink of that name goes through it: nobody sends them"));
+                              backlog.sink + "\", and no sink of that name goes through it: they are not sent"));
   }
 }
 

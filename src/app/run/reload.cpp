@@ -89,7 +89,7 @@ bool Reload::may_be_applied(Change& change) {
   }
   for (const PartChange& part : parts.all)
     if (part.fate == Fate::refused) add(change, LogLevel::error, part.text());
-  return refused("what is refused can be done by starting the program again");
+  return refused("a restart of the program applies the refused changes");
 }
 
 /// Checks that new files can be written.
@@ -242,8 +242,8 @@ void Reload::stop_waiting(const std::shared_ptr<Change>& change) {
   if (all.empty()) return go_on(change);
   const std::string stuck = detail::listed(all, " ");
   refuse(*change, "it would close " + stuck +
-                      ", which cannot store what it has now, and would lose it; mend what keeps it from that, or give "
-                      "it up: `rtdata ctl reload give-up " +
+                      ", which cannot store its queue now, and would lose it; mend the cause, or give it up: `rtdata "
+                      "ctl reload give-up " +
                       stuck + "` counts and reports what is lost");
 }
 

@@ -77,7 +77,7 @@ SystemPlan takers_of(const Registry& registry, const ReplayOptions& options) {
   for (const PartPlan& part : plan.parts) {
     if (part.stores && is_same_file(part.stores->path, options.config.file)) {
       throw SetupError({Errc::bad_argument, "cannot replay", options.config.file,
-                        "sink " + part.name + " records into it: what is replayed would be recorded again",
+                        "sink " + part.name + " records into it: the replayed events would be recorded again",
                         "record into another file"});
     }
   }

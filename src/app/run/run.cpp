@@ -146,7 +146,7 @@ class Run {
       } else {
         loop.run();
       }
-      (void)service.tell("STOPPING=1\nSTATUS=storing what is queued");
+      (void)service.tell("STOPPING=1\nSTATUS=storing the queued events");
       is_closing_ = true;
       desk.end();
       set_safe(loop, system);
@@ -251,8 +251,8 @@ class Run {
 
   /// Ends the program although a thread does not end, without destroying what the thread uses.
   [[noreturn]] void leave_behind(const std::string& hanging) {
-    console_.say(LogLevel::error, "program", "ended though it hangs: " + hanging + "; the recordings say what is known",
-                 "not-turning");
+    console_.say(LogLevel::error, "program",
+                 "ended though it hangs: " + hanging + "; the recordings have the rest of the account", "not-turning");
     log_.write(LogLevel::info, "program", "ended with status " + std::to_string(exit_other));
     log_.wait_until_written(std::chrono::seconds{1});
     console_.wait_until_written();
@@ -338,12 +338,12 @@ class Run {
     is_storing_told_ = true;
     if (is_closing_) {  // stopping the loop would end the closing
       console_.say(LogLevel::info, "program",
-                   std::string(signal) + ": it is storing what is queued already (again: ends at once)");
+                   std::string(signal) + ": it is storing the queued events already (again: ends at once)");
       draw();
       return;
     }
     console_.say(LogLevel::info, "program",
-                 std::string("stopping on ") + signal + ": storing what is queued (again: ends at once)");
+                 std::string("stopping on ") + signal + ": storing the queued events (again: ends at once)");
     draw();
     loop.stop();
   }
@@ -359,7 +359,7 @@ class Run {
     if (is_storing_told_ || ++shows_while_closing_ < 2 || queued == 0) return;
     is_storing_told_ = true;
     console_.say(LogLevel::info, "program",
-                 "storing what is queued: " + std::to_string(queued) + " events, for at most " +
+                 "storing the queued events: " + std::to_string(queued) + " events, for at most " +
                      to_string(close_deadline_) + " (Ctrl-C twice ends at once)");
   }
 

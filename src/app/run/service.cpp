@@ -53,7 +53,7 @@ Result<void> ServiceManager::tell(std::string_view state) {
   if (address_.empty()) return {};
   const auto failed = [this](int number) {
     const std::string shown = (address_.front() == '\0' ? "@" : address_.substr(0, 1)) + address_.substr(1);
-    return system_error(number, "cannot tell the service manager", shown,
+    return system_error(number, "cannot notify the service manager", shown,
                         "check `Type=notify` and `NotifyAccess` of the unit");
   };
   sockaddr_un address{};

@@ -436,7 +436,7 @@ void Neighbours::check_uses(const PartPlan& part, Problems& problems) {
       const bool follows = !text_or_empty(other->item, "on").empty();
       if (follows || other->tier() != part.tier())
         problems.add(use.item.problem("wrong-part", "the output " + name + ", at " + place_of_name(*other) +
-                                                        (follows ? ", follows a topic, and is set by nobody else"
+                                                        (follows ? ", follows a topic, and nothing else sets it"
                                                                  : ", is on another loop; give both the same `tier`")));
       continue;
     }

@@ -138,8 +138,8 @@ void warn_of_recordings(const std::vector<PartPlan>& parts, Problems& warnings) 
     if (::statfs(folder.empty() ? "." : folder.c_str(), &about) != 0 || about.f_type != TMPFS_MAGIC) continue;
     warnings.add(child_or_self(part.item, "path")
                      .problem("in-memory",
-                              "the recording is on a file system in memory: what waits in it for a peer is "
-                              "gone when the machine restarts"));
+                              "the recording is on a file system in memory: its backlog for a peer is lost when the "
+                              "machine restarts"));
   }
 }
 

@@ -330,7 +330,7 @@ void PlanApplication::make(const PartPlan& plan) {
   if (!stopped_.contains(plan.object())) return;
   made.object.as<AnySensor>()->stop();
   system_.loop_.runtime().core().log(LogLevel::warning, plan.object(),
-                                     "it was stopped, and stays so now that it is made anew, until it is started");
+                                     "it was stopped, and stays stopped after the reload, until it is started");
 }
 
 PartPlan::Make PlanApplication::counting_absence(const PartPlan& plan, PartPlan::Make make) {

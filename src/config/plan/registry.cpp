@@ -112,14 +112,14 @@ void config_detail::report_misfit(const Result<void>& good, const ConfigItem& it
 }
 
 Registry::Registry() {
-  add_kind("bus", "buses", "what sensors are connected to, by name; each has a `type`", PartKind::Written::by_name);
+  add_kind("bus", "buses", "connections of sensors to devices, by name; each has a `type`", PartKind::Written::by_name);
   add_kind("sink", "sinks", "where it goes; each has a `type`", PartKind::Written::list, PartKind::Does::stores);
-  add_kind("sensor", "sensors", "what is read; each has a `type`", PartKind::Written::list, PartKind::Does::publishes);
+  add_kind("sensor", "sensors", "the sensors; each has a `type`", PartKind::Written::list, PartKind::Does::publishes);
   kinds_.back().common = parameters_of<config_detail::Placement>();
   add_kind("machine", "machines", "state machines", PartKind::Written::list, PartKind::Does::publishes);
   kinds_.back().common = parameters_of<config_detail::Placement>();
   kinds_.back().types.set_default("machine");
-  add_kind("output", "outputs", "what is set; each has a `type`", PartKind::Written::list, PartKind::Does::publishes);
+  add_kind("output", "outputs", "the outputs; each has a `type`", PartKind::Written::list, PartKind::Does::publishes);
   kinds_.back().common = parameters_of<config_detail::Placement>();
 }
 
@@ -141,7 +141,7 @@ void Registry::add_kind(std::string name, std::string key, std::string doc, Part
     throw SetupError(
         {Errc::bad_argument, "cannot add a kind of parts", "\"" + name + "\"", why, "give it another name and key"});
   };
-  if (name == "tier" || name == "topic") refuse("that is what tiers and topics are named by");
+  if (name == "tier" || name == "topic") refuse("tiers and topics are named by it");
   for (const ParameterInfo& setting : parameters_of<SystemSettings>())
     if (setting.key == key) refuse("`" + key + "` is a setting of the file");
   for (const PartKind& known : kinds_)

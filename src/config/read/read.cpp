@@ -70,7 +70,7 @@ std::string mistake_in(std::string_view text, TextIs is) {
     case TextIs::device:
       if (text == "~" || text.starts_with("~/")) {
         const char* const home = std::getenv("HOME");
-        return "~ is a word of the shell's, which nobody expands here: write \"" +
+        return "only a shell expands ~, this program does not: write \"" +
                std::string(home != nullptr && *home == '/' ? home : "/home/pi") + std::string(text.substr(1)) + "\"";
       }
       if (is == TextIs::device && is_windows_port(text))
@@ -120,7 +120,7 @@ constexpr std::string_view as_path = "the file is named by `path`";
 constexpr std::string_view as_line = "the GPIO line is named by `line`: its number, its name, or chip:line";
 constexpr std::string_view of_sensor = "it belongs to the sensor that is on this bus";
 constexpr Elsewhere elsewhere[] = {
-    {"rate", "max_line", "a serial line takes what comes: it has no rate"},
+    {"rate", "max_line", "a serial line takes every line that comes: it has no rate"},
     {"calibration scale offset polynomial calibrate tare", "process", in_process},
     {"filters filter median mean average throttle delta clamp window", "process", in_filters},
     {"pin gpio", "line", as_line},
@@ -156,7 +156,7 @@ bool read_text(const ConfigItem& item, std::string& out, const RulesOf& paramete
   const ParameterRules& rules = parameter.rules;
   if (is_secret_reference(item)) {
     if (rules.text == TextIs::permissions) {
-      problems.add(item.problem("not-a-secret", "permissions are no secret: write them as they are"));
+      problems.add(item.problem("not-a-secret", "permissions are not secret: write them as they are"));
       return false;
     }
     if (is_recorded(rules.text)) {

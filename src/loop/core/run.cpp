@@ -169,7 +169,7 @@ void LoopCore::poll() {
     check_not_ending("cannot poll");
     if (is_in_user_code()) {
       throw SetupError({Errc::busy, "cannot poll", "loop " + config.name, "this is one of its callbacks",
-                        "return from the callback; what is due follows by itself"});
+                        "return from the callback; due work follows by itself"});
     }
     run_due();
     deliver_all();

@@ -195,7 +195,7 @@ class TriggerNode final : public FeedNode {
     if ((trouble & condition) != 0) troubles_ &= ~unsigned{condition};
     troubles_ |= trouble;
     complain({code, cannot_pass, object_name(), why(),
-              trouble == short_ring ? "give it more `events`" : "nothing is passed on meanwhile"},
+              trouble == short_ring ? "give it more `events`" : "no event is passed on until then"},
              Health::degraded);
   }
   void clear(Trouble trouble) {
@@ -299,7 +299,7 @@ TriggerSensor::TriggerSensor(Loop& loop, FeedConfig feed, TriggerConfig config) 
   if (!feed.process.empty()) refuse(Errc::bad_argument, processes_elsewhere);
   const detail::TopicCore* const topic = loop.core().runtime.find_topic(config.on);
   if (topic == nullptr)
-    refuse(Errc::not_found, "there is no topic \"" + config.on + "\" yet", "make what publishes it first");
+    refuse(Errc::not_found, "there is no topic \"" + config.on + "\" yet", "make the part that publishes it first");
   if (topic->type.description == nullptr)
     refuse(Errc::bad_description, "what the topic \"" + config.on + "\" carries has no description");
   const std::uint64_t memory = std::min<std::uint64_t>(

@@ -124,10 +124,10 @@ class GpsNode final : public StreamNode {
       take_lines(before);
     } else if (got == 0) {
       lose({Errc::disconnected, "lost gpsd", server(), "it has closed the connection",
-            "it is connected to again when it is back"},
+            "the program connects to it again when it is back"},
            loop()->now());
     } else if (error_number != EAGAIN && error_number != EINTR) {
-      lose(system_error(error_number, "lost gpsd", server(), "it is connected to again when it is back"),
+      lose(system_error(error_number, "lost gpsd", server(), "the program connects to it again when it is back"),
            loop()->now());
     }
   }
@@ -271,13 +271,14 @@ class GpsNode final : public StreamNode {
       case GpsTimeCheck::Verdict::open:
         return;
       case GpsTimeCheck::Verdict::other_clock:
-        return refuse_time(both("is kept right to " + to_string(*system.accuracy)),
-                           "the clock is believed; check the receiver with `gpsmon`, and what keeps the clock");
-      case GpsTimeCheck::Verdict::other_age:
         return refuse_time(
-            both("nobody keeps right") + "; this program was made in " + std::to_string(int{this_release.date.year()}),
-            "it may count weeks from another beginning, as after 1024 of them: a newer firmware knows; "
-            "or let NTP keep the clock");
+            both("is synchronised to " + to_string(*system.accuracy)),
+            "the clock is trusted; check the receiver with `gpsmon`, and the synchronisation of the clock");
+      case GpsTimeCheck::Verdict::other_age:
+        return refuse_time(both("nothing synchronises") + "; this program was made in " +
+                               std::to_string(int{this_release.date.year()}),
+                           "its count of weeks may have started again, as after 1024 weeks: update its firmware; or "
+                           "let NTP set the clock");
       case GpsTimeCheck::Verdict::good:
         break;
     }
@@ -288,13 +289,13 @@ class GpsNode final : public StreamNode {
     if (is_step_told_ || step > most_step || step < -most_step) {
       if (!std::exchange(is_step_told_, true)) {
         report({Errc::bad_data, "the receiver's time of day is not used", server(), "it stepped by " + to_string(step),
-                "recordings keep the line that it gave before"});
+                "recordings keep its earlier time of day"});
       }
       return;
     }
     if (!time_line_) time_line_ = ahead;
     if (!system.accuracy && !std::exchange(is_time_told_, true))
-      runtime.log(LogLevel::warning, object_name(), "its time of day is used: " + both("nobody keeps right"));
+      runtime.log(LogLevel::warning, object_name(), "its time of day is used: " + both("nothing synchronises"));
     const auto noted = runtime.clock_log.note_wall_clock(
         {.monotonic = at_, .realtime = time, .source = "gps", .accuracy = accuracy});
     if (!noted && !std::exchange(is_time_refusal_told_, true)) report(noted.error());
@@ -331,7 +332,7 @@ class GpsNode final : public StreamNode {
   }
   Error no_sign_of_life() const {
     return {Errc::timed_out, "lost gpsd", server(), "it gives no sign of life",
-            "it is connected to again; check whether its machine and the network are up"};
+            "the program connects to it again; check whether its machine and the network are up"};
   }
 
   void on_close() noexcept override {

@@ -193,8 +193,8 @@ class EncoderDevice final : public detail::LaneDevice {
     for (const detail::SysfsFile* file : {&read.count, static_cast<const detail::SysfsFile*>(read.direction.get())}) {
       if (file == nullptr || file->error_number() == 0) continue;
       if (file->error_number() == ENODEV)
-        return port.fail({Errc::disconnected, cannot_read_counter, found_.folder, "the device has gone away",
-                          "it is looked for again"});
+        return port.fail({Errc::disconnected, cannot_read_counter, found_.folder, "the device has disappeared",
+                          "the program searches for it again"});
       return port.fail(system_error(file->error_number(), cannot_read_counter, file->path(), counter_advice));
     }
     EncoderReading reading;
@@ -211,7 +211,7 @@ class EncoderDevice final : public detail::LaneDevice {
       return port.fail({Errc::out_of_range, cannot_read_counter, found_.folder,
                         "its count " + std::to_string(raw) + " is above the ceiling of when it was opened, " +
                             std::to_string(*found_.ceiling),
-                        "somebody has set another ceiling: it is opened again"});
+                        "another program has set another ceiling: it is opened again"});
     }
     const std::int64_t before = found_.tracker.count();
     if (!found_.tracker.take(raw)) {

@@ -176,7 +176,8 @@ class IioPolled final : public detail::LaneDevice {
                                              : "end that, or take the data from the buffer: type \"iio_buffer\""};
     }
     if (file.error_number() == ENODEV) {
-      return {Errc::disconnected, cannot_read_iio, plan_.device, "the device has gone away", "it is looked for again"};
+      return {Errc::disconnected, cannot_read_iio, plan_.device, "the device has disappeared",
+              "the program searches for it again"};
     }
     return system_error(file.error_number(), cannot_read_iio, file.path(),
                         "check the chip and its wires; `dmesg` may say more");

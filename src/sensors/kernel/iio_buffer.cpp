@@ -246,7 +246,7 @@ class IioBufferNode final : public StreamNode {
       ++origin_.counts.received;
       ++origin_.counts.unreadable;
       return lose({Errc::bad_data, "lost the IIO device", config_.device,
-                   std::to_string(*got) + " bytes are no whole scans of " + std::to_string(size), ""},
+                   std::to_string(*got) + " bytes are not whole scans of " + std::to_string(size), ""},
                   loop()->now());
     }
     heard();

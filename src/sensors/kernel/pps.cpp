@@ -154,7 +154,7 @@ class PpsNode final : public StreamNode {
       }
       case PpsTimeCheck::Verdict::not_a_second:
         if (std::exchange(is_told_, true)) break;
-        report({Errc::bad_data, "the pulses are no source of the time of day", file_.path(),
+        report({Errc::bad_data, "the pulses cannot give the time of day", file_.path(),
                 "by the machine's clock, they come " + to_string(from_second(time)) + " from the whole second",
                 "set `edge` to the other, or `accuracy` to 0 for pulses that do not begin seconds"});
         break;

@@ -47,7 +47,7 @@ Result<double> parse_w1(std::string_view text) {
     return refused(Errc::bad_data, "all bits are 0", "the data line may be shorted to ground");
   constexpr std::int64_t power_on = 85000;
   if (thousandths == power_on && (*bytes)[6] == 0x0c) {
-    return refused(Errc::bad_data, "85 degrees is what it shows before it has measured",
+    return refused(Errc::bad_data, "85 degrees is its value before the first measurement",
                    "it has lost its supply: check its wires");
   }
   if (thousandths < -55000 || thousandths > 125000) {

@@ -42,7 +42,7 @@ std::optional<Mistake> mistake_in_request(const Query::Config& config) {
     return Mistake{"request_hex", "there is a `request` too", "remove one of them"};
   const auto bytes = bytes_of_hex(config.request_hex);
   if (!bytes || (config.request.empty() && bytes->empty()))
-    return Mistake{"request_hex", "these are no bytes", "two hexadecimal digits each, such as \"02 4d 0d\""};
+    return Mistake{"request_hex", "these are not bytes", "two hexadecimal digits each, such as \"02 4d 0d\""};
   return std::nullopt;
 }
 

@@ -169,7 +169,7 @@ class SerialLineNode final : public StreamNode {
       constexpr const char* what = "lost the serial line";
       constexpr const char* advice = "check the plug and the cable; it is opened again when it is back";
       lose(got == 0 || error_number == EIO || error_number == EAGAIN
-               ? Error{Errc::disconnected, what, config_.device, "the device has gone away", advice}
+               ? Error{Errc::disconnected, what, config_.device, "the device has disappeared", advice}
                : system_error(error_number, what, config_.device, advice),
            loop()->now());
     }
@@ -286,7 +286,7 @@ class SerialLineNode final : public StreamNode {
     unusable_lines_ += held_.unusable;
     fail_line({Errc::bad_data, "cannot use a line", config_.device,
                "its number makes a jump that the next line takes back",
-               "a digit was lost or changed on the way: check the wires, and who else writes to the line"});
+               "a digit was lost or changed on the way: check the wires, and which other device writes to the line"});
   }
 
   void take_sentence(std::string_view line) {
@@ -303,7 +303,7 @@ class SerialLineNode final : public StreamNode {
     const unsigned opening = openings_;
     if (has_more) {
       fail_line({Errc::bad_data, "cannot use the bytes before a sentence", config_.device,
-                 std::to_string(begin) + " bytes that are no sentence of NMEA", "let the receiver send NMEA only"});
+                 std::to_string(begin) + " bytes outside of an NMEA sentence", "let the receiver send NMEA only"});
       if (fd_ < 0 || openings_ != opening) return;
       line.remove_prefix(begin);
     }

@@ -56,7 +56,7 @@ class ConsoleWriter final : public Writer {
     pollfd ready{fd_, POLLOUT, 0};
     const int count = ::poll(&ready, 1, patience);
     if (count == 0)
-      return Error{Errc::timed_out, "cannot print", where_, "nobody reads it", "events wait in the queue"};
+      return Error{Errc::timed_out, "cannot print", where_, "its reader does not read", "events wait in the queue"};
     if (count < 0 && errno == EINTR) return {};
     // A pipe that is ready takes this much without blocking.
     const ssize_t written = ::write(fd_, text_.data() + done_, std::min<std::size_t>(text_.size() - done_, PIPE_BUF));
@@ -66,7 +66,7 @@ class ConsoleWriter final : public Writer {
     }
     const int reason = errno;
     if (reason == EINTR || reason == EAGAIN) return {};
-    if (reason == EPIPE) return Error{Errc::closed, "printing has ended", where_, "its reader has gone", ""};
+    if (reason == EPIPE) return Error{Errc::closed, "printing has ended", where_, "its reader has closed it", ""};
     return system_error(reason, "cannot print", where_);
   }
 

@@ -80,7 +80,7 @@ bool SinkNode::enqueue_account(SinkAccount::Part part) noexcept try {
   is_account_due_ = part != SinkAccount::Part::last;
   if (part == SinkAccount::Part::next) set_account_timer();  // if there is no memory for it now
   if (had_no_memory_) {
-    unknown_ += std::string(unknown_.empty() ? "" : "; ") + "there was no memory for some of what was told of it";
+    unknown_ += std::string(unknown_.empty() ? "" : "; ") + "there was no memory for some of its reports";
     loop()->runtime.keep_report(
         loop(), object_name(),
         {Errc::io_failed, "not kept", config_.name, "there was no memory for some of its account",

@@ -60,7 +60,7 @@ std::uint64_t next_run(const std::filesystem::path& path) {
     const std::string there = entry->path().filename().string();
     if (!there.starts_with(begin)) continue;
     for (std::size_t at = there.find(behind, begin.size()); at != std::string::npos; at = there.find(behind, at + 1)) {
-      std::uint32_t number = 0;  // one that is larger is none of ours
+      std::uint32_t number = 0;  // one that is larger is not one of ours
       std::from_chars(there.data() + at + behind.size(), there.data() + there.size(), number);
       last = std::max<std::uint64_t>(last, number);
       if (topic == std::string::npos) break;
@@ -164,17 +164,17 @@ class FileWriter final : public RecordingWriter {
         case OutputFile::Gone::no:
           continue;
         case OutputFile::Gone::deleted:
-          return Error{Errc::not_found, "the file was deleted", file.path(),
-                       "what had been written into it is gone with it", "a new one is made"};
+          return Error{Errc::not_found, "the file was deleted", file.path(), "the data written into it is lost with it",
+                       "a new one is made"};
         case OutputFile::Gone::unmounted:
           return Error{Errc::not_found, "the disk of the file was taken away", file.path(),
                        "it is mounted there no longer", "mount it again: events wait in memory until then"};
         case OutputFile::Gone::moved:
           return Error{Errc::not_found, "the file was moved", file.path(),
-                       "what had been written into it is where it was moved to", "a new one is made"};
+                       "the data written into it is in the moved file", "a new one is made"};
         case OutputFile::Gone::cut_off:
           return Error{Errc::damaged, "the file was cut off", file.path(),
-                       "it is shorter than what was written into it: the rest is gone, if nobody has copied it",
+                       "it is shorter than the data written into it: the rest is lost, if there is no copy",
                        "it goes on at its end; `rotate` divides files without a loss"};
       }
     }

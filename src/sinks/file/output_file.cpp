@@ -46,7 +46,7 @@ bool is_of_format(const Codec& codec, std::vector<std::byte> begin) {
 }
 
 Error no_such_format(const std::string& path, const Codec& codec) {
-  return {Errc::damaged, "cannot append to", path, "what it holds is no " + std::string(codec.name()),
+  return {Errc::damaged, "cannot append to", path, "its content is not a valid " + std::string(codec.name()),
           "check `format`, or choose another path"};
 }
 

@@ -211,7 +211,7 @@ class Publishing final : public detail::MqttConnection {
         if (reason == MQTT_RC_NO_MATCHING_SUBSCRIBERS && !config_.retain) {
           ++of->progress.unheard;
           of->progress.refuse(ended.row, {Errc::disconnected, "the broker has discarded the event",
-                                          topic_of(of->parcel->rows()[ended.row]), "nobody was subscribed",
+                                          topic_of(of->parcel->rows()[ended.row]), "there was no subscriber",
                                           "subscribe with a session that lasts, or set `wait_for_subscriber` or "
                                           "`retain`"});
         } else {
@@ -221,7 +221,7 @@ class Publishing final : public detail::MqttConnection {
     }
     client->published.clear();
     if (is_short_of_room) return fail(Errc::busy, "the broker takes no more", mosquitto_reason_string(why));
-    if (is_unheard) return fail(Errc::busy, "nobody is subscribed", "events wait until somebody is");
+    if (is_unheard) return fail(Errc::busy, "there is no subscriber", "events wait until there is one");
     for (bool is_any = true; is_any && client_ == client;) {
       const auto done = std::find_if(under_way_.begin(), under_way_.end(),
                                      [](const UnderWay& one) { return one.is_done(); });
@@ -362,8 +362,8 @@ std::string obstacle_of_waiting(const MqttConfig& config) {
   if (!config.wait_for_subscriber) return {};
   if (config.qos == 0) return "with qos 0 the broker says nothing of an event: set qos 1";
   // It says so in its first answer, of which the library tells nothing.
-  if (config.qos == 2) return "with qos 2 it is not known that nobody is subscribed: set qos 1";
-  return config.version == MqttVersion::v311 ? "only version 5 of MQTT tells that nobody is subscribed" : "";
+  if (config.qos == 2) return "with qos 2 the broker does not report that there is no subscriber: set qos 1";
+  return config.version == MqttVersion::v311 ? "only version 5 of MQTT reports that there is no subscriber" : "";
 }
 
 /// Of a topic with marks.

@@ -203,7 +203,7 @@ class Datagrams : public std::enable_shared_from_this<Datagrams> {
   }
   void nobody_listens() {
     answer_.refuse(next_ > 0 ? next_ - 1 : 0,
-                   {Errc::disconnected, "nobody receives it", peer(), "no program there listens at this port",
+                   {Errc::disconnected, "no program receives it", peer(), "no program there listens at this port",
                     "start the receiver; sending goes on"});
   }
   void wait_for_room() {
