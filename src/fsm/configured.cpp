@@ -20,7 +20,7 @@ struct ConfiguredMachine::Core {
   /// Of an input, beside its events.
   struct Age {
     bool has_come = false;
-    bool is_silence_told = false;
+    bool is_silence_reported = false;
     bool is_forgotten = false;  // its values are too old and were removed from the conditions of the current state
     MonotonicTime came{};       // initially the time of construction
   };
@@ -30,19 +30,19 @@ struct ConfiguredMachine::Core {
     std::string of;   // "from pad to boost", in reports
     std::size_t way;  // among the transitions out of its state
     ExpressionResult result = {};
-    bool is_failure_told = false;
+    bool is_failure_reported = false;
   };
 
   void build(const std::vector<std::string>& names);
   void listen();
   void take(std::size_t input, const EventView& event, Time time);
   void recall();
-  void tell_missing(const rtdata::detail::ExpressionSources::Source& source) const;
+  void report_missing(const rtdata::detail::ExpressionSources::Source& source) const;
   void forget_old();
   void evaluate(When& when, Time time);
   bool holds(std::size_t when, const Moment& moment);
   void arrived(std::size_t state);
-  void tell_silence();
+  void report_silence();
   void report(Errc code, const char* what, const std::string& where, std::string why, std::string advice) const;
   bool is_old(std::size_t input) const {
     if (!ages[input].has_come) return true;
@@ -158,7 +158,7 @@ void ConfiguredMachine::Core::listen() {
   if (settings.max_age > Duration{0} && !ages.empty()) {
     const Duration period = std::max<Duration>(settings.max_age, std::chrono::milliseconds{100});
     silence = Ticker(loop, {.period = period, .name = "machine " + settings.name},
-                     [this](const Tick&) { tell_silence(); });
+                     [this](const Tick&) { report_silence(); });
   }
 }
 
@@ -182,7 +182,7 @@ void ConfiguredMachine::Core::take(std::size_t input, const EventView& event, Ti
       if (Expression& expression = whens[number].expression; expression.uses(name))
         rtdata::detail::set_or_unknown(expression, name, value);
   });
-  if (is_new) tell_missing(inputs.all()[input]);
+  if (is_new) report_missing(inputs.all()[input]);
   last_time = time;
   forget_old();
   // Evaluates all conditions, because functions with a memory need each event.
@@ -192,12 +192,12 @@ void ConfiguredMachine::Core::take(std::size_t input, const EventView& event, Ti
   rtdata::detail::Node& node = detail::node_of_open(machine, inputs.all()[input].topic);
   if (was_old)
     for (const std::size_t number : own)
-      if (uses(whens[number].expression, input)) detail::begin_hold_anew(node, whens[number].way);
+      if (uses(whens[number].expression, input)) detail::restart_hold(node, whens[number].way);
   detail::input_event(node, time, came);
   is_evaluated = false;
 }
 
-void ConfiguredMachine::Core::tell_missing(const rtdata::detail::ExpressionSources::Source& source) const {
+void ConfiguredMachine::Core::report_missing(const rtdata::detail::ExpressionSources::Source& source) const {
   for (const auto& field : source.fields)
     if (field.leaf == nullptr)
       report(Errc::not_found, "a condition has no value", "topic " + source.topic,
@@ -217,8 +217,8 @@ void ConfiguredMachine::Core::forget_old() {
 void ConfiguredMachine::Core::evaluate(When& when, Time time) {
   when.result = when.expression.evaluate(time);
   if (!when.result.has_failed()) {
-    when.is_failure_told = false;
-  } else if (!std::exchange(when.is_failure_told, true)) {
+    when.is_failure_reported = false;
+  } else if (!std::exchange(when.is_failure_reported, true)) {
     report(Errc::bad_data, "a condition failed", when.of, when.expression.why(),
            "it counts as false; guard it, as in `x != 0 and 1 / x > 5`, or check what is measured");
   }
@@ -244,7 +244,7 @@ void ConfiguredMachine::Core::arrived(std::size_t index) {
   for (const std::size_t number : whens_of[state]) {
     When& when = whens[number];
     when.expression.reset();
-    when.is_failure_told = false;
+    when.is_failure_reported = false;
     for (std::size_t i = 0; i < ages.size(); ++i) {
       if (is_old(i)) continue;
       for (const auto& field : inputs.all()[i].fields)
@@ -278,10 +278,10 @@ void ConfiguredMachine::Core::acted_on(std::uint64_t number) {
   if (handler) handler(settings.states[state].name);
 }
 
-void ConfiguredMachine::Core::tell_silence() {
+void ConfiguredMachine::Core::report_silence() {
   for (std::size_t i = 0; i < ages.size(); ++i) {
     const bool is_silent = loop.now() - ages[i].came > settings.max_age && !inputs.all()[i].is_held;
-    if (!is_silent || std::exchange(ages[i].is_silence_told, true)) continue;
+    if (!is_silent || std::exchange(ages[i].is_silence_reported, true)) continue;
     report(Errc::timed_out, "conditions wait", "topic " + settings.inputs[i],
            ages[i].has_come ? "it has had no event for more than " + to_string(settings.max_age)
                             : "it has had no event yet",

@@ -125,7 +125,7 @@ class MachineNode final : public Node {
     set_made_of(*origin, std::move(topics));
   }
   /// In a delivery of the loop.
-  void begin_hold_anew(std::size_t way) {
+  void restart_hold(std::size_t way) {
     if (current_ != nullptr && way < current_->ways.size()) current_->ways[way]->since.reset();
   }
   /// An input's value was too old from `from` on. Conditions that were evaluated since then did not use it; the others
@@ -455,8 +455,8 @@ namespace detail {
 void input_event(rtdata::detail::Node& machine, Time time, MonotonicTime came) {
   if (machine.is_open()) static_cast<MachineNode&>(machine).input(time, came);
 }
-void begin_hold_anew(rtdata::detail::Node& machine, std::size_t way) {
-  if (machine.is_open()) static_cast<MachineNode&>(machine).begin_hold_anew(way);
+void restart_hold(rtdata::detail::Node& machine, std::size_t way) {
+  if (machine.is_open()) static_cast<MachineNode&>(machine).restart_hold(way);
 }
 void input_event(InputTimes& input, Time time) {
   const MonotonicTime now = input.machine.loop()->deliveries.handler_began();

@@ -64,7 +64,7 @@ HostLookup::HostLookup(LoopCore& loop, std::string owner, Found found)
 
 HostLookup::~HostLookup() {
   cancel();
-  if (lane_ != nullptr && !last_job_.expired()) lane_->leave_behind();  // does not wait for a silent name server
+  if (lane_ != nullptr && !last_job_.expired()) lane_->abandon_thread();  // does not wait for a silent name server
 }
 
 void HostLookup::start(const std::string& host, std::uint16_t port) {

@@ -321,7 +321,7 @@ MqttConnection::~MqttConnection() {
   if (job_ != nullptr) job_->forget();
   if (watch_.is_open()) watch_.close();
   if (fd_ >= 0) ::close(fd_);
-  if (lane_ != nullptr && !last_job_.expired()) lane_->leave_behind();  // does not wait for a silent server
+  if (lane_ != nullptr && !last_job_.expired()) lane_->abandon_thread();  // does not wait for a silent server
 }
 
 std::string MqttConnection::peer() const { return broker_.host + " port " + std::to_string(port_of(broker_)); }

@@ -189,7 +189,7 @@ std::size_t TlsSession::write(std::span<const std::byte> bytes) {
   return 0;
 }
 
-void TlsSession::say_goodbye() {
+void TlsSession::send_close_notify() {
   ERR_clear_error();
   SSL_shutdown(impl_->ssl.get());
   ERR_clear_error();
@@ -241,7 +241,7 @@ TlsSession::State TlsSession::failed(int) { return State::failed; }
 TlsSession::State TlsSession::handshake() { return State::failed; }
 TlsSession::State TlsSession::read(char*, std::size_t, std::size_t&) { return State::failed; }
 std::size_t TlsSession::write(std::span<const std::byte>) { return 0; }
-void TlsSession::say_goodbye() {}
+void TlsSession::send_close_notify() {}
 void TlsSession::take(std::span<const std::byte>) {}
 bool TlsSession::has_unread() const noexcept { return false; }
 std::span<const std::byte> TlsSession::output() const noexcept { return {}; }

@@ -61,7 +61,7 @@ class TlsSession {
   State read(char* to, std::size_t most, std::size_t& got);
   /// Encrypts up to 16 KiB of it. Returns how many bytes; 0: failed.
   std::size_t write(std::span<const std::byte> bytes);
-  void say_goodbye();
+  void send_close_notify();
 
   /// Takes bytes from the peer.
   void take(std::span<const std::byte> bytes);

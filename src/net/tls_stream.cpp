@@ -186,7 +186,7 @@ std::size_t TlsStream::unconfirmed() const noexcept {
 
 void TlsStream::end_writing() {
   if (session_) {
-    session_->say_goodbye();
+    session_->send_close_notify();
     flush();
   }
   stream_.end_writing();

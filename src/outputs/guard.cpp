@@ -51,7 +51,7 @@ OutputGuard::OutputGuard(const Make& make) : link_(std::make_shared<Link>()) {
   const pid_t process = ::fork();
   if (process == 0) {
     ::close(ends[0]);
-    detail::be_guard(ends[1], link_->beats, make);
+    detail::run_guard(ends[1], link_->beats, make);
   }
   const int error_number = errno;
   ::close(ends[1]);
@@ -138,12 +138,12 @@ void OutputGuard::Link::await_end(Loop& loop, const std::string& output, int its
     detail::GuardAnswer answer;
     const ssize_t got = ::recv(ending->socket, &answer, sizeof answer, MSG_DONTWAIT);
     if (got < 0 && (errno == EAGAIN || errno == EINTR)) return;
-    const bool is_told = got == sizeof answer;
-    if (is_told && answer.kind != detail::GuardAnswer::ended) return;
-    const bool is_safe = is_told && answer.code == 0;
+    const bool is_reported = got == sizeof answer;
+    if (is_reported && answer.kind != detail::GuardAnswer::ended) return;
+    const bool is_safe = is_reported && answer.code == 0;
     loop.runtime().core().log(
         is_safe ? LogLevel::warning : LogLevel::error, ending->output,
-        is_told ? detail::text_of_end(answer.result()) : "its guard has ended, and nothing tries to set it safe");
+        is_reported ? detail::text_of_end(answer.result()) : "its guard has ended, and nothing tries to set it safe");
     if (is_safe) note(ending->output, true);
     std::list<Ending> over;  // is destroyed without the lock
     const std::lock_guard again(mutex);

@@ -101,7 +101,7 @@ inline std::string text_of_end(const Result<void>& done) {
 }
 
 /// The guard's whole life, in its process.
-[[noreturn]] void be_guard(int socket, GuardBeat* beats, const OutputGuard::Make& make) noexcept;
+[[noreturn]] void run_guard(int socket, GuardBeat* beats, const OutputGuard::Make& make) noexcept;
 
 }  // namespace detail
 

@@ -103,7 +103,7 @@ class Keeper {
       }
       const int ready = ::ppoll(&one, 1, wait ? &most : nullptr, nullptr);
       beat_.seen.store(now(), std::memory_order_release);
-      if (is_due() && !(is_retrying_ && ready > 0)) be_safe();
+      if (is_due() && !(is_retrying_ && ready > 0)) set_safe();
       if (ready > 0) receive();
       if (is_open_ && !is_over_ && now() >= next_check_) check();
     }
@@ -124,7 +124,7 @@ class Keeper {
   }
   static std::int64_t now() noexcept { return SteadyClock::now().time_since_epoch().count(); }
 
-  void be_safe() noexcept {
+  void set_safe() noexcept {
     const bool trips = is_over_time() && !std::exchange(has_tripped_, true);
     is_armed_ = false;
     const Result<void> done = is_safe_ ? Result<void>() : held_.put(safe_);
@@ -172,7 +172,7 @@ class Keeper {
       (void)send(GuardAnswer::ended, done ? done : Error{Errc::closed, "", "", done.error().why, ""});
       return;
     }
-    be_ending();  // before the program, which closes the output now, can make it again
+    announce_ending();  // before the program, which closes the output now, can make it again
     answer(done);
     keep_trying();
   }
@@ -181,10 +181,10 @@ class Keeper {
   void end() noexcept {
     is_over_ = true;
     if (!is_open_ || is_safe_) return;
-    be_ending();
+    announce_ending();
     keep_trying();
   }
-  void be_ending() const noexcept {
+  void announce_ending() const noexcept {
     ++ending;
     ::prctl(PR_SET_NAME, name_of_ending(what_).c_str());
   }
@@ -199,12 +199,12 @@ class Keeper {
       }
       held_.give_back();
       --ending;
-      if (!send(GuardAnswer::ended, done)) tell_end(done);
+      if (!send(GuardAnswer::ended, done)) report_end(done);
       return;
     }
   }
   /// On standard error, since the program has gone.
-  void tell_end(const Result<void>& done) const noexcept {
+  void report_end(const Result<void>& done) const noexcept {
     try {
       const std::string line = std::string(name_of_guard) + ": " + name_ + ": " + text_of_end(done) + "\n";
       (void)!::write(STDERR_FILENO, line.data(), line.size());
@@ -310,7 +310,7 @@ void close_others(int kept) noexcept {
 
 }  // namespace
 
-void be_guard(int socket, GuardBeat* beats, const OutputGuard::Make& make) noexcept {
+void run_guard(int socket, GuardBeat* beats, const OutputGuard::Make& make) noexcept {
   // SIGABRT is what a service manager's watchdog sends to all; abort() in an Actuator ends the guard all the same.
   for (const int number : {SIGINT, SIGTERM, SIGHUP, SIGQUIT, SIGABRT, SIGALRM, SIGPIPE, SIGUSR1, SIGUSR2, SIGXCPU})
     ::signal(number, SIG_IGN);

@@ -54,7 +54,7 @@ Result<void> HeldActuator::check() noexcept {
 
 namespace {
 
-constexpr Duration longest_set = std::chrono::seconds{2};  // then the thread is left behind
+constexpr Duration longest_set = std::chrono::seconds{2};  // then the thread is abandoned
 
 class LanePort final : public OutputPort {
  public:

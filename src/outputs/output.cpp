@@ -147,7 +147,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     }
     end_lease();
     stop_watching();
-    be_safe(OutputCause::disarm, by);
+    set_safe(OutputCause::disarm, by);
     settle();
     return {};
   }
@@ -175,20 +175,20 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
 
   double safe_value() const noexcept { return config_.safe; }
   bool is_armed() const noexcept { return is_armed_; }
-  void when_told(Callback<void()> done) {
-    if (told_armed_ == is_armed_) return loop()->post(std::move(done));
+  void when_published(Callback<void()> done) {
+    if (published_armed_ == is_armed_) return loop()->post(std::move(done));
     waiting_.push_back(std::move(done));
   }
   void when_taken(Callback<void(Result<void>)> done) {
     when_taken_.push_back(std::move(done));
-    if (state_ != State::taking) tell_taken();
+    if (state_ != State::taking) report_taken();
   }
   void finish(Callback<void()> done) {
     ended_.push_back(std::move(done));
     if (state_ == State::ending) return;
-    if (!is().held) return tell_ended();
+    if (!is().held) return report_ended();
     end_orders(State::ending);
-    if (const Result<void> begun = port_->begin_finish(first_value()); !begun) be_ended(begun);
+    if (const Result<void> begun = port_->begin_finish(first_value()); !begun) finish_ending(begun);
   }
   Duration lease_left() const noexcept {
     return config_.lease > Duration{0} ? std::max(config_.lease - (now() - last_set_), Duration{0}) : Duration::max();
@@ -281,7 +281,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     const Result<void> opened = port_->open(first_value());
     if (!opened && !is_away(opened)) throw SetupError(placed(opened.error()));
     is_armed_ = is_armed && !is_lost_;
-    be_held(began, opened);
+    note_opened(began, opened);
     follow_input();
   }
   /// True if the device may come back. Other errors are mistakes in the configuration; a reload that caused one can be
@@ -293,7 +293,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     return code == Errc::disconnected ||
            (loop()->is_being_set_up() && (code == Errc::not_found || code == Errc::timed_out));
   }
-  void be_held(MonotonicTime began, const Result<void>& opened) {
+  void note_opened(MonotonicTime began, const Result<void>& opened) {
     state_ = opened ? State::ready : State::failed;
     has_ended_unsafe_ = false;
     if (opened && !config_.keep) value_ = config_.safe;
@@ -321,21 +321,21 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     is_armed_ = config_.armed == Arming::at_start && !is_lost_;
     busy_ = {config_.keep ? std::nan("") : config_.safe, OutputCause::start, {}, now()};
     follow_input();
-    if (const Result<void> begun = port_->begin_open(first_value()); !begun) return be_taken(begun);
+    if (const Result<void> begun = port_->begin_open(first_value()); !begun) return finish_taking(begun);
     patience_.start(slow_start);
   }
-  void be_taken(const Result<void>& opened) {
+  void finish_taking(const Result<void>& opened) {
     state_ = State::stopped;
     patience_.stop();
     const bool is_taken = opened || is_away(opened);
     is_patient_ = false;
     if (is_taken) {
-      be_held(busy_.asked, opened);
+      note_opened(busy_.asked, opened);
     } else {
       taken_ = placed(opened.error());
       for (Timer* timer : {&stale_, &lease_, &retry_}) timer->stop();
     }
-    tell_taken();
+    report_taken();
     if (!is_open()) return;
     if (is_taken && opened) {
       settle();
@@ -345,16 +345,16 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
       record(*std::exchange(next_, std::nullopt), {}, "the device failed");
     }
   }
-  void tell_taken() {
+  void report_taken() {
     for (Callback<void(Result<void>)>& done : std::exchange(when_taken_, {}))
       loop()->post([done = std::move(done), result = taken_]() mutable { done(std::move(result)); });
   }
   void give_back() noexcept {
     try {
-      if (state_ == State::ending) return be_ended(port_->wait_for_end());
+      if (state_ == State::ending) return finish_ending(port_->wait_for_end());
       if (!is().held) return;
       end_orders(State::stopped);
-      be_given_back(port_->finish(first_value()));
+      note_given_back(port_->finish(first_value()));
     } catch (const std::exception& thrown) {
       loop()->runtime.log(LogLevel::error, name(), thrown.what());
     }
@@ -365,7 +365,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     for (Timer* timer : {&stale_, &lease_, &turning_}) timer->stop();
     if (config_.keep) return;
     stop_watching();
-    be_safe(OutputCause::stop, "");
+    set_safe(OutputCause::stop, "");
   }
   /// The guard disarms it no more.
   void stop_watching() noexcept {
@@ -380,26 +380,26 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     if (standing(was).busy) record(busy_, {}, "it ends");
     if (next_) record(*std::exchange(next_, std::nullopt), {}, "it ends");
   }
-  void be_given_back(const Result<void>& done) {
-    if (const auto trip = port_->late_trip()) tell_trip(*trip);
+  void note_given_back(const Result<void>& done) {
+    if (const auto trip = port_->late_trip()) report_trip(*trip);
     if (!done) {
       has_ended_unsafe_ = !config_.keep;
       value_.reset();
       record(stop_order_, {}, done.error().why);
       complain(placed(done.error()), Health::faulted);
     } else {
-      const bool is_told = is_over_ && !config_.keep && value_ == config_.safe;
+      const bool is_reported = is_over_ && !config_.keep && value_ == config_.safe;
       value_ = config_.keep ? value_ : std::optional(config_.safe);
-      if (!is_told) record(stop_order_, value_, config_.keep ? "it keeps what it has" : "");
+      if (!is_reported) record(stop_order_, value_, config_.keep ? "it keeps what it has" : "");
     }
   }
   /// What `finish` began.
-  void be_ended(const Result<void>& done) {
+  void finish_ending(const Result<void>& done) {
     state_ = State::left;
-    be_given_back(done);
-    if (is_open()) tell_ended();
+    note_given_back(done);
+    if (is_open()) report_ended();
   }
-  void tell_ended() {
+  void report_ended() {
     for (Callback<void()>& done : std::exchange(ended_, {})) loop()->post(std::move(done));
   }
 
@@ -439,15 +439,15 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
       if (!patience_.is_running()) patience_.start(answer_limit);
     }
   }
-  void be_safe(OutputCause cause, std::string_view by) {
+  void set_safe(OutputCause cause, std::string_view by) {
     if (input_) input_->follow(config_.safe);
     request({config_.safe, cause, fitting<48>(by), now()});
   }
 
   void answered(Result<void> result) override {
     Call call(*this);
-    if (state_ == State::ending) return be_ended(result);
-    if (state_ == State::taking) return be_taken(result);
+    if (state_ == State::ending) return finish_ending(result);
+    if (state_ == State::taking) return finish_taking(result);
     const bool had_failed = is().failing;
     if (!is().busy) return;
     be(false, had_failed);
@@ -477,7 +477,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     // Its handler may have stopped it, and started it again.
     const bool goes_on = is_open() && is().failing;
     if (goes_on && !was_failing && (waiting || busy_.value != config_.safe)) {
-      be_safe(OutputCause::failure, "");
+      set_safe(OutputCause::failure, "");
     } else if (goes_on) {
       retry_.start(retry_period);
     }
@@ -492,7 +492,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   }
   void try_again() {
     Call call(*this);
-    if (is().held && !is().busy) be_safe(OutputCause::failure, "");
+    if (is().held && !is().busy) set_safe(OutputCause::failure, "");
   }
   /// The value of the device is unknown. Reported once; the answer may still come.
   void miss_answer() {
@@ -561,9 +561,9 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     is_armed_ = false;
     if (next_) record(*std::exchange(next_, std::nullopt), {}, "it is disarmed");
     if (input_) input_->follow(config_.safe);
-    tell_trip(done);
+    report_trip(done);
     // The device may have taken it since: asking is how that is known.
-    if (is_open() && state_ == State::failed) be_safe(OutputCause::failure, "");
+    if (is_open() && state_ == State::failed) set_safe(OutputCause::failure, "");
   }
   void vanished(const Error& error) override {
     Call call(*this);
@@ -574,9 +574,9 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     record({config_.safe, OutputCause::failure, {}, now()}, {}, error.why);
     complain(placed(error), Health::faulted);
     // A value that is on its way takes the device anew; what comes of that is answered.
-    if (is_open() && state_ == State::failed) be_safe(OutputCause::failure, "");
+    if (is_open() && state_ == State::failed) set_safe(OutputCause::failure, "");
   }
-  void tell_trip(const Result<void>& done) {
+  void report_trip(const Result<void>& done) {
     is_armed_ = false;
     value_ = done ? std::optional(config_.safe) : std::nullopt;
     record({config_.safe, OutputCause::watchdog, fitting<48>("guard"), now()}, value_, done ? "" : done.error().why);
@@ -593,7 +593,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   void lost(const Error& error) override {
     Call call(*this);
     if (!is().held || is_lost_) return;
-    if (state_ == State::taking) be_taken(error);
+    if (state_ == State::taking) finish_taking(error);
     is_lost_ = true;
     is_armed_ = false;
     end_lease();
@@ -606,7 +606,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     patience_.stop();
     port_ = make_lane_port(loop()->face, name(), make_, *this);
     complain(placed(error), Health::faulted);
-    if (is_open() && is().held) be_safe(OutputCause::watchdog, "program");
+    if (is_open() && is().held) set_safe(OutputCause::watchdog, "program");
   }
 
   // ---- What it follows
@@ -670,7 +670,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   }
   void go_stale(Errc code, const std::string& why, std::string advice) {
     if (std::exchange(is_stale_, true)) return;
-    be_safe(OutputCause::stale, config_.on);
+    set_safe(OutputCause::stale, config_.on);
     complain({code, "the output is being set to its safe value", name(), why, std::move(advice)},
              worst(Health::degraded));
   }
@@ -684,7 +684,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     if (!is().held) return;
     if (const MonotonicTime due = last_set_ + config_.lease; due > now()) return lease_.start_at(due);
     is_overdue_ = true;
-    be_safe(OutputCause::lease, "");
+    set_safe(OutputCause::lease, "");
     complain(
         {Errc::timed_out, "the output is being set to its safe value", name(),
          "no program or command has set it for " + to_string(config_.lease), "set it again if it is to keep its value"},
@@ -708,7 +708,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     change.why = fitting<160>(why);
     if (!is_running()) return;
     take_sample(&change, loop()->runtime.event_time(now()));
-    told_armed_ = change.armed;
+    published_armed_ = change.armed;
     for (Callback<void()>& waits : std::exchange(waiting_, {})) loop()->post(std::move(waits));
   }
 
@@ -747,7 +747,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   bool is_watched_ = false;  // the guard knows that it is armed
   bool is_patient_ = false;  // it begins, whatever its device says
   bool is_armed_ = false;
-  bool told_armed_ = false;  // by the last event
+  bool published_armed_ = false;  // by the last event
   bool is_stale_ = false;
   bool is_overdue_ = false;
   bool has_tripped_ = false;
@@ -857,9 +857,9 @@ double Output::safe_value() const noexcept {
 bool Output::is_armed() const noexcept {
   return asked(node(), false, false, [](const detail::OutputNode& output) { return output.is_armed(); });
 }
-void Output::when_told(Callback<void()> done) {
+void Output::when_published(Callback<void()> done) {
   with(node(), 0, [done = std::move(done)](detail::OutputNode& output) mutable {
-    output.when_told(std::move(done));
+    output.when_published(std::move(done));
     return 0;
   });
 }

@@ -88,7 +88,7 @@ class ReplayNode final : public SensorEntry, public Deadline {
   void end_account(Origin& origin, bool is_complete) noexcept;
   /// Publishes the accounts of source topics without events, for a whole run.
   void give_sources() noexcept;
-  void tell_end(bool is_complete);
+  void report_end(bool is_complete);
 
   void on_close() noexcept override;
   void drop_callbacks() noexcept override { on_done.reset(); }

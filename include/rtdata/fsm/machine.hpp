@@ -199,7 +199,7 @@ namespace detail {
 void input_event(rtdata::detail::Node& machine, Time time, MonotonicTime came);
 /// Restarts the hold time of a transition out of the current state. `way`: its index, in the order in which the
 /// transitions were added.
-void begin_hold_anew(rtdata::detail::Node& machine, std::size_t way);
+void restart_hold(rtdata::detail::Node& machine, std::size_t way);
 /// SetupError (closed).
 rtdata::detail::Node& node_of_open(const Machine& machine, std::string_view input);
 /// Registers an input topic: recordings of the machine's changes also store the account of that topic.

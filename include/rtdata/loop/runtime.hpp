@@ -71,7 +71,7 @@ constexpr auto describe(type_tag<Health>) {
 ///   sensor   its name.            degraded: reads fail. faulted: closed, and tried again now and then; or stopped by
 ///                                 `on_overrun`.
 ///   sink     its name.            faulted: it cannot store.
-///   lane     the device or bus.   degraded: a job was given up, its thread left behind. faulted: no thread is left to
+///   lane     the device or bus.   degraded: a job was given up, its thread abandoned. faulted: no thread is left to
 ///                                 run jobs.
 ///   loop     its or the tier's.   degraded: held longer than its limit in the last 10 s.
 ///   tier     its name.            faulted: it does not turn (see TierWatch).

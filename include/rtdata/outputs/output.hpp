@@ -230,7 +230,7 @@ class Output : public AnySensor {
   bool is_armed() const noexcept;
   /// Calls `done` on its loop, in a later turn, when the last event of its topic shows the present armed state: after
   /// arming at once, after disarming when the device has answered. Not called if it is closed before.
-  void when_told(Callback<void()> done);
+  void when_published(Callback<void()> done);
   /// True if the device is known to have its safe value.
   bool is_safe() const noexcept;
   /// True if it was stopped and it is unknown whether the device has the safe value.

@@ -50,11 +50,13 @@ void ArmKeeper::keep(const std::string& output, const std::function<bool()>& act
 
 /// Waits for the event first: when disarmed, an output publishes it after its device has answered.
 void ArmKeeper::look_at_event(const std::shared_ptr<Waiting>& waiting) {
-  system_.parts().get<Output>("output", waiting->output).when_told([this, &loop = loop_, weak = std::weak_ptr(waiting)] {
-    loop.post([this, weak] {
-      if (const auto still = weak.lock()) look_at_card(still);
-    });
-  });
+  system_.parts()
+      .get<Output>("output", waiting->output)
+      .when_published([this, &loop = loop_, weak = std::weak_ptr(waiting)] {
+        loop.post([this, weak] {
+          if (const auto still = weak.lock()) look_at_card(still);
+        });
+      });
 }
 
 void ArmKeeper::look_at_card(const std::shared_ptr<Waiting>& waiting) {

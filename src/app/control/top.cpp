@@ -73,20 +73,20 @@ class Terminal {
 
 void print(const std::string& text) { std::cout << text << std::flush; }
 
-/// The next answer; empty if the terminal ends the wait. Calls `tell_silence` once if there is no answer for a while.
+/// The next answer; empty if the terminal ends the wait. Calls `report_silence` once if there is no answer for a while.
 std::optional<Result<std::string>> receive(ControlClient& client, Terminal& terminal, Duration limit,
-                                           const std::function<void()>& tell_silence) {
+                                           const std::function<void()>& report_silence) {
   const auto begun = std::chrono::steady_clock::now();
-  for (bool is_told = false;;) {
+  for (bool is_reported = false;;) {
     auto line = client.receive(most_deaf);
     if (!line) return std::move(line).error();
     if (*line) return std::move(**line);
     if (!terminal.wait(Duration{0})) return std::nullopt;
     const Duration waited = std::chrono::steady_clock::now() - begun;
     if (waited > limit) return instance_does_not_answer();
-    if (!is_told && waited > silence_limit) {
-      tell_silence();
-      is_told = true;
+    if (!is_reported && waited > silence_limit) {
+      report_silence();
+      is_reported = true;
     }
   }
 }

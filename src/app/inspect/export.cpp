@@ -81,7 +81,7 @@ void find(const Recording& recording, const RowFilter& filter) {
 }
 
 /// Reports refused rows, which is an error.
-int tell_refused(std::ostream& err, const ExportCount& count) {
+int report_refused(std::ostream& err, const ExportCount& count) {
   if (count.refused == 0) return 0;
   err << "rtdata: " << count.refused << (count.refused == 1 ? " row was" : " rows were")
       << " left out, the first: " << count.refusal.text() << "\n";
@@ -89,7 +89,7 @@ int tell_refused(std::ostream& err, const ExportCount& count) {
 }
 
 /// For rows of several runs: explains which column shows the run.
-void tell_runs(std::ostream& err, const Recording& recording, const ExportOptions& options) {
+void report_runs(std::ostream& err, const Recording& recording, const ExportOptions& options) {
   const auto runs = recording.runs();
   if (!runs || runs->size() < 2 || options.run || options.format == "raw") return;
   err << "rtdata: of " << runs->size() << " runs: `run` says of which each row is"
@@ -157,19 +157,19 @@ int export_recording(const ExportOptions& options, std::ostream& out, std::ostre
     progress.clear();
     if (!made && !out) return 1;
     const ExportCount& count = made.or_throw();
-    if (count.rows != 0) tell_runs(err, recording, options);
+    if (count.rows != 0) report_runs(err, recording, options);
     if (count.rows + count.refused == 0)
       err << "rtdata: no rows: " << recording.path() << " has none of what was asked for\n";
-    return tell_refused(err, count);
+    return report_refused(err, count);
   }
   auto made = export_files(recording, config, options.folder);
   progress.clear();
   const auto& counts = made.or_throw();
   int status = 0;
-  if (!counts.empty()) tell_runs(err, recording, options);
+  if (!counts.empty()) report_runs(err, recording, options);
   for (const ExportCount& count : counts) {
     out << count.path << ": " << count.rows << (count.rows == 1 ? " row\n" : " rows\n");
-    status = std::max(status, tell_refused(err, count));
+    status = std::max(status, report_refused(err, count));
   }
   return status;
 } catch (const SetupError& error) {

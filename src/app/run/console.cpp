@@ -69,7 +69,7 @@ std::optional<std::string> RunConsole::news(std::string_view object, const std::
 void RunConsole::say(LogLevel level, std::string_view object, std::string_view what, std::string_view error_id) {
   const std::string text = without_secrets(std::string(what));
   log_.write(level, object, text, error_id);
-  tell_log_failure();
+  report_log_failure();
   if (level < (options_.talk == Talk::quiet ? LogLevel::warning : LogLevel::info)) return;
   const std::optional<std::string> shown = news(object, text);
   if (!shown) return;
@@ -86,9 +86,9 @@ void RunConsole::say(LogLevel level, std::string_view object, std::string_view w
 
 void RunConsole::tell(const std::string& text) { messages_.write(for_terminal(text, columns_of(STDERR_FILENO))); }
 
-void RunConsole::tell_log_failure() {
+void RunConsole::report_log_failure() {
   const int failed = log_.counts().last_errno.load();
-  if (failed == 0 || std::exchange(log_failure_told_, true)) return;
+  if (failed == 0 || std::exchange(is_log_failure_reported_, true)) return;
   say(LogLevel::warning, "log", system_error(failed, "cannot write the log file", log_.file()).text());
 }
 

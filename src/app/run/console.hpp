@@ -35,7 +35,7 @@ class RunConsole {
   void say(LogLevel level, std::string_view object, std::string_view what, std::string_view error_id = {});
   /// Shows text to people only.
   void tell(const std::string& text);
-  void tell_log_failure();
+  void report_log_failure();
 
   /// Reserves standard output for a sink.
   void leave_stdout() noexcept { uses_stdout_ = true; }
@@ -74,7 +74,7 @@ class RunConsole {
   std::atomic<bool> view_is_shown_{false};
   std::string note_;  // below the table
   bool uses_stdout_ = false;
-  bool log_failure_told_ = false;
+  bool is_log_failure_reported_ = false;
 };
 
 }  // namespace rtdata::app

@@ -172,7 +172,7 @@ class Forward {
       refused += sink.counts.all_dropped();
       is_known = is_known && sink.backlog.has_value();
     }
-    left += tell_of_others(senders);
+    left += report_others(senders);
     const bool is_all = left == 0 && refused == 0 && is_known;
     std::cout << (is_all     ? "all is sent: "
                   : is_known ? "not all is sent: "
@@ -182,7 +182,7 @@ class Forward {
   }
 
   /// Reports events that wait for sinks missing in the configuration, and returns their number.
-  std::uint64_t tell_of_others(const std::vector<std::string>& senders) const {
+  std::uint64_t report_others(const std::vector<std::string>& senders) const {
     const auto recording = Recording::open(options_.database).or_throw();
     std::uint64_t sum = 0;
     for (const RecordedBacklog& other : backlogs_of_others(recording, senders).or_throw()) {

@@ -67,12 +67,12 @@ class LogFile {
     ::fchmod(made, mode & 07777);
     ::dup3(made, fd_, O_CLOEXEC);
     ::close(made);
-    is_told_ = false;
+    is_reported_ = false;
   }
 
   /// Writes a message to the continued file.
   void tell(int reason) noexcept {
-    if (std::exchange(is_told_, true)) return;
+    if (std::exchange(is_reported_, true)) return;
     std::array<char, 96> line{};
     const int size = std::snprintf(line.data(), line.size(), "cannot begin a new log file: error %d\n", reason);
     write_fully(fd_, line.data(), static_cast<std::size_t>(size));
@@ -82,7 +82,7 @@ class LogFile {
   int fd_;
   std::uint64_t max_bytes_;
   unsigned keep_;
-  bool is_told_ = false;
+  bool is_reported_ = false;
 };
 
 }  // namespace

@@ -17,7 +17,7 @@ namespace {
 
 constexpr Duration device_look = std::chrono::milliseconds{5};
 constexpr Duration storing_patience = std::chrono::milliseconds{2500};  // less than the client waits
-constexpr std::size_t most_told = 100;                                  // reporting takes the loop's time
+constexpr std::size_t most_reported = 100;                              // reporting takes the loop's time
 constexpr Duration step_time = std::chrono::milliseconds{2};            // of a turn
 
 }  // namespace
@@ -72,12 +72,13 @@ bool Reload::may_be_applied(Change& change) {
   if (!change.read->failed.empty()) return refused(change.read->failed);
   const SystemPlan& next = change.read->plan;
   console_.add_secrets(next.secrets);
-  for (std::size_t i = 0; i < std::min(next.problems.size(), most_told); ++i)
+  for (std::size_t i = 0; i < std::min(next.problems.size(), most_reported); ++i)
     add(change, LogLevel::error, next.problems[i].text(), next.problems[i].id);
   if (!next.good()) {
-    return refused(std::to_string(next.problems.size()) +
-                   (next.problems.size() == 1 ? " mistake in " : " mistakes in ") + options_.file +
-                   (next.problems.size() > most_told ? ", the first of which are told; `rtdata check` tells all" : ""));
+    return refused(
+        std::to_string(next.problems.size()) + (next.problems.size() == 1 ? " mistake in " : " mistakes in ") +
+        options_.file +
+        (next.problems.size() > most_reported ? ", the first of which are told; `rtdata check` tells all" : ""));
   }
   for (const Problem& warning : next.warnings) add(change, LogLevel::warning, warning.text(), warning.id);
   if (!run_.has_guard && !next.of_kind("output").empty()) return refused(std::string(no_guard));
@@ -266,10 +267,10 @@ void Reload::go_on(const std::shared_ptr<Change>& change) {
     change->patience = Timer(loop_, device_look, [this, weak = Weak(change)] { then(weak, &Reload::go_on); });
     return;
   }
-  then(change, is_more ? &Reload::go_on : &Reload::be_applied);
+  then(change, is_more ? &Reload::go_on : &Reload::finish_change);
 }
 
-void Reload::be_applied(const std::shared_ptr<Change>& change) {
+void Reload::finish_change(const std::shared_ptr<Change>& change) {
   run_.applied(change->read->plan);
   std::set<std::string> made;
   for (const PartChange& part : change->steps->changes().all)
@@ -279,19 +280,19 @@ void Reload::be_applied(const std::shared_ptr<Change>& change) {
     if (plan->stores && plan->stores->check_openable && made.contains(plan->object()))
       change->waits_for.insert(plan->name);
   const Weak weak = change;
-  if (change->waits_for.empty()) return then(weak, &Reload::tell_parts);
+  if (change->waits_for.empty()) return then(weak, &Reload::report_parts);
   change->is_waiting = true;
-  change->patience = Timer(loop_, opening_patience, [this, weak] { then(weak, &Reload::tell_unopened); });
+  change->patience = Timer(loop_, opening_patience, [this, weak] { then(weak, &Reload::report_unopened); });
   for (const std::string& name : std::set<std::string>(change->waits_for)) {
     system_.sink(name).sync([this, name, weak] {
       const auto still = weak.lock();
       if (still == nullptr || still->waits_for.erase(name) == 0) return;
-      if (still->waits_for.empty()) then(weak, &Reload::tell_unopened);  // not from within the sink
+      if (still->waits_for.empty()) then(weak, &Reload::report_unopened);  // not from within the sink
     });
   }
 }
 
-void Reload::tell_unopened(const std::shared_ptr<Change>& change) {
+void Reload::report_unopened(const std::shared_ptr<Change>& change) {
   if (!std::exchange(change->is_waiting, false)) return;  // both may happen in one turn
   change->patience = {};
   for (const std::string& name : change->waits_for) {
@@ -300,15 +301,15 @@ void Reload::tell_unopened(const std::shared_ptr<Change>& change) {
         "sink " + name + " stores nothing yet" +
             (sink.reason.empty() ? ", " + to_string(opening_patience) + " after it was made" : ": " + sink.reason));
   }
-  tell_parts(change);
+  report_parts(change);
 }
 
-void Reload::tell_parts(const std::shared_ptr<Change>& change) {
+void Reload::report_parts(const std::shared_ptr<Change>& change) {
   const PlanChange& parts = change->steps->changes();
-  for (const MonotonicTime begin = loop_.now(); change->told_parts < parts.all.size();) {
-    const PartChange& part = parts.all[change->told_parts++];
+  for (const MonotonicTime begin = loop_.now(); change->reported_parts < parts.all.size();) {
+    const PartChange& part = parts.all[change->reported_parts++];
     if (part.fate != Fate::unchanged) add(*change, LogLevel::info, part.text());
-    if (loop_.now() - begin >= step_time) return then(change, &Reload::tell_parts);
+    if (loop_.now() - begin >= step_time) return then(change, &Reload::report_parts);
   }
   for (const std::string& line : change->left) add(*change, LogLevel::warning, line, "left-backlog");
   if (!change->missing.empty())

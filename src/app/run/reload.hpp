@@ -78,7 +78,7 @@ class Reload {
     std::set<std::string> waits_for = {};
     Timer patience = {};
     std::vector<std::string> left = {};  // recordings that it closes permanently, a line each
-    std::size_t told_parts = 0;          // number of changed parts already logged
+    std::size_t reported_parts = 0;      // number of changed parts already logged
     std::string details = {};            // its messages, a line each
     std::string missing = {};            // parts that could not be made, although it is applied
   };
@@ -103,10 +103,10 @@ class Reload {
   void then(const Weak& change, void (Reload::*step)(const std::shared_ptr<Change>&));
   void stop_waiting(const std::shared_ptr<Change>& change);
   void go_on(const std::shared_ptr<Change>& change);
-  void be_applied(const std::shared_ptr<Change>& change);
+  void finish_change(const std::shared_ptr<Change>& change);
   /// Reports new sinks that could not open their files.
-  void tell_unopened(const std::shared_ptr<Change>& change);
-  void tell_parts(const std::shared_ptr<Change>& change);
+  void report_unopened(const std::shared_ptr<Change>& change);
+  void report_parts(const std::shared_ptr<Change>& change);
 
   struct NewFilesLook;
 

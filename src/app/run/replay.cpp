@@ -154,7 +154,7 @@ std::uint64_t close_in_virtual_time(Loop& loop) {
 }
 
 /// Reports events that sinks dropped or did not store, except those already dropped in the recording. False: none.
-bool tell_drops(const Runtime& runtime, std::uint64_t dropped_before) {
+bool report_drops(const Runtime& runtime, std::uint64_t dropped_before) {
   bool is_any = false;
   for (const SinkStatus& sink : runtime.sinks()) {
     const std::uint64_t refused = sink.counts.dropped[static_cast<std::size_t>(DropReason::refused)];
@@ -269,7 +269,7 @@ class ReplayRun {
     const ReplayCounts counts = replay.counts();
     const std::uint64_t lost = options_.is_virtual ? close_in_virtual_time(loop) : loop.close();
     replayed_ += counts.events;
-    const bool has_dropped = tell_drops(runtime, counts.dropped);
+    const bool has_dropped = report_drops(runtime, counts.dropped);
     if (failed || counts.refused > 0 || is_stopped_ || lost > 0 || has_dropped) status_ = exit_other;
   }
 

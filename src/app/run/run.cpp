@@ -131,12 +131,12 @@ class Run {
     });
     std::optional<ControlSocket> control;
     open_control(control, loop, reload, status, desk);
-    tell_start(plan);
+    report_start(plan);
 
     console_.open_view();
     {
       Service service(loop);
-      loop.post([&] { be_ready(service); });
+      loop.post([&] { report_ready(service); });
       // Without the table nothing is shown between two lines, so the program need not wake up.
       Ticker ticker(loop,
                     Ticker::Config{.period = console_.has_view() ? redraw_period : line_period, .name = "display"},
@@ -154,15 +154,15 @@ class Run {
       not_stored_ += reload.not_stored();  // closing counts what its sinks still send
       not_stored_ += loop.close(close_deadline_);
     }
-    tell_holds(loop.callbacks());
+    report_holds(loop.callbacks());
     const std::string hanging = stop_tiers(plan, system);
-    tell_buses(system);
+    report_buses(system);
     console_.close_view();
     const int exit_status = report(runtime, loop.core().runtime.unknown_end,
                                    unsafe_outputs(system, runtime.config().guard), reload.end());
     if (!hanging.empty()) {
       control.reset();
-      leave_behind(hanging);
+      exit_while_hanging(hanging);
     }
     return exit_status;
   }
@@ -232,7 +232,7 @@ class Run {
     for (const auto& entry : plan.settings.tiers) {
       Tier& tier = system.tier(entry.first);
       if (tier.stop_within(std::chrono::milliseconds{100})) {
-        tell_holds(tier.loop().callbacks());
+        report_holds(tier.loop().callbacks());
         continue;
       }
       const std::string where = tier.doing();
@@ -250,7 +250,7 @@ class Run {
   }
 
   /// Ends the program although a thread does not end, without destroying what the thread uses.
-  [[noreturn]] void leave_behind(const std::string& hanging) {
+  [[noreturn]] void exit_while_hanging(const std::string& hanging) {
     console_.say(LogLevel::error, "program",
                  "ended though it hangs: " + hanging + "; the recordings have the rest of the account", "not-turning");
     log_.write(LogLevel::info, "program", "ended with status " + std::to_string(exit_other));
@@ -284,7 +284,7 @@ class Run {
     }
   }
 
-  void tell_start(const SystemPlan& plan) {
+  void report_start(const SystemPlan& plan) {
     std::string text = "running " + plan.settings.name + ": " + counts_text(registry_, plan);
     if (options_.duration) text += ", for " + to_string(*options_.duration);
     text += log_.file().empty() ? "" : "; log " + log_.file();
@@ -301,13 +301,13 @@ class Run {
   }
 
   /// Called when the loop and its tiers turn.
-  void be_ready(Service& service) {
+  void report_ready(Service& service) {
     const auto told = service.tell("READY=1\nSTATUS=running");
     if (!told) console_.say(LogLevel::warning, "program", told.error().text(), told.error().id());
   }
 
   /// Logs the callbacks that held the loop, with their times.
-  void tell_holds(const std::vector<CallbackStatus>& callbacks) {
+  void report_holds(const std::vector<CallbackStatus>& callbacks) {
     for (const CallbackStatus& callback : callbacks) {
       const CallbackTimes& times = callback.times;
       if (times.held == 0) continue;
@@ -320,7 +320,7 @@ class Run {
   }
 
   /// Logs the transfer counts of each place on each bus.
-  void tell_buses(const System& system) {
+  void report_buses(const System& system) {
     for (const std::string& name : system.parts().names("bus")) {
       const Bus* bus = system.parts().find<Bus>("bus", name);
       if (bus == nullptr) continue;
@@ -335,7 +335,7 @@ class Run {
   }
 
   void stop(Loop& loop, const char* signal) {
-    is_storing_told_ = true;
+    is_storing_reported_ = true;
     if (is_closing_) {  // stopping the loop would end the closing
       console_.say(LogLevel::info, "program",
                    std::string(signal) + ": it is storing the queued events already (again: ends at once)");
@@ -355,9 +355,9 @@ class Run {
   }
 
   /// Shows a message if storing the queue at the end takes more than half a second.
-  void tell_storing(std::uint64_t queued) {
-    if (is_storing_told_ || ++shows_while_closing_ < 2 || queued == 0) return;
-    is_storing_told_ = true;
+  void report_storing(std::uint64_t queued) {
+    if (is_storing_reported_ || ++shows_while_closing_ < 2 || queued == 0) return;
+    is_storing_reported_ = true;
     console_.say(LogLevel::info, "program",
                  "storing the queued events: " + std::to_string(queued) + " events, for at most " +
                      to_string(close_deadline_) + " (Ctrl-C twice ends at once)");
@@ -368,8 +368,8 @@ class Run {
     const bool is_line_due = due - last_line_ >= line_period;
     if (is_line_due) last_line_ = due;
     if (is_line_due) (void)service.tell("STATUS=" + progress(status_of(runtime)));
-    console_.tell_log_failure();
-    if (is_closing_) tell_storing(status_of(runtime).queued);
+    console_.report_log_failure();
+    if (is_closing_) report_storing(status_of(runtime).queued);
     draw();
     if (is_line_due && !console_.has_view()) console_.say(LogLevel::info, "", progress(status_of(runtime)));
   }
@@ -377,7 +377,7 @@ class Run {
   /// `unknown`: what the account does not contain; empty: it is complete.
   int report(Runtime& runtime, const std::string& unknown, const std::string& unsafe,
              const std::set<std::string>& not_made) {
-    console_.tell_log_failure();
+    console_.report_log_failure();
     const Status status = status_of(runtime, paths_);
     Ending ending{unknown.empty() && runtime.balances(), runtime.has_loss(), unknown, not_stored_};
     ending.not_made = detail::listed(not_made);
@@ -421,7 +421,7 @@ class Run {
   std::map<std::string, std::string> paths_;  // of the sinks, also of closed ones
   std::set<std::string> recordings_;          // of the sinks
   std::set<std::string> followers_;           // sinks with `through`
-  bool is_storing_told_ = false;
+  bool is_storing_reported_ = false;
   unsigned shows_while_closing_ = 0;
   std::uint64_t not_stored_ = 0;  // lost when sinks ended
 };

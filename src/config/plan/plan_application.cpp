@@ -339,11 +339,11 @@ PartPlan::Make PlanApplication::counting_absence(const PartPlan& plan, PartPlan:
     detail::OriginCore* const origin = loop.runtime().core().find_origin(name);
     // It had a schedule under way when it was closed.
     if (origin != nullptr && detail::later(origin->free_from(), 2 * away.period) >= away.since)
-      origin->be_away(away.period);
+      origin->set_absence_period(away.period);
     PartObject made = make(loop, parts);
     if (origin == nullptr) return made;
     if (!made.as<AnySensor>()->is_running()) {
-      origin->be_away(Duration{0});
+      origin->set_absence_period(Duration{0});
     } else if (away.period == Duration{0} && has_outage && loop.now() > away.since &&
                origin->absent_since() == Time::min()) {
       origin->begin_absence(Gap::Kind::disconnected, made_anew, away.since);

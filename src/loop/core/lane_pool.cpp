@@ -19,7 +19,7 @@ namespace {
 constexpr unsigned most_idle = 4;  // further idle threads end
 constexpr Duration patience = std::chrono::milliseconds{1};
 constexpr std::uint64_t least_in_patience = 10;  // number of jobs begun within it if quick lanes make progress
-constexpr Duration longest_untold = std::chrono::microseconds{500};
+constexpr Duration longest_unreported = std::chrono::microseconds{500};
 
 MonotonicTime kernel_now() noexcept { return std::chrono::steady_clock::now(); }
 
@@ -50,27 +50,29 @@ void LaneListener::stop_listening() noexcept {
 
 struct LanePool::Worker {
   MonotonicTime now{};
-  Duration took{0};                        // the job that it has run
-  std::shared_ptr<LaneQueue> queue;        // of that job
-  std::shared_ptr<LaneListener> listener;  // of that job
-  bool tells_at_once = false;              // of that job
-  bool has_come = true;                    // it was woken and has not looked yet
-  bool calls = false;                      // wake another thread before running that job
-  std::shared_ptr<LaneListener> untold;    // of jobs that have ended
-  MonotonicTime untold_since{};
+  Duration took{0};                          // the job that it has run
+  std::shared_ptr<LaneQueue> queue;          // of that job
+  std::shared_ptr<LaneListener> listener;    // of that job
+  bool reports_at_once = false;              // of that job
+  bool has_come = true;                      // it was woken and has not looked yet
+  bool calls = false;                        // wake another thread before running that job
+  std::shared_ptr<LaneListener> unreported;  // of jobs that have ended
+  MonotonicTime unreported_since{};
 
   void tell() noexcept {
-    if (untold == nullptr) return;
-    untold->tell();
-    untold = nullptr;
+    if (unreported == nullptr) return;
+    unreported->tell();
+    unreported = nullptr;
   }
   void ended() noexcept {
-    if (untold != listener) {
+    if (unreported != listener) {
       tell();
-      untold_since = now;
+      unreported_since = now;
     }
-    untold = std::move(listener);
-    if (tells_at_once || took > patience || now - untold_since > longest_untold || untold->is_waited_for.load()) tell();
+    unreported = std::move(listener);
+    if (reports_at_once || took > patience || now - unreported_since > longest_unreported ||
+        unreported->is_waited_for.load())
+      tell();
   }
 };
 
@@ -242,7 +244,7 @@ struct LanePool::State : std::enable_shared_from_this<LanePool::State> {
     }
     if (queue == nullptr) return nullptr;
     worker.calls = !is_for_one_lane() && (may_take_slow() || may_take_quick() || sleeping == 0);
-    worker.tells_at_once = !queue->is_quick || is_for_one_lane();
+    worker.reports_at_once = !queue->is_quick || is_for_one_lane();
     queue->began = worker.now;
     LaneJob& job = *queue->waiting.pop();
     worker.queue = std::move(job.queue_);
@@ -257,7 +259,7 @@ struct LanePool::State : std::enable_shared_from_this<LanePool::State> {
     worker.took = Duration{0};
     if (!job.begin(worker.now)) return true;  // given up, or cancelled, while it waited
     if (worker.calls) wake_one(true);
-    if (worker.tells_at_once) worker.tell();
+    if (worker.reports_at_once) worker.tell();
     begun.fetch_add(1, std::memory_order_relaxed);
     job.run();
     if (!job.end()) {
@@ -361,10 +363,10 @@ bool LanePool::start(const void* runtime, const std::optional<cpu_set_t>& proces
 
 bool LanePool::has_thread() const noexcept { return threads() > 0; }
 std::size_t LanePool::threads() const noexcept { return count_of(state_->threads); }
-std::size_t LanePool::left_behind() const noexcept { return count_of(state_->behind); }
+std::size_t LanePool::abandoned_threads() const noexcept { return count_of(state_->behind); }
 bool LanePool::is_for_one_lane() const noexcept { return state_->is_for_one_lane(); }
 
-void LanePool::leave_behind(LaneQueue& queue) noexcept {
+void LanePool::abandon_thread(LaneQueue& queue) noexcept {
   State& state = *state_;
   {
     const std::lock_guard lock(state.mutex);

@@ -108,9 +108,9 @@ class LanePool {
   bool start(const void* runtime, const std::optional<cpu_set_t>& processors) noexcept;
   bool has_thread() const noexcept;
   /// Abandons a thread that hangs in a job of this queue; the job was taken from it.
-  void leave_behind(LaneQueue& queue) noexcept;
+  void abandon_thread(LaneQueue& queue) noexcept;
   /// The number of hanging threads of all its lanes.
-  std::size_t left_behind() const noexcept;
+  std::size_t abandoned_threads() const noexcept;
   bool is_for_one_lane() const noexcept;
   /// The number of threads without hanging ones, for tests.
   std::size_t threads() const noexcept;

@@ -30,11 +30,11 @@ class LaneThread {
   bool has_thread() const noexcept { return pool_->has_thread(); }
   /// True if the maximum number of threads is abandoned.
   bool is_stuck() const noexcept;
-  /// Abandons a thread that hangs in a job which was taken from it (LaneJob::take_away): the next start makes a new
+  /// Abandons a thread that hangs in a job which was taken from it (LaneJob::withdraw): the next start makes a new
   /// one.
-  void leave_behind() noexcept { pool_->leave_behind(*queue_); }
+  void abandon_thread() noexcept { pool_->abandon_thread(*queue_); }
   /// The number of threads that still hang in jobs of this lane.
-  std::size_t left_behind() const noexcept;
+  std::size_t abandoned_threads() const noexcept;
 
   /// In virtual time, where jobs run on the submitting loop: when the last job will be done.
   MonotonicTime free_from{};

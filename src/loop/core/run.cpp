@@ -32,16 +32,16 @@ LoopCore::Called LoopCore::wait_for(CallThere& call, Duration at_most, Begun beg
   // The waiting loop does not hang, so its outputs keep their values meanwhile, for a limited time.
   constexpr Duration between_beats = std::chrono::milliseconds{10};
   constexpr Duration longest_held = std::chrono::seconds{5};
-  constexpr Duration told_after = std::chrono::seconds{1};
+  constexpr Duration report_after = std::chrono::seconds{1};
   LoopCore* const waiting = runtime.main().own_loop;
   const bool holds = waiting != nullptr && !waiting->is_run_by_another_thread();
   const MonotonicTime began = now();
-  bool is_told = false;
+  bool is_reported = false;
   while (!wait_for(call.is_done, between_beats)) {
     const Duration waited = now() - began;
     if (holds && waited < longest_held) waiting->lanes.beat();
     if (!runs_elsewhere()) take_sent(MonotonicTime::max());  // an abandoned tier has ended meanwhile
-    if (waited >= told_after && !std::exchange(is_told, true))
+    if (waited >= report_after && !std::exchange(is_reported, true))
       runtime.main().log(LogLevel::warning, "loop " + config.name, "is waited for: " + where() + " for 1 s");
     if (waited < at_most) continue;
     if (begun == Begun::is_awaited && call.state.load() != State::waits) continue;

@@ -31,7 +31,7 @@ class OriginCore {
   void begin_segment(MonotonicTime first_due, Duration period) noexcept;
   /// Between two segments: counts the ticks of this period until the next segment as missed ("made anew"). 0: no ticks.
   /// Throws.
-  void be_away(Duration period) {
+  void set_absence_period(Duration period) {
     if (period > Duration{0}) expect_gaps();
     if (gaps_ != nullptr) gaps_->away_period = period;
   }

@@ -66,7 +66,7 @@ void TopicCore::publish(OriginCore& origin, Time time, void* payload) {
   go_on(origin, time, origin.sequence + 1, payload);
 }
 
-void TopicCore::give_again(OriginCore& origin, Time time, std::uint64_t sequence, const void* payload) {
+void TopicCore::republish(OriginCore& origin, Time time, std::uint64_t sequence, const void* payload) {
   go_on(origin, time, sequence, const_cast<void*>(payload));
 }
 

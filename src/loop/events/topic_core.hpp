@@ -51,7 +51,7 @@ class TopicCore final : public DeliveryQueue {
 
   /// The same with a recorded time and sequence, both above those of the origin's last event. For payloads with a
   /// description.
-  void give_again(OriginCore& origin, Time time, std::uint64_t sequence, const void* payload);
+  void republish(OriginCore& origin, Time time, std::uint64_t sequence, const void* payload);
 
   /// An event from another loop, as brought by its bridge.
   struct Arrival {
@@ -75,7 +75,7 @@ class TopicCore final : public DeliveryQueue {
     std::erase(taps_, &tap);
     followers_changed();
   }
-  void tell_taps_of_change(OriginCore& origin) noexcept {
+  void notify_taps(OriginCore& origin) noexcept {
     for (std::size_t i = 0; i < taps_.size(); ++i) taps_[i]->note_change(origin);
   }
   // Channels to and from the same topic on other loops.

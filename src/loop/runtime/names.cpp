@@ -87,7 +87,7 @@ Names::Published Names::published(std::string_view name) const {
 void Names::release(OriginCore& origin) noexcept {
   origin.is_claimed = false;
   origin.made_of.clear();
-  for (Bridge* bridge : runtime_.outbound) bridge->sending.tell_soon();
+  for (Bridge* bridge : runtime_.outbound) bridge->sending.send_soon();
   Names& all = runtime_.main().names;
   const std::lock_guard lock(all.mutex_);
   all.claims_.find(origin.name)->second.is_there = false;

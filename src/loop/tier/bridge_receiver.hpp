@@ -30,8 +30,8 @@ class BridgeReceiver {
   void add_statuses(std::vector<SensorStatus>& all) const;
 
  private:
-  void hear_topic(const Announcement& announcement);
-  void hear_origin(const Announcement& announcement);
+  void receive_topic(const Announcement& announcement);
+  void receive_origin(const Announcement& announcement);
   /// Takes the records seen, up to the first one of a passage that is not open. False: there is one.
   bool take_seen();
   /// Takes the first event and following ones of the same sensor.

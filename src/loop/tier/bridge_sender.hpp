@@ -35,7 +35,7 @@ class BridgeSender final : public Listener {
   /// This loop has claimed the name: announces that it publishes under it. std::bad_alloc.
   void open(OriginCore& origin);
   /// Sends the sensors' state at the end of this turn.
-  void tell_soon() noexcept { next_accounts_ = {}; }
+  void send_soon() noexcept { next_accounts_ = {}; }
 
   /// Makes sent data visible to the other side and wakes it.
   void wake() noexcept;

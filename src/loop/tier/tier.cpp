@@ -328,16 +328,16 @@ void TierCore::ask_account() {
   }
 }
 
-void TierCore::hear_out(Duration at_most) {
+void TierCore::wait_for_account(Duration at_most) {
   BridgeReceiver& receiving = bridge_to_main().receiving;
   if (!main.core().wait_for(answer_->is_there, at_most)) return;
   receiving.receive_up_to(answer_->sent.position);
-  if (is_heard_out()) return;
+  if (has_whole_account()) return;
   receiving.receive();
   ask_account();
 }
 
-bool TierCore::is_heard_out() noexcept {
+bool TierCore::has_whole_account() noexcept {
   return answer_->is_there.is_set() && answer_->sent.left == 0 &&
          bridge_to_main().receiving.received() == answer_->sent.position;
 }

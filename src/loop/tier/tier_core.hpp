@@ -56,9 +56,9 @@ class TierCore {
   void ask_account();
   /// Waits for the answer, and takes all data of the tier up to the instant of the answer. Asks again if the ring had
   /// no space for everything, or if later data was taken already.
-  void hear_out(Duration at_most);
+  void wait_for_account(Duration at_most);
   /// True if exactly the data up to the instant of its answer was taken.
-  bool is_heard_out() noexcept;
+  bool has_whole_account() noexcept;
   /// Adds a text about missing data if it does not answer: "tier fast did not come out of sensor a: what its sensors
   /// did after ... is not known". Joins the texts of several tiers.
   void add_unknown(std::string& to);

@@ -145,7 +145,7 @@ void SensorNode::stop_schedule(MonotonicTime end) {
 void SensorNode::stop() {
   if (!is_open()) return;
   Call call(*this);  // the device's close() may do so to this
-  origin_.be_away(Duration{0});
+  origin_.set_absence_period(Duration{0});
   cancel_opening();
   cancel_transaction();
   count_unread();

@@ -53,7 +53,7 @@ class StreamNode : public SourceNode {
   /// A sample that could be used.
   void succeed();
   /// No sample, and it is well.
-  void be_well();
+  void set_healthy();
   /// Takes a decoded sample. False: its processing found it unusable, which is reported.
   bool take_or_fail(void* payload, Time time);
   /// Takes a sample that could not be decoded.

@@ -43,7 +43,7 @@ class LimitNode final : public FeedNode {
         config_(config),
         watch_(config.settings()),
         silence_(loop, [this] { look_for_silence(); }),
-        held_(loop, [this] { tell_held(); }) {
+        held_(loop, [this] { report_held(); }) {
     set_numbered();  // it makes its events itself
   }
 
@@ -138,7 +138,7 @@ class LimitNode final : public FeedNode {
     worst_ = is_over ? severity(alarm) : std::max(worst_, severity(alarm));
     tell(time);
   }
-  void tell_held() {
+  void report_held() {
     if (!is_running() || waiting_ == 0) return;
     Call call(*this);
     worst_ = severity(watch_.state().alarm);

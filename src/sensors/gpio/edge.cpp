@@ -51,7 +51,7 @@ class EdgeNode final : public StreamNode {
     before_ = count_;
     accounted_ = {};
     opened();
-    be_well();  // though still
+    set_healthy();  // though still
   }
   void close_stream() noexcept override {
     settle_accounts();

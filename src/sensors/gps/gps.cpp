@@ -237,11 +237,11 @@ class GpsNode final : public StreamNode {
     if (!is_open() || !is_running()) return;
     if (!is_several_) {
       succeed();
-      tell_several();
+      report_several();
     }
   }
   /// Reports that two receivers are mixed in one series of data.
-  void tell_several() {
+  void report_several() {
     if (!config_.device.empty() || !is_open()) return;
     std::vector<std::string> names;
     for (const Receiver& one : receivers_) {
@@ -286,23 +286,23 @@ class GpsNode final : public StreamNode {
     constexpr Duration most_step = std::chrono::seconds{20};
     const Duration ahead = difference(at_.time_since_epoch(), time.time_since_epoch());
     const Duration step = difference(time_line_.value_or(ahead), ahead);
-    if (is_step_told_ || step > most_step || step < -most_step) {
-      if (!std::exchange(is_step_told_, true)) {
+    if (is_step_reported_ || step > most_step || step < -most_step) {
+      if (!std::exchange(is_step_reported_, true)) {
         report({Errc::bad_data, "the receiver's time of day is not used", server(), "it stepped by " + to_string(step),
                 "recordings keep its earlier time of day"});
       }
       return;
     }
     if (!time_line_) time_line_ = ahead;
-    if (!system.accuracy && !std::exchange(is_time_told_, true))
+    if (!system.accuracy && !std::exchange(is_time_reported_, true))
       runtime.log(LogLevel::warning, object_name(), "its time of day is used: " + both("nothing synchronises"));
     const auto noted = runtime.clock_log.note_wall_clock(
         {.monotonic = at_, .realtime = time, .source = "gps", .accuracy = accuracy});
-    if (!noted && !std::exchange(is_time_refusal_told_, true)) report(noted.error());
+    if (!noted && !std::exchange(is_time_refusal_reported_, true)) report(noted.error());
   }
   /// Once: it comes with each report.
   void refuse_time(std::string why, const char* advice) {
-    if (std::exchange(is_time_refusal_told_, true)) return;
+    if (std::exchange(is_time_refusal_reported_, true)) return;
     report({Errc::bad_data, "the receiver's time of day is not used", server(), std::move(why), advice});
   }
 
@@ -356,9 +356,9 @@ class GpsNode final : public StreamNode {
   std::vector<std::string> devices_;   // that gpsd has, as it said last
   bool is_several_ = false;            // there are several receivers, which has been told
   std::optional<Duration> time_line_;  // the time of day that was used first, less the monotonic time
-  bool is_step_told_ = false;
-  bool is_time_told_ = false;  // that it is used while nobody keeps the clock right
-  bool is_time_refusal_told_ = false;
+  bool is_step_reported_ = false;
+  bool is_time_reported_ = false;  // that it is used while nobody keeps the clock right
+  bool is_time_refusal_reported_ = false;
 };
 
 }  // namespace detail

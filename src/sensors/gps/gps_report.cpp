@@ -151,7 +151,7 @@ class ReportHandler {
   List list_ = List::other, next_list_ = List::other;
   bool has_list_ = false;  // of satellites
   std::size_t listed_ = 0, used_ = 0;
-  std::optional<std::uint16_t> all_told_, used_told_;
+  std::optional<std::uint16_t> all_reported_, used_reported_;
   std::optional<std::uint8_t> mode_;
   std::optional<double> altitude_;
   std::optional<Error> error_;
@@ -213,10 +213,10 @@ bool ReportHandler::take(double number) {
       put_natural(report_.fix.status, number);
       break;
     case Target::satellites_all:
-      put_natural(all_told_, number);
+      put_natural(all_reported_, number);
       break;
     case Target::satellites_used:
-      put_natural(used_told_, number);
+      put_natural(used_reported_, number);
       break;
     case Target::activated:
       report_.is_deactivated = number == 0;
@@ -283,8 +283,8 @@ Result<void> ReportHandler::end() {
     const auto counted = [&](std::size_t count) -> std::optional<std::uint16_t> {
       return has_list_ ? std::optional(static_cast<std::uint16_t>(std::min<std::size_t>(count, 0xffff))) : std::nullopt;
     };
-    report_.visible = all_told_ ? all_told_ : counted(listed_);
-    report_.used = used_told_ ? used_told_ : counted(used_);
+    report_.visible = all_reported_ ? all_reported_ : counted(listed_);
+    report_.used = used_reported_ ? used_reported_ : counted(used_);
   }
   return {};
 }

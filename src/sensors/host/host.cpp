@@ -210,13 +210,13 @@ class SysDevice final : public detail::LaneDevice {
 
  private:
   static std::optional<bool> alarm_in(const ReadFiles& read) {
-    bool is_told = !read.alarms.empty();
+    bool is_reported = !read.alarms.empty();
     for (const auto& alarm : read.alarms) {
       const std::optional<bool> flag = flag_in(*alarm);
       if (flag.value_or(false)) return true;
-      is_told = is_told && flag;
+      is_reported = is_reported && flag;
     }
-    return is_told ? std::optional(false) : std::nullopt;
+    return is_reported ? std::optional(false) : std::nullopt;
   }
 
   FindFiles::Find find_;

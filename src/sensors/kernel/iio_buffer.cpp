@@ -283,8 +283,8 @@ class IioBufferNode final : public StreamNode {
     } else {
       was_full_ = is_full_;
     }
-    if (missing_ > 0 || is_dropped) return tell_missing(is_dropped);
-    if (is_odd) return tell_odd_time();
+    if (missing_ > 0 || is_dropped) return report_missing(is_dropped);
+    if (is_odd) return report_odd_time();
     succeed();
   }
 
@@ -315,14 +315,14 @@ class IioBufferNode final : public StreamNode {
     origin_.end_absence(time);
     return was_full;
   }
-  void tell_missing(bool is_dropped) {
+  void report_missing(bool is_dropped) {
     const std::string many = missing_ > 0 ? "about " + std::to_string(missing_) + " by their times"
                                           : std::string("how many is not known");
     degrade({Errc::backlog, "scans are missing", config_.device,
              is_dropped ? "the buffer was full: " + many : many + ": trigger or driver left them out",
              is_dropped ? "make `length` longer, or find out what held the loop" : "lower its rate, or check its bus"});
   }
-  void tell_odd_time() {
+  void report_odd_time() {
     degrade({Errc::bad_data, "the times of scans are not used", config_.device,
              has_clock_ ? "by its clock, one is " + to_string(odd_) + " from when it came"
                         : "it has the clock " + capture_->clock(),

@@ -149,11 +149,11 @@ class PpsNode final : public StreamNode {
                                                 .realtime = time - from_second(time),
                                                 .source = name_of(config_.device),
                                                 .accuracy = config_.accuracy});
-        if (!noted && !std::exchange(is_told_, true)) report(noted.error());
+        if (!noted && !std::exchange(is_reported_, true)) report(noted.error());
         break;
       }
       case PpsTimeCheck::Verdict::not_a_second:
-        if (std::exchange(is_told_, true)) break;
+        if (std::exchange(is_reported_, true)) break;
         report({Errc::bad_data, "the pulses cannot give the time of day", file_.path(),
                 "by the machine's clock, they come " + to_string(from_second(time)) + " from the whole second",
                 "set `edge` to the other, or `accuracy` to 0 for pulses that do not begin seconds"});
@@ -181,7 +181,7 @@ class PpsNode final : public StreamNode {
   std::optional<MonotonicTime> last_;  // pulse, if its instant is known
   std::optional<Duration> expected_;   // from one to the next
   PpsTimeCheck check_;
-  bool is_told_ = false;  // why it is no source of the time
+  bool is_reported_ = false;  // why it is no source of the time
 };
 
 }  // namespace detail

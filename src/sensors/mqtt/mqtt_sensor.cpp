@@ -113,7 +113,7 @@ class MqttNode final : public StreamNode {
     refused_ = std::move(refused);
     opened();
     if (refused_.empty()) {
-      be_well();
+      set_healthy();
     } else {
       degrade(refusal(refused_));
     }

@@ -77,14 +77,14 @@ class SerialLineNode final : public StreamNode {
     if (is_open()) {
       let_go();
       finish_fix();
-      tell_unended();
+      report_unended();
     }
     StreamNode::stop();
   }
   void stop_schedule(MonotonicTime end) override {
     let_go();
     finish_fix();
-    tell_unended();
+    report_unended();
     StreamNode::stop_schedule(end);
   }
   std::optional<SensorLoad> load() const override {
@@ -107,7 +107,7 @@ class SerialLineNode final : public StreamNode {
     line_.clear();
     is_overlong_ = false;
     unended_ = 0;
-    is_unended_told_ = false;
+    is_unended_reported_ = false;
     opened();
     is_first_ = config_.first_line == FirstLine::discard;
     if (is_first_) quiet_.start(silence_before_a_line);
@@ -183,7 +183,7 @@ class SerialLineNode final : public StreamNode {
       unended_ += line_.size() - from;
     } else {
       unended_ = line_.size() - last_end - 1;
-      is_unended_told_ = false;
+      is_unended_reported_ = false;
     }
     // A callback may stop the sensor, and start it again.
     const auto is_same = [this, opening = openings_] { return fd_ >= 0 && openings_ == opening; };
@@ -206,12 +206,12 @@ class SerialLineNode final : public StreamNode {
     if (line_.size() > config_.max_line) {
       line_.clear();
       if (!is_first_ && !std::exchange(is_overlong_, true)) {
-        is_unended_told_ = lines_to_skip_ == 0;
+        is_unended_reported_ = lines_to_skip_ == 0;
         fail_overlong();
         if (!is_same()) return;
       }
     }
-    if (unended_ > std::max(config_.max_line, least_unended) && !std::exchange(is_unended_told_, true)) {
+    if (unended_ > std::max(config_.max_line, least_unended) && !std::exchange(is_unended_reported_, true)) {
       fail_unended();
     }
   }
@@ -220,9 +220,9 @@ class SerialLineNode final : public StreamNode {
                "check `baud_rate`, and that the device ends its lines"});
   }
   /// Reports at the end that bytes came but never a usable line.
-  void tell_unended() {
+  void report_unended() {
     if (!is_running() || unended_ == 0 || !is_beginning_ || origin_.counts.received != 0) return;
-    if (!std::exchange(is_unended_told_, true)) fail_unended();
+    if (!std::exchange(is_unended_reported_, true)) fail_unended();
   }
 
   Error silence_error() const override {
@@ -369,8 +369,8 @@ class SerialLineNode final : public StreamNode {
   std::string line_;  // the bytes of the lines that are not complete, never more than max_line + most_read
   Time time_{};       // of the last read
   unsigned openings_ = 0;
-  std::size_t unended_ = 0;       // bytes since the last end of a line
-  bool is_unended_told_ = false;  // that there are too many
+  std::size_t unended_ = 0;           // bytes since the last end of a line
+  bool is_unended_reported_ = false;  // that there are too many
   unsigned lines_to_skip_ = 0;
   std::uint64_t unusable_lines_ = 0;  // since the last good one
   bool is_first_ = true;              // nothing but the rest of a line may have come yet

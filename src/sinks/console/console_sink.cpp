@@ -29,7 +29,7 @@ class ConsoleWriter final : public Writer {
       : where_("descriptor " + std::to_string(config.descriptor)), time_(config.time) {
     if (const std::string why = obstacle(config.descriptor); !why.empty())
       throw SetupError({Errc::bad_argument, "cannot print", where_, why, descriptor_advice});
-    // A copy: a lane that is left behind must not write into what has this number by then.
+    // A copy: an abandoned lane must not write into what has this number by then.
     fd_ = ::fcntl(config.descriptor, F_DUPFD_CLOEXEC, 3);
     if (fd_ < 0) throw SetupError(system_error(errno, "cannot print", where_));
   }

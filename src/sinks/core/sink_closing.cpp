@@ -31,7 +31,7 @@ void SinkNode::begin_closing(MonotonicTime deadline) {
     if (!unknown.empty()) unknown_ += (unknown_.empty() ? "" : "; ") + unknown;
   });
   life_ = Life::closing;
-  tell_of_run();
+  report_run();
   account_.end();
   note([&] {
     if (!account_.notes.has_end() && !runtime.clock_log.is_repeated())
@@ -60,7 +60,7 @@ void SinkNode::finish_drain() {
   drained_.clear();
   deadline_.stop();
   const std::uint64_t lost = leave();
-  for (auto& tell_end : done) tell_end(lost);
+  for (auto& report_end : done) report_end(lost);
 }
 
 std::uint64_t SinkNode::leave() noexcept {
@@ -138,12 +138,12 @@ void SinkNode::on_close() noexcept {
   loop()->runtime.detach(*this);
   if (is_scheduled()) loop()->schedule().remove(*this);
   job_->sink = nullptr;
-  if (is_at_work()) lane_->leave_behind();
+  if (is_at_work()) lane_->abandon_thread();
   lane_ = nullptr;
   for (Timer* timer : {&work_timer_, &account_timer_, &deadline_, &follow_}) timer->close();
   auto done = std::move(drained_);
   drained_.clear();
-  for (auto& tell_end : done) tell_end(lost);
+  for (auto& report_end : done) report_end(lost);
 }
 
 void SinkNode::pause_before_storing(Duration duration) {

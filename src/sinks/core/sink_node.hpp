@@ -133,7 +133,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
     return queue_->is_recording() && is_attached() && !is_closing() && wants(topic);
   }
   /// This recording has begun, or ended: tells the other sinks.
-  void tell_of_run() noexcept;
+  void report_run() noexcept;
 
   /// Calls a function that needs memory for a report; without memory the account is marked as incomplete.
   template <class Function>
@@ -149,7 +149,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   /// What will not get better: the first reason stays.
   void fault_for_good(const std::string& reason) noexcept;
   void set_reason(const Error& error) noexcept;
-  void tell_health();
+  void report_health();
   void report(const Error& error, std::uint64_t count) noexcept;
 
   // ---- the account: sink_accounting.cpp
@@ -203,7 +203,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   void rows_came();
   void note_backlog() noexcept;
   /// Of a recording: tells those that go through it.
-  void tell_followers();
+  void notify_followers();
   void give_up();
   /// Of a recording that closes: nothing more is committed until the last account. Of one that others still go
   /// through, this is not yet due.
@@ -249,18 +249,18 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   bool is_between_parts_ = false;          // of an account
   std::optional<MonotonicTime> early_at_;  // when the account of new origins is due
   bool is_account_due_ = false;
-  bool is_last_told_ = false;     // the final account of the run was handed over
-  MonotonicTime account_at_{};    // when the latest account was begun
-  MonotonicTime next_early_{};    // an early account is made no sooner
-  std::uint64_t slots_told_ = 0;  // the number of slots in the latest account
-  bool had_no_news_ = false;      // there was nothing to say in it
-  std::uint64_t rows_told_ = 0;   // of those since the account before it, which are in it
-  std::string unknown_;           // what the latest account cannot know
-  bool had_no_memory_ = false;    // an entry of the next account could not be allocated
+  bool is_last_reported_ = false;     // the final account of the run was handed over
+  MonotonicTime account_at_{};        // when the latest account was begun
+  MonotonicTime next_early_{};        // an early account is made no sooner
+  std::uint64_t reported_slots_ = 0;  // the number of slots in the latest account
+  bool had_no_news_ = false;          // there was nothing to say in it
+  std::uint64_t reported_rows_ = 0;   // of those since the account before it, which are in it
+  std::string unknown_;               // what the latest account cannot know
+  bool had_no_memory_ = false;        // an entry of the next account could not be allocated
 
   // health
   Health health_ = Health::ok;
-  Health told_health_ = Health::ok;  // as last published
+  Health published_health_ = Health::ok;  // as last published
   std::string reason_;
   std::string fault_;                    // why it stays faulted: it wants a topic that it cannot take
   bool error_already_reported_ = false;  // the last error is the same as the one before it

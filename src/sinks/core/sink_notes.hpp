@@ -101,13 +101,13 @@ class SinkNotes {
   bool has_end() const noexcept { return !clock_.empty() && std::string_view(clock_.back().occasion) == "end"; }
 
   /// Adds an error for data that did not fit; throws without memory, so `move_into` must not do this.
-  void tell_lost(Time at) {
-    tell_lost(at, lost_segments_, "stretches of schedule");
-    tell_lost(at, lost_errors_, "errors");
-    tell_lost(at, lost_clock_pairs_, "pairs of clocks");
-    tell_lost(at, lost_health_changes_, "changes of health");
-    tell_lost(at, lost_configurations_, "changes of the configuration");
-    tell_lost(at, lost_made_of_, "topics of which others are made");
+  void report_lost(Time at) {
+    report_lost(at, lost_segments_, "stretches of schedule");
+    report_lost(at, lost_errors_, "errors");
+    report_lost(at, lost_clock_pairs_, "pairs of clocks");
+    report_lost(at, lost_health_changes_, "changes of health");
+    report_lost(at, lost_configurations_, "changes of the configuration");
+    report_lost(at, lost_made_of_, "topics of which others are made");
   }
   void move_into(Account& account) noexcept {
     move(gaps_, account.gaps);
@@ -122,7 +122,7 @@ class SinkNotes {
 
  private:
   static constexpr std::uint32_t no_gap = ~std::uint32_t{0};
-  void tell_lost(Time at, std::uint64_t& count, const char* what) {
+  void report_lost(Time at, std::uint64_t& count, const char* what) {
     if (count == 0) return;
     const Error error{Errc::io_failed, "not kept", what, "too many came while nothing could be stored",
                       "check the storage"};

@@ -67,7 +67,7 @@ void SinkNode::leave_followers(const char* why) noexcept {
     if (!follower->is_open() || follower->is_closing()) continue;
     follower->health_ = Health::faulted;
     follower->note([&] { follower->fault_for_good(why); });
-    follower->tell_health();
+    follower->report_health();
   }
 }
 
@@ -105,7 +105,7 @@ void SinkNode::give_up() {
   has_given_up_ = true;
 }
 
-void SinkNode::tell_followers() {
+void SinkNode::notify_followers() {
   const std::vector<SinkNode*> followers = followers_;
   for (SinkNode* follower : followers) {
     if (std::find(followers_.begin(), followers_.end(), follower) != followers_.end()) follower->rows_came();
@@ -128,7 +128,7 @@ void SinkNode::rows_settled(std::size_t parcel, std::size_t first, std::size_t l
   if (health_ == Health::ok || !fault_.empty() || transfer_->is_waiting()) return;
   health_ = Health::ok;
   reason_.clear();
-  tell_health();
+  report_health();
 }
 
 void SinkNode::all_settled() {
@@ -141,7 +141,7 @@ void SinkNode::all_settled() {
   is_due_ = is_due_ || is_fed();  // more may have been committed
   go_on_after(turn);
   report_result(turn, before);
-  tell_health();
+  report_health();
 }
 
 void SinkNode::sender_threw(const Error& error) {
@@ -155,7 +155,7 @@ void SinkNode::sending_failed(const Error& error) {
   health_ = Health::faulted;
   set_reason(error);
   report(error, 1);
-  tell_health();
+  report_health();
   // What waits in a recording is safe there: closing does not wait for a peer that does not answer.
   if (is_open() && life_ == Life::closing && is_fed()) give_up();
 }

@@ -224,7 +224,7 @@ class FileWriter final : public RecordingWriter {
                    "the file grows on, and it is tried again with each event"};
     }
     std::optional<Error> warning = escaped_.take_warning();
-    if (!is_closed_ || escaped_.total() <= 1 || std::exchange(has_told_total_, true)) return warning;
+    if (!is_closed_ || escaped_.total() <= 1 || std::exchange(has_reported_total_, true)) return warning;
     if (!warning) warning = Error{Errc::bad_data, "", config_.path, "their wrong bytes are written as \\xHH", ""};
     warning->what = std::to_string(escaped_.total()) + " texts were no UTF-8";
     return warning;
@@ -323,7 +323,7 @@ class FileWriter final : public RecordingWriter {
   std::map<std::uint32_t, Error> untaken_;  // topics whose files are there and another's
   EscapedTexts escaped_;
   bool is_closed_ = false;
-  bool has_told_total_ = false;
+  bool has_reported_total_ = false;
 };
 
 std::string codec_name(const FileConfig& config, const CodecRegistry& formats) {

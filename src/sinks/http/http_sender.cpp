@@ -578,7 +578,7 @@ void HttpSender::end() {
   }
   deadline_.close();
   lookup_ = nullptr;
-  if (gzip_lane_ != nullptr) gzip_lane_->leave_behind();
+  if (gzip_lane_ != nullptr) gzip_lane_->abandon_thread();
   gzip_lane_ = nullptr;
   requests_.clear();
   multi_ = nullptr;

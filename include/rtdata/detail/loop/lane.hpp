@@ -2,7 +2,7 @@
 ///
 /// Jobs run one after the other, in order. Each job has a time limit, which starts when it runs. A job beyond its limit
 /// is given up: its thread is abandoned, the waiting jobs continue on another thread, and `done` is called with
-/// `given_up`. With `most_left_behind` abandoned threads the lane takes no job until one of them has returned. Lanes
+/// `given_up`. With `most_abandoned` abandoned threads the lane takes no job until one of them has returned. Lanes
 /// run transactions, drivers and storage, never a user's callbacks.
 ///
 /// The lanes of a loop's devices share a pool of threads: at most four for all devices that answer quickly, and one for
@@ -64,7 +64,7 @@ class LaneJob {
   /// On the lane's thread. False: it was given up.
   bool end() noexcept;
   /// Takes it from the thread, unless it has finished. Returns what it was before.
-  State take_away() noexcept;
+  State withdraw() noexcept;
 
   std::atomic<int> state_{idle};
   std::atomic<std::int64_t> began_{0};  // ns of the monotonic clock; before, when it was submitted
@@ -79,7 +79,7 @@ class LaneJob {
 
 class Lane {
  public:
-  static constexpr std::size_t most_left_behind = 4;
+  static constexpr std::size_t most_abandoned = 4;
   /// `thread`: of a bus, or of the loop's pool; null: it has one of its own.
   Lane(LoopCore& loop, std::string name, Duration give_up_after, std::shared_ptr<LaneThread> thread = nullptr);
   /// Waits for the running job for at most its limit; jobs that wait are cancelled.
@@ -89,7 +89,7 @@ class Lane {
   bool submit(std::shared_ptr<LaneJob> job) { return submit(std::move(job), give_up_after_); }
   bool submit(std::shared_ptr<LaneJob> job, Duration give_up_after);
   /// The number of abandoned threads that have not returned.
-  std::size_t left_behind() const noexcept;
+  std::size_t abandoned_threads() const noexcept;
   /// True if the maximum number of threads is abandoned: no job runs until one of them returns.
   bool is_stuck() const noexcept;
   /// True if the system refuses to create a thread.
@@ -106,7 +106,7 @@ class Lane {
   /// manual loop, virtual time passes instead.
   void wait(Duration at_most);
   /// Abandons the thread with its running job and starts no new one.
-  void leave_behind() noexcept;
+  void abandon_thread() noexcept;
 
  private:
   friend class Lanes;
@@ -136,7 +136,7 @@ class Lane {
   Health health_ = Health::ok;
   const bool is_shared_;  // with other loops
   const bool is_pooled_;
-  bool is_left_behind_ = false;
+  bool is_thread_abandoned_ = false;
   std::shared_ptr<LaneThread> thread_;
   bool is_listed_ = false;          // the loop collects its finished jobs
   std::shared_ptr<LaneJob> first_;  // outstanding, in order of submission
