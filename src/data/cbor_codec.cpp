@@ -74,8 +74,8 @@ char* put_text(char* to, std::string_view text) {
 }
 
 /// The plan for payloads of one description: the fixed bytes before each leaf.
-struct Plan {
-  explicit Plan(const Description& description) : leaves_(description.leaves()) {
+struct CborPlan {
+  explicit CborPlan(const Description& description) : leaves_(description.leaves()) {
     steps.reserve(leaves_.size());
     add_record(description.fields());
     end_size = fixed.size() - used_;
@@ -84,15 +84,15 @@ struct Plan {
   }
 
   /// A leaf. For floats that are always present, the head is fixed too, and only the number's bytes remain.
-  struct Step {
+  struct LeafStep {
     enum class Sort : std::uint8_t { item, number_4, number_8 } sort = Sort::item;
     std::size_t prefix_size = 0;  ///< of the next bytes of `fixed`
     std::size_t offset = 0;       ///< of the number in the payload
   };
-  std::vector<Step> steps;   ///< of each leaf
-  std::string fixed;         ///< padded
-  std::size_t end_size = 0;  ///< of what follows in it, behind the leaves
-  std::size_t longest = 0;   ///< bytes that all this may take
+  std::vector<LeafStep> steps;  ///< of each leaf
+  std::string fixed;            ///< padded
+  std::size_t end_size = 0;     ///< of what follows in it, behind the leaves
+  std::size_t longest = 0;      ///< bytes that all this may take
 
  private:
   void add_head(Major major, std::uint64_t number) {
@@ -115,12 +115,12 @@ struct Plan {
     }
   }
   void add_leaf(const Leaf& leaf) {
-    Step step{Step::Sort::item, 0, leaf.offset};
+    LeafStep step{LeafStep::Sort::item, 0, leaf.offset};
     if (leaf.optional == nullptr && leaf.kind == Kind::f64) {
-      step.sort = Step::Sort::number_8;
+      step.sort = LeafStep::Sort::number_8;
       fixed += f64_item;
     } else if (leaf.optional == nullptr && leaf.kind == Kind::f32) {
-      step.sort = Step::Sort::number_4;
+      step.sort = LeafStep::Sort::number_4;
       fixed += f32_item;
     }
     step.prefix_size = fixed.size() - used_;
@@ -234,7 +234,7 @@ class CborCodec final : public Codec {
   std::string_view name() const noexcept override { return "cbor"; }
 
   Result<void> encode(const EventView& event, std::vector<std::byte>& out) override {
-    const Plan& plan = plans_.of(event.description());
+    const CborPlan& plan = plans_.of(event.description());
     const std::size_t longest = 128 + event.topic().size() + event.origin().size() + event.run().size() + plan.longest;
     if (item_.size() < longest) item_.resize(longest);
     head_.set(event, [&] { make_head(event); });
@@ -245,17 +245,17 @@ class CborCodec final : public Codec {
     const char* fixed = plan.fixed.data();
     const Leaf* leaf = event.description().leaves().data();
     const std::byte* const payload = event.payload().data();
-    for (const Plan::Step& step : plan.steps) {
+    for (const CborPlan::LeafStep& step : plan.steps) {
       to = detail::copy_padded(to, fixed, step.prefix_size);
       fixed += step.prefix_size;
       switch (step.sort) {
-        case Plan::Step::Sort::number_8:
+        case CborPlan::LeafStep::Sort::number_8:
           to = put_big_endian(to, load<std::uint64_t>(payload + step.offset));
           break;
-        case Plan::Step::Sort::number_4:
+        case CborPlan::LeafStep::Sort::number_4:
           to = put_big_endian(to, load<std::uint32_t>(payload + step.offset));
           break;
-        case Plan::Step::Sort::item: {
+        case CborPlan::LeafStep::Sort::item: {
           const std::byte* from = find_value(*leaf, payload);
           if (from == nullptr) {
             *to++ = null_item;
@@ -299,7 +299,7 @@ class CborCodec final : public Codec {
     head_.before_data.assign(begin, put_text(end, "data"));
   }
 
-  detail::PerDescription<Plan> plans_;
+  detail::PerDescription<CborPlan> plans_;
   std::vector<char> item_;
   detail::EventHead head_;
 };

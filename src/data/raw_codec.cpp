@@ -44,10 +44,10 @@ Error too_long(const std::string& where, std::size_t size) {
 }
 
 /// The plan for encoding a payload: its values in order.
-struct Plan {
+struct RawPlan {
   /// Numbers by size in bytes, which always fit, and other values.
   enum class Sort : std::uint8_t { field = 0, numbers_1 = 1, numbers_2 = 2, numbers_4 = 4, numbers_8 = 8 };
-  struct Step {
+  struct LeafStep {
     Sort sort = Sort::field;
     std::size_t offset = 0;        ///< bytes from the start of the payload
     std::size_t count = 1;         ///< of numbers: how many lie one after the other
@@ -55,9 +55,9 @@ struct Plan {
     std::string where;             ///< of this field, for errors
   };
 
-  explicit Plan(const Description& description) { add(description.fields(), 0, "field "); }
+  explicit RawPlan(const Description& description) { add(description.fields(), 0, "field "); }
 
-  std::vector<Step> steps;
+  std::vector<LeafStep> steps;
   std::size_t longest = 0;  ///< bytes that all this may take
   bool is_fixed = true;     ///< there are only numbers: it always takes as many bytes
 
@@ -112,7 +112,7 @@ std::byte* put_numbers(std::byte* to, const std::byte* from, std::size_t count) 
 }
 
 /// Writes a value of any sort. Returns null, with the reason, if it cannot be sent.
-std::byte* put_field(std::byte* to, const Plan::Step& step, const std::byte* at, Error& why) {
+std::byte* put_field(std::byte* to, const RawPlan::LeafStep& step, const std::byte* at, Error& why) {
   const Field& field = *step.field;
   std::byte* const begin = ++to;  // after the size, which is written last
   for (std::size_t i = 0; i < field.count; ++i, at += field.stride) {
@@ -169,29 +169,30 @@ class LastEvent {
       const std::uint64_t sequence = event.sequence();
       to = replace_numbers<sizeof sequence>(to, reinterpret_cast<const std::byte*>(&sequence), 1);
     }
-    for (const Plan::Step& step : plan_->steps) {
+    for (const RawPlan::LeafStep& step : plan_->steps) {
       const std::byte* const from = event.payload().data() + step.offset;
       switch (step.sort) {
-        case Plan::Sort::numbers_8:
+        case RawPlan::Sort::numbers_8:
           to = replace_numbers<8>(to, from, step.count);
           break;
-        case Plan::Sort::numbers_4:
+        case RawPlan::Sort::numbers_4:
           to = replace_numbers<4>(to, from, step.count);
           break;
-        case Plan::Sort::numbers_2:
+        case RawPlan::Sort::numbers_2:
           to = replace_numbers<2>(to, from, step.count);
           break;
-        case Plan::Sort::numbers_1:
+        case RawPlan::Sort::numbers_1:
           to = replace_numbers<1>(to, from, step.count);
           break;
-        case Plan::Sort::field:
+        case RawPlan::Sort::field:
           break;  // there is none
       }
     }
   }
 
   /// `plan`: of its description, fixed; lives until the next call or until `forget`.
-  void keep(const EventView& event, const Plan& plan, RawConfig::Sequence sequence, std::span<const std::byte> bytes) {
+  void keep(const EventView& event, const RawPlan& plan, RawConfig::Sequence sequence,
+            std::span<const std::byte> bytes) {
     plan_ = &plan;
     topic_ = event.topic();
     origin_ = event.origin();
@@ -205,7 +206,7 @@ class LastEvent {
   void forget() noexcept { serial_ = 0; }
 
  private:
-  const Plan* plan_ = nullptr;
+  const RawPlan* plan_ = nullptr;
   std::uint64_t serial_ = 0;  // serials start at 1
   std::string topic_;
   std::string origin_;
@@ -377,7 +378,7 @@ class RawCodec final : public Codec {
     if (event.topic().size() > longest_value) return too_long("topic", event.topic().size());
     if (event.origin().size() > longest_value) return too_long("origin", event.origin().size());
     last_.forget();  // its plan may be destroyed now
-    const Plan& plan = plans_.of(event.description());
+    const RawPlan& plan = plans_.of(event.description());
     const std::size_t begin = out.size();
     out.resize(begin + longest_header + event.topic().size() + event.origin().size() + plan.longest);
     std::byte* to = put_text(out.data() + begin + 4, event.topic());
@@ -387,22 +388,22 @@ class RawCodec final : public Codec {
     const std::uint64_t sequence = event.sequence();
     if (config_.sequence == RawConfig::Sequence::include) to = put_number<sizeof sequence>(to, &sequence);
     const std::byte* const payload = event.payload().data();
-    for (const Plan::Step& step : plan.steps) {
+    for (const RawPlan::LeafStep& step : plan.steps) {
       const std::byte* from = payload + step.offset;
       switch (step.sort) {
-        case Plan::Sort::numbers_8:
+        case RawPlan::Sort::numbers_8:
           to = put_numbers<8>(to, from, step.count);
           break;
-        case Plan::Sort::numbers_4:
+        case RawPlan::Sort::numbers_4:
           to = put_numbers<4>(to, from, step.count);
           break;
-        case Plan::Sort::numbers_2:
+        case RawPlan::Sort::numbers_2:
           to = put_numbers<2>(to, from, step.count);
           break;
-        case Plan::Sort::numbers_1:
+        case RawPlan::Sort::numbers_1:
           to = put_numbers<1>(to, from, step.count);
           break;
-        case Plan::Sort::field: {
+        case RawPlan::Sort::field: {
           Error why;
           to = put_field(to, step, from, why);
           if (to != nullptr) break;
@@ -426,7 +427,7 @@ class RawCodec final : public Codec {
   static constexpr std::size_t longest_header = 4 + 1 + 9 + 1 + 9;
 
   RawConfig config_;
-  detail::PerDescription<Plan> plans_;
+  detail::PerDescription<RawPlan> plans_;
   Source previous_;  // of the last event that was not like `last_`
   LastEvent last_;
 };

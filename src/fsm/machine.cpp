@@ -16,10 +16,10 @@ namespace rtdata::fsm {
 namespace {
 
 using detail::any_event;
-using detail::Entry;
 using detail::MachineTable;
 using detail::no_event;
-using detail::Way;
+using detail::StateEntry;
+using detail::TransitionEntry;
 using rtdata::detail::LoopCore;
 using rtdata::detail::Node;
 
@@ -71,7 +71,7 @@ class MachineNode final : public Node {
   }
   void remove_state(std::string_view name) {
     check_use("cannot remove a state");
-    Entry& state = table_.entry(name, "cannot remove state");
+    StateEntry& state = table_.entry(name, "cannot remove state");
     if (&state == current_ || &state == going_to_)
       table_.refuse(Errc::busy, "cannot remove state", state.name, "the machine is in it", "leave it first");
     if (state.name == config_.failure && current_ != nullptr) {
@@ -83,7 +83,7 @@ class MachineNode final : public Node {
   }
   void add_transition(Transition transition) {
     check_use("cannot add a transition");
-    const Entry& from = table_.add_transition(std::move(transition));
+    const StateEntry& from = table_.add_transition(std::move(transition));
     if (&from == current_ && going_to_ == nullptr) arm();
   }
   std::size_t remove_transitions(std::string_view from, std::string_view to) {
@@ -97,7 +97,7 @@ class MachineNode final : public Node {
   void start(std::string_view name, std::string_view cause, Duration in_state) {
     check_use("cannot start");
     if (current_ != nullptr || going_to_ != nullptr) return;
-    Entry& state = table_.entry(name.empty() ? std::string_view(config_.start) : name, "cannot start in");
+    StateEntry& state = table_.entry(name.empty() ? std::string_view(config_.start) : name, "cannot start in");
     if (!config_.failure.empty()) (void)table_.entry(config_.failure, "cannot have as the state after failures");
     const rtdata::detail::Call call(*this);
     const LoopCore::Calling calling(loop()->runtime);
@@ -219,25 +219,25 @@ class MachineNode final : public Node {
       if (is_named) ++counts_.ignored;
       return;
     }
-    Entry& from = *current_;
+    StateEntry& from = *current_;
     const Moment moment{time, from.name, std::max(now - arrived_, Duration{0}),
                         is_named ? std::string_view(table_.events()[event]) : std::string_view()};
-    if (Way* const way = way_out(from, event, moment)) {
+    if (TransitionEntry* const way = way_out(from, event, moment)) {
       ++counts_.transitions;
       go(way->to, way->cause, time);
     }
   }
-  static bool waits_for(const Entry& state, std::uint16_t event) {
+  static bool waits_for(const StateEntry& state, std::uint16_t event) {
     return std::any_of(state.ways.begin(), state.ways.end(),
                        [&](const auto& way) { return way->on == event && !way->is_removed; });
   }
   /// The first transition that may be taken; null: none.
-  Way* way_out(Entry& from, std::uint16_t event, const Moment& moment) {
+  TransitionEntry* way_out(StateEntry& from, std::uint16_t event, const Moment& moment) {
     const bool is_time = event == no_event;
     if (is_time) event = any_event;
     // By index, because conditions may add transitions.
     for (std::size_t i = 0, count = from.ways.size(); i < count && is_open(); ++i) {
-      Way& way = *from.ways[i];
+      TransitionEntry& way = *from.ways[i];
       if (way.on != event || way.is_removed || moment.in_state < way.after) continue;
       if (way.when && !ask(way, from, moment)) {
         way.since.reset();
@@ -249,7 +249,7 @@ class MachineNode final : public Node {
     }
     return nullptr;
   }
-  bool ask(Way& way, const Entry& from, const Moment& moment) {
+  bool ask(TransitionEntry& way, const StateEntry& from, const Moment& moment) {
     try {
       return way.when(moment);
     } catch (const std::exception& e) {
@@ -259,24 +259,24 @@ class MachineNode final : public Node {
     }
     return false;
   }
-  void condition_threw(const Way& way, const Entry& from, const char* why) noexcept {
+  void condition_threw(const TransitionEntry& way, const StateEntry& from, const char* why) noexcept {
     threw([&] { return "the condition of " + from.name + " to " + way.to.name; }, why);
   }
-  static bool has_held(Way& way, Time now) {
+  static bool has_held(TransitionEntry& way, Time now) {
     if (way.hold == Duration{0}) return true;
     if (!way.since) way.since = now;
     return now - *way.since >= way.hold;
   }
-  bool may_go_to(Entry& state, const Moment& moment) {
+  bool may_go_to(StateEntry& state, const Moment& moment) {
     bool may = is_open();
     if (may && state.has_check) may = call("check", state, [&] { may = state.code->check(moment); }) && may;
     return may;
   }
 
   /// Goes to a state, and on to the failure state when an action threw.
-  void go(Entry& target, std::string_view cause, Time time, Duration before = Duration{0}) {
-    Entry* to = &target;
-    Entry* const failure = config_.failure.empty() ? nullptr : table_.find(config_.failure);
+  void go(StateEntry& target, std::string_view cause, Time time, Duration before = Duration{0}) {
+    StateEntry* to = &target;
+    StateEntry* const failure = config_.failure.empty() ? nullptr : table_.find(config_.failure);
     const char* why = nullptr;
     going_to_ = to;
     if (current_ != nullptr) {
@@ -300,7 +300,7 @@ class MachineNode final : public Node {
     arm();
   }
   /// `before`: how long it was there already, before this machine was made.
-  bool arrive_in(Entry& to, std::string_view cause, Time time, Duration before = Duration{0}) {
+  bool arrive_in(StateEntry& to, std::string_view cause, Time time, Duration before = Duration{0}) {
     StateChange change;
     if (current_ != nullptr) {
       change.from = current_->name;
@@ -328,7 +328,7 @@ class MachineNode final : public Node {
 
   // Users' functions
   template <class Function>
-  bool call(const char* what, const Entry& state, Function&& function) {
+  bool call(const char* what, const StateEntry& state, Function&& function) {
     return run([&] { return std::string(what) + " of state " + state.name; }, std::forward<Function>(function));
   }
   /// False: it threw.
@@ -374,8 +374,8 @@ class MachineNode final : public Node {
   Timer time_;   // for the next `after`
   Timer go_on_;  // continues with waiting events after a turn of the loop
   MachineTable table_;
-  Entry* current_ = nullptr;
-  Entry* going_to_ = nullptr;  // during a change
+  StateEntry* current_ = nullptr;
+  StateEntry* going_to_ = nullptr;  // during a change
   MonotonicTime arrived_{};
   std::optional<Time> last_time_;  // of an input's event
   MonotonicTime last_came_{};      // when that came

@@ -18,13 +18,13 @@ inline constexpr std::uint16_t any_event = 0xffff;
 /// As any_event, but without an event: time has passed, or the program asked. Hold times only count events.
 inline constexpr std::uint16_t no_event = 0xfffe;
 
-struct Entry;
+struct StateEntry;
 
 // The members needed for each event come first.
-struct Way {
+struct TransitionEntry {
   std::uint16_t on;         // any_event: it waits for none
   bool is_removed = false;  // destroyed when no action runs
-  Entry& to;
+  StateEntry& to;
   Condition when;
   Duration after;
   Duration hold;
@@ -33,12 +33,12 @@ struct Way {
 };
 
 /// A state with the transitions out of it.
-struct Entry {
+struct StateEntry {
   std::string name;
   std::unique_ptr<State> code;
   bool is_final;
   bool has_check;  // it has its own check
-  std::vector<std::unique_ptr<Way>> ways{};
+  std::vector<std::unique_ptr<TransitionEntry>> ways{};
 };
 
 /// Thread: the machine's loop's. Removed entries stay until `tidy`, because they may be on the stack.
@@ -48,9 +48,9 @@ class MachineTable {
 
   void add_state(std::string name, std::unique_ptr<State> code, bool is_final, bool has_check);
   /// Removes a state with all transitions to it.
-  void remove_state(Entry& state);
+  void remove_state(StateEntry& state);
   /// Returns the state of its start.
-  Entry& add_transition(Transition transition);
+  StateEntry& add_transition(Transition transition);
   /// The number of those that were removed.
   std::size_t remove_transitions(std::string_view from, std::string_view to);
   bool has_removed() const noexcept { return has_removed_; }
@@ -59,9 +59,9 @@ class MachineTable {
   void clear() noexcept;
 
   /// None: null.
-  Entry* find(std::string_view name) const noexcept;
+  StateEntry* find(std::string_view name) const noexcept;
   /// Throws SetupError if it does not exist; `what` names the failed action.
-  Entry& entry(std::string_view name, const char* what) const;
+  StateEntry& entry(std::string_view name, const char* what) const;
   /// any_event: no transition waits for an event of that name.
   std::uint16_t event_number(std::string_view name) const noexcept {
     const auto found = std::find(events_.begin(), events_.end(), name);
@@ -78,8 +78,8 @@ class MachineTable {
   void check_name(const std::string& name, const char* what) const;
 
   const std::string object_;  // in errors
-  std::vector<std::unique_ptr<Entry>> states_;
-  std::vector<std::unique_ptr<Entry>> removed_;
+  std::vector<std::unique_ptr<StateEntry>> states_;
+  std::vector<std::unique_ptr<StateEntry>> removed_;
   bool has_removed_ = false;  // of these, or of ways
   std::vector<std::string> events_;
 };

@@ -30,7 +30,7 @@ class Processor {
   Error error(const std::string& sensor) const;
 
  private:
-  enum class Step : std::uint8_t {
+  enum class OpKind : std::uint8_t {
     scale,
     polynomial,
     table,
@@ -46,7 +46,7 @@ class Processor {
   enum class Reference : std::uint8_t { none, absent, value };
   /// One step of the values of a group, and what it remembers; numbers of each value lie side by side.
   struct Op {
-    Step step = Step::scale;
+    OpKind step = OpKind::scale;
     OutsideTable outside = OutsideTable::refuse;
     Reference reference = Reference::none;
     bool is_absent = false;    // in this sample
@@ -94,7 +94,7 @@ class Processor {
   void plan_copies();
   void add_copy(const Leaf& from, const Leaf& to);
   void add_group(const std::vector<Item>& items);
-  Op& add_op(Step step, std::size_t numbers);
+  Op& add_op(OpKind step, std::size_t numbers);
   /// False: a value is unusable. `is_wanted` becomes true if a field with `throttle` or `delta` lets the sample pass.
   bool run(Group& group, const std::byte* payload, Time time, bool& is_wanted) noexcept;
   void pass_absent(Group& group, bool& is_wanted) noexcept;

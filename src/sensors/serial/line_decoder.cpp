@@ -476,7 +476,7 @@ std::optional<std::uint64_t> LineDecoder::steps_between(std::uint64_t from, std:
   return forward;
 }
 
-LineDecoder::Step LineDecoder::step() noexcept {
+LineDecoder::NumberComparison LineDecoder::step() noexcept {
   if (sequence_ == nullptr) return {};
   before_ = std::exchange(last_, number());
   if (!before_) return {};

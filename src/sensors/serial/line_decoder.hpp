@@ -34,14 +34,14 @@ class LineDecoder {
   std::byte* payload() noexcept { return reinterpret_cast<std::byte*>(payload_.data()); }
 
   /// The comparison of the line's number with the last one.
-  struct Step {
+  struct NumberComparison {
     bool is_repeated = false;
     bool goes_back = false;  // as after a restart of the device
     std::uint64_t lost = 0;
   };
   bool has_sequence() const noexcept { return sequence_ != nullptr; }
   /// To be called for each good line.
-  Step step() noexcept;
+  NumberComparison step() noexcept;
   /// Call before `step`: true if this number follows the one before the last, so the last number was wrong.
   bool takes_back() const noexcept;
   /// The last line's number does not count.

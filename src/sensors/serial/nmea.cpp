@@ -317,7 +317,7 @@ Result<void> NmeaFixes::take(std::string_view line, Time time, const Publish& pu
   const bool is_standard = name.size() == 5 && name[0] != 'P';  // "P": a maker's own
   const std::string_view kind = is_standard ? name.substr(2) : std::string_view();
   if (kind == "GSV") return take_gsv(columns);
-  Step step;
+  SentencePosition step;
   if (kind == "GGA") {
     step.sentence = Sentence::gga;
   } else if (kind == "RMC") {

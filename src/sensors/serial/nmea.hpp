@@ -43,10 +43,10 @@ class NmeaFixes {
  private:
   enum class Sentence : std::uint8_t { gga, rmc, vtg, gsa, count };
   /// The position of a sentence in its fix: its type, and its number among those of that type, from 1.
-  struct Step {
+  struct SentencePosition {
     Sentence sentence = Sentence::gga;
     unsigned number = 0;
-    bool operator==(const Step&) const = default;
+    bool operator==(const SentencePosition&) const = default;
   };
   struct Columns;
   struct Draft;
@@ -82,11 +82,11 @@ class NmeaFixes {
   Draft draft_;
   std::array<unsigned, static_cast<std::size_t>(Sentence::count)> seen_{};                // in this fix, of each kind
   std::array<std::array<char, 2>, static_cast<std::size_t>(Sentence::count)> talkers_{};  // of the first of each
-  std::optional<Step> ends_with_;    // the last sentence of the fix before
-  unsigned without_end_ = 0;         // fixes in a row that had no such sentence
-  std::optional<GpsFix> published_;  // the current fix, as it was published
-  Step last_{};                      // sentence of this fix
-  Time time_{};                      // at which that was read
+  std::optional<SentencePosition> ends_with_;  // the last sentence of the fix before
+  unsigned without_end_ = 0;                   // fixes in a row that had no such sentence
+  std::optional<GpsFix> published_;            // the current fix, as it was published
+  SentencePosition last_{};                    // sentence of this fix
+  Time time_{};                                // at which that was read
   bool is_begun_ = false;
   bool is_without_time_ = false;  // this fix: it was begun by a sentence that carries none
   std::array<Visible, 8> visible_{};

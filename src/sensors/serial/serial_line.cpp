@@ -246,7 +246,7 @@ class SerialLineNode final : public StreamNode {
       decoder_->takes_back() ? refuse_held() : let_go();
       if (fd_ < 0 || openings_ != opening) return;
     }
-    const LineDecoder::Step step = decoder_->step();
+    const LineDecoder::NumberComparison step = decoder_->step();
     // Of the numbers that are left out, those of lines which came and could not be used are not lost.
     const std::uint64_t unusable = std::exchange(unusable_lines_, 0);
     const std::uint64_t lost = step.lost - std::min(step.lost, unusable);

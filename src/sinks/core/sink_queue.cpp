@@ -60,7 +60,7 @@ std::uint32_t SinkQueue::add_slot(SlotInfo info) {
   if (index == most_slots)
     throw SetupError({Errc::bad_argument, "too many origins", config_.name,
                       "a sink takes at most " + std::to_string(most_slots), ""});
-  const Place at = place_of(index);
+  const SlotLocation at = location_of(index);
   if (at.offset == 0) {
     auto slots = std::make_unique<Slot[]>(first_block << at.block);
     stored_blocks_[at.block].store(new SlotStored[first_block << at.block], std::memory_order_release);

@@ -160,11 +160,11 @@ class SinkQueue {
   /// Its number.
   std::uint32_t add_slot(SlotInfo info);
   Slot& slot(std::uint32_t index) const noexcept {
-    const Place at = place_of(index);
+    const SlotLocation at = location_of(index);
     return blocks_[at.block].load(std::memory_order_acquire)[at.offset];
   }
   SlotStored& stored(std::uint32_t index) const noexcept {
-    const Place at = place_of(index);
+    const SlotLocation at = location_of(index);
     return stored_blocks_[at.block].load(std::memory_order_acquire)[at.offset];
   }
   std::uint32_t slot_count() const noexcept { return slot_count_.load(std::memory_order_acquire); }
@@ -243,11 +243,11 @@ class SinkQueue {
   static constexpr std::size_t first_block = 8;
   static constexpr std::size_t most_blocks = 17;
   static constexpr std::size_t most_slots = first_block * ((std::size_t{1} << most_blocks) - 1);
-  struct Place {
+  struct SlotLocation {
     std::size_t block;
     std::size_t offset;
   };
-  static Place place_of(std::uint32_t index) noexcept {
+  static SlotLocation location_of(std::uint32_t index) noexcept {
     const std::size_t block = std::bit_width(index / first_block + 1) - 1;
     return {block, index - first_block * ((std::size_t{1} << block) - 1)};
   }

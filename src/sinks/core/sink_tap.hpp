@@ -54,7 +54,7 @@ class SinkTap final : public Tap {
 
  private:
   /// What is touched for each event of an origin.
-  struct Place {
+  struct OriginSlot {
     LiveCounts* live = nullptr;  // null: it has no slot yet
     SlotStored* stored = nullptr;
     std::uint64_t first_sequence = 0;
@@ -84,7 +84,7 @@ class SinkTap final : public Tap {
   const Takes takes_;
   const std::size_t payload_bytes_;
   const std::size_t record_bytes_;
-  std::vector<Place> places_;             // by the origin's index within the topic, as the next
+  std::vector<OriginSlot> places_;        // by the origin's index within the topic, as the next
   std::vector<OriginAccount> accounted_;  // as last handed over
   std::vector<Before> before_;            // of those that were there
   std::vector<Closed> closed_;
