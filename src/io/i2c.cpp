@@ -20,7 +20,7 @@ std::string mistake_in(I2cAddress address) {
   const unsigned number = address.number;
   if (number >= I2cAddress::first && number <= I2cAddress::last) return "";
   if (number > 0x7f && number <= 0xff && number / 2 >= I2cAddress::first && number / 2 <= I2cAddress::last)
-    return to_string(address) + " is an address of 8 bits, with that for reading or writing; without it, it is " +
+    return to_string(address) + " is an address of 8 bits, with the read/write bit; the address of 7 bits is " +
            to_string(I2cAddress(number / 2));
   if (number == 0) return "the address of the chip is missing: such as 0x76";
   return to_string(address) + " is not an address of 7 bits for a chip: 0x08 to 0x77";

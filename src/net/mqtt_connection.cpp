@@ -403,7 +403,7 @@ int MqttConnection::call_library(std::size_t& left) {
     status = client_->inlet->read(*client_, fd_, left, is_empty);
     is_readable_ = status == MOSQ_ERR_SUCCESS && !is_empty;  // else the watch tells
   }
-  // Of a connection that is reset during the handshake of TLS, the library tells nothing.
+  // The library does not report a connection that is reset during the TLS handshake.
   const bool is_shaking_hands = broker_.tls && !is_connected_ && !client_->answer;
   if (status == MOSQ_ERR_SUCCESS && is_shaking_hands && has_ended(fd_)) status = MOSQ_ERR_CONN_LOST;
   if (status == MOSQ_ERR_SUCCESS) status = mosquitto_loop_misc(client_->handle);

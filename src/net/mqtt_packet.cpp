@@ -262,7 +262,7 @@ MqttPacket look_at_mqtt(std::string_view bytes, const MqttExpectation& expected)
   MqttBytes rest(bytes.substr(0, length));
   const std::size_t there = rest.size();
   if (const char* const why = mistake_of_packet(rest, static_cast<MqttType>(packet.type), first & 0x0f, expected)) {
-    // Of a message that goes on, what is missing may be what has not come.
+    // The missing bytes of an incomplete message may come later.
     const bool may_be_cut = !is_whole && !rest.is_good();
     return may_be_cut && there <= most_mqtt_head ? packet : bad_mqtt(packet, why);
   }

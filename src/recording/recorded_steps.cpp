@@ -64,7 +64,7 @@ bool add_fields(DescriptionBuilder& builder, const std::vector<Field>& fields, c
     if (!has_point(part)) part.name = names.free(std::move(part.name));
   for (Part& part : parts) {
     if (!has_point(part)) continue;
-    // "pressure.raw" beside "pressure": a point is in no name of a record.
+    // "pressure.raw" beside "pressure": no field of a record has a point in its name.
     std::replace(part.name.begin(), part.name.end(), '.', '_');
     part.name = names.free(std::move(part.name));
   }

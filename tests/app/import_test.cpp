@@ -360,7 +360,7 @@ TEST_SUITE("app") {
   }
 
   TEST_CASE(
-      "FW-5 import: a text that is not UTF-8, and more columns than a recording has, are refused before there is a "
+      "FW-5 import: a text that is no UTF-8, and more columns than a recording has, are refused before there is a "
       "file") {
     const Folder folder;
     std::ofstream(folder.path() + "/latin.csv", std::ios::binary) << "t,v\n1,good\n2,K\xf6ln\n";

@@ -557,7 +557,7 @@ TEST_SUITE("sensors") {
     CHECK(problems(first + R"(, {"name": "b", "type": "lm75", "rate": "1 Hz", "bus": "i2c1"})")
               .find("has address 0x48 of the bus \"i2c1\" already; give each chip its own") != std::string::npos);
     CHECK(problems(R"({"name": "b", "type": "lm75", "rate": "1 Hz", "bus": "i2c1", "address": "0x90"})")
-              .find("0x90 is an address of 8 bits, with that for reading or writing; without it, it is 0x48") !=
+              .find("0x90 is an address of 8 bits, with the read/write bit; the address of 7 bits is 0x48") !=
           std::string::npos);
     CHECK(problems(R"({"name": "b", "type": "lm75", "rate": "1 Hz", "address": "high"})").find("is not an address") !=
           std::string::npos);

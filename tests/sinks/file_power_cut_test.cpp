@@ -87,7 +87,7 @@ std::vector<int> numbers_in(const std::string& path, const char* format) {
 
 TEST_SUITE("sinks") {
   TEST_CASE(
-      "a file is whole after a kill and a power failure at any byte: what was synced is there, half an event is not") {
+      "a file is whole after a kill and a power cut at any byte: what was synced is there, half an event is not") {
     constexpr int sure = 8, all = 14;
     for (const char* format : {"json", "csv", "raw"}) {
       CAPTURE(std::string(format));

@@ -319,7 +319,7 @@ Found cut_at_random(const Promise& promise) {
 
 TEST_SUITE("sinks") {
   TEST_CASE(
-      "NFR-1 power failure at random moments, profile normal: the file is whole, 31 s at most are lost, and that is "
+      "NFR-1 power cut at random moments, profile normal: the file is whole, 31 s at most are lost, and that is "
       "said") {
     const Found found = cut_at_random({SqliteProfile::normal, false, 31s});
     CHECK(found.lost > 0);
@@ -333,7 +333,7 @@ TEST_SUITE("sinks") {
     CHECK(found.lost > 0);
   }
   TEST_CASE(
-      "NFR-1 power failure at random moments, profile fast: the file may be lost, and that is an error and no crash") {
+      "NFR-1 power cut at random moments, profile fast: the file may be lost, and that is an error and no crash") {
     const Found found = cut_at_random({SqliteProfile::fast, false, 31s});
     CHECK(found.cuts > 0);
   }

@@ -55,7 +55,7 @@ struct EncoderConfig {
   std::string unit = {};                       ///< UCUM; empty: counts
   std::string per = "s";                       ///< of the speed: "s", "min", "h"
   unsigned bits = 0;                           ///< of a counter without a ceiling; 0: as the driver says
-  std::string root = {};                       ///< prefix of /sys: where a container sees its host's
+  std::string root = {};                       ///< prefix of /sys, such as the host's root folder in a container
   Duration timeout = std::chrono::seconds{1};  ///< a read that takes longer is given up
 
   friend constexpr auto parameters(type_tag<EncoderConfig>) {
@@ -74,7 +74,7 @@ struct EncoderConfig {
         parameter("unit", &C::unit, "of `position` (UCUM), such as {rev}, mm, rad, L; empty: counts", TextIs::unit),
         parameter("per", &C::per, "the time in the unit of `speed`", choices("s", "min", "h")),
         parameter("bits", &C::bits, "it wraps around after this number of bits; 0: as its driver says", range(0, 63)),
-        parameter("root", &C::root, "prefix of /sys: where a container sees its host's", TextIs::device),
+        parameter("root", &C::root, "prefix of /sys, such as the host's root folder in a container", TextIs::device),
         parameter("timeout", &C::timeout, "a read that takes longer is given up", range(Duration{1ms}, Duration{1h})));
   }
 };

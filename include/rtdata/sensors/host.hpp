@@ -175,7 +175,7 @@ struct HostFrequency {
 struct HostConfig {
   HostQuantity quantity = HostQuantity::cpu;
   std::string device = {};                     ///< which one, see HostQuantity
-  std::string root = {};                       ///< prefix of /proc and /sys: where a container sees its host's
+  std::string root = {};                       ///< prefix of /proc and /sys, such as the host's root folder in a container
   Duration timeout = std::chrono::seconds{1};  ///< a read of /sys that takes longer is given up
 
   friend constexpr auto parameters(type_tag<HostConfig>) {
@@ -185,7 +185,7 @@ struct HostConfig {
         parameter("device", &HostConfig::device, "which CPU, disk, network interface, thermometer, or input of hwmon",
                   only_with("quantity", "cpu", "disk", "network", "temperature", "frequency", "voltage", "current",
                             "power", "fan", "humidity", "energy")),
-        parameter("root", &HostConfig::root, "prefix of /proc and /sys: where a container sees its host's",
+        parameter("root", &HostConfig::root, "prefix of /proc and /sys, such as the host's root folder in a container",
                   TextIs::device),
         parameter("timeout", &HostConfig::timeout, "a read of /sys that takes longer is given up",
                   range(Duration{1ms}, Duration{1h}),

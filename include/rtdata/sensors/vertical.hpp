@@ -70,7 +70,7 @@ struct VerticalMotion {
   double height_deviation = 0;
   double speed_deviation = 0;
   std::optional<double> above{};  ///< m, over where it stood; none: it has not stood still
-  double unchanged = 0;           ///< s for which the barometer has brought nothing new
+  double unchanged = 0;           ///< s for which the barometer has had no new value
   BarometerUse barometer = BarometerUse::none;
   bool accelerometer = false;  ///< it measures
   bool flying = false;         ///< from the liftoff on, until it stands still

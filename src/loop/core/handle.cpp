@@ -7,7 +7,7 @@
 namespace rtdata::detail {
 
 void refuse_empty(const char* what, std::string_view name) {
-  throw SetupError({Errc::bad_argument, what, std::string(name), "there is nothing to be called: its function is empty",
+  throw SetupError({Errc::bad_argument, what, std::string(name), "its function is empty",
                     "give it a function"});
 }
 

@@ -18,7 +18,7 @@ struct PpsStamp {
 /// "1700000000.123456789#42". Errors: bad-data.
 Result<PpsStamp> parse_pps(std::string_view text);
 
-/// Of a time, how far it is from the nearest whole second.
+/// How far a time is from the nearest whole second.
 Duration from_second(Time time) noexcept;
 
 /// One source's. Tells which second a pulse begins.

@@ -247,7 +247,7 @@ class SerialLineNode final : public StreamNode {
       if (fd_ < 0 || openings_ != opening) return;
     }
     const LineDecoder::NumberComparison step = decoder_->step();
-    // Of the numbers that are left out, those of lines which came and could not be used are not lost.
+    // Left-out numbers of lines that came but could not be used are not lost.
     const std::uint64_t unusable = std::exchange(unusable_lines_, 0);
     const std::uint64_t lost = step.lost - std::min(step.lost, unusable);
     if (lost != 0 || step.goes_back) return hold(lost, unusable);

@@ -81,7 +81,7 @@ class Transfer : public std::enable_shared_from_this<Transfer> {
   void give_up(const Error& why);
   void timer_fired();
   void set_timer();
-  /// Of those that are under way, the first.
+  /// The first parcel under way.
   std::optional<MonotonicTime> next_deadline() noexcept;
   bool begin_sender();
   /// An answer was destroyed that nobody gave.

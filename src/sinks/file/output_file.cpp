@@ -146,7 +146,7 @@ Error OutputFile::failed(int errno_value, const char* what) const { return syste
 
 Result<void> OutputFile::open(const std::string& path, mode_t permissions) {
   if (fd_ >= 0) return {};
-  // Of a symbolic link, the file gets another name, not the link.
+  // If the path is a symbolic link, its target gets the other name, not the link.
   std::error_code no_link;
   path_ = std::filesystem::is_symlink(path, no_link) ? std::filesystem::canonical(path, no_link).string() : path;
   if (no_link) path_ = path;
