@@ -649,8 +649,8 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     if (due > now()) return stale_.start_at(due);
     const bool is_silent = now() - silence.since >= config_.max_age;
     go_stale(Errc::timed_out,
-             "the topic \"" + *silence.topic + "\" has had " + (is_silent ? "no event" : "only events without a value") +
-                 " for " + to_string(config_.max_age),
+             "the topic \"" + *silence.topic + "\" has had " +
+                 (is_silent ? "no event" : "only events without a value") + " for " + to_string(config_.max_age),
              "it follows it again with its next event; a longer `max_age` bridges longer pauses");
   }
   /// A loop's last event is valid as long as that loop turns, because it would publish a change.

@@ -175,7 +175,7 @@ struct HostFrequency {
 struct HostConfig {
   HostQuantity quantity = HostQuantity::cpu;
   std::string device = {};                     ///< which one, see HostQuantity
-  std::string root = {};                       ///< prefix of /proc and /sys, such as the host's root folder in a container
+  std::string root = {};                       ///< prefix of /proc and /sys, such as a container's mount of the host
   Duration timeout = std::chrono::seconds{1};  ///< a read of /sys that takes longer is given up
 
   friend constexpr auto parameters(type_tag<HostConfig>) {

@@ -50,7 +50,8 @@ struct IioConfig {
                   TextIs::device),
         parameter("channels", &IioConfig::channels, "what is read, such as accel_x or voltage0", required,
                   TextIs::recorded),
-        parameter("root", &IioConfig::root, "prefix of /sys, such as the host's root folder in a container", TextIs::device),
+        parameter("root", &IioConfig::root, "prefix of /sys, such as the host's root folder in a container",
+                  TextIs::device),
         parameter("timeout", &IioConfig::timeout, "a read of all channels that takes longer is given up",
                   range(Duration{1ms}, Duration{1h})));
   }
@@ -85,7 +86,8 @@ struct IioBufferConfig {
         parameter("length", &C::length, "scans that the kernel's buffer holds", range(2, 65536)),
         parameter("watermark", &C::watermark, "scans that are taken at a time: more cost less, and come later",
                   range(1, 65536)),
-        parameter("root", &C::root, "prefix of /sys and /dev, such as the host's root folder in a container", TextIs::device),
+        parameter("root", &C::root, "prefix of /sys and /dev, such as the host's root folder in a container",
+                  TextIs::device),
         parameter("timeout", &C::timeout, "opening that takes longer is given up", range(Duration{1ms}, Duration{1h})),
         parameter("silence", &C::silence, "silent for longer, it is degraded and has a gap; 0: never",
                   range(Duration{0}, Duration{24h})),

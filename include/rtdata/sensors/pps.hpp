@@ -52,7 +52,7 @@ struct PpsConfig {
   PpsEdge edge = PpsEdge::assert_edge;
   Duration accuracy = std::chrono::microseconds{50};      ///< of the kernel's time; 0: not a time source
   Duration silence = std::chrono::seconds{3};             ///< silent for longer, it has a gap; 0: it may be silent
-  std::string root = {};                                  ///< prefix of /sys, such as the host's root folder in a container
+  std::string root = {};                                  ///< prefix of /sys, such as a container's mount of the host
   Duration retry_first = std::chrono::milliseconds{100};  ///< wait before a lost source is opened again
   Duration retry_longest = std::chrono::seconds{10};      ///< the wait doubles up to this
   bool required = false;                                  ///< a source that is not there at the start throws
@@ -68,7 +68,8 @@ struct PpsConfig {
                   range(Duration{0}, Duration{100ms})),
         parameter("silence", &PpsConfig::silence, "silent for longer, it is degraded and has a gap; 0: never",
                   range(Duration{0}, Duration{24h})),
-        parameter("root", &PpsConfig::root, "prefix of /sys, such as the host's root folder in a container", TextIs::device),
+        parameter("root", &PpsConfig::root, "prefix of /sys, such as the host's root folder in a container",
+                  TextIs::device),
         parameter("retry_first", &PpsConfig::retry_first, "wait before a lost source is opened again",
                   range(Duration{1ms}, Duration{1h})),
         parameter("retry_longest", &PpsConfig::retry_longest, "the wait doubles up to this",

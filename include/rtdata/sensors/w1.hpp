@@ -42,7 +42,8 @@ struct W1Config {
     return parameter_list(
         parameter("device", &W1Config::device,
                   "the thermometer, such as 28-000000c0ffee; empty: the only one that there is", TextIs::recorded),
-        parameter("root", &W1Config::root, "prefix of /sys, such as the host's root folder in a container", TextIs::device),
+        parameter("root", &W1Config::root, "prefix of /sys, such as the host's root folder in a container",
+                  TextIs::device),
         parameter("timeout", &W1Config::timeout, "a read that takes longer is given up",
                   range(Duration{1ms}, Duration{1h})));
   }

@@ -109,7 +109,8 @@ Action prepare_import(CLI::App& command) {
   command.add_option("--decimal", options->decimal, "The decimal mark of its numbers; default: \".\"")
       ->type_name("CHARACTER")
       ->check(CLI::IsMember({".", ","}));
-  command.add_option("--zone", options->zone, "Time zone of times without one: Z (UTC), or such as +01:00")->type_name("ZONE");
+  command.add_option("--zone", options->zone, "Time zone of times without one: Z (UTC), or such as +01:00")
+      ->type_name("ZONE");
   command.add_option("--topic", options->topic, "Topic; default: the file's name");
   command.add_option("--origin", options->origin, "Who made it; default: the file's name")->type_name("NAME");
   command.add_option("--into", options->database, "The recording; default: FILE with .db")->type_name("DB");

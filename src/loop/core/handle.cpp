@@ -7,8 +7,7 @@
 namespace rtdata::detail {
 
 void refuse_empty(const char* what, std::string_view name) {
-  throw SetupError({Errc::bad_argument, what, std::string(name), "its function is empty",
-                    "give it a function"});
+  throw SetupError({Errc::bad_argument, what, std::string(name), "its function is empty", "give it a function"});
 }
 
 Node::Node(LoopCore& loop) : loop_(&loop) {
