@@ -9,14 +9,14 @@
 
 namespace rtdata::detail {
 
-/// The next delay after this one: twice as long, to the longest. One that is negative stays none.
+/// The next delay: twice as long, up to the longest. A negative delay is not changed.
 inline Duration doubled(Duration delay, Duration longest) noexcept {
   const Duration now = delay.count() > 0 ? delay : Duration{0};
   return now > longest / 2 ? longest : 2 * now;
 }
 
-/// The delay less up to a quarter of it, which depends on the name of the waiting object and the number of failures:
-/// many that fail together do not come back in step.
+/// The delay minus up to a quarter, depending on the name of the object and the number of failures, so that objects
+/// that fail together do not retry together.
 inline Duration with_jitter(Duration delay, std::string_view who, std::uint64_t failures) noexcept {
   if (delay.count() <= 0) return Duration{0};
   const std::uint64_t hash = std::hash<std::string_view>{}(who) + failures * 2654435761u;
@@ -25,7 +25,7 @@ inline Duration with_jitter(Duration delay, std::string_view who, std::uint64_t 
   return delay - (quarter > Duration::max() / 1024 ? quarter / 1024 * part : quarter * part / 1024);
 }
 
-/// The delays of one object that fails: the first, then twice as long each time, to the longest, with jitter.
+/// The retry delays of one object: the first, then twice as long each time, up to the longest, with jitter.
 class Backoff {
  public:
   /// `name`: of the object.
@@ -33,9 +33,9 @@ class Backoff {
     delay_ = delay_.count() == 0 ? first : doubled(delay_, longest);
     return with_jitter(delay_, name, ++failures_);
   }
-  /// The last one, without its jitter; 0: none since the object was well.
+  /// The last delay, without jitter; 0: no failure since the last success.
   Duration last() const noexcept { return delay_; }
-  /// It is well: the next delay is the first again.
+  /// After a success: the next delay is the first again.
   void reset() noexcept { delay_ = Duration{0}; }
 
  private:

@@ -1,4 +1,4 @@
-// CBOR (RFC 8949): written by a plan of each description, read by nlohmann's parser.
+// CBOR (RFC 8949): written with a plan for each description, read with nlohmann's parser.
 #include <algorithm>
 #include <bit>
 #include <optional>
@@ -67,15 +67,15 @@ char* put_integer(char* to, std::int64_t number) {
                     : put_head(to, natural, static_cast<std::uint64_t>(number));
 }
 
-/// One that is no UTF-8 is a string of bytes, since texts of CBOR are UTF-8.
+/// A text that is not UTF-8 is written as a byte string, because CBOR texts are UTF-8.
 char* put_text(char* to, std::string_view text) {
   to = put_head(to, detail::is_utf8(text) ? text_string : bytes_string, text.size());
   return detail::copy_short(to, text.data(), text.size());
 }
 
-/// What to write for the payloads of one description: before each leaf bytes that never change.
-struct Plan {
-  explicit Plan(const Description& description) : leaves_(description.leaves()) {
+/// The plan for payloads of one description: the fixed bytes before each leaf.
+struct CborPlan {
+  explicit CborPlan(const Description& description) : leaves_(description.leaves()) {
     steps.reserve(leaves_.size());
     add_record(description.fields());
     end_size = fixed.size() - used_;
@@ -83,16 +83,16 @@ struct Plan {
     longest += fixed.size();
   }
 
-  /// A leaf. Of floats that are always there, the head is fixed, too: what is left are the bytes of the number.
-  struct Step {
+  /// A leaf. For floats that are always present, the head is fixed too, and only the number's bytes remain.
+  struct LeafStep {
     enum class Sort : std::uint8_t { item, number_4, number_8 } sort = Sort::item;
     std::size_t prefix_size = 0;  ///< of the next bytes of `fixed`
     std::size_t offset = 0;       ///< of the number in the payload
   };
-  std::vector<Step> steps;   ///< of each leaf
-  std::string fixed;         ///< padded
-  std::size_t end_size = 0;  ///< of what follows in it, behind the leaves
-  std::size_t longest = 0;   ///< bytes that all this may take
+  std::vector<LeafStep> steps;  ///< of each leaf
+  std::string fixed;            ///< padded
+  std::size_t end_size = 0;     ///< of what follows in it, behind the leaves
+  std::size_t longest = 0;      ///< bytes that all this may take
 
  private:
   void add_head(Major major, std::uint64_t number) {
@@ -115,12 +115,12 @@ struct Plan {
     }
   }
   void add_leaf(const Leaf& leaf) {
-    Step step{Step::Sort::item, 0, leaf.offset};
+    LeafStep step{LeafStep::Sort::item, 0, leaf.offset};
     if (leaf.optional == nullptr && leaf.kind == Kind::f64) {
-      step.sort = Step::Sort::number_8;
+      step.sort = LeafStep::Sort::number_8;
       fixed += f64_item;
     } else if (leaf.optional == nullptr && leaf.kind == Kind::f32) {
-      step.sort = Step::Sort::number_4;
+      step.sort = LeafStep::Sort::number_4;
       fixed += f32_item;
     }
     step.prefix_size = fixed.size() - used_;
@@ -167,12 +167,12 @@ char* put_value(char* to, const Leaf& leaf, const std::byte* from) {
   }
 }
 
-/// Reads the heads of items, to find where the first one of a stream ends.
+/// Reads the heads of items to find the end of the first one in a stream.
 class ItemReader {
  public:
   explicit ItemReader(std::span<const std::byte> stream) : stream_(stream) {}
 
-  /// Bytes of the first item; 0: it is not all there. One that is none ends with the byte that shows it.
+  /// The size of the first item; 0: incomplete. An invalid item ends at the byte that shows the error.
   std::size_t first_item() {
     constexpr std::size_t deepest = 64;
     std::vector<std::uint64_t> left{1};  // items of each open list or map; of unknown length: `endless`
@@ -209,7 +209,7 @@ class ItemReader {
     }
     return at_;
   }
-  /// A number that was passed is less than what int64 has.
+  /// True if a number was below the range of int64.
   bool is_below_range() const noexcept { return is_below_range_; }
 
  private:
@@ -234,7 +234,7 @@ class CborCodec final : public Codec {
   std::string_view name() const noexcept override { return "cbor"; }
 
   Result<void> encode(const EventView& event, std::vector<std::byte>& out) override {
-    const Plan& plan = plans_.of(event.description());
+    const CborPlan& plan = plans_.of(event.description());
     const std::size_t longest = 128 + event.topic().size() + event.origin().size() + event.run().size() + plan.longest;
     if (item_.size() < longest) item_.resize(longest);
     head_.set(event, [&] { make_head(event); });
@@ -245,17 +245,17 @@ class CborCodec final : public Codec {
     const char* fixed = plan.fixed.data();
     const Leaf* leaf = event.description().leaves().data();
     const std::byte* const payload = event.payload().data();
-    for (const Plan::Step& step : plan.steps) {
+    for (const CborPlan::LeafStep& step : plan.steps) {
       to = detail::copy_padded(to, fixed, step.prefix_size);
       fixed += step.prefix_size;
       switch (step.sort) {
-        case Plan::Step::Sort::number_8:
+        case CborPlan::LeafStep::Sort::number_8:
           to = put_big_endian(to, load<std::uint64_t>(payload + step.offset));
           break;
-        case Plan::Step::Sort::number_4:
+        case CborPlan::LeafStep::Sort::number_4:
           to = put_big_endian(to, load<std::uint32_t>(payload + step.offset));
           break;
-        case Plan::Step::Sort::item: {
+        case CborPlan::LeafStep::Sort::item: {
           const std::byte* from = find_value(*leaf, payload);
           if (from == nullptr) {
             *to++ = null_item;
@@ -276,8 +276,8 @@ class CborCodec final : public Codec {
   Result<DecodedEvent> decode(std::span<const std::byte> bytes, const Description& description) override {
     ItemReader item(bytes);
     (void)item.first_item();
-    if (item.is_below_range())  // nlohmann's parser would make another number of it
-      return Error{Errc::out_of_range, "the bytes are no event in CBOR", "", "it has a number below -2^63", ""};
+    if (item.is_below_range())  // nlohmann's parser would convert it wrongly
+      return Error{Errc::out_of_range, "the bytes are not an event in CBOR", "", "it has a number below -2^63", ""};
     return detail::decode_cbor(bytes, description);
   }
 
@@ -299,7 +299,7 @@ class CborCodec final : public Codec {
     head_.before_data.assign(begin, put_text(end, "data"));
   }
 
-  detail::PerDescription<Plan> plans_;
+  detail::PerDescription<CborPlan> plans_;
   std::vector<char> item_;
   detail::EventHead head_;
 };

@@ -1,5 +1,5 @@
-// A `char` of a payload is a number from 0 to 255, whether the compiler's `char` has a sign (x86) or not (ARM): in
-// text, the character of Unicode with that number.
+// A `char` of a payload is a number from 0 to 255, for signed (x86) and unsigned (ARM) `char`. In text it is the
+// Unicode character with that number.
 #pragma once
 
 #include <optional>
@@ -15,7 +15,7 @@ inline std::string utf8_of(char character) {
   return {static_cast<char>(0xc0 | code >> 6), static_cast<char>(0x80 | (code & 0x3f))};
 }
 
-/// Of a text of one character up to U+00FF, in UTF-8; a single byte is taken as it is.
+/// The character of a UTF-8 text of one character up to U+00FF; a single byte is taken as it is.
 inline std::optional<char> character_of(std::string_view text) {
   if (text.size() == 1) return text[0];
   const auto byte = [&](std::size_t i) { return static_cast<unsigned char>(text[i]); };

@@ -257,7 +257,7 @@ void ConfigItem::set_number(double value) {
 void ConfigItem::set_string(std::string_view value) { value_ = std::string(value); }
 
 void ConfigItem::set_item(const ConfigItem& other) {
-  Content content = other.value_;  // first: the other may lie below this one
+  Content content = other.value_;  // copied first, because the other item may be below this one
   value_ = std::move(content);
   rebuild_origins_of_children();
 }

@@ -1,4 +1,4 @@
-/// Where an item came from: private to src/data and src/config.
+/// The origin of an item. Private to src/data and src/config.
 #pragma once
 
 #include <memory>
@@ -8,7 +8,7 @@
 
 namespace rtdata {
 
-/// Shared by copies of an item, immutable. A chain of them up to the root gives the path, so that paths cost no memory.
+/// Immutable; shared by copies of an item. The chain up to the root gives the path, so paths need no memory.
 struct ConfigItem::Origin {
   std::shared_ptr<const Origin> parent;  ///< null for the root
   std::string key;

@@ -35,7 +35,7 @@ std::string bytes_of(std::string_view text) {
   return "";
 }
 
-/// For what was meant as a number of bytes, the number.
+/// For a text such as "1 GB", suggests the number of bytes.
 bool not_whole(const ConfigItem& item, Problems& problems) {
   const std::string* text = item.as_string();
   const std::string bytes = text != nullptr ? bytes_of(*text) : "";
@@ -44,7 +44,7 @@ bool not_whole(const ConfigItem& item, Problems& problems) {
   return false;
 }
 
-/// Beyond this a double has lost its last digits, so that a number with a point or exponent may not be what it says.
+/// Above this limit a double loses digits, so a number with a point or exponent may not be exact.
 constexpr double exact_limit = 9007199254740992.0;
 
 /// Also a whole number with a point or exponent, when a double holds it exactly.
@@ -196,7 +196,7 @@ bool check_is_array(const ConfigItem& item, Problems& problems) {
 bool check_is_object(const ConfigItem& item, Problems& problems) {
   if (item.is_object()) return true;
   const std::string* const name = item.as_string();
-  // Of lists of fields, states, sensors: each has a name at least.
+  // For lists of fields, states or sensors, of which each item has at least a name.
   if (name == nullptr || !item.path().ends_with(']')) return wrong_type(item, "an object", problems);
   constexpr std::string_view before = "the string ";
   const std::string got = item.describe();

@@ -1,5 +1,4 @@
-// Copying and comparing of a few bytes, without the calls that std::memcpy and std::memcmp of a size unknown to the
-// compiler are.
+// Copies and compares a few bytes without the function calls of std::memcpy and std::memcmp for unknown sizes.
 #pragma once
 
 #include <cstddef>
@@ -41,7 +40,7 @@ Byte* copy_short(Byte* to, const void* data, std::size_t size) {
   return to + size;
 }
 
-/// Like operator== of the texts, which it is for more than 16 bytes.
+/// Like operator==, which it uses for more than 16 bytes.
 inline bool equal_short(std::string_view a, std::string_view b) {
   if (a.size() != b.size()) return false;
   const auto word = []<class Word>(const char* at, Word) {

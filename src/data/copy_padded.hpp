@@ -1,4 +1,4 @@
-// Copying of a few bytes that are followed by others: without asking how many they are.
+// Copies a few bytes with a fixed size, if further bytes follow.
 #pragma once
 
 #include <cstddef>

@@ -47,7 +47,7 @@ template <class T>
 void append_floating(std::string& row, const std::byte* from) {
   T number;
   std::memcpy(&number, from, sizeof number);
-  // The sign of a NaN says nothing, and not every reader takes it.
+  // The sign of a NaN has no meaning, and not every reader accepts it.
   if (std::isnan(number)) {
     row += "nan";
   } else {
@@ -63,10 +63,10 @@ bool to_number(std::string_view text, T& number) {
 using Cell = detail::CsvCell;
 
 Error bad(std::string where, std::string why) {
-  return {Errc::bad_data, "the text is no row of CSV", std::move(where), std::move(why), ""};
+  return {Errc::bad_data, "the text is not a row of CSV", std::move(where), std::move(why), ""};
 }
 
-/// The value a cell means for this leaf.
+/// The value of a cell for this leaf.
 Result<Value> value_of(const Leaf& leaf, Cell& cell) {
   const auto wrong = [&](const char* what) {
     return Error{Errc::not_a_number, "the cell does not fit its column", "field " + leaf.path,
@@ -84,7 +84,7 @@ Result<Value> value_of(const Leaf& leaf, Cell& cell) {
     case Kind::record:
       return Value(detail::unescaped(cell.text));
     case Kind::f32: {
-      // Not by way of a double: rounding twice may give the neighbour.
+      // Not through a double: rounding twice may give a wrong float.
       float number = 0;
       if (to_number(cell.text, number)) return Value(static_cast<double>(number));
       break;
@@ -188,7 +188,7 @@ class CsvCodec final : public Codec {
     event.origin = detail::unescaped((*cells)[1].text);
     if (const std::string& text = (*cells)[2].text; !text.empty()) {
       std::uint64_t sequence = 0;
-      if (!to_number(text, sequence)) return bad("sequence", "\"" + text + "\" is no number");
+      if (!to_number(text, sequence)) return bad("sequence", "\"" + text + "\" is not a number");
       event.sequence = sequence;
     }
     event.payload.resize(description.size());

@@ -4,7 +4,7 @@ namespace rtdata::detail {
 namespace {
 
 Error bad(std::string where, std::string why) {
-  return {Errc::bad_data, "the text is no row of CSV", std::move(where), std::move(why), ""};
+  return {Errc::bad_data, "the text is not a row of CSV", std::move(where), std::move(why), ""};
 }
 
 }  // namespace

@@ -65,13 +65,13 @@ std::string listed_values(const std::vector<EnumValue>& values) {
   return text;
 }
 
-/// "pressure.raw": what was added to the value "pressure", beside which no record of that name can be.
+/// "pressure.raw": a field added to the value "pressure"; there can be no record "pressure" then.
 bool is_added_name(std::string_view name, const std::vector<Field>& fields) {
   const auto dot = name.rfind('.');
   return dot != std::string_view::npos && is_name(name.substr(dot + 1)) && field_at(fields, name.substr(0, dot));
 }
 
-/// Everything of one record: names, shapes, sizes; then its records. `where` ends in a dot unless empty.
+/// Checks one record (names, shapes, sizes), then its nested records. `where` ends with a dot unless empty.
 Result<void> check(const std::vector<Field>& fields, std::size_t size, const std::string& where, int depth) {
   if (depth > deepest_record) {
     return not_usable(where, "records are nested more than " + std::to_string(deepest_record) + " deep",
@@ -102,7 +102,7 @@ Result<void> check(const std::vector<Field>& fields, std::size_t size, const std
     if (field.count == 0 || (!field.is_array && field.count != 1)) {
       return not_usable(place, "an array needs at least one element", "give it a count");
     }
-    if (!is_good_text(field.unit)) return not_usable(place, "its unit is no UTF-8", "write it in UTF-8");
+    if (!is_good_text(field.unit)) return not_usable(place, "its unit is not UTF-8", "write it in UTF-8");
     std::size_t expected = size_of(field.kind);
     if (field.kind == Kind::enumeration) {
       if (!is_integer_kind(field.enum_base))
@@ -112,7 +112,8 @@ Result<void> check(const std::vector<Field>& fields, std::size_t size, const std
       std::set<std::string> names;
       std::set<std::int64_t> numbers;
       for (const EnumValue& value : field.values) {
-        if (!is_good_text(value.name)) return not_usable(place, "the name of a value is no UTF-8", "write it in UTF-8");
+        if (!is_good_text(value.name))
+          return not_usable(place, "the name of a value is not UTF-8", "write it in UTF-8");
         if (value.name.empty()) return not_usable(place, "a value of the enumeration has no name", "name it");
         if (!names.insert(value.name).second) {
           return not_usable(place, "the value " + value.name + " is there twice", "rename one of them");

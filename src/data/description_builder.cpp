@@ -53,7 +53,7 @@ DescriptionBuilder& DescriptionBuilder::record_array(std::string name, const Des
 
 Result<std::shared_ptr<const Description>> DescriptionBuilder::build() {
   for (const Field& field : fields_) {
-    // What the general calls cannot say: the capacity of a text, the values of an enumeration, the fields of a record.
+    // The general calls cannot give the capacity of a text, the values of an enumeration or the fields of a record.
     if (field.size != 0) continue;
     return not_usable("record " + name_ + ", field " + field.name,
                       std::string(name_of(field.kind)) + " needs more than a name and a kind",

@@ -73,7 +73,7 @@ std::string unknown_key(const JsonNode& node, std::initializer_list<std::string_
   return {};
 }
 
-/// A key that an object in it has twice; null: none.
+/// A duplicate key in an object below; null: none.
 const std::string* key_twice(const JsonNode& node) {
   std::set<std::string_view> keys;
   for (const std::string& key : node.keys) {
@@ -124,7 +124,7 @@ Result<Field> field_from(const JsonNode& node, const std::string& where, int dep
   }
   std::string unit;
   if (const JsonNode* given = node.find("unit")) {
-    if (!is(given, Type::string)) return not_usable(place, "unit is no string", R"(write "unit": "Cel")");
+    if (!is(given, Type::string)) return not_usable(place, "unit is not a string", R"(write "unit": "Cel")");
     unit = given->text;
   }
   Field field;
@@ -143,7 +143,7 @@ Result<Field> field_from(const JsonNode& node, const std::string& where, int dep
       const bool is_natural = is(&number, Type::natural) &&
                               number.natural <= std::uint64_t{std::numeric_limits<std::int64_t>::max()};
       if (!is_natural && !is(&number, Type::integer)) {
-        return not_usable(place, "the value " + named->keys[i] + " is no integer of 64 bits", "give it a number");
+        return not_usable(place, "the value " + named->keys[i] + " is not an integer of 64 bits", "give it a number");
       }
       values.push_back({named->keys[i], is_natural ? static_cast<std::int64_t>(number.natural) : number.integer});
     }
@@ -151,7 +151,7 @@ Result<Field> field_from(const JsonNode& node, const std::string& where, int dep
     if (const JsonNode* given = node.find("base")) {
       const auto* found = find_kind(given);
       if (found == nullptr || !is_integer_kind(static_cast<Kind>(found - std::begin(kind_names)))) {
-        return not_usable(place, "base is no integer type", "use int8 to int64 or uint8 to uint64");
+        return not_usable(place, "base is not an integer type", "use int8 to int64 or uint8 to uint64");
       }
       base = static_cast<Kind>(found - std::begin(kind_names));
     }
@@ -184,7 +184,7 @@ Result<Field> field_from(const JsonNode& node, const std::string& where, int dep
 
 Result<std::vector<Field>> fields_from(const JsonNode& tree, const std::string& where, int depth) {
   if (tree.type != Type::array)
-    return not_usable(where, "fields is no list", R"(write "fields": [{"name": ..., "type": ...}, ...])");
+    return not_usable(where, "fields is not a list", R"(write "fields": [{"name": ..., "type": ...}, ...])");
   if (depth > deepest_record) return not_usable(where, "records are nested too deep", "flatten them");
   std::vector<Field> fields;
   for (const JsonNode& node : tree.children) {
@@ -208,7 +208,7 @@ std::string Description::to_json() const {
 Result<std::shared_ptr<const Description>> Description::from_json(std::string_view json) {
   JsonNode tree;
   if (const std::string mistake = parse_json(json, tree); !mistake.empty())
-    return not_usable("", "it is no JSON: " + mistake, R"(write {"name": ..., "fields": [...]})");
+    return not_usable("", "it is not JSON: " + mistake, R"(write {"name": ..., "fields": [...]})");
   if (const std::string* twice = key_twice(tree))
     return not_usable("", "the key " + *twice + " is there twice", "remove one");
   const JsonNode* const name_node = tree.find("name");

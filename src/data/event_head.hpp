@@ -1,4 +1,4 @@
-// What stands around the time and the number of an event, the same for all of one origin on one topic in one run.
+// The constant parts around time and sequence of an event, for one origin on one topic in one run.
 #pragma once
 
 #include <string>
@@ -13,7 +13,7 @@ namespace rtdata::detail {
 struct EventHead {
   std::string before_time, before_sequence, before_data;
 
-  /// `make` sets them when they are not those of this event.
+  /// Calls `make` to set the texts if they belong to another event.
   template <class Make>
   void set(const EventView& event, Make&& make) {
     if (is_made_ && equal_short(topic_, event.topic()) && equal_short(origin_, event.origin()) &&

@@ -71,7 +71,7 @@ Field plain_field(std::string name, Kind kind, std::string unit) {
 
 Field text_field(std::string name, std::size_t capacity) {
   Field field = plain_field(std::move(name), Kind::text, {});
-  // An impossible capacity stays impossible, and is refused by check().
+  // Keeps an invalid capacity invalid, so that check() refuses it.
   field.size = capacity > 65535 ? text_length_bytes + 65536 : capacity + text_length_bytes;
   return field;
 }

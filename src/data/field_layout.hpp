@@ -30,7 +30,7 @@ Field text_field(std::string name, std::size_t capacity);
 Field enum_field(std::string name, std::vector<EnumValue> values, Kind base);
 Field record_field(std::string name, std::vector<Field> fields, std::size_t size, std::size_t alignment);
 Field array_of(Field field, std::size_t count);
-/// With what follows from size and alignment: the stride, and the place for presence.
+/// Adds the stride and the space for the presence flag.
 Field finished(Field field, DescriptionBuilder::Presence presence);
 
 struct Layout {

@@ -1,4 +1,4 @@
-// The way from payloads of one description to those of another: fields are found by their names.
+// Converts payloads of one description to another, with fields matched by name.
 #pragma once
 
 #include <cstddef>
@@ -9,7 +9,7 @@
 
 namespace rtdata::detail {
 
-/// Where each leaf of the wanted payload comes from.
+/// The source of each leaf of the wanted payload.
 struct FieldMap {
   struct Copy {
     std::size_t from;
@@ -22,7 +22,7 @@ struct FieldMap {
   void apply(const std::byte* from, std::byte* to) const noexcept;
 };
 
-/// Error: description-differs, of which only `why` is set: it names each field that is missing or another.
+/// Error: description-differs, with only `why` set: it names each missing or different field.
 Result<FieldMap> map_fields(const Description& have, const Description& wanted);
 
 }  // namespace rtdata::detail

@@ -1,4 +1,4 @@
-// Reading the small files in which the kernel says one thing.
+// Reads small files of the kernel with a single value.
 #pragma once
 
 #include <fcntl.h>

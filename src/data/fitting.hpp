@@ -1,4 +1,4 @@
-// Texts in places of a fixed size: what is cut says so.
+// Puts texts into a fixed size; cut texts end with "...".
 #pragma once
 
 #include <algorithm>

@@ -1,4 +1,4 @@
-// Hashes that are the same in every process, on every machine and of every build, unlike those of std::hash.
+// Hashes that are equal in every process, on every machine and in every build, unlike std::hash.
 #pragma once
 
 #include <cstdint>
@@ -6,7 +6,7 @@
 
 namespace rtdata::detail {
 
-/// FNV-1a of 64 bits, which goes on from `hash`.
+/// FNV-1a of 64 bits, continued from `hash`.
 constexpr std::uint64_t fnv1a(std::string_view text, std::uint64_t hash = 0xcbf29ce484222325) noexcept {
   for (const char c : text) hash = (hash ^ static_cast<unsigned char>(c)) * 0x100000001b3;
   return hash;

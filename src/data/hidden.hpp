@@ -1,4 +1,4 @@
-// What must not be shown, taken out of a text.
+// Removes secrets from a text.
 #pragma once
 
 #include <string>
@@ -8,7 +8,8 @@
 
 namespace rtdata::detail {
 
-/// The text with each of the secrets replaced. One of less than 4 bytes would be found everywhere: it stays.
+/// The text with each secret replaced. A secret shorter than 4 bytes is not replaced, because it would match
+/// everywhere.
 inline std::string hidden(std::string text, const std::vector<std::string>& secrets) {
   constexpr std::size_t least = 4;
   constexpr std::string_view shown = "(secret)";

@@ -13,7 +13,7 @@
 namespace rtdata {
 namespace {
 
-constexpr const char* no_line = "the text is no line of InfluxDB";
+constexpr const char* no_line = "the text is not a line of InfluxDB";
 constexpr std::string_view sequence_key = "sequence";
 constexpr std::string_view run_key = "run";
 
@@ -21,7 +21,7 @@ Error bad(std::string where, std::string why) {
   return {Errc::bad_data, no_line, std::move(where), std::move(why), ""};
 }
 
-/// A measurement, a key or the value of a tag: with a backslash before what would end it.
+/// Appends a measurement, a key or a tag value, with a backslash before separators.
 void append_name(std::string& line, std::string_view text) {
   for (const char c : text) {
     if (c == ',' || c == ' ' || c == '=') line += '\\';
@@ -29,7 +29,7 @@ void append_name(std::string& line, std::string_view text) {
   }
 }
 
-/// The protocol has no line break in a text: one is written as \x0a, as bytes that are no UTF-8 are.
+/// The protocol allows no line break in a text: it is written as \x0a, like bytes that are not UTF-8.
 constexpr std::string_view line_break = "\\x0a";
 
 /// In quotes.
@@ -45,12 +45,12 @@ void append_text(std::string& line, std::string_view text) {
     }
     if (c == '"' || c == '\\') line += '\\';
     line += c;
-    if (std::string_view(escaped).substr(i).starts_with(line_break)) line += "x5c";  // which is one already
+    if (std::string_view(escaped).substr(i).starts_with(line_break)) line += "x5c";  // already escaped
   }
   line += '"';
 }
 
-/// What `append_text` has written, without the quotes and the backslashes before them.
+/// Undoes `append_text`, without the quotes and the backslashes before them.
 std::string text_of(std::string_view written) {
   std::string escaped;
   while (!written.empty()) {
@@ -72,7 +72,7 @@ void append_integer(std::string& line, std::int64_t number) {
   line += 'i';
 }
 
-/// One above those of int64 has a suffix of its own, which not every receiver takes.
+/// A number above int64 has another suffix, which not every receiver accepts.
 void append_natural(std::string& line, std::uint64_t number) {
   append_number(line, number);
   line += number <= std::uint64_t{std::numeric_limits<std::int64_t>::max()} ? 'i' : 'u';
@@ -127,12 +127,12 @@ bool append_value(std::string& line, const Leaf& leaf, const std::byte* from) {
   }
 }
 
-/// Takes a line apart from the left.
+/// Parses a line from the left.
 class Scanner {
  public:
   explicit Scanner(std::string_view line) : left_(line) {}
 
-  /// Up to the first of these that has no backslash before it, which stays; without the backslashes.
+  /// Takes the text up to the first of `ends` without a backslash before it, and removes the backslashes.
   std::string name(std::string_view ends) {
     std::string name;
     while (!left_.empty() && ends.find(left_.front()) == std::string_view::npos) {
@@ -144,7 +144,7 @@ class Scanner {
     }
     return name;
   }
-  /// What stands in quotes. False: they do not end.
+  /// Takes a text in quotes. False: the quotes do not end.
   bool text(std::string& text) {
     left_.remove_prefix(1);
     for (; !left_.empty(); left_.remove_prefix(1)) {
@@ -194,7 +194,7 @@ Result<Value> value_of(const Leaf& leaf, Scanner& line) {
     if (suffix == 'u' && detail::read_number(digits, natural) == std::errc{}) return Value(natural);
     return wrong();
   }
-  if (leaf.kind == Kind::f32) {  // not by way of a double: rounding twice may give the neighbour
+  if (leaf.kind == Kind::f32) {  // not through a double: rounding twice may give a wrong float
     float number = 0;
     if (detail::read_number(word, number) == std::errc{} && std::isfinite(number))
       return Value(static_cast<double>(number));
@@ -253,7 +253,7 @@ class InfluxCodec final : public Codec {
     DecodedEvent event;
     event.payload.resize(description.size());
     const auto& leaves = description.leaves();
-    for (const Leaf& leaf : leaves) {  // what the protocol cannot say
+    for (const Leaf& leaf : leaves) {  // values that the protocol cannot represent
       if (leaf.optional != nullptr)
         write(leaf, event.payload.data(), Value{}).or_throw();
       else if (is_floating(leaf))
@@ -264,7 +264,7 @@ class InfluxCodec final : public Codec {
       const std::string key = line.name("=, ");
       if (!line.take('=')) return bad("tag " + key.substr(0, 64), "it has no value");
       std::string value = line.name(", ");
-      if (key == "origin") event.origin = std::move(value);  // others are the receiver's own
+      if (key == "origin") event.origin = std::move(value);  // ignores tags of the receiver
     }
     if (!line.take(' ')) return bad("", "it has no fields");
     if (text.find('\n') != std::string_view::npos) return bad("", "something follows the end of the line");
@@ -279,7 +279,7 @@ class InfluxCodec final : public Codec {
         std::uint64_t number = 0;
         if (word.empty() || (word.back() != 'i' && word.back() != 'u') ||
             detail::read_number(std::string_view(word).substr(0, word.size() - 1), number) != std::errc{})
-          return bad("field sequence", "\"" + word.substr(0, 64) + "\" is no number from 0 on");
+          return bad("field sequence", "\"" + word.substr(0, 64) + "\" is not a number from 0 on");
         event.sequence = number;
         continue;
       }
@@ -304,7 +304,7 @@ class InfluxCodec final : public Codec {
     }
     std::int64_t nanoseconds = 0;
     if (!line.take(' ') || detail::read_number(line.rest(), nanoseconds) != std::errc{})
-      return bad("time", "it is no integer of 64 bits");
+      return bad("time", "it is not an integer of 64 bits");
     event.time = from_nanoseconds(nanoseconds);
     return event;
   }

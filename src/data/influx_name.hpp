@@ -1,4 +1,4 @@
-// Which names lines of InfluxDB can hold.
+// Checks names for InfluxDB lines.
 #pragma once
 
 #include <cstddef>
@@ -6,7 +6,8 @@
 
 namespace rtdata::detail {
 
-/// The protocol has no escape for a backslash: before what is escaped, or before another, it would be taken for one.
+/// The protocol has no escape for a backslash: before an escaped character or another backslash it would be read as an
+/// escape.
 inline bool fits_influx_name(std::string_view text) noexcept {
   for (std::size_t i = 0; i < text.size(); ++i) {
     const char next = i + 1 < text.size() ? text[i + 1] : ' ';

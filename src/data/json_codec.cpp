@@ -22,13 +22,13 @@ using detail::put_number;
 
 char* put(char* to, std::string_view text) { return detail::copy_short(to, text.data(), text.size()); }
 
-/// Stands for itself in a string.
+/// True if the character needs no escape in a string.
 bool is_plain(char c) {
   const auto code = static_cast<unsigned char>(c);
   return code >= 0x20 && code < 0x7f && c != '"' && c != '\\';
 }
 
-/// Escapes what is no UTF-8 (utf8.hpp). Writes at most 6 bytes for each of the text's, and two quotes.
+/// Escapes bytes that are not UTF-8 (utf8.hpp). Writes at most 6 bytes for each byte of the text, and two quotes.
 char* put_string(char* to, std::string_view text) {
   *to++ = '"';
   for (;;) {
@@ -83,9 +83,9 @@ char* put_floating(char* to, T number) {
   return put_number(to, number);
 }
 
-/// What to write for the payloads of one description: before each leaf a text that never changes, and one at the end.
-struct Plan {
-  struct Step {
+/// The plan for payloads of one description: the fixed text before each leaf, and at the end.
+struct JsonPlan {
+  struct LeafStep {
     std::size_t prefix_size = 0;  ///< of the next bytes of `fixed`
     Kind kind = Kind::f64;
     Kind enum_base = Kind::i32;
@@ -96,7 +96,7 @@ struct Plan {
     std::size_t name_count = 0;
   };
 
-  explicit Plan(const Description& description) {
+  explicit JsonPlan(const Description& description) {
     fixed = '{';
     add(description.fields(), 0);
     fixed += "}}\n";
@@ -105,7 +105,7 @@ struct Plan {
     longest += fixed.size();
   }
 
-  std::vector<Step> steps;
+  std::vector<LeafStep> steps;
   std::string fixed;                                        ///< padded
   std::size_t end_size = 0;                                 ///< of what follows in it, behind the leaves
   std::vector<std::pair<std::int64_t, std::string>> names;  ///< quoted
@@ -135,7 +135,8 @@ struct Plan {
   }
 
   void add_leaf(const Field& field, std::size_t offset) {
-    Step step{fixed.size() - used_, field.kind, field.enum_base, offset, field.size, field.optional, names.size(), 0};
+    LeafStep step{fixed.size() - used_, field.kind,     field.enum_base, offset,
+                  field.size,           field.optional, names.size(),    0};
     used_ = fixed.size();
     std::size_t most = detail::longest_number;
     if (field.kind == Kind::text) most = 6 * (field.size - text_length_bytes) + 2;
@@ -153,7 +154,7 @@ struct Plan {
   std::size_t used_ = 0;  ///< bytes of `fixed` that belong to a step
 };
 
-char* put_enum(char* to, const Plan& plan, const Plan::Step& step, const std::byte* from) {
+char* put_enum(char* to, const JsonPlan& plan, const JsonPlan::LeafStep& step, const std::byte* from) {
   const std::int64_t number = load_integer(step.enum_base, from);
   for (std::size_t i = 0; i < step.name_count; ++i) {
     const auto& [value, quoted] = plan.names[step.first_name + i];
@@ -162,7 +163,7 @@ char* put_enum(char* to, const Plan& plan, const Plan::Step& step, const std::by
   return step.enum_base == Kind::u64 ? put_number(to, static_cast<std::uint64_t>(number)) : put_number(to, number);
 }
 
-char* put_value(char* to, const Plan& plan, const Plan::Step& step, const std::byte* from) {
+char* put_value(char* to, const JsonPlan& plan, const JsonPlan::LeafStep& step, const std::byte* from) {
   switch (step.kind) {
     case Kind::f64:
       return put_floating(to, load<double>(from));
@@ -192,11 +193,11 @@ char* put_value(char* to, const Plan& plan, const Plan::Step& step, const std::b
 class JsonCodec final : public Codec {
  public:
   std::string_view name() const noexcept override { return "json"; }
-  std::string_view extension() const noexcept override { return "jsonl"; }  // as a whole it is no JSON text
+  std::string_view extension() const noexcept override { return "jsonl"; }  // the whole file is not a JSON text
   bool is_text() const noexcept override { return true; }
 
   Result<void> encode(const EventView& event, std::vector<std::byte>& out) override {
-    const Plan& plan = plans_.of(event.description());
+    const JsonPlan& plan = plans_.of(event.description());
     const std::size_t longest = 128 + 6 * (event.topic().size() + event.origin().size() + event.run().size()) +
                                 plan.longest;
     if (line_.size() < longest) line_.resize(longest);
@@ -208,7 +209,7 @@ class JsonCodec final : public Codec {
     to = put(to, head_.before_data);
     const char* fixed = plan.fixed.data();
     const std::byte* payload = event.payload().data();
-    for (const Plan::Step& step : plan.steps) {
+    for (const JsonPlan::LeafStep& step : plan.steps) {
       to = detail::copy_padded(to, fixed, step.prefix_size);
       fixed += step.prefix_size;
       const std::byte* from = payload + step.offset;
@@ -245,7 +246,7 @@ class JsonCodec final : public Codec {
     }
   }
 
-  detail::PerDescription<Plan> plans_;
+  detail::PerDescription<JsonPlan> plans_;
   std::vector<char> line_;
   detail::EventHead head_;
 };

@@ -15,10 +15,10 @@ namespace {
 
 using Node = detail::JsonNode;
 
-/// What the tree was made of.
+/// The format of the source.
 enum class Source {
   json,
-  cbor,  ///< texts are what they are, without escapes
+  cbor,  ///< texts without escapes
 };
 
 /// Of one event.
@@ -28,7 +28,8 @@ class Reader {
   Result<DecodedEvent> event(const Node& root, const Description& description);
 
   Error bad(std::string where, std::string why, std::string advice = {}) const {
-    return {Errc::bad_data, source_ == Source::json ? "the text is no event in JSON" : "the bytes are no event in CBOR",
+    return {Errc::bad_data,
+            source_ == Source::json ? "the text is not an event in JSON" : "the bytes are not an event in CBOR",
             std::move(where), std::move(why), std::move(advice)};
   }
 
@@ -50,12 +51,12 @@ class Reader {
   Result<std::vector<const Node*>> find(const Node& node, const std::vector<std::string_view>& names,
                                         std::size_t needed, const std::string& path) const {
     const std::string where = path.empty() ? "" : "field " + path.substr(0, path.size() - 1);
-    if (node.type != Node::Type::object) return bad(where, "it is no object");
+    if (node.type != Node::Type::object) return bad(where, "it is not a object");
     std::vector<const Node*> found(names.size(), nullptr);
     for (std::size_t i = 0; i < node.keys.size(); ++i) {
       const std::string& key = node.keys[i];
-      // Mostly the keys come in order. This ends after names.size() + 1 keys at the latest: the next is unknown or
-      // twice.
+      // Usually the keys come in order. The loop ends after names.size() + 1 keys at the latest: the next one is
+      // unknown or a duplicate.
       std::size_t at = i;
       if (at >= names.size() || names[at] != key) {
         at = static_cast<std::size_t>(std::find(names.begin(), names.end(), key) - names.begin());
@@ -73,7 +74,7 @@ class Reader {
   Result<void> field(const Field& field, const Node& node, const std::string& path) {
     if (!field.is_array) return element(field, node, path);
     if (node.type != Node::Type::array || node.children.size() != field.count) {
-      return bad("field " + path, "it is no list of " + std::to_string(field.count));
+      return bad("field " + path, "it is not a list of " + std::to_string(field.count));
     }
     for (std::size_t i = 0; i < field.count; ++i) {
       if (auto done = element(field, node.children[i], path + "[" + std::to_string(i) + "]"); !done) return done;
@@ -91,14 +92,14 @@ class Reader {
     return write(leaf, payload_, value(leaf, node));
   }
 
-  /// What to write there; of a node that is no list and no object.
+  /// The value of a node that is not a list or an object.
   Value value(const Leaf& leaf, const Node& node) const {
     const bool floating = leaf.kind == Kind::f32 || leaf.kind == Kind::f64;
     switch (node.type) {
       case Node::Type::boolean:
         return node.flag;
       case Node::Type::integer:
-        if (floating && node.integer == 0) return -0.0;  // the parser takes a 0 without a sign for a natural number
+        if (floating && node.integer == 0) return -0.0;  // the parser reads an unsigned 0 as a natural number
         if (floating) return nearest(leaf.kind, node.integer);
         return node.integer;
       case Node::Type::natural:
@@ -106,7 +107,7 @@ class Reader {
         return node.natural;
       case Node::Type::fraction:
         if (leaf.kind == Kind::f32) {
-          // Not by way of the double: rounding twice may give the neighbour.
+          // Not through a double: rounding twice may give a wrong float.
           float number = 0;
           const char* end = node.text.data() + node.text.size();
           if (const auto r = std::from_chars(node.text.data(), end, number); r.ec == std::errc{} && r.ptr == end) {
@@ -130,7 +131,7 @@ class Reader {
     }
   }
 
-  /// Decimal text means the nearest number that the field can hold.
+  /// A decimal text gives the nearest number of the field's type.
   template <class T>
   static double nearest(Kind kind, T number) {
     return kind == Kind::f32 ? static_cast<double>(static_cast<float>(number)) : static_cast<double>(number);
@@ -152,8 +153,8 @@ Result<DecodedEvent> Reader::event(const Node& root, const Description& descript
   const auto& [topic, time, origin, data, sequence, run] = std::array{(*found)[0], (*found)[1], (*found)[2],
                                                                       (*found)[3], (*found)[4], (*found)[5]};
   DecodedEvent event;
-  if (topic->type != Node::Type::string) return bad("topic", "it is no string");
-  if (origin->type != Node::Type::string) return bad("origin", "it is no string");
+  if (topic->type != Node::Type::string) return bad("topic", "it is not a string");
+  if (origin->type != Node::Type::string) return bad("origin", "it is not a string");
   event.topic = topic->text;
   event.origin = text_of(*origin);
   if (time->type == Node::Type::integer) {
@@ -162,14 +163,14 @@ Result<DecodedEvent> Reader::event(const Node& root, const Description& descript
              time->natural <= std::uint64_t{std::numeric_limits<std::int64_t>::max()}) {
     event.time = from_nanoseconds(static_cast<std::int64_t>(time->natural));
   } else {
-    return bad("time", "it is no integer of 64 bits", "write ns since 1970-01-01");
+    return bad("time", "it is not an integer of 64 bits", "write ns since 1970-01-01");
   }
   if (sequence != nullptr) {
-    if (sequence->type != Node::Type::natural) return bad("sequence", "it is no number from 0 on");
+    if (sequence->type != Node::Type::natural) return bad("sequence", "it is not a number from 0 on");
     event.sequence = sequence->natural;
   }
   if (run != nullptr) {
-    if (run->type != Node::Type::string) return bad("run", "it is no string");
+    if (run->type != Node::Type::string) return bad("run", "it is not a string");
     event.run = text_of(*run);
   }
   event.payload.resize(description.size());

@@ -1,4 +1,4 @@
-// Reading of what the JSON and CBOR codecs write.
+// Decodes the output of the JSON and CBOR codecs.
 #pragma once
 
 #include <cstddef>

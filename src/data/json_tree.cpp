@@ -66,7 +66,7 @@ class Builder {
       root_.type = type;
       return &root_;
     }
-    // Only the innermost open node grows, so the pointers to the others stay good.
+    // Only the innermost open node grows, so the pointers to the others stay valid.
     JsonNode& made = open_.back()->children.emplace_back();
     made.type = type;
     return &made;
@@ -98,18 +98,18 @@ const JsonNode* JsonNode::find(std::string_view key) const noexcept {
 std::string parse_json(std::string_view text, JsonNode& root) {
   Builder builder(root);
   if (nlohmann::json::sax_parse(text.begin(), text.end(), &builder)) return {};
-  return builder.error.empty() ? "it is no JSON" : builder.error;
+  return builder.error.empty() ? "it is not JSON" : builder.error;
 }
 
 std::string parse_cbor(std::span<const std::byte> bytes, JsonNode& root) {
   Builder builder(root);
   const auto* begin = reinterpret_cast<const char*>(bytes.data());
   if (nlohmann::json::sax_parse(begin, begin + bytes.size(), &builder, nlohmann::json::input_format_t::cbor)) return {};
-  return builder.error.empty() ? "it is no CBOR" : builder.error;
+  return builder.error.empty() ? "it is not CBOR" : builder.error;
 }
 
 void append_json(std::string& out, std::string_view text) {
-  constexpr std::string_view plain_escapes = "\"\"\\\\\bb\ff\nn\rr\tt";  // a character, what stands for it
+  constexpr std::string_view plain_escapes = "\"\"\\\\\bb\ff\nn\rr\tt";  // pairs of escape letter and character
   constexpr char digits[] = "0123456789abcdef";
   out += '"';
   while (!text.empty()) {

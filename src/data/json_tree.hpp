@@ -1,5 +1,5 @@
-// JSON, and what is alike in CBOR, as a tree. Unlike nlohmann's it is destroyed without asking for memory: where there
-// is none, its destructor would end the program. For what is read or written while a program records.
+// A tree for JSON and the similar part of CBOR. Its destructor does not allocate; nlohmann's does, which would end the
+// program without memory. For use while a program records.
 #pragma once
 
 #include <cstddef>
@@ -27,12 +27,12 @@ struct JsonNode {
   const JsonNode* find(std::string_view key) const noexcept;
 };
 
-/// What is wrong with it; empty: nothing, and `root` is what it says. Nested 48 deep at most.
+/// Parses the text into `root`; returns the error, or an empty text. At most 48 levels of nesting.
 std::string parse_json(std::string_view text, JsonNode& root);
-/// The same of CBOR; strings of bytes are texts, tags are mistakes.
+/// The same for CBOR; byte strings become texts, tags are errors.
 std::string parse_cbor(std::span<const std::byte> bytes, JsonNode& root);
 
-/// Appends `text` as JSON writes it, with its quotes; a byte that is no UTF-8 as U+FFFD.
+/// Appends `text` as a JSON string with quotes; a byte that is not UTF-8 becomes U+FFFD.
 void append_json(std::string& out, std::string_view text);
 
 }  // namespace rtdata::detail

@@ -1,4 +1,4 @@
-// Words in a row, as a message lists them.
+// Lists words in a message.
 #pragma once
 
 #include <string>
@@ -6,7 +6,7 @@
 
 namespace rtdata::detail {
 
-/// "a, b, c", of whatever holds texts.
+/// "a, b, c", from any container of texts.
 template <class Words>
 std::string listed(const Words& words, std::string_view between = ", ") {
   std::string text;
@@ -14,7 +14,7 @@ std::string listed(const Words& words, std::string_view between = ", ") {
   return text;
 }
 
-/// The same of what `text_of` says of each.
+/// The same with `text_of` for each item.
 template <class Items, class TextOf>
 std::string listed_of(const Items& items, const TextOf& text_of) {
   std::string text;

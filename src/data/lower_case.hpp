@@ -6,7 +6,7 @@
 
 namespace rtdata::detail {
 
-/// The letters of ASCII without their case: names that differ in it alone are one column, or one table, in a recording.
+/// Converts ASCII letters to lower case: names that differ only in case are the same column or table in a recording.
 inline std::string lower_case(std::string_view text) {
   std::string name(text);
   for (char& c : name) c = c >= 'A' && c <= 'Z' ? static_cast<char>(c - 'A' + 'a') : c;

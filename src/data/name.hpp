@@ -1,4 +1,4 @@
-// Names of sensors and tiers: they stand in lines for people, and in recordings.
+// Names of sensors and tiers, shown to people and stored in recordings.
 #pragma once
 
 #include <algorithm>
@@ -18,12 +18,12 @@ inline bool has_control(std::string_view text) noexcept {
   return false;
 }
 
-/// Whether it keeps to the rule.
+/// True if the name follows the rule.
 inline bool is_name(std::string_view name) noexcept {
   return !name.empty() && name.size() <= 200 && !has_control(name) && is_utf8(name);
 }
 
-/// A name that may be none, in quotes, for one line of text.
+/// A possibly invalid name, in quotes, for one line of text.
 inline std::string quoted_name(std::string_view name) {
   std::string text(name.substr(0, 200));
   std::replace_if(text.begin(), text.end(), is_control, '?');

@@ -1,4 +1,4 @@
-/// The known word nearest to one that is not known, for advice in errors.
+/// Finds the known word nearest to an unknown one, for advice in errors.
 #pragma once
 
 #include <algorithm>
@@ -8,7 +8,7 @@
 
 namespace rtdata::detail {
 
-/// Letters to insert, remove or replace to make one of the other.
+/// The number of letters to insert, remove or replace to change one word into the other.
 inline std::size_t edit_distance(std::string_view a, std::string_view b) {
   std::vector<std::size_t> row(b.size() + 1);
   for (std::size_t j = 0; j <= b.size(); ++j) row[j] = j;

@@ -13,14 +13,13 @@ namespace rtdata::detail {
 
 inline constexpr std::size_t longest_number = 32;
 
-/// The digits of `number` when it is a decimal number of at most six decimals, not very large or small; null when not.
-/// They are those of std::to_chars, for a fraction of the time: readings mostly have few decimals.
+/// Writes `number` if it has at most six decimals and is not very large or small; returns null otherwise. Gives the
+/// same digits as std::to_chars in a fraction of the time; most readings have few decimals.
 inline char* put_short_decimal(char* to, double number) {
   const double size = std::abs(number);
   if (!(size >= 1e-3 && size < 1e5)) return nullptr;  // outside, std::to_chars may write an exponent
   constexpr std::uint32_t unit = 1'000'000;
-  // Two decimal numbers of at most 15 digits are never the same double, so if this is the one then its digits are the
-  // shortest.
+  // Two decimal numbers of at most 15 digits never give the same double, so these digits are the shortest.
   const auto millionths = static_cast<std::int64_t>(size * unit + 0.5);
   if (static_cast<double>(millionths) / unit != size) return nullptr;
   if (number < 0) *to++ = '-';
@@ -41,7 +40,7 @@ char* put_number(char* to, Number number) {
   return std::to_chars(to, to + longest_number, number).ptr;
 }
 
-/// Whether a decimal number that is not 0 is nearer to 0 than 1 is; of one that is far away from both.
+/// True if a decimal number (not 0 and far from 1) is less than 1 in magnitude.
 inline bool is_tiny(std::string_view text) noexcept {
   std::int64_t magnitude = 0;  // of its first digit that is not 0
   bool is_fraction = false, has_begun = false;
@@ -62,8 +61,8 @@ inline bool is_tiny(std::string_view text) noexcept {
   return magnitude + (is_negative ? -exponent : exponent) <= 0;
 }
 
-/// The whole text as a number, the nearest that there is: 1e-400 is 0, -0 is 0 of an unsigned type too, and a plus sign
-/// may stand before. invalid_argument: it is none; result_out_of_range: it is too large.
+/// Reads the whole text as the nearest number: 1e-400 is 0, -0 is 0 for unsigned types too, and a plus sign is allowed.
+/// invalid_argument: not a number; result_out_of_range: too large.
 template <class Number>
 std::errc read_number(std::string_view text, Number& number) noexcept {
   if (text.size() > 1 && text[0] == '+' && text[1] != '-') text.remove_prefix(1);

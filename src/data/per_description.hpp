@@ -1,4 +1,4 @@
-// What a codec works out once for each description that it meets.
+// Data that a codec computes once for each description.
 #pragma once
 
 #include <cstdint>
@@ -15,7 +15,7 @@ class PerDescription {
   /// Valid until the next call.
   const Plan& of(const Description& description) {
     if (last_serial_ == description.serial()) return *last_;
-    if (plans_.size() >= 256) plans_.clear();  // a program makes new descriptions all the time
+    if (plans_.size() >= 256) plans_.clear();  // for a program that always makes new descriptions
     last_ = &plans_.try_emplace(description.serial(), description).first->second;
     last_serial_ = description.serial();
     return *last_;

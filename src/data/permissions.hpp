@@ -1,4 +1,4 @@
-// The permissions that a file is made with, as they are written in a configuration.
+// The permissions of a new file, as written in a configuration.
 #pragma once
 
 #include <sys/types.h>
@@ -12,9 +12,9 @@
 namespace rtdata::detail {
 
 inline constexpr const char* permissions_rule =
-    "permissions are octal digits that let the owner read and write, and nobody execute: such as \"0640\" or \"0644\"";
+    "permissions are octal digits that let the owner read and write, and no user execute: such as \"0640\" or \"0644\"";
 
-/// None: it is no such text.
+/// Empty: invalid text.
 inline std::optional<mode_t> permissions_of(std::string_view text) noexcept {
   if (text.size() == 4 && text.front() == '0') text.remove_prefix(1);
   if (text.size() != 3 || text.front() != '6') return std::nullopt;

@@ -7,7 +7,7 @@
 namespace rtdata {
 namespace {
 
-/// Longer words are no typing mistakes of a name; it also bounds the work.
+/// Longer words are not typing mistakes of a name; the limit also bounds the work.
 constexpr std::size_t longest_word = 64;
 
 std::string folded(std::string_view word) {

@@ -43,11 +43,11 @@ Error too_long(const std::string& where, std::size_t size) {
   return does_not_fit(where, "it has " + std::to_string(size) + " bytes, a value may have 255");
 }
 
-/// The values of a payload, in their order, as encoding takes them.
-struct Plan {
-  /// Numbers by their size in bytes, which always fit, and values of every other sort.
+/// The plan for encoding a payload: its values in order.
+struct RawPlan {
+  /// Numbers by size in bytes, which always fit, and other values.
   enum class Sort : std::uint8_t { field = 0, numbers_1 = 1, numbers_2 = 2, numbers_4 = 4, numbers_8 = 8 };
-  struct Step {
+  struct LeafStep {
     Sort sort = Sort::field;
     std::size_t offset = 0;        ///< bytes from the start of the payload
     std::size_t count = 1;         ///< of numbers: how many lie one after the other
@@ -55,9 +55,9 @@ struct Plan {
     std::string where;             ///< of this field, for errors
   };
 
-  explicit Plan(const Description& description) { add(description.fields(), 0, "field "); }
+  explicit RawPlan(const Description& description) { add(description.fields(), 0, "field "); }
 
-  std::vector<Step> steps;
+  std::vector<LeafStep> steps;
   std::size_t longest = 0;  ///< bytes that all this may take
   bool is_fixed = true;     ///< there are only numbers: it always takes as many bytes
 
@@ -111,10 +111,10 @@ std::byte* put_numbers(std::byte* to, const std::byte* from, std::size_t count) 
   return to;
 }
 
-/// A value of any sort. Null and the reason when it cannot be sent.
-std::byte* put_field(std::byte* to, const Plan::Step& step, const std::byte* at, Error& why) {
+/// Writes a value of any sort. Returns null, with the reason, if it cannot be sent.
+std::byte* put_field(std::byte* to, const RawPlan::LeafStep& step, const std::byte* at, Error& why) {
   const Field& field = *step.field;
-  std::byte* const begin = ++to;  // behind the size, which comes last
+  std::byte* const begin = ++to;  // after the size, which is written last
   for (std::size_t i = 0; i < field.count; ++i, at += field.stride) {
     if (field.optional != nullptr && !field.optional->has_value(at)) {
       why = does_not_fit(step.where, "it is absent, and raw bytes have no sign for that");
@@ -149,7 +149,8 @@ std::byte* replace_numbers(std::byte* to, const std::byte* from, std::size_t cou
   return to;
 }
 
-/// The bytes of an event of numbers only: the next of the same topic, origin and description differs in the numbers.
+/// The bytes of the last event with only numbers: the next one of the same topic, origin and description only needs new
+/// numbers.
 class LastEvent {
  public:
   bool is_like(const EventView& event) const noexcept {
@@ -168,29 +169,30 @@ class LastEvent {
       const std::uint64_t sequence = event.sequence();
       to = replace_numbers<sizeof sequence>(to, reinterpret_cast<const std::byte*>(&sequence), 1);
     }
-    for (const Plan::Step& step : plan_->steps) {
+    for (const RawPlan::LeafStep& step : plan_->steps) {
       const std::byte* const from = event.payload().data() + step.offset;
       switch (step.sort) {
-        case Plan::Sort::numbers_8:
+        case RawPlan::Sort::numbers_8:
           to = replace_numbers<8>(to, from, step.count);
           break;
-        case Plan::Sort::numbers_4:
+        case RawPlan::Sort::numbers_4:
           to = replace_numbers<4>(to, from, step.count);
           break;
-        case Plan::Sort::numbers_2:
+        case RawPlan::Sort::numbers_2:
           to = replace_numbers<2>(to, from, step.count);
           break;
-        case Plan::Sort::numbers_1:
+        case RawPlan::Sort::numbers_1:
           to = replace_numbers<1>(to, from, step.count);
           break;
-        case Plan::Sort::field:
+        case RawPlan::Sort::field:
           break;  // there is none
       }
     }
   }
 
   /// `plan`: of its description, fixed; lives until the next call or until `forget`.
-  void keep(const EventView& event, const Plan& plan, RawConfig::Sequence sequence, std::span<const std::byte> bytes) {
+  void keep(const EventView& event, const RawPlan& plan, RawConfig::Sequence sequence,
+            std::span<const std::byte> bytes) {
     plan_ = &plan;
     topic_ = event.topic();
     origin_ = event.origin();
@@ -204,7 +206,7 @@ class LastEvent {
   void forget() noexcept { serial_ = 0; }
 
  private:
-  const Plan* plan_ = nullptr;
+  const RawPlan* plan_ = nullptr;
   std::uint64_t serial_ = 0;  // serials start at 1
   std::string topic_;
   std::string origin_;
@@ -219,7 +221,7 @@ class Decoder {
   explicit Decoder(std::span<const std::byte> bytes) : rest_(bytes) {}
 
   static Error bad(std::string where, std::string why) {
-    return {Errc::bad_data, "the bytes are no event in raw format", std::move(where), std::move(why), ""};
+    return {Errc::bad_data, "the bytes are not an event in raw format", std::move(where), std::move(why), ""};
   }
 
   Result<std::span<const std::byte>> next(const std::string& where) {
@@ -364,7 +366,7 @@ class RawCodec final : public Codec {
   }
 
  private:
-  /// Where an event came from, as addresses that are compared and never followed.
+  /// The source of an event, as addresses that are only compared.
   struct Source {
     const void* topic = nullptr;
     const void* origin = nullptr;
@@ -375,8 +377,8 @@ class RawCodec final : public Codec {
   [[gnu::noinline]] Result<void> encode_unlike_last(const EventView& event, std::vector<std::byte>& out) {
     if (event.topic().size() > longest_value) return too_long("topic", event.topic().size());
     if (event.origin().size() > longest_value) return too_long("origin", event.origin().size());
-    last_.forget();  // its plan may go now
-    const Plan& plan = plans_.of(event.description());
+    last_.forget();  // its plan may be destroyed now
+    const RawPlan& plan = plans_.of(event.description());
     const std::size_t begin = out.size();
     out.resize(begin + longest_header + event.topic().size() + event.origin().size() + plan.longest);
     std::byte* to = put_text(out.data() + begin + 4, event.topic());
@@ -386,22 +388,22 @@ class RawCodec final : public Codec {
     const std::uint64_t sequence = event.sequence();
     if (config_.sequence == RawConfig::Sequence::include) to = put_number<sizeof sequence>(to, &sequence);
     const std::byte* const payload = event.payload().data();
-    for (const Plan::Step& step : plan.steps) {
+    for (const RawPlan::LeafStep& step : plan.steps) {
       const std::byte* from = payload + step.offset;
       switch (step.sort) {
-        case Plan::Sort::numbers_8:
+        case RawPlan::Sort::numbers_8:
           to = put_numbers<8>(to, from, step.count);
           break;
-        case Plan::Sort::numbers_4:
+        case RawPlan::Sort::numbers_4:
           to = put_numbers<4>(to, from, step.count);
           break;
-        case Plan::Sort::numbers_2:
+        case RawPlan::Sort::numbers_2:
           to = put_numbers<2>(to, from, step.count);
           break;
-        case Plan::Sort::numbers_1:
+        case RawPlan::Sort::numbers_1:
           to = put_numbers<1>(to, from, step.count);
           break;
-        case Plan::Sort::field: {
+        case RawPlan::Sort::field: {
           Error why;
           to = put_field(to, step, from, why);
           if (to != nullptr) break;
@@ -414,7 +416,7 @@ class RawCodec final : public Codec {
     const auto size = static_cast<std::uint32_t>(end - begin - 4);
     copy_number(out.data() + begin, reinterpret_cast<const std::byte*>(&size), sizeof size);
     out.resize(end);
-    // Where origins or topics take turns, keeping each would cost more than it saves.
+    // If origins or topics alternate, keeping each event would cost more than it saves.
     const Source source{event.topic().data(), event.origin().data(), &plan};
     if (plan.is_fixed && source == previous_) last_.keep(event, plan, config_.sequence, std::span(out).subspan(begin));
     previous_ = source;
@@ -425,7 +427,7 @@ class RawCodec final : public Codec {
   static constexpr std::size_t longest_header = 4 + 1 + 9 + 1 + 9;
 
   RawConfig config_;
-  detail::PerDescription<Plan> plans_;
+  detail::PerDescription<RawPlan> plans_;
   Source previous_;  // of the last event that was not like `last_`
   LastEvent last_;
 };

@@ -1,4 +1,4 @@
-// Spans of time for people: two digits, or all of a whole number.
+// Durations for people: two digits, or all digits of a whole number.
 #pragma once
 
 #include <array>

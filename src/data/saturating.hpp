@@ -1,4 +1,4 @@
-// Sums and differences of instants and spans: what would not fit is the first or the last that does.
+// Sums and differences of times and durations that saturate at the limits.
 #pragma once
 
 #include <chrono>
@@ -8,7 +8,7 @@
 
 namespace rtdata::detail {
 
-/// `span` after `at`, or as late, or as early, as can be said.
+/// `at` plus `span`, saturated.
 template <class Clock>
 constexpr std::chrono::time_point<Clock, Duration> later(std::chrono::time_point<Clock, Duration> at,
                                                          Duration span) noexcept {
@@ -19,7 +19,7 @@ constexpr std::chrono::time_point<Clock, Duration> later(std::chrono::time_point
   return Point{Duration{sum}};
 }
 
-/// What one span is longer than another, or as much as can be said.
+/// `to` minus `from`, saturated.
 constexpr Duration difference(Duration from, Duration to) noexcept {
   std::int64_t span = 0;
   if (__builtin_sub_overflow(to.count(), from.count(), &span)) [[unlikely]]
@@ -27,20 +27,20 @@ constexpr Duration difference(Duration from, Duration to) noexcept {
   return Duration{span};
 }
 
-/// From one instant to another, or as long as can be said.
+/// The duration from one time to another, saturated.
 template <class Clock>
 constexpr Duration span_between(std::chrono::time_point<Clock, Duration> from,
                                 std::chrono::time_point<Clock, Duration> to) noexcept {
   return difference(from.time_since_epoch(), to.time_since_epoch());
 }
 
-/// So many times a span that is not negative, or as long as can be said.
+/// `count` times a duration that is not negative, saturated.
 constexpr Duration multiple(std::int64_t count, Duration span) noexcept {
   std::int64_t product = 0;
   return __builtin_mul_overflow(span.count(), count, &product) ? Duration::max() : Duration{product};
 }
 
-/// The end of time never comes: what is due then is never due.
+/// True if `due` has come; the largest time never comes.
 constexpr bool has_come(MonotonicTime due, MonotonicTime now) noexcept {
   return due <= now && due != MonotonicTime::max();
 }

@@ -28,7 +28,7 @@ std::string_view trim(std::string_view text) {
   return text;
 }
 
-/// "12.50 ms" taken apart; the digits are views into the text.
+/// The parts of "12.50 ms"; the digits are views into the text.
 struct Quantity {
   std::string_view whole;
   std::string_view fraction;  ///< without trailing zeros
@@ -274,7 +274,7 @@ Result<Duration> parse_duration(std::string_view text) {
     const auto too_long = [&] {
       return not_a_duration(text, Errc::out_of_range, "it is longer than 292 years", "write a shorter one");
     };
-    std::uint64_t part = 0;  // from the last digit on: a division with a rest means less than a nanosecond
+    std::uint64_t part = 0;  // from the last digit; a division with a remainder means less than a nanosecond
     for (std::size_t i = q.fraction.size(); i-- > 0;) {
       part += static_cast<std::uint64_t>(q.fraction[i] - '0') * unit.nanoseconds;
       if (part % 10 != 0) {
@@ -358,7 +358,7 @@ Result<Rate> parse_rate(std::string_view text) {
     }
     return not_a_rate(text, static_cast<Errc>(error.code.value()), error.why, advice);
   }
-  if (period->count() == 0) return not_a_rate(text, Errc::out_of_range, "a period of zero is no rate", advice);
+  if (period->count() == 0) return not_a_rate(text, Errc::out_of_range, "a period of zero is not a rate", advice);
   return Rate::from_period(*period);
 }
 
@@ -368,7 +368,7 @@ std::string to_string(Rate rate) {
   const auto& [name, scale] = hertz >= 1e6   ? std::pair{" MHz", 1e6}
                               : hertz >= 1e3 ? std::pair{" kHz", 1e3}
                                              : std::pair{" Hz", 1.0};
-  // Round: few digits say it, and reading them gives the same period.
+  // A round rate: few digits give the same period when read back.
   for (int digits = 1; digits <= 4; ++digits) {
     char buffer[32];
     const auto end = std::to_chars(buffer, buffer + sizeof buffer, hertz / scale, std::chars_format::general, digits)

@@ -1,4 +1,4 @@
-// Times as text, without memory of its own.
+// Times as text, without allocation.
 #pragma once
 
 #include <cstddef>

@@ -101,7 +101,7 @@ class Parser {
   std::string_view rest_;
 };
 
-/// What people write, in lower case.
+/// Common spellings, in lower case.
 constexpr std::array<std::pair<std::string_view, std::string_view>, 96> meant{{
     {"degc", "Cel"},
     {"deg c", "Cel"},
@@ -220,7 +220,7 @@ bool is_ucum(std::string_view unit) noexcept {
 }
 
 std::string ucum_for(std::string_view unit) {
-  // Other ways to write signs and exponents: m/s^2, m/s**2, m/s and a small 2, m*s, a micro sign.
+  // Other notations of signs and exponents: m/s^2, m/s**2, m/s with a superscript 2, m*s, a micro sign.
   std::string same(unit);
   for (const auto& [what, by] : {std::pair<std::string_view, std::string_view>{"**", ""},
                                  {"^", ""},
@@ -239,14 +239,14 @@ std::string ucum_for(std::string_view unit) {
     if (written == wanted) return std::string(ucum);
   for (const std::string_view symbol : metric)
     if (detail::lower_case(symbol) == wanted) return std::string(symbol);
-  // A quotient of such: degC/min.
+  // A quotient of these: degC/min.
   if (const auto slash = unit.rfind('/'); slash != std::string_view::npos && slash > 0) {
     const auto part = [](std::string_view text) { return is_ucum(text) ? std::string(text) : ucum_for(text); };
     const std::string above = part(unit.substr(0, slash));
     const std::string below = part(unit.substr(slash + 1));
     if (!above.empty() && !below.empty() && is_ucum(above + "/" + below)) return above + "/" + below;
   }
-  // A word of one's own is an annotation.
+  // Any other word becomes an annotation.
   const auto is_letter = [](char c) { return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || c == '_'; };
   if (!unit.empty() && std::all_of(unit.begin(), unit.end(), is_letter)) return "{" + std::string(unit) + "}";
   return "";

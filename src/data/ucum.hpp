@@ -6,10 +6,10 @@
 
 namespace rtdata::detail {
 
-/// Whether the text is written as UCUM wants it: atoms with prefixes and exponents ("m/s2", "mm[Hg]", "N.m", "%{RH}").
-/// Of symbols in square brackets, all are taken. An empty text stands for none, "1" for a plain number: both are units.
+/// True if the text is valid UCUM: atoms with prefixes and exponents ("m/s2", "mm[Hg]", "N.m", "%{RH}"). Accepts all
+/// symbols in square brackets, an empty text (no unit) and "1" (a plain number).
 bool is_ucum(std::string_view unit) noexcept;
-/// What is probably meant by a text that is no UCUM: "Cel" for "degC"; empty when there is no guess.
+/// The probable UCUM unit of another text: "Cel" for "degC"; empty: unknown.
 std::string ucum_for(std::string_view unit);
 
 }  // namespace rtdata::detail

@@ -30,7 +30,7 @@ std::size_t plain_size(std::string_view text) noexcept {
   return i;
 }
 
-/// The size of the next piece that stands for itself; 0: the first byte is to be escaped.
+/// The size of the next piece without escapes; 0: the first byte must be escaped.
 std::size_t piece(std::string_view text, bool keeps_backslash) noexcept {
   if (text.front() == '\\') return keeps_backslash || escaped_byte(text) < 0 ? 1 : 0;
   return text.front() == '\0' ? 0 : utf8_size(text);

@@ -1,4 +1,4 @@
-// Text that every reader can read: UTF-8 without zero bytes, and how other bytes are written in it.
+// UTF-8 text without zero bytes, and the escapes for other bytes.
 #pragma once
 
 #include <algorithm>
@@ -15,28 +15,28 @@ namespace rtdata::detail {
 std::size_t utf8_size(std::string_view text) noexcept;
 bool is_utf8(std::string_view text) noexcept;
 
-/// A text for people: each byte that is no UTF-8, and each zero byte, as \xHH. There is no way back.
+/// A text for people: each byte that is not UTF-8, and each zero byte, becomes \xHH. Cannot be undone.
 std::string readable(std::string_view text);
-/// Whether `readable` gives the same text.
+/// True if `readable` does not change the text.
 bool is_readable(std::string_view text) noexcept;
 
-/// A text for a terminal: control characters, and bytes that are no UTF-8, as \xHH. What comes from a device, a server
-/// or somebody else's file must not command the terminal. `keeps_lines`: line ends and tabs stay.
+/// A text for a terminal: control characters, and bytes that are not UTF-8, become \xHH, because text from a device, a
+/// server or another file must not control the terminal. `keeps_lines`: keeps line ends and tabs.
 std::string visible(std::string_view text, bool keeps_lines = false);
-/// The bytes of the control character at the start of `text`, which is not empty; 0: it begins with none. U+0080 to
-/// U+009F are some, too.
+/// The size of the control character at the start of `text`, which is not empty; 0: none. U+0080 to U+009F are control
+/// characters too.
 std::size_t control_size(std::string_view text) noexcept;
 
-/// A text of a payload, in such a way that `unescaped` gives it back: as `readable` does, and a backslash as \x5c where
-/// it would be taken for the beginning of one of these (\x00, \x5c, \x80 to \xff).
+/// Appends a text of a payload so that `unescaped` restores it: like `readable`, and with \x5c for a backslash that
+/// would look like the start of an escape (\x00, \x5c, \x80 to \xff).
 void append_escaped(std::string& out, std::string_view text);
-/// Whether a text is its own escaped form, as nearly all are.
+/// True if escaping changes the text, which is rare.
 bool needs_escape(std::string_view text) noexcept;
 std::string unescaped(std::string_view text);
-/// Whether `unescaped` changes it.
+/// True if `unescaped` changes the text.
 bool has_escape(std::string_view text) noexcept;
 
-/// The byte that is written as the four characters at the start of `text`; -1 when they are none.
+/// The byte of the escape at the start of `text`; -1: no escape.
 int escaped_byte(std::string_view text) noexcept;
 
 /// The content of a text in a payload, at its value.

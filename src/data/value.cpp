@@ -56,7 +56,7 @@ Result<T> to_integer(const Leaf& leaf, Kind kind, const Value& value) {
     return static_cast<T>(*number);
   }
   if (const auto* number = std::get_if<double>(&value)) {
-    if (!(std::trunc(*number) == *number)) return out_of_range(leaf, value, "is no integer");
+    if (!(std::trunc(*number) == *number)) return out_of_range(leaf, value, "is not an integer");
     // 2^digits is exact as a double, the largest T is not always.
     const double end = std::ldexp(1.0, std::numeric_limits<T>::digits);
     const double begin = std::is_signed_v<T> ? -end : 0.0;
@@ -259,7 +259,7 @@ Result<void> write(const Leaf& leaf, std::byte* payload, const Value& value) {
     leaf.optional->set(to, false);
     return {};
   }
-  // An optional is laid out as its value and then the flag that it has one, which is set once the value is written.
+  // An optional is its value followed by a flag, which is set after the value is written.
   auto done = put(leaf, to, value);
   if (done) to[leaf.optional->value_size] = std::byte{1};
   return done;

@@ -11,7 +11,7 @@
 
 namespace rtdata::fsm {
 
-// Closed from its end: what hears of events goes before what they change.
+// Members are destroyed from the last: handlers of events before the state that they change.
 struct ConfiguredMachine::Core {
   Core(Loop& its_loop, const MachineSettings& its_settings, Sync its_sync);
   Core(const Core&) = delete;
@@ -20,9 +20,9 @@ struct ConfiguredMachine::Core {
   /// Of an input, beside its events.
   struct Age {
     bool has_come = false;
-    bool is_silence_told = false;
-    bool is_forgotten = false;  // its values are too old, and taken out of the conditions of the current state
-    MonotonicTime came{};       // at first: made
+    bool is_silence_reported = false;
+    bool is_forgotten = false;  // its values are too old and were removed from the conditions of the current state
+    MonotonicTime came{};       // initially the time of construction
   };
   /// Of a transition.
   struct When {
@@ -30,19 +30,19 @@ struct ConfiguredMachine::Core {
     std::string of;   // "from pad to boost", in reports
     std::size_t way;  // among the transitions out of its state
     ExpressionResult result = {};
-    bool is_failure_told = false;
+    bool is_failure_reported = false;
   };
 
   void build(const std::vector<std::string>& names);
   void listen();
   void take(std::size_t input, const EventView& event, Time time);
   void recall();
-  void tell_missing(const rtdata::detail::ExpressionSources::Source& source) const;
+  void report_missing(const rtdata::detail::ExpressionSources::Source& source) const;
   void forget_old();
   void evaluate(When& when, Time time);
   bool holds(std::size_t when, const Moment& moment);
   void arrived(std::size_t state);
-  void tell_silence();
+  void report_silence();
   void report(Errc code, const char* what, const std::string& where, std::string why, std::string advice) const;
   bool is_old(std::size_t input) const {
     if (!ages[input].has_come) return true;
@@ -53,7 +53,7 @@ struct ConfiguredMachine::Core {
     const auto& fields = inputs.all()[input].fields;
     return std::any_of(fields.begin(), fields.end(), [&](const auto& field) { return expression.uses(field.index); });
   }
-  // Who acts
+  // The handler of states
   void act();
   void acted_on(std::uint64_t number);
 
@@ -68,19 +68,19 @@ struct ConfiguredMachine::Core {
   std::vector<std::vector<std::size_t>> whens_of;  // of each state
   std::size_t state = 0;
   std::optional<Time> last_time;  // of an input's event
-  bool is_evaluated = false;      // those of the current state, with the event that is taken in
-  /// The state, and when the machine came to it, for all threads: 16 bits, and 48 bits of microseconds.
+  bool is_evaluated = false;      // conditions of the current state were evaluated for the present event
+  /// The state and its arrival time, for all threads: 16 bits, and 48 bits of microseconds.
   std::atomic<std::uint64_t> shown{0};
 
   Callback<void(std::string_view)> handler;
-  bool is_acted_on = false;   // the present arrival
-  bool was_acted_on = false;  // the arrival with which it begins, of the machine before
+  bool is_acted_on = false;   // the handler was called for the present arrival
+  bool was_acted_on = false;  // the previous machine's handler was called for the first arrival
   std::uint64_t arrivals = 0;
-  std::uint64_t syncing = 0;  // the arrival that is to be on the card; 0: none is awaited
+  std::uint64_t syncing = 0;  // the arrival being synced to disk; 0: none
   std::weak_ptr<Core> self;
 
   Machine machine;
-  Timer patience;  // with the card
+  Timer patience;  // limit for syncing
   Ticker silence;
   std::vector<Subscription> subscriptions;
 };
@@ -142,7 +142,7 @@ void ConfiguredMachine::Core::build(const std::vector<std::string>& names) {
   }
 }
 
-/// Apart, since a subscription may fail.
+/// Separate, because a subscription may fail.
 void ConfiguredMachine::Core::listen() {
   subscriptions = inputs.subscribe(loop, "machine " + settings.name, [this](std::size_t input, const EventView& event) {
     take(input, event, event.time());
@@ -150,19 +150,19 @@ void ConfiguredMachine::Core::listen() {
   for (const std::string& topic : settings.inputs) detail::is_made_of(detail::node_of_open(machine, topic), topic);
   if (sync)
     patience = Timer(loop, {.name = "machine " + settings.name}, [this] {
-      report(Errc::timed_out, "what acts on a change does not wait for the card any longer",
+      report(Errc::timed_out, "actions on a change do not wait for the disk any longer",
              "state " + settings.states[state].name, "it took longer than " + to_string(settings.resume->wait),
-             "look at the recording: after a power cut now, the machine would not go on in this state");
+             "check the recording: after a power failure now, the machine would not go on in this state");
       acted_on(syncing);
     });
   if (settings.max_age > Duration{0} && !ages.empty()) {
     const Duration period = std::max<Duration>(settings.max_age, std::chrono::milliseconds{100});
     silence = Ticker(loop, {.period = period, .name = "machine " + settings.name},
-                     [this](const Tick&) { tell_silence(); });
+                     [this](const Tick&) { report_silence(); });
   }
 }
 
-/// The last of inputs that bring an event only when something changes.
+/// Takes the last events of inputs that publish only changes.
 void ConfiguredMachine::Core::recall() {
   const std::shared_ptr<Core> kept = self.lock();
   const Time now = loop.core().runtime.event_time(loop.now());
@@ -182,29 +182,29 @@ void ConfiguredMachine::Core::take(std::size_t input, const EventView& event, Ti
       if (Expression& expression = whens[number].expression; expression.uses(name))
         rtdata::detail::set_or_unknown(expression, name, value);
   });
-  if (is_new) tell_missing(inputs.all()[input]);
+  if (is_new) report_missing(inputs.all()[input]);
   last_time = time;
   forget_old();
-  // All of them, since memories take in each event, whichever transitions are tried.
+  // Evaluates all conditions, because functions with a memory need each event.
   for (const std::size_t number : own) evaluate(whens[number], time);
   is_evaluated = true;
-  const std::shared_ptr<Core> kept = self.lock();  // a handler of the change may end the machine's life
+  const std::shared_ptr<Core> kept = self.lock();  // a handler of the change may destroy the machine
   rtdata::detail::Node& node = detail::node_of_open(machine, inputs.all()[input].topic);
   if (was_old)
     for (const std::size_t number : own)
-      if (uses(whens[number].expression, input)) detail::begin_hold_anew(node, whens[number].way);
+      if (uses(whens[number].expression, input)) detail::restart_hold(node, whens[number].way);
   detail::input_event(node, time, came);
   is_evaluated = false;
 }
 
-void ConfiguredMachine::Core::tell_missing(const rtdata::detail::ExpressionSources::Source& source) const {
+void ConfiguredMachine::Core::report_missing(const rtdata::detail::ExpressionSources::Source& source) const {
   for (const auto& field : source.fields)
     if (field.leaf == nullptr)
       report(Errc::not_found, "a condition has no value", "topic " + source.topic,
-             "it has no number `" + field.name + "`", "look at its fields, and at the conditions");
+             "it has no number `" + field.name + "`", "check its fields, and the conditions");
 }
 
-/// What has become too old is no value for the conditions of the current state any more.
+/// Removes values that are too old from the conditions of the current state.
 void ConfiguredMachine::Core::forget_old() {
   for (std::size_t i = 0; i < ages.size(); ++i) {
     if (ages[i].is_forgotten || !ages[i].has_come || !is_old(i)) continue;
@@ -217,16 +217,16 @@ void ConfiguredMachine::Core::forget_old() {
 void ConfiguredMachine::Core::evaluate(When& when, Time time) {
   when.result = when.expression.evaluate(time);
   if (!when.result.has_failed()) {
-    when.is_failure_told = false;
-  } else if (!std::exchange(when.is_failure_told, true)) {
+    when.is_failure_reported = false;
+  } else if (!std::exchange(when.is_failure_reported, true)) {
     report(Errc::bad_data, "a condition failed", when.of, when.expression.why(),
-           "it counts as false; guard it, as in `x != 0 and 1 / x > 5`, or look at what is measured");
+           "it counts as false; guard it, as in `x != 0 and 1 / x > 5`, or check what is measured");
   }
 }
 
 bool ConfiguredMachine::Core::holds(std::size_t number, const Moment& moment) {
   When& when = whens[number];
-  if (!is_evaluated) {  // time has passed, or a named event came
+  if (!is_evaluated) {  // evaluated because time has passed or a named event came
     forget_old();
     evaluate(when, moment.time);
   }
@@ -244,14 +244,14 @@ void ConfiguredMachine::Core::arrived(std::size_t index) {
   for (const std::size_t number : whens_of[state]) {
     When& when = whens[number];
     when.expression.reset();
-    when.is_failure_told = false;
+    when.is_failure_reported = false;
     for (std::size_t i = 0; i < ages.size(); ++i) {
       if (is_old(i)) continue;
       for (const auto& field : inputs.all()[i].fields)
         if (const auto& value = values[field.index]; value && when.expression.uses(field.index))
           when.expression.set(field.index, *value);
     }
-    if (last_time) evaluate(when, *last_time);  // its memories begin with what the machine arrived with
+    if (last_time) evaluate(when, *last_time);  // its memories start with the values at the arrival
   }
   ++arrivals;
   is_acted_on = std::exchange(was_acted_on, false);
@@ -278,13 +278,13 @@ void ConfiguredMachine::Core::acted_on(std::uint64_t number) {
   if (handler) handler(settings.states[state].name);
 }
 
-void ConfiguredMachine::Core::tell_silence() {
+void ConfiguredMachine::Core::report_silence() {
   for (std::size_t i = 0; i < ages.size(); ++i) {
     const bool is_silent = loop.now() - ages[i].came > settings.max_age && !inputs.all()[i].is_held;
-    if (!is_silent || std::exchange(ages[i].is_silence_told, true)) continue;
+    if (!is_silent || std::exchange(ages[i].is_silence_reported, true)) continue;
     report(Errc::timed_out, "conditions wait", "topic " + settings.inputs[i],
-           ages[i].has_come ? "it has brought nothing for more than " + to_string(settings.max_age)
-                            : "it has brought nothing yet",
+           ages[i].has_come ? "it has had no event for more than " + to_string(settings.max_age)
+                            : "it has had no event yet",
            "they go on with its next event; a longer `max_age` bridges longer pauses");
   }
 }

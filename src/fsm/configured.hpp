@@ -1,4 +1,4 @@
-/// ConfiguredMachine: a state machine as a configuration says it, with expressions as conditions.
+/// ConfiguredMachine: a state machine from a configuration, with expressions as conditions.
 ///
 ///     {"name": "flight", "inputs": ["baro"], "max_age": "500 ms", "start": "pad",
 ///      "states": [{"name": "pad"}, {"name": "flying"}, {"name": "landed", "final": true}],
@@ -9,15 +9,15 @@
 ///
 /// It is an fsm::Machine (machine.hpp) whose transitions are tried with each event of its inputs. Names in `when` are
 /// FIELD, of the first of the inputs, TOPIC.FIELD, and TOPIC of one with a single number, as of derived topics
-/// (docs/expressions.md). A value that is older than `max_age` has no value: what needs it waits, and a condition that
-/// waits or fails does not hold. Conditions out of the current state take in each event of the inputs; their memories
-/// (`highest(x)`, `mean(x, 2)` ...) begin anew when the machine arrives in the state. What is to be remembered over
-/// several states is a derived topic.
+/// (docs/expressions.md). A value older than `max_age` counts as missing: expressions with it wait, and a condition
+/// that waits or fails is false. Conditions of the current state evaluate each event of the inputs; their memories
+/// (`highest(x)`, `mean(x, 2)` ...) restart when the machine arrives in the state. Use a derived topic for memory over
+/// several states.
 ///
-/// With `resume` it goes on in the state in which an earlier run of a recording left it.
+/// With `resume` it continues in the last state of an earlier recorded run.
 ///
-/// Owner: the holder. Thread: the loop's, but for what says otherwise; of a machine on a tier, the main loop's may
-/// destroy it, as a handle.
+/// Owner: the holder. Thread: the loop's, unless stated otherwise; the main loop's thread may destroy a machine on a
+/// tier, like a handle.
 #pragma once
 
 #include <functional>
@@ -35,14 +35,14 @@
 
 namespace rtdata::fsm {
 
-/// What a state sets. By the program that makes the machine (ConfiguredMachine::on_state).
+/// An output value of a state, set by the program (ConfiguredMachine::on_state).
 struct OutputValue {
   std::string output;
   double value = 1;
 
   friend constexpr auto parameters(type_tag<OutputValue>) {
     return parameter_list(parameter("output", &OutputValue::output, "which output", required, names_part("output")),
-                          parameter("value", &OutputValue::value, "what it is set to; of a line 1 is on, 0 off"));
+                          parameter("value", &OutputValue::value, "the value to set; of a line 1 is on, 0 off"));
   }
 };
 
@@ -55,11 +55,11 @@ struct StateSettings {
   friend constexpr auto parameters(type_tag<StateSettings>) {
     return parameter_list(
         parameter("name", &StateSettings::name, "its name, of 48 bytes at most", required, TextIs::name),
-        parameter("set", &StateSettings::set, "what outputs are set to when the machine arrives"),
+        parameter("set", &StateSettings::set, "values of outputs, set when the machine enters the state"),
         parameter("arm", &StateSettings::arm,
                   "outputs that can be armed in this state; an output that states name here, in no other",
                   names_part("output")),
-        parameter("final", &StateSettings::is_final, "nothing leads out of it, and that is meant"));
+        parameter("final", &StateSettings::is_final, "no transition leads out of it, on purpose"));
   }
 };
 
@@ -83,18 +83,18 @@ struct TransitionSettings {
         parameter("after", &TransitionSettings::after, "the machine must have been in `from` that long",
                   range(Duration{0}, Duration{24h * 365})),
         parameter("event", &TransitionSettings::event, "the named event that it waits for, and no other", TextIs::name),
-        parameter("cause", &TransitionSettings::cause, "what is recorded as the cause; default: made of the above",
+        parameter("cause", &TransitionSettings::cause, "the recorded cause; default: made of the above",
                   TextIs::recorded));
   }
 };
 
-/// Where the machine goes on after a pause.
+/// How the machine resumes after a pause.
 struct ResumeSettings {
   enum class UnknownAge { resume, start };
   std::string recording;                   ///< a sink, of the same loop
   Duration max_age{0};                     ///< of the pause
-  UnknownAge unknown_age{};                ///< what is done where the clock cannot say how long the pause was
-  Duration wait{std::chrono::seconds{1}};  ///< what acts on a change waits for the card, at most so long
+  UnknownAge unknown_age{};                ///< what to do if the clock cannot measure the pause
+  Duration wait{std::chrono::seconds{1}};  ///< longest wait of the handler for syncing a change to disk
 
   friend constexpr auto parameters(type_tag<ResumeSettings>) {
     using namespace std::chrono_literals;
@@ -103,10 +103,10 @@ struct ResumeSettings {
                           parameter("max_age", &ResumeSettings::max_age, "after a longer pause it begins in `start`",
                                     required, range(Duration{1ms}, Duration{24h * 365})),
                           parameter("unknown_age", &ResumeSettings::unknown_age,
-                                    "what it does when the clock cannot say how long the pause was", required,
+                                    "how it starts when the clock cannot say how long the pause was", required,
                                     choices(value("resume", UnknownAge::resume), value("start", UnknownAge::start))),
                           parameter("wait", &ResumeSettings::wait,
-                                    "how long what acts on a change waits for it to be on the card, at most",
+                                    "how long actions on a change wait, at most, until the disk has the change",
                                     range(Duration{1ms}, Duration{1min})));
   }
 };
@@ -127,7 +127,7 @@ struct MachineSettings {
         parameter("name", &MachineSettings::name, "unique; its changes are recorded under it", required, TextIs::name),
         parameter("topic", &MachineSettings::topic, "of its changes; default: as `name`", TextIs::topic),
         parameter("inputs", &MachineSettings::inputs,
-                  "topics with each of whose events the transitions are tried, and whose fields `when` knows",
+                  "topics: each of their events tries the transitions, and `when` knows their fields",
                   names_part("topic")),
         parameter("max_age", &MachineSettings::max_age, "older values of inputs count as absent; 0 s: however old",
                   range(Duration{0}, Duration{24h * 365})),
@@ -138,36 +138,37 @@ struct MachineSettings {
   }
 };
 
-/// What no parameter says by itself: states that are there, conditions that can be read, and what `find_faults` finds.
+/// Checks rules over several parameters: that states exist, that conditions can be read, and the faults of
+/// `find_faults`.
 void check_config(const MachineSettings& settings, const ConfigItem& item, Problems& problems);
-/// Whether the inputs have the fields that the conditions name. `payload_of`: what a topic carries, null when that is
-/// not known: then nothing is said of its fields.
+/// Checks that the inputs have the fields of the conditions. `payload_of`: the description of a topic; null if unknown,
+/// then its fields are not checked.
 void check_machine_names(const MachineSettings& settings,
                          const std::function<const Description*(std::string_view topic)>& payload_of,
                          const ConfigItem& item, Problems& problems);
-/// The states and transitions; those whose states are not there are left out.
+/// The states and transitions, without transitions between missing states.
 Graph graph_of(const MachineSettings& settings);
 
 class ConfiguredMachine {
  public:
-  /// Where a machine goes on. Nothing: in `start`.
+  /// Where a machine begins. Empty: in `start`.
   struct Beginning {
     std::string state;
-    Duration in_state{0};      ///< how long it has been in it already
+    Duration in_state{0};      ///< time already spent in the state
     std::string cause = {};    ///< of the change, which is published: "resumed after 1.2 s"
-    bool is_acted_on = false;  ///< who acts on the states has heard of it, and hears of the next one
+    bool is_acted_on = false;  ///< the handler was already called for it
   };
-  /// Calls `done` on the machine's loop when what was published up to now is on the card.
+  /// Calls `done` on the machine's loop when everything published so far is on disk.
   using Sync = std::function<void(Callback<void()> done)>;
-  /// `sync`: with it, who acts on changes (`on_state`) hears of one when it is on the card. SetupError: as Machine; a
-  /// mistake in the settings (bad-argument).
+  /// `sync`: if set, the handler (`on_state`) is called after the change is on disk. SetupError: as Machine; a mistake
+  /// in the settings (bad-argument).
   ConfiguredMachine(Loop& loop, const MachineSettings& settings, const std::optional<Beginning>& beginning = {},
                     Sync sync = {});
   ConfiguredMachine(ConfiguredMachine&&) noexcept;
   ConfiguredMachine& operator=(ConfiguredMachine&&) noexcept;
   ~ConfiguredMachine();
 
-  /// A named event, taken in by its loop soon. Any thread. An error: no transition waits for one of that name.
+  /// Raises a named event, which its loop processes soon. Any thread. An error: no transition uses this event.
   Result<void> raise(std::string_view event);
   struct Now {
     std::string_view state;  ///< valid as long as the machine
@@ -175,10 +176,11 @@ class ConfiguredMachine {
   };
   /// Any thread.
   Now now() const noexcept;
-  /// Who acts on the states has heard of the present one.
+  /// True if the handler was called for the present state.
   bool is_acted_on() const noexcept;
-  /// For who acts on the states: called after each arrival, on the loop. With `resume`, once the change is on the card
-  /// or `wait` is over; of changes that come meanwhile, the last. One handler; an empty one ends it.
+  /// Sets the handler of states, called on the loop after each arrival. With `resume`, it is called when the change is
+  /// on disk or `wait` is over; if there are more changes meanwhile, only for the last. One handler; an empty one
+  /// removes it.
   void on_state(Callback<void(std::string_view state)> handler);
   MachineCounts counts() const noexcept;
   const MachineSettings& settings() const noexcept;

@@ -21,14 +21,14 @@ std::vector<bool> reached_from(const Graph& graph, std::size_t start) {
   return reached;
 }
 
-/// `one` is taken whenever `other` could be: both wait for the same, and `one` for nothing else. `is_first`: it is
-/// tried before `other`. Without an event, it is tried as soon as its time is there.
+/// True if `one` is taken whenever `other` could be: both wait for the same event, and `one` has no other condition.
+/// `is_first`: it is tried before `other`. Without an event, it is tried as soon as its time has come.
 bool hides(const Graph::Edge& one, const Graph::Edge& other, bool is_first) {
   if (one.from != other.from || one.on != other.on || !one.is_unconditional) return false;
   return is_first ? one.after <= other.after : one.on.empty() && one.after < other.after;
 }
 
-/// A text in quotes, as both languages have it.
+/// A text in quotes, for both languages.
 std::string quoted(const std::string& text, std::string_view quote) {
   std::string result = "\"";
   for (const char c : text) {
@@ -102,7 +102,7 @@ std::vector<GraphFault> find_faults(const Graph& graph) {
     }
     if (is_left && state.is_final)
       faults.push_back(
-          {Kind::left_final, i, Graph::none, "state `" + state.name + "` is final, and something leads out of it"});
+          {Kind::left_final, i, Graph::none, "state `" + state.name + "` is final, but a transition leads out of it"});
   }
   for (std::size_t i = 0; i < graph.edges.size(); ++i) {
     const Graph::Edge& edge = graph.edges[i];
@@ -125,7 +125,7 @@ std::vector<GraphFault> find_faults(const Graph& graph) {
 }
 
 std::string mermaid(const Graph& graph) {
-  // Names may hold what identifiers may not: the states are numbered, and shown by name.
+  // Names may contain characters that identifiers may not, so states are numbered and shown by name.
   std::string text = "stateDiagram-v2\n";
   for (std::size_t i = 0; i < graph.states.size(); ++i)
     text += "  state " + quoted(graph.states[i].name, "#34;") + " as s" + std::to_string(i) + "\n";

@@ -16,14 +16,14 @@ namespace rtdata::fsm {
 namespace {
 
 using detail::any_event;
-using detail::Entry;
 using detail::MachineTable;
 using detail::no_event;
-using detail::Way;
+using detail::StateEntry;
+using detail::TransitionEntry;
 using rtdata::detail::LoopCore;
 using rtdata::detail::Node;
 
-constexpr const char* not_standard = "an exception that is no std::exception";
+constexpr const char* not_standard = "an exception that is not a std::exception";
 
 class StateOfFunctions final : public State {
  public:
@@ -40,7 +40,7 @@ class StateOfFunctions final : public State {
   StateConfig config_;
 };
 
-/// As much of it as fits, without a broken character at its end.
+/// Cuts the text to fit, without a broken character at its end.
 text<max_cause> cut(std::string_view cause) {
   if (cause.size() > max_cause) {
     std::size_t end = max_cause;
@@ -61,7 +61,7 @@ class MachineNode final : public Node {
         time_(loop, {.name = object()}, [this] { time_passed(); }),
         go_on_(loop, {.name = object()}, [this] { take_waiting(); }),
         table_(config_.name) {
-    feed_.set_numbered();  // it makes its events itself
+    feed_.set_numbered();  // it numbers its own events
   }
 
   // Its table
@@ -71,7 +71,7 @@ class MachineNode final : public Node {
   }
   void remove_state(std::string_view name) {
     check_use("cannot remove a state");
-    Entry& state = table_.entry(name, "cannot remove state");
+    StateEntry& state = table_.entry(name, "cannot remove state");
     if (&state == current_ || &state == going_to_)
       table_.refuse(Errc::busy, "cannot remove state", state.name, "the machine is in it", "leave it first");
     if (state.name == config_.failure && current_ != nullptr) {
@@ -83,7 +83,7 @@ class MachineNode final : public Node {
   }
   void add_transition(Transition transition) {
     check_use("cannot add a transition");
-    const Entry& from = table_.add_transition(std::move(transition));
+    const StateEntry& from = table_.add_transition(std::move(transition));
     if (&from == current_ && going_to_ == nullptr) arm();
   }
   std::size_t remove_transitions(std::string_view from, std::string_view to) {
@@ -97,7 +97,7 @@ class MachineNode final : public Node {
   void start(std::string_view name, std::string_view cause, Duration in_state) {
     check_use("cannot start");
     if (current_ != nullptr || going_to_ != nullptr) return;
-    Entry& state = table_.entry(name.empty() ? std::string_view(config_.start) : name, "cannot start in");
+    StateEntry& state = table_.entry(name.empty() ? std::string_view(config_.start) : name, "cannot start in");
     if (!config_.failure.empty()) (void)table_.entry(config_.failure, "cannot have as the state after failures");
     const rtdata::detail::Call call(*this);
     const LoopCore::Calling calling(loop()->runtime);
@@ -125,11 +125,11 @@ class MachineNode final : public Node {
     set_made_of(*origin, std::move(topics));
   }
   /// In a delivery of the loop.
-  void begin_hold_anew(std::size_t way) {
+  void restart_hold(std::size_t way) {
     if (current_ != nullptr && way < current_->ways.size()) current_->ways[way]->since.reset();
   }
-  /// An input's value was too old from then on. With events that came since, conditions were tried without it, so that
-  /// what holds does not need it; without one, nothing confirmed any.
+  /// An input's value was too old from `from` on. Conditions that were evaluated since then did not use it; the others
+  /// lose their hold time.
   void input_was_old(MonotonicTime from) {
     if (last_came_ > from || current_ == nullptr) return;
     for (const auto& way : current_->ways) way->since.reset();
@@ -155,14 +155,14 @@ class MachineNode final : public Node {
   void check_use(const char* what) const { loop()->check_thread(what, config_.name); }
 
   // Events
-  /// An event of the program's, maybe outside of the loop's callbacks.
+  /// An event from the program, possibly outside the loop's callbacks.
   void take_now(std::uint16_t event) {
     const rtdata::detail::Call call(*this);
     const LoopCore::Calling calling(loop()->runtime);
     const MonotonicTime now = loop()->now();
     take(event, on_line(now), now);
   }
-  /// Now, or after those that wait for the end of a change.
+  /// Takes the event now, or after the events that wait for the end of a change.
   void take(std::uint16_t event, Time time, MonotonicTime now) {
     if (is_busy_ || waiting_ > 0) [[unlikely]]
       return keep(event, time);
@@ -182,8 +182,7 @@ class MachineNode final : public Node {
     queue_[(first_ + waiting_++) % queue_.size()] = {event, time};
     if (!is_busy_) take_waiting();
   }
-  /// What waits, and in turn what that causes: at most as many as may wait at once, then the loop has a turn in
-  /// between.
+  /// Takes waiting events and those that they cause, up to the queue's size; then the loop has a turn in between.
   void take_waiting() {
     const rtdata::detail::Call call(*this);
     for (std::size_t i = 0; waiting_ > 0; ++i) {
@@ -201,14 +200,14 @@ class MachineNode final : public Node {
     take_now(no_event);
     if (is_open()) arm();
   }
-  /// The loop's time, on the line of the events: those of a recording that is replayed are of another day.
+  /// The loop's time on the events' clock: events of a replayed recording are from another day.
   Time on_line(MonotonicTime now) { return last_time_ ? *last_time_ + (now - last_came_) : loop()->face.time(); }
-  /// When an action or a condition is done, and what it called.
+  /// Called when an action or a condition, and everything it called, is done.
   void ended() {
     is_busy_ = false;
     if (table_.has_removed()) tidy();
   }
-  /// Destroys what was removed, when none of it is on the stack.
+  /// Destroys removed states and transitions when none is on the stack.
   void tidy() {
     if (!is_busy_ && table_.has_removed()) table_.tidy();
   }
@@ -220,25 +219,25 @@ class MachineNode final : public Node {
       if (is_named) ++counts_.ignored;
       return;
     }
-    Entry& from = *current_;
+    StateEntry& from = *current_;
     const Moment moment{time, from.name, std::max(now - arrived_, Duration{0}),
                         is_named ? std::string_view(table_.events()[event]) : std::string_view()};
-    if (Way* const way = way_out(from, event, moment)) {
+    if (TransitionEntry* const way = way_out(from, event, moment)) {
       ++counts_.transitions;
       go(way->to, way->cause, time);
     }
   }
-  static bool waits_for(const Entry& state, std::uint16_t event) {
+  static bool waits_for(const StateEntry& state, std::uint16_t event) {
     return std::any_of(state.ways.begin(), state.ways.end(),
                        [&](const auto& way) { return way->on == event && !way->is_removed; });
   }
-  /// The first that may be taken. None: null.
-  Way* way_out(Entry& from, std::uint16_t event, const Moment& moment) {
+  /// The first transition that may be taken; null: none.
+  TransitionEntry* way_out(StateEntry& from, std::uint16_t event, const Moment& moment) {
     const bool is_time = event == no_event;
     if (is_time) event = any_event;
-    // By index: conditions may add ways.
+    // By index, because conditions may add transitions.
     for (std::size_t i = 0, count = from.ways.size(); i < count && is_open(); ++i) {
-      Way& way = *from.ways[i];
+      TransitionEntry& way = *from.ways[i];
       if (way.on != event || way.is_removed || moment.in_state < way.after) continue;
       if (way.when && !ask(way, from, moment)) {
         way.since.reset();
@@ -250,7 +249,7 @@ class MachineNode final : public Node {
     }
     return nullptr;
   }
-  bool ask(Way& way, const Entry& from, const Moment& moment) {
+  bool ask(TransitionEntry& way, const StateEntry& from, const Moment& moment) {
     try {
       return way.when(moment);
     } catch (const std::exception& e) {
@@ -260,24 +259,24 @@ class MachineNode final : public Node {
     }
     return false;
   }
-  void condition_threw(const Way& way, const Entry& from, const char* why) noexcept {
+  void condition_threw(const TransitionEntry& way, const StateEntry& from, const char* why) noexcept {
     threw([&] { return "the condition of " + from.name + " to " + way.to.name; }, why);
   }
-  static bool has_held(Way& way, Time now) {
+  static bool has_held(TransitionEntry& way, Time now) {
     if (way.hold == Duration{0}) return true;
     if (!way.since) way.since = now;
     return now - *way.since >= way.hold;
   }
-  bool may_go_to(Entry& state, const Moment& moment) {
+  bool may_go_to(StateEntry& state, const Moment& moment) {
     bool may = is_open();
     if (may && state.has_check) may = call("check", state, [&] { may = state.code->check(moment); }) && may;
     return may;
   }
 
   /// Goes to a state, and on to the failure state when an action threw.
-  void go(Entry& target, std::string_view cause, Time time, Duration before = Duration{0}) {
-    Entry* to = &target;
-    Entry* const failure = config_.failure.empty() ? nullptr : table_.find(config_.failure);
+  void go(StateEntry& target, std::string_view cause, Time time, Duration before = Duration{0}) {
+    StateEntry* to = &target;
+    StateEntry* const failure = config_.failure.empty() ? nullptr : table_.find(config_.failure);
     const char* why = nullptr;
     going_to_ = to;
     if (current_ != nullptr) {
@@ -301,7 +300,7 @@ class MachineNode final : public Node {
     arm();
   }
   /// `before`: how long it was there already, before this machine was made.
-  bool arrive_in(Entry& to, std::string_view cause, Time time, Duration before = Duration{0}) {
+  bool arrive_in(StateEntry& to, std::string_view cause, Time time, Duration before = Duration{0}) {
     StateChange change;
     if (current_ != nullptr) {
       change.from = current_->name;
@@ -317,7 +316,7 @@ class MachineNode final : public Node {
     if (!is_open()) return false;
     return call("arrive", to, [&] { to.code->arrive({time, to.name, before}); });
   }
-  /// Wakes up when the next way of the current state may be tried.
+  /// Starts the timer for the next timed transition of the current state.
   void arm() {
     const Duration passed = in_state();
     Duration next = Duration::max();
@@ -329,7 +328,7 @@ class MachineNode final : public Node {
 
   // Users' functions
   template <class Function>
-  bool call(const char* what, const Entry& state, Function&& function) {
+  bool call(const char* what, const StateEntry& state, Function&& function) {
     return run([&] { return std::string(what) + " of state " + state.name; }, std::forward<Function>(function));
   }
   /// False: it threw.
@@ -373,10 +372,10 @@ class MachineNode final : public Node {
   const Machine::Config config_;
   Feed<StateChange> feed_;
   Timer time_;   // for the next `after`
-  Timer go_on_;  // with events that wait, after a turn of the loop
+  Timer go_on_;  // continues with waiting events after a turn of the loop
   MachineTable table_;
-  Entry* current_ = nullptr;
-  Entry* going_to_ = nullptr;  // while a change is under way
+  StateEntry* current_ = nullptr;
+  StateEntry* going_to_ = nullptr;  // during a change
   MonotonicTime arrived_{};
   std::optional<Time> last_time_;  // of an input's event
   MonotonicTime last_came_{};      // when that came
@@ -391,7 +390,7 @@ class MachineNode final : public Node {
   MachineCounts counts_;
 };
 
-// Apart, so that what ends a call (`Call`) stays short.
+// Separate, so that the end of a call (`Call`) stays short.
 MachineNode::~MachineNode() = default;
 void MachineNode::drop_callbacks() noexcept { table_.clear(); }
 
@@ -456,8 +455,8 @@ namespace detail {
 void input_event(rtdata::detail::Node& machine, Time time, MonotonicTime came) {
   if (machine.is_open()) static_cast<MachineNode&>(machine).input(time, came);
 }
-void begin_hold_anew(rtdata::detail::Node& machine, std::size_t way) {
-  if (machine.is_open()) static_cast<MachineNode&>(machine).begin_hold_anew(way);
+void restart_hold(rtdata::detail::Node& machine, std::size_t way) {
+  if (machine.is_open()) static_cast<MachineNode&>(machine).restart_hold(way);
 }
 void input_event(InputTimes& input, Time time) {
   const MonotonicTime now = input.machine.loop()->deliveries.handler_began();

@@ -1,4 +1,4 @@
-// What a configuration says of a machine: its mistakes, and its graph.
+// The settings of a machine in a configuration: checks, and the graph.
 #include <algorithm>
 #include <utility>
 
@@ -24,14 +24,14 @@ const ConfigItem& child_or(const ConfigItem& item, std::string_view key) {
 bool is_a_condition(const std::string& when) {
   return Expression(when, rtdata::detail::names_of({when})).is_condition();
 }
-/// The name that is the whole text, which may be that of a flag. None: there is more in it.
+/// The name, if it is the whole text (a flag). Empty: the text has more.
 std::optional<std::string> flag_named(const std::string& when) {
   const std::vector<std::string> names = rtdata::detail::names_of({when});
   if (names.size() != 1 || Expression::normal_name(names[0]) != Expression::normal_name(when)) return {};
   return names[0];
 }
 
-/// Looks at one machine; each step only when those before found nothing that it builds on.
+/// Checks one machine; a step runs only if the earlier ones found no mistake that it depends on.
 class Checker {
  public:
   Checker(const MachineSettings& settings, const ConfigItem& item, Problems& problems)
@@ -53,7 +53,7 @@ class Checker {
     const auto& inputs = settings_.inputs;
     for (std::size_t i = 0; i < inputs.size(); ++i) {
       if (!is_topic_name(inputs[i])) {
-        add(element_of(item_, "inputs", i), "bad-value", "\"" + inputs[i] + "\" is no topic");
+        add(element_of(item_, "inputs", i), "bad-value", "\"" + inputs[i] + "\" is not a topic");
       } else if (std::find(inputs.begin(), inputs.begin() + std::ptrdiff_t(i), inputs[i]) !=
                  inputs.begin() + std::ptrdiff_t(i)) {
         add(element_of(item_, "inputs", i), "bad-value", "the topic \"" + inputs[i] + "\" is there twice");
@@ -75,7 +75,7 @@ class Checker {
     }
     check_known(settings_.start, child_or(item_, "start"));
   }
-  /// Why expressions could not name the state, which they would see too late: the name would be another value.
+  /// Why expressions cannot use the state's name: it would mean another value.
   std::string why_no_name(const std::string& state) const {
     const std::string topic = Expression::normal_name(settings_.topic.empty() ? settings_.name : settings_.topic);
     if (state.find('/') != std::string::npos) return "the name of a state has no `/`, which is a `.` in expressions";
@@ -115,7 +115,7 @@ class Checker {
     const std::vector<std::string> names = rtdata::detail::names_of({transition.when});
     if (settings_.inputs.empty() && !names.empty())
       return add(at, "bad-value", "the machine has no `inputs` that could have `" + names[0] + "`");
-    // Of numbers alone, without a function, it is always the same.
+    // Without names and functions the condition is constant.
     if (names.empty() && transition.when.find('(') == std::string::npos &&
         !Expression(transition.when, names).evaluate(Time{}).is_true())
       return add(at, "bad-value", "it is never true");
@@ -125,7 +125,7 @@ class Checker {
   void check_graph() {
     for (const GraphFault& fault : find_faults(graph_of(settings_))) {
       const bool is_of_state = fault.state != Graph::none;
-      if (fault.edge == Graph::none && !is_of_state) continue;  // no start: said when it was looked at
+      if (fault.edge == Graph::none && !is_of_state) continue;  // no start: already reported
       const ConfigItem& at = is_of_state ? child_or(element_of(item_, "states", fault.state), "name")
                                          : element_of(item_, "transitions", fault.edge);
       add(at, is_of_state ? "bad-state" : "bad-transition", fault.text);

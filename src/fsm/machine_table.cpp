@@ -26,10 +26,10 @@ void MachineTable::add_state(std::string name, std::unique_ptr<State> code, bool
     refuse(Errc::bad_name, "cannot add state", name, "there is one of that name already",
            "remove it first, or give it another name");
   }
-  states_.push_back(std::make_unique<Entry>(Entry{std::move(name), std::move(code), is_final, has_check}));
+  states_.push_back(std::make_unique<StateEntry>(StateEntry{std::move(name), std::move(code), is_final, has_check}));
 }
 
-void MachineTable::remove_state(Entry& state) {
+void MachineTable::remove_state(StateEntry& state) {
   for (const auto& other : states_)
     for (const auto& way : other->ways)
       if (&way->to == &state) way->is_removed = true;
@@ -39,9 +39,9 @@ void MachineTable::remove_state(Entry& state) {
   states_.erase(found);
 }
 
-Entry& MachineTable::add_transition(Transition transition) {
-  Entry& from = entry(transition.from, "cannot add a transition from");
-  Entry& to = entry(transition.to, "cannot add a transition to");
+StateEntry& MachineTable::add_transition(Transition transition) {
+  StateEntry& from = entry(transition.from, "cannot add a transition from");
+  StateEntry& to = entry(transition.to, "cannot add a transition to");
   const std::string name = transition.from + " to " + transition.to;
   if (transition.hold > Duration{0} && !transition.when)
     refuse(Errc::bad_argument, "cannot add transition", name, "`hold` without a condition",
@@ -64,18 +64,18 @@ Entry& MachineTable::add_transition(Transition transition) {
     }
   }
   std::string cause = cause_of(transition);
-  from.ways.push_back(std::make_unique<Way>(Way{.on = on,
-                                                .to = to,
-                                                .when = std::move(transition.when),
-                                                .after = transition.after,
-                                                .hold = transition.hold,
-                                                .cause = std::move(cause)}));
+  from.ways.push_back(std::make_unique<TransitionEntry>(TransitionEntry{.on = on,
+                                                                        .to = to,
+                                                                        .when = std::move(transition.when),
+                                                                        .after = transition.after,
+                                                                        .hold = transition.hold,
+                                                                        .cause = std::move(cause)}));
   return from;
 }
 
 std::size_t MachineTable::remove_transitions(std::string_view from, std::string_view to) {
-  Entry& source = entry(from, "cannot remove transitions from");
-  const Entry& target = entry(to, "cannot remove transitions to");
+  StateEntry& source = entry(from, "cannot remove transitions from");
+  const StateEntry& target = entry(to, "cannot remove transitions to");
   std::size_t count = 0;
   for (const auto& way : source.ways) {
     if (&way->to != &target || way->is_removed) continue;
@@ -100,12 +100,12 @@ void MachineTable::clear() noexcept {
   removed_.clear();
 }
 
-Entry* MachineTable::find(std::string_view name) const noexcept {
+StateEntry* MachineTable::find(std::string_view name) const noexcept {
   const auto found = std::find_if(states_.begin(), states_.end(), [&](const auto& e) { return e->name == name; });
   return found == states_.end() ? nullptr : found->get();
 }
-Entry& MachineTable::entry(std::string_view name, const char* what) const {
-  if (Entry* const found = find(name)) return *found;
+StateEntry& MachineTable::entry(std::string_view name, const char* what) const {
+  if (StateEntry* const found = find(name)) return *found;
   std::vector<std::string_view> names;
   for (const auto& state : states_) names.push_back(state->name);
   refuse(Errc::not_found, what, "state " + std::string(name), "there is no state of that name",
@@ -115,7 +115,7 @@ Entry& MachineTable::entry(std::string_view name, const char* what) const {
 Graph MachineTable::graph(const std::string& machine, const std::string& start) const {
   Graph graph;
   graph.name = machine;
-  const auto index = [&](const Entry& state) {
+  const auto index = [&](const StateEntry& state) {
     return static_cast<std::size_t>(
         std::find_if(states_.begin(), states_.end(), [&](const auto& e) { return e.get() == &state; }) -
         states_.begin());

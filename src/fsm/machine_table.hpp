@@ -1,4 +1,4 @@
-// The table of a machine: its states, and the ways from one to another. Private to the machine.
+// The table of a machine: its states and transitions. Private to the machine.
 #pragma once
 
 #include <algorithm>
@@ -15,42 +15,42 @@ namespace rtdata::fsm::detail {
 
 /// What makes a machine try its transitions: a named event, by its number, or any other.
 inline constexpr std::uint16_t any_event = 0xffff;
-/// As any_event, without an event: time has passed, or the program asked. What must hold for a time goes by events.
+/// As any_event, but without an event: time has passed, or the program asked. Hold times only count events.
 inline constexpr std::uint16_t no_event = 0xfffe;
 
-struct Entry;
+struct StateEntry;
 
-// What each event looks at comes first.
-struct Way {
+// The members needed for each event come first.
+struct TransitionEntry {
   std::uint16_t on;         // any_event: it waits for none
   bool is_removed = false;  // destroyed when no action runs
-  Entry& to;
+  StateEntry& to;
   Condition when;
   Duration after;
   Duration hold;
-  std::optional<Time> since{};  // its condition has been true, of one with `hold`
+  std::optional<Time> since{};  // since when its condition has been true, with `hold`
   std::string cause;
 };
 
-/// A state, with the ways out of it.
-struct Entry {
+/// A state with the transitions out of it.
+struct StateEntry {
   std::string name;
   std::unique_ptr<State> code;
   bool is_final;
-  bool has_check;  // it decides itself whether it may be gone to
-  std::vector<std::unique_ptr<Way>> ways{};
+  bool has_check;  // it has its own check
+  std::vector<std::unique_ptr<TransitionEntry>> ways{};
 };
 
-/// Thread: the machine's loop's. What is removed stays until `tidy`, since it may be on the stack.
+/// Thread: the machine's loop's. Removed entries stay until `tidy`, because they may be on the stack.
 class MachineTable {
  public:
   explicit MachineTable(const std::string& machine) : object_("machine " + machine) {}
 
   void add_state(std::string name, std::unique_ptr<State> code, bool is_final, bool has_check);
-  /// With all ways to it.
-  void remove_state(Entry& state);
-  /// Returns the state that it leads out of.
-  Entry& add_transition(Transition transition);
+  /// Removes a state with all transitions to it.
+  void remove_state(StateEntry& state);
+  /// Returns the state of its start.
+  StateEntry& add_transition(Transition transition);
   /// The number of those that were removed.
   std::size_t remove_transitions(std::string_view from, std::string_view to);
   bool has_removed() const noexcept { return has_removed_; }
@@ -59,9 +59,9 @@ class MachineTable {
   void clear() noexcept;
 
   /// None: null.
-  Entry* find(std::string_view name) const noexcept;
-  /// Not there: SetupError, which says `what` cannot be done.
-  Entry& entry(std::string_view name, const char* what) const;
+  StateEntry* find(std::string_view name) const noexcept;
+  /// Throws SetupError if it does not exist; `what` names the failed action.
+  StateEntry& entry(std::string_view name, const char* what) const;
   /// any_event: no transition waits for an event of that name.
   std::uint16_t event_number(std::string_view name) const noexcept {
     const auto found = std::find(events_.begin(), events_.end(), name);
@@ -78,8 +78,8 @@ class MachineTable {
   void check_name(const std::string& name, const char* what) const;
 
   const std::string object_;  // in errors
-  std::vector<std::unique_ptr<Entry>> states_;
-  std::vector<std::unique_ptr<Entry>> removed_;
+  std::vector<std::unique_ptr<StateEntry>> states_;
+  std::vector<std::unique_ptr<StateEntry>> removed_;
   bool has_removed_ = false;  // of these, or of ways
   std::vector<std::string> events_;
 };

@@ -19,7 +19,7 @@ Duration AskedLine::patience() const noexcept { return std::max({answer_timeout_
 
 Result<void> AskedLine::settle(Partner& partner, Duration silence) {
   const MonotonicTime limit = lane_now() + spare_;
-  for (bool is_drained = false;;) {  // of what has come before
+  for (bool is_drained = false;;) {  // drop older bytes
     MonotonicTime still_from;
     {
       const std::lock_guard lock(mutex_);
@@ -37,16 +37,16 @@ Result<void> AskedLine::settle(Partner& partner, Duration silence) {
     if (*got > 0) {
       last_use_ = lane_now();
       is_restless_ = true;
-      // After the time of the last request, they may be those of the first answer that did not come.
+      // After the time of the last request, the bytes may belong to the first missing answer.
       if (waits && partner.in_doubt_from != MonotonicTime{} && last_use_ > partner.asked + answer_timeout_)
         longest_late_ = std::max(longest_late_,
                                  std::min(last_use_ - partner.in_doubt_from - answer_timeout_, most_late_));
     }
     if (is_too_long)
       return Error{Errc::timed_out, "cannot ask the device", "bus " + bus_,
-                   "the answer to an earlier request may still come, or the line is not still",
+                   "the answer to an earlier request may still come, or the device sends without a request",
                    "it is asked again " + to_string(std::chrono::ceil<std::chrono::milliseconds>(still_from - now)) +
-                       " from now; look why answers come late, or what sends without being asked"};
+                       " from now; find out why answers come late, or what sends without being asked"};
     if (*got == 0 && lane_now() >= still_from) {
       is_restless_ = false;
       return {};

@@ -1,4 +1,4 @@
-// A serial line on which requests are answered, and on which no answer is taken for that to another request.
+// A serial line with requests and answers, which never takes an answer for the wrong request.
 #pragma once
 
 #include <cstdint>
@@ -11,20 +11,20 @@
 
 namespace rtdata::detail {
 
-/// An answer that did not come, or that made no sense, leaves a doubt: the right one may still come. A request which
-/// that could be taken for waits until it no longer can be: for `answer_timeout` and then as long again, at least a
-/// second, or as late as answers have come. What comes meanwhile is dropped.
+/// After a missing or wrong answer the right one may still come. The next request to the same partner waits until that
+/// is no longer possible: `answer_timeout` and as long again, at least a second, or the longest delay seen so far.
+/// Bytes received meanwhile are dropped.
 ///
 /// Shared by a bus and its devices. Thread: that of the bus's lane, and those of jobs that were given up.
 class AskedLine {
  public:
   static constexpr Duration least_patience = std::chrono::seconds{1};
-  /// What follows an answer at once (a copy, a prompt, the rest of a packet of USB) has come by then.
+  /// After this time, bytes directly after an answer (a copy, a prompt, the rest of a USB packet) have arrived.
   static constexpr Duration stillness = std::chrono::milliseconds{20};
 
   AskedLine(std::string bus, std::shared_ptr<SerialTransport> transport, Duration answer_timeout, Duration timeout);
 
-  /// Whose answers are taken for one another's: all of a line, or those of one unit of it. The line's lock guards it.
+  /// Devices whose answers cannot be distinguished: all of a line, or one unit of it. The line's lock protects it.
   struct Partner {
     MonotonicTime asked{};          // last
     MonotonicTime heard{};          // last
@@ -32,16 +32,16 @@ class AskedLine {
     MonotonicTime answers_until{};
   };
 
-  /// Before a request: waits until no answer to an earlier one can come, nor a copy of the last. `silence`: what the
-  /// line needs between two frames. Errors: timed-out (it would have to be left still for longer than a reading may
-  /// take), and those of the transport.
+  /// Before a request: waits until no earlier answer or copy can arrive. `silence`: the pause that the line needs
+  /// between two frames. Errors: timed-out (the wait would be longer than a reading may take), and those of the
+  /// transport.
   Result<void> settle(Partner& partner, Duration silence = Duration{0});
   Result<void> write(Partner& partner, std::span<const std::uint8_t> bytes);
   /// 0: nothing came by then.
   Result<std::size_t> read(Partner& partner, std::span<std::uint8_t> bytes, MonotonicTime until);
-  /// The answer has come, all of it. `has_more`: and something behind it.
+  /// The answer is complete. `has_more`: further bytes followed.
   void answered(Partner& partner, bool has_more);
-  /// The answer to the last request did not come, or what came is perhaps not it.
+  /// The answer to the last request is missing or may be wrong.
   void distrust(Partner& partner);
 
   Result<void> open() { return transport_->open(); }
@@ -57,7 +57,7 @@ class AskedLine {
   std::mutex mutex_;          // of what follows, and of partners; not while it waits
   Duration longest_late_{0};  // after `answer_timeout`
   MonotonicTime last_use_{};
-  bool is_restless_ = false;  // bytes came that nobody had asked for
+  bool is_restless_ = false;  // bytes came without a request
 };
 
 }  // namespace rtdata::detail

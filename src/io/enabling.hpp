@@ -1,5 +1,5 @@
-// How what a board does not show by itself is switched on. The one place for it: errors of buses and ports, `rtdata
-// scan` and `rtdata doctor` say the same.
+// Advice for enabling buses that a board disables by default. One place for errors of buses and ports, `rtdata scan`
+// and `rtdata doctor`.
 #pragma once
 
 #include <string>
@@ -7,11 +7,11 @@
 
 namespace rtdata::detail {
 
-/// By the path of a device that is not there: "/dev/i2c-1", "/dev/spidev0.0", "/dev/serial0", "/sys/bus/w1/devices".
-/// Empty: nothing is known of it that would help.
+/// Advice for the path of a missing device: "/dev/i2c-1", "/dev/spidev0.0", "/dev/serial0", "/sys/bus/w1/devices".
+/// Empty: no advice.
 std::string how_to_enable(std::string_view device);
 
-/// Where gpsd is to run on this machine, and nobody listens.
+/// Advice if gpsd should run on this machine but nobody listens.
 inline constexpr std::string_view how_to_start_gpsd =
     "start it: `sudo systemctl start gpsd.socket` (`sudo apt install gpsd`, if there is no such unit)";
 

@@ -1,4 +1,4 @@
-// GPIO lines: which line a name is, and reading and setting one.
+// GPIO lines: finding a line by name, reading and setting it.
 #include "rtdata/io/gpio.hpp"
 
 #include <algorithm>
@@ -69,7 +69,7 @@ class Finder {
  public:
   Finder(std::vector<GpioChipInfo> chips, const GpioLineName& line, const std::string& chip)
       : chips_(std::move(chips)), line_(line.text), chip_(chip) {
-    // A name may have a colon of its own: what stands before it is a chip only if there is one of that name.
+    // A name may contain a colon: the part before it is a chip only if a chip has that name.
     const std::size_t colon = line_.rfind(':');
     if (!chip_.empty() || colon == std::string::npos || colon == 0 || colon + 1 == line_.size()) return;
     const std::string_view before = std::string_view(line_).substr(0, colon);
@@ -168,17 +168,17 @@ Error refusal_of(int error_number, GpioBackend& backend, const Place& place) {
   switch (error_number) {
     case EBUSY: {
       std::string who = place.line.consumer;
-      for (const GpioChipInfo& chip : backend.chips())  // it may have been taken just now
+      for (const GpioChipInfo& chip : backend.chips())  // another program may have just taken it
         if (chip.path == place.path && place.number < chip.lines.size()) who = chip.lines[place.number].consumer;
       return {Errc::busy, cannot_use_line, place.text(),
-              who.empty() ? "somebody has it, who gives no name" : "\"" + who + "\" has it",
+              who.empty() ? "another program uses it, which gives no name" : "\"" + who + "\" has it",
               "end that, or use another line; a driver of the kernel is named in the device tree"};
     }
     case EINVAL:
     case ENXIO:
     case EOPNOTSUPP:
     case 524:  // ENOTSUPP, the kernel's own
-      return {Errc::bad_argument, cannot_use_line, place.text(), "its chip cannot do what is asked for",
+      return {Errc::bad_argument, cannot_use_line, place.text(), "its chip cannot do that",
               "a chip may lack resistors (`bias`), interrupts (edges), or reading of outputs"};
     default:
       return detail::gpio_failure(error_number, cannot_use_line, place.text());

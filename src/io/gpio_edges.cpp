@@ -17,7 +17,7 @@ namespace detail {
 namespace {
 
 constexpr std::size_t most_read = 64;                      // edges in one turn of the loop
-constexpr Duration look_period = std::chrono::seconds{1};  // whether the chip is still there
+constexpr Duration look_period = std::chrono::seconds{1};  // for checking that the chip is still there
 
 }  // namespace
 
@@ -65,7 +65,7 @@ class GpioEdgesNode final : public Node {
   }
   void take_waiting() {
     Call call(*this);
-    // Bounded: what comes as fast as it is taken is left to the next turn.
+    // Bounded: a continuous flood is left to the next turn.
     for (std::size_t left = 4096 / most_read; left > 0 && request_ != nullptr && take_some(false); --left) {
     }
   }
@@ -119,7 +119,7 @@ class GpioEdgesNode final : public Node {
       counts_.lost += step - 1;
     }
     MonotonicTime time{Duration{edge.time}};
-    if (time > now || time < from_) time = now;  // the kernel stamped it with another clock
+    if (time > now || time < from_) time = now;  // the kernel used another clock
     if (!software_debounce_) return give({edge.is_rising, time, number_ += step});
     ++bounces_;
     last_bounce_ = time;
@@ -130,7 +130,7 @@ class GpioEdgesNode final : public Node {
     loop()->call_user(name_, [&] { callback_(edge); });
   }
 
-  /// The debounce time has passed without an edge. Reads the level anew, since edges may have been dropped.
+  /// The debounce time has passed without an edge. Reads the level again, because edges may have been dropped.
   void settle() {
     Call call(*this);
     if (request_ == nullptr) return;
@@ -184,7 +184,7 @@ class GpioEdgesNode final : public Node {
   FdWatch watch_;
   Timer look_;
   Timer settle_;
-  MonotonicTime from_{};  // when the line was taken: no edge is older
+  MonotonicTime from_{};  // when the line was opened: no edge is older
   std::uint32_t last_number_ = 0;
   std::uint64_t number_ = 0;
   GpioEdgeCounts counts_;

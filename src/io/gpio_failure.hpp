@@ -1,4 +1,4 @@
-// What the kernel answered for a GPIO line, as an error.
+// Converts the kernel's answer for a GPIO line to an error.
 #pragma once
 
 #include <cerrno>
@@ -11,7 +11,7 @@ namespace rtdata::detail {
 inline Error gpio_failure(int error_number, const char* what, const std::string& place) {
   if (error_number == ENODEV || error_number == ENXIO || error_number == EIO)
     return {Errc::disconnected, what, place, "its chip is gone",
-            "look at the chip's plug or driver; it is opened again when it is back"};
+            "check the chip's plug or driver; it is opened again when it is back"};
   return system_error(error_number, what, place);
 }
 

@@ -28,7 +28,7 @@ inline std::vector<std::string> gpio_chip_files() {
   return files;
 }
 
-/// Whether the file of a chip is still the one that it was: it is made anew when the chip is plugged in again.
+/// Detects that a chip's file was replaced, which happens when the chip is plugged in again.
 class GpioChipFile {
  public:
   explicit GpioChipFile(std::string path) : path_(std::move(path)) { ::stat(path_.c_str(), &status_); }

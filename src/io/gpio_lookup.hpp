@@ -1,4 +1,4 @@
-// Where a GPIO line is, without taking it.
+// Finds a GPIO line without opening it.
 #pragma once
 
 #include <string>
@@ -13,7 +13,7 @@ struct FoundLine {
   GpioLineInfo line;
 };
 
-/// Errors: those of taking it, as far as they are seen before (not-found, bad-argument, not-permitted).
+/// Errors: those of opening it, as far as known before (not-found, bad-argument, not-permitted).
 Result<FoundLine> find_gpio_line(std::vector<GpioChipInfo> chips, const GpioLineName& line, const std::string& chip);
 
 }  // namespace rtdata::detail

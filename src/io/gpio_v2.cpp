@@ -163,7 +163,7 @@ class KernelGpio final : public GpioBackend {
   }
   static std::unique_ptr<Request> take(const std::string& path, unsigned number, const std::string& consumer,
                                        gpiod_line_settings* settings, bool with_edges, int& error_number) {
-    const Chip chip(gpiod_chip_open(path.c_str()));  // the request goes on without it
+    const Chip chip(gpiod_chip_open(path.c_str()));  // the request does not need it
     if (chip == nullptr) return refuse(error_number);
     const LineConfig config(gpiod_line_config_new());
     const RequestConfig request(gpiod_request_config_new());

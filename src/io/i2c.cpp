@@ -20,10 +20,10 @@ std::string mistake_in(I2cAddress address) {
   const unsigned number = address.number;
   if (number >= I2cAddress::first && number <= I2cAddress::last) return "";
   if (number > 0x7f && number <= 0xff && number / 2 >= I2cAddress::first && number / 2 <= I2cAddress::last)
-    return to_string(address) + " is an address of 8 bits, with that for reading or writing; without it, it is " +
+    return to_string(address) + " is an address of 8 bits, with the read/write bit; the address of 7 bits is " +
            to_string(I2cAddress(number / 2));
   if (number == 0) return "the address of the chip is missing: such as 0x76";
-  return to_string(address) + " is no address of 7 bits for a chip: 0x08 to 0x77";
+  return to_string(address) + " is not an address of 7 bits for a chip: 0x08 to 0x77";
 }
 
 bool ConfigValue<I2cAddress>::read(const ConfigItem& item, I2cAddress& out, Problems& problems) {
@@ -35,7 +35,7 @@ bool ConfigValue<I2cAddress>::read(const ConfigItem& item, I2cAddress& out, Prob
     const std::string_view digits = text.substr(is_hex ? 2 : 0);
     const auto [end, status] = std::from_chars(digits.data(), digits.data() + digits.size(), number, is_hex ? 16 : 10);
     if (status != std::errc{} || end != digits.data() + digits.size()) {
-      problems.add(item.problem("bad-value", "\"" + std::string(text) + "\" is no address: write it as \"0x76\""));
+      problems.add(item.problem("bad-value", "\"" + std::string(text) + "\" is not an address: write it as \"0x76\""));
       return false;
     }
   } else if (!ConfigValue<unsigned>::read(item, number, problems)) {
@@ -66,7 +66,7 @@ Error I2cDevice::failure(int errno_value) const {
     case ENXIO:
     case EREMOTEIO:
       return error(Errc::disconnected, what, "nothing acknowledges this address",
-                   "look at its wires and its supply; `i2cdetect -y` shows who answers");
+                   "check its wires and its supply; `i2cdetect -y` shows who answers");
     case ETIMEDOUT:
       return error(Errc::timed_out, what, "the adapter waited in vain",
                    "a chip may hold SCL or SDA: switch it off and on");
@@ -132,7 +132,7 @@ Result<void> I2cDevice::write_word(std::uint8_t number, std::uint16_t value) {
 
 I2cBus::I2cBus(I2cConfig config) : I2cBus(std::string(config.device), config) {}
 
-// Not moved: which argument is made first is the compiler's choice.
+// Not moved, because the order of argument evaluation is unspecified.
 I2cBus::I2cBus(std::string name, I2cConfig config) : I2cBus(std::move(name), make_kernel_i2c(config.device), config) {}
 
 I2cBus::I2cBus(std::string name, std::shared_ptr<I2cTransport> transport, I2cConfig config)

@@ -50,7 +50,7 @@ int command(const Adapter& adapter, std::uint8_t direction, std::uint8_t number,
   return ::ioctl(adapter.fd, I2C_SMBUS, &arguments) < 0 ? errno : 0;
 }
 
-/// Of the SMBus commands that the adapter has, the one that is this transfer on the wires.
+/// Performs the transfer with the equivalent SMBus command of the adapter.
 int by_smbus(const Adapter& adapter, unsigned address, Written write, Read read) noexcept {
   if (::ioctl(adapter.fd, I2C_SLAVE, static_cast<unsigned long>(address)) < 0) return errno;
   const auto has = [&](unsigned long functions) { return (adapter.functions & functions) == functions; };
@@ -147,7 +147,7 @@ class KernelI2c final : public I2cTransport {
   }
 
   const std::string device_;
-  std::mutex mutex_;  // only while it is opened and forgotten
+  std::mutex mutex_;  // held only while the adapter is opened or forgotten
   std::shared_ptr<Adapter> adapter_;
 };
 

@@ -25,7 +25,7 @@ constexpr const char* cannot_find = "cannot find the IIO device";
 constexpr const char* cannot_use_device = "cannot use the IIO device";
 constexpr std::string_view devices = "/sys/bus/iio/devices";
 
-// The units of Documentation/ABI/testing/sysfs-bus-iio. Where that names none, there is none here.
+// The units of Documentation/ABI/testing/sysfs-bus-iio; empty if it names none.
 constexpr std::array<IioQuantity, 34> quantities{{
     {"accel", "m/s2", 1, "m/s2"},
     {"activity", "%", 1, "%"},
@@ -65,7 +65,7 @@ constexpr std::array<IioQuantity, 34> quantities{{
 
 bool is_digit(char c) noexcept { return c >= '0' && c <= '9'; }
 
-/// What follows a type: "", "0", "_x", "0-voltage1", "1_vcc".
+/// The text after a type: "", "0", "_x", "0-voltage1", "1_vcc".
 bool is_rest(std::string_view rest) noexcept {
   if (rest.empty()) return true;
   if (!is_digit(rest.front()) && rest.front() != '_') return false;
@@ -187,7 +187,7 @@ void IioDevice::list_channels() {
     const auto index = number_of("scan_elements/in_" + name + "_index");
     if (!type || !index || !(*index >= 0 && *index < 4096)) continue;
     auto storage = parse_iio_storage(*type);
-    if (!storage) continue;  // of a kind that nobody knew when this was written
+    if (!storage) continue;  // an unknown kind
     IioChannel& channel = named(name);
     channel.index = static_cast<int>(*index);
     channel.storage = *storage;
@@ -245,7 +245,7 @@ Result<double> IioDevice::number_of(const std::string& file) const {
   double number = 0;
   if (detail::read_number(*text, number) != std::errc{} || !std::isfinite(number)) {
     return Error{Errc::not_a_number, cannot_use_device, folder_ + "/" + file,
-                 "\"" + text->substr(0, 40) + "\" is no number", ""};
+                 "\"" + text->substr(0, 40) + "\" is not a number", ""};
   }
   return number;
 }
@@ -258,7 +258,7 @@ std::string IioDevice::file_of(const IioChannel& channel) const {
   return folder_ + "/in_" + channel.name + (channel.is_processed ? "_input" : "_raw");
 }
 
-/// Of the channel itself, of all of its type, of all: the first that there is.
+/// The first existing attribute: of the channel, of its type, or of the device.
 std::optional<std::string> IioDevice::first_attribute(const IioChannel& channel, const char* what) const {
   std::vector<std::string> files{"in_" + channel.name + "_" + what};
   if (const IioQuantity* quantity = iio_quantity(channel.name)) {

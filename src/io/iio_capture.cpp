@@ -84,7 +84,7 @@ Result<void> IioCapture::set_up(const IioCaptureConfig& config) {
   fd_ = ::open(device.node().c_str(), O_RDONLY | O_NONBLOCK | O_CLOEXEC);
   if (fd_ < 0) {
     const int number = errno;
-    if (number == EBUSY) {  // the kernel lets in one
+    if (number == EBUSY) {  // the kernel allows one user
       const std::string holder = device.holder();
       return Error{Errc::busy, cannot_capture, device.text(),
                    holder.empty() ? "another program has it" : holder + " has it",
@@ -98,7 +98,8 @@ Result<void> IioCapture::set_up(const IioCaptureConfig& config) {
   const auto is_on = device.attribute("buffer/enable");
   if (!is_on) return is_on.error();
   if (*is_on == "1") {
-    // Nobody has the device open, or opening it would have failed: whoever turned it on was killed, or is a script.
+    // No program has the device open, otherwise opening would have failed: the program that enabled it was killed, or
+    // is a script.
     if (auto off = device.set_attribute("buffer/enable", "0"); !off) return off;
     notes_.push_back("the buffer was on, and no program had it open: it was turned off and is used");
   }
@@ -130,7 +131,7 @@ Result<void> IioCapture::set_trigger(const std::string& wanted) {
     const std::string own = device.name() + "-dev" + std::to_string(device.number());
     if (std::find(names.begin(), names.end(), own) != names.end()) name = own;
   }
-  if (name.empty()) return {};  // turning it on tells
+  if (name.empty()) return {};  // enabling the buffer shows the error
   const auto found = std::find_if(all.begin(), all.end(), [&](const Trigger& one) { return one.name == name; });
   if (found == all.end()) {
     return Error{Errc::not_found, cannot_capture, device.text(), "there is no trigger " + name,
@@ -186,7 +187,7 @@ Result<void> IioCapture::set_channels(const IioCaptureConfig& config) {
   for (const std::string& file : detail::names_in_folder(device.folder() + "/scan_elements")) {
     if (file.starts_with("in_") && file.ends_with("_en")) files.push_back(file);
   }
-  // Off first, since some devices can do few at a time; then on, and a look whether they are.
+  // Disables first, because some devices allow few channels at a time; then enables, and checks the result.
   for (const char* const to : {"0", "1"}) {
     for (const std::string& file : files) {
       const std::string name = file.substr(3, file.size() - 6);
@@ -218,7 +219,7 @@ Result<void> IioCapture::set_channels(const IioCaptureConfig& config) {
 
 Result<void> IioCapture::set_rate(Rate rate) {
   const IioDevice& device = *device_;
-  // A trigger that has a rate says how often; one that is the device's own goes as the device does.
+  // A trigger with a rate has its own file; the device's own trigger uses the device's rate.
   std::string file;
   const std::string of_trigger = trigger_folder_ + "/sampling_frequency";
   const bool is_triggers = !trigger_folder_.empty() && ::access(of_trigger.c_str(), F_OK) == 0;

@@ -29,7 +29,8 @@ class Descriptor {
 };
 
 Error failure(int number, const char* what, const std::string& path) {
-  if (number == ENODEV) return {Errc::disconnected, what, path, "the device has gone away", "it is looked for again"};
+  if (number == ENODEV)
+    return {Errc::disconnected, what, path, "the device has disappeared", "the program searches for it again"};
   return system_error(number, what, path, number == EACCES ? who_may : "");
 }
 

@@ -1,4 +1,4 @@
-// Files of the kernel as texts, and who has a device open. All of it may block: for lanes and set-up.
+// Reads files of the kernel, and finds who has a device open. Everything may block: use it on lanes and during set-up.
 #pragma once
 
 #include <string>
@@ -17,13 +17,13 @@ constexpr std::string_view trimmed(std::string_view text) noexcept {
   return text.substr(first, text.find_last_not_of(blanks) - first + 1);
 }
 
-/// At most 4 KiB, without blanks and line ends at both ends. `what`: of the error.
+/// At most 4 KiB, without leading and trailing blanks and line ends. `what`: for the error.
 Result<std::string> read_kernel_file(const std::string& path, const char* what);
 Result<void> write_kernel_file(const std::string& path, std::string_view text, const char* what);
-/// Without those that begin with a dot; none when it cannot be read. Not sorted.
+/// Names without a leading dot, not sorted; empty if the folder cannot be read.
 std::vector<std::string> names_in_folder(const std::string& folder);
-/// "process 1234 (iio_readdev)" that has the device open, or `this_program`; empty: not to be seen. Whose descriptors
-/// those are of other users is for root to see.
+/// The process that has the device open, such as "process 1234 (iio_readdev)", or `this_program`; empty: not visible.
+/// Only root can see processes of other users.
 std::string holder_of(const std::string& device);
 inline constexpr std::string_view this_program = "this program";
 

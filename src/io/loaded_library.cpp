@@ -19,13 +19,13 @@ Result<void> LoadedLibrary::load() {
   void* handle = nullptr;
   std::string missing, broken;
   for (const char* const soname : sonames_) {
-    // At once, so that no call finds out later what is missing; for good, since libraries leave threads and exit
-    // handlers behind.
+    // Resolves all functions now, so that no later call fails; never unloads, because libraries leave threads and exit
+    // handlers.
     handle = ::dlopen(soname, RTLD_NOW | RTLD_LOCAL | RTLD_NODELETE);
     if (handle != nullptr) break;
     const char* const said = ::dlerror();
     const std::string text = said != nullptr ? said : soname;
-    // The loader names what it has not found as it was asked for, what it has found by its path.
+    // The loader names a missing library by the requested name, a found one by its path.
     std::string& why = text.starts_with(std::string(soname) + ":") ? missing : broken;
     if (why.empty()) why = text;
   }

@@ -1,9 +1,9 @@
-// Libraries of others that are loaded when a part that needs them is first checked or made: who uses no such part does
-// without them.
+// Third-party libraries that are loaded when a part that needs them is first checked or made, so that other users do
+// not need them.
 //
-// A header of ours for each (libcurl.hpp, ...) lists the functions that are used. Each becomes an object of the same
-// name in namespace rtdata, which unqualified names find there before the function itself, and which is called like it.
-// Calls are for after `load`, which what checks or makes such a part calls first.
+// A header for each library (libcurl.hpp, ...) lists its functions. Each becomes an object of the same name in
+// namespace rtdata, which unqualified calls find before the function itself. Call `load` first; checking or making such
+// a part does this.
 #pragma once
 
 #include <atomic>
@@ -25,7 +25,7 @@ template <class Pointer>
 class LoadedFunction {
  public:
   operator Pointer() const noexcept {
-    assert(address != nullptr);  // load comes first
+    assert(address != nullptr);  // `load` must be called before
     return reinterpret_cast<Pointer>(address);
   }
   void* address = nullptr;
@@ -37,15 +37,16 @@ class LoadedLibrary {
     const char* name;
     void** address;
   };
-  /// `part`, as errors begin: "type http". `sonames`: the first of them that is there serves. All outlive it.
+  /// `part`: the beginning of errors: "type http". `sonames`: the first existing one is used. All arguments must
+  /// outlive it.
   constexpr LoadedLibrary(const char* part, const char* name, const char* package, std::span<const char* const> sonames,
                           std::span<const Function> functions) noexcept
       : part_(part), name_(name), package_(package), sonames_(sonames), functions_(functions) {}
   LoadedLibrary(const LoadedLibrary&) = delete;
   LoadedLibrary& operator=(const LoadedLibrary&) = delete;
 
-  /// Any thread; blocks while the library is read, the first time. It stays until the process ends. Error:
-  /// not-found (it is not there, cannot be loaded, or lacks a function); a later call tries again.
+  /// Any thread; the first call blocks while it loads the library, which stays until the process ends. Error: not-found
+  /// (missing, cannot be loaded, or lacks a function); a later call tries again.
   Result<void> load();
 
  private:
@@ -55,10 +56,10 @@ class LoadedLibrary {
   const std::span<const char* const> sonames_;
   const std::span<const Function> functions_;
   std::mutex mutex_;
-  std::atomic<void*> handle_ = nullptr;  // once all functions have been found
+  std::atomic<void*> handle_ = nullptr;  // set when all functions were found
 };
 
-/// Adds the error of a library to what `check` tells of an item, as `not-installed`. Returns whether there is none.
+/// Adds the error of a library to the problems of an item, as `not-installed`. Returns true without an error.
 bool add_not_installed(const Result<void>& loaded, const ConfigItem& item, Problems& problems);
 
 }  // namespace detail

@@ -1,4 +1,4 @@
-// Modbus: over TCP by modbus_tcp.hpp and connections that are made here in a time that is known, RTU by modbus_rtu.hpp.
+// Modbus: TCP (modbus_tcp.hpp) with connections made here within a time limit, and RTU (modbus_rtu.hpp).
 #include "rtdata/io/modbus.hpp"
 
 #include <fcntl.h>
@@ -32,7 +32,7 @@ namespace {
 constexpr const char* cannot_ask = "cannot read the device";
 constexpr const char* cannot_connect = "cannot connect";
 constexpr unsigned last_unit = 247;
-constexpr int most_silences = 3;  // of a connection, one after the other: then a new one is made
+constexpr int most_silences = 3;  // consecutive missing answers before a new connection is made
 
 /// Why a bus cannot be made of it; empty: it can.
 struct Mistake {
@@ -61,7 +61,7 @@ Mistake mistake_in(const ModbusConfig& config) {
 
 constexpr auto take_nothing = [](const std::uint8_t*) {};
 
-/// Connects in that time, to the first of the addresses that takes it.
+/// Connects within the limit, to the first address that accepts.
 Result<int> connect_to(const std::string& host, std::uint16_t port, Duration timeout) {
   const std::string server = host + " port " + std::to_string(port);
   addrinfo hints{};
@@ -129,7 +129,7 @@ class ModbusDevice::Request {
   }
   std::span<const std::uint8_t> bytes() const noexcept { return {bytes_.data(), size_}; }
   std::size_t answer_size() const noexcept { return answer_size_; }
-  /// What is read has its length before it; what was written is said again.
+  /// The answer to a read has its length first; the answer to a write repeats it.
   bool is_answered_by(const std::vector<std::uint8_t>& answer) const noexcept {
     if (answer.size() != answer_size_) return false;
     return bytes_[0] <= 4 ? answer[1] == answer_size_ - 2 : std::equal(answer.begin(), answer.end(), bytes_.begin());
@@ -151,7 +151,7 @@ struct ModbusDevice::Core {
     ~Connection() { ::close(fd); }
     const int fd;
     detail::ModbusTcp tcp;
-    std::atomic<bool> is_in_use{true};  // by who has made it, at first
+    std::atomic<bool> is_in_use{true};  // initially used by the caller that made it
     bool was_asked = false;
     int silences = 0;  // requests without an answer, one after the other
   };
@@ -169,7 +169,7 @@ struct ModbusDevice::Core {
     return std::make_shared<Connection>(*fd);
   }
 
-  /// The connection, for one request. A new one where there is none, or where a request that was given up hangs in it.
+  /// The connection for one request; a new one if there is none, or if a given-up request hangs in the old one.
   Result<Use> acquire() {
     {
       const std::lock_guard lock(mutex);
@@ -219,43 +219,43 @@ Error ModbusDevice::failure(int number) const {
           "it does not give so many registers at a time: set `gap` to 0, or divide `fields` among sensors");
     case EMBXSFAIL:
       return exception(Errc::io_failed, "server device failure",
-                       "it failed while it looked for the answer: its display or log may say more");
+                       "it failed while it prepared the answer: its display or log may say more");
     case EMBXACK:
       return exception(Errc::busy, "acknowledge", "it takes longer: lower `rate`");
     case EMBXSBUSY:
       return exception(Errc::busy, "server device busy", "lower `rate`, or look who else asks it");
     case EMBXNACK:
-      return exception(Errc::io_failed, "negative acknowledge", "its document says what it wants first");
+      return exception(Errc::io_failed, "negative acknowledge", "its manual says what it needs first");
     case EMBXMEMPAR:
       return exception(Errc::io_failed, "memory parity error", "its memory is damaged: it may need service");
     case EMBXGPATH:
       return exception(Errc::disconnected, "gateway path unavailable",
-                       "the gateway has no way to this unit: look at `unit` and at its settings");
+                       "the gateway has no way to this unit: check `unit` and its settings");
     case EMBXGTAR:
       return exception(Errc::timed_out, "gateway target device failed to respond",
-                       "look at the device behind the gateway");
+                       "check the device behind the gateway");
     case EMBBADCRC:
       return error(Errc::bad_data, cannot_ask, "the checksum of its answer is wrong",
-                   "look at the wires, their termination, `baud_rate` and `parity`");
+                   "check the wires, their termination, `baud_rate` and `parity`");
     case EMBBADSLAVE:
       return error(Errc::bad_data, cannot_ask, "another unit answers",
-                   "look whether two devices have this address, or answer later than `answer_timeout`");
+                   "check whether two devices have this address, or answer later than `answer_timeout`");
     case detail::modbus_echo:
-      return error(Errc::bad_data, cannot_ask, "it sends back what was asked",
-                   "switch off the echo of the adapter (many have a jumper for it), and look at its wires");
+      return error(Errc::bad_data, cannot_ask, "it echoes the request",
+                   "switch off the echo of the adapter (many have a jumper for it), and check its wires");
     case detail::modbus_incomplete:
       return error(Errc::timed_out, cannot_ask,
                    "its answer was not complete in " + to_string(core_->config.answer_timeout),
-                   "look at the wires and `baud_rate`; make `answer_timeout` longer if the device is slow");
+                   "check the wires and `baud_rate`; make `answer_timeout` longer if the device is slow");
     case EMBBADDATA:
     case EMBUNKEXC:
       return error(Errc::bad_data, cannot_ask, modbus_strerror(number),
-                   core_->rtu ? "look at the wires, `baud_rate` and `parity`, and who else is on the line"
-                              : "look whether that server speaks Modbus");
+                   core_->rtu ? "check the wires, `baud_rate` and `parity`, and who else is on the line"
+                              : "check whether that server speaks Modbus");
     case ETIMEDOUT:
       return error(Errc::timed_out, cannot_ask, "no answer in " + to_string(core_->config.answer_timeout),
-                   core_->rtu ? "look at the device, its wires, `unit`, `baud_rate` and `parity`"
-                              : "look at the device, and at `unit`");
+                   core_->rtu ? "check the device, its wires, `unit`, `baud_rate` and `parity`"
+                              : "check the device, and `unit`");
     case EIO:
     case ENXIO:
     case ENODEV:
@@ -263,15 +263,15 @@ Error ModbusDevice::failure(int number) const {
     case EPIPE:
     case EBADF:
       return error(Errc::disconnected, core_->rtu ? "lost the serial line" : "lost the connection",
-                   core_->rtu ? "the device has gone away" : "the server has closed it",
+                   core_->rtu ? "the device has disappeared" : "the server has closed it",
                    "it is opened again when it is back");
     default:
       return system_error(number, cannot_ask, "bus " + core_->bus + ", unit " + std::to_string(unit_));
   }
 }
 
-/// Over TCP. Servers close connections that they think idle, and may do so while a request is on its way: then it is
-/// sent once more, by a new one.
+/// Over TCP. A server may close an idle connection while a request is on its way; then the request is sent again on a
+/// new connection.
 template <class Take>
 Result<void> ModbusDevice::ask_by_tcp(const Request& request, Take&& take) {
   const MonotonicTime began = detail::lane_now();

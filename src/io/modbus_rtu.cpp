@@ -18,7 +18,7 @@ constexpr std::uint8_t last_read = 4;  // functions 1 to 4 read; 5 and 6 are ans
 constexpr std::uint8_t last_mirrored = 6;
 constexpr std::size_t longest_frame = 256;
 
-/// What the line needs between two frames.
+/// The silence that the line needs between two frames.
 Duration silence_between_frames(const SerialSettings& settings) {
   constexpr Duration least = std::chrono::microseconds{1750};
   const Duration of_characters{static_cast<std::int64_t>(3.5 * 11 * 1e9 / std::max(settings.baud_rate, 1u))};
@@ -40,24 +40,24 @@ bool begins_with(RtuBytes bytes, RtuBytes beginning) {
   return bytes.size() >= beginning.size() && std::equal(beginning.begin(), beginning.end(), bytes.begin());
 }
 
-/// A whole frame of another unit, as those that read are answered.
+/// True for a complete read answer of another unit.
 bool is_of_another_unit(RtuBytes bytes, unsigned unit) {
   if (bytes.size() < 5 || bytes[0] == unit || bytes[0] == 0 || bytes[0] > 247) return false;
   const std::size_t size = (bytes[1] & exception_flag) != 0 ? 5 : 5 + std::size_t{bytes[2]};
   return bytes.size() >= size && has_right_checksum(bytes.first(size));
 }
 
-/// What is looked for in the bytes that come.
+/// The answer to search in the received bytes.
 struct WantedAnswer {
   ModbusRtu::Bytes asked;  // the whole frame
   ModbusRtu::Bytes begin;  // of the answer's frame
   std::size_t size;        // of the answer's frame
 
-  /// As of ModbusRtu::ask, with the answer's frame; ETIMEDOUT: nothing of use has come yet.
+  /// As ModbusRtu::ask, with the answer's frame; ETIMEDOUT: nothing useful received yet.
   int find_in(RtuBytes came, RtuBytes& frame) const {
     const bool may_be_echo = asked[1] <= last_read || asked[1] > last_mirrored;
     int number = came.empty() ? ETIMEDOUT : EMBBADDATA;
-    // It may be behind a frame of another unit, or what the line makes when a driver is switched on.
+    // The answer may follow a frame of another unit, or noise from switching a line driver on.
     for (std::size_t at = 0; at < came.size(); ++at) {
       const RtuBytes rest = came.subspan(at);
       if (may_be_echo && begins_with(rest, asked)) return modbus_echo;

@@ -41,7 +41,7 @@ int ModbusTcp::ask(int connection, unsigned unit, std::span<const std::uint8_t> 
   }
   out_.push_back(static_cast<std::uint8_t>(unit));
   out_.insert(out_.end(), request.begin(), request.end());
-  // It fits into what the kernel holds, or answers have not come for long.
+  // The request fits into the kernel's buffer, unless there were no answers for long.
   const ssize_t sent = ::send(connection, out_.data(), out_.size(), MSG_NOSIGNAL | MSG_DONTWAIT);
   if (sent < 0) return errno == EAGAIN || errno == EWOULDBLOCK ? ECONNRESET : errno;
   if (static_cast<std::size_t>(sent) != out_.size()) return ECONNRESET;
@@ -72,7 +72,7 @@ int ModbusTcp::receive(int connection) {
   return 0;
 }
 
-/// Passes over whole answers to earlier requests.
+/// Skips complete answers to earlier requests.
 ModbusTcp::Taken ModbusTcp::take(std::uint8_t function) {
   while (in_.size() >= modbus_prefix) {
     const std::size_t length = modbus_word(in_, 4);  // of unit, function and what belongs to it

@@ -1,4 +1,4 @@
-// Requests of Modbus TCP and their answers, which have numbers: what is late, or of another request, is passed over.
+// Modbus TCP requests and numbered answers; late answers, or answers to other requests, are skipped.
 #pragma once
 
 #include <cstdint>
@@ -13,10 +13,9 @@ namespace rtdata::detail {
 class ModbusTcp {
  public:
   using Bytes = std::vector<std::uint8_t>;
-  /// `request` is its function and what belongs to that. 0, or an errno as libmodbus gives them, of the device's
-  /// exceptions too.
+  /// `request`: the function code and its data. Returns 0 or an errno like libmodbus, also for the device's exceptions.
   int ask(int connection, unsigned unit, std::span<const std::uint8_t> request, Duration timeout);
-  /// To the last request: its function and what belongs to that.
+  /// The answer to the last request: the function code and its data.
   const Bytes& answer() const noexcept { return answer_; }
 
  private:
@@ -28,7 +27,7 @@ class ModbusTcp {
   Bytes out_, in_, answer_;   // `in_` has come, and is not taken
 };
 
-/// The peer has closed it, or reset it, and nothing is left to be read.
+/// True if the peer has closed or reset the connection and nothing is left to read.
 bool has_ended_modbus(int connection) noexcept;
 
 }  // namespace rtdata::detail

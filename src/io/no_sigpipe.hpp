@@ -1,4 +1,4 @@
-// Writing to a pipe or a connection whose reader has gone, in a program that does not ignore SIGPIPE.
+// For writes to a closed pipe or connection in a program that does not ignore SIGPIPE.
 #pragma once
 
 #include <pthread.h>
@@ -8,7 +8,7 @@
 
 namespace rtdata::detail {
 
-/// While it lives, a SIGPIPE that this thread causes is taken back.
+/// While it lives, removes a SIGPIPE caused by this thread.
 class NoSigpipe {
  public:
   NoSigpipe() {

@@ -38,7 +38,7 @@ struct SerialDevice::Core {
   const std::string bus;
   const SerialPortConfig config;
   detail::AskedLine line;
-  detail::AskedLine::Partner all;  // nothing in an answer tells whose it is
+  detail::AskedLine::Partner all;  // answers do not identify their device
 };
 
 Error SerialDevice::error(Errc code, std::string what, std::string why, std::string advice) const {
@@ -99,7 +99,7 @@ Result<void> SerialDevice::read(std::span<std::uint8_t> bytes, std::optional<Dur
     return error(Errc::timed_out, cannot_read,
                  std::to_string(pending_.size()) + " of " + std::to_string(bytes.size()) + " bytes came in " +
                      to_string(patience),
-                 "look at the device, its wires, and `baud_rate`");
+                 "check the device, its wires, and `baud_rate`");
   }
   std::copy_n(pending_.begin(), bytes.size(), bytes.begin());
   pending_.erase(0, bytes.size());
@@ -156,7 +156,7 @@ Result<std::string> SerialDevice::read_until(char delimiter, std::optional<Durat
                  pending_.empty()
                      ? "nothing came in " + to_string(patience)
                      : std::to_string(pending_.size()) + " bytes came in " + to_string(patience) + ", without an end",
-                 "look at the device, its wires, `baud_rate`, and how it ends its answers");
+                 "check the device, its wires, `baud_rate`, and how it ends its answers");
   }
 }
 
@@ -176,7 +176,7 @@ Result<std::string> SerialDevice::transact(std::string_view request, char delimi
 
 SerialPort::SerialPort(SerialPortConfig config) : SerialPort(std::string(config.device), config) {}
 
-// Not moved: which argument is made first is the compiler's choice.
+// Not moved, because the order of argument evaluation is unspecified.
 SerialPort::SerialPort(std::string name, SerialPortConfig config)
     : SerialPort(std::move(name), make_kernel_serial(config.device, config.serial), config) {}
 

@@ -1,4 +1,4 @@
-// The kernel's serial lines, as a port that waits.
+// The kernel's serial lines, with blocking calls.
 #include <poll.h>
 #include <sys/ioctl.h>
 #include <termios.h>
@@ -25,7 +25,7 @@ struct Line {
   const int fd;
 };
 
-/// Of poll: ms, rounded up, so that no time is left when it returns.
+/// Milliseconds for poll, rounded up, so that no time is left when it returns.
 int milliseconds(Duration left) {
   const auto ms = std::chrono::ceil<std::chrono::milliseconds>(std::max(left, Duration{0})).count();
   return static_cast<int>(std::min<std::int64_t>(ms, 1'000'000));
@@ -95,7 +95,7 @@ class KernelSerial final : public SerialTransport {
     if (!fd) return fd.error();
     return line_ = std::make_shared<Line>(*fd);
   }
-  /// Opened again by the next call.
+  /// The next call opens it again.
   Error gone(const std::shared_ptr<Line>& line, int number) {
     {
       const std::lock_guard lock(mutex_);
@@ -103,7 +103,7 @@ class KernelSerial final : public SerialTransport {
     }
     constexpr const char* advice = "check the plug and the cable; it is opened again when it is back";
     if (number == EIO || number == ENXIO || number == ENODEV)
-      return {Errc::disconnected, lost, device_, "the device has gone away", advice};
+      return {Errc::disconnected, lost, device_, "the device has disappeared", advice};
     return system_error(number, lost, device_, advice);
   }
   Result<bool> wait(const std::shared_ptr<Line>& line, short what, Duration left) {

@@ -34,7 +34,7 @@ class KernelSpi final : public SpiTransport {
     int status = 0;
     const std::shared_ptr<ChipSelect> chip = open(place.chip_select, status);
     if (chip == nullptr) return status;
-    // Others may have set another mode; it is the open device's, not the transfer's.
+    // The mode belongs to the open device, not to the transfer, and others may have changed it.
     std::uint32_t mode = place.mode;
     if (::ioctl(chip->fd, SPI_IOC_WR_MODE32, &mode) < 0) return errno;
     std::array<spi_ioc_transfer, SpiDevice::most_segments> transfers{};

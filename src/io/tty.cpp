@@ -32,7 +32,7 @@ std::string first_line_of(const std::string& path) {
   return line;
 }
 
-/// The process that has locked the file, of those that the kernel lists; 0: none of them.
+/// The process that has locked the file, according to the kernel's list; 0: none.
 long locked_by(const std::string& path) {
   struct stat status {};
   if (::stat(path.c_str(), &status) != 0) return 0;
@@ -60,7 +60,7 @@ Error busy_error(const std::string& path) {
     const std::string name = first_line_of("/proc/" + std::to_string(process) + "/comm");
     return {Errc::busy, cannot_open, path,
             (name.empty() ? "a program" : name) + " (process " + std::to_string(process) + ") uses it",
-            name == "rtdata-guard" ? "end the run whose output it is, not the guard, which sets that safe"
+            name == "rtdata-guard" ? "end the run that has the output, not the guard, which sets it safe"
                                    : "end it: a serial line is for one program"};
   }
   return {Errc::busy, cannot_open, path, "another program uses it",
@@ -94,12 +94,12 @@ bool is_pseudo_terminal(int fd) noexcept {
 Result<void> set_up(int fd, const std::string& path, const SerialSettings& settings, unsigned flags) {
   struct termios2 tty {};
   if (::ioctl(fd, TCGETS2, &tty) != 0) {
-    return Error{Errc::bad_argument, cannot_open, path, "it is no serial line", "check `device`"};
+    return Error{Errc::bad_argument, cannot_open, path, "it is not a serial line", "check `device`"};
   }
   if (::flock(fd, LOCK_EX | LOCK_NB) != 0 && errno == EWOULDBLOCK) {
     return busy_error(path);
   }
-  ::ioctl(fd, TIOCEXCL);  // whoever opens it from now on gets EBUSY (but for root, whom the lock keeps out)
+  ::ioctl(fd, TIOCEXCL);  // others get EBUSY from now on (root does not; the lock stops root)
   tty.c_iflag = settings.parity == Parity::none ? 0 : INPCK;
   tty.c_oflag = 0;
   tty.c_lflag = 0;
@@ -111,7 +111,7 @@ Result<void> set_up(int fd, const std::string& path, const SerialSettings& setti
     return system_error(errno, "cannot set up the serial line", path, "check its settings");
   struct termios2 now {};
   if (::ioctl(fd, TCGETS2, &now) != 0) return system_error(errno, "cannot set up the serial line", path);
-  // A driver sets what it can and says what that is. Pseudo terminals carry characters, not bits.
+  // A driver sets the nearest possible speed and reports it. Pseudo terminals have no speed.
   const double off = static_cast<double>(now.c_ospeed) / settings.baud_rate - 1;
   const unsigned format = CSIZE | CSTOPB | PARENB | PARODD | CMSPAR;
   if (off > 0.03 || off < -0.03) {
@@ -170,7 +170,7 @@ Result<int> open_tty(const std::string& path, const SerialSettings& settings) {
 }
 
 void close_tty(int fd) noexcept {
-  // On a pseudo terminal the mark would outlive this descriptor, and keep ourselves out as well.
+  // On a pseudo terminal the mark would outlive this descriptor and lock ourselves out too.
   ::ioctl(fd, TIOCNXCL);
   ::close(fd);
 }

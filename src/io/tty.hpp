@@ -11,8 +11,9 @@ namespace rtdata::detail {
 /// The c_cflag of these settings, speed left out. Errors: bad-argument.
 Result<unsigned> control_flags(const SerialSettings& settings);
 
-/// Opens it raw, not blocking, and for this program alone. Returns the descriptor; to be closed by `close_tty`.
-/// Errors: not-found, not-permitted, busy, bad-argument (no tty, settings), out-of-range (the device cannot do them).
+/// Opens it raw, non-blocking and locked for this program. Returns the descriptor; close it with `close_tty`. Errors:
+/// not-found, not-permitted, busy, bad-argument (not a tty, invalid settings), out-of-range (the device does not
+/// support them).
 Result<int> open_tty(const std::string& path, const SerialSettings& settings);
 void close_tty(int fd) noexcept;
 

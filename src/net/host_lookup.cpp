@@ -50,7 +50,7 @@ class HostLookup::Job final : public LaneJob {
     if (owner != nullptr) owner->job_done(*this, outcome);
   }
 
-  HostLookup* owner;  // null: nobody waits for it any more. The loop's thread
+  HostLookup* owner;  // null: no longer waited for. The loop's thread
   int status = 0;
   std::vector<Address> addresses;
 
@@ -64,7 +64,7 @@ HostLookup::HostLookup(LoopCore& loop, std::string owner, Found found)
 
 HostLookup::~HostLookup() {
   cancel();
-  if (lane_ != nullptr && !last_job_.expired()) lane_->leave_behind();  // a silent name server holds nobody
+  if (lane_ != nullptr && !last_job_.expired()) lane_->abandon_thread();  // does not wait for a silent name server
 }
 
 void HostLookup::start(const std::string& host, std::uint16_t port) {
@@ -83,7 +83,7 @@ void HostLookup::start(const std::string& host, std::uint16_t port) {
   const std::shared_ptr<Job> job = job_;
   if (!lane_->submit(job) && job_ == job) {
     job_ = nullptr;
-    found_(unknown("no thread can look it up: earlier attempts still hang"));
+    found_(unknown("no thread is free to look it up: earlier attempts still hang"));
   }
 }
 
@@ -115,14 +115,14 @@ std::string obstacle_of_host(const std::string& host) {
   const bool has_other = std::any_of(host.begin(), host.end(), [](char c) {
     return static_cast<unsigned char>(c) <= ' ' || c == '/' || c == '\\' || c == '"' || c == 0x7f;
   });
-  if (has_other) return "it is no name of a host, nor an address";
+  if (has_other) return "it is neither a host name nor an address";
   if (host.front() == '[') return "it has brackets, as in a URL: give the address alone";
   if (const std::size_t colon = host.find(':'); colon != std::string::npos) {
     const std::string address = host.substr(0, host.find('%'));  // without its zone
     in6_addr ignored{};
     if (::inet_pton(AF_INET6, address.c_str(), &ignored) != 1) {
       const bool is_one = host.find(':', colon + 1) == std::string::npos;
-      return is_one ? "it has a port: give that as `port`" : "it is no name of a host, nor an address";
+      return is_one ? "it has a port: give that as `port`" : "it is neither a host name nor an address";
     }
   }
   return host.size() > 253 ? "it is longer than names of hosts are" : "";

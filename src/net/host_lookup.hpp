@@ -15,10 +15,10 @@
 
 namespace rtdata::detail {
 
-/// Why this is no host; empty: it may be one.
+/// Why this cannot be a host; empty: it may be one.
 std::string obstacle_of_host(const std::string& host);
 
-/// Owner: who needs the address. Thread: the loop's.
+/// Owner: the user of the address. Thread: the loop's.
 class HostLookup {
  public:
   struct Address {

@@ -16,7 +16,7 @@ namespace {
 
 constexpr Duration longest_wish = std::chrono::hours{1};  // of Retry-After: more is a mistake, or malice
 constexpr const char* what = "cannot send";
-constexpr const char* kept = "; until then nothing is thrown away";
+constexpr const char* kept = "; until then nothing is discarded";
 
 struct Status {
   long number;
@@ -32,16 +32,16 @@ constexpr Status statuses[] = {
     {308, "Permanent Redirect", ""},
     {400, "Bad Request", ""},
     {401, "Unauthorized", "the token or password is not accepted, or no longer: give the right one"},
-    {403, "Forbidden", "who is known by this token or password may not write there: have it permitted, or use another"},
+    {403, "Forbidden", "this token or password does not permit writing there: have it permitted, or use another"},
     {404, "Not Found", "there is nothing at this URL: correct `url`"},
     {405, "Method Not Allowed", "the server wants another method at this URL: correct `method` or `url`"},
     {406, "Not Acceptable", "correct `headers`"},
-    {407, "Proxy Authentication Required", "the proxy wants to know who sends: give `proxy_user` and `proxy_password`"},
+    {407, "Proxy Authentication Required", "the proxy needs a user: give `proxy_user` and `proxy_password`"},
     {408, "Request Timeout",
      "the server did not get the request in time: is the network slow? Try a smaller `parcel_rows`"},
-    {409, "Conflict", "see what the server says"},
+    {409, "Conflict", "read the answer of the server"},
     {410, "Gone", "nothing is at this URL any more: correct `url`"},
-    {411, "Length Required", "something between here and the server removes the length: ask who runs it"},
+    {411, "Length Required", "something between here and the server removes the length: ask its operator"},
     {413, "Content Too Large", ""},
     {414, "URI Too Long", "shorten `url`"},
     {415, "Unsupported Media Type",
@@ -51,8 +51,8 @@ constexpr Status statuses[] = {
     {429, "Too Many Requests",
      "it wants fewer requests: a larger `parcel_rows`, a smaller `window`, `bytes_per_second`"},
     {431, "Request Header Fields Too Large", "send fewer `headers`"},
-    {500, "Internal Server Error", "look into the server's log"},
-    {501, "Not Implemented", "look into the server's log"},
+    {500, "Internal Server Error", "see the server's log"},
+    {501, "Not Implemented", "see the server's log"},
     {502, "Bad Gateway", "the server behind it does not answer"},
     {503, "Service Unavailable", "it is overloaded, or being restarted"},
     {504, "Gateway Timeout", "the server behind it does not answer"},
@@ -102,7 +102,7 @@ Error said(const HttpAnswer& answer, const std::string& origin) {
 
 std::string redirect_advice(const HttpAnswer& answer, const std::string& origin) {
   const auto to = answer.redirect.empty() ? Result<HttpUrl>(Error{}) : parse_http_url(answer.redirect);
-  if (!to) return "it does not say where to: ask who runs it";
+  if (!to) return "it gives no new address: ask its operator";
   if (to->origin != origin)
     return "it wants the events sent to " + to->origin + ": if that is right, write it into `url`";
   return "it wants another path at the same server: correct `url` (`curl -i` shows where)";
@@ -125,7 +125,7 @@ HttpJudgement judge(const HttpAnswer& answer, const std::string& origin) {
   } else {
     judgement.verdict = HttpVerdict::faulted;
     if (answer.status >= 300 && answer.status < 400) judgement.why.advice = redirect_advice(answer, origin);
-    judgement.why.advice = judgement.why.advice.empty() ? "see what the server says" : judgement.why.advice;
+    judgement.why.advice = judgement.why.advice.empty() ? "read the answer of the server" : judgement.why.advice;
     judgement.why.advice += kept;
   }
   if ((answer.status == 307 || answer.status == 308) && !answer.redirect.empty()) {
@@ -182,7 +182,7 @@ HttpJudgement judge(const HttpFailure& failure, const std::string& origin, const
       error.code = failure.error_number == ETIMEDOUT ? Errc::timed_out : Errc::disconnected;
       if (failure.error_number != 0) error.why = std::generic_category().message(failure.error_number);
       error.advice = failure.error_number == ECONNREFUSED
-                         ? "nobody listens at this port: is the server running, and is the port right?"
+                         ? "no program listens at this port: is the server running, and is the port right?"
                          : "is the machine on, and does the network reach it?";
       break;
     case CURLE_OPERATION_TIMEDOUT:
@@ -213,7 +213,7 @@ HttpJudgement judge(const HttpFailure& failure, const std::string& origin, const
       judgement.verdict = HttpVerdict::faulted;
       break;
     case CURLE_SSL_CACERT_BADFILE:
-      say(Errc::bad_data, "", "check the file `tls.ca_file`: it has to be there, readable, and PEM");
+      say(Errc::bad_data, "", "check the file `tls.ca_file`: it must exist, be readable, and be PEM");
       judgement.verdict = HttpVerdict::faulted;
       break;
     case CURLE_GOT_NOTHING:
@@ -222,20 +222,19 @@ HttpJudgement judge(const HttpFailure& failure, const std::string& origin, const
     case CURLE_RECV_ERROR:
     case CURLE_HTTP2:
     case CURLE_HTTP2_STREAM:
-      error.advice = "the connection was closed before the answer: look into the server's log";
+      error.advice = "the connection was closed before the answer: see the server's log";
       break;
     case CURLE_WEIRD_SERVER_REPLY:
     case CURLE_UNSUPPORTED_PROTOCOL:
     case CURLE_BAD_CONTENT_ENCODING:
     case CURLE_WRITE_ERROR:
-      say(Errc::bad_data, "",
-          "what answers there is no server of HTTP, or of another version of it: is the port right?");
+      say(Errc::bad_data, "", "the answer is not HTTP, or another version of it: is the port right?");
       break;
     case CURLE_OUT_OF_MEMORY:
       error.advice = "this machine is out of memory, or the server answers with more headers than libcurl takes";
       break;
     default:
-      error.advice = "look at both ends, and at what is between them";
+      error.advice = "check both ends, and what is between them";
       break;
   }
   return judgement;

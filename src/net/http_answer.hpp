@@ -1,4 +1,4 @@
-// What the answers of servers, and the ways in which there is none, mean for what was sent.
+// Interprets a server's answer, or the failure to get one, for the sent request.
 #pragma once
 
 #include <optional>
@@ -19,11 +19,11 @@ struct HttpAnswer {
 
 enum class HttpVerdict {
   taken,
-  refused,  // at least one of the events; which, only halves tell
+  refused,  // at least one event was refused; sending halves shows which
   too_large,
   elsewhere,  // to be sent to `redirect`
   later,
-  faulted,  // as later; it needs somebody who changes something
+  faulted,  // like later, but a person must change something
 };
 
 struct HttpJudgement {
@@ -35,7 +35,7 @@ struct HttpJudgement {
 /// `origin` is the server's.
 HttpJudgement judge(const HttpAnswer& answer, const std::string& origin);
 
-/// The first line of a body, as it can be shown: at most 200 bytes, without control characters.
+/// The first line of a body for display: at most 200 bytes, without control characters.
 std::string first_line_of(std::string_view body);
 
 /// A transfer that has failed, of libcurl.

@@ -9,7 +9,7 @@ namespace rtdata::detail {
 namespace {
 
 constexpr std::size_t most_text = 1024;                    // of an answer, to show
-constexpr std::size_t most_answer = std::size_t{1} << 20;  // then it is no answer
+constexpr std::size_t most_answer = std::size_t{1} << 20;  // a longer answer is not accepted
 
 /// Where libcurl finds the authorities that this machine trusts. From the folder, OpenSSL reads what it needs; all of
 /// them in one file take it 50 ms to read.
@@ -19,13 +19,13 @@ const char* folder_of_authorities() {
   return is_openssl && about->age >= CURLVERSION_SEVENTH ? about->capath : nullptr;
 }
 
-/// Parameters of InfluxDB's URLs: their values help whoever reads an error.
+/// Parameters of InfluxDB's URLs that are shown in errors, because their values help.
 bool is_known_parameter(std::string_view key) {
   constexpr std::string_view known[] = {"org", "orgID", "bucket", "db", "rp", "precision", "consistency"};
   return std::find(std::begin(known), std::end(known), key) != std::end(known);
 }
 
-/// As most servers show what they got.
+/// Decodes as most servers do in their answers.
 std::string decoded(std::string_view text) {
   std::string out;
   const auto digit = [](char c) {
@@ -63,8 +63,8 @@ bool may_be_token(std::string_view part) {
                                   has([](char c) { return (c | 0x20) >= 'a' && (c | 0x20) <= 'z'; }));
 }
 
-/// What of a URL may be a secret, as a server's answer may repeat it: what follows the host, its query, the values in
-/// the query, and the parts of the path that may be tokens; each also decoded.
+/// Adds the possible secrets of a URL, which a server's answer may repeat: everything after the host, the query, its
+/// values, and parts of the path that may be tokens; each also decoded.
 void add_secrets_of(std::string_view url, std::vector<std::string>& secrets) {
   constexpr std::size_t least_value = 4;  // shorter texts are not hidden
   const std::size_t host = url.find("://");

@@ -1,4 +1,4 @@
-// What libcurl needs to know of a server, whoever asks it something.
+// Common settings of libcurl for a server.
 #pragma once
 
 #include <optional>
@@ -19,8 +19,8 @@ void need_curl();
 /// What libcurl does may raise SIGPIPE where the connection is encrypted: before 7.88 with OpenSSL.
 bool curl_may_raise_sigpipe() noexcept;
 
-/// All but the method, the headers, the time-outs and what becomes of the answer. `server` is not copied, and must
-/// outlive the handle.
+/// Sets everything except the method, the headers, the timeouts and the use of the answer. `server` is not copied and
+/// must outlive the handle.
 void set_server(CURL* easy, const HttpPeer& server, const HttpUrl& url);
 
 /// Throws std::bad_alloc.
@@ -28,13 +28,13 @@ void append(curl_slist*& list, const std::string& text);
 /// Those that the server wants, behind Content-Type (none, if that is empty).
 void append_headers(curl_slist*& list, const HttpPeer& server, const std::string& content_type);
 
-/// What must not be shown of what the server answers.
+/// The secrets that must be hidden in a server's answer.
 std::vector<std::string> secrets_of(const HttpPeer& server);
 
 /// Of a transfer that has ended.
 HttpFailure failure_of(CURL* easy, CURLcode result, const char* text);
 
-/// How an answer begins; longer than the most that one may be, it is none.
+/// The beginning of an answer; a longer answer than the limit is not accepted.
 struct HttpText {
   std::string text;
   std::size_t size = 0;

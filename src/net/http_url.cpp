@@ -75,15 +75,15 @@ Result<HttpUrl> parse_http_url(const std::string& text) {
     return wrong("the scheme is " + text.substr(0, colon) + ": http and https are known");
   if (text.find_first_of("/?#", colon + 3) == colon + 3 || text.size() == colon + 3) return wrong("it has no host");
   const CURLUcode status = curl_url_set(url.get(), CURLUPART_URL, text.c_str(), CURLU_PATH_AS_IS);
-  if (status == CURLUE_BAD_PORT_NUMBER) return wrong("the port is no number from 1 to 65535");
+  if (status == CURLUE_BAD_PORT_NUMBER) return wrong("the port is not a number from 1 to 65535");
   const auto host = status == CURLUE_OK ? part_of(url.get(), CURLUPART_HOST) : std::nullopt;
-  if (!host || host->empty()) return wrong("it is no URL such as https://collector.example:8443/ingest");
+  if (!host || host->empty()) return wrong("it is not a URL such as https://collector.example:8443/ingest");
   parsed.host = detail::lower_case(*host);
   const std::string shown = parsed.host;
   if (parsed.host.starts_with('[') && parsed.host.ends_with(']')) parsed.host = parsed.host.substr(1, shown.size() - 2);
   const auto port = part_of(url.get(), CURLUPART_PORT, CURLU_DEFAULT_PORT);
   const long number = port ? std::strtol(port->c_str(), nullptr, 10) : 0;
-  if (number < 1 || number > 65535) return wrong("the port is no number from 1 to 65535");
+  if (number < 1 || number > 65535) return wrong("the port is not a number from 1 to 65535");
   parsed.port = static_cast<std::uint16_t>(number);
   const bool is_usual = number == (parsed.is_encrypted() ? 443 : 80);
   parsed.origin = parsed.scheme + "://" + shown + (is_usual ? "" : ":" + std::to_string(number));
@@ -101,9 +101,9 @@ std::vector<HttpMistake> mistakes_of(const HttpPeer& config) {
   if (!url) add("url", url.error().why);
   if (url && url->has_login)
     add("url", "user and password in a URL would be shown with it: give `user` and `password`, or `bearer`");
-  if (url && url->has_fragment) add("url", "what stands behind # is never sent: remove it");
+  if (url && url->has_fragment) add("url", "the part after # is never sent: remove it");
   if (!config.bearer.empty() && !config.user.empty()) add("bearer", "give either `bearer` or `user`, not both");
-  if (config.user.empty() && !config.password.empty()) add("password", "there is no `user` of whom it could be");
+  if (config.user.empty() && !config.password.empty()) add("password", "there is no `user` that it belongs to");
   if (config.user.find(':') != std::string::npos) add("user", "a user's name in basic authentication has no colon");
   for (const auto& [key, text] :
        {std::pair{"bearer", &config.bearer}, std::pair{"user", &config.user}, std::pair{"password", &config.password},
@@ -112,9 +112,9 @@ std::vector<HttpMistake> mistakes_of(const HttpPeer& config) {
   for (const auto& [name, text] : config.headers) {
     const std::string why = owner_of(name);
     if (!is_token(name)) {
-      add("headers", "\"" + name + "\" is no name of a header: letters, digits and - make one");
+      add("headers", "\"" + name + "\" is not a header name: use letters, digits and -");
     } else if (!why.empty()) {
-      add("headers", "the header " + name + " is not to be set here: " + why);
+      add("headers", "the header " + name + " cannot be set here: " + why);
     } else if (!is_one_line(text)) {
       add("headers", "the header " + name + " has a line break or another control character");
     }

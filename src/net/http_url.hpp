@@ -1,4 +1,4 @@
-// The URL of a server, and what is wrong with how one is described.
+// The URL of a server, and mistakes in the settings of a peer.
 #pragma once
 
 #include <cstdint>
@@ -30,7 +30,7 @@ struct HttpUrl {
 };
 /// libcurl can be used. Error: not-found.
 Result<void> load_curl();
-/// Errors: bad_argument, whose `why` says what is wrong; not-found (libcurl).
+/// Errors: bad_argument, with the reason in `why`; not-found (libcurl).
 Result<HttpUrl> parse_http_url(const std::string& text);
 
 struct HttpMistake {

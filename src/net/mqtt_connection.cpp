@@ -52,7 +52,7 @@ static int password_of_key(char* to, int size, int, void* handle) {
   password.copy(to, password.size());
   return static_cast<int>(password.size());
 }
-/// The library says which check failed here only; afterwards its session of TLS is gone.
+/// Only here the library tells which check failed; afterwards its TLS session no longer exists.
 static void on_log(mosquitto* handle, void* client, int level, const char* text) {
   if (level != MOSQ_LOG_ERR) return;
   MqttClient& to = of(client);
@@ -109,7 +109,7 @@ std::string MqttClient::reason(int status) const {
 
 Error MqttClient::failure(int status, bool is_connected) const {
   Error error{Errc::disconnected, is_connected ? "lost the connection" : "cannot connect", "", reason(status),
-              "it is connected to again"};
+              "the program connects to it again"};
   if (status == MOSQ_ERR_TLS && distrust != 0) {
     error.code = Errc::not_permitted;
     error.advice = advice_on_certificate(distrust, "host");
@@ -119,7 +119,7 @@ Error MqttClient::failure(int status, bool is_connected) const {
         "trust "
         "that";
   } else if (status == MOSQ_ERR_CONN_LOST && !is_connected) {
-    error.advice = "it is connected to again; if this port is one of TLS, set `tls`";
+    error.advice = "the program connects to it again; if this port is one of TLS, set `tls`";
   }
   return error;
 }
@@ -145,7 +145,7 @@ int connect_client(MqttClient& client, const MqttBroker& broker, const MqttOptio
   mosquitto_message_v5_callback_set(handle, on_message);
   mosquitto_log_callback_set(handle, on_log);
   mosquitto_int_option(handle, MOSQ_OPT_PROTOCOL_VERSION, is_v5 ? MQTT_PROTOCOL_V5 : MQTT_PROTOCOL_V311);
-  // A broker of version 5 says how many it takes; those of 3.1.1 get what they are used to, the library's 20.
+  // A broker of version 5 gives its limit; for 3.1.1 the library's usual 20 is used.
   if (is_v5 && options.most_sent != 0) mosquitto_int_option(handle, MOSQ_OPT_SEND_MAXIMUM, options.most_sent);
   if (is_v5 && options.most_received != 0)
     mosquitto_int_option(handle, MOSQ_OPT_RECEIVE_MAXIMUM, options.most_received);
@@ -215,7 +215,7 @@ std::vector<std::pair<const char*, std::string>> mistakes_of_client(const MqttBr
   if (broker.password.find('\0') != std::string::npos)
     mistakes.emplace_back("password", "it has a NUL byte, at which it would end");
   if (broker.user.empty() && !broker.password.empty())
-    mistakes.emplace_back("password", "there is no `user` of whom it could be");
+    mistakes.emplace_back("password", "there is no `user` that it belongs to");
   return mistakes;
 }
 
@@ -294,7 +294,7 @@ class MqttConnecting final : public LaneJob {
   void done(Outcome outcome) override {
     if (const auto ended = std::exchange(ended_, nullptr)) ended(*this, outcome);
   }
-  /// Nobody waits for it any more. The loop's thread.
+  /// Stops waiting for it. The loop's thread.
   void forget() noexcept { ended_ = nullptr; }
 
   std::shared_ptr<MqttClient> client;
@@ -321,7 +321,7 @@ MqttConnection::~MqttConnection() {
   if (job_ != nullptr) job_->forget();
   if (watch_.is_open()) watch_.close();
   if (fd_ >= 0) ::close(fd_);
-  if (lane_ != nullptr && !last_job_.expired()) lane_->leave_behind();  // a silent server holds nobody
+  if (lane_ != nullptr && !last_job_.expired()) lane_->abandon_thread();  // does not wait for a silent server
 }
 
 std::string MqttConnection::peer() const { return broker_.host + " port " + std::to_string(port_of(broker_)); }
@@ -338,7 +338,7 @@ void MqttConnection::connect() {
   last_job_ = job;
   if (!lane_->submit(job) && job_ == job) {
     job_ = nullptr;
-    fail(Errc::timed_out, "cannot connect", "no thread can do it: earlier attempts still hang");
+    fail(Errc::timed_out, "cannot connect", "no thread is free for it: earlier attempts still hang");
   }
 }
 
@@ -403,7 +403,7 @@ int MqttConnection::call_library(std::size_t& left) {
     status = client_->inlet->read(*client_, fd_, left, is_empty);
     is_readable_ = status == MOSQ_ERR_SUCCESS && !is_empty;  // else the watch tells
   }
-  // Of a connection that is reset during the handshake of TLS, the library tells nothing.
+  // The library does not report a connection that is reset during the TLS handshake.
   const bool is_shaking_hands = broker_.tls && !is_connected_ && !client_->answer;
   if (status == MOSQ_ERR_SUCCESS && is_shaking_hands && has_ended(fd_)) status = MOSQ_ERR_CONN_LOST;
   if (status == MOSQ_ERR_SUCCESS) status = mosquitto_loop_misc(client_->handle);
@@ -420,14 +420,14 @@ bool MqttConnection::take_answer(int status) {
   if (const auto answer = std::exchange(client_->answer, {})) {
     if (*answer == 0) {
       is_connected_ = true;
-      // It formats a line for each message, whatever becomes of it; from here on the errors are those of TLS, mostly.
+      // The library formats a log line for each message, which costs time, so the callback is removed without TLS.
       if (!broker_.tls) mosquitto_log_callback_set(client_->handle, nullptr);
       connected();
       if (client_ == nullptr) return false;
     } else {
       if (is_v5_ && broker_.version == MqttVersion::newest && is_older(*answer)) return try_older();
       const std::string why = refusal_of(*answer, is_v5_);
-      fail(Errc::not_permitted, "the broker refuses the connection", why, "look at `user`, `password` and `client_id`");
+      fail(Errc::not_permitted, "the broker refuses the connection", why, "check `user`, `password` and `client_id`");
       return false;
     }
   }

@@ -20,7 +20,7 @@
 
 namespace rtdata::detail {
 
-/// A client of the library, for one connection: what the library still holds ends with that.
+/// A client of the library for one connection; its state ends with the connection.
 struct MqttClient {
   struct Message {
     std::string topic, payload;
@@ -57,16 +57,16 @@ struct MqttOptions {
     bool retain = false;
   };
   std::optional<Will> will = {};
-  Duration session{0};    ///< the broker keeps what comes for it for so long after the connection; 0: not at all
-  int most_sent = 0;      ///< unanswered messages to the broker; 0: what the library is used to
+  Duration session{0};    ///< how long the broker keeps messages after a disconnect; 0: not at all
+  int most_sent = 0;      ///< unanswered messages to the broker; 0: the library's default
   int most_received = 0;  ///< the same, to us
-  std::optional<std::size_t> longest_message = {};  ///< that it takes; none: it takes no messages
+  std::optional<std::size_t> longest_message = {};  ///< longest accepted message; empty: it accepts no messages
 };
 
 std::uint16_t port_of(const MqttBroker& broker) noexcept;
 /// Why messages cannot be published there; empty: they can.
 std::string obstacle_of_topic(const std::string& topic);
-/// What of the broker's configuration MQTT cannot carry: the key, and why.
+/// Settings of the broker that MQTT cannot represent: the key and the reason.
 std::vector<std::pair<const char*, std::string>> mistakes_of_client(const MqttBroker& broker);
 /// A topic that both filters match (the broker sends such a message twice); empty: there is none.
 std::string topic_of_both(std::string_view one, std::string_view other);
@@ -83,7 +83,7 @@ std::string refusal_of(int answer, bool is_v5);
 
 class MqttConnecting;
 
-/// Shared, since what is called may end the owner. All on the loop's thread.
+/// Shared, because callbacks may destroy the owner. All on the loop's thread.
 class MqttConnection : public std::enable_shared_from_this<MqttConnection> {
  public:
   MqttConnection(Loop& loop, std::string name, const MqttBroker& broker, MqttOptions options);
@@ -97,13 +97,13 @@ class MqttConnection : public std::enable_shared_from_this<MqttConnection> {
   // ---- what a kind of connection does
   /// The broker has accepted the connection.
   virtual void connected() {}
-  /// Gives the library what there is to be sent, and counts that down. Status: the library's.
+  /// Passes pending messages to the library and counts them down. Returns the library's status.
   virtual int give(std::size_t& left) = 0;
-  /// Takes what the library has told. May end the connection.
+  /// Processes notifications of the library. May end the connection.
   virtual void take() = 0;
-  /// Whether `give` would give something.
+  /// True if `give` has something to pass.
   virtual bool has_more() const = 0;
-  /// There is none any more, or none came about; it is closed already.
+  /// The connection was lost or could not be made; it is already closed.
   virtual void lost(const Error& error) = 0;
   /// It is being closed.
   virtual void forget() {}
@@ -112,15 +112,15 @@ class MqttConnection : public std::enable_shared_from_this<MqttConnection> {
 
   bool is_idle() const noexcept { return client_ == nullptr && job_ == nullptr; }
   void connect();
-  /// Calls the library for whatever there is to do, and takes what came of it. Answers bring new parcels: then again.
+  /// Lets the library do its work and processes the results; repeats if answers allow new parcels.
   void work();
-  void fail(Errc code, const char* failed, std::string why, const char* advice = "it is connected to again");
+  void fail(Errc code, const char* failed, std::string why, const char* advice = "the program connects to it again");
   /// `where` is filled in.
   void fail(Error error);
   void drop();
-  /// With a word of goodbye.
+  /// Disconnects properly.
   void leave();
-  /// The same, for good.
+  /// The same, permanently.
   void end();
 
   std::string peer() const;

@@ -74,7 +74,7 @@ int MqttInlet::take_in(int connection) {
   return MOSQ_ERR_CONN_LOST;
 }
 
-/// Moves what is good from what has come to what the library gets.
+/// Moves valid packets from the received data to the data for the library.
 void MqttInlet::look() {
   std::size_t at = 0;
   const auto pass = [&](std::size_t size) {

@@ -1,4 +1,4 @@
-// How what a broker sends reaches libmosquitto, which ends the program at some packets that are none.
+// Passes a broker's data to libmosquitto, which would abort the program at some invalid packets.
 #pragma once
 
 #include <cstddef>
@@ -10,10 +10,9 @@ namespace rtdata::detail {
 
 struct MqttClient;
 
-/// Without TLS, what comes is looked at: the library gets whole packets, and only such as the broker may send. It
-/// reads as many as it likes at a time, so it never reads the connection, but a pair of sockets that has what is good.
-/// Of a message that is longer than may be used, it gets a byte more than that, so that memory is bounded. Over TLS it
-/// reads by itself. Used by one thread at a time.
+/// Without TLS, received data is checked: the library only gets complete packets that a broker may send. It never reads
+/// the connection itself but a socket pair with the valid data. Of a message longer than the limit it gets one byte
+/// more than the limit, so that memory is bounded. Over TLS the library reads by itself. Used by one thread at a time.
 class MqttInlet {
  public:
   struct Config {
@@ -26,8 +25,8 @@ class MqttInlet {
   MqttInlet& operator=(const MqttInlet&) = delete;
   ~MqttInlet();
 
-  /// Has the client's library read what has come at `connection`, a descriptor of its socket, until nothing is left to
-  /// be read (`is_empty`), or `most` messages have come, which is counted down. The status is the library's.
+  /// Lets the client's library read the data at `connection`, a descriptor of its socket, until nothing is left
+  /// (`is_empty`) or `most` messages were read; counts `most` down. Returns the library's status.
   int read(MqttClient& client, int connection, std::size_t& most, bool& is_empty);
 
  private:

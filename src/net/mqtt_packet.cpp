@@ -22,7 +22,7 @@ enum MqttType : unsigned char {
   mqtt_disconnect = 14,
 };
 
-/// What is left of a packet. A read beyond its end, or of what MQTT forbids, makes it bad.
+/// The rest of a packet. A read beyond its end, or of a forbidden value, marks it as bad.
 class MqttBytes {
  public:
   explicit MqttBytes(std::string_view bytes) : bytes_(bytes) {}
@@ -108,7 +108,7 @@ constexpr auto mqtt_properties = [] {
   return all;
 }();
 
-/// Null: they are good.
+/// Null: no mistake.
 const char* mistake_of_properties(MqttBytes& from, MqttType type) noexcept {
   constexpr unsigned subscription = 0x0b, unanswered = 0x21, user = 0x26, packet_size = 0x27;
   MqttBytes bytes = from.part(from.variable());
@@ -116,9 +116,9 @@ const char* mistake_of_properties(MqttBytes& from, MqttType type) noexcept {
   while (from.is_good() && bytes.is_good() && bytes.size() > 0) {
     const unsigned number = bytes.variable();
     const MqttProperty property = number < mqtt_properties.size() ? mqtt_properties[number] : MqttProperty{};
-    if ((property.packets & mqtt_bit(type)) == 0) return "a property that MQTT does not have there";
+    if ((property.packets & mqtt_bit(type)) == 0) return "a property that MQTT does not allow there";
     const std::uint64_t mark = std::uint64_t{1} << number;
-    if ((seen & mark) != 0 && number != user && number != subscription) return "a property that is there twice";
+    if ((seen & mark) != 0 && number != user && number != subscription) return "a property that occurs twice";
     seen |= mark;
     unsigned value = 1;
     switch (property.kind) {
@@ -149,12 +149,12 @@ const char* mistake_of_properties(MqttBytes& from, MqttType type) noexcept {
     const bool may_be_zero = number != unanswered && number != packet_size && number != subscription;
     if (value == 0 && !may_be_zero) return "a property that is 0";
   }
-  return from.is_good() && bytes.is_good() ? nullptr : "properties that are cut short";
+  return from.is_good() && bytes.is_good() ? nullptr : "truncated properties";
 }
 
 const char* mistake_of_connack(MqttBytes& bytes, bool is_v5) noexcept {
   const unsigned flags = bytes.number(1), reason = bytes.number(1);
-  if (!bytes.is_good() || flags > 1) return "an answer to the connection that is none";
+  if (!bytes.is_good() || flags > 1) return "a malformed answer to the connection";
   // A broker that has no MQTT 5 may refuse it as 3.1.1 does.
   if (!is_v5 || (bytes.size() == 0 && reason != 0)) return nullptr;
   return mistake_of_properties(bytes, mqtt_connack);
@@ -163,7 +163,7 @@ const char* mistake_of_connack(MqttBytes& bytes, bool is_v5) noexcept {
 /// Of an answer to a message, or to an answer.
 const char* mistake_of_answer(MqttBytes& bytes, MqttType type, bool is_v5) noexcept {
   const unsigned number = bytes.number(2);
-  if (!bytes.is_good() || number == 0) return "an answer to no message";
+  if (!bytes.is_good() || number == 0) return "an answer to an unknown message";
   if (!is_v5 || bytes.size() == 0) return nullptr;
   bytes.number(1);
   return bytes.size() == 0 ? nullptr : mistake_of_properties(bytes, type);
@@ -171,17 +171,17 @@ const char* mistake_of_answer(MqttBytes& bytes, MqttType type, bool is_v5) noexc
 
 const char* mistake_of_suback(MqttBytes& bytes, bool is_v5) noexcept {
   const unsigned number = bytes.number(2);
-  if (!bytes.is_good() || number == 0) return "an answer to no subscription";
+  if (!bytes.is_good() || number == 0) return "an answer to an unknown subscription";
   if (const char* const mistake = is_v5 ? mistake_of_properties(bytes, mqtt_suback) : nullptr) return mistake;
-  if (bytes.size() == 0) return "an answer to a subscription without a word of it";
+  if (bytes.size() == 0) return "an answer to a subscription without its result";
   while (bytes.size() > 0)
     if (const unsigned granted = bytes.number(1); granted > 2 && granted < 0x80)
-      return "an answer to a subscription that is none";
+      return "a malformed answer to a subscription";
   return nullptr;
 }
 
 const char* mistake_of_disconnect(MqttBytes& bytes, bool is_v5) noexcept {
-  if (!is_v5) return "a goodbye, which only clients say in MQTT 3.1.1";
+  if (!is_v5) return "a DISCONNECT, which only clients send in MQTT 3.1.1";
   if (bytes.size() == 0) return nullptr;
   bytes.number(1);
   return bytes.size() == 0 ? nullptr : mistake_of_properties(bytes, mqtt_disconnect);
@@ -191,25 +191,25 @@ const char* mistake_of_disconnect(MqttBytes& bytes, bool is_v5) noexcept {
 const char* mistake_of_message(MqttBytes& bytes, unsigned flags, bool is_v5) noexcept {
   constexpr unsigned qos_mask = 6, duplicate = 8;
   const unsigned qos = (flags & qos_mask) >> 1;
-  if (qos > 2 || (qos == 0 && (flags & duplicate) != 0)) return "a message of a QoS that there is not";
+  if (qos > 2 || (qos == 0 && (flags & duplicate) != 0)) return "a message with an invalid QoS";
   const std::string_view topic = bytes.text();
-  if (!bytes.is_good()) return "a message whose topic is no text";
+  if (!bytes.is_good()) return "a message whose topic is not text";
   if (topic.empty()) return "a message without a topic";
   if (topic.find_first_of("+#") != std::string_view::npos) return "a message whose topic is a pattern";
   if (qos > 0 && bytes.number(2) == 0) return "a message without a number";
   return is_v5 ? mistake_of_properties(bytes, mqtt_publish) : nullptr;
 }
 
-/// Null: it is good.
+/// Null: no mistake.
 const char* mistake_of_packet(MqttBytes& bytes, MqttType type, unsigned flags,
                               const MqttExpectation& expected) noexcept {
   constexpr unsigned flags_of_pubrel = 2;
   if ((type == mqtt_connack) == expected.is_accepted)
-    return expected.is_accepted ? "a second answer to the connection" : "something before the answer to the connection";
+    return expected.is_accepted ? "a second answer to the connection" : "a packet before the answer to the connection";
   if (type != mqtt_publish && flags != (type == mqtt_pubrel ? flags_of_pubrel : 0))
     return "flags that MQTT does not have";
   if ((type == mqtt_publish || type == mqtt_pubrel || type == mqtt_suback) && !expected.takes_messages)
-    return "a message, and nothing was subscribed to";
+    return "a message without a subscription";
   const bool is_v5 = expected.is_v5;
   switch (type) {
     case mqtt_connack:
@@ -248,11 +248,11 @@ MqttPacket look_at_mqtt(std::string_view bytes, const MqttExpectation& expected)
   const std::size_t end_of_prefix = std::find_if(bytes.begin() + 1, bytes.begin() + std::min(bytes.size(), most_prefix),
                                                  [](char c) { return (c & 0x80) == 0; }) -
                                     bytes.begin();
-  if (end_of_prefix == most_prefix) return bad_mqtt(packet, "a packet whose length is none");
+  if (end_of_prefix == most_prefix) return bad_mqtt(packet, "a packet with a malformed length");
   if (end_of_prefix >= bytes.size()) return packet;
   MqttBytes prefix(bytes.substr(1, end_of_prefix));
   const std::size_t length = prefix.variable();
-  if (!prefix.is_good()) return bad_mqtt(packet, "a packet whose length is none");
+  if (!prefix.is_good()) return bad_mqtt(packet, "a packet with a malformed length");
   packet.prefix = 1 + end_of_prefix;
   bytes.remove_prefix(packet.prefix);
   const bool is_message = packet.type == mqtt_publish;
@@ -262,13 +262,13 @@ MqttPacket look_at_mqtt(std::string_view bytes, const MqttExpectation& expected)
   MqttBytes rest(bytes.substr(0, length));
   const std::size_t there = rest.size();
   if (const char* const why = mistake_of_packet(rest, static_cast<MqttType>(packet.type), first & 0x0f, expected)) {
-    // Of a message that goes on, what is missing may be what has not come.
+    // The missing bytes of an incomplete message may come later.
     const bool may_be_cut = !is_whole && !rest.is_good();
     return may_be_cut && there <= most_mqtt_head ? packet : bad_mqtt(packet, why);
   }
   if (!rest.is_good() || (!is_message && rest.size() > 0)) {
     if (is_message && !is_whole && there <= most_mqtt_head) return packet;
-    return bad_mqtt(packet, "a packet that is longer or shorter than what it has to say");
+    return bad_mqtt(packet, "a packet that is longer or shorter than its content");
   }
   packet.state = MqttPacket::State::good;
   packet.head = packet.prefix + there - rest.size();

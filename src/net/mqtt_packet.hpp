@@ -1,4 +1,4 @@
-// What a broker of MQTT sends, looked at without taking it: whether a packet is whole, and one that it may send.
+// Checks the data of an MQTT broker without consuming it: packets must be complete and allowed.
 #pragma once
 
 #include <cstddef>
@@ -27,7 +27,7 @@ struct MqttPacket {
 /// Longest `head` of a good packet: two texts of MQTT and more.
 inline constexpr std::size_t most_mqtt_head = 256 * 1024;
 
-/// Reads as MQTT 3.1.1 and 5 say, and no further than `bytes`. What is good, libmosquitto can take.
+/// Checks according to MQTT 3.1.1 and 5, never beyond `bytes`. libmosquitto can process all accepted packets.
 MqttPacket look_at_mqtt(std::string_view bytes, const MqttExpectation& expected) noexcept;
 
 }  // namespace rtdata::detail

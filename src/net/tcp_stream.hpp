@@ -47,15 +47,15 @@ class TcpStream {
   ssize_t write(const std::byte* from, std::size_t size) noexcept;
   /// Whether `ready` is called while the connection takes bytes.
   void want_to_write(bool wanted);
-  /// Bytes that were written and that the peer's machine has not confirmed, as far as is known; also after the
-  /// connection was lost, until `close`.
+  /// The number of written bytes that the peer's machine has not confirmed, as far as known; also after the connection
+  /// was lost, until `close`.
   std::size_t unconfirmed() const noexcept;
   /// The peer sees the end of what is written.
   void end_writing() noexcept;
 
  private:
   void try_next();
-  /// The attempt under way may have ended, one way or the other.
+  /// Checks the result of the current attempt.
   void take_attempt();
   void attempt_failed(int error_number);
   void done(const Result<void>& result);

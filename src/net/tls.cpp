@@ -17,7 +17,7 @@ constexpr off_t most_looked_at = off_t{1} << 20;  // authorities of a whole syst
 
 /// Why the file cannot be used; empty: it can.
 std::string obstacle(const std::string& path) {
-  if (path.find('\0') != std::string::npos) return "it is no name of a file: it has a NUL byte";
+  if (path.find('\0') != std::string::npos) return "it is not a file name: it has a NUL byte";
   const int fd = ::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NOCTTY | O_NONBLOCK);
   if (fd < 0) return std::generic_category().message(errno);
   struct stat about {};
@@ -25,7 +25,7 @@ std::string obstacle(const std::string& path) {
   std::string text(is_file ? static_cast<std::size_t>(std::min<off_t>(about.st_size, most_looked_at)) : 0, '\0');
   const ssize_t got = ::read(fd, text.data(), text.size());
   ::close(fd);
-  if (!is_file) return "it is no regular file";
+  if (!is_file) return "it is not a regular file";
   text.resize(got > 0 ? static_cast<std::size_t>(got) : 0);
   return text.find("-----BEGIN ") != std::string::npos ? ""
                                                        : "it is not PEM: it has no line that begins with -----BEGIN";
@@ -46,11 +46,11 @@ std::vector<TlsMistake> mistakes_of(const TlsConfig& config) {
   if (!config.certificate.empty() && config.key.empty())
     mistakes.push_back({"certificate", "a certificate needs its private key: give the file as `key`"});
   if (config.certificate.empty() && !config.key.empty())
-    mistakes.push_back({"key", "a key is nothing without its certificate: give the file as `certificate`"});
+    mistakes.push_back({"key", "a key needs its certificate: give the file as `certificate`"});
   if (!config.key_password.empty() && config.key.empty())
-    mistakes.push_back({"key_password", "there is no `key` of which it could be the password"});
+    mistakes.push_back({"key_password", "there is no `key` that it could be the password of"});
   if (!config.verify && !config.ca_file.empty())
-    mistakes.push_back({"ca_file", "with `verify` false nobody is checked against it: remove one of the two"});
+    mistakes.push_back({"ca_file", "with `verify` false it is not used: remove one of the two"});
   return mistakes;
 }
 

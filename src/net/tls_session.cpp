@@ -16,7 +16,7 @@ static constexpr const char* not_trusted = "it is not trusted";
 std::string advice_on_certificate(long verified, const std::string& key) {
   switch (verified) {
     case 10:  // X509_V_ERR_CERT_HAS_EXPIRED
-      return "the server's certificate is over: have it renewed there; or this machine's clock is wrong (`date`)";
+      return "the server's certificate has expired: have it renewed there; or this machine's clock is wrong (`date`)";
     case 9:  // ..._CERT_NOT_YET_VALID
       return "the server's certificate is not valid yet: most probably this machine's clock is wrong (`date`)";
     case other_host_name:
@@ -25,10 +25,10 @@ std::string advice_on_certificate(long verified, const std::string& key) {
              "`, or have the certificate made for this one";
     case 18:  // ..._DEPTH_ZERO_SELF_SIGNED_CERT
     case 19:  // ..._SELF_SIGNED_CERT_IN_CHAIN
-      return "nobody vouches for the server's certificate but itself: give it (or that of its authority) as "
-             "`tls.ca_file`, if you know that it is right";
+      return "the server's certificate is self-signed: give it (or that of its authority) as `tls.ca_file`, if you "
+             "know that it is right";
     default:
-      return "this machine does not trust who has signed the server's certificate: give the authority's as "
+      return "this machine does not trust the authority that signed the server's certificate: give the authority's as "
              "`tls.ca_file`, or install the package ca-certificates";
   }
 }
@@ -97,7 +97,7 @@ Result<std::shared_ptr<const TlsContext>> TlsContext::load(const TlsConfig& conf
                                               : SSL_CTX_load_verify_file(context, config.ca_file.c_str());
     if (loaded != 1)
       return refuse(config.ca_file.empty() ? "the authorities of this machine" : config.ca_file,
-                    "`tls.ca_file` has to be there, readable, and PEM");
+                    "`tls.ca_file` must exist, be readable, and be PEM");
   }
   if (!config.certificate.empty()) {
     constexpr const char* advice = "check the files `tls.certificate` and `tls.key`, and `tls.key_password`";
@@ -189,7 +189,7 @@ std::size_t TlsSession::write(std::span<const std::byte> bytes) {
   return 0;
 }
 
-void TlsSession::say_goodbye() {
+void TlsSession::send_close_notify() {
   ERR_clear_error();
   SSL_shutdown(impl_->ssl.get());
   ERR_clear_error();
@@ -241,7 +241,7 @@ TlsSession::State TlsSession::failed(int) { return State::failed; }
 TlsSession::State TlsSession::handshake() { return State::failed; }
 TlsSession::State TlsSession::read(char*, std::size_t, std::size_t&) { return State::failed; }
 std::size_t TlsSession::write(std::span<const std::byte>) { return 0; }
-void TlsSession::say_goodbye() {}
+void TlsSession::send_close_notify() {}
 void TlsSession::take(std::span<const std::byte>) {}
 bool TlsSession::has_unread() const noexcept { return false; }
 std::span<const std::byte> TlsSession::output() const noexcept { return {}; }

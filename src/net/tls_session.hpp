@@ -1,4 +1,4 @@
-// The client's end of TLS over bytes that somebody else reads and writes, by OpenSSL.
+// The client side of TLS with OpenSSL, over bytes that the caller reads and writes.
 #pragma once
 
 #include <cstddef>
@@ -11,12 +11,12 @@
 
 namespace rtdata::detail {
 
-/// What to do about a server's certificate that was not accepted, for the reason `verified` (X509_V_ERR_...). `key` is
-/// the parameter that has the server's name.
+/// Advice for a server's certificate that was refused for the reason `verified` (X509_V_ERR_...). `key` is the
+/// parameter with the server's name.
 std::string advice_on_certificate(long verified, const std::string& key);
 
-/// What OpenSSL has found wrong with the peer's certificate in a session that another library keeps (`ssl`: its SSL*);
-/// 0: nothing, or there is no OpenSSL.
+/// OpenSSL's verification error for the peer's certificate in a session of another library (`ssl`: its SSL*); 0: none,
+/// or no OpenSSL.
 long verify_result_of(void* ssl) noexcept;
 /// For people.
 std::string text_of_verify_result(long verified);
@@ -25,7 +25,7 @@ constexpr long other_host_name = 62;  // X509_V_ERR_HOSTNAME_MISMATCH
 /// OpenSSL can be used. Errors: not-found (this was built without it, or it is not installed).
 Result<void> load_tls();
 
-/// Who is trusted, and our own certificate: read from files once, used by all connections of a peer.
+/// Trusted authorities and our own certificate, read from files once for all connections to a peer.
 class TlsContext {
  public:
   /// Reads the files, so it may block. Errors: those of load_tls, bad-data (a file that is not PEM, a
@@ -61,13 +61,13 @@ class TlsSession {
   State read(char* to, std::size_t most, std::size_t& got);
   /// Encrypts up to 16 KiB of it. Returns how many bytes; 0: failed.
   std::size_t write(std::span<const std::byte> bytes);
-  void say_goodbye();
+  void send_close_notify();
 
-  /// What the peer has sent.
+  /// Takes bytes from the peer.
   void take(std::span<const std::byte> bytes);
-  /// Whether it holds what the peer has sent and nobody has read yet.
+  /// True if it has decrypted bytes that were not read yet.
   bool has_unread() const noexcept;
-  /// To be sent to the peer; until the next call of this object.
+  /// Bytes to send to the peer; valid until the next call of this object.
   std::span<const std::byte> output() const noexcept;
   void sent(std::size_t bytes);
 

@@ -64,7 +64,7 @@ void TlsStream::stream_ready() {
 void TlsStream::shake_hands() {
   for (;;) {
     const auto state = session_->handshake();
-    flush();  // what is wrong with the peer is said to it, too
+    flush();  // sends the alert to the peer, too
     if (state == TlsSession::State::done) return handshake_ended({});
     if (state == TlsSession::State::failed || state == TlsSession::State::ended) {
       Error error = session_->error();
@@ -163,7 +163,8 @@ ssize_t TlsStream::write(const std::byte* from, std::size_t size) {
 }
 
 Error TlsStream::failure(int error_number) const {
-  if (!has_failed_) return system_error(error_number, "lost the connection", peer(), "it is connected to again");
+  if (!has_failed_)
+    return system_error(error_number, "lost the connection", peer(), "the program connects to it again");
   Error error = session_->error();
   error.where = peer();
   return error;
@@ -185,7 +186,7 @@ std::size_t TlsStream::unconfirmed() const noexcept {
 
 void TlsStream::end_writing() {
   if (session_) {
-    session_->say_goodbye();
+    session_->send_close_notify();
     flush();
   }
   stream_.end_writing();

@@ -18,14 +18,14 @@ class TlsStream {
   TlsStream(LoopCore& loop, const std::string& owner, std::function<void(const Result<void>&)> opened,
             std::function<void()> ready);
 
-  /// Without `tls`, the bytes go as they are. `limit`: each address has so long to answer, and then the handshake.
+  /// Without `tls`, bytes are not encrypted. `limit`: for each address to answer, and again for the handshake.
   void connect(const std::string& host, std::uint16_t port, Duration limit, std::shared_ptr<const TlsContext> tls);
   bool is_open() const noexcept { return is_open_; }
   bool is_connecting() const noexcept { return !is_open_ && (stream_.is_connecting() || stream_.is_open()); }
   bool is_encrypted() const noexcept { return session_.has_value(); }
   void close() noexcept;
-  /// As read(2) and write(2); never blocks. After -1 and an errno that is not EAGAIN or EINTR, `failure` says why. What
-  /// a `write` was given that returned EAGAIN is to be given to the next one again.
+  /// As read(2) and write(2); never blocks. After -1 and an errno that is not EAGAIN or EINTR, `failure` says why.
+  /// After a `write` with EAGAIN, pass the same data to the next `write`.
   ssize_t read(char* to, std::size_t most);
   ssize_t write(const std::byte* from, std::size_t size);
   /// Whether there is something to read that was received already: `ready` is not called for that.
@@ -43,7 +43,7 @@ class TlsStream {
   void handshake_ended(const Result<void>& result);
   /// Asks to be called while the connection takes bytes, where that is needed.
   void watch();
-  /// Gives the session what has come. False: nothing has. `end_` says when the connection has ended.
+  /// Passes received bytes to the session. False: none. `end_` tells if the connection has ended.
   bool receive();
   /// Sends what the session has for the peer. False: not all of it now; or the connection has failed.
   bool flush() noexcept;

@@ -26,7 +26,7 @@ OutputGuard::Link::~Link() {
   endings.clear();
   if (socket >= 0) ::close(socket);
   if (process > 0) {
-    // It ends when the sockets are closed; a device that hangs may keep it.
+    // The guard ends when the sockets are closed; a hanging device may delay it.
     for (int tries = 0; tries < 200 && ::waitpid(process, nullptr, WNOHANG) == 0; ++tries) {
       const timespec wait{0, 10'000'000};
       ::nanosleep(&wait, nullptr);
@@ -51,7 +51,7 @@ OutputGuard::OutputGuard(const Make& make) : link_(std::make_shared<Link>()) {
   const pid_t process = ::fork();
   if (process == 0) {
     ::close(ends[0]);
-    detail::be_guard(ends[1], link_->beats, make);
+    detail::run_guard(ends[1], link_->beats, make);
   }
   const int error_number = errno;
   ::close(ends[1]);
@@ -82,7 +82,7 @@ Result<int> OutputGuard::Link::introduce(const std::string& name, double safe, c
                                          std::uint32_t& slot) {
   constexpr const char* cannot = "cannot hand the output to its guard";
   if (what.size() > detail::most_guarded_text)
-    return Error{Errc::does_not_fit, cannot, "", "what it is made of has more than 64 KiB", ""};
+    return Error{Errc::does_not_fit, cannot, "", "its sources have more than 64 KiB", ""};
   const std::lock_guard lock(mutex);
   const auto free = std::find(is_taken.begin(), is_taken.end(), false);
   if (free == is_taken.end()) return Error{Errc::does_not_fit, cannot, "", "it has 1024 already", ""};
@@ -138,12 +138,12 @@ void OutputGuard::Link::await_end(Loop& loop, const std::string& output, int its
     detail::GuardAnswer answer;
     const ssize_t got = ::recv(ending->socket, &answer, sizeof answer, MSG_DONTWAIT);
     if (got < 0 && (errno == EAGAIN || errno == EINTR)) return;
-    const bool is_told = got == sizeof answer;
-    if (is_told && answer.kind != detail::GuardAnswer::ended) return;
-    const bool is_safe = is_told && answer.code == 0;
+    const bool is_reported = got == sizeof answer;
+    if (is_reported && answer.kind != detail::GuardAnswer::ended) return;
+    const bool is_safe = is_reported && answer.code == 0;
     loop.runtime().core().log(
         is_safe ? LogLevel::warning : LogLevel::error, ending->output,
-        is_told ? detail::text_of_end(answer.result()) : "its guard has ended, and nobody tries to set it safe");
+        is_reported ? detail::text_of_end(answer.result()) : "its guard has ended, and nothing tries to set it safe");
     if (is_safe) note(ending->output, true);
     std::list<Ending> over;  // is destroyed without the lock
     const std::lock_guard again(mutex);
@@ -158,7 +158,7 @@ void OutputGuard::Link::await_end(Loop& loop, const std::string& output, int its
 }
 
 void OutputGuard::Link::beat_for(const Loop& loop) noexcept {
-  if (is_ending.load(std::memory_order_acquire)) return;  // they are to be safe, by whom it may be
+  if (is_ending.load(std::memory_order_acquire)) return;  // the outputs must become safe, by any process
   for (std::size_t slot = 0; slot < patience.size(); ++slot) {
     if (patience[slot].loop.load(std::memory_order_relaxed) != &loop) continue;
     const Duration now = std::chrono::steady_clock::now().time_since_epoch();

@@ -1,5 +1,5 @@
-// What the program and its guard share: a table of times in memory, a socket by which outputs are introduced, and a
-// socket for each of them.
+// The interface of the program and its guard: a table of times in shared memory, a socket to introduce outputs, and a
+// socket for each output.
 #pragma once
 
 #include <sys/types.h>
@@ -24,23 +24,23 @@ namespace rtdata {
 namespace detail {
 
 inline constexpr std::size_t most_guarded = OutputGuard::most_outputs;
-/// With what `check` does not count: the settings that a file leaves out.
+/// More than `check` counts: includes settings that a file leaves out.
 inline constexpr std::size_t most_guarded_text = OutputGuard::most_bytes + 8192;
 
 /// In ns of CLOCK_MONOTONIC. A line of cache each.
 struct alignas(64) GuardBeat {
-  std::atomic<std::int64_t> until{0};  // when the guard does not wait for the output's loop any longer
-  std::atomic<std::int64_t> seen{0};   // when the guard looked at that last, which it does while the output is not safe
+  std::atomic<std::int64_t> until{0};  // until when the guard waits for the output's loop
+  std::atomic<std::int64_t> seen{0};   // when the guard last checked that, which it does while the output is not safe
 };
 static_assert(std::atomic<std::int64_t>::is_always_lock_free, "two processes share it");
 
-/// How long the guard is to wait for a loop that turns no more, of an output; this process alone.
+/// How long the guard waits for an output's loop that does not turn; in this process only.
 struct GuardPatience {
   std::atomic<const Loop*> loop{nullptr};
   std::atomic<std::int64_t> time{0};  // ns
 };
 
-/// Introduces an output; its socket goes with it, and what its Actuator is made of follows.
+/// Introduces an output; its socket is passed along, and the `guarded` text follows.
 struct GuardIntroduction {
   std::uint32_t slot = 0;
   double safe = 0;
@@ -48,7 +48,7 @@ struct GuardIntroduction {
   std::int32_t priority = 0;    // SCHED_FIFO, above all tiers; 0: none of them has one
 };
 
-/// How long the guard tries to set an output safe that has ended.
+/// How long the guard tries to set an ended output safe.
 inline constexpr Duration longest_after_end = std::chrono::seconds{10};
 
 struct GuardOrder {
@@ -60,7 +60,7 @@ struct GuardOrder {
 
 struct GuardAnswer {
   enum Kind : std::uint32_t { answered, tripped, vanished, ended };
-  Kind kind = answered;   // to an order, or of the guard's own accord: no turn, no device, what came of its end
+  Kind kind = answered;   // answer to an order, or an own message of the guard: no turn, no device, result of its end
   std::int32_t code = 0;  // an Errc; 0: the device has the value
   std::array<char, 96> what{};
   std::array<char, 160> where{}, why{}, advice{};
@@ -88,34 +88,34 @@ struct GuardAnswer {
   }
 };
 
-/// What came of an output that ended without its safe value, for people. Errors: closed (the guard has never had its
-/// device), busy (another one has it), what the device says.
+/// The result of an output that ended without its safe value, for people. Errors: closed (the guard never had its
+/// device), busy (another guard has it), the device's error.
 inline std::string text_of_end(const Result<void>& done) {
   if (done) return "it has its safe value now";
   if (done.error().code == make_error_code(Errc::closed))
-    return "its device could not be taken, and is as it was: " + done.error().why;
+    return "its device could not be opened, and is as it was: " + done.error().why;
   if (done.error().code == make_error_code(Errc::busy))
-    return "its device is somebody else's now, and the guard no longer tries to set it safe";
+    return "another output has its device now, and the guard no longer tries to set it safe";
   return "its device has not taken the safe value for " + to_string(longest_after_end) +
          ", and the guard no longer tries: " + done.error().why;
 }
 
 /// The guard's whole life, in its process.
-[[noreturn]] void be_guard(int socket, GuardBeat* beats, const OutputGuard::Make& make) noexcept;
+[[noreturn]] void run_guard(int socket, GuardBeat* beats, const OutputGuard::Make& make) noexcept;
 
 }  // namespace detail
 
 struct OutputGuard::Link {
   ~Link();
-  /// The socket of an output that the guard knows from now on. Errors: disconnected, and no descriptors.
-  /// `priority`: of the guard's thread, see GuardIntroduction.
+  /// Introduces an output to the guard and returns its socket. Errors: disconnected, and no descriptors. `priority`: of
+  /// the guard's thread, see GuardIntroduction.
   Result<int> introduce(const std::string& name, double safe, const std::string& what, int priority,
                         std::uint32_t& slot);
   void release(std::uint32_t slot) noexcept;
-  /// Waits on the loop for what the guard says on this socket of an output that ended without its safe value, which the
-  /// log is told. Takes the socket.
+  /// Waits on the loop for the guard's message about an output that ended without its safe value, and logs it. Takes
+  /// the socket.
   void await_end(Loop& loop, const std::string& output, int its_socket);
-  /// The loop waits for an output's device, and so cannot beat for those that it has.
+  /// Extends the beats of all outputs of a loop while the loop waits for an output's device.
   void beat_for(const Loop& loop) noexcept;
   /// How an output ended, or that it is there again.
   void note(const std::string& output, bool is_safe);

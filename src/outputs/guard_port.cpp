@@ -127,7 +127,7 @@ class GuardPort final : public OutputPort {
     listener_.answered(std::move(result));  // the last use of this object
   }
   static Error no_answer() {
-    return {Errc::timed_out, guard_cannot_set, "", "its guard does not answer", "look at the device"};
+    return {Errc::timed_out, guard_cannot_set, "", "its guard does not answer", "check the device"};
   }
   static Error ended() {
     return {Errc::disconnected, guard_cannot_set, "", "its guard has ended", "start the program again"};
@@ -139,7 +139,7 @@ class GuardPort final : public OutputPort {
       return {};
     }
     if (socket_ >= 0 && (errno == EAGAIN || errno == ENOBUFS))
-      return Error{Errc::backlog, guard_cannot_set, "", "its guard takes no more orders", "look at the device"};
+      return Error{Errc::backlog, guard_cannot_set, "", "its guard takes no more orders", "check the device"};
     return ended();
   }
   Result<void> exchange(const GuardOrder& order) {

@@ -52,7 +52,7 @@ bool is_named(const std::filesystem::path& task, std::string_view wanted) {
   return std::getline(file, name) && name == wanted;
 }
 
-/// Whether the guard of a program that has ended still tries to set the output with these settings safe.
+/// True if the guard of an ended program still tries to set the output with these settings safe.
 bool is_ending_elsewhere(const std::string& what) noexcept try {
   const std::string wanted = name_of_ending(what);
   std::error_code ignored;
@@ -62,17 +62,17 @@ bool is_ending_elsewhere(const std::string& what) noexcept try {
       if (is_named(task.path(), wanted)) return true;
   }
   return false;
-} catch (const std::exception&) {  // no memory: nobody knows of one
+} catch (const std::exception&) {  // no memory: assume none
   return false;
 }
 
-/// Of a device that the guard of an output that has ended has for moments: an error that passes, as of a device that is
-/// away.
+/// Converts the error for a device that another guard holds for a moment to a temporary error, like a disconnected
+/// device.
 Error passing(Error error) noexcept {
   if (error.code != make_error_code(Errc::busy) && error.code != make_error_code(Errc::timed_out)) return error;
   try {
     error.code = make_error_code(Errc::disconnected);
-    error.why += "; the guard of what had it before still tries to set it safe";
+    error.why += "; the guard of its earlier output still tries to set it safe";
     error.advice = "leave that guard alone: it ends after 10 s, and this output is tried again each second";
   } catch (const std::exception&) {  // no memory: the error stays as it is
   }
@@ -91,7 +91,7 @@ class Keeper {
         beat_(beat),
         held_([this, &make] { return make(what_); }) {}
 
-  /// Until the program has gone, or wants the device back.
+  /// Runs until the program has ended or wants the device back.
   void run() noexcept {
     while (!is_over_) {
       pollfd one{socket_, POLLIN, 0};
@@ -103,7 +103,7 @@ class Keeper {
       }
       const int ready = ::ppoll(&one, 1, wait ? &most : nullptr, nullptr);
       beat_.seen.store(now(), std::memory_order_release);
-      if (is_due() && !(is_retrying_ && ready > 0)) be_safe();
+      if (is_due() && !(is_retrying_ && ready > 0)) set_safe();
       if (ready > 0) receive();
       if (is_open_ && !is_over_ && now() >= next_check_) check();
     }
@@ -113,7 +113,7 @@ class Keeper {
  private:
   bool is_due() const noexcept { return is_watching() && (is_retrying_ || is_over_time()); }
   bool is_over_time() const noexcept { return now() >= beat_.until.load(std::memory_order_acquire); }
-  /// Something other than the safe value may be set, or may come.
+  /// True if another value than the safe one is set or may be ordered.
   bool is_watching() const noexcept { return is_open_ && (!is_safe_ || is_armed_); }
   std::optional<Duration> time_left() const noexcept {
     if (!is_open_) return {};
@@ -124,7 +124,7 @@ class Keeper {
   }
   static std::int64_t now() noexcept { return SteadyClock::now().time_since_epoch().count(); }
 
-  void be_safe() noexcept {
+  void set_safe() noexcept {
     const bool trips = is_over_time() && !std::exchange(has_tripped_, true);
     is_armed_ = false;
     const Result<void> done = is_safe_ ? Result<void>() : held_.put(safe_);
@@ -157,7 +157,7 @@ class Keeper {
     // Asked before: the device may be free, and who tried may have ended, when it is taken.
     const bool was_ending = !is_open_ && (ending > 0 || is_ending_elsewhere(what_));
     const Result<void> done = order.kind == GuardOrder::finish && !value ? Result<void>() : held_.put(value);
-    // What a device has that did not take its value is not known: the safe one is set when the time is over.
+    // After a failed order the device's value is unknown, so the safe value is set when the time is over.
     is_open_ = is_open_ || done.has_value();
     is_safe_ = done.has_value() ? value == safe_ : false;
     is_retrying_ = is_retrying_ && !is_safe_;
@@ -172,7 +172,7 @@ class Keeper {
       (void)send(GuardAnswer::ended, done ? done : Error{Errc::closed, "", "", done.error().why, ""});
       return;
     }
-    be_ending();  // before the program, which closes the output now, can make it again
+    announce_ending();  // before the program, which closes the output now, can make it again
     answer(done);
     keep_trying();
   }
@@ -181,10 +181,10 @@ class Keeper {
   void end() noexcept {
     is_over_ = true;
     if (!is_open_ || is_safe_) return;
-    be_ending();
+    announce_ending();
     keep_trying();
   }
-  void be_ending() const noexcept {
+  void announce_ending() const noexcept {
     ++ending;
     ::prctl(PR_SET_NAME, name_of_ending(what_).c_str());
   }
@@ -192,19 +192,19 @@ class Keeper {
     const auto last = SteadyClock::now() + longest_after_end;
     for (;;) {
       const Result<void> done = held_.put(safe_);
-      // Also when somebody else has it: the guard of the next run does so while it tries in vain.
+      // Also if another process has the device: the guard of the next run may hold it.
       if (!done && SteadyClock::now() < last) {
         std::this_thread::sleep_for(retry_period);
         continue;
       }
       held_.give_back();
       --ending;
-      if (!send(GuardAnswer::ended, done)) tell_end(done);
+      if (!send(GuardAnswer::ended, done)) report_end(done);
       return;
     }
   }
   /// On standard error, since the program has gone.
-  void tell_end(const Result<void>& done) const noexcept {
+  void report_end(const Result<void>& done) const noexcept {
     try {
       const std::string line = std::string(name_of_guard) + ": " + name_ + ": " + text_of_end(done) + "\n";
       (void)!::write(STDERR_FILENO, line.data(), line.size());
@@ -213,8 +213,7 @@ class Keeper {
   }
 
   void answer(const Result<void>& result) const noexcept { (void)send(GuardAnswer::answered, result); }
-  /// False: nobody reads it. A program that does not read for so long that the socket is full is not waited for: the
-  /// watchdog is for that.
+  /// False: not read. Does not wait if the socket is full because the program does not read; the watchdog handles that.
   bool send(GuardAnswer::Kind kind, const Result<void>& result) const noexcept {
     GuardAnswer answer{.kind = kind};
     if (!result) answer.put(result.error());
@@ -311,7 +310,7 @@ void close_others(int kept) noexcept {
 
 }  // namespace
 
-void be_guard(int socket, GuardBeat* beats, const OutputGuard::Make& make) noexcept {
+void run_guard(int socket, GuardBeat* beats, const OutputGuard::Make& make) noexcept {
   // SIGABRT is what a service manager's watchdog sends to all; abort() in an Actuator ends the guard all the same.
   for (const int number : {SIGINT, SIGTERM, SIGHUP, SIGQUIT, SIGABRT, SIGALRM, SIGPIPE, SIGUSR1, SIGUSR2, SIGXCPU})
     ::signal(number, SIG_IGN);

@@ -15,7 +15,7 @@
 namespace rtdata {
 namespace {
 
-constexpr const char* cannot_set_http = "cannot set what is at the URL";
+constexpr const char* cannot_set_http = "cannot set the device at the URL";
 constexpr Duration spare = std::chrono::milliseconds{100};  // beyond libcurl's own limit
 
 /// With each word in place of the value, and with 0.
@@ -104,7 +104,7 @@ struct HttpActuator::Request {
                                                             url.origin);
       if (judgement.verdict == detail::HttpVerdict::taken) return {};
       return Error{judgement.why.code, cannot_set_http, url.origin, judgement.why.why,
-                   "look at `url`, `method` and `text`"};
+                   "check `url`, `method` and `text`"};
     }
     const detail::HttpUrl proxy = config.server.proxy.empty() ? detail::HttpUrl{}
                                                               : detail::parse_http_url(config.server.proxy).or_throw();

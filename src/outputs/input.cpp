@@ -45,14 +45,14 @@ std::optional<double> OutputInput::evaluate(Time time, MonotonicTime now) {
     return {};
   }
   if (const Silence silence = this->silence(); silence.topic != nullptr && now - silence.since >= max_age_) {
-    why_ = "the topic \"" + *silence.topic + "\" has brought nothing for " + to_string(max_age_);
+    why_ = "the topic \"" + *silence.topic + "\" has had no event for " + to_string(max_age_);
     return {};
   }
   const ExpressionResult result = expression_.evaluate(time);
   if (result.has_failed()) why_ = expression_.why();
   if (!result.has_value()) return {};
   if (!std::isfinite(result.value)) {
-    why_ = "it is no finite number";
+    why_ = "it is not a finite number";
     return {};
   }
   if (hysteresis_) return hysteresis_->update(result.value) ? 1 : 0;

@@ -1,4 +1,4 @@
-// The value that an output is to have, from the events of topics.
+// Computes the value of an output from the events of topics.
 #pragma once
 
 #include <functional>
@@ -26,16 +26,17 @@ class OutputInput {
   std::vector<Subscription> subscribe(Loop& loop, const std::string& output,
                                       const std::function<void(std::size_t, const EventView&)>& take) const;
   void put(std::size_t topic, const EventView& event, MonotonicTime now);
-  /// What came before counts as if it came now.
+  /// Treats earlier events as if they came now.
   void begin(MonotonicTime now) { came_.assign(sources_.all().size(), now); }
   /// The last events of topics that bring one only when something changes, as if they came now.
   void recall(Loop& loop, const std::function<void(std::size_t, const EventView&)>& take) {
     sources_.recall(loop, take);
   }
-  /// Its value changes with events of this topic: of the first, and of all where the first only says what changes.
+  /// True if events of this topic change the value: the first topic, and all topics if the first publishes only
+  /// changes.
   bool computes_with(std::size_t topic) const noexcept { return topic == 0 || sources_.all().front().is_held; }
-  /// The loops of others, of topics that it uses and that bring an event only when something changes: these are as
-  /// good as those loops turn.
+  /// Other loops with topics that it uses and that publish only changes: such a value is valid only while that loop
+  /// turns.
   std::vector<LoopCore*> loops_of_held(Loop& loop) const;
   bool has_held() const noexcept;
   std::vector<std::string> topics() const { return sources_.topics(); }
@@ -43,9 +44,10 @@ class OutputInput {
     const std::string* topic;  ///< null: none of them may be silent
     MonotonicTime since;
   };
-  /// The topic that has been silent for longest, of those that its value is made of and that may not be silent.
+  /// The topic with the longest silence, of those that must not be silent.
   Silence silence() const noexcept;
-  /// None: it has none now; `why` says why, if it is not just waiting. `time`: of the event with which it changes.
+  /// The value; empty: none now, with the reason in `why` unless it is only waiting. `time`: of the event that changes
+  /// it.
   std::optional<double> evaluate(Time time, MonotonicTime now);
   /// Empty: it is waiting, or has a value.
   const std::string& why() const noexcept { return why_; }

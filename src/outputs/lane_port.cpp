@@ -54,7 +54,7 @@ Result<void> HeldActuator::check() noexcept {
 
 namespace {
 
-constexpr Duration longest_set = std::chrono::seconds{2};  // then the thread is left behind
+constexpr Duration longest_set = std::chrono::seconds{2};  // then the thread is abandoned
 
 class LanePort final : public OutputPort {
  public:
@@ -146,7 +146,7 @@ class LanePort final : public OutputPort {
   Error hanging() const {
     return {Errc::timed_out, "cannot set the output", name_,
             "its device did not return within " + to_string(limit_) + ", and nothing else can use it meanwhile",
-            "look at the device, and start the program again"};
+            "check the device, and start the program again"};
   }
 
   const std::string name_;

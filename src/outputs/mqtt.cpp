@@ -176,7 +176,7 @@ struct MqttActuator::Link {
     const bool is_refusal = is_refused();
     return {is_refusal ? Errc::not_permitted : Errc::disconnected, cannot_set_mqtt,
             config.broker.host + " port " + std::to_string(detail::port_of(config.broker)), std::move(why),
-            is_refusal ? "look at `user`, `password` and `client_id`, and at what the broker lets them do"
+            is_refusal ? "check `user`, `password` and `client_id`, and what the broker lets them do"
                        : "is the broker running, and does the network reach it?"};
   }
   /// Returns whether its thread has ended.

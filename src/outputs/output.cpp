@@ -23,9 +23,9 @@ constexpr Duration retry_period = std::chrono::seconds{1};
 constexpr Duration slow_start = std::chrono::seconds{1};
 constexpr Duration answer_limit = std::chrono::seconds{3};  // longer than a lane's
 
-/// Why the configuration cannot work; empty: it can.
+/// Why the configuration is invalid; empty: it is valid.
 std::string refusal_of(const OutputConfig& config) {
-  if (!std::isfinite(config.safe)) return "`safe` is no finite number";
+  if (!std::isfinite(config.safe)) return "`safe` is not a finite number";
   if (config.on.empty()) {
     if (!config.expression.empty() || !config.with.empty() || config.hysteresis || config.pid)
       return "`expression`, `with`, `hysteresis` and `pid` need the topic `on` that it follows";
@@ -56,7 +56,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     if (!config_.on.empty()) input_.emplace(config_);
   }
 
-  /// Apart, since it may fail.
+  /// Separate, because it may fail.
   void begin(OutputGuard* guard, const std::string& guarded, Output::Takes takes) {
     if (const std::string why = range_.refusal(config_.safe); !why.empty())
       throw SetupError({Errc::out_of_range, "cannot make the output", name(), "`safe`: " + why, ""});
@@ -86,7 +86,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
 
   Result<void> set(double value, std::string_view by) {
     if (state_ == State::stopped) return stopped();
-    if (!std::isfinite(value)) return refusal(Errc::bad_argument, "the value is no finite number", "");
+    if (!std::isfinite(value)) return refusal(Errc::bad_argument, "the value is not a finite number", "");
     if (input_)
       return refusal(Errc::bad_argument, "it follows the topic \"" + config_.on + "\"", "disarm it to hold it safe");
     const Order order{value, OutputCause::set, fitting<48>(by), now()};
@@ -147,7 +147,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     }
     end_lease();
     stop_watching();
-    be_safe(OutputCause::disarm, by);
+    set_safe(OutputCause::disarm, by);
     settle();
     return {};
   }
@@ -158,7 +158,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     const bool is_finite = std::all_of(std::begin(all), std::end(all), [](double one) { return std::isfinite(one); });
     if (!is_finite || !(pid.least < pid.most))
       return Error{Errc::bad_argument, cannot_control, name(),
-                   is_finite ? "`least` is not below `most`" : "a setting is no finite number", ""};
+                   is_finite ? "`least` is not below `most`" : "a setting is not a finite number", ""};
     input_->pid()->change(pid);
     is_setpoint_commanded_ = false;
     return {};
@@ -175,20 +175,20 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
 
   double safe_value() const noexcept { return config_.safe; }
   bool is_armed() const noexcept { return is_armed_; }
-  void when_told(Callback<void()> done) {
-    if (told_armed_ == is_armed_) return loop()->post(std::move(done));
+  void when_published(Callback<void()> done) {
+    if (published_armed_ == is_armed_) return loop()->post(std::move(done));
     waiting_.push_back(std::move(done));
   }
   void when_taken(Callback<void(Result<void>)> done) {
     when_taken_.push_back(std::move(done));
-    if (state_ != State::taking) tell_taken();
+    if (state_ != State::taking) report_taken();
   }
   void finish(Callback<void()> done) {
     ended_.push_back(std::move(done));
     if (state_ == State::ending) return;
-    if (!is().held) return tell_ended();
+    if (!is().held) return report_ended();
     end_orders(State::ending);
-    if (const Result<void> begun = port_->begin_finish(first_value()); !begun) be_ended(begun);
+    if (const Result<void> begun = port_->begin_finish(first_value()); !begun) finish_ending(begun);
   }
   Duration lease_left() const noexcept {
     return config_.lease > Duration{0} ? std::max(config_.lease - (now() - last_set_), Duration{0}) : Duration::max();
@@ -223,7 +223,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     bool is_repeat = false;  // of the value that is on its way: it is only needed when the device does not take that
   };
 
-  /// Where it stands with its device.
+  /// The state of its device.
   enum class State : std::uint8_t { stopped, taking, ready, busy, failed, mending, ending, left };
   struct Standing {
     bool held, busy, failing, left;
@@ -232,11 +232,11 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     // clang-format off
     constexpr Standing all[] = {
         {false, false, false, false},  // stopped
-        {true,  true,  false, false},  // taking: the device, as a value that is on its way, while the loop turns
+        {true,  true,  false, false},  // taking: the device is being opened while the loop turns
         {true,  false, false, false},  // ready
         {true,  true,  false, false},  // busy: a value is on its way
-        {true,  false, true,  false},  // failed: the safe value is tried again and again
-        {true,  true,  true,  false},  // mending: it is on its way
+        {true,  false, true,  false},  // failed: the safe value is tried repeatedly
+        {true,  true,  true,  false},  // mending: the safe value is being set
         {false, false, false, true},   // ending: `finish` was called, and is not over
         {false, false, false, true},   // left: it is over
     };
@@ -281,10 +281,11 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     const Result<void> opened = port_->open(first_value());
     if (!opened && !is_away(opened)) throw SetupError(placed(opened.error()));
     is_armed_ = is_armed && !is_lost_;
-    be_held(began, opened);
+    note_opened(began, opened);
     follow_input();
   }
-  /// It may come: the other errors are for who has configured it, and a reload that needs it can be taken back.
+  /// True if the device may come back. Other errors are mistakes in the configuration; a reload that caused one can be
+  /// undone.
   bool is_away(const Result<void>& opened) const {
     const auto& code = opened.error().code;
     if (is_patient_) return true;
@@ -292,7 +293,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     return code == Errc::disconnected ||
            (loop()->is_being_set_up() && (code == Errc::not_found || code == Errc::timed_out));
   }
-  void be_held(MonotonicTime began, const Result<void>& opened) {
+  void note_opened(MonotonicTime began, const Result<void>& opened) {
     state_ = opened ? State::ready : State::failed;
     has_ended_unsafe_ = false;
     if (opened && !config_.keep) value_ = config_.safe;
@@ -320,21 +321,21 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     is_armed_ = config_.armed == Arming::at_start && !is_lost_;
     busy_ = {config_.keep ? std::nan("") : config_.safe, OutputCause::start, {}, now()};
     follow_input();
-    if (const Result<void> begun = port_->begin_open(first_value()); !begun) return be_taken(begun);
+    if (const Result<void> begun = port_->begin_open(first_value()); !begun) return finish_taking(begun);
     patience_.start(slow_start);
   }
-  void be_taken(const Result<void>& opened) {
+  void finish_taking(const Result<void>& opened) {
     state_ = State::stopped;
     patience_.stop();
     const bool is_taken = opened || is_away(opened);
     is_patient_ = false;
     if (is_taken) {
-      be_held(busy_.asked, opened);
+      note_opened(busy_.asked, opened);
     } else {
       taken_ = placed(opened.error());
       for (Timer* timer : {&stale_, &lease_, &retry_}) timer->stop();
     }
-    tell_taken();
+    report_taken();
     if (!is_open()) return;
     if (is_taken && opened) {
       settle();
@@ -344,16 +345,16 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
       record(*std::exchange(next_, std::nullopt), {}, "the device failed");
     }
   }
-  void tell_taken() {
+  void report_taken() {
     for (Callback<void(Result<void>)>& done : std::exchange(when_taken_, {}))
       loop()->post([done = std::move(done), result = taken_]() mutable { done(std::move(result)); });
   }
   void give_back() noexcept {
     try {
-      if (state_ == State::ending) return be_ended(port_->wait_for_end());
+      if (state_ == State::ending) return finish_ending(port_->wait_for_end());
       if (!is().held) return;
       end_orders(State::stopped);
-      be_given_back(port_->finish(first_value()));
+      note_given_back(port_->finish(first_value()));
     } catch (const std::exception& thrown) {
       loop()->runtime.log(LogLevel::error, name(), thrown.what());
     }
@@ -364,7 +365,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     for (Timer* timer : {&stale_, &lease_, &turning_}) timer->stop();
     if (config_.keep) return;
     stop_watching();
-    be_safe(OutputCause::stop, "");
+    set_safe(OutputCause::stop, "");
   }
   /// The guard disarms it no more.
   void stop_watching() noexcept {
@@ -379,26 +380,26 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     if (standing(was).busy) record(busy_, {}, "it ends");
     if (next_) record(*std::exchange(next_, std::nullopt), {}, "it ends");
   }
-  void be_given_back(const Result<void>& done) {
-    if (const auto trip = port_->late_trip()) tell_trip(*trip);
+  void note_given_back(const Result<void>& done) {
+    if (const auto trip = port_->late_trip()) report_trip(*trip);
     if (!done) {
       has_ended_unsafe_ = !config_.keep;
       value_.reset();
       record(stop_order_, {}, done.error().why);
       complain(placed(done.error()), Health::faulted);
     } else {
-      const bool is_told = is_over_ && !config_.keep && value_ == config_.safe;
+      const bool is_reported = is_over_ && !config_.keep && value_ == config_.safe;
       value_ = config_.keep ? value_ : std::optional(config_.safe);
-      if (!is_told) record(stop_order_, value_, config_.keep ? "it keeps what it has" : "");
+      if (!is_reported) record(stop_order_, value_, config_.keep ? "it keeps what it has" : "");
     }
   }
   /// What `finish` began.
-  void be_ended(const Result<void>& done) {
+  void finish_ending(const Result<void>& done) {
     state_ = State::left;
-    be_given_back(done);
-    if (is_open()) tell_ended();
+    note_given_back(done);
+    if (is_open()) report_ended();
   }
-  void tell_ended() {
+  void report_ended() {
     for (Callback<void()>& done : std::exchange(ended_, {})) loop()->post(std::move(done));
   }
 
@@ -438,15 +439,15 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
       if (!patience_.is_running()) patience_.start(answer_limit);
     }
   }
-  void be_safe(OutputCause cause, std::string_view by) {
+  void set_safe(OutputCause cause, std::string_view by) {
     if (input_) input_->follow(config_.safe);
     request({config_.safe, cause, fitting<48>(by), now()});
   }
 
   void answered(Result<void> result) override {
     Call call(*this);
-    if (state_ == State::ending) return be_ended(result);
-    if (state_ == State::taking) return be_taken(result);
+    if (state_ == State::ending) return finish_ending(result);
+    if (state_ == State::taking) return finish_taking(result);
     const bool had_failed = is().failing;
     if (!is().busy) return;
     be(false, had_failed);
@@ -476,7 +477,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     // Its handler may have stopped it, and started it again.
     const bool goes_on = is_open() && is().failing;
     if (goes_on && !was_failing && (waiting || busy_.value != config_.safe)) {
-      be_safe(OutputCause::failure, "");
+      set_safe(OutputCause::failure, "");
     } else if (goes_on) {
       retry_.start(retry_period);
     }
@@ -491,29 +492,29 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   }
   void try_again() {
     Call call(*this);
-    if (is().held && !is().busy) be_safe(OutputCause::failure, "");
+    if (is().held && !is().busy) set_safe(OutputCause::failure, "");
   }
-  /// It is not known what the device has. Told once; the answer may come all the same.
+  /// The value of the device is unknown. Reported once; the answer may still come.
   void miss_answer() {
     Call call(*this);
     if (!is().busy) return;
     if (state_ == State::taking)
-      return complain({Errc::timed_out, "the output cannot be set yet", name(),
-                       "its device has not answered for " + to_string(slow_start),
-                       "what it is to be set to waits; look at the device"},
-                      Health::degraded);
+      return complain(
+          {Errc::timed_out, "the output cannot be set yet", name(),
+           "its device has not answered for " + to_string(slow_start), "the next value waits; check the device"},
+          Health::degraded);
     // Started with an earlier value, which was answered.
     if (const MonotonicTime due = sent_ + answer_limit; due > now()) return patience_.start_at(due);
     value_.reset();
     complain({Errc::timed_out, cannot_set, name(),
               "there is no answer after " + to_string(answer_limit) + (is_guarded() ? " from the guard" : ""),
-              "look at the device, or start the program again"},
+              "check the device, or start the program again"},
              Health::faulted);
   }
 
   // ---- The guard
 
-  /// One that has ended takes nothing more: the program keeps the output safe, as `lost` does, and arms it no more.
+  /// A guard that has ended takes nothing: the program keeps the output safe, as in `lost`, and does not arm it again.
   void take_guard(Loop& loop, OutputGuard& guard, const std::string& guarded) {
     try {
       port_ = make_guard_port(loop, name(), guard, guarded, config_.safe, *this);
@@ -546,8 +547,8 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     const bool is_silent = is().held && !is().busy && value_ && *value_ != config_.safe && seen &&
                            now() - std::max(*seen, turning_since_) > 4 * config_.watchdog;
     if (!std::exchange(is_guard_silent_, is_silent) && is_silent)
-      complain({Errc::timed_out, "nobody would set the output safe", name(), "its guard does not run",
-                "look for what has stopped the process rtdata-guard"},
+      complain({Errc::timed_out, "nothing would set the output safe", name(), "its guard does not run",
+                "find what has stopped the process rtdata-guard"},
                Health::faulted);
   }
   void tripped(const Result<void>& done) override {
@@ -560,9 +561,9 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     is_armed_ = false;
     if (next_) record(*std::exchange(next_, std::nullopt), {}, "it is disarmed");
     if (input_) input_->follow(config_.safe);
-    tell_trip(done);
+    report_trip(done);
     // The device may have taken it since: asking is how that is known.
-    if (is_open() && state_ == State::failed) be_safe(OutputCause::failure, "");
+    if (is_open() && state_ == State::failed) set_safe(OutputCause::failure, "");
   }
   void vanished(const Error& error) override {
     Call call(*this);
@@ -573,26 +574,26 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     record({config_.safe, OutputCause::failure, {}, now()}, {}, error.why);
     complain(placed(error), Health::faulted);
     // A value that is on its way takes the device anew; what comes of that is answered.
-    if (is_open() && state_ == State::failed) be_safe(OutputCause::failure, "");
+    if (is_open() && state_ == State::failed) set_safe(OutputCause::failure, "");
   }
-  void tell_trip(const Result<void>& done) {
+  void report_trip(const Result<void>& done) {
     is_armed_ = false;
     value_ = done ? std::optional(config_.safe) : std::nullopt;
     record({config_.safe, OutputCause::watchdog, fitting<48>("guard"), now()}, value_, done ? "" : done.error().why);
     Error error{Errc::not_turning, "the guard has set the output to its safe value", name(),
                 "the loop did not turn for " + to_string(config_.watchdog),
-                "look for what held it, then arm the output again"};
+                "find what held it, then arm the output again"};
     if (!done) {
       error.what = "the guard could not set the output to its safe value";
       error.why += ", and the device did not take the value: " + done.error().why;
-      error.advice = "look at the device: it is tried again until it takes it";
+      error.advice = "check the device: it is tried again until it takes it";
     }
     complain(error, done ? Health::degraded : Health::faulted);
   }
   void lost(const Error& error) override {
     Call call(*this);
     if (!is().held || is_lost_) return;
-    if (state_ == State::taking) be_taken(error);
+    if (state_ == State::taking) finish_taking(error);
     is_lost_ = true;
     is_armed_ = false;
     end_lease();
@@ -605,12 +606,12 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     patience_.stop();
     port_ = make_lane_port(loop()->face, name(), make_, *this);
     complain(placed(error), Health::faulted);
-    if (is_open() && is().held) be_safe(OutputCause::watchdog, "program");
+    if (is_open() && is().held) set_safe(OutputCause::watchdog, "program");
   }
 
   // ---- What it follows
 
-  /// Follows at once what holds since before, of topics that bring an event only when something changes.
+  /// Takes the last events of topics that publish only changes.
   void recall() {
     if (!input_) return;
     const Time time = loop()->runtime.event_time(now());
@@ -623,10 +624,10 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     if (input_->has_held() && !turning_.is_running()) turning_.start(Duration{0});
     if (hanging_ != nullptr || !input_->computes_with(topic)) return;
     const std::optional<double> value = input_->evaluate(time, now());
-    if (!input_->why().empty()) return go_stale(Errc::bad_data, input_->why(), "look at what is measured");
+    if (!input_->why().empty()) return go_stale(Errc::bad_data, input_->why(), "check what is measured");
     if (!value) return;
     if (const std::string why = range_.refusal(*value); !why.empty())
-      return go_stale(Errc::out_of_range, why, "look at what is measured, and at the expression");
+      return go_stale(Errc::out_of_range, why, "check what is measured, and the expression");
     last_input_ = now();
     is_stale_ = false;
     const OutputInput::Silence silence = input_->silence();
@@ -648,11 +649,11 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     if (due > now()) return stale_.start_at(due);
     const bool is_silent = now() - silence.since >= config_.max_age;
     go_stale(Errc::timed_out,
-             "the topic \"" + *silence.topic + "\" has brought " + (is_silent ? "nothing" : "events without a value") +
-                 " for " + to_string(config_.max_age),
+             "the topic \"" + *silence.topic + "\" has had " +
+                 (is_silent ? "no event" : "only events without a value") + " for " + to_string(config_.max_age),
              "it follows it again with its next event; a longer `max_age` bridges longer pauses");
   }
-  /// What a loop said last, and would say of a change, holds as long as it turns.
+  /// A loop's last event is valid as long as that loop turns, because it would publish a change.
   void look_at_loops() {
     Call call(*this);
     if (!is().held || is_over_) return;
@@ -664,12 +665,12 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
       go_stale(Errc::not_turning,
                "loop " + hanging_->config.name + ", which would tell of changes, has not turned for " +
                    to_string(config_.max_age),
-               "it follows again when that loop turns; look for what blocks there");
+               "it follows again when that loop turns; find what blocks there");
     if (hanging_ == nullptr && before != nullptr) recall();
   }
   void go_stale(Errc code, const std::string& why, std::string advice) {
     if (std::exchange(is_stale_, true)) return;
-    be_safe(OutputCause::stale, config_.on);
+    set_safe(OutputCause::stale, config_.on);
     complain({code, "the output is being set to its safe value", name(), why, std::move(advice)},
              worst(Health::degraded));
   }
@@ -683,10 +684,11 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     if (!is().held) return;
     if (const MonotonicTime due = last_set_ + config_.lease; due > now()) return lease_.start_at(due);
     is_overdue_ = true;
-    be_safe(OutputCause::lease, "");
-    complain({Errc::timed_out, "the output is being set to its safe value", name(),
-              "nobody has set it for " + to_string(config_.lease), "set it again if it is to keep its value"},
-             worst(Health::degraded));
+    set_safe(OutputCause::lease, "");
+    complain(
+        {Errc::timed_out, "the output is being set to its safe value", name(),
+         "no program or command has set it for " + to_string(config_.lease), "set it again if it is to keep its value"},
+        worst(Health::degraded));
   }
 
   // ---- What is told
@@ -706,7 +708,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     change.why = fitting<160>(why);
     if (!is_running()) return;
     take_sample(&change, loop()->runtime.event_time(now()));
-    told_armed_ = change.armed;
+    published_armed_ = change.armed;
     for (Callback<void()>& waits : std::exchange(waiting_, {})) loop()->post(std::move(waits));
   }
 
@@ -745,7 +747,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   bool is_watched_ = false;  // the guard knows that it is armed
   bool is_patient_ = false;  // it begins, whatever its device says
   bool is_armed_ = false;
-  bool told_armed_ = false;  // by the last event
+  bool published_armed_ = false;  // by the last event
   bool is_stale_ = false;
   bool is_overdue_ = false;
   bool has_tripped_ = false;
@@ -855,9 +857,9 @@ double Output::safe_value() const noexcept {
 bool Output::is_armed() const noexcept {
   return asked(node(), false, false, [](const detail::OutputNode& output) { return output.is_armed(); });
 }
-void Output::when_told(Callback<void()> done) {
+void Output::when_published(Callback<void()> done) {
   with(node(), 0, [done = std::move(done)](detail::OutputNode& output) mutable {
-    output.when_told(std::move(done));
+    output.when_published(std::move(done));
     return 0;
   });
 }

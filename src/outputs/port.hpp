@@ -15,12 +15,12 @@ class OutputGuard;
 
 namespace rtdata::detail {
 
-/// An Actuator, made anew after it has failed, but not after it has refused a value. Exceptions become errors. Thread:
-/// one at a time.
+/// An Actuator that is made again after a failure, but not after it has refused a value. Exceptions become errors.
+/// Thread: one at a time.
 class HeldActuator {
  public:
   explicit HeldActuator(MakeActuator make) : make_(std::move(make)) {}
-  /// Takes the device with the value, if it is not held; else sets it. Without a value it is only taken.
+  /// Opens the device with the value if it is not open; otherwise sets the value. Without a value it only opens.
   Result<void> put(std::optional<double> value) noexcept;
   /// Of the one that is held, which is given up after an error.
   Result<void> check() noexcept;
@@ -37,14 +37,13 @@ class OutputPort {
   static constexpr Duration longest_wait = std::chrono::seconds{5};  // for a device to be taken or given back
   class Listener {
    public:
-    /// The value of the last `set` is there, or is not; or what `begin_open` or `begin_finish` began is over. May
-    /// destroy the port.
+    /// The result of the last `set`, `begin_open` or `begin_finish`. May destroy the port.
     virtual void answered(Result<void> result) = 0;
-    /// The guard has set the safe value, or tries to until the device takes it. It takes no other until `arm`.
+    /// The guard has set the safe value, or tries until the device takes it. It takes no other value until `arm`.
     virtual void tripped(const Result<void>& done) = 0;
-    /// The device that had taken a value has gone. The next `set` takes it anew.
+    /// The device with a value has disappeared. The next `set` opens it again.
     virtual void vanished(const Error& error) = 0;
-    /// There is no way to the device any more. May destroy the port.
+    /// The device can no longer be reached. May destroy the port.
     virtual void lost(const Error& error) = 0;
 
    protected:
@@ -53,9 +52,9 @@ class OutputPort {
   virtual ~OutputPort() = default;
   /// Waits.
   virtual Result<void> open(std::optional<double> value) = 0;
-  /// The same without waiting: what comes of it is `answered`, within `longest_wait`. An error: it is over already.
+  /// The same without waiting; calls `answered` within `longest_wait`. An error: it has already failed.
   virtual Result<void> begin_open(std::optional<double> value) = 0;
-  /// Not before the last one is answered, which it is unless this returns an error.
+  /// Sets a value; call it only after the last one was answered. `answered` follows unless this returns an error.
   virtual Result<void> set(double value) = 0;
   /// Waits, also for a value that is under way, whose answer never comes; then the device is given back.
   virtual Result<void> finish(std::optional<double> value) = 0;
@@ -64,13 +63,13 @@ class OutputPort {
   virtual Result<void> begin_finish(std::optional<double> value) = 0;
   /// Waits for what `begin_finish` began, which is then not `answered`.
   virtual Result<void> wait_for_end() = 0;
-  /// What `tripped` would have said, had its turn come before the end. None: the guard has not tripped since.
+  /// The result for `tripped` that was not delivered before the end. Empty: the guard has not tripped since.
   virtual std::optional<Result<void>> late_trip() const { return {}; }
-  /// The loop turns: the guard is to wait until then.
+  /// The loop turns: the guard waits until this time.
   virtual void beat(MonotonicTime) noexcept {}
   /// When the guard has last shown that it is there, of an output that is not safe. None: there is no guard.
   virtual std::optional<MonotonicTime> guard_seen() const noexcept { return {}; }
-  /// From now on a loop that does not turn disarms it, also while it has its safe value.
+  /// From now on the output is disarmed if its loop does not turn, even at its safe value.
   virtual void arm() noexcept {}
   virtual void disarm() noexcept {}
   /// The program ends: the output is to be safe (OutputGuard::make_all_safe).

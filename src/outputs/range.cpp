@@ -55,10 +55,10 @@ const ConfigItem& child_or_self(const ConfigItem& item, const char* key) {
 }  // namespace
 
 std::string OutputRange::refusal(double value) const {
-  if (!std::isfinite(value)) return "the value is no finite number";
+  if (!std::isfinite(value)) return "the value is not a finite number";
   const bool fits = value >= least && value <= most && (!is_whole || value == std::floor(value));
   if (fits) return "";
-  std::string text = detail::number_text(value) + " is not what the device takes: ";
+  std::string text = detail::number_text(value) + " is not a value for the device: ";
   const std::string from = detail::number_text(least), to = detail::number_text(most);
   if (is_whole && most == least + 1) return text + from + " or " + to;
   if (is_whole) text += "whole numbers";

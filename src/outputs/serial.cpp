@@ -16,7 +16,7 @@
 namespace rtdata {
 namespace {
 
-constexpr const char* cannot_set_serial = "cannot set what is on the serial line";
+constexpr const char* cannot_set_serial = "cannot set the device on the serial line";
 using Deadline = std::chrono::steady_clock::time_point;
 
 /// False: the time is over.
@@ -31,17 +31,16 @@ bool wait_for(int fd, short events, Deadline until) {
   }
 }
 
-/// What has come before is no answer to what is sent now. Read, since flushing leaves what a pseudo terminal has under
-/// way; a device that sends all the time does not hold it.
+/// Drops earlier input, which cannot be the answer. Reads it, because flushing does not remove a pseudo terminal's
+/// pending data; bounded for a device that always sends.
 void drop_input(int fd) noexcept {
   std::array<char, 512> bytes;
   for (int i = 0; i < 1024 && ::read(fd, bytes.data(), bytes.size()) > 0; ++i) {
   }
 }
 
-/// The rest of a text of which a part was sent, of each device. It is sent before the next text, which would be glued
-/// to that part otherwise, and not understood. Of the process, since after a failure another actuator takes the device.
-/// Thread: any.
+/// The unsent rest of a text for each device. It is sent before the next text, which would otherwise be appended to the
+/// incomplete one. Global, because after a failure another actuator opens the device. Thread: any.
 class Unsent {
  public:
   void keep(const std::string& device, std::string_view rest) {
@@ -88,7 +87,7 @@ Result<void> SerialActuator::set(double value) {
   const Deadline until = std::chrono::steady_clock::now() + config_.timeout;
   const auto late = [&](std::string why) {
     return Error{Errc::timed_out, cannot_set_serial, config_.device, std::move(why),
-                 "look at the device and its settings"};
+                 "check the device and its settings"};
   };
   const auto failed = [&] {
     if (errno == EIO || errno == ENXIO || errno == ENODEV)

@@ -30,7 +30,7 @@ inline std::string set_text(std::string pattern, double value, const std::map<st
 
 inline bool has_value_mark(std::string_view pattern) { return pattern.find("{value}") != pattern.npos; }
 
-/// A key that no value is written as would never be used; a word of two values says neither.
+/// Reports keys that no value matches, and a word used for two values.
 inline void check_words(const std::map<std::string, std::string>& words, const ConfigItem& item, Problems& problems) {
   std::map<std::string, std::string> values;  // by word
   for (const auto& [key, word] : words) {

@@ -16,7 +16,7 @@ namespace {
 
 using sqlite::account_tables;
 
-/// As COPY takes it: a line a row, tabs between the values.
+/// The format of COPY: one line for each row, tabs between the values.
 void append_text(std::string& out, std::string_view text) {
   for (const char c : text) {
     switch (c) {
@@ -81,7 +81,7 @@ class RunCopy {
  private:
   bool read_table(std::size_t table, const Positions& positions);
   bool takes(const std::string& topic);
-  /// The topics that it does not take, and of which others are made that it takes.
+  /// Finds topics that the sink does not take but that are sources of topics that it takes.
   void find_sources();
   /// How many rows of the origin the server refused, as far as the recording remembers.
   std::uint64_t refused(std::string_view topic, std::string_view origin) const;
@@ -187,8 +187,8 @@ bool RunCopy::read_table(std::size_t table, const Positions& positions) {
                                  "dropped_refused", "dropped_unsaved", "first_sequence", "last_sequence", "pruned"})
         replaced[at.at(column)] = 0;
     } else if (is_ledger) {
-      // What the recording has deleted again is on the server if it was sent before. Rows are missing here when they
-      // were deleted unsent, or when the sink was attached later: these are what the server calls pruned.
+      // Rows deleted in the recording are on the server if they were sent before. Rows are missing here if they were
+      // deleted before they were sent, or if the sink was attached later: the server counts these as pruned.
       const auto number = [&](const char* column) { return static_cast<std::uint64_t>(query.integer(at.at(column))); };
       const std::string_view of_topic = query.text(at.at("topic")), of_origin = query.text(at.at("origin"));
       const auto found = positions.find({std::string(of_topic), std::string(of_origin)});
@@ -358,7 +358,7 @@ void copy_accounts(Connection& connection, const AccountCopy& copy) {
   }
   runs.reset();
   for (const Wanted& one : wanted) {
-    // A run without a row here is none of this sink's, unless it is the last: that may have nothing but gaps.
+    // A run without a row here does not belong to this sink, except the last run, which may have only gaps.
     if (one.run == last) add_run(connection, one.uuid, copy.machine);
     const std::int64_t run = number_of_run(connection, one.uuid);
     if (run == 0) continue;

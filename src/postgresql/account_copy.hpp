@@ -1,9 +1,9 @@
 // Copies the account of a recording's runs to the server: rtdata_ledger, _schedule, _gap, _clock, _error, _health,
 // _configuration and what rtdata_run has, of the topics that the sink takes.
 //
-// An account goes along once the server has all rows that it counts, so that the two can be held to each other. That of
-// a run that goes on is replaced by the next; that of a run that has ended stays. Each table has a checksum of its rows
-// (rtdata_checksum), as in a recording.
+// An account is sent when the server has all rows that it counts, so that both can be compared. The account of a
+// running run is replaced by the next one; the last account of an ended run stays. Each table has a checksum of its
+// rows (rtdata_checksum), as in a recording.
 #pragma once
 
 #include <cstdint>
@@ -26,8 +26,8 @@ std::vector<std::vector<AccountColumn>> account_columns();
 /// Their names, as SQL lists them.
 std::string names_of(const std::vector<AccountColumn>& columns);
 
-/// What the server alone has of a run: its machine, its positions, and the run with which each of their tables came. Of
-/// one that has ended it stays, and stands in rtdata_checksum as rtdata_position.
+/// The columns that only the server has for a run: its machine, its positions, and the run of each table. For an ended
+/// run they stay, in rtdata_checksum as rtdata_position.
 constexpr int position_columns = 10;
 sqlite::RowSum sum_of_positions(Connection& connection, std::int64_t run);
 

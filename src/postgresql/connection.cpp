@@ -16,7 +16,7 @@
 namespace rtdata::postgresql {
 namespace {
 
-/// Of TCP, on both sides: a peer that is gone is known after a minute. In seconds, and a number of tries.
+/// TCP keepalive on both sides: a missing peer is detected after a minute. In seconds, and a number of tries.
 const std::string keepalive_idle = "30", keepalive_interval = "10", keepalive_count = "3";
 
 struct FreeOptions {
@@ -64,9 +64,9 @@ std::string take_state(std::string& text) {
   return state;
 }
 
-/// What libpq says, before it connects, of a connection with these options, but for the place of the server and who
-/// connects. It has no call that checks them alone: in place of a host it is given a path that is too long for a
-/// socket, at which it stops before it makes one. So it always says something.
+/// libpq's error for these options, without server and user. libpq has no call to check options only, so the host is
+/// replaced by a path that is too long for a socket, at which libpq stops before it connects. So there is always an
+/// error text.
 std::string said_before_connecting(const PQconninfoOption* options) {
   const std::string no_place = "/" + std::string(300, 'x');
   std::vector<const char*> keywords{"host", "user", "password"};
@@ -85,7 +85,7 @@ std::string said_before_connecting(const PQconninfoOption* options) {
   return connection == nullptr ? "" : one_line(PQerrorMessage(connection.get()));
 }
 
-/// What libpq refuses of the options, whatever the server is; empty: nothing.
+/// The option that libpq refuses for any server; empty: none.
 std::string refused_option(const Options& options) {
   for (const char* keyword :
        {"keepalives", "keepalives_idle", "keepalives_interval", "keepalives_count", "tcp_user_timeout"}) {
@@ -236,8 +236,8 @@ Connection::Connection(const Address& address) : timeout_(address.timeout) {
                     ";SET DateStyle=ISO;SET TimeZone='UTC';SET standard_conforming_strings=on;"
                     "SET extra_float_digits=1;SET default_transaction_isolation='read committed'";
   if (!address.schema.empty()) sql += ";SET search_path=" + quoted_name(address.schema) + ",pg_catalog";
-  // When the network goes dark the server keeps the session, with its locks, until its own TCP gives up: by default
-  // after two hours. What somebody has chosen is left alone, as is what an older server does not know.
+  // If the network fails, the server keeps the session with its locks until its own TCP gives up, by default after two
+  // hours. Settings chosen by the administrator, or unknown to an older server, are not changed.
   sql += ";SELECT set_config(s.name, v.value, false) FROM pg_settings s JOIN (VALUES ('tcp_keepalives_idle', '" +
          keepalive_idle + "'), ('tcp_keepalives_interval', '" + keepalive_interval + "'), ('tcp_keepalives_count', '" +
          keepalive_count + "'), ('tcp_user_timeout', '" + patience +

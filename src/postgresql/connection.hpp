@@ -1,8 +1,8 @@
-// A connection to a PostgreSQL server over libpq, none of whose calls waits for longer than the time-out. Not
-// thread-safe: one user at a time.
+// A connection to a PostgreSQL server with libpq; no call waits longer than the timeout. Not thread-safe: one user at a
+// time.
 //
-// Whatever fails in this folder throws SetupError, here or by Result::or_throw. It is caught where a call from outside
-// begins, which returns its error, and goes no further.
+// Failures in this folder throw SetupError, directly or by Result::or_throw. Each function called from outside catches
+// it and returns the error.
 #pragma once
 
 #include <chrono>
@@ -24,8 +24,8 @@ struct Address {
   std::string url = {}, host = {}, database = {}, user = {}, password = {}, schema = {};
   int port = 0;
   Duration timeout = std::chrono::seconds{30};
-  /// What the server calls its sessions. One that an earlier connection of this name left behind is ended, so that
-  /// nobody else may have the name.
+  /// The name of its sessions on the server. A session left from an earlier connection of this name is ended, so the
+  /// name must be unique.
   std::string name = {};
 };
 
@@ -70,7 +70,7 @@ class Connection {
   /// stay unread, and the connection is of no more use.
   void each(const std::string& sql, const std::function<void(const Reply&)>& row);
   void set_timeout(Duration timeout) noexcept { timeout_ = timeout; }
-  /// Ends a transaction that something has failed in, if there is one.
+  /// Ends a failed transaction, if there is one.
   void roll_back() noexcept;
   void close() noexcept { connection_.reset(); }
 

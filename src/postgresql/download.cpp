@@ -157,7 +157,7 @@ struct Topic {
   std::string columns;
 };
 
-/// An origin of a run: what rtdata_position says of it, and what its rows say.
+/// An origin of a run, from rtdata_position and from its rows.
 struct Origin {
   std::string topic;
   Position said, found;
@@ -184,7 +184,7 @@ class Download {
  private:
   void read_layout();
   void read_topics();
-  /// Rows of runs that rtdata_run does not have.
+  /// Searches rows of runs that are missing in rtdata_run.
   void look_for_other_runs();
   void copy_run(const Run& run);
   void copy_rows(const Run& run, const Topic& topic);
@@ -244,7 +244,7 @@ void Download::read_layout() {
   const Reply layout = connection_.run("SELECT coalesce(max(version), 0), count(*) FROM rtdata_layout");
   check_layout(layout.integer(0, 0));
   if (layout.integer(0, 0) != layout_version || layout.integer(0, 1) != 1)
-    problems.emplace_back(no_run, "rtdata_layout does not say, in one row, of which version it is.");
+    problems.emplace_back(no_run, "rtdata_layout must have one row with the version.");
 }
 
 void Download::read_topics() {
@@ -277,7 +277,7 @@ void Download::read_topics() {
     }
     if (topic.leaves.size() != leaves.size()) {
       throw SetupError({Errc::damaged, "cannot read the server", "table " + topic.table,
-                        columns.rows() == 0 ? "it is not there" : "it has not all columns of its description", ""});
+                        columns.rows() == 0 ? "it is not there" : "it lacks columns of its description", ""});
     }
     topics_.push_back(std::move(topic));
   }
@@ -364,10 +364,11 @@ void Download::copy_rows(const Run& run, const Topic& topic) {
         if (leaf.optional != nullptr || (leaf.kind != Kind::f32 && leaf.kind != Kind::f64)) continue;
         value = std::numeric_limits<double>::quiet_NaN();
       } else if (!convert(reply.text(0, column), leaf, value)) {
-        throw SetupError({Errc::damaged, "cannot read a row",
-                          topic.topic + ", run " + std::to_string(run.run) + ", origin " + std::string(origin) +
-                              ", sequence " + std::to_string(sequence),
-                          "field " + leaf.path + " holds what is no " + std::string(name_of(leaf.kind)), ""});
+        throw SetupError(
+            {Errc::damaged, "cannot read a row",
+             topic.topic + ", run " + std::to_string(run.run) + ", origin " + std::string(origin) + ", sequence " +
+                 std::to_string(sequence),
+             "field " + leaf.path + " holds a value that is not a valid " + std::string(name_of(leaf.kind)), ""});
       }
       write(leaf, payload.data(), value).or_throw();
     }
@@ -405,7 +406,7 @@ void Download::compare(const Run& run) {
       tell("sequences " + std::to_string(found.first) + " to " + std::to_string(found.last) +
            ", rtdata_position says " + std::to_string(said.first) + " to " + std::to_string(said.last) + ".");
     } else if (found.sum != said.sum) {
-      tell("the sum of the hashes of its rows is another than when they were sent: a value was changed.");
+      tell("the sum of the hashes of its rows has changed since they were sent: a value was changed.");
     }
   }
 }
@@ -438,7 +439,7 @@ void Download::copy_account(const Run& run) {
   }
 }
 
-/// Of a run that goes on, rows may have come since: of each origin the first so many are in the account.
+/// A running run may have newer rows: only the first rows of each origin are in the account.
 void Download::set_rows_up_to(const Run& run) {
   struct Entry {
     std::string topic, origin;
@@ -466,8 +467,7 @@ void Download::set_rows_up_to(const Run& run) {
   }
 }
 
-/// Of a run whose events came from memory, or whose account has not come yet: what rtdata_position says, and the times
-/// of its rows.
+/// For a run from memory, or without an account yet: makes an account from rtdata_position and the times of the rows.
 void Download::make_account(const Run& run) {
   auto insert = database_.prepare(
       "INSERT INTO rtdata_run(run, uuid, name, notes, configuration, program, host, boot_id, pid, started, "
@@ -478,11 +478,11 @@ void Download::make_account(const Run& run) {
   has_rows ? insert.bind(5, to_nanoseconds(last_)) : insert.bind_null(5);
   insert.run();
   notes.emplace_back(run.run,
-                     "No account came along, as of events that are sent from memory: what is here is "
-                     "whole, what never came is not known.");
+                     "No account came along, because the events were sent from memory: the rows are intact, but losses "
+                     "on the way are not known.");
 }
 
-/// The account of a run that has ended, to the checksums that came with it.
+/// Compares the account of an ended run with its checksums.
 void Download::compare_account(const Run& run) {
   if (!tables_.contains("rtdata_checksum")) return;
   const Reply lines = connection_.run("SELECT table_name, columns, rows, sum FROM rtdata_checksum" + run.is_of());

@@ -19,13 +19,13 @@ namespace rtdata::postgresql {
 
 inline constexpr int layout_version = 1;
 
-/// Whether this version knows the tables as rtdata_layout says that they are. Throws newer-version.
+/// Checks that this version knows the layout in rtdata_layout. Throws newer-version.
 void check_layout(std::int64_t version);
-/// Makes the schema and the tables where they are not there. Throws newer-version.
+/// Makes the schema and the tables if missing. Throws newer-version.
 void make_layout(Connection& connection, const std::string& schema);
 
-/// In a transaction that waits for those of other programs that change tables. Who catches what `work` throws rolls it
-/// back, or leaves the connection.
+/// Calls `work` in a transaction that waits for other programs that change tables. After an exception the caller must
+/// roll back or close the connection.
 template <class Work>
 void in_transaction(Connection& connection, Work&& work) {
   connection.run("BEGIN;SELECT pg_advisory_xact_lock(5927036115)");  // the key is ours alone
@@ -33,7 +33,7 @@ void in_transaction(Connection& connection, Work&& work) {
   connection.run("COMMIT");
 }
 
-/// Where it is not there.
+/// Adds the run if it is missing.
 void add_run(Connection& connection, const std::string& uuid, const std::string& machine);
 /// Of a run; 0: it is not there.
 std::int64_t number_of_run(Connection& connection, const std::string& uuid);

@@ -22,8 +22,8 @@ constexpr Known by_state[] = {
     {"08", {Errc::disconnected, "it is tried again"}},
     {"23505",
      {Errc::busy, "rows are there that rtdata_position does not know: was it changed, or is it of another time?"}},
-    {"22012", {Errc::busy, "another program has sent events of this run meanwhile: the position is read again"}},
-    {"42P01", {Errc::description_differs, "a table was dropped or renamed; it is looked for again"}},
+    {"22012", {Errc::busy, "another program has also sent events of this run: this one reads the position again"}},
+    {"42P01", {Errc::description_differs, "a table was dropped or renamed; the sink searches for it again"}},
     {"42703", {Errc::description_differs, "a column was dropped or renamed; give the table back its columns"}},
     {"42804", {Errc::description_differs, "a column has another type; give the table back its columns"}},
 };

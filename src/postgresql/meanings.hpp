@@ -1,4 +1,4 @@
-// What errors of a PostgreSQL server and of libpq mean: which of ours they are, and what is to be done.
+// Maps errors of a PostgreSQL server and libpq to our errors, with advice.
 #pragma once
 
 #include <string_view>
@@ -14,13 +14,13 @@ struct Meaning {
 
 /// Of an SQLSTATE.
 Meaning meaning_of(std::string_view state) noexcept;
-/// Of an error that a row of a COPY made by what is in it (the table has a CHECK, a trigger, a unique index of its
-/// own): the others can be stored.
+/// For an error caused by the content of a row in a COPY (a CHECK, a trigger, a unique index): the other rows can be
+/// stored.
 inline constexpr Meaning row_refused{Errc::does_not_fit, "the others are stored; see the table's constraints"};
 /// `constraint`: the one that it says was violated.
 bool refuses_row(std::string_view state, std::string_view constraint) noexcept;
-/// Of a text without one, which libpq says by itself when it cannot connect: a mistake of the configuration that it
-/// names, else that the server is away. Its English, which it speaks unless the program calls `setlocale`.
+/// For a text without SQLSTATE, from libpq when it cannot connect: a mistake in the configuration, otherwise the server
+/// is away. Expects English, which libpq uses unless the program calls `setlocale`.
 Meaning meaning_of_text(std::string_view why) noexcept;
 
 }  // namespace rtdata::postgresql

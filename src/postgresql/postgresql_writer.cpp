@@ -25,8 +25,8 @@ std::string host_name() {
 
 std::string number(std::uint64_t value) { return std::to_string(static_cast<std::int64_t>(value)); }
 
-/// What the server calls the sessions of this writer, and of no other, on whatever machine: a node may be a copy of
-/// another's disk, and processes of two containers may have one number.
+/// A session name that is unique for this writer on all machines: a node may be a copy of another's disk, and processes
+/// in two containers may have the same number.
 std::string session_name(const std::string& sink) {
   std::random_device random;
   char digits[17] = {};
@@ -207,8 +207,8 @@ void PostgresqlWriter::send() {
   if (most_rows_ != every_row) most_rows_ = most_rows_ <= every_row / 2 ? 2 * most_rows_ : every_row;
 }
 
-/// Only from the positions that were read: where another program has moved one on meanwhile, such as one whose
-/// connection was thought to be dead, the count is another, and dividing by zero undoes the transaction.
+/// Updates only from the positions that were read. If another program has changed one meanwhile, the count differs, and
+/// a division by zero rolls the transaction back.
 std::string PostgresqlWriter::positions_sql() const {
   std::string sql = "WITH v(run, topic, origin, table_name, first, last, rows, sum, before) AS (VALUES ";
   for (const std::uint32_t index : touched_) {
@@ -233,8 +233,8 @@ std::string PostgresqlWriter::positions_sql() const {
 std::function<std::string()> PostgresqlWriter::goes_through([[maybe_unused]] const std::string& recording) {
 #ifdef RTDATA_WITH_SQLITE
   recording_ = recording;
-  // The last account is written after this sink has closed. Where the server was there until then it gets it now, else
-  // with the next start.
+  // The last account is written after this sink has closed. It is sent now if the server was available, otherwise at
+  // the next start.
   Address address = address_;
   address.timeout = std::min<Duration>(address.timeout, last_account_time);
   return [address, copy = AccountCopy{recording_, machine_, config_.sink.name, config_.sink.topics},

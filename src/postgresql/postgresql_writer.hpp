@@ -20,7 +20,7 @@ namespace rtdata::postgresql {
 
 Address address_of(const PostgresqlConfig& config);
 
-/// It keeps no account of its own: with `through`, that of the recording is copied.
+/// It has no own account: with `through`, it copies the recording's account.
 class PostgresqlWriter final : public Writer {
  public:
   explicit PostgresqlWriter(const PostgresqlConfig& config);
@@ -41,8 +41,8 @@ class PostgresqlWriter final : public Writer {
   };
   /// Appends and sends all that the server has not. Throws `does_not_fit` for one row of the last transaction.
   void store(const Batch& batch);
-  /// Leaves out the row that the server refuses if it was the only one of the last transaction; else the next are half
-  /// as large, and tell which it is.
+  /// Leaves out the refused row if it was the only one of the last transaction; otherwise halves the next transactions
+  /// to find it.
   void narrow(const Error& why);
   void begin_transaction();
   /// What `store` has left out.
@@ -54,7 +54,7 @@ class PostgresqlWriter final : public Writer {
   std::string positions_sql() const;
   /// In the handler of what a call threw: rolls back, and returns it. No memory goes on to the sink.
   Result<void> failed();
-  /// After whatever failed: what the server has is asked for anew.
+  /// After a failure: the server's positions must be read again.
   void forget() noexcept;
 
   static constexpr std::size_t every_row = std::numeric_limits<std::size_t>::max();

@@ -1,4 +1,4 @@
-// The table of one topic on a server: made, found or extended; and its rows as COPY takes them.
+// The table of one topic on a server: finds, makes or extends it, and encodes its rows for COPY.
 #pragma once
 
 #include <bit>
@@ -20,7 +20,7 @@ class Bytes {
   void clear() noexcept { size_ = 0; }
   std::size_t size() const noexcept { return size_; }
   std::string_view view() const noexcept { return {data_.get(), size_}; }
-  /// Returns where so many more may be written.
+  /// Returns space for `more` further bytes.
   char* room(std::size_t more) {
     if (size_ + more > capacity_) [[unlikely]]
       grow(more);
@@ -34,22 +34,22 @@ class Bytes {
   std::size_t size_ = 0, capacity_ = 0;
 };
 
-/// Whether a table can have a column for each of its values. Errors: bad-description.
+/// Checks that a table can have a column for each value. Errors: bad-description.
 Result<void> check_columns(std::string_view topic, const Description& description);
 
-/// What a name is to the server, which takes the first 63 bytes of one: a longer one is shortened, and ends with a
-/// number made of the whole.
+/// The server's form of a name. The server uses only the first 63 bytes, so a longer name is shortened and ends with a
+/// number made from the whole name.
 std::string short_name(std::string_view name);
 
 /// Columns before those of the fields, in the order in which rows are copied.
 inline constexpr const char* fixed_columns = "\"time\",time_ns,run,origin,sequence";
 inline constexpr int fixed_column_count = 5;
 
-/// XXH3 of a row as COPY takes it, without the number of its fields and without absent ones at its end, so that columns
-/// that come later change nothing.
+/// XXH3 of a row in COPY format, without the field count and without absent fields at its end, so that later columns do
+/// not change it.
 std::uint64_t hash_of_row(std::string_view row) noexcept;
 
-/// As the server has numbers, from what this machine has, and back.
+/// Converts numbers between the byte order of the server and of this machine.
 template <class T>
 T big_endian(T value) noexcept {
   if constexpr (std::endian::native == std::endian::little) {
@@ -60,7 +60,7 @@ T big_endian(T value) noexcept {
   return value;
 }
 
-/// The text of a field's value as the server has it; it may hold escapes (data/utf8.hpp).
+/// The server's column type for a field; texts may contain escapes (data/utf8.hpp).
 inline constexpr const char* type_of(Kind kind) noexcept {
   switch (kind) {
     case Kind::boolean:
@@ -88,15 +88,14 @@ inline constexpr const char* type_of(Kind kind) noexcept {
 
 class ServerTable {
  public:
-  /// Finds the table that this description fits: the same fields, more, or fewer, which are then added. A changed kind
-  /// or unit gets a table of its own. In a transaction of its own. Throws description-differs (the table that is there
-  /// is not ours, or has lost a column).
+  /// Finds the table for this description; adds missing columns. A changed kind or unit gets a new table. Uses its own
+  /// transaction. Throws description-differs (the existing table is not ours or has lost a column).
   ServerTable(Connection& connection, const SlotInfo& slot, std::int64_t run);
 
   const std::string& name() const noexcept { return name_; }
   /// COPY ... FROM STDIN, of rows as `append` makes them.
   const std::string& copy() const noexcept { return copy_; }
-  /// Those that wait for their COPY, complete with head and end once `finish` was called.
+  /// Rows waiting for COPY; complete with head and end after `finish`.
   Bytes& rows() noexcept { return rows_; }
   void begin();
   void finish();

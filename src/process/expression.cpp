@@ -30,7 +30,7 @@ using Failure = ExpressionFailure;
   throw detail::ExpressionMistakeFound{{column, std::move(why), std::move(suggestion)}};
 }
 
-/// The tree of a text whose names are all among the given ones; `index_of`: which of them each is.
+/// The tree of a text that uses only the given names; `index_of`: the index of each.
 ExpressionTree tree_of(std::string_view text, const std::vector<std::string>& names,
                        std::vector<std::size_t>& index_of) {
   ExpressionTree tree = detail::parse_expression(text, names);
@@ -56,7 +56,7 @@ ExpressionTree tree_of(std::string_view text, const std::vector<std::string>& na
 /// Beside those of ExpressionFailure.
 constexpr auto waiting = static_cast<Failure>(0xFF);
 
-/// What an evaluation of a part gives. `at`: of what waits or is not finite, its place among the values; of another
+/// The result of evaluating a part. `at`: for a waiting or non-finite name, its index in the values; for another
 /// failure, its column.
 struct Got {
   Failure failure = waiting;
@@ -66,7 +66,7 @@ struct Got {
   Got() = default;
   Got(Failure its, std::uint32_t its_at, double its_value) : failure(its), at(its_at), value(its_value) {}
   Got(const Got&) = default;
-  /// Field by field: what was just written so is not there for a load of all at once.
+  /// Copies field by field: loading all fields at once would stall after separate writes.
   Got& operator=(const Got& other) noexcept {
     failure = other.failure;
     at = other.at;
@@ -81,8 +81,8 @@ struct Got {
 
 constexpr int bad_flags = FE_DIVBYZERO | FE_INVALID | FE_OVERFLOW;
 
-/// Those of the processor's flags that are set. Where doubles are computed by SSE, std::fetestexcept asks the x87 as
-/// well, which takes nearly as long as a short formula.
+/// The processor's floating-point flags. With SSE, std::fetestexcept also reads the x87, which takes nearly as long as
+/// a short formula.
 int set_flags() noexcept {
 #if defined(__x86_64__) && defined(__SSE2_MATH__)
   static_assert(FE_INVALID == _MM_EXCEPT_INVALID && FE_DIVBYZERO == _MM_EXCEPT_DIV_ZERO &&
@@ -118,7 +118,7 @@ struct Expression::Program {
     std::uint32_t column = 1;
     std::uint32_t division_column = 0;
   };
-  /// What gives a value or a reason why there is none, at every event, whatever is chosen.
+  /// A step that gives a value, or a reason for none, at every event.
   struct Step {
     enum class Type : std::uint8_t { formula, memory, logical_not, logical_and, logical_or, choice };
     Type type = Type::formula;
@@ -135,7 +135,7 @@ struct Expression::Program {
     std::uint32_t argument = 0;             // a place
     std::uint32_t to = 0;                   // its own
     std::vector<std::uint32_t> names = {};  // in its argument
-    bool is_always_new = false;             // time alone changes its argument, or itself
+    bool is_always_new = false;             // time changes its argument, or itself
     std::unique_ptr<detail::TimeWindow> window = {};
     bool has_value = false;
     bool has_result = false;
@@ -201,7 +201,7 @@ struct Expression::Program {
     }
   }
 
-  /// Whether all on the way is finite: an infinity may be hidden again by a comparison or a quotient.
+  /// False if an intermediate result is not finite; a comparison or a quotient may hide an infinity.
   bool run(const Formula& formula) noexcept {
     double last = 0;  // what was just computed need not come from memory
     bool is_finite = true;
@@ -313,7 +313,7 @@ struct Expression::Program {
     };
     const double last = std::exchange(memory.last, value);
     const auto look_at_instant = [&] {
-      if (!is_first && time <= memory.last_time) return;  // a later value of the same one, which takes its place
+      if (!is_first && time <= memory.last_time) return;  // a later value of the same instant replaces it
       memory.has_before = !is_first;
       memory.before = last;
       memory.time_before = memory.last_time;
@@ -395,11 +395,11 @@ struct Expression::Program {
   std::string why() const {
     if (outcome.is_value()) return {};
     if (outcome.failure == waiting)
-      return name_of(outcome.at) + (outcome.at < names.size() ? " has no value yet" : " has nothing to tell yet");
+      return name_of(outcome.at) + (outcome.at < names.size() ? " has no value yet" : " has no value yet");
     const std::string column = " in column " + std::to_string(outcome.at);
     switch (outcome.failure) {
       case Failure::not_finite:
-        return name_of(outcome.at) + " is no finite number";
+        return name_of(outcome.at) + " is not a finite number";
       case Failure::division_by_zero:
         return "division by zero, or the logarithm of 0," + column;
       case Failure::too_large:
@@ -537,7 +537,7 @@ class Expression::Compiler {
     return Duration{std::llround(got.value * 1e9)};
   }
 
-  /// What has no name in it is computed once.
+  /// An expression without names is computed once.
   double constant(std::size_t at) {
     const Program::Formula formula = formula_of(at, Constants::as_they_are);
     std::feclearexcept(bad_flags);
@@ -553,7 +553,7 @@ class Expression::Compiler {
       case Failure::too_large:
         refuse(tree_.nodes[at].column, "this is too large for a double, whatever the values are");
       default:
-        refuse(tree_.nodes[at].column, "this is no number, whatever the values are");
+        refuse(tree_.nodes[at].column, "this is not a number, whatever the values are");
     }
   }
 

@@ -68,7 +68,7 @@ void check_field_names(const std::string& text, const std::vector<std::string>& 
                        const std::function<const Description*(std::string_view topic)>& payload_of,
                        const ConfigItem& at, Problems& problems) {
   const std::vector<std::string> names = names_of({text});
-  // A constant where there is a field of that name: nobody would see that the field is not looked at.
+  // Refuses a constant with the name of a field, because the field would silently be ignored.
   const Description* const first = topics.empty() ? nullptr : payload_of(topics[0]);
   for (const char* constant : {"e", "pi", "true", "false"}) {
     if (first == nullptr || first->find(constant) == nullptr) continue;
@@ -87,7 +87,7 @@ void check_field_names(const std::string& text, const std::vector<std::string>& 
       good.push_back(name);
   }
   if (good.size() == names.size()) return;
-  // What could have been meant.
+  // Names for suggestions.
   for (std::size_t i = 0; i < topics.size(); ++i) {
     const Description* const description = payload_of(topics[i]);
     if (description == nullptr) continue;

@@ -1,4 +1,4 @@
-// What the names in expressions stand for: fields of topics. For all that takes its values from topics.
+// Maps names in expressions to fields of topics.
 #pragma once
 
 #include <cstddef>
@@ -23,21 +23,21 @@ struct FieldName {
 /// The topic that is evaluated on, then the others.
 std::vector<std::string> topics_of(const std::string& on, const std::vector<std::string>& with);
 FieldName field_named(const std::vector<std::string>& topics, const std::string& name);
-/// The field that is meant, if it is a number. Null otherwise.
+/// The named field if it is a number, otherwise null.
 const Leaf* leaf_named(const Description& description, const FieldName& field, const std::string& name);
-/// Of a machine's changes: the state that it came to. Null: they are none.
+/// For a machine's changes: the field with the new state; null for other descriptions.
 const Leaf* state_leaf(const Description& description) noexcept;
-/// Whether a text of the payload is this one.
+/// True if a text of the payload equals `text`.
 bool holds_text(const Leaf& leaf, const std::byte* payload, std::string_view text) noexcept;
 /// All names that the texts use, each once. Of texts with a mistake, none.
 std::vector<std::string> names_of(const std::vector<std::string>& texts);
 
-/// At its column in the file, as far as no escapes are before it.
+/// The problem at its column in the file, exact if no escapes precede it.
 Problem problem_of(const ExpressionMistake& mistake, const ConfigItem& at);
-/// Mistakes of a text by itself, whatever its names are.
+/// Checks a text without regard to its names.
 void check_expression(const std::string& text, const ConfigItem& at, Problems& problems);
-/// Whether the topics have the fields that a text without mistakes names. `payload_of`: what a topic carries, null when
-/// that is not known: then nothing is said of its fields.
+/// Checks that the topics have the fields of a valid text. `payload_of`: the description of a topic; null if unknown,
+/// then its fields are not checked.
 void check_field_names(const std::string& text, const std::vector<std::string>& topics,
                        const std::function<const Description*(std::string_view topic)>& payload_of,
                        const ConfigItem& at, Problems& problems);

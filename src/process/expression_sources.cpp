@@ -62,7 +62,7 @@ const ExpressionSources::Source* ExpressionSources::lacking(Time now, Duration a
 std::string ExpressionSources::why(const Source& lacking, Duration age) {
   if (lacking.missing != nullptr)
     return "the topic \"" + lacking.topic + "\" has no number `" + lacking.missing->name + "`";
-  return "the topic \"" + lacking.topic + "\" has brought nothing" +
+  return "the topic \"" + lacking.topic + "\" has had no event" +
          (lacking.has_come ? " for more than " + to_string(age) : std::string(" yet"));
 }
 

@@ -1,4 +1,4 @@
-// The topics of which expressions take their values: of derived values, outputs and the conditions of machines.
+// The source topics of expressions, for derived values, outputs and conditions of machines.
 #pragma once
 
 #include <cstdint>
@@ -12,42 +12,42 @@
 
 namespace rtdata::detail {
 
-/// Takes no memory for an event. Owner: who evaluates; thread: its loop's.
+/// Does not allocate for events. Owner: the evaluating object; thread: its loop's.
 class ExpressionSources {
  public:
-  /// A name of the expressions, which stands for a field of a topic.
+  /// A name in the expressions that stands for a field of a topic.
   struct Field {
     std::size_t index;  ///< among the names
     std::string name;
     FieldName meaning;
-    const Leaf* leaf = nullptr;  ///< null: what the topic carries has no such number, or nothing has come
-    bool is_state = false;       ///< a machine is in the state of this name; `leaf` is where it says so
+    const Leaf* leaf = nullptr;  ///< null: the payload has no such number, or no event came yet
+    bool is_state = false;       ///< true while a machine is in the state of this name; `leaf` has the state
   };
   struct Source {
     std::string topic = {};
     std::vector<Field> fields = {};
-    std::uint64_t description = 0;   ///< of which the leaves are; 0: none yet
-    const Field* missing = nullptr;  ///< the first field that what it carries does not have
+    std::uint64_t description = 0;   ///< serial of the leaves' description; 0: none yet
+    const Field* missing = nullptr;  ///< the first field that its payload does not have
     bool has_come = false;
-    bool is_held = false;  ///< what came last holds until the next, however old: see `Description::is_of_changes`
+    bool is_held = false;  ///< the last event is valid until the next, see `Description::is_of_changes`
     Time time{};           ///< of the last event
   };
 
-  /// `names`: of all expressions, as they were made with.
+  /// `names`: of all expressions, in their order.
   ExpressionSources(const std::vector<std::string>& topics, const std::vector<std::string>& names);
   ExpressionSources(ExpressionSources&&) = default;
   ExpressionSources& operator=(ExpressionSources&&) = default;
 
-  /// `take(source)` is called for each event, of the first topic after those of others of that time.
+  /// Calls `take(source)` for each event; at equal times the first topic comes after the others.
   std::vector<Subscription> subscribe(Loop& loop, const std::string& whose,
                                       const std::function<void(std::size_t source, const EventView& event)>& take) const;
 
-  /// Calls `take(source, event)` with the last event of each topic that is held, the first topic's last. For who begins
-  /// later than that event, which is then as if it came now.
+  /// Calls `take(source, event)` with the last event of each topic that publishes only changes, the first topic last.
+  /// For a start after that event, which then counts as new.
   void recall(Loop& loop, const std::function<void(std::size_t source, const EventView& event)>& take);
 
-  /// Calls `set(index, value)` for each name that is of this source; the value is an optional.
-  /// Returns whether what the topic carries is of another description than before.
+  /// Calls `set(index, value)` for each name of this source; the value is an optional. Returns true if the topic's
+  /// description has changed.
   template <typename Set>
   bool put(std::size_t source, const EventView& event, Set&& set) {
     Source& from = sources_[source];
@@ -58,12 +58,12 @@ class ExpressionSources {
     for (const Field& field : from.fields) set(field.index, value_of(field, event.payload().data()));
     return is_new;
   }
-  /// The first source, of those with names, that does not have them, or (but for the first, and those that are held)
-  /// has brought nothing within `age`. None: null.
+  /// The first used source that lacks a field or has no event within `age` (except the first topic and topics that
+  /// publish only changes). Null: none.
   const Source* lacking(Time now, Duration age) const noexcept;
   static std::string why(const Source& lacking, Duration age);
 
-  /// As before the first event.
+  /// Resets to the state before the first event.
   void forget() noexcept;
   const std::vector<Source>& all() const noexcept { return sources_; }
   std::vector<std::string> topics() const {

@@ -174,7 +174,8 @@ class Parser {
     if (stop < text_.size() && (is_letter(text_[stop]) || is_digit(text_[stop]) || text_[stop] == '.')) {
       while (stop < text_.size() && (is_letter(text_[stop]) || is_digit(text_[stop]) || text_[stop] == '.')) ++stop;
       fail("`" + std::string(text_.substr(at_, stop - at_)) +
-           "` is no number: units are not written, a product has a `*`, and a name that begins with a digit stands in "
+           "` is not a number: units are not written, a product has a `*`, and a name that begins with a digit stands "
+           "in "
            "single quotes");
     }
     value_ = value;

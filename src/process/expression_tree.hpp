@@ -10,7 +10,8 @@
 
 namespace rtdata::detail {
 
-/// A function of the library. What has one argument, has it twice; what has more than two, takes them from the left.
+/// A function of the library. A function with one argument gets it twice; more than two arguments are applied from the
+/// left.
 using Compute = double (*)(double, double) noexcept;
 /// Plain arithmetic.
 enum class ExpressionOp : std::uint8_t {

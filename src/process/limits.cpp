@@ -43,7 +43,7 @@ Result<void> check_limits(const LimitSettings& settings) {
   const auto lower = settings.low ? settings.low : settings.low_low;
   const auto upper = settings.high ? settings.high : settings.high_high;
   if (lower && upper && settings.hysteresis >= *upper - *lower)
-    return refuse("`hysteresis` is as large as what is between the limits: the value could never be normal again",
+    return refuse("`hysteresis` is as large as the distance of the limits: the value could never be normal again",
                   "a little more than the noise of the value");
   if (settings.delay < Duration{0}) return refuse("`delay` is negative", "0 for none");
   return {};
@@ -109,7 +109,7 @@ void LimitWatch::find_same() noexcept {
   for (const Limit& limit : limits_) {
     if (!limit.at) continue;
     if (!limit.is_passed && limit.beyond_since) return forget_same();  // the delay runs
-    // Where it is passed, back by the hysteresis, and a little less, since that is rounded; otherwise the limit.
+    // If passed, the limit minus the hysteresis, with a small margin for rounding; otherwise the limit.
     const double rounding = (std::abs(*limit.at) + hysteresis_) * 1e-12;
     const double edge = limit.is_passed ? *limit.at - limit.side * (hysteresis_ - rounding) : *limit.at;
     const bool is_below = (limit.side > 0) == !limit.is_passed;
@@ -125,7 +125,7 @@ void LimitWatch::forget_same() noexcept { same_from_ = same_until_ = 0; }
 bool LimitWatch::take_unknown() noexcept {
   forget_same();
   state_.value.reset();
-  for (Limit& limit : limits_) limit.beyond_since.reset();  // what is not seen confirms nothing
+  for (Limit& limit : limits_) limit.beyond_since.reset();  // an unknown value restarts the delay
   return change_to(LimitLevel::unknown);
 }
 

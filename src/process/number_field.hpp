@@ -1,4 +1,4 @@
-// The numbers in payloads, as expressions and limits see them.
+// Numbers in payloads, for expressions and limits.
 #pragma once
 
 #include <cstddef>
@@ -13,7 +13,7 @@ namespace rtdata::detail {
 /// else the only number that there is. Null otherwise.
 const Leaf* number_field(const Description& description, std::string_view path) noexcept;
 
-/// What it holds: of a boolean 1 or 0, of an enumeration its number. None: it is absent.
+/// The value: 1 or 0 for a boolean, the number of an enumeration. Empty: absent.
 std::optional<double> number_in(const Leaf& field, const std::byte* payload) noexcept;
 
 }  // namespace rtdata::detail

@@ -22,7 +22,7 @@ constexpr std::size_t most_bytes = 4096;  // of a payload, max_payload_size
 
 bool is_finite(const std::optional<double>& value) { return !value || std::isfinite(*value); }
 
-/// Collects what is wrong with one field.
+/// Collects the mistakes of one field.
 struct Finder {
   const std::string& field;
   std::vector<ProcessingMistake>& mistakes;
@@ -33,8 +33,8 @@ struct Finder {
 
   void look_at(const Calibration& c) {
     if (!std::isfinite(c.scale) || c.scale == 0)
-      add("calibration.scale", "it is no finite number other than 0", "such as 2.5");
-    if (!std::isfinite(c.offset)) add("calibration.offset", "it is no finite number", "such as -0.1");
+      add("calibration.scale", "it is not a finite number other than 0", "such as 2.5");
+    if (!std::isfinite(c.offset)) add("calibration.offset", "it is not a finite number", "such as -0.1");
     if (!c.polynomial.empty() && !c.table.empty())
       add("calibration.table", "there is a polynomial already", "leave one of the two out");
     if (c.polynomial.size() == 1 || c.polynomial.size() > most_coefficients) {
@@ -42,7 +42,7 @@ struct Finder {
           "give it 2 to " + std::to_string(most_coefficients) + ", from that of the constant on");
     }
     if (!std::all_of(c.polynomial.begin(), c.polynomial.end(), [](double one) { return std::isfinite(one); }))
-      add("calibration.polynomial", "a coefficient is no finite number", "such as [0, 1.5, 0.02]");
+      add("calibration.polynomial", "a coefficient is not a finite number", "such as [0, 1.5, 0.02]");
     if (c.table.size() == 1 || c.table.size() > most_points) {
       add("calibration.table", "it has " + std::to_string(c.table.size()) + " points",
           "give it 2 to " + std::to_string(most_points));
@@ -50,19 +50,19 @@ struct Finder {
     for (std::size_t i = 0; i < c.table.size(); ++i) {
       const std::string place = "calibration.table[" + std::to_string(i) + "]";
       if (!std::isfinite(c.table[i][0]) || !std::isfinite(c.table[i][1]))
-        add(place, "it has what is no finite number", "such as [0.5, 12]");
+        add(place, "it has what is not a finite number", "such as [0.5, 12]");
       else if (i > 0 && c.table[i][0] <= c.table[i - 1][0])
         add(place, "the table does not ascend here", "put the points in the order of their first numbers, each once");
     }
     if (c.outside != OutsideTable::refuse && c.table.empty())
-      add("calibration.outside", "there is no table outside of which a value could be",
+      add("calibration.outside", "there is no table, so no value can be outside of one",
           "leave it out, or add a `table`");
     look_at_bounds("calibration", c.least, c.most);
   }
 
   void look_at_bounds(const std::string& where, const std::optional<double>& least, const std::optional<double>& most) {
-    if (!is_finite(least)) add(where + ".least", "it is no finite number", "such as 0");
-    if (!is_finite(most)) add(where + ".most", "it is no finite number", "such as 10");
+    if (!is_finite(least)) add(where + ".least", "it is not a finite number", "such as 0");
+    if (!is_finite(most)) add(where + ".most", "it is not a finite number", "such as 10");
     if (least && most && *least > *most) add(where + ".least", "it is above `most`", "exchange the two");
   }
 

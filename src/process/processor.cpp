@@ -44,7 +44,7 @@ void with_type(Kind kind, const Use& use) noexcept {
   }
 }
 
-/// Whether both go through the same steps; what they multiply, add and compare with may differ.
+/// True if both have the same steps; their constants may differ.
 bool has_same_steps(const FieldProcessing& a, const FieldProcessing& b) noexcept {
   if (a.calibration.has_value() != b.calibration.has_value() || a.filters.size() != b.filters.size()) return false;
   const auto has_bounds = [](const Calibration& c) { return c.least || c.most; };
@@ -111,7 +111,7 @@ void Processor::add_copy(const Leaf& from, const Leaf& to) {
   copies_.push_back({from.offset, to.offset, extent(from)});
 }
 
-Processor::Op& Processor::add_op(Step step, std::size_t numbers) {
+Processor::Op& Processor::add_op(OpKind step, std::size_t numbers) {
   Op& op = ops_.emplace_back();
   op.step = step;
   op.first = numbers_.size();
@@ -162,17 +162,17 @@ void Processor::add_group(const std::vector<Item>& items) {
   };
   if (steps.calibration) {
     const Calibration& c = *steps.calibration;
-    const Op scale = add_op(Step::scale, 2 * lanes);
+    const Op scale = add_op(OpKind::scale, 2 * lanes);
     row(scale, 0, [](const FieldProcessing& what) { return what.calibration->scale; });
     row(scale, 1, [](const FieldProcessing& what) { return what.calibration->offset; });
     if (!c.polynomial.empty()) {
-      Op& op = add_op(Step::polynomial, c.polynomial.size() * lanes);
+      Op& op = add_op(OpKind::polynomial, c.polynomial.size() * lanes);
       op.count = static_cast<std::uint32_t>(c.polynomial.size());
       for (std::size_t n = 0; n < op.count; ++n)
         row(op, n, [&](const FieldProcessing& what) { return what.calibration->polynomial[op.count - 1 - n]; });
     }
     if (!c.table.empty()) {
-      Op& op = add_op(Step::table, 2 * c.table.size() * lanes);
+      Op& op = add_op(OpKind::table, 2 * c.table.size() * lanes);
       op.count = static_cast<std::uint32_t>(c.table.size());
       op.outside = c.outside;
       double* to = numbers_.data() + op.first;  // of each value all x, then all y
@@ -182,7 +182,7 @@ void Processor::add_group(const std::vector<Item>& items) {
       }
     }
     if (c.least || c.most) {
-      const Op op = add_op(Step::bounds, 2 * lanes);
+      const Op op = add_op(OpKind::bounds, 2 * lanes);
       row(op, 0, [](const FieldProcessing& what) { return what.calibration->least.value_or(-HUGE_VAL); });
       row(op, 1, [](const FieldProcessing& what) { return what.calibration->most.value_or(HUGE_VAL); });
     }
@@ -192,31 +192,31 @@ void Processor::add_group(const std::vector<Item>& items) {
     const std::uint32_t of = filter.of.value_or(0);
     switch (filter.type) {
       case FilterType::median:  // the samples as they came, and in order
-        add_op(Step::median, 2 * of * lanes).count = of;
+        add_op(OpKind::median, 2 * of * lanes).count = of;
         break;
       case FilterType::mean:  // sums, and that of the samples since the beginning of the round
-        add_op(Step::mean, (of + std::size_t{1}) * lanes).count = of;
+        add_op(OpKind::mean, (of + std::size_t{1}) * lanes).count = of;
         break;
       case FilterType::exponential:
-        row(add_op(Step::exponential, 2 * lanes), 0,
+        row(add_op(OpKind::exponential, 2 * lanes), 0,
             [&](const FieldProcessing& what) { return *what.filters[n].weight; });
         break;
       case FilterType::clamp: {
-        const Op op = add_op(Step::clamp, 2 * lanes);
+        const Op op = add_op(OpKind::clamp, 2 * lanes);
         row(op, 0, [&](const FieldProcessing& what) { return what.filters[n].least.value_or(-HUGE_VAL); });
         row(op, 1, [&](const FieldProcessing& what) { return what.filters[n].most.value_or(HUGE_VAL); });
         break;
       }
       case FilterType::throttle:
-        add_op(Step::throttle, 0).time = *filter.time;
+        add_op(OpKind::throttle, 0).time = *filter.time;
         group.decides = true;
         break;
       case FilterType::delta:  // by how much, what was published last, what there is now
-        row(add_op(Step::delta, 3 * lanes), 0, [&](const FieldProcessing& what) { return *what.filters[n].by; });
+        row(add_op(OpKind::delta, 3 * lanes), 0, [&](const FieldProcessing& what) { return *what.filters[n].by; });
         group.decides = true;
         break;
       case FilterType::rate_of_change:
-        add_op(Step::rate, 2 * lanes);  // of the last instant, and of the one before
+        add_op(OpKind::rate, 2 * lanes);  // of the last instant, and of the one before
         break;
     }
   }
@@ -261,11 +261,11 @@ Processor::Fate Processor::take(void*& payload, Time time, std::uint64_t breaks)
     for (const Group& group : groups_) {
       for (std::size_t i = group.first_op; i < group.end_op; ++i) {
         Op& op = ops_[i];
-        if (op.step != Step::throttle && op.step != Step::delta) continue;
+        if (op.step != OpKind::throttle && op.step != OpKind::delta) continue;
         op.last_time = time;
         op.reference = op.is_absent ? Reference::absent : Reference::value;
         double* const by = numbers_.data() + op.first;
-        if (op.step == Step::delta) std::copy_n(by + 2 * group.count, group.count, by + group.count);
+        if (op.step == OpKind::delta) std::copy_n(by + 2 * group.count, group.count, by + group.count);
       }
     }
   }
@@ -314,11 +314,11 @@ bool Processor::run(Group& group, const std::byte* payload, Time time, bool& is_
     double* const a = numbers_.data() + op->first;
     double* const b = a + lanes;
     switch (op->step) {
-      case Step::scale:
+      case OpKind::scale:
         for (std::size_t i = 0; i < lanes; ++i) x[i] = x[i] * a[i] + b[i];
         is_finite = false;
         break;
-      case Step::polynomial:
+      case OpKind::polynomial:
         for (std::size_t i = 0; i < lanes; ++i) {
           double sum = a[i];
           for (std::size_t n = 1; n < op->count; ++n) sum = sum * x[i] + a[n * lanes + i];
@@ -326,42 +326,42 @@ bool Processor::run(Group& group, const std::byte* payload, Time time, bool& is_
         }
         is_finite = false;
         break;
-      case Step::table:
+      case OpKind::table:
         if (!look() || !look_up(group, *op)) return false;
         is_finite = false;
         break;
-      case Step::bounds:
+      case OpKind::bounds:
         if (!check_bounds(group, *op)) return false;
         break;
-      case Step::median:
+      case OpKind::median:
         if (!look()) return false;
         take_medians(lanes, *op);
         break;
-      case Step::mean:
+      case OpKind::mean:
         take_means(lanes, *op);
         is_finite = false;
         break;
-      case Step::exponential:
+      case OpKind::exponential:
         if (std::exchange(op->filled, 1) == 0) std::copy_n(x, lanes, b);
         for (std::size_t i = 0; i < lanes; ++i) x[i] = b[i] += a[i] * (x[i] - b[i]);
         is_finite = false;
         break;
-      case Step::clamp:
+      case OpKind::clamp:
         if (!look()) return false;
         for (std::size_t i = 0; i < lanes; ++i) x[i] = std::min(std::max(x[i], a[i]), b[i]);
         break;
-      case Step::throttle:
+      case OpKind::throttle:
         op->is_absent = false;
         if (op->reference != Reference::none && span_between(op->last_time, time) < op->time)
           std::fill_n(passes_.begin(), lanes, std::uint8_t{0});
         break;
-      case Step::delta:
+      case OpKind::delta:
         op->is_absent = false;
         std::copy_n(x, lanes, b + lanes);
         for (std::size_t i = 0; op->reference == Reference::value && i < lanes; ++i)
           if (std::abs(x[i] - b[i]) < a[i]) passes_[i] = 0;
         break;
-      case Step::rate:
+      case OpKind::rate:
         if (!put_rates(group, *op)) return false;
         break;
     }
@@ -391,7 +391,7 @@ bool Processor::put(const Group& group) noexcept {
   return true;
 }
 
-/// Of a sample in which the value is absent: its filters begin anew. That it is absent is a change.
+/// Handles an absent value: its filters restart, and the absence counts as a change.
 void Processor::pass_absent(Group& group, bool& is_wanted) noexcept {
   const Lane& lane = lanes_[group.first];
   if (group.is_written) group.to_optional->set(out_ + lane.to, false);
@@ -399,10 +399,10 @@ void Processor::pass_absent(Group& group, bool& is_wanted) noexcept {
   bool passes = group.decides;
   for (std::size_t i = group.first_op; i < group.end_op; ++i) {
     Op& op = ops_[i];
-    if (op.step == Step::throttle) {
+    if (op.step == OpKind::throttle) {
       op.is_absent = false;
       passes = passes && (op.reference == Reference::none || span_between(op.last_time, last_time_) >= op.time);
-    } else if (op.step == Step::delta) {
+    } else if (op.step == OpKind::delta) {
       op.is_absent = true;
       passes = passes && op.reference != Reference::absent;
     } else {
@@ -480,8 +480,8 @@ void Processor::take_medians(std::size_t lanes, Op& op) noexcept {
   op.at = op.at + 1 == op.count ? 0 : op.at + 1;
 }
 
-/// Sums of values that are in the window only, so that no large one leaves its rounding behind: those that came since
-/// the beginning of a round, and the sum of those from each place to the end of the round before.
+/// Sums only values in the window, so that no rounding errors of old large values remain: the values since the
+/// beginning of a round, and, for each place, the sum from there to the end of the previous round.
 void Processor::take_means(std::size_t lanes, Op& op) noexcept {
   double* const x = x_.data();
   double* const sums = numbers_.data() + op.first;
@@ -535,11 +535,11 @@ Error Processor::error(const std::string& sensor) const {
   switch (failure_) {
     case Failure::raw_not_finite:
       error.why = "it is " + value;
-      error.advice = "look at the sensor: what is calibrated or filtered has to be a finite number";
+      error.advice = "check the sensor: only finite numbers can be calibrated or filtered";
       break;
     case Failure::not_finite:
-      error.why = "calibrated and filtered, it is no finite number";
-      error.advice = "look at its calibration";
+      error.why = "calibrated and filtered, it is not a finite number";
+      error.advice = "check its calibration";
       break;
     case Failure::outside_table:
       error.why = value + " is outside the table of its calibration";
@@ -548,11 +548,11 @@ Error Processor::error(const std::string& sensor) const {
       break;
     case Failure::below:
       error.why = value + " is below " + bound + ", the least";
-      error.advice = "look at the sensor, or at `least` of its calibration";
+      error.advice = "check the sensor, or `least` of its calibration";
       break;
     case Failure::above:
       error.why = value + " is above " + bound + ", the most";
-      error.advice = "look at the sensor, or at `most` of its calibration";
+      error.advice = "check the sensor, or `most` of its calibration";
       break;
   }
   return error;

@@ -1,4 +1,4 @@
-// Processor: does to each sample of one sensor what its processing says.
+// Processor: applies the processing to each sample of one sensor.
 #pragma once
 
 #include <cstdint>
@@ -21,8 +21,8 @@ class Processor {
   const std::shared_ptr<const Description>& published() const noexcept { return published_; }
 
   enum class Fate : std::uint8_t { published, filtered, unusable };
-  /// `payload`: the sensor's; afterwards, of one that is to be published, what is, valid until the next call.
-  /// `breaks`: how many gaps and faults there were so far: another number than before makes the filters begin anew.
+  /// `payload`: the sensor's; afterwards, for a published sample, the published payload, valid until the next call.
+  /// `breaks`: the number of gaps and faults so far; a change restarts the filters.
   Fate take(void*& payload, Time time, std::uint64_t breaks) noexcept;
   /// The next sample is the first one.
   void restart() noexcept;
@@ -30,7 +30,7 @@ class Processor {
   Error error(const std::string& sensor) const;
 
  private:
-  enum class Step : std::uint8_t {
+  enum class OpKind : std::uint8_t {
     scale,
     polynomial,
     table,
@@ -46,7 +46,7 @@ class Processor {
   enum class Reference : std::uint8_t { none, absent, value };
   /// One step of the values of a group, and what it remembers; numbers of each value lie side by side.
   struct Op {
-    Step step = Step::scale;
+    OpKind step = OpKind::scale;
     OutsideTable outside = OutsideTable::refuse;
     Reference reference = Reference::none;
     bool is_absent = false;    // in this sample
@@ -94,8 +94,8 @@ class Processor {
   void plan_copies();
   void add_copy(const Leaf& from, const Leaf& to);
   void add_group(const std::vector<Item>& items);
-  Op& add_op(Step step, std::size_t numbers);
-  /// False: a value is unusable. `is_wanted`: becomes true when a value that may hold the sample back does not.
+  Op& add_op(OpKind step, std::size_t numbers);
+  /// False: a value is unusable. `is_wanted` becomes true if a field with `throttle` or `delta` lets the sample pass.
   bool run(Group& group, const std::byte* payload, Time time, bool& is_wanted) noexcept;
   void pass_absent(Group& group, bool& is_wanted) noexcept;
   bool fail(const Group& group, std::size_t lane, Failure failure, double value, double bound = 0) noexcept;

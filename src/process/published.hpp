@@ -1,4 +1,4 @@
-// What a processing makes of a field.
+// The published fields of a processing.
 #pragma once
 
 #include <string_view>
@@ -9,7 +9,7 @@
 
 namespace rtdata::detail {
 
-/// Whether the value that is published may be another than the raw one, which then is published beside it.
+/// True if the published value may differ from the raw one, which is then published too.
 bool changes_value(const FieldProcessing& processing) noexcept;
 bool has_rate(const FieldProcessing& processing) noexcept;
 

@@ -1,4 +1,4 @@
-// What the memory functions of expressions know of the last seconds: mean and rate.
+// The window of the memory functions mean and rate of expressions.
 #pragma once
 
 #include <cstddef>
@@ -10,8 +10,8 @@
 
 namespace rtdata::detail {
 
-/// Values of the last so many nanoseconds. Those that come closer than a thousandth of that are one entry, so that it
-/// is bounded. Times are those of instants: of values of the same time the last counts.
+/// The values of the last nanoseconds. Values closer than a thousandth of the window share one entry, so that memory is
+/// bounded. Of values with the same time, the last one counts.
 class TimeWindow {
  public:
   explicit TimeWindow(Duration length)

@@ -1,4 +1,4 @@
-// Keeps what a recording says of gaps, errors and health within a share of its limit.
+// Limits the size of gaps, errors and health in a recording.
 #pragma once
 
 #include <array>
@@ -8,23 +8,23 @@
 
 namespace rtdata::sqlite {
 
-/// The rows of these tables are not deleted with old data, and a device that is faulty for months has as many as there
-/// were minutes. When all of them take more than their share, two neighbours of the object that takes most are joined
-/// into one, the oldest first: the ledger stays exact, and no other object's rows or data go for them. Thread: the
-/// writer's.
+/// The rows of these tables are not deleted with old data, and a device that is faulty for months has one for each
+/// minute. If they take more than their share, neighbouring rows of the largest object are joined, the oldest first.
+/// The ledger stays exact, and no rows of other objects are lost. Thread: the writer's.
 class AccountShare {
  public:
   static constexpr std::uint64_t part = 8;  // of the limit
-  /// An object with fewer is left alone. The newer half of its rows stays as it is: what is under way is among them.
+  /// An object with fewer rows is not changed. The newer half of the rows is never joined, because it contains the
+  /// current ones.
   static constexpr std::int64_t least_rows = 64;
 
   AccountShare() noexcept = default;
   /// `max_bytes`: the recording's limit; 0: none.
   explicit AccountShare(std::uint64_t max_bytes) : most_(static_cast<std::int64_t>(max_bytes / part)) {}
 
-  /// Within a transaction: joins as much as one may write, if anything is to be joined.
+  /// Within a transaction: joins rows if needed, as many as one transaction may write.
   void hold(Database& database, AccountSums& sums);
-  /// The statements are gone; before the database is closed.
+  /// Finalizes the statements, before the database is closed.
   void close() noexcept { newest_ = {}; }
 
  private:

@@ -1,5 +1,5 @@
-// What hashing the rows of the account gives: a sum for each run, in its row of rtdata_run, changed in the transaction
-// that changes the rows. The lane's.
+// Checksums of the account's rows: a sum for each run, in its row of rtdata_run, changed in the same transaction as the
+// rows. Thread: the lane's.
 #pragma once
 
 #include <array>
@@ -23,24 +23,24 @@ inline constexpr std::array<std::string_view, 3> sender_tables = {"rtdata_refuse
 /// How many columns of these rows are hashed: all but the checksum of rtdata_run, its last.
 int hashed_columns(sqlite3_stmt* rows) noexcept;
 
-/// Sums are changed by what comes and what goes: of rows that somebody else has changed they stay wrong.
+/// Sums are updated with added and removed rows, so they stay wrong for rows changed by another program.
 class AccountSums {
  public:
   enum class Rows { come, go };
   /// Runs a statement that gives whole rows of a table whose first column is the run, such as one with RETURNING *.
   void run(Statement& statement, Rows rows = Rows::come);
-  /// Takes out the rows that `before` finds, and adds what `change` makes of them.
+  /// Subtracts the rows found by `before` and adds the rows made by `change`.
   void replace(Statement& before, Statement& change);
-  /// All rows of a run, around what changes many of them.
+  /// Adds or subtracts all rows of a run, around a change of many rows.
   void add_run(const Database& database, std::int64_t run, Rows rows = Rows::come);
   void add_topic(const Database& database, std::string_view table, Rows rows = Rows::come);
   /// In the transaction, after its changes.
   void write(Database& database);
-  /// The transaction was given up.
+  /// The transaction was rolled back.
   void clear() noexcept { changes_.clear(); }
-  /// By run: what has come, less what has gone, since the last `write`.
+  /// By run: sums of added minus removed rows since the last `write`.
   const std::map<std::int64_t, std::uint64_t>& changes() const noexcept { return changes_; }
-  /// To what `changes` gave: what came after it was undone.
+  /// Returns to an earlier result of `changes`, because later changes were undone.
   void undo_to(std::map<std::int64_t, std::uint64_t> changes) noexcept { changes_ = std::move(changes); }
 
  private:

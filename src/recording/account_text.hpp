@@ -1,4 +1,4 @@
-// What a run lost, in sentences: the same at the end of `rtdata run` as in `rtdata verify`.
+// The losses of a run as text, for the end of `rtdata run` and for `rtdata verify`.
 #pragma once
 
 #include <string>

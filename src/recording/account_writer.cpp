@@ -1,4 +1,4 @@
-// The tables of a recording that say what became of its data: ledger, schedule, gaps, clock, errors, health.
+// The tables of a recording's account: ledger, schedule, gaps, clock, errors, health.
 #include "recording/account_writer.hpp"
 
 #include <string_view>
@@ -140,7 +140,7 @@ void AccountWriter::write(const Batch& batch, const Account& account, const Topi
     }
     ledger_before_.bind(1, run_).bind(2, slot.topic).bind(3, slot.origin);
     sums_->replace(ledger_before_, ledger_);
-    if (origin.segment.scheduled > 0) {  // one without ticks says nothing, and another may begin before its first
+    if (origin.segment.scheduled > 0) {  // a segment without ticks has no information
       put_segment(slot, origin.segment);
     }
   }
@@ -203,7 +203,7 @@ void AccountWriter::write(const Batch& batch, const Account& account, const Topi
   sums_->replace(run_before_, run_end_);
 }
 
-/// One that an account had while it was under way has a row, which grows.
+/// A gap that was stored while it was open has a row, which is updated.
 void AccountWriter::write_gap(std::uint32_t number, const SlotInfo& slot, const Gap& gap, GapIs what) {
   const auto run_with = [&](Statement& statement) {
     statement.bind(1, run_).bind(2, slot.topic).bind(3, slot.origin).bind(4, name_of(gap.kind)).bind(5, gap.reason);

@@ -1,4 +1,4 @@
-// Writes what became of the data of a run into its recording. Thread: the writer's.
+// Writes the account of a run into its recording. Thread: the writer's.
 #pragma once
 
 #include <cstdint>
@@ -16,17 +16,16 @@ namespace rtdata::sqlite {
 
 using TopicTables = std::vector<std::unique_ptr<TopicTable>>;  // by topic number; null: it has none yet
 
-/// All but `prepare`, `slots_committed`, `committed` and `close` belong into a transaction, of which the caller says
-/// when it has committed; of one that is rolled back nothing is left here.
+/// All functions except `prepare`, `slots_committed`, `committed` and `close` must be called in a transaction; the
+/// caller tells when it has committed. A rolled-back transaction leaves no state here.
 class AccountWriter {
  public:
-  /// The statements, as far as they are not there. `database` outlives them, see `close`;
-  /// `sums` gets what they change.
+  /// Makes missing statements. `database` must outlive them, see `close`; `sums` gets their changes.
   void prepare(Database& database, AccountSums& sums, std::int64_t run, const std::string& boot_id);
-  /// Each origin has its place in the ledger before it has rows: sealing finds its live counts by the slot.
+  /// Writes the ledger row of each origin before its first data row, because sealing finds the live counts by slot.
   void write_slots(const Batch& batch, const TopicTables& tables);
   void write(const Batch& batch, const Account& account, const TopicTables& tables);
-  /// What `write_slots` has written is committed; of the batch, more may follow.
+  /// The rows of `write_slots` are committed; more of the batch may follow.
   void slots_committed() noexcept { known_slots_ = slots_in_transaction_; }
   /// All of the batch is.
   void committed(const Batch& batch) noexcept;
@@ -57,7 +56,7 @@ class AccountWriter {
   Statement schedule_before_;
   Statement gap_before_;
   Statement run_before_;
-  // Gaps under way that the recording has, by slot: when they began, and their rows.
+  // Open gaps in the recording, by slot: their begin and row.
   using GrownGaps = std::unordered_map<std::uint32_t, std::pair<Time, std::int64_t>>;
   GrownGaps grown_gaps_;
   GrownGaps next_gaps_;                     // as the transaction under way leaves them

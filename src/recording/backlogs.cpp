@@ -1,4 +1,4 @@
-// What the sinks that go through a recording still have to send, from their positions in the file.
+// The backlogs of sinks with `through`, from their positions in the file.
 #include <algorithm>
 #include <iterator>
 #include <map>
@@ -33,7 +33,7 @@ std::vector<Stored> positions_in(const detail::RecordingFile& file) {
   return stored;
 }
 
-/// With the tables of a sink's topics that have no row: all of theirs waits.
+/// Adds tables of a sink's topics without a position: all their rows wait.
 std::vector<Stored> with_other_tables(std::vector<Stored> stored, const std::vector<RecordedTopic>& topics) {
   std::vector<Stored> all;
   for (auto one = stored.begin(); one != stored.end();) {  // sorted by sink

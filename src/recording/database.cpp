@@ -40,11 +40,11 @@ const char* advice_of(Errc code) {
     case Errc::busy:
       return "another program holds a lock on it: close that one";
     case Errc::storage_full:
-      return "make room; what waits is kept in memory meanwhile";
+      return "make room; until then events wait in memory";
     case Errc::not_permitted:
       return "check the permissions of the file and its folder";
     case Errc::not_a_recording:
-      return "it is no SQLite file: choose another path";
+      return "it is not an SQLite file: choose another path";
     case Errc::damaged:
       return "keep it as it is, and record into another file";
     default:
@@ -72,7 +72,7 @@ std::string uri_of(const std::string& path, const char* parameters) {
 
 namespace {
 
-/// Whether the file cannot be read at all. SQLite calls a file damaged, too, whose disk was pulled out.
+/// True if the file cannot be read at all. SQLite also reports a file as damaged if its disk was removed.
 bool is_unreadable(sqlite3* database) {
   sqlite3_file* file = nullptr;
   char byte = 0;
@@ -87,7 +87,7 @@ Error error_of(sqlite3* database, std::string_view doing) {
   const char* file = sqlite3_db_filename(database, "main");
   if ((code & 0xff) == SQLITE_CORRUPT && is_unreadable(database)) {
     return {Errc::io_failed, std::string(doing), file != nullptr ? file : "",
-            "the disk does not answer: it cannot be read", "look at the disk, or plug it in again and start again"};
+            "the disk does not answer: it cannot be read", "check the disk, or plug it in again and start again"};
   }
   const Errc kind = errc_of(code);
   std::string why = sqlite3_errmsg(database);

@@ -23,7 +23,7 @@ class Statement {
 
   Statement& bind(int index, std::int64_t value) noexcept;
   Statement& bind(int index, double value) noexcept;
-  /// What is no UTF-8 in it is escaped. Not copied: it must live until the statement has run.
+  /// Escapes bytes that are not UTF-8. Does not copy: the text must live until the statement has run.
   Statement& bind(int index, std::string_view value);
   Statement& bind_null(int index) noexcept;
 
@@ -53,8 +53,8 @@ class Database {
   /// `read_at_rest`: the file does not change, so no lock is needed; for read-only media.
   enum class Mode { read, read_at_rest, write };
   Database() = default;
-  /// Opens the file; in write mode it is made when it is not there. Waits up to two seconds for other programs' locks.
-  /// `permissions`: of a file that is made, less the umask.
+  /// Opens the file; write mode makes a missing one. Waits up to two seconds for other programs' locks. `permissions`:
+  /// of a new file, minus the umask.
   static Database open(const std::string& path, Mode mode, mode_t permissions = 0640);
 
   explicit operator bool() const noexcept { return database_ != nullptr; }

@@ -1,4 +1,4 @@
-// Runs of which no row is left: their account goes too, and what it came to is added up in rtdata_deleted.
+// Runs without rows: deletes their account and adds its totals to rtdata_deleted.
 #pragma once
 
 #include <cstdint>
@@ -9,11 +9,11 @@
 
 namespace rtdata::sqlite {
 
-/// So many runs keep their account, however little is left of them: the newest.
+/// The number of newest runs that always keep their account.
 inline constexpr int kept_runs = 16;
 
-/// Runs that have ended, of which no row is left, and which are not among the newest; the oldest first. `ended_before`:
-/// only those. The newest of a boot that has older runs is none of them: it may know best what their UTC is.
+/// Ended runs without rows that are not among the newest; the oldest first. `ended_before`: only those that ended
+/// earlier. Skips the newest run of a boot with older runs, because it may have the best UTC data.
 std::vector<std::int64_t> runs_without_rows(const Database& database, std::int64_t ended_before);
 
 /// Within a transaction: adds the run's account to rtdata_deleted, and deletes it.

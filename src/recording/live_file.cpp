@@ -51,7 +51,7 @@ Error failed(int reason, const std::string& path) {
   return system_error(reason, "cannot keep counts in", path, "make room there");
 }
 
-/// Sets pages aside, so that none is missing when it is written.
+/// Allocates pages, so that none is missing when it is written.
 int reserve_bytes(int fd, std::size_t from, std::size_t bytes) noexcept {
   for (;;) {
     const int reason = ::posix_fallocate(fd, static_cast<off_t>(from), static_cast<off_t>(bytes));
@@ -59,7 +59,7 @@ int reserve_bytes(int fd, std::size_t from, std::size_t bytes) noexcept {
   }
 }
 
-/// Whether the file that this header names is gone: not when what it was on has been taken away, which may come back.
+/// True if the file named by this header was deleted; false if its disk was removed, because it may come back.
 bool is_gone(const char* recording, std::uint64_t device, std::uint64_t inode) {
   struct stat about {};
   if (::stat(recording, &about) == 0) return about.st_ino != inode;
@@ -114,7 +114,7 @@ Result<LiveFile> LiveFile::make(const std::string& recording, const std::string&
       }
       struct stat opened {};
       if (::fstat(made.fd_, &opened) == 0 && opened.st_nlink > 0) break;
-      ::close(std::exchange(made.fd_, -1));  // another process took it for one that was left
+      ::close(std::exchange(made.fd_, -1));  // another process took it for an old one
     }
     if (reason == 0) reason = reserve_bytes(made.fd_, 0, bytes_of(0));
     if (reason == 0) {
@@ -168,7 +168,7 @@ Result<std::optional<LiveFile>> LiveFile::find(const std::string& recording, con
         found->header_->layout != layout || uuid != found->header_->uuid || found->header_->inode != about.st_ino)
       continue;
     if (is_held) {
-      return Error{Errc::busy, "cannot record into", recording, "a process records into it whose lock was removed",
+      return Error{Errc::busy, "cannot record into", recording, "a process records into it, but its lock was removed",
                    "stop that one, or record into another file"};
     }
     return Result<std::optional<LiveFile>>(std::move(found));

@@ -1,7 +1,7 @@
-// What is known of a run and not yet in its recording: a small mapped file in memory, written while the run goes on,
-// which survives a kill of the program. A power cut takes it, and then what was lost is not known. It lies in a folder
-// that only its user can write (private_folder.hpp), is named by the run's uuid, and its pages are set aside before
-// they are written, so that a full file system is an error and never a signal.
+// Counts of a run that are not yet in its recording: a small memory-mapped file that survives a kill of the program. A
+// power failure destroys it; the losses are then unknown. It lies in a folder that only its user can write
+// (private_folder.hpp) and is named by the run's uuid. Its pages are allocated before they are written, so that a full
+// file system is an error and never a signal.
 #pragma once
 
 #include <array>
@@ -18,8 +18,7 @@
 
 namespace rtdata::sqlite {
 
-/// A value that a kill in the middle of writing leaves as it was before. One writer. All zero is a value that was never
-/// written.
+/// A value that keeps its old content if a kill interrupts a write. One writer. All zero means never written.
 template <class T>
 class Kept {
   static_assert(std::is_trivially_copyable_v<T>);
@@ -50,19 +49,19 @@ struct LiveGap {
   std::uint64_t count;
 };
 
-/// An origin's account as it stood when something happened that an event does not tell. Each event after it is one read
-/// in time with one sample, as far as the origin has a schedule.
+/// An origin's account at the last change without an event. With a schedule, each later event counts as one timely read
+/// with one sample.
 struct LiveAccount {
   SensorCounts sensor;
   std::uint64_t first_sequence;  ///< 0: none
-  Segment segment;               ///< under way, or the last that ended; period 0: none
+  Segment segment;               ///< the current one, or the last that ended; period 0: none
   LiveGap under_way;
-  LiveGap closed;  ///< those that may be in no account of the recording, as one
+  LiveGap closed;  ///< gaps that may be missing in the recording's accounts, joined
 };
 
-/// What lies apart from the counts of each event, because it is touched less often.
+/// Data that is used less often than the counts of each event.
 struct alignas(64) LiveSlot {
-  std::uint64_t committed;    ///< rows of the run that the recording has, or had; the lane's
+  std::uint64_t committed;    ///< committed rows of the run, including deleted ones; the lane's
   Kept<LiveAccount> account;  ///< the loop's
 };
 
@@ -73,15 +72,15 @@ class LiveFile {
   static constexpr std::uint32_t most_slots = first_block * ((1u << most_blocks) - 1);
 
   LiveFile() = default;
-  /// Makes the one of a run that begins, with room for `first_block` slots. `recording` is the real path of its file.
-  /// Errors: why there is none in any folder; the run's counts are kept in its own memory then.
+  /// Makes the file of a new run, with space for `first_block` slots. `recording` is the real path of its file. Errors:
+  /// no folder can be used; the run's counts are then kept in its own memory.
   static Result<LiveFile> make(const std::string& recording, const std::string& uuid);
-  /// What a run has left; nothing when it did not survive or belongs to another file (a copy). `noted`: where it was,
-  /// as its lock says. Errors: busy when the run goes on.
+  /// Finds the file of an ended run; empty if it did not survive or belongs to another recording (a copy). `noted`: its
+  /// path from the lock file. Errors: busy if the run still runs.
   static Result<std::optional<LiveFile>> find(const std::string& recording, const std::string& uuid,
                                               const std::string& noted);
-  /// Removes what is left of runs of recordings that are gone, and of this one, whose lock the caller holds and whose
-  /// runs are sealed.
+  /// Removes old files of deleted recordings, and of this recording, whose lock the caller holds and whose runs are
+  /// sealed.
   static void remove_left(const std::string& recording);
   LiveFile(LiveFile&& other) noexcept;
   LiveFile& operator=(LiveFile&& other) noexcept;
@@ -90,22 +89,22 @@ class LiveFile {
   explicit operator bool() const noexcept { return fd_ >= 0; }
   const std::string& path() const noexcept { return path_; }
 
-  /// Sets pages aside for this slot; slots are reserved in order. What fails once fails from then on: `is_complete` is
-  /// false, in the file too.
+  /// Allocates pages for this slot; slots are reserved in order. After one failure all later calls fail: `is_complete`
+  /// is false, in the file too.
   Result<void> reserve(std::uint32_t slot);
   bool has(std::uint32_t slot) const noexcept { return block_of(slot) < most_blocks && blocks_[block_of(slot)].counts; }
   /// Why there is no place for a slot.
   Error no_room() const;
   /// How many slots were reserved.
   std::uint32_t slots() const noexcept;
-  /// All that was counted before the file was there is in it, and what follows will be. A kill before that leaves a run
-  /// of which it is not known what was published.
+  /// From now on the file has all counts, including earlier ones. If the program is killed before that, the published
+  /// events of the run are unknown.
   void begin_counting() noexcept;
   /// As before `begin_counting`.
   void pause_counting() noexcept;
   /// Some slots have found no place here.
   bool lacks_room() const noexcept;
-  /// Whether all that was counted is here: of each slot, from the beginning on.
+  /// True if the file has all counts of each slot, from the beginning on.
   bool is_complete() const noexcept;
 
   // The slot must exist.

@@ -258,8 +258,8 @@ void Positions::write(Database& database, AccountSums& sums) {
   if (!refusals_in_transaction_.empty() && most_refused_bytes_ != 0) forget_refusals(database, sums);
 }
 
-/// A peer that takes nothing for a night must not cost the recording its data. More than is
-/// needed, so that not each transaction has to look for the oldest.
+/// Limits the stored refusals, so that a peer that refuses everything for a night does not displace data. Deletes more
+/// than needed, so that not each transaction must search for the oldest.
 void Positions::forget_refusals(Database& database, AccountSums& sums) {
   const auto measure = [&] {
     refused_bytes_ = database.integer("SELECT count(*) * " + std::to_string(bytes_of_refusal) +

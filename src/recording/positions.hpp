@@ -1,5 +1,6 @@
-// How far the sinks that go through a recording have got in it. They set their positions; the recording's writer stores
-// them with its next transaction, so that the file has one writer. A kill repeats what was acknowledged since.
+// The positions of sinks with `through` in a recording. The sinks set their positions; the recording's writer stores
+// them with its next transaction, so that the file has one writer. After a kill, rows acknowledged since then are sent
+// again.
 #pragma once
 
 #include <compare>
@@ -19,7 +20,7 @@
 
 namespace rtdata::sqlite {
 
-/// The last row of a topic's table that a sink is done with; its key too, since VACUUM numbers the rows anew.
+/// The last processed row of a topic's table, with its key, because VACUUM renumbers the rows.
 struct Position {
   std::int64_t row = 0;  ///< 0: before the first
   std::int64_t run = 0;
@@ -27,7 +28,7 @@ struct Position {
   std::int64_t sequence = 0;
 };
 
-/// A row that the peer of a sink will never take.
+/// A row that a sink's peer has refused.
 struct Refusal {
   std::string sink;
   std::string topic;
@@ -37,8 +38,8 @@ struct Refusal {
   auto operator<=>(const Refusal&) const = default;
 };
 
-/// In rtdata_position this stands for the table in the row that says that a sink has come to the recording. Its
-/// `origin` has the patterns of the sink's topics, a line each: of their tables that have no row, all waits.
+/// The table name in the row of rtdata_position that registers a sink. Its `origin` has the sink's topic patterns, a
+/// line each; all rows of matching tables without a position wait.
 inline constexpr const char* no_table = "";
 std::string lines_of(const std::vector<std::string>& topics);
 /// Whether a topic is one of those.
@@ -69,20 +70,20 @@ CREATE TABLE IF NOT EXISTS rtdata_unsent(  -- rows that a limit deleted before t
 /// The number that the row of the position has now: VACUUM changes them. 0: all rows come after it.
 std::int64_t row_of(const Database& database, std::string_view table, const Position& position);
 
-/// Thread: any, but for the calls of the recording's writer.
+/// Thread: any, except the calls of the recording's writer.
 class Positions {
  public:
-  /// The sink goes on after that row, whether its peer has those before it or not.
+  /// The sink continues after that row, whether or not its peer has the earlier rows.
   void set(const std::string& sink, const std::string& table, Position position);
-  /// It is done with all rows up to this one: its peer has them, or refused them.
+  /// The sink has processed all rows up to this one: its peer has or refused them.
   void settle(const std::string& sink, const std::string& table, Position position);
-  /// A sink of these topics goes through the recording. The file knows of it, and of where it begins, from the next
-  /// transaction on: what that one brings is the first that comes "now".
+  /// Registers a sink for these topics. The next transaction stores the sink and its begin; with `From::now` it begins
+  /// with the rows of that transaction.
   void begin(const std::string& sink, std::string topics, bool at_beginning, const void* owner);
   void leave(const std::string& sink, const void* owner) noexcept;
-  /// The same may be said again.
+  /// Adds a refusal; it may be added again.
   void add(Refusal refusal, std::string reason);
-  /// So many refusals wait to be written that a sink waits for that before it reads more rows.
+  /// True if too many refusals wait to be written; the sink then reads no more rows.
   bool is_full() const;
 
   /// What the recording's writer has committed.
@@ -104,23 +105,23 @@ class Positions {
   void begin_run(std::int64_t run);
   void set_last_row(const std::string& table, const std::string& topic, std::int64_t row);
   void set_deleted_to(const std::string& table, const std::string& topic, std::int64_t row);
-  /// Calls those; what they say, if anything.
+  /// Calls these functions; returns their texts.
   std::vector<std::string> end();
   bool is_dirty() const;
-  /// In a transaction, before its rows: where sinks begin that the file does not know.
+  /// In a transaction, before its rows: stores the begin of new sinks.
   void write_begins(Database& database);
-  /// In a transaction, before a limit deletes the table's rows up to this one: counts them for the sinks that are not
-  /// done with them.
+  /// In a transaction, before a limit deletes the table's rows up to this one: counts them for the sinks that have not
+  /// processed them.
   void count_unsent(Database& database, AccountSums& sums, const std::string& topic, const std::string& table,
                     std::int64_t up_to);
   /// In a transaction: stores what has changed. `sums` gets what changes in `sender_tables`.
   void write(Database& database, AccountSums& sums);
   void committed() noexcept;
   void rolled_back() noexcept;
-  /// The sinks that have begun to lose rows so since the last call, with commas between; empty: none.
+  /// Sinks that have started to lose rows since the last call, separated by commas; empty: none.
   std::string take_losing() noexcept { return std::exchange(losing_, {}); }
 
-  /// While one lives, its sink reads the recording.
+  /// Marks that a sink reads the recording, while it lives.
   class Reading {
    public:
     explicit Reading(Positions& of);
@@ -131,8 +132,7 @@ class Positions {
    private:
     Positions& of_;
   };
-  /// While one lives, no sink of this process reads: the log of the recording can begin anew. Waits for those that
-  /// read, for a limited time.
+  /// While it lives, no sink of this process reads, so the WAL file can restart. Waits for readers for a limited time.
   class HoldOff {
    public:
     explicit HoldOff(Positions& of);

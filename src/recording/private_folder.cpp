@@ -17,7 +17,7 @@ Result<PrivateFolder> PrivateFolder::open(const std::string& path) {
   PrivateFolder made;
   made.path_ = path;
   made.fd_ = ::open(path.c_str(), O_RDONLY | O_DIRECTORY | O_NOFOLLOW | O_CLOEXEC);
-  if (made.fd_ < 0) return system_error(errno, doing, path, "remove it, if it is no folder of this user");
+  if (made.fd_ < 0) return system_error(errno, doing, path, "remove it, if it is not a folder of this user");
   struct stat about {};
   if (::fstat(made.fd_, &about) != 0) return system_error(errno, doing, path, "");
   if (about.st_uid != ::geteuid())

@@ -1,4 +1,4 @@
-// Where a program keeps small files in memory that survive its kill and that only its user can touch.
+// A folder for small files in memory that survive a kill and that only the user can access.
 #pragma once
 
 #include <string>
@@ -8,7 +8,7 @@
 
 namespace rtdata::sqlite {
 
-/// A folder that is open: what is done in it is not led elsewhere by renaming.
+/// An open folder: renaming it does not redirect operations in it.
 class PrivateFolder {
  public:
   PrivateFolder() = default;
@@ -26,8 +26,8 @@ class PrivateFolder {
   int fd_ = -1;
 };
 
-/// Where it may be, best first: $RUNTIME_DIRECTORY, which a service manager makes; $XDG_RUNTIME_DIR/rtdata of a user
-/// who is logged in; /dev/shm/rtdata-UID.
+/// The possible folders, best first: $RUNTIME_DIRECTORY from a service manager; $XDG_RUNTIME_DIR/rtdata of a logged-in
+/// user; /dev/shm/rtdata-UID.
 std::vector<std::string> private_folders();
 
 }  // namespace rtdata::sqlite

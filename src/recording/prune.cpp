@@ -22,8 +22,8 @@ constexpr std::int64_t least_pages = 16;  // freed in one transaction, if there 
 Pruner::Pruner(std::uint64_t max_bytes, Duration max_age)
     : max_bytes_(max_bytes), max_age_(max_age), share_(max_bytes) {}
 
-/// Each run has a clock of its own, which may have been wrong when it began: what its times are on the line of the
-/// present run is told by the last that is known of the UTC of both.
+/// Each run has its own clock, which may have started wrong. The conversion to the present run's clock uses the latest
+/// UTC data of both.
 void Pruner::find_lines(Database& database, std::int64_t now) {
   lines_.clear();
   auto query = database.prepare(
@@ -80,7 +80,8 @@ void Pruner::find_tables(Database& database, std::int64_t now) {
           {&table.first, "SELECT _rowid_, time, run FROM " + name + " ORDER BY _rowid_ LIMIT 1"},
           {&table.last, ends + "ORDER BY _rowid_ DESC LIMIT 1 OFFSET 1"},
           {&table.at, "SELECT time, run FROM " + name + " WHERE _rowid_ >= ? ORDER BY _rowid_ LIMIT 1"},
-          // Up to the first that is not older, whatever comes after it: a clock may have been wrong in a later run.
+          // Up to the first row that is not older, without regard to later rows, because a later run's clock may have
+          // been wrong.
           {&table.up_to,
            "SELECT min(CASE WHEN time >= ?2 OR run <> ?3 THEN _rowid_ - 1 END), max(_rowid_) FROM (SELECT _rowid_, "
            "time, run "
@@ -284,7 +285,7 @@ void Pruner::delete_runs(Database& database, std::int64_t ended_before, std::int
   if (ended_before == std::numeric_limits<std::int64_t>::max()) may_have_runs_ = false;
 }
 
-/// Free pages are used again by the rows to come; those that make the file larger than it may be are given back.
+/// New rows reuse free pages; pages beyond the limit of the file are released.
 void Pruner::shrink(Database& database, const Pages& now) {
   const auto most = static_cast<std::int64_t>((max_bytes_ - max_bytes_ / 10) / static_cast<std::uint64_t>(now.bytes));
   const std::int64_t too_many = std::min(now.all - most, now.free);

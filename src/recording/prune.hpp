@@ -16,27 +16,27 @@
 
 namespace rtdata::sqlite {
 
-/// Runs of which no row is left go first. Then, of all topics alike, the rows before one instant are deleted, so that a
-/// fast sensor does not take the room of a slow one. In each table whole transactions go, and the last one stays, so
-/// that row numbers go on ascending. Thread: the writer's.
+/// First deletes runs without rows. Then deletes the rows of all topics before one instant, so that a fast sensor does
+/// not displace a slow one. Deletes whole transactions of each table and keeps the last one, so that row numbers keep
+/// increasing. Thread: the writer's.
 class Pruner {
  public:
   Pruner() noexcept = default;
   /// `max_bytes`, `max_age`: 0 is no limit.
   Pruner(std::uint64_t max_bytes, Duration max_age);
 
-  /// What is deleted from now on, the run with this number does.
+  /// Sets the run that deletes rows from now on.
   void begin(std::int64_t run) noexcept { run_ = run; }
   bool has_limits() const noexcept { return max_bytes_ > 0 || max_age_.count() > 0; }
-  /// What the log may take before it is brought into the database; 0: no limit.
+  /// The maximum size of the WAL file before a checkpoint; 0: no limit.
   std::uint64_t log_bytes() const noexcept { return max_bytes_ / 10; }
 
-  /// Within a transaction: deletes rows beyond the limits, about as much as a transaction may write. `now` is on the
-  /// line of the recorded times. `sums` gets what changes in the account. `positions`: of those who send the rows.
+  /// Within a transaction: deletes rows beyond the limits, about as many as a transaction may write. `now` is a
+  /// recorded time. `sums` gets changes of the account. `positions`: of the sinks that send the rows.
   void make_room(Database& database, AccountSums& sums, Positions& positions, Time now);
-  /// The last call did not delete all that is beyond the limits.
+  /// True if the last call did not delete everything beyond the limits.
   bool has_more() const noexcept { return has_more_; }
-  /// All rows that may be deleted are, and what is left is still too large.
+  /// True if all deletable rows are deleted and the file is still too large.
   bool is_exhausted() const noexcept { return is_exhausted_; }
   /// What the transaction has deleted of each table.
   struct Deleted {
@@ -45,7 +45,7 @@ class Pruner {
     std::int64_t up_to;  // the number of the last row
   };
   std::vector<Deleted> take_deleted() { return std::exchange(deleted_, {}); }
-  /// The statements are gone; before the database is closed, and when the transaction is.
+  /// Finalizes the statements, before the database is closed and after a rolled-back transaction.
   void close() noexcept {
     tables_.clear();
     deleted_.clear();
@@ -75,7 +75,7 @@ class Pruner {
   /// A run as the present one sees it.
   struct Line {
     std::int64_t shift = 0;      // added to its times, they are on the line of the present run
-    std::int64_t run_since = 0;  // ns that later runs took: its rows are at least so old, whatever its clock said
+    std::int64_t run_since = 0;  // duration of later runs in ns: the least age of its rows
   };
   struct Pages {
     std::int64_t all = 0, free = 0, bytes = 1;  // bytes: of one
@@ -89,7 +89,7 @@ class Pruner {
   };
   void find_lines(Database& database, std::int64_t now);
   Line line_of(std::int64_t run) const;
-  /// What is to go: rows from before `time`, and all of an earlier run that are `age` old at least.
+  /// What to delete: rows before `time`, and all rows of an earlier run that are at least `age` old.
   struct Limit {
     std::int64_t time;
     std::int64_t age = std::numeric_limits<std::int64_t>::max();
@@ -100,13 +100,12 @@ class Pruner {
   void find_tables(Database& database, std::int64_t now);
   void look_at(Table& table);
   Pages pages(Database& database);
-  /// `time`, or before it when no more rows need to go for the pages to come down to `goal`: the recording may have
-  /// pauses.
+  /// `time`, or an earlier time if that is enough to reduce the pages to `goal`; the recording may have pauses.
   std::int64_t end_of_step(std::int64_t time, const Pages& now, std::int64_t goal);
   /// Deletes some thousand rows of what is beyond the limit at most. The number of rows.
   std::int64_t delete_beyond(const Work& on, const Limit& limit);
-  /// Of tables that begin later than now (a device's clock is wrong, or the computer's was) the first rows: as much of
-  /// them as of the time that the others span.
+  /// Deletes the first rows of tables that begin in the future (a wrong clock), the same share as of the others' time
+  /// span.
   std::int64_t delete_part_of_future(const Work& on, std::int64_t now);
   /// The only place where rows are deleted: up to the end of the transaction that has this row, or of the one before.
   std::int64_t delete_rows(const Work& on, Table& table, std::int64_t row, const Limit& limit);

@@ -1,4 +1,4 @@
-// What the gaps of an origin without a schedule say of its outages.
+// Computes the outages of an origin without a schedule from its gaps.
 #pragma once
 
 #include <algorithm>
@@ -8,7 +8,7 @@
 
 namespace rtdata::detail {
 
-/// Of those that were joined only the whole stretch is known, in which there was data too.
+/// For joined gaps only the whole duration is known, in which there was data too.
 inline Outages outages_of(const std::vector<const RecordedGap*>& gaps) {
   Outages outages;
   for (const RecordedGap* gap : gaps) {

@@ -1,4 +1,4 @@
-// A topic's rows reduced to steps: of each number how many values there are, the least, the largest and the mean.
+// Reduces a topic's rows to steps: count, minimum, maximum and mean of each number.
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -64,7 +64,7 @@ bool add_fields(DescriptionBuilder& builder, const std::vector<Field>& fields, c
     if (!has_point(part)) part.name = names.free(std::move(part.name));
   for (Part& part : parts) {
     if (!has_point(part)) continue;
-    // "pressure.raw" beside "pressure": a point is in no name of a record.
+    // "pressure.raw" beside "pressure": no field of a record has a point in its name.
     std::replace(part.name.begin(), part.name.end(), '.', '_');
     part.name = names.free(std::move(part.name));
   }
@@ -252,7 +252,7 @@ class StepCursor final : public RowCursor {
     throw SetupError(at_row(*file_, topic_, run, statements_.front().text(2),
                             static_cast<std::uint64_t>(row.integer(0)),
                             {Errc::damaged, "cannot read a row", "field " + leaf.path,
-                             "it holds what is no " + std::string(name_of(leaf.kind)), ""}));
+                             "it holds a value that is not a valid " + std::string(name_of(leaf.kind)), ""}));
   }
 
   const std::shared_ptr<RecordingFile> file_;

@@ -80,8 +80,8 @@ std::int64_t application_id_of(Database& opened, const std::string& path) {
   } catch (const SetupError& error) {
     const int code = sqlite3_errcode(opened.raw()) & 0xff;
     if (sqlite3_extended_errcode(opened.raw()) == SQLITE_READONLY_ROLLBACK)
-      throw SetupError(no_recording(
-          path, "it was being made when its program ended, and nothing is in it: the next run makes it anew"));
+      throw SetupError(
+          no_recording(path, "its program ended while it made the file, which is empty: the next run makes it again"));
     Error why = error.error();
     if ((code == SQLITE_CANTOPEN || code == SQLITE_READONLY) && is_at_rest(path)) {
       opened = Database::open(path, Database::Mode::read_at_rest);
@@ -92,7 +92,7 @@ std::int64_t application_id_of(Database& opened, const std::string& path) {
       }
     }
     if (why.code == make_error_code(Errc::not_a_recording))
-      throw SetupError(no_recording(path, "it is no SQLite file"));
+      throw SetupError(no_recording(path, "it is not an SQLite file"));
     why.what = doing;
     why.where = path;
     throw SetupError(std::move(why));
@@ -103,7 +103,7 @@ Database open_file(const std::string& path) {
   struct stat status {};
   if (::stat(path.c_str(), &status) == 0) {
     if (!S_ISDIR(status.st_mode) && !S_ISREG(status.st_mode))
-      throw SetupError(no_recording(path, "it is no regular file"));
+      throw SetupError(no_recording(path, "it is not a regular file"));
     if (S_ISREG(status.st_mode) && status.st_size == 0) throw SetupError(no_recording(path, "the file is empty"));
     if (S_ISREG(status.st_mode) && ::access(path.c_str(), R_OK) != 0) {
       throw SetupError(system_error(errno, doing, path, "check the permissions of the file"));
@@ -213,7 +213,7 @@ Result<std::vector<RecordedTopic>> Recording::topics() const try {
     RecordedTopic topic{string_of(statement, 0), statement.integer(1), string_of(statement, 2), nullptr,
                         statement.integer(4)};
     if (!is_topic_name(topic.topic))
-      throw SetupError(file_->damaged("table rtdata_topic", "\"" + topic.topic + "\" is no name of a topic"));
+      throw SetupError(file_->damaged("table rtdata_topic", "\"" + topic.topic + "\" is not a name of a topic"));
     auto description = Description::from_json(statement.text(3));
     if (!description) throw SetupError(file_->damaged("topic " + topic.topic, description.error().text()));
     topic.description = std::move(*description);

@@ -1,4 +1,4 @@
-// What Recording, Rows, verify and summary share: the open file and snapshots of it.
+// The open file and snapshots of it, shared by Recording, Rows, verify and summary.
 #pragma once
 
 #include <cstddef>
@@ -17,12 +17,12 @@ struct RecordingFile {
   int snapshots = 0;
   bool is_of_server = false;  // made of what a server has
 
-  /// Like Database::prepare; what does not fit the schema is damaged.
+  /// Like Database::prepare; a mismatch with the schema is reported as damaged.
   sqlite::Statement prepare(const std::string& sql) const;
   Error damaged(std::string where, std::string why) const;
 };
 
-/// While one lives, all reads see the same state of the file. They nest.
+/// While it lives, all reads see the same state of the file. May be nested.
 class Snapshot {
  public:
   explicit Snapshot(std::shared_ptr<RecordingFile> file);
@@ -36,7 +36,7 @@ class Snapshot {
 
 /// Columns of `rows_in_order`, before those of the fields.
 enum FixedColumn { run_column, time_column, origin_column, sequence_column, fixed_columns };
-/// A filter, and what its times are on the line of each run.
+/// A filter, with its times converted to each run's clock.
 struct Selection {
   /// Errors: bad-name, bad-argument, those of reading.
   static Selection make(const Recording& recording, const RowFilter& filter);
@@ -47,7 +47,7 @@ struct Selection {
   };
   std::vector<Bounds> bounds;  // of each run when the filter's are in UTC
 };
-/// What rows of a table called t, or gaps, have to fulfil: SQL. Times are those of these columns.
+/// The SQL conditions for rows of a table called t, or for gaps. `from_column`, `until_column`: the time columns.
 std::string conditions(const Selection& selection, const char* from_column, const char* until_column);
 /// The same of the rows of a topic's table.
 std::string row_conditions(const Selection& selection);
@@ -57,13 +57,13 @@ void bind_conditions(sqlite::Statement& statement, const Selection& selection);
 /// the fixed ones, as `RowReader::columns` has it.
 sqlite::Statement rows_in_order(const RecordingFile& file, const RecordedTopic& topic, const Selection& selection,
                                 const std::string& columns);
-/// The line of the boot of a run that was recorded. A run that is not listed has none: its times stay.
+/// The UTC conversion of a recorded run's boot; none for an unlisted run, whose times do not change.
 UtcLine utc_line_of(const RecordingFile& file, std::int64_t run);
 /// An error with the row that it is of.
 Error at_row(const RecordingFile& file, const RecordedTopic& topic, std::int64_t run, std::string_view origin,
              std::uint64_t sequence, Error error);
 
-/// An error behind the row of this sequence, the last that could be read; 0: none could.
+/// An error after the row with this sequence, the last readable one; 0: none.
 Error behind_row(const RecordingFile& file, const RecordedTopic& topic, std::int64_t run, std::uint64_t sequence,
                  Error error);
 

@@ -30,7 +30,8 @@ Error failed(int reason, const std::string& path) {
   switch (reason) {
     case EACCES:
     case EPERM:
-      error.advice = "it is another user's: record as that one, or remove it when nobody records into the recording";
+      error.advice =
+          "it belongs to another user: record as that user, or remove it when no program records into the recording";
       break;
     case EROFS:
     case ENOENT:
@@ -49,7 +50,7 @@ Error failed(int reason, const std::string& path) {
 }
 
 Error no_lock_file(const std::string& path) {
-  return {Errc::not_permitted, "cannot lock the recording", path, "it is no regular file", "remove it"};
+  return {Errc::not_permitted, "cannot lock the recording", path, "it is not a regular file", "remove it"};
 }
 
 Error held(const std::string& recording, const std::string& holder, const char* advice) {
@@ -93,7 +94,7 @@ Result<RecordingLock> RecordingLock::take(const std::string& recording) {
       const bool is_own = holder == "process " + std::to_string(::getpid());
       return held(
           recording, holder,
-          is_own ? "this program itself has it open, or closes it still; record into another file" : to_stop_other);
+          is_own ? "this program itself has it open, or is still closing it; record into another file" : to_stop_other);
     }
     struct stat there {};
     if (::lstat(made.path_.c_str(), &there) == 0 && locked.st_ino == there.st_ino && locked.st_dev == there.st_dev) {

@@ -17,19 +17,19 @@ class RecordingLock {
   /// Locks the recording, which exists. `recording` is its real path, without symbolic links, so that all of its names
   /// have one lock. Errors: busy, naming the pid of the process that records into it; not-permitted.
   static Result<RecordingLock> take(const std::string& recording);
-  /// Whether `take` would do, but for what this process itself has locked. Makes and locks nothing. Errors: of `take`.
+  /// Checks that `take` would succeed, ignoring locks of this process. Makes and locks nothing. Errors: of `take`.
   static Result<void> check_free(const std::string& recording);
-  /// Nobody records into it, as far as this user may look.
+  /// True if nobody records into it, as far as this user can see.
   static bool is_free(const std::string& recording) noexcept;
   RecordingLock(RecordingLock&& other) noexcept;
   RecordingLock& operator=(RecordingLock&& other) noexcept;
   /// Unlocks. The file stays unless `remove` was called.
   ~RecordingLock();
 
-  /// What `note` wrote last, perhaps in a process that has ended; empty: nothing. Any user who may write the recording
-  /// may have written it: check what it names.
+  /// The last line of `note`, possibly from an ended process; empty: none. Any user with write permission may have
+  /// written it, so check its content.
   const std::string& noted() const noexcept { return noted_; }
-  /// Leaves a line for the next holder. Without it, that one looks for itself.
+  /// Writes a line for the next holder. Without it, that one searches itself.
   void note(std::string_view line) noexcept;
   /// Unlocks, and the file is gone.
   void remove() noexcept;

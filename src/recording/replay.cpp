@@ -183,7 +183,7 @@ void ReplayNode::give_event(Origin& origin, const ReplayPortion::Entry& entry) {
     ++counts.taken;
   }
   ++counts_.events;
-  core.topic.give_again(core, time, entry.sequence, jobs_[current_]->portion.payloads.data() + entry.at);
+  core.topic.republish(core, time, entry.sequence, jobs_[current_]->portion.payloads.data() + entry.at);
 }
 
 void ReplayNode::give_gap(Origin& origin, const Gap& recorded) {
@@ -261,7 +261,7 @@ void ReplayNode::end_account(Origin& origin, bool is_complete) noexcept {
     ticks -= std::min(ticks, segment.scheduled);
     for (Listener* listener : loop()->runtime.recorders) listener->on_segment(core, segment);
   }
-  core.topic.tell_taps_of_change(core);
+  core.topic.notify_taps(core);
 }
 
 void ReplayNode::give_sources() noexcept {
@@ -285,7 +285,7 @@ void ReplayNode::give_sources() noexcept {
         core.counts = counts;
         for (const Segment& segment : source.segments)
           for (Listener* listener : runtime.recorders) listener->on_segment(core, segment);
-        core.topic.tell_taps_of_change(core);
+        core.topic.notify_taps(core);
       } catch (const SetupError&) {  // something of that name is there, and has an account of its own
       }
     });
@@ -319,12 +319,12 @@ void ReplayNode::finish(const Result<void>& came) {
     loop()->runtime.report(loop(), "replay " + config_.name, how.error());
   }
   if (std::exchange(has_ref_, false)) loop()->unref();
-  tell_end(how && counts_.refused == 0);
+  report_end(how && counts_.refused == 0);
   if (!how) own_->begin_absence(Gap::Kind::disconnected, how.error().id(), loop()->now());  // what would have followed
   if (on_done) on_done(how);                                                                // last: it may close this
 }
 
-void ReplayNode::tell_end(bool is_complete) {
+void ReplayNode::report_end(bool is_complete) {
   LoopCore& on = *loop();
   const ReplayEnd end{run_.run, counts_.events, counts_.gaps, counts_.dropped, counts_.refused, is_complete};
   on.runtime.log(
@@ -345,7 +345,7 @@ void ReplayNode::halt() noexcept {
   if (std::exchange(has_ref_, false)) loop()->unref();
   loop()->call_own("replay", [&] {
     for (Origin& origin : origins_) end_account(origin, false);
-    tell_end(false);
+    report_end(false);
   });
 }
 

@@ -27,7 +27,7 @@ Result<std::optional<GivenTime>> given_time(const char* key, const std::string& 
     return std::optional<GivenTime>{{from_nanoseconds(ns), RowFilter::Times::recorded}};
   auto time = parse_iso8601(text);
   if (time) return std::optional<GivenTime>{{*time, RowFilter::Times::utc}};
-  return replay_refused(std::string(key) + " \"" + text + "\"", "it is no time",
+  return replay_refused(std::string(key) + " \"" + text + "\"", "it is not a time",
                         "write it as 2026-03-01T12:00:00Z, or as recorded ns");
 }
 
@@ -47,7 +47,7 @@ RunInfo chosen_run(const Recording& recording, const ReplayConfig& config) {
   for (RunInfo& run : runs) {
     if (run.state == RunState::recording && run.pid == ::getpid()) {
       throw SetupError(replay_refused(config.file,
-                                      "this program records into it: what is replayed would be recorded again",
+                                      "this program records into it: the replayed events would be recorded again",
                                       "record into another file"));
     }
     numbers += (numbers.empty() ? "" : ", ") + std::to_string(run.run);

@@ -1,4 +1,4 @@
-// What of a recording is replayed: which run, topics and times. Private to the replay.
+// Selects the run, topics and times of a replay. Private to the replay.
 #pragma once
 
 #include <cstdint>
@@ -27,7 +27,7 @@ Result<std::pair<std::string, std::string>> renaming_of(const std::string& text)
 /// The last one, if none is asked for. Errors: not-found, bad-argument (it records in this program), those of reading.
 RunInfo chosen_run(const Recording& recording, const ReplayConfig& config);
 
-/// When what is asked for of the run begins, on the run's line: not before its start. Errors: bad-argument, those of
+/// The begin of the requested part in the run's time, not before the run's start. Errors: bad-argument, those of
 /// reading.
 Time beginning_of(const Recording& recording, const RunInfo& run, const ReplayConfig& config);
 

@@ -1,4 +1,4 @@
-// One replay: gives what a recording holds to the topics, at its times. Private to the replay.
+// One replay: publishes a recording's events on the topics at their times. Private to the replay.
 #pragma once
 
 #include <cstdint>
@@ -60,7 +60,7 @@ class ReplayNode final : public SensorEntry, public Deadline {
 
   void choose_topics(const Recording& recording);
   void find_origins(const Recording& recording, RowFilter& filter, std::vector<ReplayOrigin>& known);
-  /// Of what is made of others: these, as far as their events are not given.
+  /// Finds source topics of derived topics whose events are not replayed.
   void find_sources(const Recording& recording, const std::vector<LedgerEntry>& ledger,
                     std::map<std::pair<std::string, std::string>, std::vector<Segment>>& segments);
   std::string renamed(const std::string& topic) const;
@@ -69,7 +69,7 @@ class ReplayNode final : public SensorEntry, public Deadline {
   void leave() noexcept;
 
   MonotonicTime due_of(std::int64_t time) const noexcept;
-  /// Until one is to be given later; then it is `due`. False: there is none at hand.
+  /// Publishes due events; sets `due` for the next one. False: no event is available.
   bool give_due(MonotonicTime now);
   void give(const ReplayPortion::Entry& entry);
   void give_event(Origin& origin, const ReplayPortion::Entry& entry);
@@ -83,12 +83,12 @@ class ReplayNode final : public SensorEntry, public Deadline {
   void finish(const Result<void>& how);
   /// Nothing more is given.
   void halt() noexcept;
-  /// The end of a whole run, whose accounts say how many events there are.
+  /// Checks at the end of a whole run that all events of its accounts were published.
   Result<void> look_whether_all_came() const;
   void end_account(Origin& origin, bool is_complete) noexcept;
-  /// The accounts of what the events are made of and that has none itself, of a whole run.
+  /// Publishes the accounts of source topics without events, for a whole run.
   void give_sources() noexcept;
-  void tell_end(bool is_complete);
+  void report_end(bool is_complete);
 
   void on_close() noexcept override;
   void drop_callbacks() noexcept override { on_done.reset(); }

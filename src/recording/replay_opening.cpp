@@ -68,7 +68,7 @@ ReplayNode::ReplayNode(LoopCore& loop, ReplayConfig config)
   loop.runtime.log(
       goes_on ? LogLevel::warning : LogLevel::info, "replay " + config_.name,
       "run " + std::to_string(run_.run) + " of " + config_.file + ", from " + from_utc +
-          (goes_on ? "; it is still being recorded, or was not sealed: what it holds now is replayed" : ""));
+          (goes_on ? "; it is still being recorded, or was not sealed: its present rows are replayed" : ""));
   lane_->submit(jobs_[0]);
 }
 
@@ -130,7 +130,7 @@ void ReplayNode::find_origins(const Recording& recording, RowFilter& filter, std
                       std::string(!is_aligned_                     ? "the loop's time is not that of the run"
                                   : run_.state == RunState::closed ? "it is not replayed as a whole"
                                                                    : "the run was not closed") +
-                          ": what is recorded of it again has no schedule, its gaps are silent ones");
+                          ": a new recording of it has no schedule, and its gaps are silent ones");
 }
 
 void ReplayNode::find_sources(const Recording& recording, const std::vector<LedgerEntry>& ledger,

@@ -1,4 +1,4 @@
-// What a replay reads, in portions, on its lane.
+// Reads a recording in portions, on the replay's lane.
 #pragma once
 
 #include <atomic>
@@ -101,7 +101,8 @@ class ReplayJob final : public LaneJob {
   const std::shared_ptr<ReplaySource> source_;
 };
 
-/// The text for as long as the program runs, as the reason of a gap must live; "several" for what is one too many.
+/// Returns a copy of the text that lives as long as the program, as needed for the reason of a gap; "several" if there
+/// are too many.
 std::string_view kept_reason(std::string_view text);
 std::optional<Gap::Kind> gap_kind(std::string_view name) noexcept;
 

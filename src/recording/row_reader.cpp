@@ -29,7 +29,7 @@ std::string found(sqlite3_value* stored) {
   }
 }
 
-/// What is stored as `write` takes it; false when it does not fit the kind.
+/// Converts the stored value for `write`; false if it does not fit the kind.
 bool convert(sqlite3_value* stored, const Leaf& leaf, Value& value) {
   const int type = sqlite3_value_type(stored);
   switch (leaf.kind) {
@@ -83,7 +83,7 @@ void store(std::byte* to, T value) {
   std::memcpy(to, &value, sizeof value);
 }
 
-/// What is most of all recordings, without a Value in between.
+/// Reads the most common values directly, without a Value.
 bool read_plain(sqlite3_value* stored, const Leaf& leaf, std::byte* payload) {
   if (leaf.optional != nullptr) return false;
   const int type = sqlite3_value_type(stored);

@@ -1,4 +1,4 @@
-// What lies behind Rows: cursors over tables, gaps and steps, merged in order of run and time.
+// The implementation of Rows: cursors over tables, gaps and steps, merged in order of run and time.
 #pragma once
 
 #include <cstdint>
@@ -71,7 +71,7 @@ std::unique_ptr<RowCursor> make_table_cursor(const RecordingFile& file, Recorded
                                              const Selection& selection);
 /// The gaps of all topics that are selected.
 std::unique_ptr<RowCursor> make_gap_cursor(const RecordingFile& file, const Selection& selection);
-/// What the queries of steps call, on a connection.
+/// Registers the SQL functions for steps on a connection.
 void provide_steps(const sqlite::Database& database);
 /// A topic's table in steps.
 std::unique_ptr<RowCursor> make_step_cursor(const Recording& recording, RecordedTopic topic, const Selection& selection,

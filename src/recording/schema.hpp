@@ -26,7 +26,7 @@ inline constexpr int columns_before_fields = 5;
 
 /// Of what was recorded before version 0.1.0.
 inline constexpr int application_id_before = 0x52544441;
-inline constexpr const char* written_before = "it is a recording from before version 0.1.0, whose format is another";
+inline constexpr const char* written_before = "it is a recording of a version before 0.1.0, which had another format";
 inline constexpr const char* advice_before = "export it with the rtdata that recorded it, or record into another file";
 
 inline constexpr const char* schema = R"sql(
@@ -38,7 +38,7 @@ CREATE TABLE IF NOT EXISTS rtdata_run(
   host TEXT NOT NULL, boot_id TEXT NOT NULL, pid INTEGER NOT NULL,
   started INTEGER NOT NULL,         -- time of the start
   ended INTEGER,                    -- time of the last account
-  clock_offset INTEGER NOT NULL,    -- recorded time minus the monotonic line
+  clock_offset INTEGER NOT NULL,    -- recorded time minus the monotonic clock
   state TEXT NOT NULL,              -- recording, closed, sealed (not closed, or a tier hung at its beginning or end)
   lost INTEGER,                     -- of a sealed run: events published and not stored; NULL: not known
   remark TEXT NOT NULL DEFAULT '',  -- what is known of what is not known

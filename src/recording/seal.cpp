@@ -15,7 +15,7 @@ struct OpenRun {
   std::int64_t run;
   std::string uuid;
   std::int64_t ended;
-  std::string remark;  // not empty: its account lacks something anyway
+  std::string remark;  // not empty: its account is incomplete anyway
 };
 
 /// The tables of a topic that may hold rows of the run, newest version first.
@@ -65,7 +65,7 @@ std::vector<LedgerRow> ledger_of(Database& database, std::int64_t run, const std
   return rows;
 }
 
-/// Counts the rows of the run that came after what the ledger says of their origin.
+/// Counts the rows of the run that are newer than the ledger's account of their origin.
 void add_later_rows(Database& database, const std::string& table, std::int64_t run, std::vector<LedgerRow>& ledger,
                     std::int64_t& last_time) {
   std::unordered_map<std::string_view, LedgerRow*> by_origin;
@@ -91,7 +91,7 @@ void add_later_rows(Database& database, const std::string& table, std::int64_t r
   }
 }
 
-/// Of what came after the account, a limit may have deleted rows, too.
+/// A limit may also have deleted rows newer than the account.
 void add_pruned_rows(Database& database, const std::vector<std::string>& tables, std::int64_t run,
                      std::vector<LedgerRow>& ledger) {
   if (std::none_of(ledger.begin(), ledger.end(), [](const LedgerRow& row) { return row.pruned > 0; })) return;
@@ -114,9 +114,9 @@ void add_pruned_rows(Database& database, const std::vector<std::string>& tables,
   }
 }
 
-/// Brings the ledger of one topic in line with its rows. Adds to `lost`; it stays unknown (negative) without live
-/// counts. A disk that is taken away, or fails, may lose the last transactions although it said that it had them: adds
-/// the rows that had been committed and are not there to `lost_by_disk`.
+/// Corrects the ledger of one topic to match its rows. Adds to `lost`, which stays unknown (negative) without live
+/// counts. A removed or failed disk may lose transactions that it had confirmed: adds committed but missing rows to
+/// `lost_by_disk`.
 void seal_topic(Database& database, const OpenRun& run, const std::string& topic, LiveFile* live, std::int64_t& lost,
                 std::int64_t& lost_by_disk, std::int64_t& last_time) {
   auto rows = ledger_of(database, run.run, topic);
@@ -189,7 +189,7 @@ std::string seal_run(Database& database, const OpenRun& run, LiveFile* live, Acc
                           : "; lost " + std::to_string(lost) + " events, published and not yet committed";
   if (lost_by_disk != 0) {
     remark += "; at least " + std::to_string(lost_by_disk) +
-              " of them had been committed, and the disk has lost them: what it holds is up to an earlier transaction";
+              " of them had been committed, and the disk has lost them: it has the data up to an earlier transaction";
   }
   auto update = database.prepare(
       "UPDATE rtdata_run SET state = 'sealed', ended = ?, lost = ?, remark = ? WHERE run = ?");

@@ -136,7 +136,8 @@ GapTicks gap_ticks(Database& database, const KilledOrigin& killed) {
   return ticks;
 }
 
-/// Raises the counts to what the gaps prove: those of a sensor on another loop come later than its gaps and its events.
+/// Raises the counts to the values proved by the gaps, because the counts of a sensor on another loop are stored later
+/// than its gaps and events.
 void add_gaps(Account& account, const GapTicks& gaps, bool has_events) {
   SensorCounts& s = account.counts;
   Segment& segment = account.segment;
@@ -206,8 +207,8 @@ void seal_account(Database& database, const KilledOrigin& killed, const LiveAcco
   LiveGap open = kept.under_way;
   if (open.is_there && !account.counts.has_schedule) open.last = std::max(open.last, last_time);
   if (account.counts.has_schedule && closed.is_there) {
-    // Ticks that neither the recording nor the gap under way has. That of the recording with the same beginning counts
-    // as what it has become.
+    // Ticks that are in neither the recording nor the open gap. A recorded gap with the same begin is an earlier state
+    // of it.
     auto closed_there = ticks_in(database, killed, closed);
     std::int64_t others = known.count - closed_there;
     if (open.is_there) {

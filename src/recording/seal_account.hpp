@@ -1,4 +1,4 @@
-// What a live file knows of an origin of a run that was killed, written into the recording.
+// Writes the account of an origin from the live file of a killed run into the recording.
 #pragma once
 
 #include <cstdint>
@@ -16,8 +16,8 @@ struct KilledOrigin {
   std::int64_t offered;  // as is known now
 };
 
-/// Within a transaction: brings ledger, schedule and gaps of the origin up to what is known of its end. `last_time`
-/// becomes that of its last tick, if it is later.
+/// Within a transaction: updates ledger, schedule and gaps of the origin to the last known state. Sets `last_time` to
+/// the time of its last tick if that is later.
 void seal_account(Database& database, const KilledOrigin& killed, const LiveAccount& kept, std::int64_t& last_time);
 
 }  // namespace rtdata::sqlite

@@ -207,9 +207,9 @@ Position SqliteFeed::position_now(const Table& table, Position position) {
   const std::string last = position.sequence == 0 ? ""
                                                   : "the event that was sent last, " + position.origin + " " +
                                                         std::to_string(position.sequence) + ", is not there; ";
-  remarks_.push_back(of + last +
-                     "the rows of the recording have other numbers than before, or it is an older copy: all of it "
-                     "is sent");
+  remarks_.push_back(
+      of + last +
+      "the rows of the recording have other numbers than before, or it is an older copy: all of its events are sent");
   return beginning_of(table);
 }
 
@@ -335,7 +335,7 @@ Result<bool> SqliteFeed::fill(detail::SinkQueue& queue) try {
     }
   };
   take_turns(false);
-  // By the final account a receiver tells whether it has everything: it goes out when all else is settled.
+  // The final account is sent after everything else, because a receiver uses it to check completeness.
   if (marks_.empty()) take_turns(true);
   if (!tables_.empty()) next_table_ = (next_table_ + 1) % tables_.size();
   if (marks_.empty()) {  // all that was left are rows that cannot be read
@@ -375,7 +375,7 @@ void SqliteFeed::settled(std::size_t rows) noexcept {
     for (Table& table : tables_) {
       if (std::exchange(table.has_moved, false)) positions_->settle(config_.sink, table.topic.table, table.done);
     }
-  } catch (...) {  // no memory: the position in the file stays behind, and a start sends some again
+  } catch (...) {  // no memory: the stored position is not updated, and the next start sends some rows again
   }
   update_counts();
 }

@@ -1,4 +1,4 @@
-// Feeds a sink with the rows of a recording, from its position on.
+// Supplies a sink with the rows of a recording, from its position on.
 #pragma once
 
 #include <atomic>
@@ -20,7 +20,7 @@ namespace rtdata::sqlite {
 
 class SqliteFeed final : public detail::RowFeed {
  public:
-  /// Touches no file. The recording's next transaction says that the sink is there.
+  /// Opens no file. The recording's next transaction registers the sink.
   SqliteFeed(std::string path, std::shared_ptr<Positions> positions, detail::RowFeedConfig config);
   ~SqliteFeed() override;
 
@@ -72,29 +72,29 @@ class SqliteFeed final : public detail::RowFeed {
   };
 
   void open();
-  /// What the file knows of the sink when it comes.
+  /// Reads the stored data of the sink at the start.
   void look_at_beginning();
-  /// Tables that are new, what was deleted, and the last row of each.
+  /// Checks for new tables and deleted rows, and reads the last row of each table.
   void look();
   void look_at(Table& table);
-  /// Rows up to this one are gone.
+  /// Counts deleted rows up to this one.
   void count_deleted(Table& table, std::int64_t up_to) noexcept;
-  /// Goes on after those, when nothing of the table is in the queue.
+  /// Skips deleted rows if nothing of the table is in the queue.
   void pass_deleted(Table& table);
-  /// After VACUUM, which numbers the rows anew.
+  /// Finds the position again after VACUUM, which renumbers the rows.
   void find_again(Table& table);
-  /// Of the oldest row that waits, when none is in the queue.
+  /// Reads the oldest waiting row if none is in the queue.
   void look_at_oldest();
   bool has_rows_in_queue() const noexcept { return settled_ < marks_.size(); }
   void prepare(Table& table, RecordedTopic topic);
   bool is_wanted(std::string_view topic) const noexcept;
-  /// Where to go on in a table: as it is stored, if that still fits.
+  /// The stored position in a table, if it is still valid.
   Position position_in(const Table& table);
   /// After the last row that is there.
   Position end_of(const Table& table);
   /// Before the first row that is there.
   Position beginning_of(const Table& table);
-  /// Where a position of before is now.
+  /// The present row of an earlier position.
   Position position_now(const Table& table, Position position);
   std::int64_t number(const std::string& sql, const Position& position);
   /// Puts rows into the queue, so many at most. The number of rows.

@@ -1,4 +1,4 @@
-// How the SQLite writer begins: opens and locks the file, makes its tables, seals older runs, begins its own.
+// Opening of the SQLite writer: opens and locks the file, makes its tables, seals older runs, begins its own.
 #include <unistd.h>
 
 #include "recording/schema.hpp"
@@ -64,7 +64,7 @@ void SqliteWriter::begin_in(const std::string& recording) {
   std::vector<LiveFile> used;
   auto remarks = seal_runs(database_, recording, lock_.noted(), sums_, used);
   begin_run();
-  // A program that is killed again and again as soon as it has started stores nothing, but its runs take room.
+  // A program that is repeatedly killed at its start stores no rows, but its runs take space.
   if (pruner_.has_limits()) pruner_.make_room(database_, sums_, *positions_, info_.started);
   sums_.write(database_);
   if (auto made = LiveFile::make(recording, info_.uuid)) {
@@ -89,7 +89,8 @@ void SqliteWriter::begin_in(const std::string& recording) {
     lock_.note(live_.path());
   }
   remarks_ = std::move(remarks);
-  // The start after a power cut is to find this run, and what was known of those that were killed, whose live files go.
+  // The next start after a power failure must find this run, and the sealed data of killed runs, whose live files are
+  // removed now.
   if (config_.profile == SqliteProfile::normal) sync().or_throw();
   for (LiveFile& one : used) one.remove();
   LiveFile::remove_left(recording);
@@ -118,8 +119,8 @@ void SqliteWriter::configure() {
   database_.execute(sql);
   auto bytes = database_.integer("PRAGMA page_size");
   page_bytes_ = static_cast<int>(bytes);
-  // Without memory SQLite may roll a transaction back within a statement that it then runs once more, by itself, after
-  // a change of the schema: outside of the transaction. What would be committed so is refused.
+  // Without memory SQLite may roll a transaction back within a statement and then repeat the statement outside the
+  // transaction, after a change of the schema. Such a commit is refused.
   sqlite3_commit_hook(
       database_.raw(), [](void* is_in_transaction) { return *static_cast<bool*>(is_in_transaction) ? 1 : 0; },
       &is_in_transaction_);

@@ -42,8 +42,8 @@ std::unique_ptr<Writer> make_writer(Loop& loop, const SqliteConfig& config) {
 
 namespace sqlite {
 
-/// The first bytes of a file. By SQLite: a process that opens and closes a database itself drops the locks (fcntl) by
-/// which SQLite, in the same process, has it open.
+/// Reads the first bytes of a file through SQLite: closing the file directly would drop the fcntl locks of SQLite in
+/// the same process.
 static bool read_head(const std::string& path, void* head, int size) try {
   const auto database = Database::open(path, Database::Mode::read);
   sqlite3_file* file = nullptr;
@@ -59,7 +59,7 @@ Result<void> check_path(const std::string& path) {
     return Error{Errc::bad_argument, "cannot record into", path, std::move(why), advice};
   };
   if (path == ":memory:" || path.starts_with("file:"))
-    return refuse("to SQLite this is no path of a file", "write ./ before it, or choose another path");
+    return refuse("to SQLite this is not a path of a file", "write ./ before it, or choose another path");
   std::error_code failed;
   const std::filesystem::path whole = std::filesystem::absolute(path, failed);
   const long limit = ::pathconf(whole.parent_path().c_str(), _PC_NAME_MAX);
@@ -116,7 +116,7 @@ Result<void> check_recordable(const std::string& path) {
     return Error{code, "cannot record into", path, std::move(why), advice};
   };
   if (got < static_cast<off_t>(head.size()) || std::memcmp(head.data(), magic.data(), magic.size()) != 0)
-    return refuse(Errc::not_a_recording, "it is no SQLite file", "choose another path");
+    return refuse(Errc::not_a_recording, "it is not an SQLite file", "choose another path");
   struct stat log {};
   if (::stat((path + "-wal").c_str(), &log) == 0 && log.st_size > 0) return {};  // what holds is in there
   const std::uint32_t page = number_at(14) & 0xffff;                             // 1 stands for 65536

@@ -1,5 +1,5 @@
-// What the SQLite writer does between transactions: brings the log into the file, notices that another program has cut
-// it off or moved the file, and watches the sizes.
+// Work of the SQLite writer between transactions: checkpoints the WAL file, detects that another program has truncated
+// it or moved the file, and watches the sizes.
 #include <sys/stat.h>
 #include <sys/statvfs.h>
 
@@ -10,8 +10,8 @@
 namespace rtdata::sqlite {
 namespace {
 
-// A log that stays small stays in the caches. One that fills slowly holds the same pages again and again, and a
-// checkpoint writes each of them once: the later, the less is written.
+// A small WAL file stays in the caches. A slowly growing one holds the same pages many times, and a checkpoint writes
+// each page once, so late checkpoints write less.
 constexpr std::uint64_t log_bytes_at_most = std::uint64_t{4} << 20;
 constexpr std::uint64_t log_bytes_when_fast = std::uint64_t{1} << 20;
 constexpr std::size_t rows_when_fast = 1000;  // in a transaction
@@ -36,7 +36,7 @@ bool SqliteWriter::is_log_cut_off() {
   if (is_log_lost_) return true;
   const std::int64_t size = log_size();
   if (size < 0 || size >= log_bytes_) return false;
-  // Another program may have brought all of it into the file and emptied it: then there is nothing to be read from it.
+  // Another program may have checkpointed and emptied it; then it has nothing to read.
   return size != 0 || !checkpoint(SQLITE_CHECKPOINT_PASSIVE);
 }
 
@@ -47,7 +47,7 @@ bool SqliteWriter::has_moved() {
 
 void SqliteWriter::tend_log() {
   if (is_log_cut_off()) {
-    // What the file has is whole, up to the last checkpoint: with what is left of the log it would not be.
+    // The file is consistent up to the last checkpoint; applying the rest of the WAL file would damage it.
     (void)sqlite3_db_config(database_.raw(), SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, 1, nullptr);
     is_log_lost_ = true;
     throw SetupError({Errc::closed, "recording has ended", config_.path,
@@ -63,7 +63,7 @@ void SqliteWriter::tend_log() {
     const Positions::HoldOff hold_off(*positions_);
     checkpoint(SQLITE_CHECKPOINT_PASSIVE).or_throw();
     log_pages_ = 0;
-    // A reader that always has something to read keeps the log from beginning anew: wait for a moment without one.
+    // A permanent reader prevents the WAL file from restarting, so wait for a moment without readers.
     if (limit != 0 && bytes >= limit && now - readers_waited_for_at_ >= reader_wait_interval) {
       readers_waited_for_at_ = now;
       sqlite3_busy_timeout(database_.raw(), reader_wait_ms);

@@ -49,8 +49,7 @@ Result<void> SqliteWriter::open() try {
       throw;
     }
   }
-  // The run is in the database whatever becomes of the log. An error here shows again, and is reported, when the log is
-  // full.
+  // Writes the run into the database itself. An error here occurs again, and is reported, when the WAL file is full.
   if (!checkpoint(SQLITE_CHECKPOINT_PASSIVE)) log_bytes_ = std::max<std::int64_t>(log_size(), 0);
   for (auto [statement, sql] : {std::pair{&begin_, "BEGIN IMMEDIATE"}, std::pair{&commit_, "COMMIT"}}) {
     if (*statement) continue;
@@ -82,7 +81,7 @@ StorePace SqliteWriter::pace() const {
   const bool is_card = config_.profile == SqliteProfile::card;
   const std::uint64_t of_limit = config_.max_bytes == 0 ? batch_bytes : config_.max_bytes / 20;
   Duration account_time = is_card ? account_interval_of_card : account_interval;
-  // The time of the account says what is too old; that of an event may be a device's, and wrong.
+  // The age limit uses the account's time, because an event's time may come from a device with a wrong clock.
   if (config_.max_age.count() > 0)
     account_time = std::clamp<Duration>(config_.max_age / 50, std::chrono::seconds{1}, account_time);
   return {static_cast<std::size_t>(std::min<std::uint64_t>(batch_bytes, of_limit)), account_time, account_events,
@@ -117,7 +116,7 @@ Result<void> SqliteWriter::add_topic(std::uint32_t, std::string_view topic, cons
   if (!fits || is_counting_) return fits;
   const std::lock_guard lock(opening_mutex_);
   has_topics_ = true;
-  // A kill before the loop has heard that the run has begun: what was published until then is not known.
+  // If the program is killed before the loop knows that the run has begun, the events published until then are unknown.
   if (std::exchange(counts_without_topics_, false)) live_.pause_counting();
   return fits;
 }
@@ -169,7 +168,7 @@ Result<void> SqliteWriter::write(Batch& batch) try {
 }
 
 void SqliteWriter::write_part(Batch& batch, Batch::Iterator& next) {
-  // Before the rows, not after them: what fails here must not make them come again when they are stored already.
+  // Before the rows, so that an error here does not repeat rows that are already stored.
   tend_log();
   no_utf8_.begin_batch();
   try {
@@ -254,7 +253,7 @@ TopicTable* SqliteWriter::table_of(const Record& record) {
     table = std::make_unique<TopicTable>(
         TopicTable::prepare(database_, *record.info, run_, no_utf8_, sums_, new_views_));
   } catch (const SetupError& error) {
-    // What SQLite itself refuses (there is something else of that name) stays so; all else may get better.
+    // An error of SQLite itself (another object has the name) is permanent; other errors may pass.
     Error why = error.error();
     if (sqlite3_errcode(database_.raw()) != SQLITE_ERROR && why.code != Errc::bad_description) throw;
     why.what = "cannot make a table for topic " + record.info->topic;
@@ -288,7 +287,7 @@ void SqliteWriter::rolled_back() {
 }
 
 Result<void> SqliteWriter::flush() try {
-  // What a transaction does not delete at once follows in others, for as long as it takes to come near to the limit.
+  // Further transactions delete the rest until the limit is nearly reached.
   constexpr int most_transactions = 100;
   tend_log();
   for (int i = 0; i < most_transactions && pruner_.has_more(); ++i) prune();

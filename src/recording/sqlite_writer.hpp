@@ -41,8 +41,8 @@ class SqliteWriter final : public RecordingWriter {
   SqliteWriter(const SqliteConfig& config, RunInfo run);
 
   Opening opening() const override { return Opening::at_set_up; }
-  /// Opens and locks the file, brings it to this format, seals runs that ended without closing (remarks tell of them),
-  /// and begins a run.
+  /// Opens and locks the file, updates its format, seals runs that ended without closing (reported as remarks), and
+  /// begins a run.
   Result<void> open() override;
   Result<void> write(Batch& batch) override;
   Result<void> flush() override;
@@ -61,7 +61,7 @@ class SqliteWriter final : public RecordingWriter {
   StorePace pace() const override;
 
  private:
-  /// What `open` does once. Errors leave things behind: see `forget`.
+  /// The work of `open`. After an error call `forget`.
   void begin();
   void begin_in(const std::string& recording);
   /// Nothing has been opened yet.
@@ -73,14 +73,14 @@ class SqliteWriter final : public RecordingWriter {
   void write_rows(Batch& batch, Batch::Iterator& next, std::size_t& rows);
   /// The topic's table; null when it can never be made: then `untaken_` has the reason.
   TopicTable* table_of(const Record& record);
-  /// What can be stored of the batch in one transaction, from `next` on, which is moved: all of it, with its account,
-  /// or the rows until enough new tables are made.
+  /// Stores as much of the batch as one transaction may hold, from `next` on, and advances `next`: everything with the
+  /// account, or rows until enough new tables are made.
   void write_part(Batch& batch, Batch::Iterator& next);
   /// The transaction of it. Returns how many rows it has.
   std::size_t store(Batch& batch, Batch::Iterator& next);
   /// The file is no longer at its path.
   bool has_moved();
-  /// The log was truncated from outside before all of it was in the file.
+  /// True if another program truncated the WAL file before it was completely in the database.
   bool is_log_cut_off();
   std::int64_t log_size();
   /// After a transaction has committed, and after it was given up.
@@ -94,7 +94,7 @@ class SqliteWriter final : public RecordingWriter {
   /// Work of our own, between two batches.
   template <class Work>
   void transaction(Work&& work);
-  /// Between two transactions: brings the log into the database when it is time.
+  /// Between two transactions: checkpoints the WAL file if due.
   void tend_log();
   Result<void> checkpoint(int mode);
   void look_at_space();
@@ -108,7 +108,7 @@ class SqliteWriter final : public RecordingWriter {
   AccountSums sums_;
   RecordingLock lock_;  // given up last of what follows
   LiveFile live_;
-  // While it is opened the loop counts in memory of its own: the live file tells all only if there is no topic yet.
+  // During opening the loop counts in its own memory, so the live file is complete only if there is no topic yet.
   std::mutex opening_mutex_;
   bool has_topics_ = false;  // guarded by the mutex, as is the next
   bool counts_without_topics_ = false;
@@ -131,7 +131,7 @@ class SqliteWriter final : public RecordingWriter {
   std::atomic<bool> has_feeds_{false};
   Pruner pruner_;
   bool is_too_large_ = false;  // and this was reported
-  bool log_is_read_ = false;   // by another program: so it could not begin anew the last time
+  bool log_is_read_ = false;   // by another program, so it could not restart the last time
   Time now_{};                 // of the last account
   using SteadyTime = std::chrono::steady_clock::time_point;
   SteadyTime readers_waited_for_at_{};
@@ -146,12 +146,11 @@ class SqliteWriter final : public RecordingWriter {
   std::shared_ptr<const RunReport> recorded_;  // once it is closed
 };
 
-/// SQLite opens the path, and not something else that it takes it for; and there is room in it for the names beside.
+/// Checks that SQLite treats the path as a file path, and that the companion files' names are not too long.
 Result<void> check_path(const std::string& path);
 
-/// Within a transaction: seals every run that is still marked as recording, with what has survived of it. The caller
-/// holds the lock of the recording, in which `noted` was found. Adds what is then useless to `used`. Returns a remark
-/// for each.
+/// Within a transaction: seals every run still marked as recording, using its surviving live file. The caller holds the
+/// recording's lock, which had the text `noted`. Adds live files to remove to `used`. Returns a remark for each run.
 std::vector<std::string> seal_runs(Database& database, const std::string& recording, const std::string& noted,
                                    AccountSums& sums, std::vector<LiveFile>& used);
 

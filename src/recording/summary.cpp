@@ -1,4 +1,4 @@
-// What each topic of a run came to: rows, rates, lateness, losses.
+// The summary of each topic of a run: rows, rates, lateness, losses.
 #include <algorithm>
 #include <array>
 #include <bit>
@@ -23,7 +23,7 @@ class Histogram {
   }
   std::uint64_t total() const noexcept { return total_; }
   Duration largest() const noexcept { return Duration{static_cast<std::int64_t>(largest_)}; }
-  /// The value that this part of all is not above.
+  /// The value below which this part of all values lies.
   Duration percentile(double part) const {
     auto wanted = static_cast<std::uint64_t>(part * static_cast<double>(total_));
     if (static_cast<double>(wanted) < part * static_cast<double>(total_)) ++wanted;

@@ -50,7 +50,7 @@ bool starts_with(const std::string& name, const char* start) {
   return ::sqlite3_strnicmp(name.c_str(), start, static_cast<int>(std::strlen(start))) == 0;
 }
 
-/// Tables of ours and of SQLite's own are out of reach of topics.
+/// Keeps names of topics' tables apart from our own tables and SQLite's.
 std::string table_name(const std::string& topic, std::int64_t version) {
   std::string name = starts_with(topic, "rtdata_") || starts_with(topic, "sqlite_") ? "topic~" + topic : topic;
   if (version > 1) name += "~" + std::to_string(version);
@@ -87,7 +87,7 @@ std::vector<const Leaf*> leaves_in_order(const Database& database, const std::st
   return leaves;
 }
 
-/// Binds a value and hashes what SQLite will give back for it.
+/// Binds a value and hashes the form in which SQLite returns it.
 void bind_value(sqlite3_stmt* statement, int index, const Leaf& leaf, const Value& value, RowHash& hash) {
   struct Binder {
     sqlite3_stmt* statement;
@@ -206,8 +206,8 @@ TopicTable TopicTable::prepare(Database& database, const SlotInfo& slot, std::in
   table.topic_ = slot.topic;
   table.run_ = run;
   auto order = leaves_in_order(database, name, description);
-  // Whatever fails, the batch is rolled back and comes again: OR ROLLBACK spares SQLite a journal for each statement.
-  // In the order of the table's columns it moves no value twice.
+  // After any failure the batch is rolled back and repeated, so OR ROLLBACK saves SQLite a journal for each statement.
+  // The order of the table's columns avoids moving values twice.
   std::string into = "INSERT OR ROLLBACK INTO " + quoted(name) + "(run, time, origin, sequence";
   std::string values = "(" + std::to_string(run) + ",?,?,?";
   for (const Leaf* leaf : order) {

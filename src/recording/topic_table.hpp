@@ -1,4 +1,4 @@
-// The table of one topic in a recording: made, found or extended, and filled.
+// The table of one topic in a recording: finds, makes or extends it, and inserts rows.
 #pragma once
 
 #include <cstdint>
@@ -15,15 +15,15 @@
 
 namespace rtdata::sqlite {
 
-/// Whether a table can have a column for each of its values. Errors: bad-description.
+/// Checks that a table can have a column for each value. Errors: bad-description.
 Result<void> check_columns(std::string_view topic, const Description& description);
 
 class TopicTable {
  public:
-  /// Within a transaction. Finds the table that this description fits; one whose fields are the first part of it gets
-  /// the further columns; otherwise a new table is made. Errors: those of the database, bad-name.
-  /// Texts that are no UTF-8 are counted in `no_utf8`, which outlives the table. What changes in rtdata_topic goes into
-  /// `sums`. The view of a new table is left in `views`, to be made within the same transaction.
+  /// Within a transaction: finds the table for this description. A table with only the first fields gets the missing
+  /// columns; otherwise makes a new table. Errors: those of the database, bad-name. `no_utf8` counts texts that are not
+  /// UTF-8 and must outlive the table. `sums` gets changes of rtdata_topic. Adds the view of a new table to `views`,
+  /// which must be made in the same transaction.
   static TopicTable prepare(Database& database, const SlotInfo& slot, std::int64_t run, detail::EscapedTexts& no_utf8,
                             AccountSums& sums, NewUtcViews& views);
 

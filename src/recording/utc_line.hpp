@@ -1,4 +1,4 @@
-// The table rtdata_utc: the UTC line of each boot, which the views apply. All of it can be computed from rtdata_clock.
+// The table rtdata_utc: the UTC conversion of each boot, used by the views. It can be computed from rtdata_clock.
 #pragma once
 
 #include <string>
@@ -14,9 +14,9 @@ std::vector<RecordedClock> clock_pairs(const Database& database, const std::stri
 /// The pairs that the runs of one boot recorded.
 std::vector<RecordedClock> clock_pairs_of_boot(const Database& database, std::string_view boot_id);
 
-/// Within a transaction: brings the boot's stretches in line with its pairs; those that did not change are not touched.
+/// Within a transaction: updates the boot's stretches from its pairs; does not write unchanged ones.
 void write_utc_line(Database& database, std::string_view boot_id);
-/// Whether they are so.
+/// True if the stretches agree with the pairs.
 bool utc_line_agrees(const Database& database, std::string_view boot_id);
 /// Writes them for all boots of the file.
 void write_utc_lines(Database& database);
@@ -29,8 +29,8 @@ struct View {
 View utc_view(const std::string& table, const Description& description);
 void replace_view(const Database& database, const View& view);
 
-/// Views of new tables, made together at the end of a transaction. A CREATE VIEW goes through all tables and views that
-/// there are: of thousands of topics in one batch, most of the time would be spent so.
+/// Views of new tables, made together at the end of a transaction. A CREATE VIEW reads the whole schema, which would
+/// take most of the time for thousands of new topics.
 class NewUtcViews {
  public:
   /// Before the table is made. Errors: bad-description, when somebody has made a table of the view's name.
@@ -46,7 +46,8 @@ class NewUtcViews {
   std::vector<View> views_;
 };
 
-/// SQL for the UTC in ns of a time column of run `run`; without a line it stays. No name in them is `r` or `u`.
+/// SQL for the UTC in ns of a time column of run `run`; without a conversion the time is unchanged. The arguments must
+/// not use the names `r` and `u`.
 std::string utc_of(const std::string& time, const std::string& run);
 
 /// The views rtdata_run_utc, "rtdata_gap~utc", "rtdata_health~utc" and "rtdata_error~utc" (the table and UTC), and

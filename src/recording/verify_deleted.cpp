@@ -1,4 +1,4 @@
-// The part of verify that looks at what is left of runs that were deleted: sums.
+// The part of verify that checks the totals of deleted runs.
 #include <algorithm>
 #include <map>
 #include <set>

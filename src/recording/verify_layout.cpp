@@ -1,4 +1,4 @@
-// The part of verify that looks at what a recording is made of: columns, views and triggers.
+// The part of verify that checks columns, views and triggers of a recording.
 #include <algorithm>
 #include <map>
 #include <set>
@@ -13,8 +13,8 @@ namespace rtdata::detail {
 
 namespace {
 
-/// Rows are hashed by position: that each value is under its name stands in the columns alone. A run with more fields
-/// adds its columns at the end, wherever the fields are: `is_changed` says that it was not so.
+/// Rows are hashed by position, so only the columns show the name of each value. A run with more fields adds columns at
+/// the end, wherever the fields are; otherwise sets `is_changed`.
 void check_columns_of(const RecordingFile& file, const RecordedTopic& topic, bool is_changed,
                       std::vector<std::string>& problems) {
   auto columns = sqlite::columns_of(file.database, topic.table);
@@ -24,7 +24,7 @@ void check_columns_of(const RecordingFile& file, const RecordedTopic& topic, boo
   const std::set<std::string> described(wanted.begin(), wanted.end());
   for (const std::string& column : columns) {
     if (!described.contains(column))
-      problems.push_back(topic.topic + ": the table has a column \"" + column + "\", which is none of the topic's.");
+      problems.push_back(topic.topic + ": the table has a column \"" + column + "\", which is not one of the topic's.");
   }
   for (const std::string& column : wanted) {
     if (!there.contains(column)) problems.push_back(topic.topic + ": the table has no column \"" + column + "\".");
@@ -38,7 +38,7 @@ void check_columns_of(const RecordingFile& file, const RecordedTopic& topic, boo
   }
 }
 
-/// How far senders are: of tables and runs that are there, and not beyond what a run that was closed has.
+/// Checks senders' positions: the tables and runs exist, and a position is not beyond the rows of a closed run.
 void check_positions(const RecordingFile& file, std::vector<std::string>& problems) {
   auto query = file.prepare(
       "SELECT p.sink, p.table_name, p.run, p.origin, p.sequence FROM rtdata_position p "

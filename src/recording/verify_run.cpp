@@ -13,7 +13,7 @@ namespace {
 
 std::string number(std::uint64_t value) { return std::to_string(value); }
 
-/// Which sequences are not there, at most a few of them: "sequence 417 is missing".
+/// The missing sequences, at most a few: "sequence 417 is missing".
 std::string missing_text(const LedgerEntry& entry, const OriginRows& rows) {
   std::vector<OriginRows::Hole> holes;
   std::uint64_t count = rows.missing;
@@ -107,7 +107,7 @@ void check_rows(const Findings& found, const LedgerEntry& entry, const OriginRow
     const std::uint64_t span = entry.last_sequence == 0 ? 0 : entry.last_sequence - entry.first_sequence + 1;
     const std::uint64_t absent = span - std::min(span, rows.rows);
     std::uint64_t explained = entry.dropped() + entry.pruned;
-    // What was never committed at the end may be beyond the last sequence of the account.
+    // Uncommitted rows at the end may be beyond the account's last sequence.
     if (!found.is_exact && span == entry.offered - entry.dropped_unsaved) explained -= entry.dropped_unsaved;
     if (absent < explained || (absent > explained && is_account_known(found.report.info))) {
       found.problem(place + plural(absent, "sequence") + " of " + number(entry.first_sequence) + " to " +
@@ -314,8 +314,8 @@ void add_up(RunReport& report, const LedgerEntry& entry) {
   if (entry.sensor.lost_is_known) report.lost_by_source = report.lost_by_source.value_or(0) + entry.sensor.lost;
 }
 
-/// What the account says, without a look at the rows: all of the report but `rows`, problems and notes, and `not_known`
-/// and `lines`, which follow at the end.
+/// Fills the report from the account alone, without the rows: everything except `rows`, problems and notes, and
+/// `not_known` and `lines`, which follow at the end.
 void read_account(const OfRun& of_run, RunReport& report) {
   const RunInfo& info = report.info;
   report.verdict = info.state == RunState::closed       ? Verdict::balanced
@@ -351,15 +351,15 @@ void read_account(const OfRun& of_run, RunReport& report) {
   most_first(report.losses);
 }
 
-/// What is known of the end of a run that was not closed.
+/// Notes the known facts about the end of a run that was not closed.
 void note_end(const Findings& found, Recorder recorder) {
   const RunInfo& info = found.report.info;
   if (!info.remark.empty()) found.note(info.remark);
   if (info.state == RunState::sealed) {
     found.note(info.lost ? "It ended without closing: " + plural(*info.lost, "event") +
                                " that were published could not be stored."
-                         : "Its account is not complete: what was lost is not known.");
-    // What was lost of sensors that had only begun is in no ledger, and is counted since then.
+                         : "Its account is not complete: its losses are not known.");
+    // Losses of sensors that had just started are in no ledger; they are counted separately.
     if (info.lost && *info.lost > found.report.unsaved) {
       found.note(plural(*info.lost - found.report.unsaved, "event") + " of " + number(*info.lost) +
                  " lost were of sensors that had only begun, whose names are unknown.");
@@ -375,10 +375,10 @@ void note_end(const Findings& found, Recorder recorder) {
     } else if (recorder == Recorder::of_another_file) {
       found.note(process +
                  " records this run into another file, of which this is a copy without its log (-wal): it holds" +
-                 up_to + ", and what the log had then is not in it. Copy the two together, or with sqlite3: .backup");
+                 up_to + ", without the content of that log. Copy the two together, or with sqlite3: .backup");
     } else {
       found.note("It ended without closing and is not sealed: this holds" + up_to +
-                 ". Start recording into the file again: that seals it and says what was lost.");
+                 ". Start recording into the file again: that seals it and reports the losses.");
     }
   }
 }
@@ -478,7 +478,7 @@ RunReport account_of_run(const Recording& recording, const RunInfo& info) {
   return report;
 }
 
-/// A tier that hung when its program was killed: nobody counted what its sensors missed.
+/// A tier that hung when its program was killed: the missed ticks of its sensors were not counted.
 static void add_hanging(const std::vector<RecordedHealth>& health, RunReport& run) {
   std::map<std::string, const RecordedHealth*> last;
   for (const RecordedHealth& one : health)

@@ -1,4 +1,4 @@
-// The parts of verify: what the rows say, and the comparison of it with one run's account.
+// Parts of verify: scanning the rows, and comparing them with one run's account.
 #pragma once
 
 #include <map>
@@ -16,7 +16,7 @@ namespace rtdata::detail {
 std::string place_of(std::string_view topic, std::string_view origin);
 std::string plural(std::uint64_t count, std::string_view noun);
 
-/// What the rows of one origin say, collected in the order in which they were written.
+/// Data from the rows of one origin, in the order of writing.
 struct OriginRows {
   struct Hole {
     std::uint64_t first, last;
@@ -50,7 +50,7 @@ struct OriginRows {
 std::string origin_key(std::string_view topic, std::string_view origin);
 using OriginMap = std::unordered_map<std::string, OriginRows>;
 
-/// What the rows of one run say.
+/// Data from the rows of one run.
 struct RunRows {
   OriginMap origins;
   std::uint64_t checked = 0;         // rows that agree with their checksum
@@ -59,15 +59,15 @@ struct RunRows {
 };
 using RunsRows = std::map<std::int64_t, RunRows>;
 
-/// What the rows of a table say.
+/// Scans the rows of a table.
 void scan_rows(const RecordingFile& file, const RecordedTopic& topic, RunsRows& runs,
                std::vector<std::string>& problems);
 
-/// Collects what does not agree in a run.
+/// Collects the problems of a run.
 struct Findings {
   static constexpr std::size_t most_sentences = 100;
   RunReport& report;
-  bool is_exact;  // closed: every equation holds; otherwise the last account may leave some open
+  bool is_exact;  // true for a closed run: every equation must hold; otherwise the last account may leave some open
   std::vector<std::string>& open;
 
   void problem(std::string text) const {
@@ -81,16 +81,17 @@ struct Findings {
     if (report.notes.size() < most_sentences) report.notes.push_back(std::move(text));
   }
   std::string utc(Time recorded) const { return to_iso8601(report.line.utc(recorded)); }
-  /// Of what is exact only once the run is closed.
+  /// For checks that are exact only after the run is closed.
   void inexact(std::string text) const { is_exact ? problem(std::move(text)) : open.push_back(std::move(text)); }
 };
 
-/// Triggers, views that are not there, columns that are others. `are_topics_changed`: rtdata_topic or the columns of
-/// its tables are not as they were written.
+/// Checks for triggers, missing views and changed columns. `are_topics_changed`: rtdata_topic or the columns of its
+/// tables were changed.
 void check_layout(const RecordingFile& file, const std::vector<RecordedTopic>& topics, bool are_topics_changed,
                   std::vector<std::string>& problems);
 
-/// The process that records a run, as far as this machine knows it. What is of another file is a copy without its log.
+/// The state of the process that records a run, as known on this machine. `of_another_file`: this file is a copy
+/// without the WAL file.
 enum class Recorder { gone, there, of_another_file };
 Recorder recorder_of(const RunInfo& run, const RecordingFile& file);
 
@@ -111,32 +112,32 @@ struct OfRun {
   const std::vector<const RecordedGap*>& gaps_in(const std::string& key) const;
 };
 
-/// Compares the account of one run with its rows. Fills everything of the report but `info`, `line`, and what
-/// `finish_account` does.
+/// Compares the account of one run with its rows. Fills the report except `info`, `line` and the part of
+/// `finish_account`.
 void verify_run(const OfRun& of_run, const RunRows& rows, RunReport& report);
 
-/// What is not known of the run, and the report's lines.
+/// Adds unknown facts of the run and the report's lines.
 void finish_account(const Recording& recording, const OfRun& of_run, RunReport& report);
 RunReport account_of_run(const Recording& recording, const RunInfo& info);
 
-/// Of those topics whose events are not there, since only others that are made of them are recorded: these.
+/// Maps each topic that is not recorded to the recorded topics made from it.
 std::map<std::string, std::vector<std::string>> made_of_unrecorded(const std::vector<LedgerEntry>& ledger);
 
 TopicLoss loss_of(const LedgerEntry& entry, const Outages& outages);
 
-/// Fills the report's part of the runs that were deleted, if there are any, and holds their sums to the equations.
+/// Fills the report's part about deleted runs, if there are any, and checks their totals.
 void verify_deleted(DeletedRuns runs, VerifyReport& report);
 
-/// Runs of a recording are numbered from 1: each has to be there, or among those that were deleted.
+/// Checks that every run number from 1 on exists or was deleted.
 void check_run_numbers(VerifyReport& report);
 
-/// As `verify`, but for the numbers of the runs: a server's have holes.
+/// As `verify`, but without the run numbers, which are not consecutive on a server.
 VerifyReport verify_contents(const Recording& recording);
 
 /// The largest losses first; an outage counts as more than a number.
 void most_first(std::vector<TopicLoss>& losses);
 
-/// Whether the account tells of all: no tier hung, and nothing was lost in a power cut.
+/// True if the account is complete: no tier hung, and nothing was lost in a power failure.
 bool is_account_known(const RunInfo& run);
 
 }  // namespace rtdata::detail

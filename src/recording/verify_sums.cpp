@@ -76,12 +76,12 @@ bool check_account_sums(const RecordingFile& file, const std::vector<RecordedTop
   const bool are_topics_changed = !agrees(sqlite::all_runs);
   if (!agrees(sqlite::of_senders))
     report.problems.emplace_back(
-        "The checksum of what is kept of senders (in rtdata_checksum) is another than when it was written: a row of "
+        "The checksum of the senders' rows (in rtdata_checksum) does not match: a row of "
         "rtdata_refused, rtdata_refused_before or rtdata_unsent was changed, added or deleted.");
   for (RunReport& run : report.runs) {
     if (!agrees(run.info.run))
       run.problems.emplace_back(
-          "The checksum of its account (in rtdata_run) is another than when it was written: a row of the tables of the "
+          "The checksum of its account (in rtdata_run) does not match: a row of the tables of the "
           "account was changed, added or deleted.");
   }
   for (const auto& [run, sum] : found.changes()) {

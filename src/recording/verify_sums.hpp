@@ -1,4 +1,4 @@
-// The part of verify that hashes everything again: values of rows, and tables of the account.
+// The part of verify that recomputes all hashes: of rows' values and of the account's tables.
 #pragma once
 
 #include <string>
@@ -28,8 +28,8 @@ class ValueSums {
   sqlite::RowSum found_;  // since the last sum
 };
 
-/// Holds the tables of the account to their checksums. True: what is of all runs, rtdata_topic and the columns of its
-/// tables, was changed; that is told by `check_layout`.
+/// Checks the account's tables against their checksums. True: data common to all runs (rtdata_topic and the columns of
+/// its tables) was changed; `check_layout` reports that.
 bool check_account_sums(const RecordingFile& file, const std::vector<RecordedTopic>& topics, VerifyReport& report);
 
 }  // namespace rtdata::detail

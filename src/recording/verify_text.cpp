@@ -24,12 +24,12 @@ std::string conclusion(Verdict verdict) {
     case Verdict::balanced:
       return "balanced: rows, gaps and schedule agree with the account.";
     case Verdict::sealed:
-      return "sealed: it was not closed, or a tier hung; what is there agrees with the account, and what is known "
-             "of the rest is written down.";
+      return "sealed: it was not closed, or a tier hung; its rows agree with the account, and the known losses are "
+             "written down.";
     case Verdict::recording:
-      return "recording: what is there agrees with the last account; look again when it is closed.";
+      return "recording: its rows agree with the last account; verify it again when it is closed.";
     case Verdict::unsealed:
-      return "not sealed: it ended without closing, and what it lost is not written down yet.";
+      return "not sealed: it ended without closing, and its losses are not written down yet.";
     default:
       return "not balanced: see above.";
   }
@@ -178,7 +178,7 @@ std::string VerifyReport::text() const {
       wrap(out, "  ", n(run.received) + " received, " + n(run.unreadable) + " of them unreadable");
     for (const auto& [topic, count] : run.first_lines)
       wrap(out, "  ",
-           plural(count, "first line") + " of " + topic + " thrown away: the port was opened in the middle of a line");
+           plural(count, "first line") + " of " + topic + " discarded: the port was opened in the middle of a line");
     for (const std::string& problem : run.problems) wrap(out, "  ! ", problem);
     if (run.more_problems != 0) wrap(out, "  ! ", n(run.more_problems) + " more problems.");
     for (const std::string& note : run.notes) wrap(out, "  - ", note);
@@ -201,7 +201,7 @@ std::string VerifyReport::text() const {
              ": see above. So the status is 1; `--run` looks at one run.");
   }
   if (newest == Verdict::balanced || newest == Verdict::sealed) {
-    wrap(out, "", "This shows that the recording is consistent with itself; it does not prove that nobody forged it.");
+    wrap(out, "", "This shows that the recording is consistent with itself; it does not prove that it was not forged.");
   }
   return out;
 }
@@ -211,7 +211,7 @@ std::string VerifyReport::to_json() const {
   json["path"] = path;
   json["verdict"] = name_of(verdict());
   json["exit_code"] = exit_code();
-  json["proves"] = "consistency, not that nobody forged it";
+  json["proves"] = "consistency, not that it was not forged";
   json["problems"] = problems;
   json["deleted_runs"] = deleted ? json_of(*deleted) : nlohmann::ordered_json();
   json["unsent"] = unsent;

@@ -1,4 +1,4 @@
-// The part of verify that holds rows, gaps and schedule of an origin to each other.
+// The part of verify that compares rows, gaps and schedule of an origin.
 #pragma once
 
 #include <cstdint>
@@ -10,23 +10,22 @@
 
 namespace rtdata::detail {
 
-/// For an origin of which each read brought one sample with the time of the read, in a closed run: each tick of its
-/// schedule is a row or lies in exactly one gap. The row of the n-th tick that lies in none begins at that tick or
-/// later, and before the tick after the next one that was taken; each read that brought nothing new lets a row begin
-/// one tick later still. Where each row has just one tick, the number of late rows and the sum of their lateness are
-/// those of the ledger.
+/// For an origin whose reads each gave one sample with the time of the read, in a closed run: each tick of its schedule
+/// is a row or lies in exactly one gap. The n-th row begins at its tick (the n-th tick outside gaps) or later, and
+/// before the tick after the next taken one; each read without a new sample allows one tick more. If each row has
+/// exactly one possible tick, the number of late rows and the sum of their lateness must equal the ledger.
 class TickCheck {
  public:
   static constexpr std::size_t most_sentences = 5;
 
-  /// Whether the rows of this origin can be held to its ticks.
+  /// True if the rows of this origin can be compared with its ticks.
   static bool is_held(const LedgerEntry& entry);
   /// `segments` and `gaps`: those of this origin, in order of time. `line`: of the run; outlives this.
   TickCheck(const LedgerEntry& entry, const std::vector<const RecordedSegment*>& segments,
             const std::vector<const RecordedGap*>& gaps, const UtcLine& line);
 
   void add(std::int64_t time, std::uint64_t sequence);
-  /// What the rows say of how late they are: only when the tick of each is known and all of them are there.
+  /// The lateness of the rows, only if the tick of each row is known and no row is missing.
   struct Lateness {
     std::uint64_t late;
     std::uint64_t sum;

@@ -39,7 +39,7 @@ std::vector<std::string> FakeSerial::written() const {
 
 Result<void> FakeSerial::check_plugged() const {
   if (is_plugged_in_) return {};
-  return Error{Errc::disconnected, "lost the serial line", "fake", "the device has gone away", ""};
+  return Error{Errc::disconnected, "lost the serial line", "fake", "the device has disappeared", ""};
 }
 
 Result<void> FakeSerial::open() {

@@ -156,10 +156,10 @@ TEST_SUITE("app") {
     none.waiting = 0;
     none.total.first_lines = 1;
     none.topics = {{.name = "button", .first_lines = 1}};
-    CHECK(verdict(none, {}) == "nothing lost: 1 event; 1 first line thrown away (button); ledger balances");
+    CHECK(verdict(none, {}) == "nothing lost: 1 event; 1 first line discarded (button); ledger balances");
     none.total.first_lines = 3;
     none.topics.push_back({.name = "board", .first_lines = 2});
-    CHECK(verdict(none, {}) == "nothing lost: 1 event; 3 first lines thrown away (board 2, button 1); ledger balances");
+    CHECK(verdict(none, {}) == "nothing lost: 1 event; 3 first lines discarded (board 2, button 1); ledger balances");
   }
 
   TEST_CASE("US-32 the table at the end says of each sink what waits for its peer, and for how long") {

@@ -101,11 +101,11 @@ TEST_SUITE("app") {
       auto other = rtdata::sqlite::Database::open(b.folder.path() + "/run.db", rtdata::sqlite::Database::Mode::write);
       other.execute("BEGIN IMMEDIATE");
       CHECK(has(b.ctl({"disarm", "igniter"}, 1),
-                "output igniter is disarmed: it has its safe value; but that is not on the card in run.db, after 3 s: "
-                "after a kill or a power cut now, machine m would arm it again"));
+                "output igniter is disarmed: it has its safe value; but that is not on the disk in run.db, after 3 s: "
+                "after a kill or a power failure now, machine m would arm it again"));
       CHECK(has(b.ctl({"arm", "igniter"}, 1),
-                "output igniter is armed; but that is not on the card in run.db, after 3 s: after a kill or a power "
-                "cut now, machine m would not arm it again"));
+                "output igniter is armed; but that is not on the disk in run.db, after 3 s: after a kill or a power "
+                "failure now, machine m would not arm it again"));
     }
     // A second command waits for it anew.
     CHECK(b.ctl({"arm", "igniter"}) == "output igniter is armed already\n");

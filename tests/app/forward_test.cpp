@@ -126,7 +126,7 @@ TEST_SUITE("app") {
     {
       Process forward(folder, program, {"forward", "home/y.db", "other.json"});
       CHECK(forward.end() == 2);
-      CHECK_MESSAGE(has(forward.err, "\"one\" \"two\", and which of them home/y.db is cannot be told"), forward.err);
+      CHECK_MESSAGE(has(forward.err, "\"one\" \"two\"; it is unknown which of them home/y.db is"), forward.err);
     }
   }
 

@@ -104,8 +104,8 @@ TEST_SUITE("app") {
       return plan.warnings.empty() ? std::string() : plan.warnings[0].path + " " + plan.warnings[0].message;
     };
     CHECK(warned(R"({"type": "sqlite", "path": "a.db", "batch_time": "2 s", "close_deadline": "0 s"})") ==
-          "sinks[0].close_deadline the end of the run does not wait until what came last is stored: what came within "
-          "its `batch_time`, 2 s, is lost; give it some seconds, or leave `close_deadline` out");
+          "sinks[0].close_deadline the end of the run does not wait until the last events are stored: those that came "
+          "within its `batch_time`, 2 s, are lost; give it some seconds, or leave `close_deadline` out");
     CHECK(warned(R"({"type": "sqlite", "path": "a.db", "close_deadline": "1 ms"})") == "");
     CHECK(warned(R"({"type": "sqlite", "path": "a.db"})") == "");
   }
@@ -119,7 +119,8 @@ TEST_SUITE("app") {
         {"name": "board", "type": "serial", "device": "/dev/null", "fields": [{"name": "x"}])" +
                                                                             silence + "}]}")));
     };
-    const std::string note = "without `silence`, such as \"10 s\", nobody notices when this device goes quiet: board";
+    const std::string
+        note = "without `silence`, such as \"10 s\", no report is made when this device goes quiet: board";
     CHECK(noted("") == note);
     CHECK(noted(R"(, "silence": "0 s")") == note);
     CHECK(noted(R"(, "silence": "3 s")") == "");

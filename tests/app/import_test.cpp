@@ -151,11 +151,11 @@ TEST_SUITE("app") {
       CHECK_MESSAGE(has(import.err, why), import.err);
     };
     refuses("x.csv", "2026-03-01T12:00:00Z",
-            "x.csv:3: \"8000000000000000000\" in column t is no time that can be recorded");
+            "x.csv:3: \"8000000000000000000\" in column t is not a time that can be recorded");
     refuses("y.csv", "1960-01-01T00:00:00Z",
-            "y.csv:2: \"-9000000000000000000\" in column t is no time that can be recorded");
-    refuses("y.csv", "1970-01-01T00:00:00Z", "y.csv: its times span more than 292 years: look at --scale");
-    refuses("z.csv", "2200-01-01T00:00:00Z", "z.csv:2: \"-1e30\" in column t is no time that can be recorded");
+            "y.csv:2: \"-9000000000000000000\" in column t is not a time that can be recorded");
+    refuses("y.csv", "1970-01-01T00:00:00Z", "y.csv: its times span more than 292 years: check --scale");
+    refuses("z.csv", "2200-01-01T00:00:00Z", "z.csv:2: \"-1e30\" in column t is not a time that can be recorded");
     for (const auto& entry : std::filesystem::directory_iterator(folder.path()))
       CHECK(entry.path().extension() == ".csv");
   }
@@ -221,8 +221,9 @@ TEST_SUITE("app") {
     folder.write("late.csv", "time,v\n2026-11-28T24:01:00Z,1\n");
     Process sixty(folder, program, {"import", "sixty.csv", "--time", "time", "--zone", "Z"});
     CHECK(sixty.end() == 1);
-    CHECK_MESSAGE(has(sixty.err, "sixty.csv:3: \"2026-11-28T12:00:60\" in column time is no time: seconds go up to 59"),
-                  sixty.err);
+    CHECK_MESSAGE(
+        has(sixty.err, "sixty.csv:3: \"2026-11-28T12:00:60\" in column time is not a time: seconds go up to 59"),
+        sixty.err);
     Process late(folder, program, {"import", "late.csv", "--time", "time"});
     CHECK(late.end() == 1);
     CHECK_MESSAGE(has(late.err, "there is no such time of day"), late.err);
@@ -289,11 +290,11 @@ TEST_SUITE("app") {
     refuses({"short.csv", "--time", "t"}, "short.csv:3");
     refuses({"text.csv", "--time", "t"}, "text.csv:3");
     refuses({"far.csv", "--time", "t"}, "far.csv:2");
-    refuses({"far.csv", "--time", "t"}, "look at --scale");
+    refuses({"far.csv", "--time", "t"}, "check --scale");
     folder.write("ns.csv", "t,v\n1767225600000000000,1\n");
-    refuses({"ns.csv", "--time", "t"}, "look at --scale; with --scale 1ns it is 2026-01-01");
+    refuses({"ns.csv", "--time", "t"}, "check --scale; with --scale 1ns it is 2026-01-01");
     folder.write("us.csv", "t,v\n1767225600000000,1\n");
-    refuses({"us.csv", "--time", "t"}, "look at --scale; with --scale 1us it is 2026-01-01");
+    refuses({"us.csv", "--time", "t"}, "check --scale; with --scale 1us it is 2026-01-01");
     folder.write("both.csv", "t,v,t\n1,2,3\n");
     refuses({"both.csv", "--time", "t"}, "it has 2 columns t: give one of them another heading");
     folder.write("units.csv", "t [ms],v,t [s]\n1,2,3\n");
@@ -302,10 +303,10 @@ TEST_SUITE("app") {
     refuses({"empty.csv", "--time", "t"}, "it is empty");
     refuses({"head.csv", "--time", "t"}, "it has no rows");
     folder.write("nan.csv", "t,v\n0,1\nnan,2\n");
-    refuses({"nan.csv", "--time", "t"}, "nan.csv:3: \"nan\" in column t is no time: a number, or a time as");
+    refuses({"nan.csv", "--time", "t"}, "nan.csv:3: \"nan\" in column t is not a time: a number, or a time as");
     folder.write("late.csv", "t,v\n0,1\n40000000,2\n");
     refuses({"late.csv", "--time", "t", "--start", "2261-01-01T00:00:00Z"}, "late.csv:3: \"40000000\"");
-    refuses({"late.csv", "--time", "t", "--start", "2261-01-01T00:00:00Z"}, "to 2261: look at --start\n");
+    refuses({"late.csv", "--time", "t", "--start", "2261-01-01T00:00:00Z"}, "to 2261: check --start\n");
     for (const std::string& mark : {std::string("\xff\xfe"), std::string("\xfe\xff")}) {
       std::ofstream(folder.path() + "/wide.csv", std::ios::binary) << mark << std::string("t\0,\0v\0\n\0", 8);
       refuses({"wide.csv", "--time", "t"},
@@ -338,7 +339,7 @@ TEST_SUITE("app") {
     CHECK(has(import({"tab.csv", "--time", "Zeit"}, 1), "write --separator tab --decimal ,"));
     CHECK(has(import({"tab.csv", "--time", "Zeit", "--separator", "tab"}, 1), "write --decimal ,"));
     CHECK(has(import({"lab.csv", "--time", "Zeit", "--separator", ",", "--decimal", ","}, 1), "the decimal mark, too"));
-    CHECK(has(import({"lab.csv", "--time", "Zeit", "--separator", ";;"}, 1), "no character between cells"));
+    CHECK(has(import({"lab.csv", "--time", "Zeit", "--separator", ";;"}, 1), "not a character between cells"));
     CHECK(has(import({"lab.csv", "--time", "Zeit", "--zone", "CET"}, 1), "no time zone"));
     CHECK_FALSE(folder.has("lab.db"));
     CHECK_FALSE(folder.has("tab.db"));
@@ -376,7 +377,7 @@ TEST_SUITE("app") {
       CHECK_MESSAGE(has(import.err, why), import.err);
       CHECK_MESSAGE(!has(import.err, "baud_rate"), import.err);
     };
-    refuses("latin.csv", "latin.csv:3: the text \"K\\xf6ln\" in column v is no UTF-8: convert the file: iconv");
+    refuses("latin.csv", "latin.csv:3: the text \"K\\xf6ln\" in column v is not UTF-8: convert the file: iconv");
     refuses("head.csv", "head.csv:1: the heading");
     refuses("wide.csv", "it has 3000 values an event");
     for (const auto& entry : std::filesystem::directory_iterator(folder.path()))

@@ -629,7 +629,7 @@ TEST_SUITE("app") {
                                    R"(", "fields": [{"name": "x"}]}]})");
     Process run(folder, shipped, {"doctor", "bench.json"});
     CHECK(run.end() == 2);
-    CHECK(run.out.find("fault: sensor board: " + path + " is no device but a file or folder") == 0);
+    CHECK(run.out.find("fault: sensor board: " + path + " is not a device but a file or folder") == 0);
     std::filesystem::remove(path);
   }
 

@@ -33,15 +33,15 @@ TEST_SUITE("app") {
       const int status = run.end();
       const std::string lines = folder.read("few.jsonl");
       const auto says = [&](const char* words) { return (run.err + run.out).find(words) != std::string::npos; };
-      const bool is_told = says("the system gives no thread");
+      const bool is_reported = says("the system gives no thread");
       if (status == 0) {
         ++whole;
         CHECK_FALSE(lines.empty());
-        CHECK_FALSE(is_told);
+        CHECK_FALSE(is_reported);
         break;
       }
       CAPTURE(run.err);
-      CHECK(is_told);
+      CHECK(is_reported);
       CHECK(says("ulimit -u"));
       CHECK(says("TasksMax="));
       CHECK(says("ulimit -v"));
@@ -79,12 +79,13 @@ TEST_SUITE("app") {
       CHECK(status >= 0);   // it ended by itself
       CHECK(status < 128);  // and not by a signal
       const std::string said = run.err + run.out;
-      const bool is_told = said.find("oo many open files") != std::string::npos ||
-                           said.find("shared object") != std::string::npos;  // of the loader: the program did not begin
+      const bool is_reported = said.find("oo many open files") != std::string::npos ||
+                               said.find("shared object") !=
+                                   std::string::npos;  // of the loader: the program did not begin
       if (status == 0) ++whole;
       if (status != 0) {
         ++refused;
-        CHECK(is_told);
+        CHECK(is_reported);
       }
     }
     CHECK(whole == 1);

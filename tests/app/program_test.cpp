@@ -405,14 +405,14 @@ TEST_SUITE("app") {
     Process run(folder, program, {"run", "bench.json"}, Process::Output::one_terminal);
     REQUIRE(run.wait_for("queued; "));
     run.signal(SIGINT);
-    REQUIRE(run.wait_for("stopping on SIGINT: storing what is queued"));
+    REQUIRE(run.wait_for("stopping on SIGINT: storing the queued events"));
     CHECK_FALSE(has(run.out, "\x1b[?25h"));  // in the view, not after it
     CHECK(run.end() == 1);
     CHECK(run.out.rfind("stopping on SIGINT") < run.out.rfind("ledger balances"));
     CHECK(run.out.rfind("stopping on SIGINT") < run.out.rfind("health  where"));
     Process timed(folder, program, {"run", "bench.json", "--for", "300ms"});
     CHECK(timed.end() == 1);
-    CHECK(has(timed.err, "storing what is queued: "));
+    CHECK(has(timed.err, "storing the queued events: "));
     CHECK(has(timed.err, " events, for at most 2 s"));
   }
 
@@ -570,18 +570,18 @@ TEST_SUITE("app") {
     run.signal(SIGTERM);
     CHECK(run.end() == 1);
     CHECK(has(run.err,
-              "error: tier fast: did not stop in time: it has not come out of sensor a: look at what blocks there"));
+              "error: tier fast: did not stop in time: it has not returned from sensor a: check what blocks there"));
     CHECK(has(run.err,
-              "the account is NOT complete: tier fast did not come out of sensor a: what its sensors did after 20") !=
+              "the account is NOT complete: tier fast did not return from sensor a: what its sensors did after 20") !=
           has(run.out,
-              "the account is NOT complete: tier fast did not come out of sensor a: what its sensors did after 20"));
+              "the account is NOT complete: tier fast did not return from sensor a: what its sensors did after 20"));
     CHECK(has(run.err, "ended though it hangs: tier fast in sensor a"));
     CHECK(has(folder.read("bench.log"), "info program: ended with status 1\n"));
 
     Process verify(folder, program, {"verify", "run.db"});
     CHECK(verify.end() == 0);
     CHECK(has(verify.out, "sealed"));
-    CHECK(has(verify.out, "tier fast did not come out of sensor a"));
+    CHECK(has(verify.out, "tier fast did not return from sensor a"));
     // The recording goes on in the next run, which does not seal it again.
     folder.write("next.json", R"({"sensors": [ {"name": "b", "type": "tallied", "rate": "100 Hz"} ],
       "sinks": [ {"type": "sqlite", "path": "run.db"} ] })");
@@ -595,11 +595,11 @@ TEST_SUITE("app") {
     folder.write("bench.json", R"({"sensors": [ {"name": "a", "type": "absent", "rate": "10 Hz", "hangs": true} ],
       "sinks": [ {"type": "discard"} ] })");
     Process run(folder, program, {"run", "bench.json"});
-    REQUIRE(run.wait_for("it has not come out of the making of sensor a"));
+    REQUIRE(run.wait_for("it has not returned from the making of sensor a"));
     CHECK(has(run.err, "warning: program: does not run yet after 3 s"));
     run.signal(SIGTERM);
     CHECK(run.end() == 1);
-    CHECK(has(run.err, "ended by SIGTERM though it hangs: the main loop has not come out of the making of sensor a"));
+    CHECK(has(run.err, "ended by SIGTERM though it hangs: the main loop has not returned from the making of sensor a"));
   }
 
   TEST_CASE("US-9 after kill -9 the next run goes on") {

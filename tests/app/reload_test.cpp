@@ -60,7 +60,7 @@ TEST_SUITE("app") {
 
     folder.write("rig.json", R"({"name": "other", )" + rig("20 Hz", "").substr(1));
     run.signal(SIGHUP);
-    REQUIRE(run.wait_for("what is refused can be done by starting the program again"));
+    REQUIRE(run.wait_for("a restart of the program applies the refused changes"));
     CHECK(has(run.err, "configuration: name: refused: the program is started with it"));
 
     run.signal(SIGTERM);
@@ -84,7 +84,7 @@ TEST_SUITE("app") {
                                  rest);
     const std::string said = reloaded(folder, built("rtdata"), {}, 1);
     CHECK_MESSAGE(has(said, "rig.json is applied, but for this: not made: sensor a ("), said);
-    CHECK(has(said, "it has begun with what was asked for, and may still do it"));
+    CHECK(has(said, "it has begun to do that, and may still finish"));
     for (const char* sensor : {"b", "c"}) {  // the main loop goes on, and has what comes after it
       Process stop(folder, built("rtdata"), {"ctl", "stop", sensor});
       CHECK(stop.end() == 0);

@@ -75,8 +75,8 @@ TEST_SUITE("app") {
     const std::vector<std::string> lines = shown(of, 40);
     const std::size_t at = line_of(lines, "s1 ");
     REQUIRE(at + 3 < lines.size());
-    CHECK(lines[at + 1] == "  - 12 repeated by the source, which is no loss");
-    CHECK(lines[at + 2] == "  - 2 first lines thrown away");
+    CHECK(lines[at + 1] == "  - 12 repeated by the source, which is not a loss");
+    CHECK(lines[at + 2] == "  - 2 first lines discarded");
     CHECK(lines[at + 3].starts_with("s2 "));
   }
 

@@ -206,7 +206,7 @@ TEST_SUITE("app") {
     CHECK(health_of(status, "a") == "ok");
     Process once(folder, program, {"top", "--once"});
     CHECK(once.end() == 0);
-    CHECK(has(once.out, "\n  ! it does not turn: it has not come out of sensor b\n"));
+    CHECK(has(once.out, "\n  ! it does not turn: it has not returned from sensor b\n"));
     CHECK(has(once.out, "\nsensor a                       fast "));
     run.signal(SIGTERM);
     CHECK(run.end() == 1);
@@ -319,7 +319,7 @@ TEST_SUITE("app") {
     CHECK(live.end() == 0);
     Process once(folder, program, {"top", pid, "--once"});
     CHECK(once.end() == 1);
-    CHECK(has(once.err, "pid " + pid + ": no status: instance: it does not answer: see whether it is stopped"));
+    CHECK(has(once.err, "pid " + pid + ": no status: instance: it does not answer: check whether it is stopped"));
     Process healthy(folder, program, {"top", "other", "--once"});
     CHECK(healthy.end() == 0);
     CHECK(healthy.out.starts_with("other  pid "));

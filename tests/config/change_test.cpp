@@ -293,7 +293,7 @@ TEST_SUITE("config") {
     CHECK_FALSE(run.system.sensor("a").is_running());
     CHECK(run.system.sensor("b").is_running());
     CHECK(told == std::vector<std::string>{
-                      "sensor a: it was stopped, and stays so now that it is made anew, until it is started"});
+                      "sensor a: it was stopped, and stays stopped after the reload, until it is started"});
     CHECK(has(refusal([&] { run.system.apply(run.next(text("9", "true"))); }), "are running again"));
     loop.advance(1s);
     CHECK_FALSE(run.system.sensor("a").is_running());

@@ -99,7 +99,7 @@ TEST_SUITE("config") {
     CHECK(mistake("[\"a\\qb\"]") ==
           "1:5: this character cannot stand in a string: forbidden character after backslash");
     CHECK(mistake("[1 /* x ]") == "1:4: this comment is not closed: there is no '*/'");
-    CHECK(mistake("[1, / 2]") == "1:5: a '/' alone is no comment: write // or /* */");
+    CHECK(mistake("[1, / 2]") == "1:5: a '/' alone is not a comment: write // or /* */");
     CHECK(mistake("{} {}") == "1:4: the configuration has ended, but here is '{'");
     CHECK(mistake("// only") == "1:8: expected a value, found the end of the file");
     CHECK(id_of("[1,]") == "syntax");
@@ -151,7 +151,7 @@ TEST_SUITE("config") {
     CHECK(mistake("{}\n// \xc3") == "2:4: this byte is not UTF-8: save the file as UTF-8");
     for (const char* bad : {"\xc0\x80", "\xe0\x80\x80", "\xed\xa0\x80", "\xf4\x90\x80\x80", "\x80", "\xf0\x9f\x98"})
       CHECK(id_of(std::string("[\"").append(bad).append("\"]")) == "bad-encoding");
-    CHECK(mistake(std::string_view("{}\0{", 4)) == "1:3: a NUL byte: the file is no text");
+    CHECK(mistake(std::string_view("{}\0{", 4)) == "1:3: a NUL byte: the file is not text");
     CHECK(id_of("[1e400]") == "out-of-range");
     CHECK(mistake("{\"a\": -1e400}") == "1:7: the number -1e400 is too large");
     CHECK(parse_config("[1e-400, -0, 123456789012345678901234567890]").good());

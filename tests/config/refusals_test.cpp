@@ -228,14 +228,14 @@ TEST_SUITE("config") {
     };
     ::setenv("HOME", "/home/ann", 1);
     CHECK(has(said(R"({"sinks": [{"type": "sqlite", "path": "~/bench.db"}]})"),
-              "nobody expands here: write \"/home/ann/bench.db\""));
+              "this program does not: write \"/home/ann/bench.db\""));
     CHECK(has(said(R"({"sinks": [{"type": "file", "path": "~/bench.csv"}]})"), "write \"/home/ann/bench.csv\""));
     for (const char* port : {"COM3", "com12"})
       CHECK(has(said(R"({"buses": {"b": {"type": "serial", "device": ")" + std::string(port) + "\"}}}"),
                 "\"" + std::string(port) + "\" is a name of Windows; here a serial device is such as /dev/ttyUSB0"));
     CHECK(has(said(R"({"sensors": [{"name": "s", "type": "serial", "device": "/dev/ttyS0", "fields": ["force"]}]})"),
               "sensors[0].fields[0]: expected an object, got the string \"force\"; write {\"name\": \"force\"}"));
-    CHECK(has(said(line(R"(, "rate": "10 Hz")")), "a serial line takes what comes: it has no rate"));
+    CHECK(has(said(line(R"(, "rate": "10 Hz")")), "a serial line takes every line that comes: it has no rate"));
     CHECK(has(said(R"({"sensors": [{"name": "s", "type": "host", "quantity": "load", "rate": "2,5 Hz"}]})"),
               "its decimals come after a comma; write a point"));
     const std::string schema = said(
@@ -361,9 +361,9 @@ TEST_SUITE("config") {
       std::string words;
     };
     const std::vector<Mistake> mistakes{
-        {serial(R"(, "sequence_field": "y")"), "\"y\" is no integer among the fields"},
+        {serial(R"(, "sequence_field": "y")"), "\"y\" is not an integer among the fields"},
         {R"({"sensors": [{"name": "a", "type": "serial", "device": "/dev/null", "fields": [{"name": "x"}], "sequence_field": "x"}]})",
-         "\"x\" is no integer among the fields"},
+         "\"x\" is not an integer among the fields"},
         {R"({"sensors": [{"name": "a", "type": "serial", "device": "", "fields": [{"name": "x"}]}]})",
          "device: it is empty"},
         {R"({"sensors": [{"name": "a", "type": "serial", "device": "/dev/null", "format": "json", "fields": [{"name": "x"}, {"type": "int8"}]}]})",
@@ -381,18 +381,18 @@ TEST_SUITE("config") {
          "the sensor's range has no width"},
         {R"({"sensors": [{"name": "a", "type": "analog", "rate": "1 Hz", "file": ""}]})", "file: it is empty"},
         {R"({"sensors": [{"name": "a b", "type": "host", "quantity": "load", "rate": "1 Hz"}]})",
-         "\"a b\" is no topic name"},
+         "\"a b\" is not a topic name"},
         {sinks(R"({"type": "file", "path": "x", "format": "jsnol"})"),
          "there is no format \"jsnol\" (did you mean \"jsonl\"?)"},
         {sinks(R"({"type": "tcp", "host": "a", "port": 1, "format": "jsnol"})"), "did you mean \"jsonl\"?"},
         {sinks(R"({"type": "tcp", "host": "a", "port": 1, "format": "csv"})"), "do not say which topic they are of"},
         {sinks(R"({"type": "tcp", "host": "http://a", "port": 1})"), "it is a URL"},
         {sinks(R"({"type": "tcp", "host": "a", "port": 0})"), "port"},
-        {sinks(R"({"type": "udp", "host": "a b"})"), "it is no name of a host"},
+        {sinks(R"({"type": "udp", "host": "a b"})"), "it is neither a host name nor an address"},
         {sinks(R"({"type": "udp", "host": ""})"), "there is no host"},
         {sinks(R"({"type": "tcp", "host": "127.0.0.1:80", "port": 1})"), "it has a port: give that as `port`"},
         {sinks(R"({"type": "tcp", "host": "[::1]", "port": 1})"), "it has brackets"},
-        {sinks(R"({"type": "tcp", "host": "::1::", "port": 1})"), "it is no name of a host"},
+        {sinks(R"({"type": "tcp", "host": "::1::", "port": 1})"), "it is neither a host name nor an address"},
         {R"({"sensors": [{"name": "a\\", "type": "host", "quantity": "load", "rate": "1 Hz", "topic": "a"}],
              "sinks": [{"type": "tcp", "host": "127.0.0.1", "port": 1, "format": "influx"}]})",
          "cannot be in the lines of InfluxDB"},
@@ -402,7 +402,7 @@ TEST_SUITE("config") {
         {sinks(R"({"type": "mqtt", "host": "127.0.0.1", "client_id": ")" + std::string(65536, 'c') + "\"}"),
          "it has 65536 bytes: a text of MQTT has at most 65535"},
         {sinks(R"({"type": "mqtt", "host": "127.0.0.1", "password": "secret"})"),
-         "there is no `user` of whom it could be"},
+         "there is no `user` that it belongs to"},
         {R"({"sensors": [{"name": "s", "type": "mqtt", "host": "127.0.0.1", "client_id": "a\u0000b",
              "topics": ["a"], "fields": [{"name": "x"}]}]})",
          "it has a control character"},
@@ -415,18 +415,18 @@ TEST_SUITE("config") {
         {sinks(R"({"type": "file", "path": "folder/"})"), "is a folder"},
         {sinks(R"({"type": "sqlite", "path": "folder"})"), "\"folder\" is a folder"},
         {sinks(R"({"type": "sqlite", "path": "nowhere/run.db"})"), "there is no folder \"nowhere\": make it first"},
-        {sinks(R"({"type": "sqlite", "path": "/dev/null"})"), "\"/dev/null\" is no regular file"},
+        {sinks(R"({"type": "sqlite", "path": "/dev/null"})"), "\"/dev/null\" is not a regular file"},
         {sinks(R"({"type": "file", "path": "x.csv", "from": "beginning"})"), "it has no effect without `through`"},
-        {sinks(R"({"type": "sqlite", "path": "text.txt"})"), "it is no SQLite file"},
+        {sinks(R"({"type": "sqlite", "path": "text.txt"})"), "it is not an SQLite file"},
         {sinks(R"({"type": "file", "path": "recorded.db"})"), "it is a recording, or another SQLite database"},
         {sinks(R"({"type": "file", "path": "recorded.db", "format": "csv"})"), "it is a recording, or another SQLite"},
         {sinks(R"({"type": "file", "path": "recorded-{topic}.csv", "format": "csv"})"),
          "it is a recording, or another SQLite database"},
         {sinks(R"({"type": "file", "path": "recorded-{topic}.csv"})"), "it is a recording, or another SQLite database"},
         {sinks(R"({"type": "file", "path": "open.db"})"), "it is a recording, or another SQLite database"},
-        {sinks(R"({"type": "file", "path": "short.txt", "format": "cbor"})"), "what it holds is no cbor"},
-        {sinks(R"({"type": "file", "path": "text.txt", "format": "cbor"})"), "what it holds is no cbor"},
-        {sinks(R"({"type": "file", "path": "text.txt", "format": "raw"})"), "what it holds is no raw"},
+        {sinks(R"({"type": "file", "path": "short.txt", "format": "cbor"})"), "its content is not a valid cbor"},
+        {sinks(R"({"type": "file", "path": "text.txt", "format": "cbor"})"), "its content is not a valid cbor"},
+        {sinks(R"({"type": "file", "path": "text.txt", "format": "raw"})"), "its content is not a valid raw"},
         {sinks(R"({"type": "sqlite", "path": "dangling"})"),
          "there is no folder \"/nope\", to which \"dangling\" is a symbolic link: make it first"},
         {sinks(R"({"type": "file", "path": "dangling"})"), "there is no folder \"/nope\", to which \"dangling\" is"},
@@ -475,8 +475,8 @@ TEST_SUITE("config") {
          "`keepalives` is a whole number, not \"zz\""},
 #endif
         // Paths that are none.
-        {sinks(R"({"type": "sqlite", "path": ":memory:"})"), "to SQLite this is no path of a file"},
-        {sinks(R"({"type": "sqlite", "path": "file:x.db?mode=memory"})"), "to SQLite this is no path of a file"},
+        {sinks(R"({"type": "sqlite", "path": ":memory:"})"), "to SQLite this is not a path of a file"},
+        {sinks(R"({"type": "sqlite", "path": "file:x.db?mode=memory"})"), "to SQLite this is not a path of a file"},
         {sinks(R"({"type": "sqlite", "path": "/proc/x.db"})"), "the kernel lets no file be made"},
         {sinks(R"({"type": "file", "path": "/proc/x.csv"})"), "the kernel lets no file be made"},
         {sinks(R"({"type": "sqlite", "path": ")" + std::string(300, 'n') + "\"}"), "its name is longer than 247 bytes"},
@@ -539,9 +539,9 @@ TEST_SUITE("config") {
         {process(R"("minutes_1": {"filters": [{"type": "median", "of": 3, "weight": 0.5}]})"),
          "a filter of this type has no such setting"},
         {process(R"("minutes_1": {"calibration": {"scale": 2, "outside": "clamp"}})"),
-         "there is no table outside of which"},
+         "there is no table, so no value can be outside of one"},
         {process(R"("minutes_1": {"calibration": {"scale": 2, "outside": "extend"}})"),
-         "there is no table outside of which"},
+         "there is no table, so no value can be outside of one"},
 #ifdef RTDATA_WITH_MODBUS
         {R"({"buses": {"plc": {"type": "modbus", "device": "/dev/ttyS9", "character_size": 7}}, "sensors": [)" + load +
              "]}",
@@ -557,7 +557,7 @@ TEST_SUITE("config") {
          "there is no variable RTDATA_TEST_NO_SUCH_VARIABLE in the environment"},
         {sinks(R"({"type": "sqlite", "path": {"file": "nothing.txt"}})"), "cannot read the secret from nothing.txt"},
         {R"({"notes": {"env": "HOME"}, "sensors": [)" + load + "]}", "recordings hold this text"},
-        {sinks(R"({"type": "console", "topics": ["a//b"]})"), "\"a//b\" is no topic or pattern"},
+        {sinks(R"({"type": "console", "topics": ["a//b"]})"), "\"a//b\" is not a topic or pattern"},
         {R"({"tiers": {"t": {"policy": "fifo"}}, "sensors": [)" + load + "]}", "needs a `priority` from 1 to 99"},
     };
     for (const Mistake& mistake : mistakes) {
@@ -598,8 +598,8 @@ TEST_SUITE("config") {
       return R"({"sensors": [{"name": "a", "type": "analog", "rate": "1 Hz", "file": "x")" + more + "}]" + sinks;
     };
     CHECK(warnings(analog(R"(, "unit": "bar")")).empty());
-    CHECK(
-        has(warnings(analog(R"(, "unit": "degC")")), "\"degC\" is no unit of UCUM (ucum.org) (did you mean \"Cel\"?)"));
+    CHECK(has(warnings(analog(R"(, "unit": "degC")")),
+              "\"degC\" is not a unit of UCUM (ucum.org) (did you mean \"Cel\"?)"));
     CHECK(has(warnings(analog(R"(, "unit": "m/s^2")")), "(did you mean \"m/s2\"?)"));
     const auto serial = [&](const std::string& field, const std::string& more) {
       return R"({"sensors": [{"name": "a", "type": "serial", "device": "/dev/null", "fields": [)" + field + "]" + more +
@@ -607,7 +607,7 @@ TEST_SUITE("config") {
     };
     CHECK(warnings(serial(R"({"name": "x", "unit": "V", "scale": 2})", R"(, "separator": ";")")).empty());
     CHECK(has(warnings(serial(R"({"name": "x", "unit": "Volts"})", "")),
-              "sensors[0].fields[0].unit: \"Volts\" is no unit"));
+              "sensors[0].fields[0].unit: \"Volts\" is not a unit"));
     // What is a temperature by its name.
     CHECK(has(warnings(serial(R"({"name": "temperature", "unit": "C"})", "")),
               "sensors[0].fields: the unit C of temperature is the coulomb; degrees are Cel\n"));

@@ -143,7 +143,7 @@ TEST_SUITE("config") {
     CHECK(has(missing, "sinks[0].password.env: there is no variable RTDATA_TEST_NO_SUCH_VARIABLE in the environment"));
     CHECK(has(planned(R"(, "password": {"file": "/no/such/file"})").problems.text(),
               "cannot read the secret from /no/such/file"));
-    CHECK(has(planned(R"(, "password": {"file": "/"})").problems.text(), "it is no regular file"));
+    CHECK(has(planned(R"(, "password": {"file": "/"})").problems.text(), "it is not a regular file"));
     CHECK(has(planned(R"(, "password": {"env": "A", "file": "B"})").problems.text(), "expected a string"));
     CHECK(has(planned(R"(, "name": {"env": "HOME"})").problems.text(), "recordings hold this text"));
     CHECK(has(planned(R"(, "topics": [{"env": "HOME"}])").problems.text(), "recordings hold this text"));

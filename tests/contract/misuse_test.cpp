@@ -386,21 +386,21 @@ TEST_SUITE("contract") {
     Loop loop{virtual_time()};
     Tier tier(loop, {});
     auto watch = std::make_unique<TierWatch>(loop, 1ms);
-    bool is_told = false;
+    bool is_reported = false;
     loop.on_error([&](const ErrorReport& report) {
       if (report.error.code != Errc::not_turning) return;
       watch.reset();
-      is_told = true;
+      is_reported = true;
       loop.stop();
     });
     Timer hangs(tier.loop(), 0s, [&] {
-      while (!is_told) loop.manual_clock().pass(1ms);  // as a callback that does not return would
+      while (!is_reported) loop.manual_clock().pass(1ms);  // as a callback that does not return would
     });
     Timer limit(loop, 30s, [&] { loop.stop(); });
     loop.run();
-    CHECK(is_told);
+    CHECK(is_reported);
     CHECK(!watch);
-    is_told = true;
+    is_reported = true;
     tier.stop();
   }
 }

@@ -24,7 +24,7 @@ class TimeOfDay {
     CHECK(::clock_settime(CLOCK_REALTIME, &spec) == 0);
   }
   static void move(Duration by) { set(SystemClock().realtime() + by); }
-  /// Of the time of day from the monotonic line, now.
+  /// Of the time of day from the monotonic clock, now.
   static Duration offset() {
     SystemClock clock;
     return clock.realtime().time_since_epoch() - clock.monotonic().time_since_epoch();
@@ -36,7 +36,7 @@ class TimeOfDay {
   Duration right_;
 };
 
-/// When it was taken, on the monotonic line.
+/// When it was taken, on the monotonic clock.
 struct Sample {
   std::int64_t monotonic = 0;
   RTDATA_FIELDS(Sample, (monotonic, "ns"))
@@ -101,7 +101,7 @@ void check_recording(const std::vector<std::function<void()>>& things, const std
   REQUIRE(noticed.size() == steps.size());
   for (std::size_t i = 0; i < steps.size(); ++i) CHECK(near(noticed[i], steps[i]));
 
-  // As recorded: the monotonic line, moved by one offset. As exported: right, from the first row to the last.
+  // As recorded: the monotonic clock, moved by one offset. As exported: right, from the first row to the last.
   Rows rows = recording.rows({.topic = "clocked"}).or_throw();
   std::uint64_t count = 0, jumps = 0;
   Time last{};

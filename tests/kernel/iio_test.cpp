@@ -364,7 +364,7 @@ TEST_CASE(
   CHECK(degrees == doctest::Approx(25.062));
   put(sim + "/w1_temp16", std::to_string(85 * 16));
   stage.until([&] { return sensor.counts().unreadable >= 2; });
-  CHECK(stage.has_error(Errc::bad_data, "before it has measured"));
+  CHECK(stage.has_error(Errc::bad_data, "before the first measurement"));
   put(sim + "/w1_temp16", std::to_string(0x10000 - 10 * 16));
   stage.until([&] { return sensor.health() == Health::ok; });
   stage.until([&] { return degrees < 0; });

@@ -34,7 +34,7 @@ struct Pairs final : detail::Recorder {
   void drain(MonotonicTime, Callback<void(std::uint64_t)> done) override { done(0); }
 };
 
-/// The machine's monotonic line with a time of day that can be set.
+/// The machine's monotonic clock with a time of day that can be set.
 struct SettableClock final : SystemClock {
   Duration offset{0};
   Time realtime() noexcept override { return SystemClock::realtime() + offset; }

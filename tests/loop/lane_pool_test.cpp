@@ -128,11 +128,11 @@ TEST_SUITE("loop") {
     for (const Outcome outcome : bench.told) CHECK(outcome == Outcome::given_up);
     bench.loop.run();
     CHECK(bench.told.size() == count);
-    CHECK(bench.pool->left_behind() == count);
-    for (Lane* one : bad) CHECK(one->left_behind() == 1);
+    CHECK(bench.pool->abandoned_threads() == count);
+    for (Lane* one : bad) CHECK(one->abandoned_threads() == 1);
     for (Lane* one : bad) bench.ask(*one);  // each goes on with another thread
     bench.stuck.release();
-    while (bench.pool->left_behind() > 0) std::this_thread::yield();
+    while (bench.pool->abandoned_threads() > 0) std::this_thread::yield();
     for (Lane* one : bad) bench.ask(*one);
   }
 
@@ -331,13 +331,13 @@ TEST_SUITE("loop") {
     for (std::size_t i = 0; i < many; ++i) lanes.push_back(&bench.new_lane(5ms));
     for (Lane* one : lanes) bench.hang(*one);
     bench.loop.run();
-    CHECK(bench.pool->left_behind() == many);
+    CHECK(bench.pool->abandoned_threads() == many);
     CHECK(lanes[0]->is_stuck());
     CHECK_FALSE(lanes[0]->lacks_thread());
     CHECK_FALSE(lanes[0]->submit(job({}, {})));
     bench.ask(bench.new_lane());
     bench.stuck.release();
-    while (bench.pool->left_behind() > 0) std::this_thread::yield();
+    while (bench.pool->abandoned_threads() > 0) std::this_thread::yield();
     bench.ask(*lanes[0]);
   }
 

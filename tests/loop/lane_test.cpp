@@ -91,7 +91,7 @@ TEST_SUITE("loop") {
       if (name == 'b') CHECK(outcome == Outcome::finished);
     }
     CHECK(saw_given_up);
-    CHECK(lane.left_behind() == 1);
+    CHECK(lane.abandoned_threads() == 1);
   }
 
   TEST_CASE("each job has a limit of its own") {
@@ -125,17 +125,17 @@ TEST_SUITE("loop") {
     std::vector<std::unique_ptr<Stuck>> stuck;
     int given_up = 0;
     const auto count = [&](Outcome outcome) { given_up += outcome == Outcome::given_up ? 1 : 0; };
-    for (std::size_t i = 0; i < Lane::most_left_behind; ++i) {
+    for (std::size_t i = 0; i < Lane::most_abandoned; ++i) {
       stuck.push_back(std::make_unique<Stuck>());
       CHECK(lane.submit(job(stuck.back()->work(), count)));
-      if (i + 1 == Lane::most_left_behind) CHECK(lane.submit(job({}, count)));  // waits behind it
+      if (i + 1 == Lane::most_abandoned) CHECK(lane.submit(job({}, count)));  // waits behind it
       lane.give_up();
     }
-    CHECK(given_up >= static_cast<int>(Lane::most_left_behind));
-    CHECK(lane.left_behind() <= Lane::most_left_behind);
-    if (lane.left_behind() == Lane::most_left_behind) CHECK_FALSE(lane.submit(job({}, count)));
+    CHECK(given_up >= static_cast<int>(Lane::most_abandoned));
+    CHECK(lane.abandoned_threads() <= Lane::most_abandoned);
+    if (lane.abandoned_threads() == Lane::most_abandoned) CHECK_FALSE(lane.submit(job({}, count)));
     stuck[0]->release();
-    while (lane.left_behind() == Lane::most_left_behind) std::this_thread::yield();
+    while (lane.abandoned_threads() == Lane::most_abandoned) std::this_thread::yield();
     bool finished = false;
     CHECK(lane.submit(job({}, [&](Outcome outcome) { finished = outcome == Outcome::finished; })));
     loop.run();

@@ -961,7 +961,7 @@ TEST_SUITE("loop") {
           CHECK_MESSAGE(false, "it was done");
         } catch (const SetupError& error) {
           CHECK(error.error().code == Errc::not_turning);
-          CHECK(error.error().why.find("it has not come out of sensor reader") != std::string::npos);
+          CHECK(error.error().why.find("it has not returned from sensor reader") != std::string::npos);
         }
         return loop.now() - began;
       };
@@ -1012,7 +1012,7 @@ TEST_SUITE("loop") {
       CHECK(error.error().code == Errc::not_turning);
       advice = error.error().advice;
     }
-    CHECK(advice.find("it has begun with what was asked for") != std::string::npos);
+    CHECK(advice.find("it has begun to do that") != std::string::npos);
     CHECK(loop.now() - began >= 1s);
     CHECK(loop.now() - began <= 1100ms);
     CHECK_THROWS_AS(sensor.stop(), SetupError);  // at once, and not done later
@@ -1086,7 +1086,7 @@ TEST_SUITE("loop") {
     CHECK(run_until(loop, [&] { return hangs; }));
     ticker.close();
     REQUIRE(told.size() == 1);
-    CHECK(told[0] == "loop fast: is waited for: it has not come out of beat for 1 s");
+    CHECK(told[0] == "loop fast: is waited for: it has not returned from beat for 1 s");
   }
 
   TEST_CASE("NFR-1 a tier that was given up and then ends is stopped: nobody waits for it, and it starts again") {
@@ -1095,7 +1095,7 @@ TEST_SUITE("loop") {
       bool hangs{false}, let_go{false};
       unsigned ticks{0};
       Loop loop{virtual_time()};
-      loop.runtime().on_log([&](const LogRecord&) { let_go = true; });  // "is waited for: it has not come out of ..."
+      loop.runtime().on_log([&](const LogRecord&) { let_go = true; });  // "is waited for: it has not returned from ..."
       Tier fast(loop, {.name = "fast", .hold_limit = 60s});
       Ticker ticker(fast.loop(), 1ms, [&](const Tick&) {
         hangs = true;
@@ -1107,7 +1107,7 @@ TEST_SUITE("loop") {
       CHECK(run_until(loop, [&] { return hangs; }));
       CHECK_FALSE(fast.stop_within(5ms));
       if (ends_while_waited_for) {
-        other.close();  // "is waited for: it has not come out of ..."
+        other.close();  // "is waited for: it has not returned from ..."
       } else {
         let_go = true;
         CHECK(run_until(loop, [&] { return !fast.is_running(); }));

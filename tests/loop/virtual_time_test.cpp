@@ -179,7 +179,7 @@ TEST_SUITE("loop") {
     });
     loop.advance(6ms);
     CHECK(told.empty());
-    CHECK_THROWS_WITH_AS(fast.call([](Loop& on) { return on.now(); }), doctest::Contains("has not come out of beat"),
+    CHECK_THROWS_WITH_AS(fast.call([](Loop& on) { return on.now(); }), doctest::Contains("has not returned from beat"),
                          SetupError);
     CHECK_FALSE(told.empty());
     loop.advance(3s);

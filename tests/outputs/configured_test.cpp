@@ -77,7 +77,7 @@ TEST_SUITE("outputs") {
   TEST_CASE("US-35 check finds the mistakes of outputs") {
     const std::string pwm = R"({"name": "fan", "type": "pwm", )";
     CHECK(problems_of(pwm + R"("on": "load", "expression": "minutes_1 > 2"})").empty());
-    CHECK(is_refused(pwm + R"("safe": 2})", "2 is not what the device takes: from 0 to 1"));
+    CHECK(is_refused(pwm + R"("safe": 2})", "2 is not a value for the device: from 0 to 1"));
     CHECK(is_refused(pwm + R"("on": "lod", "expression": "1"})", "lod"));
     CHECK(is_refused(pwm + R"("on": "load", "expression": "minutes_1 >"})", "f.json:2"));
     CHECK(is_refused(pwm + R"("on": "load", "expression": "minute_1 > 2"})", "minute_1"));
@@ -151,7 +151,7 @@ TEST_SUITE("outputs") {
         R"({"name": "a", "final": true, "set": [{"output": "fan", "value": 1}, {"output": "fan", "value": 0}]})", "",
         "the state sets the output \"fan\" already"));
     CHECK(is_refused_with(R"({"name": "a", "final": true, "set": [{"output": "own", "value": 1}]})", "",
-                          "follows a topic, and is set by nobody else"));
+                          "follows a topic, and nothing else sets it"));
     CHECK(is_refused_with(R"({"name": "a", "final": true, "set": [{"output": "far", "value": 1}]})", "",
                           "is on another loop"));
     CHECK(is_refused_with(
@@ -263,7 +263,7 @@ TEST_SUITE("outputs") {
     CHECK(command({"pid", "a", "setpoint", "25"}) == "the set point of output a is 25 until the next reload");
     CHECK(grows_by() == doctest::Approx(0.014));
     CHECK(command({"pid", "a", "kp", "25"}).find("pid OUTPUT setpoint VALUE") != std::string::npos);
-    CHECK(command({"pid", "a", "setpoint", "on"}) == "\"on\" is no number");
+    CHECK(command({"pid", "a", "setpoint", "on"}) == "\"on\" is not a number");
     CHECK(command({"pid", "b", "setpoint", "1"}).find("\"b\"") != std::string::npos);
     // One that changes something else, too.
     (void)system.apply(plan(R"(, "pid": {"setpoint": 20, "kp": 0.3, "ki": 0.002})", R"(, "notes": "x")"));
@@ -435,14 +435,14 @@ TEST_SUITE("outputs") {
     loop.advance(3s);
     CHECK(ticks == 30);
     CHECK_FALSE(set->done);
-    CHECK(set->text.starts_with("tier fast has not come out of "));
+    CHECK(set->text.starts_with("tier fast has not returned from "));
     CHECK(set->text.find("for 2 s: nothing was done") != std::string::npos);
     {  // Where it is known to hang, at once.
       const TierWatch watch(loop, 1s);
       loop.advance(2s);
       set = command({"set", "far", "0"});
       CHECK_FALSE(set->done);
-      CHECK(set->text.find("has not come out of") != std::string::npos);
+      CHECK(set->text.find("has not returned from") != std::string::npos);
       changes = 0;
       const auto go = command({"event", "m", "go"});
       CHECK_FALSE(go->done);
@@ -451,7 +451,7 @@ TEST_SUITE("outputs") {
     const std::string more = R"(, {"name": "third", "type": "memory", "device": "T")";
     CHECK_THROWS_WITH_AS(system.apply(plan(near)), doctest::Contains("nothing was changed"), SetupError);
     CHECK_THROWS_WITH_AS(system.apply(plan(far + "," + near + more + R"(, "tier": "fast"})")),
-                         doctest::Contains("has not come out of"), SetupError);
+                         doctest::Contains("has not returned from"), SetupError);
     CHECK(system.apply(plan(far + "," + near + more + "}")).count(Fate::added) == 1);
     CHECK(devices.all["T"].did == Lines{"open 0"});
     // All outputs are given back for which that can be done.
@@ -694,7 +694,7 @@ TEST_SUITE("outputs") {
     CHECK(ctl({"arm", "lamp"}, 0) == "output lamp is armed already\n");
     CHECK(ctl({"set", "lamp", "on"}, 0) == "output lamp is being set to on\n");
     CHECK(line.reads("<1>"));
-    CHECK(ctl({"set", "lamp", "bright"}, 1).find("\"bright\" is no number, on or off") != std::string::npos);
+    CHECK(ctl({"set", "lamp", "bright"}, 1).find("\"bright\" is not a number, on or off") != std::string::npos);
     CHECK(ctl({"set", "lmap", "0"}, 1).find("lamp") != std::string::npos);
     CHECK(ctl({"disarm", "lamp"}, 0).find("safe value") != std::string::npos);
     CHECK(line.reads("<0>"));

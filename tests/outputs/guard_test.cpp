@@ -364,7 +364,7 @@ TEST_SUITE("outputs") {
     CHECK(b.output.health() == Health::faulted);
     CHECK_FALSE(b.output.value().has_value());
     REQUIRE(b.errors.size() == 1);
-    CHECK(b.errors[0].ends_with("; the guard of what had it before still tries to set it safe"));
+    CHECK(b.errors[0].ends_with("; the guard of its earlier output still tries to set it safe"));
     std::filesystem::remove(path + ".mute");
     CHECK(b.turn_until([&] { return b.output.value() == 0; }));
     CHECK(b.output.health() == Health::ok);

@@ -402,7 +402,7 @@ TEST_SUITE("outputs") {
     CHECK(is_refused(mqtt + R"("to": "pump", "words": {"01": "ON"}})", "it is written 1"));
     const Lines keyless = problems_of(mqtt + R"("to": "pump", "tls": {"key": "/no/such/key"}})");
     CHECK(std::any_of(keyless.begin(), keyless.end(), [](const std::string& line) {
-      return line.find("a key is nothing without its certificate") != std::string::npos;
+      return line.find("a key needs its certificate") != std::string::npos;
     }));
     CHECK(is_refused(mqtt + R"("to": "pump"}, {"name": "q", "type": "mqtt", "to": "pump"})", "MQTT topic"));
   }

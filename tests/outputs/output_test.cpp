@@ -146,8 +146,7 @@ TEST_SUITE("outputs") {
     CHECK(b.output.value() == 1);
     b.loop.advance(100ms);
     CHECK(b.output.value() == 0);
-    CHECK(b.errors ==
-          Lines{"the topic \"air\" has brought nothing yet", "the topic \"air\" has brought nothing for 1 s"});
+    CHECK(b.errors == Lines{"the topic \"air\" has had no event yet", "the topic \"air\" has had no event for 1 s"});
     give(21);
     CHECK(b.output.value() == 1);
     CHECK(b.told() == Lines{"start 0 > 0", "stale 0 > 0 by hot", "input 1 > 1 by hot", "input 0 > 0 by hot",
@@ -204,7 +203,7 @@ TEST_SUITE("outputs") {
       b.errors.clear();
       b.loop.advance(1ms);
       CHECK(b.output.value() == 0);
-      CHECK(b.errors == Lines{"the topic \"air\" has brought nothing for 4 s"});
+      CHECK(b.errors == Lines{"the topic \"air\" has had no event for 4 s"});
       // Neither another topic nor a change of the alarm makes it go on.
       for (const double temperature : {20, 40, 40}) {
         b.loop.advance(1s);
@@ -265,7 +264,7 @@ TEST_SUITE("outputs") {
     CHECK(b.output.value() == 0);
     CHECK(b.told() == Lines{"start 0 > 0", "set 1 > 1 by program", "lease 0 > 0"});
     CHECK(b.output.health() == Health::degraded);
-    CHECK(b.errors == Lines{"nobody has set it for 100 ms"});
+    CHECK(b.errors == Lines{"no program or command has set it for 100 ms"});
     CHECK(b.output.set(1).has_value());
     b.loop.advance(1ms);
     CHECK(b.output.health() == Health::ok);
@@ -353,7 +352,7 @@ TEST_SUITE("outputs") {
     b.make({.on = "air", .max_age = 1s});
     b.loop.advance(1s);
     CHECK(b.output.health() == Health::degraded);
-    CHECK(b.errors == Lines{"the topic \"air\" has brought nothing for 1 s"});
+    CHECK(b.errors == Lines{"the topic \"air\" has had no event for 1 s"});
     Feed<Air> air(b.loop, {.name = "air"});
     air.publish({0.25});
     b.loop.advance(1ms);

@@ -91,18 +91,18 @@ TEST_SUITE("outputs") {
     for (const double value : {0.0, -1e300, 1e300, 0.5}) CHECK(any.refusal(value).empty());
     for (const OutputRange& range : {any, line, duty, steps})
       for (const double value : {std::nan(""), infinite, -infinite})
-        CHECK(range.refusal(value) == "the value is no finite number");
+        CHECK(range.refusal(value) == "the value is not a finite number");
     CHECK(line.refusal(0).empty());
     CHECK(line.refusal(1).empty());
-    CHECK(line.refusal(0.5) == "0.5 is not what the device takes: 0 or 1");
-    CHECK(line.refusal(-1) == "-1 is not what the device takes: 0 or 1");
+    CHECK(line.refusal(0.5) == "0.5 is not a value for the device: 0 or 1");
+    CHECK(line.refusal(-1) == "-1 is not a value for the device: 0 or 1");
     CHECK(duty.refusal(0.5).empty());
-    CHECK(duty.refusal(2) == "2 is not what the device takes: from 0 to 1");
+    CHECK(duty.refusal(2) == "2 is not a value for the device: from 0 to 1");
     CHECK(steps.refusal(8).empty());
-    CHECK(steps.refusal(2.5) == "2.5 is not what the device takes: whole numbers from 2 to 8");
-    CHECK(OutputRange{.least = 3}.refusal(2) == "2 is not what the device takes: 3 or more");
-    CHECK(OutputRange{.most = 3}.refusal(4) == "4 is not what the device takes: 3 or less");
-    CHECK(OutputRange{.is_whole = true}.refusal(0.5) == "0.5 is not what the device takes: whole numbers");
+    CHECK(steps.refusal(2.5) == "2.5 is not a value for the device: whole numbers from 2 to 8");
+    CHECK(OutputRange{.least = 3}.refusal(2) == "2 is not a value for the device: 3 or more");
+    CHECK(OutputRange{.most = 3}.refusal(4) == "4 is not a value for the device: 3 or less");
+    CHECK(OutputRange{.is_whole = true}.refusal(0.5) == "0.5 is not a value for the device: whole numbers");
     CHECK(range_of({}).refusal(1e9).empty());
     CHECK(range_of([]() -> std::unique_ptr<Actuator> { throw std::runtime_error("no"); }).refusal(1e9).empty());
   }
@@ -110,25 +110,25 @@ TEST_SUITE("outputs") {
   TEST_CASE("US-35 check refuses what an output can never have, at its place: safe values, states, rules") {
     const std::string pwm = R"("outputs": [{"name": "fan", "type": "pwm", )";
     CHECK(problems_of(pwm + R"("safe": 1}])").empty());
-    CHECK(problems_of(pwm + R"("safe": 2}])") == "2:52 2 is not what the device takes: from 0 to 1");
-    CHECK(problems_of(pwm + R"("safe": -0.1}])") == "2:52 -0.1 is not what the device takes: from 0 to 1");
+    CHECK(problems_of(pwm + R"("safe": 2}])") == "2:52 2 is not a value for the device: from 0 to 1");
+    CHECK(problems_of(pwm + R"("safe": -0.1}])") == "2:52 -0.1 is not a value for the device: from 0 to 1");
     CHECK(count_of(problems_of(pwm + R"("safe": 1e999}])")) == 1);
     const std::string steps = R"("outputs": [{"name": "fan", "type": "steps")";
     CHECK(problems_of(steps + "}]") ==
-          "2:13 `safe` is 0 unless given: 0 is not what the device takes: whole numbers from 2 to 8");
+          "2:13 `safe` is 0 unless given: 0 is not a value for the device: whole numbers from 2 to 8");
     CHECK(problems_of(steps + R"(, "safe": 8}])").empty());
     CHECK(count_of(problems_of(steps + R"(, "safe": 8, "steps": 7}])")) == 1);
     if (standard_registry().outputs().find("gpio"))
       CHECK(problems_of(R"("outputs": [{"name": "fan", "type": "gpio", "line": 3, "safe": 0.5}])") ==
-            "2:64 0.5 is not what the device takes: 0 or 1");
+            "2:64 0.5 is not a value for the device: 0 or 1");
     const std::string rule = pwm + R"("on": "load", )";
     CHECK(problems_of(rule + R"("expression": "minutes_1"}])").empty());
     CHECK(problems_of(rule + R"("expression": "minutes_1 > 2 ? 1 : 0.5"}])").empty());
     CHECK(problems_of(rule + R"("expression": "minutes_1 > 2 ? 5 : minutes_1 > 1 ? -3 : 0"}])") ==
-          "2:89 5 is not what the device takes: from 0 to 1 (column 17 of it)\n"
-          "2:109 -3 is not what the device takes: from 0 to 1 (column 37 of it)");
+          "2:89 5 is not a value for the device: from 0 to 1 (column 17 of it)\n"
+          "2:109 -3 is not a value for the device: from 0 to 1 (column 37 of it)");
     CHECK(problems_of(rule + R"("expression": "minutes_1", "pid": {"setpoint": 1, "kp": 1, "most": 100}}])") ==
-          "2:125 100 is not what the device takes: from 0 to 1");
+          "2:125 100 is not a value for the device: from 0 to 1");
     CHECK(problems_of(rule + R"("expression": "1000 * minutes_1", "hysteresis": {"on": 1000, "off": 900}}])").empty());
     const std::string own = steps + R"(, "safe": 2, "on": "load", "expression": "minutes_1)";
     CHECK(count_of(problems_of(own + R"( > 2"}])")) == 2);  // of a condition 0 and 1
@@ -151,7 +151,7 @@ TEST_SUITE("outputs") {
     };
     CHECK(problems_of(pwm + R"("safe": 1}])", machine(R"({"output": "fan", "value": 0.5})")).empty());
     CHECK(problems_of(pwm + R"("safe": 1}])", "\n" + machine(R"({"output": "fan", "value": 2})")) ==
-          "3:118 2 is not what the device takes: from 0 to 1");
+          "3:118 2 is not a value for the device: from 0 to 1");
     CHECK(count_of(problems_of(steps + R"(, "safe": 2}])", machine(R"({"output": "fan"})"))) == 1);
   }
 
@@ -165,13 +165,13 @@ TEST_SUITE("outputs") {
     output.set(1).or_throw();
     loop.advance(900ms);
     for (const double value : {0.5, 2.0, -1.0}) CHECK(output.set(value, "me").error().code == Errc::out_of_range);
-    CHECK(output.set(0.5).error().why == "0.5 is not what the device takes: 0 or 1");
+    CHECK(output.set(0.5).error().why == "0.5 is not a value for the device: 0 or 1");
     for (const double value : {std::nan(""), infinite}) CHECK(output.set(value).error().code == Errc::bad_argument);
     loop.advance(50ms);
     CHECK(output.value() == 1);
     CHECK(output.health() == Health::ok);
     CHECK(device.did == Lines{"open 0", "set 1"});
-    const std::string why = " is not what the device takes: 0 or 1";
+    const std::string why = " is not a value for the device: 0 or 1";
     CHECK(log.lines == Lines{"start 0 done", "set 1 done", "set 0.5 failed: 0.5" + why, "set 2 failed: 2" + why,
                              "set -1 failed: -1" + why, "set 0.5 failed: 0.5" + why});
     loop.advance(100ms);  // what was refused does not extend the lease
@@ -196,7 +196,7 @@ TEST_SUITE("outputs") {
       loop.advance(1ms);
     }
     CHECK(device.did == Lines{"open 0", "set 0.25", "set 0", "set 0.75"});
-    CHECK(errors == Lines{"1.5 is not what the device takes: from 0 to 1"});
+    CHECK(errors == Lines{"1.5 is not a value for the device: from 0 to 1"});
     CHECK(output.health() == Health::ok);
   }
 
@@ -226,9 +226,9 @@ TEST_SUITE("outputs") {
       CHECK(answer.find(why) != std::string::npos);
       CHECK(text_of(duty) == "500000");
     };
-    refuses("2", "2 is not what the device takes: from 0 to 1");
-    refuses("nan", "the value is no finite number");
-    refuses("inf", "the value is no finite number");
+    refuses("2", "2 is not a value for the device: from 0 to 1");
+    refuses("nan", "the value is not a finite number");
+    refuses("inf", "the value is not a finite number");
     run.signal(SIGTERM);
     CHECK(run.end() == 0);
     CHECK(text_of(duty) == "0");

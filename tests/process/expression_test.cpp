@@ -153,9 +153,9 @@ TEST_CASE("each mistake has its column, a reason and what was meant") {
   shows("x + 1)", 6, "a `)` without its `(`");
   shows("sin(x", 4, "the `(` is not closed");
   shows("x 5", 3, "`5` is not possible here");
-  shows("2x", 1, "is no number");
+  shows("2x", 1, "is not a number");
   shows("5 m", 3, "`m` is not possible here");
-  shows("0x10", 1, "is no number");
+  shows("0x10", 1, "is not a number");
   shows("1e400", 1, "too large");
   shows("x ? 1", 6, "the `:` of the `?` is missing");
   shows("and x", 1, "`and` has no value on its left");
@@ -224,7 +224,7 @@ TEST_CASE("a long sum is no deep one") {
 TEST_CASE("highest, lowest, previous, delta") {
   Series highest("highest(x)"), lowest("lowest(x)"), previous("previous(x)"), delta("delta(x)");
   CHECK(previous.take(3).state == State::waiting);
-  CHECK(previous.expression.why() == "previous in column 1 has nothing to tell yet");
+  CHECK(previous.expression.why() == "previous in column 1 has no value yet");
   CHECK(delta.take(3).state == State::waiting);
   CHECK(previous.take(5).value == 3);
   CHECK(delta.take(5).value == 2);
@@ -440,9 +440,9 @@ TEST_CASE("a number that is not finite on the way is a failure, not a value") {
   fails("sqrt(x) == sqrt(x)", -1, Failure::undefined, "no number, such as the root of a negative one, in column 9");
   fails("x / x", 0, Failure::undefined, "no number, such as the root of a negative one, in column 3");
   fails("x * 1e300 < 1", 1e300, Failure::too_large, "too large for a double, in column 11");
-  fails("x", std::numeric_limits<double>::quiet_NaN(), Failure::not_finite, "x is no finite number");
-  fails("x > 5", std::numeric_limits<double>::infinity(), Failure::not_finite, "x is no finite number");
-  fails("highest(x)", -std::numeric_limits<double>::infinity(), Failure::not_finite, "x is no finite number");
+  fails("x", std::numeric_limits<double>::quiet_NaN(), Failure::not_finite, "x is not a finite number");
+  fails("x > 5", std::numeric_limits<double>::infinity(), Failure::not_finite, "x is not a finite number");
+  fails("highest(x)", -std::numeric_limits<double>::infinity(), Failure::not_finite, "x is not a finite number");
   fails("highest(1 / x)", 0, Failure::division_by_zero, division + "11");
   fails("not (1 / x > 5)", 0, Failure::division_by_zero, division + "8");
   fails("(1 / x > 5 ? 1 : 2) + 1", 0, Failure::division_by_zero, division + "4");

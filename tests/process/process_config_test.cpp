@@ -133,7 +133,7 @@ TEST_SUITE("process") {
     };
     CHECK(warnings(R"("number": {"calibration": {"scale": 2}, "unit": "bar"})").empty());
     CHECK(has(warnings(R"("number": {"calibration": {"scale": 2}, "unit": "bars"})"),
-              "sensors[0].process.number.unit: \"bars\" is no unit of UCUM"));
+              "sensors[0].process.number.unit: \"bars\" is not a unit of UCUM"));
     CHECK(has(problem(R"("number": {"filters": [{"type": "median", "of": 3, "by": 2}]})"),
               "a filter of this type has no such setting"));
   }

@@ -194,7 +194,7 @@ TEST_SUITE("sensors") {
                               {.request = "VOLT?\n", .fields = {{.name = "v"}}});
     stage.loop.advance(5s);
     CHECK(stage.values.empty());
-    CHECK(stage.has_error("the line is not still"));
+    CHECK(stage.has_error("the device sends without a request"));
   }
 
   TEST_CASE("US-42 a serial adapter that sends back what it is given is told, and nothing is taken from it") {
@@ -212,7 +212,7 @@ TEST_SUITE("sensors") {
                                 {.request = "7\r\n", .fields = {{.name = "v"}}});
       stage.loop.advance(5s);
       CHECK(meter.counts().unreadable > 0);
-      CHECK(stage.has_error("bus meter: it sends back what was asked: switch its echo off"));
+      CHECK(stage.has_error("bus meter: it echoes the request: switch its echo off"));
     }
     DriverSensor<Query> skipping(stage.loop, patient("volt", 1_Hz), port, {},
                                  {.request = "7\r\n", .skip_lines = 1, .fields = {{.name = "v"}}});
@@ -225,7 +225,7 @@ TEST_SUITE("sensors") {
     DriverSensor<MhZ19> air(stage.loop, patient("air", 1_Hz), port);
     stage.loop.advance(5s);
     CHECK(air.counts().published == 0);
-    CHECK(stage.has_error("bus meter: it sends back what was asked"));
+    CHECK(stage.has_error("bus meter: it echoes the request"));
   }
 
   TEST_CASE("US-42 queries of devices with any habit publish the answer to what was asked, or nothing") {
@@ -366,7 +366,7 @@ TEST_SUITE("sensors") {
     DriverSensor<Modbus> b(stage.loop, patient("b", 4_Hz), bus, {.unit = 5}, one_register(60));
     stage.loop.advance(10s);
     CHECK(stage.values.empty());
-    CHECK(stage.has_error("bus rs485, unit 5: it sends back what was asked: switch off the echo"));
+    CHECK(stage.has_error("bus rs485, unit 5: it echoes the request: switch off the echo"));
     CHECK_FALSE(stage.has_error("may still come"));
     CHECK(a.counts().unreadable + b.counts().unreadable >= 6);
   }

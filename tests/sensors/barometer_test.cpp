@@ -426,7 +426,7 @@ TEST_SUITE("sensors") {
       }
       BarometerSensor air(loop, {.name = "air", .rate = 20_Hz}, bus, {0x77}, {.model = BarometerModel::ms5611});
       CHECK(air.health() == Health::faulted);
-      CHECK(air.status().reason.find(is_zero ? "its PROM has the same in all places"
+      CHECK(air.status().reason.find(is_zero ? "all words of its PROM are the same"
                                              : "the checksum of its PROM is wrong") != std::string::npos);
     }
   }
@@ -443,9 +443,9 @@ TEST_SUITE("sensors") {
     CHECK(problems(R"("model": "ms5611", "pressure_oversampling": 4096)") == "");
     CHECK(problems(R"("model": "bmp390", "pressure_oversampling": 32)") == "");
     CHECK(problems(R"("model": "bmp280", "pressure_oversampling": 32)")
-              .find("32 is none of 1, 2, 4, 8, 16, which the BMP280 has") != std::string::npos);
+              .find("32 is not one of 1, 2, 4, 8, 16, which the BMP280 has") != std::string::npos);
     CHECK(problems(R"("model": "ms5611", "temperature_oversampling": 16)")
-              .find("16 is none of 256, 512, 1024, 2048, 4096, which the MS5611 has") != std::string::npos);
+              .find("16 is not one of 256, 512, 1024, 2048, 4096, which the MS5611 has") != std::string::npos);
     CHECK(problems(R"("reference_pressure": 0)").find("reference_pressure") != std::string::npos);
     BarometerBench bench;
     CHECK_THROWS_AS(BarometerSensor(bench.loop, {.name = "b", .rate = 1_Hz}, bench.bus, Barometer::place,

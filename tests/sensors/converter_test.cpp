@@ -254,7 +254,7 @@ TEST_SUITE("sensors") {
     CHECK(adc.health() == Health::ok);
     chip.period = 1s;  // its clock has slowed down
     bench.loop.advance(200ms);
-    CHECK(adc.status().reason.find("it converts still, longer than it may") != std::string::npos);
+    CHECK(adc.status().reason.find("the conversion takes too long") != std::string::npos);
     adc.stop();
     CHECK(adc.counts().balances());
   }
@@ -386,7 +386,7 @@ TEST_SUITE("sensors") {
     chip.code = 5;
     chip.period = 1h;  // after the next sample
     bench.loop.advance(3s);
-    CHECK(bench.told("it measures no more"));
+    CHECK(bench.told("it has stopped measuring"));
     chip.period = 100ms;
     bench.loop.advance(5s);
     CHECK(scale.health() == Health::ok);

@@ -123,7 +123,7 @@ TEST_CASE("a topic that never comes, comes late, stops: a gap, and nothing made 
   bench.take({1});
   bench.take({1});
   CHECK(bench.values.empty());
-  CHECK(bench.errors == DerivedBench::Texts{"the topic \"room/climate\" has brought nothing yet"});  // once
+  CHECK(bench.errors == DerivedBench::Texts{"the topic \"room/climate\" has had no event yet"});  // once
   CHECK(bench.sensor.health() == Health::faulted);
   bench.heat(20);
   CHECK(bench.values.empty());
@@ -133,7 +133,7 @@ TEST_CASE("a topic that never comes, comes late, stops: a gap, and nothing made 
   CHECK(bench.sensor.health() == Health::ok);
   bench.take({2}, 100ms);
   CHECK(bench.values.size() == 2);
-  CHECK(bench.errors.back() == "the topic \"room/climate\" has brought nothing for more than 1 s");
+  CHECK(bench.errors.back() == "the topic \"room/climate\" has had no event for more than 1 s");
   CHECK(bench.sensor.health() == Health::faulted);
   bench.heat(21);
   bench.take({2});

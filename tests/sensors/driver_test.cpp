@@ -172,7 +172,7 @@ TEST_SUITE("sensors") {
     chip.on_write(0x24, [&](std::uint16_t value) { started += value == 0; });
     DriverSensor<Sht> room(bench.loop, {.name = "room", .rate = 10_Hz}, bench.bus);
     CHECK(room.health() == Health::faulted);
-    CHECK(bench.errors.back().find("the question who it is has a wrong checksum") != std::string::npos);
+    CHECK(bench.errors.back().find("the answer with its identity has a wrong checksum") != std::string::npos);
     chip.set(0xf6, {Sht::checksum(status)});
     bench.loop.advance(100ms);
     started = 0;
@@ -260,10 +260,10 @@ TEST_SUITE("sensors") {
     CHECK(battery.counts().repeated == 5);
     CHECK(battery.counts().published == published);
     bench.loop.advance(700ms);
-    CHECK(battery.status().reason.find("it measures no more") != std::string::npos);
+    CHECK(battery.status().reason.find("it has stopped measuring") != std::string::npos);
     chip.set_word(2, 4000 << 3 | 3);
     bench.loop.advance(1s);
-    CHECK(battery.status().reason.find("it tells of an overflow") != std::string::npos);
+    CHECK(battery.status().reason.find("it reports an overflow") != std::string::npos);
     CHECK(battery.counts().published == published);
     chip.set_word(2, 4000 << 3 | 2);
     bench.loop.advance(1s);
@@ -274,7 +274,7 @@ TEST_SUITE("sensors") {
     DriverSensor<Ina> motor(bench.loop, {.name = "motor", .rate = 10_Hz, .retry_longest = 1s}, bench.bus, {0x41},
                             config);
     CHECK(motor.health() == Health::faulted);
-    CHECK(bench.errors.back().find("it does not have its identity") != std::string::npos);
+    CHECK(bench.errors.back().find("it does not answer with the identity of that chip") != std::string::npos);
     other.set_word(0xfe, 0x5449);
     other.set_word(0xff, 0x2260);
     other.set_word(6, 0x0008);
@@ -283,7 +283,7 @@ TEST_SUITE("sensors") {
     CHECK(motor.counts().published > 0);
     other.set_word(6, 0x000c);
     bench.loop.advance(1s);
-    CHECK(motor.status().reason.find("it tells of an overflow") != std::string::npos);
+    CHECK(motor.status().reason.find("it reports an overflow") != std::string::npos);
     CHECK_THROWS_AS(
         DriverSensor<Ina>(bench.loop, {.name = "b", .rate = 1_Hz}, bench.bus, {0x42}, {.shunt_resistance = 0}),
         SetupError);
@@ -557,12 +557,12 @@ TEST_SUITE("sensors") {
     CHECK(problems(first + R"(, {"name": "b", "type": "lm75", "rate": "1 Hz", "bus": "i2c1"})")
               .find("has address 0x48 of the bus \"i2c1\" already; give each chip its own") != std::string::npos);
     CHECK(problems(R"({"name": "b", "type": "lm75", "rate": "1 Hz", "bus": "i2c1", "address": "0x90"})")
-              .find("0x90 is an address of 8 bits, with that for reading or writing; without it, it is 0x48") !=
+              .find("0x90 is an address of 8 bits, with the read/write bit; the address of 7 bits is 0x48") !=
           std::string::npos);
-    CHECK(problems(R"({"name": "b", "type": "lm75", "rate": "1 Hz", "address": "high"})").find("is no address") !=
+    CHECK(problems(R"({"name": "b", "type": "lm75", "rate": "1 Hz", "address": "high"})").find("is not an address") !=
           std::string::npos);
     CHECK(problems(R"({"name": "b", "type": "barometer", "rate": "1 Hz", "bus": "i2c1", "pressure_oversampling": 3})")
-              .find("3 is none of 1, 2, 4, 8, 16") != std::string::npos);
+              .find("3 is not one of 1, 2, 4, 8, 16") != std::string::npos);
     CHECK(
         problems(R"({"name": "b", "type": "lm75", "rate": "1 Hz", "bus": "i2c2"})").find("there is no bus \"i2c2\"") !=
         std::string::npos);

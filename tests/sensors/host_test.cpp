@@ -237,7 +237,7 @@ TEST_CASE("FW-2 what chips of hwmon measure is in SI units, with the alarm where
   CHECK(sensors[3].health() == Health::degraded);
   CHECK(sensors[3].counts().failed == 1);
   REQUIRE(!errors.empty());
-  CHECK(errors.back().why == "the chip tells of a fault of its sensor");
+  CHECK(errors.back().why == "the chip reports a fault of its sensor");
   ScratchDirectory::write(fault, "0\n");
   loop.advance(1s);
   CHECK(values.count("fan") == 1);

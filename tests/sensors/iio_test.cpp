@@ -480,7 +480,7 @@ TEST_CASE("FW-2 US-15 an IIO device buffered: what cannot be set up says what, w
   config.channels = {"pressure"};
   CHECK(says(refusal(), "channel pressure is not in its buffer"));
   config.channels = {"volt0"};
-  CHECK(says(refusal(), "\"volt0\" is no channel"));
+  CHECK(says(refusal(), "\"volt0\" is not a channel"));
   config.channels = {"temp"};
   config.watermark = 9;
   CHECK(says(refusal(), "watermark"));

@@ -346,7 +346,7 @@ TEST_SUITE("sensors") {
           "cannot use the chip as an MPU-6050: bus i2c1, 0x68: its identity is 0x71, that of an MPU-6050 is 0x68: it "
           "seems to be an MPU-9250: set `model`");
     CHECK_THROWS_WITH_AS(ImuSensor(bench.loop, {.name = "b", .rate = 50_Hz}, bench.bus, {0x69}, {.sample_rate = 300}),
-                         doctest::Contains("300 is none of 4, 5, 8"), SetupError);
+                         doctest::Contains("300 is not one of 4, 5, 8"), SetupError);
     const std::string
         problems = plan_system(
                        standard_registry(),
@@ -357,7 +357,7 @@ TEST_SUITE("sensors") {
                            "f.json"))
                        .problems.text();
     for (const char* part :
-         {"300 is none of 4, 5, 8", "3 is none of 2, 4, 8, 16", "300 is none of 250", "50 is none of 188"})
+         {"300 is not one of 4, 5, 8", "3 is not one of 2, 4, 8, 16", "300 is not one of 250", "50 is not one of 188"})
       CHECK(problems.find(part) != std::string::npos);
   }
 }

@@ -616,13 +616,13 @@ TEST_SUITE("sensors") {
     CHECK(problems(R"("type": "accelerometer", "sample_rate": 12.5, "self_test": true)") == "");
     CHECK(problems(R"("type": "accelerometer", "model": "adxl375")") == "");
     CHECK(problems(R"("type": "imu", "model": "lsm6dso", "sample_rate": 100)")
-              .find("100 is none of 26, 52, 104, 208, 416, 833, 1660, which the LSM6DSO has") != std::string::npos);
+              .find("100 is not one of 26, 52, 104, 208, 416, 833, 1660, which the LSM6DSO has") != std::string::npos);
     CHECK(problems(R"("type": "imu", "model": "lsm9ds1", "angular_range": 1000)")
-              .find("1000 is none of 245, 500, 2000") != std::string::npos);
+              .find("1000 is not one of 245, 500, 2000") != std::string::npos);
     CHECK(problems(R"("type": "imu", "model": "lsm9ds1", "bandwidth": 42)").find("the LSM9DS1 has no such setting") !=
           std::string::npos);
     CHECK(problems(R"("type": "accelerometer", "model": "adxl375", "acceleration_range": 16)")
-              .find("16 is none of 200") != std::string::npos);
+              .find("16 is not one of 200") != std::string::npos);
     CHECK(problems(R"("type": "accelerometer", "model": "adxl375", "self_test": true)")
               .find("there are no limits for that of the ADXL375") != std::string::npos);
   }

@@ -221,7 +221,7 @@ TEST_CASE("limits: settings that cannot work are refused, each with its reason")
   CHECK(why({.high = std::numeric_limits<double>::infinity()}) == "`high` is not finite");
   CHECK(why({.high = 1, .hysteresis = -1}) == "`hysteresis` is not a number from 0 on");
   CHECK(why({.low = 0, .high = 1, .hysteresis = 1}) ==
-        "`hysteresis` is as large as what is between the limits: the value could never be normal again");
+        "`hysteresis` is as large as the distance of the limits: the value could never be normal again");
   CHECK(why({.high = 1, .delay = Duration{-1}}) == "`delay` is negative");
   CHECK(why({.high = 1, .hysteresis = 100, .latched = true}).empty());
 }
@@ -330,7 +330,7 @@ TEST_CASE("a topic that falls silent is an alarm, a gap and a fault, and told on
   CHECK(bench.sensor.health() == Health::faulted);
   bench.loop.advance(20s);
   CHECK(bench.alarms.empty());
-  CHECK(bench.errors == std::vector<std::string>{"the topic \"tank\" has brought nothing for 2 s"});
+  CHECK(bench.errors == std::vector<std::string>{"the topic \"tank\" has had no event for 2 s"});
   bench.take(50, 1s);
   CHECK(bench.levels() == std::vector{normal});
   CHECK(bench.sensor.health() == Health::ok);

@@ -227,7 +227,7 @@ TEST_SUITE("sensors") {
         const std::size_t before = bench.readings.size();
         bench.loop.advance(5s);
         CHECK(bench.readings.size() <= before + 1);
-        CHECK(bench.told("it has brought no sample since"));
+        CHECK(bench.told("it has given no sample since"));
         CHECK(compass.counts().failed >= 5);
         bench.fake.is_measuring = true;
         bench.loop.advance(3s);
@@ -259,9 +259,9 @@ TEST_SUITE("sensors") {
       return plan_system(standard_registry(), parse_config(text, "compass.json")).problems.text();
     };
     CHECK(problems(R"("model": "lis3mdl", "sample_rate": 80, "field_range": 12)") == "");
-    CHECK(problems(R"("model": "ak8963", "sample_rate": 80)").find("80 is none of 8, 100, which the AK8963 has") !=
+    CHECK(problems(R"("model": "ak8963", "sample_rate": 80)").find("80 is not one of 8, 100, which the AK8963 has") !=
           std::string::npos);
-    CHECK(problems(R"("model": "qmc5883l", "field_range": 4)").find("4 is none of 2, 8, which the QMC5883L has") !=
+    CHECK(problems(R"("model": "qmc5883l", "field_range": 4)").find("4 is not one of 2, 8, which the QMC5883L has") !=
           std::string::npos);
     CHECK(Magnetometer::check({.model = MagnetometerModel::hmc5883l, .sample_rate = 100}).error().where ==
           "sample_rate");

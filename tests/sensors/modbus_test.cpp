@@ -479,7 +479,7 @@ TEST_CASE("US-42 Modbus RTU: units on one line share it; broken, half and missin
   CHECK(std::count(stage.values.begin(), stage.values.end(), "one: -1 absent 1022") > 3);
   CHECK(std::count(stage.values.begin(), stage.values.end(),
                    "three: " + std::to_string(2002u << 16 | 2003u) + " true") > 3);
-  CHECK(stage.has_error("bus rs485, unit 9: no answer in 50 ms: look at the device, its wires, `unit`"));
+  CHECK(stage.has_error("bus rs485, unit 9: no answer in 50 ms: check the device, its wires, `unit`"));
   CHECK(bus.counts(1).transfers > 3);
   CHECK(bus.counts(9).transfers == bus.counts(9).failed);
   nobody.close();

@@ -123,7 +123,7 @@ TEST_CASE("US-27 a read that throws is a failure like any other") {
   });
   sensor.on_error([&](const ErrorReport& report) { errors.emplace_back(report.error.why); });
   loop.advance(550ms);
-  CHECK(errors == std::vector<std::string>{"odd", "odd", "an exception that is no std::exception", "odd"});
+  CHECK(errors == std::vector<std::string>{"odd", "odd", "an exception that is not a std::exception", "odd"});
   CHECK(sensor.counts().taken == 2);
   CHECK(sensor.counts().failed == 4);
   CHECK(sensor.counts().balances());

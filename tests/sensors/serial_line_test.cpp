@@ -238,7 +238,7 @@ TEST_CASE("a line that is separated by something else, or is a greeting, is answ
   CHECK(advice(two, "123.7\t20.1").find("separated by tabs") != std::string::npos);
   CHECK(advice(two, "1,2;3").find("separated") == std::string::npos);
   const std::string greeting = advice(detail::LineDecoder({.fields = {{.name = "a"}}}), "HX711 ready");
-  CHECK(greeting.find("\"HX711 ready\" is no number") != std::string::npos);
+  CHECK(greeting.find("\"HX711 ready\" is not a number") != std::string::npos);
   CHECK(greeting.find("`skip_lines` or `comment`") != std::string::npos);
 }
 
@@ -438,7 +438,7 @@ TEST_CASE("US-5 a first line that was thrown away is in the recording, and no lo
   CHECK(report.runs.at(0).losses.empty());
   CHECK(report.runs.at(0).first_lines == std::map<std::string, std::uint64_t>{{"line", 1}});
   CHECK(has(report.text(), "nothing lost: 2 rows"));
-  CHECK(has(report.text(), "1 first line of line thrown away: the port was opened in the middle of a line"));
+  CHECK(has(report.text(), "1 first line of line discarded: the port was opened in the middle of a line"));
   CHECK(has(report.to_json(), R"("first_lines": {)"));
   CHECK(summary(Recording::open(path).or_throw(), 1).or_throw().at(0).first_lines == 1);
 }

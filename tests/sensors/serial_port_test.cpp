@@ -330,7 +330,7 @@ TEST_SUITE("sensors") {
     CHECK_MESSAGE(has(bench.errors.back(), "field n: \"ERROR\" is no int32"), bench.errors.back());
     bench.wires->unplug();
     bench.loop.advance(200ms);
-    CHECK(has(bench.errors.back(), "the device has gone away"));
+    CHECK(has(bench.errors.back(), "the device has disappeared"));
     bench.wires->plug_in();
     bench.wires->on_write([](std::string_view) { return "9\n"; });
     bench.loop.advance(1s);  // after the one that made no sense, too
@@ -403,8 +403,8 @@ TEST_SUITE("sensors") {
             .empty());
     CHECK(has(report(bus, query("")), "there is no request"));
     CHECK(has(report(bus, query(R"(, "request": "?", "request_hex": "00")")), "there is a `request` too"));
-    CHECK(has(report(bus, query(R"(, "request_hex": "0")")), "these are no bytes"));
-    CHECK(has(report(bus, query(R"(, "request_hex": "0g")")), "these are no bytes"));
+    CHECK(has(report(bus, query(R"(, "request_hex": "0")")), "these are not bytes"));
+    CHECK(has(report(bus, query(R"(, "request_hex": "0g")")), "these are not bytes"));
     CHECK(has(report(bus, query(R"(, "request": "?", "separator": "1")")), "separator: numbers hold it"));
     CHECK(has(
         report(R"("m": {"type": "serial", "device": "/dev/x", "answer_timeout": "9 s"})", query(R"(, "request": "?")")),

@@ -79,7 +79,7 @@ TEST_SUITE("sensors") {
     CHECK(max31855(0x00010191).error().why == "the thermocouple is open");
     CHECK(max31855(0x00010192).error().why == "the thermocouple is shorted to ground");
     CHECK(max31855(0x00010194).error().why == "the thermocouple is shorted to the supply");
-    CHECK(max31855(0x00010190).error().why == "it tells of a fault and not of which");
+    CHECK(max31855(0x00010190).error().why == "it reports an unknown fault");
     CHECK(max31855(0xffffffff).error().why == "bits that are 0 are not: nothing answers");
     CHECK(max31855(0x00000000).error().why == "it gives zeros only: nothing answers");
   }
@@ -155,7 +155,7 @@ TEST_SUITE("sensors") {
     CHECK(fault(0x01).why == "the thermocouple is open");
     CHECK(fault(0x02).why == "an input is below ground or above the supply");
     CHECK(fault(0x40).code == Errc::out_of_range);
-    CHECK(fault(0x80).why == "the cold junction is outside of its range");
+    CHECK(fault(0x80).why == "the cold junction is outside its range");
   }
 
   TEST_CASE("US-11 US-27 a MAX31856: its settings, its time, a reset in a measurement, faults, nobody there") {
@@ -205,7 +205,7 @@ TEST_SUITE("sensors") {
     chip.memory[15] = 0;
     chip.written = nullptr;  // never ends
     bench.loop.advance(1s);
-    CHECK(oven.status().reason.find("it measures still, longer than it may") != std::string::npos);
+    CHECK(oven.status().reason.find("the measurement takes too long") != std::string::npos);
     oven.stop();
     CHECK(oven.counts().balances());
     CHECK_THROWS_WITH_AS(

@@ -220,7 +220,7 @@ TEST_CASE("US-17 a condition without a value holds nothing open, and is told") {
   CHECK(bench.errors.empty());  // it may still come
   bench.run(15);
   REQUIRE(bench.errors.size() == 1);
-  CHECK(bench.errors[0] == "`when` has no value: the topic \"button\" has brought nothing yet");
+  CHECK(bench.errors[0] == "`when` has no value: the topic \"button\" has had no event yet");
   CHECK(bench.trigger.health() == Health::degraded);
   bench.press(true);
   CHECK(bench.trigger.health() == Health::ok);
@@ -228,7 +228,7 @@ TEST_CASE("US-17 a condition without a value holds nothing open, and is told") {
   bench.run(30);  // 2 s after it was pressed
   CHECK(bench.values == numbers(15, 45));
   REQUIRE(bench.errors.size() == 2);
-  CHECK(bench.errors[1].find("has brought nothing for more than 2 s") != std::string::npos);
+  CHECK(bench.errors[1].find("has had no event for more than 2 s") != std::string::npos);
 
   TriggerBench failing({.when = "1 / (value - 3) > 0", .before = 0s});
   failing.run(5);
@@ -251,7 +251,7 @@ TEST_CASE("US-17 making a trigger refuses what cannot work") {
     TriggerSensor(loop, std::move(feed), std::move(config));
   };
   CHECK_THROWS_WITH_AS(made({.on = "thurst", .when = "1"}), doctest::Contains("no topic \"thurst\" yet"), SetupError);
-  CHECK_THROWS_WITH_AS(made({.on = "a b#", .when = "1"}), doctest::Contains("is no topic"), SetupError);
+  CHECK_THROWS_WITH_AS(made({.on = "a b#", .when = "1"}), doctest::Contains("is not a topic"), SetupError);
   CHECK_THROWS_WITH_AS(made({.on = "thrust", .with = {"thrust"}, .when = "1"}), doctest::Contains("twice"), SetupError);
   CHECK_THROWS_WITH_AS(made({.on = "thrust", .when = "1", .events = 4'000'000'000}),
                        doctest::Contains("takes more memory than this machine has"), SetupError);

@@ -26,7 +26,7 @@ TEST_CASE("FW-2 a thermometer's text is degrees, and whatever else it may be is 
   CHECK(parse_w1("50 05 4b 46 7f ff 10 10 00 : crc=00 YES\n50 05 4b 46 7f ff 10 10 00 t=85000\n").or_throw() == 85);
   CHECK(parse_w1("").error().code == Errc::disconnected);
   CHECK(parse_w1("\n").error().code == Errc::disconnected);
-  CHECK(parse_w1(power_on).error().why == "85 degrees is what it shows before it has measured");
+  CHECK(parse_w1(power_on).error().why == "85 degrees is its value before the first measurement");
   CHECK(parse_w1("91 01 4b 46 7f ff 0c 10 5f : crc=5e NO\n91 01 4b 46 7f ff 0c 10 5e t=25062\n").error().why ==
         "its checksum is wrong");
   CHECK(parse_w1("00 00 00 00 00 00 00 00 00 : crc=00 YES\n00 00 00 00 00 00 00 00 00 t=0\n").error().why ==

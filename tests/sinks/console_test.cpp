@@ -87,7 +87,7 @@ TEST_SUITE("sinks") {
     CHECK(sink.counts().stored == 1);
     CHECK(sink.counts().dropped[static_cast<std::size_t>(DropReason::refused)] == 5);
     CHECK(errors == std::vector<std::string>{"printing has ended: descriptor " + std::to_string(pipe.ends[1]) +
-                                             ": its reader has gone"});
+                                             ": its reader has closed it"});
     CHECK(loop.close() == 0);
   }
 

@@ -220,7 +220,7 @@ TEST_SUITE("sinks") {
            "cannot make file sink: " + directory + "/no/{topic}: there is no directory");
     starts({.path = directory + "/{topic}/run"},
            "cannot make file sink: " + directory + "/{topic}/run: {topic} stands in");
-    starts({.path = "/dev/null"}, "cannot record into: /dev/null: it is no regular file");
+    starts({.path = "/dev/null"}, "cannot record into: /dev/null: it is not a regular file");
     starts({.path = directory + "/run", .format = "cvs"}, CodecRegistry::standard().make("cvs").error().text());
     starts({.path = directory + "/run.csv", .format = "csv"},
            "cannot record topic b/c: " + directory +
@@ -231,7 +231,7 @@ TEST_SUITE("sinks") {
         "cannot append to: " + directory + "/other.csv: its header is \"time,origin,sequence,speed\"");
     std::ofstream(directory + "/text") << "this is a text and not raw bytes\n";
     starts({.path = directory + "/text", .format = "raw"},
-           "cannot append to: " + directory + "/text: what it holds is no raw");
+           "cannot append to: " + directory + "/text: its content is not a valid raw");
     CHECK(content(directory + "/text") == "this is a text and not raw bytes\n");
     if (::geteuid() == 0) {
       MESSAGE("skipped: a directory without permission, since root may write everywhere");

@@ -58,7 +58,7 @@ TEST_SUITE("sinks") {
       CHECK(has(judgement.why.why, std::to_string(status)));
       CHECK(has(judgement.why.why, ": no"));
       CHECK(!has(judgement.why.why, "reason"));
-      if (expected == HttpVerdict::faulted) CHECK(has(judgement.why.advice, "nothing is thrown away"));
+      if (expected == HttpVerdict::faulted) CHECK(has(judgement.why.advice, "nothing is discarded"));
     }
     CHECK(has(of(401).why.text(), "token"));
     CHECK(has(of(404).why.text(), "`url`"));

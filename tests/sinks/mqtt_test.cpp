@@ -155,7 +155,7 @@ TEST_SUITE("sinks") {
       CHECK(bench.wait_for([&] { return sink.counts().dropped[refused] == 20; }));
       CHECK(sink.counts().stored == 0);
       CHECK(sink.counts().balances());
-      CHECK(bench.has_error("nobody was subscribed"));
+      CHECK(bench.has_error("there was no subscriber"));
       CHECK(bench.loop.runtime().has_loss());
       CHECK(bench.loop.close(2s) == 0);
     }
@@ -175,7 +175,7 @@ TEST_SUITE("sinks") {
     MqttSink sink(bench.loop,
                   bench.to(broker.port(), {.topic = "plant/{topic}", .qos = 1, .wait_for_subscriber = true}));
     bench.publish(20);
-    CHECK(bench.wait_for([&] { return bench.has_error("nobody is subscribed"); }));
+    CHECK(bench.wait_for([&] { return bench.has_error("there is no subscriber"); }));
     CHECK(sink.counts().stored == 0);
     Listener listener(broker.port());
     CHECK(bench.wait_for([&] { return sink.counts().stored == 20; }));
@@ -481,7 +481,7 @@ TEST_SUITE("sinks") {
       CAPTURE(is_trusted);
       Bench bench;
       MqttSink sink(bench.loop,
-                    bench.to(broker.port(), {.retain = true,  // nobody is subscribed
+                    bench.to(broker.port(), {.retain = true,  // there is no subscriber
                                              .tls = TlsConfig{.ca_file = is_trusted ? directory / "cert.pem" : ""}}));
       bench.publish(200);
       CHECK(
@@ -502,8 +502,8 @@ TEST_SUITE("sinks") {
       bool knows_authority;
       const char *why, *advice;
     } cases[] = {{"expired", true, "certificate has expired", "have it renewed"},
-                 {"self", true, "self-signed certificate", "nobody vouches for the server's certificate but itself"},
-                 {"right", false, "unable to get local issuer certificate", "does not trust who has signed"},
+                 {"self", true, "self-signed certificate", "the server's certificate is self-signed"},
+                 {"right", false, "unable to get local issuer certificate", "does not trust the authority that signed"},
                  {"other", true, "hostname mismatch", "for another name: use that name in `host`"}};
     for (const auto& one : cases) {
       CAPTURE(one.certificate);
@@ -563,7 +563,7 @@ TEST_SUITE("sinks") {
       const bool is_good = one.second;
       INFO("certificate " << tls.certificate << ", password " << tls.key_password);
       Bench bench;
-      MqttSink sink(bench.loop, bench.to(broker.port(), {.retain = true, .tls = tls}));  // nobody is subscribed
+      MqttSink sink(bench.loop, bench.to(broker.port(), {.retain = true, .tls = tls}));  // there is no subscriber
       bench.publish(20);
       CHECK(bench.wait_for([&] { return is_good ? sink.counts().stored == 20 : sink.health() == Health::faulted; }));
       CHECK(sink.counts().stored == (is_good ? 20U : 0U));

@@ -34,9 +34,10 @@ TEST_SUITE("sinks") {
         bench.publish(10);
         need(bench.wait_for([&] { return bench.sink.health() == Health::faulted; }), 2);
         need(bench.sink.counts().queued == 10, 3);
-        bool is_told = false;
-        for (const std::string& error : bench.errors) is_told = is_told || error.find("peer.test") != error.npos;
-        need(is_told, 4);
+        bool is_reported = false;
+        for (const std::string& error : bench.errors)
+          is_reported = is_reported || error.find("peer.test") != error.npos;
+        need(is_reported, 4);
 
         know("127.0.0.1");
         need(bench.wait_for([&] { return bench.sink.counts().stored == 10; }), 5);

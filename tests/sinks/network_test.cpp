@@ -519,7 +519,7 @@ TEST_SUITE("sinks") {
     UdpSink sink(bench.loop, {.host = "127.0.0.1", .port = port, .longest = 400});
     bench.publish(10);
     bench.wait_for([] { return false; }, 20);
-    CHECK(bench.has_error("nobody receives it"));
+    CHECK(bench.has_error("no program receives it"));
     CHECK(sink.counts().dropped[static_cast<std::size_t>(DropReason::refused)] > 0);
     CHECK(sink.health() == Health::ok);
     CHECK(sink.counts().queued == 0);

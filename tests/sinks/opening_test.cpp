@@ -178,7 +178,7 @@ TEST_SUITE("sinks") {
   TEST_CASE("a recording that cannot be opened: at the start it throws and leaves nothing behind") {
     Directory directory;
     const std::string path = directory / "run.db";
-    std::ofstream(path) << "this is no recording, and longer than the head of one: " << std::string(200, 'x');
+    std::ofstream(path) << "this is not a recording, and longer than the head of one: " << std::string(200, 'x');
     for (const bool is_manual : {true, false}) {
       CAPTURE(is_manual);
       std::optional<Loop> loop;
@@ -208,7 +208,7 @@ TEST_SUITE("sinks") {
   TEST_CASE("a recording that is added and cannot be opened is told, tried again, and has what waited") {
     Directory directory;
     const std::string path = directory / "run.db";
-    std::ofstream(path) << "this is no recording, and longer than the head of one: " << std::string(200, 'x');
+    std::ofstream(path) << "this is not a recording, and longer than the head of one: " << std::string(200, 'x');
     {
       Adding adding;
       const auto topic = adding.loop.topic<Number>("a");

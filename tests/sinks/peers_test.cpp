@@ -338,7 +338,7 @@ TEST_SUITE("sinks") {
       const char* says;
     };
     for (const Answer& answer :
-         {Answer{"\x20\x05\0\0\x02\x7f\0"s, "a property that MQTT does not have there"},
+         {Answer{"\x20\x05\0\0\x02\x7f\0"s, "a property that MQTT does not allow there"},
           Answer{"\x20\x03\0\0\0\x30\x05\0\x01t\x02\x7f"s, nullptr},
           Answer{"\x20\x03\0\0\0\x40\x06\0\x01\0\x02\x7f\0"s, nullptr}, Answer{"\xff\xff\xff\xff\xff\xff"s, nullptr}}) {
       CAPTURE(answer.bytes);

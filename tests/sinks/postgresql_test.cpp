@@ -763,7 +763,7 @@ TEST_SUITE("sinks") {
     // Somebody moves the position on, as that connection would have.
     server.sql(database, "UPDATE rtdata_position SET last_sequence = last_sequence + 1");
     program.loop.advance(1s);
-    CHECK(program.told("another program has sent events of this run meanwhile"));
+    CHECK(program.told("another program has also sent events of this run"));
     server.sql(database, "UPDATE rtdata_position SET last_sequence = last_sequence - 1");
     program.loop.advance(20s);
     program.loop.close();
@@ -859,10 +859,10 @@ TEST_SUITE("sinks") {
               "newer-version"));
     CHECK(has(error_after("ALTER TABLE \"plant/number\" ALTER COLUMN count TYPE text",
                           "ALTER TABLE \"plant/number\" ALTER COLUMN count TYPE bigint USING count::bigint"),
-              "sequence 1: field count holds what is no int64"));
+              "sequence 1: field count holds a value that is not a valid int64"));
     CHECK(has(error_after("ALTER TABLE \"plant/number\" RENAME COLUMN count TO counted",
                           "ALTER TABLE \"plant/number\" RENAME COLUMN counted TO count"),
-              "it has not all columns of its description"));
+              "it lacks columns of its description"));
     CHECK(has(error_after("ALTER TABLE rtdata_topic RENAME TO other", "ALTER TABLE other RENAME TO rtdata_topic"),
               "it has no table rtdata_topic"));
     CHECK(verify_server(config).or_throw().exit_code() == 0);

@@ -319,7 +319,8 @@ Found cut_at_random(const Promise& promise) {
 
 TEST_SUITE("sinks") {
   TEST_CASE(
-      "NFR-1 power cut at random moments, profile normal: the file is whole, 31 s at most are lost, and that is said") {
+      "NFR-1 power cut at random moments, profile normal: the file is whole, 31 s at most are lost, and that is "
+      "said") {
     const Found found = cut_at_random({SqliteProfile::normal, false, 31s});
     CHECK(found.lost > 0);
   }

@@ -221,7 +221,7 @@ TEST_CASE("FW-5 what cannot be read is refused with a clear error") {
     sql(before, "PRAGMA application_id = 0x52544441; PRAGMA user_version = " + std::to_string(version));
     CHECK(refusal(before).id() == "not-a-recording");
     CHECK(refusal(before).why.starts_with(
-        "it is a recording from before version 0.1.0, whose format is another (\"rtdata "));
+        "it is a recording of a version before 0.1.0, which had another format (\"rtdata "));
     CHECK(refusal(before).advice == "export it with the rtdata that recorded it, or record into another file");
     std::filesystem::remove(before);
   }
@@ -260,7 +260,7 @@ TEST_CASE("FW-5 a file whose program was ended while it made it is not read as i
   }
   const Error error = refusal(folder / "killed.db");
   CHECK(error.id() == "not-a-recording");
-  CHECK_MESSAGE(error.why.find("it was being made when its program ended") != std::string::npos, error.text());
+  CHECK_MESSAGE(error.why.find("its program ended while it made the file") != std::string::npos, error.text());
 }
 
 TEST_CASE("FW-5 a file that may not be read says so") {

@@ -350,7 +350,7 @@ TEST_CASE("FW-5 what cannot be replayed is refused, with the reason") {
   CHECK(has(refusal({.topics = {"nothing/#"}}), "its topics are every/thing, room/climate"));
   CHECK(refusal({.topics = {"a/#/b"}}).starts_with("bad-name: "));
   CHECK(has(refusal({.rename = {"room"}}), "write room=lab/room"));
-  CHECK(has(refusal({.from = "yesterday"}), "it is no time"));
+  CHECK(has(refusal({.from = "yesterday"}), "it is not a time"));
   CHECK(has(refusal({.from = "2", .until = "1"}), "it ends before it begins"));
   CHECK(refusal({.speed = 0}).starts_with("bad-argument: "));
   CHECK(refusal({.speed = std::numeric_limits<double>::quiet_NaN()}).starts_with("bad-argument: "));

@@ -202,7 +202,7 @@ TEST_SUITE("sinks") {
       notes.add(at(i), at(i), "object " + std::to_string(i), Error{Errc::io_failed, "it fails", "", "", ""}, 3);
     Account account;
     account.at = at(7);
-    notes.tell_lost(account.at);
+    notes.report_lost(account.at);
     notes.move_into(account);
     REQUIRE(account.gaps.size() == most_gaps);
     std::uint64_t ticks = 0;
@@ -222,7 +222,7 @@ TEST_SUITE("sinks") {
     CHECK(told("not kept: errors") == 3 * more);
     CHECK(told("not kept: pairs of clocks") == more);
     Account next;
-    notes.tell_lost(next.at);
+    notes.report_lost(next.at);
     notes.move_into(next);
     CHECK(next.is_empty());
   }

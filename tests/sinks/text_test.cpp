@@ -118,7 +118,7 @@ TEST_SUITE("sinks") {
     }
     CHECK(wrong_texts(path) == "");
     REQUIRE(told.size() == 1);
-    CHECK(told[0].find("a text is no UTF-8: topic note, origin pen: ") == 0);
+    CHECK(told[0].find("a text is not UTF-8: topic note, origin pen: ") == 0);
     CHECK(number(path, "SELECT count(*) FROM note WHERE typeof(words) = 'blob'") == 7);
     CHECK(number(path, "SELECT count(*) FROM note WHERE typeof(maybe) = 'blob'") == 4);
     CHECK(number(path, "SELECT count(*) FROM note WHERE words = x'fffefdfc'") == 1);
@@ -172,7 +172,7 @@ TEST_SUITE("sinks") {
       loop.poll();
       CHECK(detail::is_readable(bytes_of(path)));
       REQUIRE(told.size() == 2);
-      CHECK(told[0].find("a text is no UTF-8: topic note, origin pen: ") == 0);
+      CHECK(told[0].find("a text is not UTF-8: topic note, origin pen: ") == 0);
       CHECK(told[1].find(std::to_string(strange_texts) + " texts were no UTF-8: ") == 0);
     }
   }

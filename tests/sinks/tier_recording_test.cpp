@@ -337,7 +337,7 @@ TEST_SUITE("sinks") {
     loop.run_for(20ms);  // what it read before has come
     loop.close(1s);
     CHECK(std::any_of(told.begin(), told.end(), [](const std::string& line) {
-      return line.find("did not stop in time: it has not come out of sensor a") != std::string::npos;
+      return line.find("did not stop in time: it has not returned from sensor a") != std::string::npos;
     }));
     CHECK(number(path, "SELECT count(*) FROM a") >= 10);
     const VerifyReport report = verified(path);
@@ -345,7 +345,7 @@ TEST_SUITE("sinks") {
     CHECK(report.verdict() == Verdict::sealed);
     CHECK(report.exit_code() == 0);
     const RunInfo& run = report.runs.at(0).info;
-    CHECK(run.remark.find("tier fast did not come out of sensor a: what its sensors did after 20") == 0);
+    CHECK(run.remark.find("tier fast did not return from sensor a: what its sensors did after 20") == 0);
     CHECK(run.ended);
     CHECK_FALSE(run.lost);
     CHECK_FALSE(loop.runtime().balances());
@@ -364,7 +364,7 @@ TEST_SUITE("sinks") {
     loop.runtime().on_log([&](const LogRecord& record) { told.emplace_back(record.text); });
     SqliteSink sink(loop, {.path = path, .sink = {.close_deadline = 1s}});
     CHECK(std::any_of(told.begin(), told.end(), [](const std::string& line) {
-      return line.find("begins although tier fast did not come out of sensor a: what its sensors did after") == 0;
+      return line.find("begins although tier fast did not return from sensor a: what its sensors did after") == 0;
     }));
     sink.close();
     hanging.is_let_go = true;
@@ -372,8 +372,8 @@ TEST_SUITE("sinks") {
     INFO(problems_of(report));
     CHECK(report.verdict() == Verdict::sealed);
     const std::string& remark = report.runs.at(0).info.remark;
-    CHECK(remark.find("it began although tier fast did not come out of sensor a: what its sensors did") == 0);
-    CHECK(remark.find("; tier fast did not come out of sensor a: what its sensors did") != std::string::npos);
+    CHECK(remark.find("it began although tier fast did not return from sensor a: what its sensors did") == 0);
+    CHECK(remark.find("; tier fast did not return from sensor a: what its sensors did") != std::string::npos);
   }
 
   TEST_CASE("NFR-1 a handler of log records that throws keeps no recording from beginning while a tier hangs") {
@@ -414,7 +414,7 @@ TEST_SUITE("sinks") {
     hanging.is_let_go = true;
     CHECK(run_until(loop, [&] { return hanging.reads >= 100 && sink.counts().stored >= 20; }));
     CHECK(verified(path).verdict() == Verdict::recording);
-    CHECK(verified(path).text().find("it began although tier fast did not come out of sensor a") != std::string::npos);
+    CHECK(verified(path).text().find("it began although tier fast did not return from sensor a") != std::string::npos);
     for (const char* part : {"", "-wal"}) std::filesystem::copy_file(path + part, killed + part);
     CHECK(loop.close() == 0);
     {
@@ -431,7 +431,7 @@ TEST_SUITE("sinks") {
     const VerifyReport report = verified(path);
     INFO(problems_of(report));
     CHECK(report.verdict() == Verdict::sealed);
-    CHECK(report.runs.at(0).info.remark.find("it began although tier fast did not come out of sensor a") == 0);
+    CHECK(report.runs.at(0).info.remark.find("it began although tier fast did not return from sensor a") == 0);
     CHECK(report.text().find("Its account is not complete") != std::string::npos);
   }
 
@@ -528,7 +528,7 @@ TEST_SUITE("sinks") {
     const VerifyReport report = verified(path);
     INFO(problems_of(report));
     CHECK(report.verdict() == Verdict::sealed);
-    CHECK(report.runs.at(0).info.remark.find("tier fast did not come out of handler of hangs") == 0);
+    CHECK(report.runs.at(0).info.remark.find("tier fast did not return from handler of hangs") == 0);
     CHECK(report.runs.at(0).info.remark.find("tier other") == std::string::npos);
     for (const char* name : {"here", "there"}) {
       const std::string of = " FROM rtdata_ledger WHERE origin = '" + std::string(name) + "'";

@@ -48,7 +48,7 @@ bool has(const std::string& text, const std::string& part) {
 
 TEST_CASE("US-26 a column or a view that is damaged is found") {
   CHECK(has(after("ALTER TABLE \"room/climate\" RENAME COLUMN temperature TO tempesature"),
-            "room/climate: the table has a column \"tempesature\", which is none of the topic's.\n"
+            "room/climate: the table has a column \"tempesature\", which is not one of the topic's.\n"
             "room/climate: the table has no column \"temperature\"."));
   CHECK(has(after("DROP VIEW rtdata_run_utc; CREATE VIEW rtdata_run_utc AS SELECT rum FROM rtdata_run"),
             "The view rtdata_run_utc is damaged: no such column: rum."));
@@ -219,7 +219,7 @@ TEST_CASE("US-26 verify and info tell outages of what has no schedule, with thei
   CHECK(json["runs"][0]["gaps"] == 2);
   std::ostringstream out, err;
   CHECK(app::info({.database = path}, out, err) == 0);
-  CHECK(has(out.str(), "    ! 1 outage of 6 s; 2 repeated by the source, which is no loss\n"));
+  CHECK(has(out.str(), "    ! 1 outage of 6 s; 2 repeated by the source, which is not a loss\n"));
   std::ostringstream as_json;
   CHECK(app::info({.database = path, .show_as = app::ShowAs::json}, as_json, err) == 0);
   CHECK(nlohmann::json::parse(as_json.str())["topics"][0]["repeated"] == 2);

@@ -5,8 +5,8 @@
 ///                                                       {.model = AccelerometerModel::adxl375, .sample_rate = 800});
 ///
 /// The chip measures by itself at `sample_rate` and keeps up to 32 samples in a FIFO, which each tick of the sensor
-/// empties. Times, losses, settings that are lost: inertial.hpp. Both have one identity: which of them it is cannot be
-/// found out, and a wrong `model` gives wrong values.
+/// empties. Times, losses, settings that are lost: inertial.hpp. Both chips have the same identity, so the driver
+/// cannot tell which one it is; a wrong `model` gives wrong values.
 ///
 /// Sources: Analog Devices ADXL345, data sheet rev. E: table 1 scale and self-test, "FIFO", register map (table 19);
 /// ADXL375, rev. B: table 1 scale, register map.
@@ -76,7 +76,7 @@ constexpr InertialModel adxl(std::string_view name, std::span<const InertialChoi
                    .over_register = 0x30,
                    .over_bit = 0x01,
                    .count_bytes = 6,
-                   .capacity = 33 * 6,  // one more than the FIFO, in the output registers
+                   .capacity = 33 * 6,  // the output registers hold one more than the FIFO
                    .keeps_whole_samples = true,
                    .data = 0x32},
           .self_test = self_test,
@@ -98,7 +98,7 @@ inline constexpr InertialModel all[] = {adxl("ADXL345", adxl345_ranges, adxl345_
 
 struct AccelerometerConfig {
   AccelerometerModel model = AccelerometerModel::adxl345;
-  std::optional<double> sample_rate{};         ///< Hz of the chip; unset: 100
+  std::optional<double> sample_rate{};         ///< output data rate in Hz; unset: 100
   std::optional<double> acceleration_range{};  ///< g; unset: the widest
   bool self_test = false;                      ///< at each start, of an ADXL345
   friend constexpr auto parameters(type_tag<AccelerometerConfig>) {

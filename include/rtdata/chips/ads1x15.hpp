@@ -8,15 +8,16 @@
 ///
 /// Each tick converts the channels one after the other, each in a single shot with its own range; the bus is free for
 /// others while the chip converts, and the chip sleeps between ticks. The event has the time at which the first
-/// conversion began. All of them take `channels` over `data_rate`, and a tenth more: more ticks than fit are missed.
+/// conversion began. One tick takes the number of channels divided by `data_rate`, plus a tenth; when the rate of the
+/// sensor is faster than that, ticks are missed.
 ///
-/// A code at an end of the range may be anything beyond it: that channel has no value in the event, and the reading is
-/// counted as unreadable. Inputs must lie between ground and the supply whatever the range is; what is outside damages
-/// the chip.
+/// A code at an end of the range means that the input may be out of range: that channel has no value in the event, and
+/// the reading is counted as unreadable. Whatever the range is, inputs must stay between ground and the supply: other
+/// voltages damage the chip.
 ///
-/// The chip has neither identity nor checksum. That it keeps its settings is looked at before and after each
-/// conversion, so that one that was reset meanwhile, or another chip, is noticed and reported. An ADS1115 that is used
-/// as an ADS1015 shows by its lower bits, the other way round it does not. Addresses: 0x48 to 0x4b.
+/// The chip has neither identity nor checksum. The driver reads the settings back before and after each conversion, so
+/// it notices and reports a chip that was reset, or another chip. It recognises an ADS1115 that is used as an ADS1015
+/// by the lower bits; it does not recognise an ADS1015 that is used as an ADS1115. Addresses: 0x48 to 0x4b.
 ///
 /// Sources: ADS111x SBAS444D and ADS101x SBAS473E, data sheets: 7.4.2.1 single shot, 7.5.4 data format, 8.1.2 and 8.1.3
 /// registers.
@@ -69,9 +70,9 @@ class Ads1x15 {
       "The chip has no identity: another one at its address is told because it does not keep these settings.";
 
   struct Channel {
-    std::string name = {};    ///< of the field; empty: by the input
+    std::string name = {};    ///< name of the field; empty: made from the input
     std::string input = "0";  ///< "0" to "3", "0-1", "0-3", "1-3", "2-3"
-    double range = 4.096;     ///< V, to both sides
+    double range = 4.096;     ///< V, positive and negative
     friend constexpr auto parameters(type_tag<Channel>) {
       return parameter_list(
           parameter("name", &Channel::name, "of its field; default: by the input, such as ain0", TextIs::field),
@@ -99,8 +100,8 @@ class Ads1x15 {
 
   static Result<void> check(const Config& config) {
     const auto refused = [](std::string where, const auto& value, std::string advice) {
-      return Error{Errc::bad_argument, "cannot use the ADS1x15 so", std::move(where),
-                   std::string(value) + " is not a value that it has", std::move(advice)};
+      return Error{Errc::bad_argument, "cannot use these settings of the ADS1x15", std::move(where),
+                   std::string(value) + " is not one of its values", std::move(advice)};
     };
     for (std::size_t i = 0; i < config.channels.size(); ++i) {
       if (const auto input = detail::find_input(inputs, config.channels[i].input, i); !input) return input.error();
@@ -130,7 +131,7 @@ class Ads1x15 {
     if (!kept) return kept.error();
     if ((*kept & ~ready) != settings)
       return chip.error(Errc::bad_data, "cannot use the chip as an ADS1x15", "it does not keep its settings",
-                        "look at which chip is at this address");
+                        "check which chip is at this address");
     return {};
   }
 
@@ -161,13 +162,12 @@ class Ads1x15 {
     if (!after) return restarted_after(after.error());
     const std::uint16_t settings = settings_of(config_, channel);
     if ((*before & ~ready) != settings || (*after & ~ready) != settings) {
-      out.unreadable(
-          chip.error(Errc::bad_data, what, "it has lost its settings since the start", "look at its supply"));
+      out.unreadable(chip.error(Errc::bad_data, what, "it has lost its settings since the start", "check its supply"));
       next_ = 0;
       return {};
     }
     if ((*before & ready) == 0)
-      return restarted_after(chip.error(Errc::timed_out, what, "it converts still, longer than it may"));
+      return restarted_after(chip.error(Errc::timed_out, what, "the conversion takes too long"));
     const Result<double> voltage = decode(config_.model, *code, channel.range);
     if (voltage) {
       voltages_.voltages[next_] = *voltage;
@@ -189,7 +189,8 @@ class Ads1x15 {
         multiplexer[input] << 12 | detail::place_of(ranges, channel.range).value_or(1) << 9 | single_shot |
         detail::place_of(of(config.model).data_rates, config.data_rate).value_or(4) << 5 | own_mark | no_comparator);
   }
-  /// Volts of the conversion register. Errors: out-of-range (an end of the range), bad-data (of the other model).
+  /// Converts the conversion register to volts. Errors: out-of-range (a code at an end of the range), bad-data (a code
+  /// of the other model).
   static Result<double> decode(Ads1x15Model model, std::uint16_t word, double range) {
     const int code = static_cast<std::int16_t>(word);
     const int step = of(model).step;
@@ -203,7 +204,7 @@ class Ads1x15 {
  private:
   struct Model {
     std::array<unsigned, 8> data_rates;
-    int step;  // of codes in the register
+    int step;  // of the codes in the register
   };
   static const Model& of(Ads1x15Model model) noexcept {
     static constexpr Model models[] = {{{128, 250, 490, 920, 1600, 2400, 3300, 3300}, 16},
@@ -220,9 +221,9 @@ class Ads1x15 {
   static constexpr std::array<unsigned, 8> multiplexer{4, 5, 6, 7, 0, 1, 2, 3};
   static constexpr std::array<double, 6> ranges{6.144, 4.096, 2.048, 1.024, 0.512, 0.256};
   static constexpr std::uint8_t conversion_register = 0, settings_register = 1;
-  static constexpr std::uint16_t begin = 0x8000, ready = 0x8000;  // written, and read
+  static constexpr std::uint16_t begin = 0x8000, ready = 0x8000;  // the same bit: written to begin, read when ready
   static constexpr std::uint16_t single_shot = 0x0100, no_comparator = 0x0003;
-  // "Latching comparator", which means nothing without one: after a reset this bit is 0, whatever else is chosen.
+  // The bit "latching comparator" has no effect here. The driver sets it; a reset clears it, which shows the reset.
   static constexpr std::uint16_t own_mark = 0x0004;
   static constexpr const char* what = "cannot read the ADS1x15";
 

@@ -7,14 +7,13 @@
 /// both 76 ms); the bus is free for others meanwhile, and the event has the time of the start. An MS5611 measures its
 /// temperature after the pressure, for which it holds the bus (0.6 to 9 ms, as `temperature_oversampling` says).
 ///
-/// A chip of another identity is refused; an MS5611, which has none, shows by its checksum. Trimming parameters that
-/// are all zeros or all ones are refused too. A chip that was reset since the measurement was started, has lost its
-/// settings, or gives the value of a measurement that was skipped, is reported as unreadable; the next tick sets it
-/// again.
+/// The driver refuses a chip with another identity; an MS5611 has no identity and is checked by its checksum. It also
+/// refuses trimming parameters that are all zeros or all ones. A reading is unreadable when the chip was reset during
+/// the measurement, has lost its settings, or has skipped the measurement; the next tick sets the chip up again.
 ///
-/// `altitude` is the pressure altitude of the ICAO standard atmosphere (`pressure_altitude`), less that of
-/// `reference_pressure`: what an altimeter that is set to this pressure shows. With the sea level's pressure it is the
-/// height above the sea, with that of the launch pad the height above it.
+/// `altitude` is the pressure altitude in the ICAO standard atmosphere (`pressure_altitude`) minus the altitude of
+/// `reference_pressure`: an altimeter that is set to this pressure shows the same. With the pressure at sea level it is
+/// the height above the sea; with the pressure at the launch pad it is the height above the pad.
 ///
 /// Sources: BMP280, BST-BMP280-DS001: 3.8.1 times, 3.11.3 and 8.1 compensation, 4.3 registers. BME280,
 /// BST-BME280-DS002: 4.2.3 and 8.1 compensation, 5.4 registers, 9.1 times. BMP388, BST-BMP388-DS001, and BMP390,
@@ -51,7 +50,7 @@ namespace rtdata {
 /// follow from them.
 inline double pressure_altitude(double pressure) noexcept {
   struct Layer {
-    double height, temperature, gradient;  // of its base: m, K; K/m
+    double height, temperature, gradient;  // base of the layer: m, K; K/m
   };
   constexpr Layer layers[] = {{0, 288.15, -0.0065},    {11000, 216.65, 0}, {20000, 216.65, 0.001},
                               {32000, 228.65, 0.0028}, {47000, 270.65, 0}, {51000, 270.65, -0.0028},
@@ -80,7 +79,7 @@ inline double pressure_altitude(double pressure) noexcept {
 struct BarometerReading {
   double pressure = 0;
   double temperature = 0;            ///< of the chip
-  double altitude = 0;               ///< above where the pressure is `reference_pressure`
+  double altitude = 0;               ///< height above the level with `reference_pressure`
   std::optional<double> humidity{};  ///< of a BME280
   friend constexpr auto describe(type_tag<BarometerReading>) {
     return record("barometer", field("pressure", &BarometerReading::pressure, "Pa"),
@@ -121,7 +120,7 @@ struct Bmp280Trimming {
     h1 = first;
     h2 = static_cast<std::int16_t>(static_cast<std::uint16_t>(bytes[0] | bytes[1] << 8));
     h3 = bytes[2];
-    // 12 bits with a sign, of which 4 are in a register that they share.
+    // Two signed values of 12 bits, which share one register for 4 bits each.
     h4 = static_cast<std::int16_t>(static_cast<std::int8_t>(bytes[3]) * 16 + (bytes[4] & 15));
     h5 = static_cast<std::int16_t>(static_cast<std::int8_t>(bytes[5]) * 16 + (bytes[4] >> 4));
     h6 = static_cast<std::int8_t>(bytes[6]);
@@ -203,7 +202,7 @@ struct Bmp388Trimming {
 struct Ms5611Prom {
   std::array<std::uint16_t, 8> words{};
 
-  /// AN520: of all words but the low byte of the last one, whose last four bits it is.
+  /// AN520: computed over all words except the low byte of the last one; that byte's last four bits hold the checksum.
   std::uint8_t checksum() const noexcept {
     unsigned remainder = 0;
     for (unsigned i = 0; i < 16; ++i) {
@@ -214,10 +213,11 @@ struct Ms5611Prom {
     }
     return static_cast<std::uint8_t>(remainder >> 12);
   }
-  /// A PROM of zeros has a right checksum.
+  /// The checksum of a PROM of zeros is correct, so zeros are refused separately.
   bool is_usable() const noexcept { return checksum() == (words[7] & 15) && words[1] != 0 && words[5] != 0; }
 
-  /// Computes it from the codes D1 (pressure) and D2 (temperature). Errors: bad-data (there was no conversion).
+  /// Computes the measurement from the codes D1 (pressure) and D2 (temperature). Errors: bad-data (there was no
+  /// conversion).
   Result<AirMeasurement> measurement(std::uint32_t pressure_code, std::uint32_t temperature_code) const {
     if (pressure_code == 0 || temperature_code == 0)  // "ADC read" without a conversion
       return Error{Errc::bad_data, "cannot read the barometer", "", "it has no conversion", "it was reset meanwhile"};
@@ -293,7 +293,7 @@ class Barometer {
   };
   using Value = BarometerReading;
   using Device = RegisterDevice;
-  /// BMP388, BMP390: a byte comes before what is read. An MS5611 has commands, which are the same on both buses.
+  /// BMP388 and BMP390 send one extra byte before the data. An MS5611 has commands, which are the same on both buses.
   static RegisterAddressing addressing(const Config& config) {
     switch (models[static_cast<std::size_t>(config.model)].family) {
       case Family::bmp2:
@@ -320,7 +320,7 @@ class Barometer {
     humidity_ = settings[2].count;
   }
 
-  /// Its start-up; an MS5611 measures its temperature after the pressure.
+  /// The start-up time; for an MS5611 the temperature measurement, which follows the pressure.
   static Duration bus_time(const Config& config) {
     constexpr Duration start_up = std::chrono::milliseconds{3};
     const unsigned count = config.temperature_oversampling.value_or(1024);
@@ -345,7 +345,7 @@ class Barometer {
   Result<void> start(RegisterDevice& chip) {
     switch (model().family) {
       case Family::bmp2:
-        // Humidity is used from the next writing of the other register on (BME280, 5.4.3).
+        // A change of the humidity setting takes effect when the other register is written (BME280, 5.4.3).
         if (model().has_humidity) {
           if (auto done = chip.write_register(bmp2_humidity_register, humidity_bits()); !done) return done;
         }
@@ -366,7 +366,7 @@ class Barometer {
       case Family::bmp2:  // at most
         return microseconds(1250 + 2300 * temperature_ + 2300 * pressure_ + 575 +
                             (model().has_humidity ? 2300 * humidity_ + 575 : 0));
-      case Family::bmp3:  // typical; a fifth more
+      case Family::bmp3:  // typical time plus a fifth
         return microseconds((234 + 392 + 2020 * pressure_ + 163 + 2020 * temperature_) * 6 / 5);
       case Family::ms5:
         return ms5611_time(pressure_);
@@ -386,18 +386,18 @@ class Barometer {
     return NothingNew{};
   }
 
-  /// Reading of a measurement: with altitude. Errors: out-of-range (a pressure that no chip of these measures).
+  /// The measurement with its altitude. Errors: out-of-range (none of these chips measures such a pressure).
   static Result<BarometerReading> reading(const AirMeasurement& air, double reference_pressure) {
     constexpr double most = 200'000;
     if (!(air.pressure > 0 && air.pressure <= most))
-      return Error{Errc::out_of_range, what, "", std::to_string(air.pressure) + " Pa is outside of what it measures",
-                   "look at its wires and its supply"};
+      return Error{Errc::out_of_range, what, "", std::to_string(air.pressure) + " Pa is outside its range",
+                   "check its wires and its supply"};
     return BarometerReading{air.pressure, air.temperature,
                             pressure_altitude(air.pressure) - pressure_altitude(reference_pressure), air.humidity};
   }
 
  private:
-  /// Chips whose registers and compensation are alike.
+  /// Chips with the same registers and compensation.
   enum class Family { bmp2, bmp3, ms5 };
   struct Model {
     std::string_view name;
@@ -442,14 +442,15 @@ class Barometer {
         continue;
       }
       if (!std::has_single_bit(count) || count < model.least_oversampling || count > model.most_oversampling)
-        all[i].mistake = std::to_string(count) + " is none of " + list + ", which the " + std::string(model.name) +
+        all[i].mistake = std::to_string(count) + " is not one of " + list + ", which the " + std::string(model.name) +
                          " has";
     }
     return all;
   }
   const Model& model() const noexcept { return models[static_cast<std::size_t>(config_.model)]; }
 
-  /// Which of the chips with an identity is there, in words for an error; what the register had when it is none.
+  /// Names the chip that answered, for an error message; the value of the identity register if it is not one of these
+  /// chips.
   static std::string seems_to_be(RegisterDevice& chip) {
     for (const Model& other : models) {
       if (other.family == Family::ms5) continue;
@@ -459,7 +460,7 @@ class Barometer {
     const Result<std::uint8_t> found = chip.read_register(0xd0);
     if (found && *found == 0x55) return "it seems to be a BMP180, which has no driver here";
     if (found && *found == 0x61) return "it seems to be a BME680, which has no driver here";
-    return "look at which chip is at this address, and at `model`";
+    return "check which chip is at this address, and `model`";
   }
 
   template <class Trimming>
@@ -493,7 +494,7 @@ class Barometer {
         if (auto done = chip.read_registers(0xe1, rest); !done) return done;
         trimming.decode_humidity(*first, rest);
         if (trimming.h2 == 0 || trimming.h2 == -1)
-          return chip.error(Errc::bad_data, "cannot use the " + name, "its trimming parameters of humidity are none",
+          return chip.error(Errc::bad_data, "cannot use the " + name, "it has no trimming parameters of humidity",
                             "the chip is damaged");
       }
     }
@@ -512,11 +513,10 @@ class Barometer {
   }
 
   static Unreadable lost_settings(RegisterDevice& chip) {
-    return Unreadable{
-        chip.error(Errc::bad_data, what, "it has lost its settings since the start", "look at its supply")};
+    return Unreadable{chip.error(Errc::bad_data, what, "it has lost its settings since the start", "check its supply")};
   }
   static Error measures_still(RegisterDevice& chip) {
-    return chip.error(Errc::timed_out, what, "it measures still, longer than it may", "");
+    return chip.error(Errc::timed_out, what, "the measurement takes too long", "");
   }
   Reading<BarometerReading> reading_of(RegisterDevice& chip, const Result<AirMeasurement>& air) const {
     auto made = air ? reading(*air, config_.reference_pressure) : Result<BarometerReading>(air.error());
@@ -528,7 +528,7 @@ class Barometer {
   }
 
   Reading<BarometerReading> read_bmp2(RegisterDevice& chip) {
-    // Humidity, status, control, configuration, one that is none, and the data.
+    // Humidity, status, control, configuration, an unused register, and the data.
     constexpr std::size_t data = 0xf7 - bmp2_humidity_register;
     constexpr std::uint8_t measuring = 0x08, mode = 0x03;
     std::array<std::uint8_t, data + 8> bytes{};
@@ -578,7 +578,7 @@ class Barometer {
     const bool are_alike = std::all_of(prom_.words.begin(), prom_.words.end(),
                                        [&](std::uint16_t word) { return word == prom_.words[0]; });
     return chip.error(Errc::bad_data, "cannot use the chip as an MS5611",
-                      are_alike ? "its PROM has the same in all places" : "the checksum of its PROM is wrong",
+                      are_alike ? "all words of its PROM are the same" : "the checksum of its PROM is wrong",
                       seems_to_be(chip));
   }
 

@@ -3,9 +3,9 @@
 ///     rtdata::DriverSensor<rtdata::Bno055> attitude(loop, {.name = "attitude", .rate = 50_Hz}, bus);
 ///
 /// The chip has a new orientation 100 times a second and no FIFO: each tick reads the last one, faster ticks read the
-/// same again. For some 0.6 s after it was switched on it does not answer, and is tried again. Until its fusion runs,
-/// there is nothing new; an orientation that is none (a quaternion whose length is not 1) is unreadable. A chip that
-/// has lost its settings is reported and set up again; so is an error that the chip reports.
+/// same again. For about 0.6 s after power-on the chip does not answer, and the sensor tries again. Until its fusion
+/// runs, there is no new data. An invalid orientation (a quaternion whose length is not 1) is unreadable. When the chip
+/// has lost its settings or reports an error, the driver reports it and sets the chip up again.
 ///
 /// Orientation is only as good as the chip's calibration, which it makes while it is moved: `calibration_system` and
 /// the others go from 0 to 3.
@@ -33,11 +33,11 @@ namespace rtdata {
 
 struct OrientationReading {
   double quaternion_w = 0, quaternion_x = 0, quaternion_y = 0, quaternion_z = 0;
-  double heading = 0, roll = 0, pitch = 0;  ///< of the same orientation; clockwise from north, as the chip has them
+  double heading = 0, roll = 0, pitch = 0;  ///< the same as angles, clockwise from north
   double linear_acceleration_x = 0, linear_acceleration_y = 0, linear_acceleration_z = 0;  ///< without gravity
   double acceleration_x = 0, acceleration_y = 0, acceleration_z = 0;                       ///< with gravity
   double angular_velocity_x = 0, angular_velocity_y = 0, angular_velocity_z = 0;
-  std::optional<double> magnetic_field_x{}, magnetic_field_y{}, magnetic_field_z{};               ///< where it is used
+  std::optional<double> magnetic_field_x{}, magnetic_field_y{}, magnetic_field_z{};               ///< unset without it
   std::uint8_t calibration_system = 0, calibration_gyroscope = 0, calibration_accelerometer = 0;  ///< 0, none, to 3
   std::optional<std::uint8_t> calibration_magnetometer{};
   double temperature = 0;  ///< of the chip
@@ -100,7 +100,7 @@ class Bno055 {
     if (*found != identity) {
       return chip.error(Errc::bad_data, "cannot use the chip as a BNO055",
                         "its identity is " + to_string(I2cAddress(*found)) + ", that of a BNO055 is 0xa0",
-                        "look at which chip is at this address; a BNO055 needs 0.7 s after it was switched on");
+                        "check which chip is at this address; a BNO055 needs 0.7 s after it was switched on");
     }
     const Result<std::uint8_t> tested = chip.read_register(0x36);
     if (!tested) return tested.error();
@@ -118,7 +118,7 @@ class Bno055 {
     if (auto done = chip.read_registers(first_register, bytes); !done) return std::move(done).error();
     const std::uint8_t status = bytes[0x39 - first_register], error = bytes[0x3a - first_register];
     if (bytes[0x3b - first_register] != units || bytes[0x3d - first_register] != mode_code()) {
-      auto lost = chip.error(Errc::bad_data, what, "it has lost its settings", "look at its supply");
+      auto lost = chip.error(Errc::bad_data, what, "it has lost its settings", "check its supply");
       if (auto done = set_up(chip); !done) return std::move(done).error();
       return Unreadable{std::move(lost)};
     }

@@ -5,12 +5,12 @@
 ///                                           {.model = ImuModel::lsm6dso, .sample_rate = 416});
 ///
 /// The chip measures by itself at `sample_rate` and keeps its samples in a FIFO, which each tick of the sensor empties:
-/// at 50 Hz and 416 samples a second, some eight at a time. Times, losses, settings that are lost: inertial.hpp. A FIFO
-/// of an MPU or LSM6DS3 that has run over is emptied, since nobody knows where a sample begins in it; the others keep
-/// the newest samples.
+/// at 50 Hz and 416 samples a second, some eight at a time. Times, losses, settings that are lost: inertial.hpp. When
+/// the FIFO of an MPU or LSM6DS3 overflows, the driver empties it, because it cannot tell where a sample begins; the
+/// other chips keep the newest samples.
 ///
-/// Magnetometers of an MPU-9250 and an LSM9DS1 are chips of their own (magnetometer.hpp); that of an MPU-9250 is let
-/// onto the bus. Axes as printed in the data sheet. A chip of another identity is refused.
+/// The magnetometers of an MPU-9250 and an LSM9DS1 are separate chips (magnetometer.hpp); this driver connects the one
+/// of an MPU-9250 to the bus. Axes are those in the data sheet. The driver refuses a chip with another identity.
 ///
 /// Sources: MPU-6050, register map RM-MPU-6000A-00 rev. 4.2: 4.4 to 4.6 settings, 4.14 to 4.34 FIFO, 4.17 to 4.19
 /// scales, 4.28 to 4.32 power and identity; MPU-6500 RM-MPU-6500A-00, MPU-9250 RM-MPU-9250A-00. LSM6DS3, DocID026899:
@@ -36,7 +36,7 @@ namespace rtdata {
 struct ImuReading {
   double acceleration_x = 0, acceleration_y = 0, acceleration_z = 0;              ///< with gravity
   double angular_velocity_x = 0, angular_velocity_y = 0, angular_velocity_z = 0;  ///< right-handed
-  std::optional<double> temperature{};  ///< of the chip; where it is not in the FIFO, with the newest sample of a read
+  std::optional<double> temperature{};  ///< of the chip; without it in the FIFO, of the newest sample only
   static ImuReading of(const InertialSample& sample) noexcept {
     return {sample.acceleration[0],     sample.acceleration[1],     sample.acceleration[2], sample.angular_velocity[0],
             sample.angular_velocity[1], sample.angular_velocity[2], sample.temperature};
@@ -72,8 +72,8 @@ inline constexpr InertialChoice mpu_angles[] = {{250, 0, degrees(250 / 32750.0)}
                                                 {1000, 2, degrees(1000 / 32750.0)},
                                                 {2000, 3, degrees(2000 / 32750.0)}};
 inline constexpr InertialChoice mpu_filters[] = {{188, 1}, {98, 2}, {42, 3}, {20, 4}, {10, 5}, {5, 6}};
-// Reset; clock of the gyroscope, and until it turns; rate, filter, ranges; acceleration, temperature and angular
-// velocity into the FIFO. Of an MPU-6500 and MPU-9250 acceleration has a filter of its own.
+// Reset; the gyroscope's clock, and a wait until it has started; rate, filter, ranges; acceleration, temperature and
+// angular velocity into the FIFO. MPU-6500 and MPU-9250 have a separate filter for acceleration.
 inline constexpr InertialWrite mpu6050_setting_up[] = {{.number = 0x6b, .value = 0x80, .pause = 100ms},
                                                        {.number = 0x6b, .value = 0x01, .pause = 35ms},
                                                        {.number = 0x19, .by_rate = 1},
@@ -89,7 +89,7 @@ inline constexpr InertialWrite mpu6500_setting_up[] = {{.number = 0x6b, .value =
                                                        {.number = 0x1c, .by_acceleration = 1 << 3},
                                                        {.number = 0x1d, .by_filter = 1},
                                                        {.number = 0x23, .value = 0xf8}};
-// An MPU-9250 also lets the magnetometer that it contains onto the bus.
+// An MPU-9250 also connects its magnetometer to the bus.
 inline constexpr InertialWrite mpu9250_setting_up[] = {{.number = 0x6b, .value = 0x80, .pause = 100ms},
                                                        {.number = 0x6b, .value = 0x01, .pause = 35ms},
                                                        {.number = 0x19, .by_rate = 1},
@@ -100,7 +100,8 @@ inline constexpr InertialWrite mpu9250_setting_up[] = {{.number = 0x6b, .value =
                                                        {.number = 0x23, .value = 0xf8},
                                                        {.number = 0x37, .value = 0x02}};
 inline constexpr InertialWrite mpu_sleeping[] = {{.number = 0x6b, .value = 0x40}};
-/// What the factory has found, within 14 % (register map 4.1): codes of 5 bits, those of acceleration in two pieces.
+/// The factory's self-test values, with a tolerance of 14 % (register map 4.1): codes of 5 bits; those of acceleration
+/// are split over two registers.
 inline Result<InertialSixLimits> mpu6050_limits(RegisterDevice& chip) {
   std::array<std::uint8_t, 4> bytes{};
   if (auto done = chip.read_registers(0x0d, bytes); !done) return std::move(done).error();
@@ -117,7 +118,7 @@ inline Result<InertialSixLimits> mpu6050_limits(RegisterDevice& chip) {
   }
   return limits;
 }
-/// Half to one and a half of what the factory has found (AN-MPU-9250A-03); without that, what all chips of it do.
+/// 0.5 to 1.5 times the factory's value (AN-MPU-9250A-03); if the chip has none, the limits of the data sheet.
 inline Result<InertialSixLimits> mpu6500_limits(RegisterDevice& chip) {
   std::array<std::uint8_t, 3> angles{}, accelerations{};
   if (auto done = chip.read_registers(0x00, angles); !done) return std::move(done).error();
@@ -179,7 +180,7 @@ constexpr InertialModel mpu(std::string_view name, std::uint8_t identity, std::s
           .addressing = {.without_spi = without_spi}};
 }
 
-// STMicroelectronics, LSM6D family. Not the lowest rate, at which accelerometer and gyroscope differ.
+// STMicroelectronics, LSM6D family. The lowest rate is left out: there the rates of accelerometer and gyroscope differ.
 inline constexpr InertialChoice lsm6_rates[] = {{26, 2}, {52, 3}, {104, 4}, {208, 5}, {416, 6}, {833, 7}, {1660, 8}};
 inline constexpr InertialChoice lsm6_accelerations[] = {
     {2, 0, g(0.061e-3)}, {4, 2, g(0.122e-3)}, {8, 3, g(0.244e-3)}, {16, 1, g(0.488e-3)}};
@@ -188,8 +189,8 @@ inline constexpr InertialChoice lsm6_angles[] = {{125, 1, degrees(4.375e-3)},
                                                  {500, 2, degrees(17.5e-3)},
                                                  {1000, 4, degrees(35e-3)},
                                                  {2000, 6, degrees(70e-3)}};
-// Reset; registers that go on by themselves and change as a whole; both sensors, and until the gyroscope
-// turns (70 ms); both into the FIFO.
+// Reset; address auto-increment and block data update; both sensors on, and a wait until the gyroscope has started (70
+// ms); both into the FIFO.
 inline constexpr InertialWrite lsm6ds3_setting_up[] = {
     {.number = 0x12, .value = 0x01, .pause = 20ms},
     {.number = 0x12, .value = 0x44},
@@ -250,7 +251,7 @@ constexpr InertialModel lsm6ds3(std::string_view name, std::uint8_t identity, st
           .degrees_at_zero = 25,
           .self_test = lsm6_self_test(0.09)};
 }
-/// Words of 6 bytes, with a tag before each.
+/// Words of 6 bytes, each after a tag byte.
 constexpr InertialModel lsm6dso(std::string_view name) {
   return {.name = name,
           .identity_register = 0x0f,
@@ -266,7 +267,7 @@ constexpr InertialModel lsm6dso(std::string_view name) {
                    .status = 0x3a,
                    .status_bytes = 2,
                    .count_mask = 0x03ff,
-                   .over_mask = 0x4800,  // overrun, and that there was one
+                   .over_mask = 0x4800,  // overrun now, and overrun latched
                    .count_bytes = 7,
                    .capacity = 512 * 7,
                    .keeps_whole_samples = true,
@@ -351,7 +352,7 @@ inline constexpr InertialModel all[] = {
 
 struct ImuConfig {
   ImuModel model = ImuModel::mpu6050;
-  std::optional<double> sample_rate{};         ///< Hz of the chip; unset: the first from 100 on
+  std::optional<double> sample_rate{};         ///< output data rate in Hz; unset: the lowest from 100 on
   std::optional<double> acceleration_range{};  ///< g; unset: the widest
   std::optional<double> angular_range{};       ///< degrees a second; unset: the widest
   std::optional<double> bandwidth{};           ///< Hz of the low-pass filter of an MPU; unset: 42

@@ -4,11 +4,11 @@
 ///                                               {.model = InaModel::ina219, .shunt_resistance = 0.1});
 ///
 /// The chip measures by itself, some 900 times a second (INA219) or 450 times (INA226, both inputs); a tick reads the
-/// last of each. One that comes before a new measurement is ready is counted as repeated, and one without any for a
-/// second is an error. Current is the voltage at the shunt over `shunt_resistance`, power their product: the chip's own
-/// calculation of them, which has fewer bits, is not used. Voltages beyond the chip's range (shunt: INA219 0.32 V,
-/// INA226 0.08 V; bus: 32 V and 40.96 V, of which no more than 26 and 36 V are allowed), and what the chip says has
-/// overflowed, are unreadable. Addresses: 0x40 to 0x4f. The INA226 has an identity, which is checked; a chip that has
+/// last of each. A tick before the next measurement is ready is counted as repeated; no measurement for a second is an
+/// error. The current is the shunt voltage divided by `shunt_resistance`, the power is current times bus voltage; the
+/// chip's own results, which have fewer bits, are not used. A reading is unreadable if a voltage is out of the chip's
+/// range (shunt: INA219 0.32 V, INA226 0.08 V; bus: 32 V and 40.96 V, of which only 26 and 36 V are allowed) or if the
+/// chip reports an overflow. Addresses: 0x40 to 0x4f. The INA226 has an identity, which is checked; a chip that has
 /// lost its settings is reported as unreadable and set up again. After a reset, the settings are those that are used.
 ///
 /// Sources: Texas Instruments INA219, SBOS448G: 8.6.2 configuration, 8.6.3.1 shunt voltage, 8.6.3.2 bus voltage,
@@ -80,8 +80,9 @@ class Ina {
       const Result<std::uint16_t> die = chip.read_word(die_register);
       if (!die) return die.error();
       if (*maker != 0x5449 || (*die & 0xfff0) != 0x2260)
-        return chip.error(Errc::bad_data, "cannot use the chip as an INA226", "it does not have its identity",
-                          "look at which chip is at this address, and `model`");
+        return chip.error(Errc::bad_data, "cannot use the chip as an INA226",
+                          "it does not answer with the identity of that chip",
+                          "check which chip is at this address, and `model`");
     }
     last_ = Samples<PowerReading>::now();
     return chip.write_word(settings_register, of(config_.model).settings);
@@ -93,7 +94,7 @@ class Ina {
     if (*settings != of(config_.model).settings) {
       if (auto done = open(chip); !done) return std::move(done).error();
       return Unreadable{
-          chip.error(Errc::bad_data, what, "it has lost its settings, and is set up again", "look at its supply")};
+          chip.error(Errc::bad_data, what, "it has lost its settings, and is set up again", "check its supply")};
     }
     const bool is_ina219 = config_.model == InaModel::ina219;
     const Result<std::uint16_t> flags = chip.read_word(is_ina219 ? bus_register : mask_register);
@@ -101,7 +102,7 @@ class Ina {
     const MonotonicTime now = Samples<PowerReading>::now();
     if ((*flags & (is_ina219 ? ina219_ready : ina226_ready)) == 0) {
       if (now - last_ > std::chrono::seconds{1})
-        return chip.error(Errc::timed_out, what, "it measures no more", "look at its supply, and `model`");
+        return chip.error(Errc::timed_out, what, "it has stopped measuring", "check its supply, and `model`");
       return nothing_new;
     }
     last_ = now;
@@ -109,11 +110,11 @@ class Ina {
     if (!shunt) return shunt.error();
     const Result<std::uint16_t> bus = is_ina219 ? *flags : chip.read_word(bus_register);
     if (!bus) return bus.error();
-    if (is_ina219) {  // what takes the flag of being ready away
+    if (is_ina219) {  // reading this register clears the ready flag
       if (const Result<std::uint16_t> power = chip.read_word(power_register); !power) return power.error();
     }
     const bool has_overflowed = (*flags & (is_ina219 ? ina219_overflow : ina226_overflow)) != 0;
-    auto reading = has_overflowed ? Error{Errc::out_of_range, what, "", "it tells of an overflow", "a smaller shunt"}
+    auto reading = has_overflowed ? Error{Errc::out_of_range, what, "", "it reports an overflow", "a smaller shunt"}
                                   : decode(*shunt, *bus, config_);
     if (!reading) return Unreadable{chip.error(Errc::out_of_range, what, reading.error().why, reading.error().advice)};
     return *reading;
@@ -128,7 +129,7 @@ class Ina {
     const int bus_code = bus >> model.bus_shift;
     if (bus_code >= model.bus_end)
       return Error{Errc::out_of_range, what, "", "the voltage of the bus is beyond what it can measure",
-                   "look at its wires"};
+                   "check its wires"};
     const double current = code * model.shunt_step / config.shunt_resistance;
     const double voltage = bus_code * model.bus_step;
     return PowerReading{voltage, current, voltage * current};
@@ -139,7 +140,7 @@ class Ina {
     std::uint16_t settings;
     double shunt_step, bus_step;  // V
     unsigned bus_shift;
-    int shunt_end, bus_end;  // codes from here on are none
+    int shunt_end, bus_end;  // codes from here on are invalid
   };
   static const Model& of(InaModel model) noexcept {
     static constexpr Model models[] = {

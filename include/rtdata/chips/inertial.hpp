@@ -2,7 +2,7 @@
 /// FIFO. What differs between them is data, in an `InertialModel`: registers, codes, the shape of the FIFO, scales,
 /// self-test.
 ///
-/// The types `imu` and `accelerometer` (imu.hpp, accelerometer.hpp) are made of it, and have the tables of models:
+/// The types `imu` and `accelerometer` (imu.hpp, accelerometer.hpp) use it and hold the tables of models:
 ///
 ///     class Tilt {                                       // a driver
 ///       rtdata::InertialChip chip_{model, settings};
@@ -11,14 +11,14 @@
 ///       }
 ///     };
 ///
-/// Times: the chips have no clock that is read. The newest sample of a read is at most one period old; the others are
-/// spread evenly since the last one before. So they follow the chip's own rate, which is learned, and are right within
-/// a period.
+/// Times: the chips give no timestamps. The newest sample of a read is at most one period old; the driver spreads the
+/// others evenly since the last sample of the read before. It learns the chip's real rate, so each time is right within
+/// one period.
 ///
-/// Losses: a FIFO that ran over, settings that were lost (they are set again), a transfer that failed in the middle:
-/// how many samples the chip has taken meanwhile is known from the time and the learned rate, within one each
-/// time; where a sample carries a counter (LSM6DSO), exactly. So it is for a chip that could not be read, and was
-/// opened again: what it took meanwhile, or would have taken if it had power, is lost.
+/// Losses: samples are lost when the FIFO overflows, the chip loses its settings (they are set again), or a transfer
+/// fails in the middle. The driver computes the number of lost samples from the time and the learned rate, within one
+/// sample each time; exactly if a sample carries a counter (LSM6DSO). The same holds after the chip could not be read
+/// and was opened again: all samples of that time count as lost, also if the chip had no power.
 ///
 /// Used on the bus's lane, as drivers are.
 #pragma once
@@ -55,7 +55,7 @@ struct InertialChoice {
   double per_count = 0;  ///< of a range: m/s2 or rad/s
 };
 
-/// A register that is written, its value made of the codes of the settings: `value` plus each code times its factor.
+/// A register to write. Its value is `value` plus the code of each setting times its factor.
 struct InertialWrite {
   std::uint8_t number;
   std::uint8_t value = 0;
@@ -64,18 +64,18 @@ struct InertialWrite {
   std::uint8_t on_spi = 0;       ///< more bits of the value, where the chip is on SPI
 };
 
-/// How the FIFO is asked and read.
+/// How to query and read the FIFO.
 struct InertialFifo {
-  InertialWrite off, on;         ///< emptied by going off and on; `on` that does not read back: lost settings
-  std::uint8_t status = 0;       ///< register of the number of samples
-  std::size_t status_bytes = 1;  ///< the first one is the lowest, unless `big_endian`
-  std::uint32_t count_mask = 0;  ///< in the status
-  std::uint32_t over_mask = 0;   ///< it has run over
-  std::uint32_t torn_mask = 0;   ///< the next byte is not the first one of a sample
-  std::uint8_t over_register = 0, over_bit = 0;  ///< where that it ran over is asked for apart, and is cleared by it
+  InertialWrite off, on;                         ///< off and on empties it; `on` not read back: settings are lost
+  std::uint8_t status = 0;                       ///< register of the number of samples
+  std::size_t status_bytes = 1;                  ///< the first one is the lowest, unless `big_endian`
+  std::uint32_t count_mask = 0;                  ///< in the status
+  std::uint32_t over_mask = 0;                   ///< it has run over
+  std::uint32_t torn_mask = 0;                   ///< the next byte is not the first one of a sample
+  std::uint8_t over_register = 0, over_bit = 0;  ///< a separate overflow flag; reading clears it
   std::size_t count_bytes = 1;                   ///< of what is counted
   std::size_t capacity = 0;                      ///< bytes
-  bool keeps_whole_samples = false;              ///< when it runs over, the oldest is gone; else nobody knows
+  bool keeps_whole_samples = false;              ///< an overflow drops the oldest; false: it breaks the sample order
   std::uint8_t data = 0;                         ///< register it is read from
   bool is_stream = false;                        ///< the register is read on and on; else once for each sample
   std::uint8_t second_data = 0;                  ///< of a second reading of 6 bytes for each sample; 0: none
@@ -83,14 +83,14 @@ struct InertialFifo {
   unsigned to_discard = 0;                       ///< samples after it is switched on
 };
 
-/// By how much the self-test must change an output, whatever the sign: m/s2 or rad/s.
+/// How much the self-test must change an output, without regard to the sign: m/s2 or rad/s.
 struct InertialLimits {
   double least = 0, most = 0;
 };
 /// The limits of acceleration X, Y, Z, then of angular velocity.
 using InertialSixLimits = std::array<InertialLimits, 6>;
 
-/// The self-test: bits that make the chip push its own masses, and what must come of it.
+/// The self-test: bits that make the chip deflect its own masses, and the expected change.
 struct InertialSelfTest {
   std::uint8_t acceleration_register = 0, acceleration_on = 0;  ///< 0: it has none here
   std::uint8_t angle_register = 0, angle_on = 0;
@@ -121,7 +121,7 @@ struct InertialSettings {
   bool self_test = false;
 };
 
-/// What is known of a chip's samples when it cannot be read any more.
+/// What is known about the samples of a chip that can no longer be read.
 struct InertialMemory {
   MonotonicTime last{};  ///< of the last one that was read, lost, or waited for
   Duration period{0};    ///< 0: nothing was read yet
@@ -150,7 +150,7 @@ class InertialChip {
       std::string list;
       for (const InertialChoice& one : choices) list += (list.empty() ? "" : ", ") + text_of(one.number);
       mistakes.push_back({key, choices.empty() ? "the " + std::string(model.name) + " has no such setting"
-                                               : text_of(*wanted) + " is none of " + list + ", which the " +
+                                               : text_of(*wanted) + " is not one of " + list + ", which the " +
                                                      std::string(model.name) + " has"});
     };
     check("sample_rate", model.rates, settings.rate);
@@ -177,7 +177,7 @@ class InertialChip {
     return 2 * setting_up + 2 * settling + 2 * averaged * pause_between(period_of(tested_rate(model)));
   }
 
-  /// `all`: the models of its kind, by which one that is not meant is recognised. SetupError (bad-argument): a setting
+  /// `all`: all models of this kind, to recognise a wrong one by its identity. SetupError (bad-argument): a setting
   /// that the model does not have.
   InertialChip(const InertialModel& model, std::span<const InertialModel> all, const InertialSettings& settings)
       : model_(model), all_(all), is_tested_(settings.self_test) {
@@ -189,21 +189,21 @@ class InertialChip {
     acceleration_ = chosen(model.accelerations, settings.acceleration);
     angle_ = chosen(model.angles, settings.angle);
     const InertialChoice* filter = settings.filter ? find(model.filters, *settings.filter) : nullptr;
-    filter_code_ = filter != nullptr ? filter->code : 3;  // 42 Hz of those that have one
+    filter_code_ = filter != nullptr ? filter->code : 3;  // 42 Hz for models with a filter
     nominal_period_ = period_ = period_of(*rate_);
     bytes_.resize(model.fifo.capacity);
     found_.reserve(model.fifo.capacity / model.sample_bytes + 1);
-    // Two words of 7 bytes a sample, and a half one from the read before.
+    // Two words of 7 bytes a sample, plus half a sample from the read before.
     if (model.fifo.is_tagged) joined_.resize(model.fifo.capacity / 14 * 12 + 12);
   }
 
-  /// Samples a second that it takes, and how many it keeps.
+  /// Samples a second, and how many samples the FIFO holds.
   double sample_rate() const noexcept { return rate_->number; }
   std::size_t fifo_samples() const noexcept {
     return model_.fifo.capacity / (model_.fifo.is_tagged ? std::size_t{14} : model_.sample_bytes);
   }
 
-  /// Identity, self-test, settings; it measures then.
+  /// Checks the identity, runs the self-test, writes the settings; then the chip measures.
   Result<void> open(RegisterDevice& chip) {
     is_on_spi_ = chip.is_on_spi();
     const Result<std::uint8_t> found = chip.read_register(model_.identity_register);
@@ -225,9 +225,9 @@ class InertialChip {
     return done;
   }
 
-  /// For the chip after it: see driver.hpp.
+  /// For the driver object that replaces this one: see driver.hpp.
   InertialMemory memory() const noexcept { return is_open_ ? InertialMemory{last_, period_} : before_; }
-  /// Before `open`: the first read after it tells what was missed since.
+  /// Call before `open`: the first read then reports the samples lost since.
   void remember(const InertialMemory& memory) noexcept { before_ = memory; }
 
   /// Empties the FIFO; `make` makes the payload of a sample.
@@ -235,12 +235,12 @@ class InertialChip {
   Result<void> read(RegisterDevice& chip, Samples<Value>& out, const Make& make) {
     const InertialFifo& fifo = model_.fifo;
     out.lost_in_fault(std::exchange(unread_, 0));
-    // Settings that are lost would look like a chip without news.
+    // A chip that has lost its settings would otherwise look like one without new samples.
     const Result<std::uint8_t> mode = chip.read_register(fifo.on.number);
     if (!mode) return mode.error();
-    // Not those bits: an MPU-9250 clears them by itself.
+    // These bits are not compared: an MPU-9250 clears them by itself.
     if (((*mode ^ value_of(fifo.on)) & ~fifo.on.on_spi) != 0) {
-      out.unreadable(chip.error(Errc::bad_data, what, "it has lost its settings", "look at its supply"));
+      out.unreadable(chip.error(Errc::bad_data, what, "it has lost its settings", "check its supply"));
       auto done = set_up(chip);
       if (done) give_up_samples(Samples<Value>::now(), out);
       return done;
@@ -253,7 +253,7 @@ class InertialChip {
     }
     MonotonicTime asked{}, now{};
     std::uint32_t status = 0;
-    // When a reading was held up, nobody knows of which time its number is: once more, or twice.
+    // After a delayed read, the time of the sample count is uncertain: read it again, at most twice.
     for (int i = 0; i < 3 && (i == 0 || now - asked > 2 * period_); ++i) {
       asked = Samples<Value>::now();
       const Result<std::uint32_t> found = read_status(chip);
@@ -264,7 +264,7 @@ class InertialChip {
     const std::size_t filled = (status & fifo.count_mask) * fifo.count_bytes;
     if (filled > fifo.capacity) {
       return chip.error(Errc::bad_data, what, "its FIFO has " + std::to_string(filled) + " bytes, more than there are",
-                        "look at its wires");
+                        "check its wires");
     }
     has_run_over = has_run_over || (status & fifo.over_mask) != 0 || filled + model_.sample_bytes > fifo.capacity;
     if (!fifo.keeps_whole_samples && (has_run_over || is_torn_ || (status & fifo.torn_mask) != 0))
@@ -274,12 +274,12 @@ class InertialChip {
     std::size_t read = 0;
     Result<void> result = read_fifo(chip, filled, read);
     if (!fifo.keeps_whole_samples) {
-      is_torn_ = true;  // if this fails, nobody knows how much of it has come, and where a sample begins
+      is_torn_ = true;  // if this fails, it is unknown how many bytes were read and where the next sample begins
       if (!result) {
         (void)restart(chip, out);
         return result;
       }
-      // Asked for afterwards: one that ran over meanwhile has dropped bytes of the samples that were being read.
+      // Check after the read: an overflow during the read drops bytes of the samples being read.
       const Result<bool> over = has_run_over_meanwhile(chip);
       if (!over) return over.error();
       if (*over) return restart(chip, out);
@@ -296,7 +296,7 @@ class InertialChip {
     is_uncertain_ = !result || (has_gap && !has_samples);
     if (const auto bad = std::exchange(bad_words_, 0); bad > 0) {
       out.unreadable(chip.error(Errc::bad_data, what, std::to_string(bad) + " words of its FIFO have a wrong parity",
-                                "look at its wires"));
+                                "check its wires"));
     }
     return result;
   }
@@ -306,7 +306,7 @@ class InertialChip {
     for (const InertialWrite& write : model_.sleeping) (void)chip.write_register(write.number, write.value);
   }
 
-  /// A sample as the chip's FIFO has it; one that is tagged: angular velocity, then acceleration.
+  /// `bytes`: a sample in the order of the FIFO; for tagged FIFOs angular velocity, then acceleration.
   InertialSample decode(std::span<const std::uint8_t> bytes) const noexcept {
     InertialSample sample;
     for (std::size_t axis = 0; axis < 3; ++axis) {
@@ -326,7 +326,7 @@ class InertialChip {
   static constexpr auto settling = std::chrono::milliseconds{100};  // of the self-test's force
   static constexpr int averaged = 5;                                // samples
 
-  /// The rate of the self-test, which takes no long time by it: the first one from 100 Hz on.
+  /// The rate during the self-test: the lowest one from 100 Hz on, so that the test is short.
   static const InertialChoice& tested_rate(const InertialModel& model) {
     return *std::find_if(model.rates.begin(), model.rates.end(), [](const auto& one) { return one.number >= 100; });
   }
@@ -394,7 +394,7 @@ class InertialChip {
   }
 
   Error another_chip(RegisterDevice& chip, std::uint8_t found) const {
-    std::string advice = "look at which chip is at this address, and at `model`";
+    std::string advice = "check which chip is at this address, and `model`";
     for (const InertialModel& other : all_) {
       const Result<std::uint8_t> its = chip.read_register(other.identity_register);
       if (!its || *its != other.identity) continue;
@@ -428,7 +428,7 @@ class InertialChip {
     return (*status & model_.fifo.over_mask) != 0;
   }
 
-  /// Whole samples (or words) into `bytes_`; `read`: the bytes that have come.
+  /// Reads whole samples (or words) into `bytes_`; `read`: the number of bytes read.
   Result<void> read_fifo(RegisterDevice& chip, std::size_t filled, std::size_t& read) {
     const InertialFifo& fifo = model_.fifo;
     constexpr std::size_t longest = 1024;  // of a transfer: what all adapters can do
@@ -452,8 +452,8 @@ class InertialChip {
     return {};
   }
 
-  /// Whether samples can have gone for which there is no sign: the oldest ones, while others were being read from a
-  /// FIFO that was almost full; or fewer are in it than the chip has taken. Once the rate is known.
+  /// True if samples may be lost without an overflow flag: the FIFO was almost full while it was read, or it holds
+  /// fewer samples than the chip has taken. Only once the rate is known.
   bool may_have_gap(std::size_t filled, MonotonicTime asked) {
     if (!model_.fifo.keeps_whole_samples || model_.fifo.is_tagged) return false;
     const bool is_almost_full = filled + 2 * model_.sample_bytes >= model_.fifo.capacity;
@@ -463,11 +463,11 @@ class InertialChip {
     return is_almost_full || was_almost_full || last_ + (count + 2) * period_ < asked;
   }
 
-  /// A sample in `bytes_`, or in `joined_` where they are tagged: how many were left out before it, where it is.
+  /// A sample in `bytes_` (tagged: in `joined_`): how many were left out before it, and its position.
   struct Found {
     std::size_t left_out, at;
   };
-  /// Both halves of a tagged sample, as they come.
+  /// The halves of a tagged sample, in the order of arrival.
   struct Half {
     std::optional<unsigned> counter;
     bool has_angle = false, has_acceleration = false;
@@ -519,7 +519,7 @@ class InertialChip {
     if (first == found_.size()) return false;
     const std::size_t still = left / (model_.fifo.is_tagged ? std::size_t{14} : model_.sample_bytes);
     const auto samples = std::span(found_).subspan(first);
-    if (has_gap) {  // as many as the chip has taken, less those that are here
+    if (has_gap) {  // the number that the chip has taken, minus those that were read
       std::int64_t taken = now > last_ ? (now - last_) / period_ : 0;
       std::int64_t gone = std::max<std::int64_t>(taken - static_cast<std::int64_t>(samples.size() + still), 0);
       if (model_.fifo.is_tagged && knows_counter) {  // the nearest number with these last two bits
@@ -552,7 +552,7 @@ class InertialChip {
     return true;
   }
 
-  /// The chip's own period: over some seconds, since an end of it is known within a period only.
+  /// Learns the chip's period over some seconds, because each end is known only within one period.
   void learn(std::size_t positions) {
     since_anchor_ += positions;
     if (since_anchor_ < worth_learning_) return;
@@ -561,7 +561,7 @@ class InertialChip {
     period_ = std::clamp(measured, nominal_period_ * 8 / 10, nominal_period_ * 12 / 10);
     if (since_anchor_ < 10000) return;
     anchor(last_);
-    worth_learning_ = 5000;  // what fewer samples say is less sure than what is known
+    worth_learning_ = 5000;  // an estimate from fewer samples would be less accurate than the current one
   }
   void anchor(MonotonicTime time) {
     anchor_ = time;
@@ -572,8 +572,8 @@ class InertialChip {
     anchor(time);
   }
 
-  /// Counts the samples that the chip has taken since the last one that was read as lost. Whole periods are counted;
-  /// what is left of one goes on, so that no sample is counted twice or left out in the long run.
+  /// Counts as lost the samples that the chip has taken since the last one that was read. It counts whole periods and
+  /// carries the rest over, so that in the long run no sample is counted twice or left out.
   template <class Value>
   void give_up_samples(MonotonicTime now, Samples<Value>& out) {
     if (now <= last_) return;
@@ -582,7 +582,7 @@ class InertialChip {
     last_ += count * period_;
     anchor(last_);
   }
-  /// Empties a FIFO of which nobody knows where a sample begins.
+  /// Empties the FIFO when it is unknown where a sample begins.
   template <class Value>
   Result<void> restart(RegisterDevice& chip, Samples<Value>& out) {
     auto begun = empty_fifo(chip);
@@ -608,10 +608,10 @@ class InertialChip {
     }
     return sum;
   }
-  /// Outputs without and with the force that the chip puts on itself.
+  /// Compares the outputs without and with the self-test deflection.
   Result<void> test(RegisterDevice& chip) {
     const InertialSelfTest& test = model_.self_test;
-    // At the ranges of the data sheet's limits.
+    // Uses the ranges for which the data sheet gives the limits.
     const auto* acceleration = std::exchange(acceleration_, find(model_.accelerations, test.acceleration_range));
     const auto* angle = std::exchange(angle_, find(model_.angles, test.angle_range));
     const auto* rate = std::exchange(rate_, &tested_rate(model_));
@@ -672,11 +672,11 @@ class InertialChip {
   MonotonicTime anchor_{};  // from which the period is measured
   std::size_t since_anchor_ = 0, worth_learning_ = 500;
   bool knows_rate_ = false, was_almost_full_ = false;
-  bool is_torn_ = false;       // where a sample begins in the FIFO is not known
+  bool is_torn_ = false;       // it is unknown where a sample begins in the FIFO
   bool is_uncertain_ = false;  // a transfer failed in the middle
   bool is_new_ = true;         // nothing was read yet
   bool is_open_ = false;
-  InertialMemory before_;     // of the chip that could not be read any more
+  InertialMemory before_;     // from the driver object that was replaced
   std::uint64_t unread_ = 0;  // samples between that and the opening
   unsigned to_discard_ = 0;
   std::vector<std::uint8_t> bytes_, joined_;
@@ -686,8 +686,8 @@ class InertialChip {
   std::optional<unsigned> counter_;  // of the last tagged sample
 };
 
-/// What the drivers of these chips have in common. `C`: the configuration, which says `models()`, `chip()` of them and
-/// `settings()`; `Reading::of(const InertialSample&)`.
+/// The common part of the drivers of these chips. `C`: the configuration, with `models()`, `chip()` (one of them) and
+/// `settings()`. `Reading`: the payload, made by `Reading::of(const InertialSample&)`.
 template <class C, class Reading>
 class InertialDriver {
  public:

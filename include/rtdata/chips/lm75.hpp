@@ -2,7 +2,7 @@
 ///
 ///     rtdata::DriverSensor<rtdata::Lm75> room(loop, {.name = "room", .rate = 1_Hz}, bus, {.address = 0x48});
 ///
-/// Two bytes, -55 to 125 degrees, in steps of 0.5 (LM75) to 0.0625 (TMP75); what lies outside is unreadable. Addresses:
+/// Two bytes, -55 to 125 degrees, in steps of 0.5 (LM75) to 0.0625 (TMP75); values outside are unreadable. Addresses:
 /// 0x48 to 0x4f. It measures by itself, some ten times a second. It has no identity and no checksum.
 ///
 /// Sources: NXP LM75B, data sheet of 2015, 7.4.3 temperature register; TI TMP75, 8.5.1.
@@ -51,10 +51,9 @@ class Lm75 {
     if (!word) return word.error();
     const double degrees = decode(*word);
     if (degrees < least || degrees > most) {
-      return Unreadable{
-          chip.error(Errc::out_of_range, "cannot read the LM75",
-                     std::to_string(degrees) + " degrees is outside of what it measures, -55 to 125 degrees",
-                     "look at its wires, and whether this is an LM75")};
+      return Unreadable{chip.error(Errc::out_of_range, "cannot read the LM75",
+                                   std::to_string(degrees) + " degrees is outside its range, -55 to 125 degrees",
+                                   "check its wires, and whether this is an LM75")};
     }
     return TemperatureReading{degrees};
   }

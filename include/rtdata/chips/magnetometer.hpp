@@ -4,13 +4,13 @@
 ///     rtdata::DriverSensor<rtdata::Magnetometer> compass(loop, {.name = "compass", .rate = 50_Hz}, bus,
 ///                                                        {.address = 0x1c}, {.model = MagnetometerModel::lis3mdl});
 ///
-/// The chip measures by itself, `sample_rate` times a second, and keeps the newest sample only: each tick reads it, and
-/// has nothing new when there was none since the last one (an HMC5883L does not say so: it gives the same again). The
-/// event has the time of the reading. Axes as printed in the data sheet; those of an LSM9DS1 and of an AK8963 are not
-/// those of the accelerometer in the same package.
+/// The chip measures by itself, `sample_rate` times a second, and keeps the newest sample only: each tick reads it;
+/// without a new sample since the last tick there is no event (an HMC5883L cannot tell and gives the same value again).
+/// The event has the time of the reading. Axes are those in the data sheet; the axes of an LSM9DS1 and of an AK8963
+/// differ from those of the accelerometer in the same package.
 ///
-/// A field beyond the range is unreadable (out-of-range). A chip that has lost its settings is reported and set up
-/// again; one whose samples stop is an error (timed-out). A chip of another identity is refused.
+/// A field out of range is unreadable (out-of-range). A chip that has lost its settings is reported and set up again; a
+/// chip that gives no more samples is an error (timed-out). The driver refuses a chip with another identity.
 ///
 /// Sources: LIS3MDL, DocID024204: table 3 scales, 5.1 addresses that go on, 7.1 to 7.9 registers. LSM9DS1, DocID025715:
 /// table 3 scales, 8.1 to 8.10 registers. AK8963, MS1356-E-02: 6.3 modes, 8.3 registers, 8.3.11 adjustment. HMC5883L,
@@ -70,7 +70,7 @@ struct Setting {
   std::uint8_t number, value = 0;
   std::uint8_t by_rate = 0, by_range = 0;
   Duration pause = Duration{0};  ///< that the chip needs afterwards
-  int read_at = -1;              ///< where in a reading it must be found again; -1: it is not read
+  int read_at = -1;              ///< position in a reading where the value must read back; -1: not read back
 };
 /// Registers that are read in one transfer.
 struct Piece {
@@ -90,18 +90,18 @@ struct Model {
   double usual_range;  ///< gauss
   std::span<const Setting> setting_up;
   Setting sleeping;
-  std::array<Piece, 2> pieces;  ///< of a reading, one after the other; an empty one is none
+  std::array<Piece, 2> pieces;  ///< of a reading, one after the other; an empty one is unused
   Bit is_new, is_over;          ///< in a reading
   std::array<std::size_t, 3> axes;
   bool is_big_endian = false;
-  std::array<int, 2> ends = {-32768, 32767};  ///< codes from these on, outwards, are beyond the range
+  std::array<int, 2> ends = {-32768, 32767};  ///< codes at these limits or beyond are out of range
   int temperature_at = -1;                    ///< -1: it has none
   RegisterAddressing addressing = {};
-  std::uint8_t adjustment_register = 0;  ///< of its factors, read in a mode of their own; 0: none
+  std::uint8_t adjustment_register = 0;  ///< of the axes' factors, read in a special mode; 0: none
 };
 
 // LIS3MDL, and the magnetometer of an LSM9DS1: temperature, best performance, rate; range; all the time; best
-// performance of Z; samples that change as a whole. Addresses go on when their bit 7 is set.
+// performance of Z; samples that change as a whole. Register addresses auto-increment when bit 7 is set.
 inline constexpr SampleRate lis3mdl_rates[] = {{0.625, 0}, {1.25, 1}, {2.5, 2}, {5, 3},
                                                {10, 4},    {20, 5},   {40, 6},  {80, 7}};
 inline constexpr FieldRange lis3mdl_ranges[] = {{4, 0, 6842}, {8, 1, 3421}, {12, 2, 2281}, {16, 3, 1711}};
@@ -130,14 +130,14 @@ constexpr Model lis3mdl(std::string_view name, std::span<const FieldRange> range
           .addressing = {.i2c_burst_bit = 0x80, .spi_burst_bit = 0x40}};
 }
 
-// AK8963: off; all the time, at 8 or 100 Hz, with 16 bits. Reading the second status lets the next sample in.
+// AK8963: off; continuous at 8 or 100 Hz, with 16 bits. Reading the second status register releases the next sample.
 inline constexpr SampleRate ak8963_rates[] = {{8, 2}, {100, 6}};
 inline constexpr FieldRange ak8963_ranges[] = {{49.12, 0, 1 / 1.5e-3}};
 inline constexpr Setting ak8963_setting_up[] = {{.number = 0x0b, .value = 0x01, .pause = 1ms},
                                                 {.number = 0x0a, .value = 0x00, .pause = 1ms},
                                                 {.number = 0x0a, .value = 0x10, .by_rate = 1, .read_at = 8}};
 
-// HMC5883L: average of 8; the identity is "H43". From the last data register the pointer goes back to the first.
+// HMC5883L: average of 8; the identity is "H43". After the last data register the address returns to the first.
 inline constexpr SampleRate hmc5883l_rates[] = {{0.75, 0}, {1.5, 1}, {3, 2}, {7.5, 3}, {15, 4}, {30, 5}, {75, 6}};
 inline constexpr FieldRange hmc5883l_ranges[] = {{0.88, 0, 1370}, {1.3, 1, 1090}, {1.9, 2, 820}, {2.5, 3, 660},
                                                  {4.0, 4, 440},   {4.7, 5, 390},  {5.6, 6, 330}, {8.1, 7, 230}};
@@ -145,8 +145,8 @@ inline constexpr Setting hmc5883l_setting_up[] = {{.number = 0x00, .value = 0x60
                                                   {.number = 0x01, .by_range = 1 << 5, .read_at = 1},
                                                   {.number = 0x02, .value = 0x00, .pause = 10ms, .read_at = 2}};
 
-// QMC5883L: reset; the period of its set and reset that the data sheet asks for; all the time, 512 measurements a
-// sample. Its identity is what an empty bus reads, so that only its settings, which are read back, prove it.
+// QMC5883L: reset; the set/reset period of the data sheet; continuous, 512 measurements a sample. Its identity equals
+// what an empty bus reads, so only reading back the settings proves that the chip is there.
 inline constexpr SampleRate qmc5883l_rates[] = {{10, 0}, {50, 1}, {100, 2}, {200, 3}};
 inline constexpr FieldRange qmc5883l_ranges[] = {{2, 0, 12000}, {8, 1, 3000}};
 inline constexpr Setting qmc5883l_setting_up[] = {
@@ -252,8 +252,8 @@ class Magnetometer {
   static Result<void> check(const Config& config) {
     const Model& model = config.chip();
     const auto refused = [&](const char* key, double number, const std::string& good) -> Result<void> {
-      return Error{Errc::bad_argument, "cannot use the magnetometer so", key,
-                   text_of(number) + " is none of " + good + ", which the " + std::string(model.name) + " has", ""};
+      return Error{Errc::bad_argument, "cannot use these settings of the magnetometer", key,
+                   text_of(number) + " is not one of " + good + ", which the " + std::string(model.name) + " has", ""};
     };
     if (find_rate(config) == nullptr) {
       std::string good;
@@ -273,14 +273,14 @@ class Magnetometer {
     rate_ = find_rate(config);
     range_ = find_range(config);
   }
-  /// The pauses of its setting up.
+  /// The pauses while it is set up.
   static Duration bus_time(const Config& config) {
     Duration all = adjustment_pause;
     for (const Setting& one : config.chip().setting_up) all += one.pause;
     return all;
   }
 
-  /// Identity, what was adjusted in the factory, settings, which are read back.
+  /// Checks the identity, reads the factory adjustment, writes the settings and reads them back.
   Result<void> open(RegisterDevice& chip) {
     std::array<std::uint8_t, 3> found{};
     const auto identity = std::span(found).first(model_.identity.size());
@@ -291,7 +291,7 @@ class Magnetometer {
       return chip.error(Errc::bad_data, "cannot use the chip as " + name(),
                         "its identity is " + to_string(I2cAddress(identity[i])) + ", that of " + name() + " is " +
                             to_string(I2cAddress(wanted)),
-                        "look at which chip is at this address, and at `model`");
+                        "check which chip is at this address, and `model`");
     }
     if (model_.adjustment_register != 0) {
       if (auto done = read_adjustment(chip); !done) return done;
@@ -301,7 +301,7 @@ class Magnetometer {
     if (auto done = read_pieces(chip, bytes); !done) return done;
     if (!has_settings(bytes))
       return chip.error(Errc::bad_data, "cannot use the chip as " + name(), "it does not keep its settings",
-                        "look at which chip is at this address, and at its supply");
+                        "check which chip is at this address, and its supply");
     return {};
   }
 
@@ -309,15 +309,15 @@ class Magnetometer {
     std::array<std::uint8_t, most_bytes> bytes{};
     if (auto done = read_pieces(chip, bytes); !done) return std::move(done).error();
     if (!has_settings(bytes)) {
-      auto lost = chip.error(Errc::bad_data, what, "it has lost its settings", "look at its supply");
+      auto lost = chip.error(Errc::bad_data, what, "it has lost its settings", "check its supply");
       if (auto done = set_up(chip); !done) return std::move(done).error();
       return Unreadable{std::move(lost)};
     }
     const MonotonicTime now = Samples<int>::now();
     if (model_.is_new.mask != 0 && (bytes[model_.is_new.at] & model_.is_new.mask) == 0) {
       if (now - last_ <= patience()) return NothingNew{};
-      return chip.error(Errc::timed_out, what, "it has brought no sample since " + to_string(patience()),
-                        "look at its supply");
+      return chip.error(Errc::timed_out, what, "it has given no sample since " + to_string(patience()),
+                        "check its supply");
     }
     last_ = now;
     auto reading = decode(bytes, config_, adjustment_);
@@ -389,7 +389,7 @@ class Magnetometer {
     return text;
   }
   std::string name() const { return "the " + std::string(model_.name); }
-  /// How long it may bring nothing: three of its periods, and a second.
+  /// How long the chip may give no sample: three periods plus a second.
   Duration patience() const { return Duration{std::llround(3e9 / rate_->hertz)} + Duration{std::chrono::seconds{1}}; }
   std::uint8_t value_of(const Setting& setting) const noexcept {
     return static_cast<std::uint8_t>(setting.value + rate_->code * setting.by_rate + range_->code * setting.by_range);
@@ -402,7 +402,7 @@ class Magnetometer {
     last_ = Samples<int>::now();
     return {};
   }
-  /// In the mode in which its fuses are read.
+  /// In fuse ROM access mode.
   Result<void> read_adjustment(RegisterDevice& chip) {
     constexpr std::uint8_t mode_register = 0x0a, fuses = 0x0f;
     if (auto done = chip.write_register(mode_register, fuses); !done) return done;

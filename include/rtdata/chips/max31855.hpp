@@ -2,12 +2,12 @@
 ///
 ///     rtdata::DriverSensor<rtdata::Max31855> oven(loop, {.name = "oven", .rate = 5_Hz}, bus, {.chip_select = 0});
 ///
-/// The chip is made for one kind of thermocouple, which the end of its name tells (MAX31855K, J, N, T, S, R, E), and
-/// takes no settings. It measures by itself, some ten times a second, in steps of 0.25 degrees; a tick reads the last
+/// The chip is made for one type of thermocouple, given by the last letter of its name (MAX31855K, J, N, T, S, R, E),
+/// and has no settings. It measures by itself, some ten times a second, in steps of 0.25 degrees; a tick reads the last
 /// value. A thermocouple that is open, or shorted to ground or to the supply, is unreadable, with that reason.
 ///
-/// A chip that is not there reads as ones, which two bits that are always 0 show, or as zeros. Zeros are 0 degrees at
-/// both ends too, and are taken as nothing: unreadable. There is no identity and no checksum.
+/// Without a chip all bits read as ones or as zeros. Ones are recognised by two bits that are always 0. All zeros could
+/// also mean 0 degrees at both ends; the driver takes them as unreadable. There is no identity and no checksum.
 ///
 /// Clock to 5 MHz, mode 0. Source: Maxim, 19-5793, memory map (tables 2 to 5).
 ///
@@ -57,7 +57,7 @@ class Max31855 {
     return *reading;
   }
 
-  /// Errors: bad-data (no chip, or a thermocouple that is none).
+  /// Errors: bad-data (no chip, or a thermocouple fault).
   static Result<ThermocoupleReading> decode(std::span<const std::uint8_t, 4> bytes) {
     const std::uint32_t word = static_cast<std::uint32_t>(bytes[0]) << 24 | static_cast<std::uint32_t>(bytes[1]) << 16 |
                                static_cast<std::uint32_t>(bytes[2]) << 8 | bytes[3];
@@ -67,11 +67,11 @@ class Max31855 {
     };
     if ((word & always_zero) != 0 || word == 0)
       return refused(word == 0 ? "it gives zeros only: nothing answers" : "bits that are 0 are not: nothing answers",
-                     "look at its wires and supply, `chip_select`, `mode` and `clock`");
-    if ((word & 1) != 0) return refused("the thermocouple is open", "look at its wires");
-    if ((word & 2) != 0) return refused("the thermocouple is shorted to ground", "look at its wires");
-    if ((word & 4) != 0) return refused("the thermocouple is shorted to the supply", "look at its wires");
-    if ((word & fault) != 0) return refused("it tells of a fault and not of which", "look at its wires");
+                     "check its wires and supply, `chip_select`, `mode` and `clock`");
+    if ((word & 1) != 0) return refused("the thermocouple is open", "check its wires");
+    if ((word & 2) != 0) return refused("the thermocouple is shorted to ground", "check its wires");
+    if ((word & 4) != 0) return refused("the thermocouple is shorted to the supply", "check its wires");
+    if ((word & fault) != 0) return refused("it reports an unknown fault", "check its wires");
     const auto bits = static_cast<std::int32_t>(word);
     return ThermocoupleReading{(bits >> 18) * 0.25, (static_cast<std::int16_t>(word & 0xffff) >> 4) * 0.0625};
   }

@@ -3,13 +3,13 @@
 ///     rtdata::DriverSensor<rtdata::Max31856> oven(loop, {.name = "oven", .rate = 2_Hz}, bus,
 ///                                                 {.chip_select = 0, .mode = 1}, {.thermocouple = Thermocouple::k});
 ///
-/// Each tick starts one measurement and reads it when the chip has had its time, the bus being free meanwhile: 0.23 s
-/// against mains of 50 Hz, 0.2 s of 60 Hz, and 40 or 33 ms more for each further one of `average`. An open
-/// thermocouple, an input beyond the supply, and a temperature that is outside of the thermocouple's or the chip's
-/// range are unreadable, with that reason.
+/// Each tick starts one measurement and reads it when it is done; the bus is free meanwhile. A measurement takes 0.23 s
+/// with a filter for mains of 50 Hz, 0.2 s for 60 Hz, plus 40 or 33 ms for each further measurement of `average`. A
+/// reading is unreadable, with the reason, if the thermocouple is open, an input is out of the supply range, or a
+/// temperature is out of the range of the thermocouple or the chip.
 ///
-/// There is no identity and no checksum. The settings are read back with each measurement: a chip that was reset
-/// meanwhile is reported and set up again; ones and zeros, where nothing answers, are no such settings.
+/// There is no identity and no checksum. The settings are read back with each measurement: a chip that was reset is
+/// reported and set up again. A bus without a chip reads all ones or zeros, which never match the settings.
 ///
 /// Clock to 5 MHz, modes 1 and 3. Source: Maxim, 19-7534, register map and descriptions; AVGSEL and OCFAULT for times.
 ///
@@ -29,7 +29,7 @@
 
 namespace rtdata {
 
-/// What thermometers for thermocouples publish.
+/// The payload of thermocouple drivers.
 struct ThermocoupleReading {
   double temperature = 0;    ///< of the thermocouple's tip, cold junction compensated by the chip
   double cold_junction = 0;  ///< of the chip, where the thermocouple is connected
@@ -41,7 +41,7 @@ struct ThermocoupleReading {
 
 /// In the order of the chip's codes.
 enum class Thermocouple { b, e, j, k, n, r, s, t };
-/// Interference that a converter filters out.
+/// The mains frequency that a converter filters out.
 enum class Mains { hz_50, hz_60 };
 
 class Max31856 {
@@ -78,8 +78,8 @@ class Max31856 {
   static Result<void> check(const Config& config) {
     for (const unsigned good : {1u, 2u, 4u, 8u, 16u})
       if (config.average == good) return {};
-    return Error{Errc::bad_argument, "cannot use the MAX31856 so", "average",
-                 std::to_string(config.average) + " is not a value that it has", "take 1, 2, 4, 8 or 16"};
+    return Error{Errc::bad_argument, "cannot use these settings of the MAX31856", "average",
+                 std::to_string(config.average) + " is not one of its values", "take 1, 2, 4, 8 or 16"};
   }
   explicit Max31856(const Config& config) : config_(config) {}
 
@@ -89,7 +89,7 @@ class Max31856 {
     if (auto done = read_registers(chip, bytes); !done) return done;
     if (!has_settings(bytes, config_))
       return chip.error(Errc::bad_data, "cannot use the chip as a MAX31856", "it does not keep its settings",
-                        "look at its wires and supply, `chip_select`, `mode` and `clock`");
+                        "check its wires and supply, `chip_select`, `mode` and `clock`");
     return {};
   }
   Result<void> start(SpiDevice& chip) {
@@ -110,10 +110,9 @@ class Max31856 {
     };
     if (!has_settings(bytes, config_)) {
       if (auto done = set_up(chip); !done) return std::move(done).error();
-      return unreadable({Errc::bad_data, what, "", "it has lost its settings since the start", "look at its supply"});
+      return unreadable({Errc::bad_data, what, "", "it has lost its settings since the start", "check its supply"});
     }
-    if ((bytes[0] & one_shot) != 0)
-      return chip.error(Errc::timed_out, what, "it measures still, longer than it may", "");
+    if ((bytes[0] & one_shot) != 0) return chip.error(Errc::timed_out, what, "the measurement takes too long", "");
     auto reading = decode(bytes);
     if (!reading) return unreadable(reading.error());
     return *reading;
@@ -122,12 +121,11 @@ class Max31856 {
   /// `registers`: all of the chip. Errors: bad-data (the thermocouple), out-of-range (temperatures).
   static Result<ThermocoupleReading> decode(std::span<const std::uint8_t, 16> registers) {
     const unsigned fault = registers[15];
-    const auto refused = [](Errc code, const char* why) { return Error{code, what, "", why, "look at its wires"}; };
+    const auto refused = [](Errc code, const char* why) { return Error{code, what, "", why, "check its wires"}; };
     if ((fault & 0x01) != 0) return refused(Errc::bad_data, "the thermocouple is open");
     if ((fault & 0x02) != 0) return refused(Errc::bad_data, "an input is below ground or above the supply");
-    if ((fault & 0x40) != 0)
-      return refused(Errc::out_of_range, "the temperature is outside of its thermocouple's range");
-    if ((fault & 0xb0) != 0) return refused(Errc::out_of_range, "the cold junction is outside of its range");
+    if ((fault & 0x40) != 0) return refused(Errc::out_of_range, "the temperature is outside its thermocouple's range");
+    if ((fault & 0xb0) != 0) return refused(Errc::out_of_range, "the cold junction is outside its range");
     const auto cold = static_cast<std::int16_t>(registers[10] << 8 | registers[11]);
     const auto tip = static_cast<std::int32_t>(static_cast<std::uint32_t>(registers[12]) << 24 |
                                                static_cast<std::uint32_t>(registers[13]) << 16 |
@@ -139,13 +137,14 @@ class Max31856 {
   static constexpr std::size_t register_count = 16;
   static constexpr std::uint8_t control_register = 0, write_bit = 0x80;
   static constexpr std::uint8_t one_shot = 0x40;
-  // Mask of the pin FAULT, limits of both temperatures, offset of the cold junction: as after a reset, but for the
-  // upper limit of the cold junction, 126 degrees instead of 127, neither of which it ever has: that shows a reset.
+  // Mask of the pin FAULT, limits of both temperatures, offset of the cold junction. All are as after a reset, except
+  // the upper limit of the cold junction: 126 instead of 127 degrees. Reading 127 back shows a reset; the cold junction
+  // never reaches either value.
   static constexpr std::size_t first_limit = 2;
   static constexpr std::array<std::uint8_t, 8> limits{0xff, 0x7e, 0xc0, 0x7f, 0xff, 0x80, 0x00, 0x00};
   static constexpr const char* what = "cannot read the MAX31856";
 
-  /// With a look for an open circuit, as for thermocouples of less than 5 kOhm.
+  /// With open-circuit detection for thermocouples below 5 kOhm.
   static std::uint8_t control_of(const Config& config) noexcept {
     return static_cast<std::uint8_t>(0x10 | (config.mains == Mains::hz_50 ? 1 : 0));
   }

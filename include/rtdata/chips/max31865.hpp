@@ -3,13 +3,13 @@
 ///     rtdata::DriverSensor<rtdata::Max31865> tank(loop, {.name = "tank", .rate = 5_Hz}, bus,
 ///                                                 {.chip_select = 0, .mode = 1}, {.wires = 3});
 ///
-/// Each tick switches the current through the element on, looks for faults of its wires, measures once, and switches it
-/// off again, so that the element does not heat itself; the bus is free while the input settles (10 ms) and the chip
-/// converts (66 ms against mains of 50 Hz, 55 ms of 60 Hz). Wires that are open or shorted, and resistances that belong
-/// to no temperature from -200 to 850 degrees, are unreadable, with that reason.
+/// Each tick switches the current through the element on, checks its wires, measures once, and switches the current off
+/// again, so that the element does not heat itself. The bus is free while the input settles (10 ms) and the chip
+/// converts (66 ms with a filter for mains of 50 Hz, 55 ms for 60 Hz). A reading is unreadable, with the reason, if a
+/// wire is open or shorted or the resistance is outside -200 to 850 degrees.
 ///
-/// There is no identity and no checksum. The settings are read back with each measurement: a chip that was reset
-/// meanwhile is reported; ones and zeros, where nothing answers, are no such settings.
+/// There is no identity and no checksum. The settings are read back with each measurement: a chip that was reset is
+/// reported. A bus without a chip reads all ones or zeros, which never match the settings.
 ///
 /// Clock to 5 MHz, modes 1 and 3. Sources: Maxim, 19-6478, register map, fault detection cycle; IEC 60751 for
 /// temperatures (Callendar and Van Dusen).
@@ -81,10 +81,10 @@ class Max31865 {
 
   static Result<void> check(const Config& config) {
     const auto refused = [](const char* where, std::string why) {
-      return Error{Errc::bad_argument, "cannot use the MAX31865 so", where, std::move(why), ""};
+      return Error{Errc::bad_argument, "cannot use these settings of the MAX31865", where, std::move(why), ""};
     };
     if (config.wires < 2 || config.wires > 4)
-      return refused("wires", std::to_string(config.wires) + " is none of 2, 3 and 4");
+      return refused("wires", std::to_string(config.wires) + " is not 2, 3 or 4");
     const double reference = reference_of(config);
     if (!std::isfinite(reference) || reference <= 0)
       return refused("reference_resistance", std::to_string(reference) + " is not above 0");
@@ -100,7 +100,7 @@ class Max31865 {
     if (!kept) return kept.error();
     if (*kept != settings_of(config_))
       return chip.error(Errc::bad_data, "cannot use the chip as a MAX31865", "it does not keep its settings",
-                        "look at its wires and supply, `chip_select`, `mode` and `clock`");
+                        "check its wires and supply, `chip_select`, `mode` and `clock`");
     return write_settings(chip, 0, Current::off);
   }
 
@@ -115,7 +115,7 @@ class Max31865 {
   }
   Duration conversion_time() const noexcept {
     using namespace std::chrono_literals;
-    if (step_ == Step::settling) return 10ms;  // ten time constants of the usual 100 nF, and more
+    if (step_ == Step::settling) return 10ms;  // more than ten time constants of the usual 100 nF
     return config_.mains == Mains::hz_50 ? 66ms : 55ms;
   }
   bool goes_on() const noexcept { return step_ == Step::measuring; }
@@ -136,7 +136,7 @@ class Max31865 {
     if (auto done = chip.write_read({&first, 1}, bytes); !done) return std::move(done).error();
     if (auto done = write_settings(chip, 0, Current::off); !done) return std::move(done).error();
     if (bytes[0] == (settings_of(config_) | one_shot))
-      return chip.error(Errc::timed_out, what, "it measures still, longer than it may", "");
+      return chip.error(Errc::timed_out, what, "the measurement takes too long", "");
     if (bytes[0] != settings_of(config_)) return lost(chip);
     auto reading = decode(bytes, config_);
     if (!reading) {
@@ -148,26 +148,26 @@ class Max31865 {
 
   /// `registers`: all of the chip. Errors: bad-data (the wires), out-of-range (no temperature has this resistance).
   static Result<RtdReading> decode(std::span<const std::uint8_t, 8> registers, const Config& config) {
-    const auto refused = [](Errc code, const char* why) { return Error{code, what, "", why, "look at its wires"}; };
+    const auto refused = [](Errc code, const char* why) { return Error{code, what, "", why, "check its wires"}; };
     const unsigned fault = registers[7], code = static_cast<unsigned>(registers[1] << 8 | registers[2]) >> 1;
     if ((fault & 0x04) != 0) return refused(Errc::bad_data, "an input is below ground or above the supply");
     if ((fault & 0x20) != 0) return refused(Errc::bad_data, "the element, or a wire to it, is open");
     if ((fault & 0x10) != 0) return refused(Errc::bad_data, "the wire FORCE- or the reference is open or shorted");
     if ((fault & 0x08) != 0) return refused(Errc::bad_data, "the wire RTDIN- is open or shorted");
     if ((fault & 0xc0) != 0 || (registers[2] & 1) != 0)
-      return refused(Errc::bad_data, "it tells of a fault of the element");
+      return refused(Errc::bad_data, "it reports a fault of the element");
     if (code == 0x7fff) return refused(Errc::out_of_range, "the resistance is that of the reference, or above");
     const double resistance = code * reference_of(config) / 32768;
     const double ratio = resistance / (config.element == RtdElement::pt100 ? 100 : 1000);
     const std::optional<double> temperature = temperature_of(ratio);
     if (!temperature)
-      return Error{Errc::out_of_range, what, "", std::to_string(resistance) + " Ohm is outside of -200 to 850 degrees",
-                   "look at its wires, `element` and `reference_resistance`"};
+      return Error{Errc::out_of_range, what, "", std::to_string(resistance) + " Ohm is outside -200 to 850 degrees",
+                   "check its wires, `element` and `reference_resistance`"};
     return RtdReading{*temperature, resistance};
   }
 
-  /// Degrees of a platinum element with this resistance over that at 0 degrees (IEC 60751); none: outside of -200 to
-  /// 850 degrees.
+  /// Temperature of a platinum element in degrees Celsius. `ratio`: its resistance divided by that at 0 degrees (IEC
+  /// 60751). Empty: outside -200 to 850 degrees.
   static std::optional<double> temperature_of(double ratio) noexcept {
     constexpr double a = 3.9083e-3, b = -5.775e-7, c = -4.183e-12;
     const auto ratio_at = [](double t) { return 1 + a * t + b * t * t + (t < 0 ? c * (t - 100) * t * t * t : 0); };
@@ -207,8 +207,7 @@ class Max31865 {
     return value;
   }
   Reading<RtdReading> lost(SpiDevice& chip) const {
-    return Unreadable{
-        chip.error(Errc::bad_data, what, "it has lost its settings since the start", "look at its supply")};
+    return Unreadable{chip.error(Errc::bad_data, what, "it has lost its settings since the start", "check its supply")};
   }
 
   Config config_;

@@ -5,10 +5,10 @@
 ///                                                .model = AdcModel::mcp3208, .reference_voltage = 3.3});
 ///     loop.subscribe("adc", [](const rtdata::EventView& event) { ... });  // a record of throttle and ain2_ain3, in V
 ///
-/// Each tick reads the channels one after the other in one message: at a clock of 1 MHz 0.025 ms apart; the event has
-/// the time of the first. The highest code is everything from the reference on, 0 everything from ground (of a pair:
-/// from its equality) downwards. A chip that is not there, or whose data line hangs, reads as ones, which its null bit
-/// shows: unreadable. One that is held at 0 cannot be told from 0 V.
+/// Each tick reads the channels one after the other in one message, 0.025 ms apart at a clock of 1 MHz; the event has
+/// the time of the first. The highest code means the reference voltage or more, 0 means 0 V or less. Without a chip, or
+/// with the data line stuck high, all bits read as ones: the null bit shows this, and the reading is unreadable. A data
+/// line stuck low cannot be distinguished from 0 V.
 ///
 /// Clocks: to 1 MHz at 2.7 V, 2 MHz (MCP3008: 3.6 MHz) at 5 V. Modes 0 and 3.
 ///
@@ -69,7 +69,7 @@ class Mcp3x08 {
   struct Config {
     std::vector<Channel> channels = {};  ///< empty: each input against ground
     AdcModel model = AdcModel::mcp3208;
-    double reference_voltage = 3.3;  ///< V at the pin VREF: of the code after the last
+    double reference_voltage = 3.3;  ///< V at the pin VREF: full scale, one more than the highest code
     friend constexpr auto parameters(type_tag<Config>) {
       return parameter_list(
           parameter("channels", &Config::channels, "what to convert, in this order; none: each input against ground"),
@@ -111,19 +111,19 @@ class Mcp3x08 {
       if (!code)
         return Unreadable{chip.error(Errc::bad_data, "cannot read the converter",
                                      detail::field_of(config_.channels[i]) + " has no null bit: nothing answers",
-                                     "look at its wires and supply, `chip_select`, `mode`, `clock`, and `model`")};
+                                     "check its wires and supply, `chip_select`, `mode`, `clock`, and `model`")};
       reading.voltages[i] = *code * step;
     }
     return reading;
   }
 
-  /// The three bytes that ask for an input, and its code in the three that come meanwhile; none: the null bit is 1, no
-  /// chip has answered.
+  /// `request` gives the three bytes to send for an input; `code_of` takes its code from the three bytes received.
+  /// Empty: the null bit is 1, no chip has answered.
   static std::array<std::uint8_t, 3> request(AdcModel model, std::string_view input) noexcept {
     std::size_t number = 0;
     while (number < inputs.size() && inputs[number] != input) ++number;
     const unsigned single = number < 8 ? 1 : 0, select = number & 7;
-    // A start bit, 1 for single-ended, the channel; so placed that the code ends with the last byte.
+    // A start bit, 1 for single-ended, the channel, placed so that the code ends with the last byte.
     if (model == AdcModel::mcp3008) return {0x01, static_cast<std::uint8_t>(single << 7 | select << 4), 0};
     return {static_cast<std::uint8_t>(0x04 | single << 1 | select >> 2), static_cast<std::uint8_t>((select & 3) << 6),
             0};

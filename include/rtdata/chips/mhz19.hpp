@@ -3,9 +3,9 @@
 ///     rtdata::SerialPort port({.device = "/dev/ttyS0"});  // 9600 8N1
 ///     rtdata::DriverSensor<rtdata::MhZ19> air(loop, {.name = "air", .rate = 0.5_Hz}, port);
 ///
-/// Each tick is a request of nine bytes and an answer of nine, with a checksum; what has a wrong one is unreadable, as
-/// is more than the 10000 ppm that it measures, and 0 ppm, which it says while it warms up and which no air has. It
-/// needs three minutes from being switched on (MH-Z19C: one); other values of that time it does not mark.
+/// Each tick sends a request of nine bytes and reads an answer of nine, with a checksum. A reading is unreadable with a
+/// wrong checksum, above 10000 ppm (the sensor's range), and at 0 ppm, which the sensor sends while it warms up. It
+/// needs three minutes after power-on (MH-Z19C: one minute); other wrong values during that time are not recognisable.
 ///
 /// Source: Winsen, MH-Z19B User's Manual V1.6, "UART output", command 0x86 and checksum.
 ///
@@ -48,7 +48,7 @@ class MhZ19 {
   using Value = Co2Reading;
   using Device = SerialDevice;
   explicit MhZ19(const Config&) {}
-  /// The line is there; a sensor that warms up answers later.
+  /// Sends nothing: the port is open, and a sensor that warms up answers later.
   Result<void> open(SerialDevice&) { return {}; }
 
   Reading<Co2Reading> read(SerialDevice& line) {
@@ -56,13 +56,12 @@ class MhZ19 {
     std::array<std::uint8_t, 9> answer{};
     if (auto done = line.transact(request, answer); !done) return std::move(done).error();
     if (answer == request)
-      return Unreadable{line.error(Errc::bad_data, "cannot read the MH-Z19", "it sends back what was asked",
-                                   "switch off the echo of the adapter, or look whether its RX and TX are joined")};
+      return Unreadable{line.error(Errc::bad_data, "cannot read the MH-Z19", "it echoes the request",
+                                   "switch off the echo of the adapter, or check whether its RX and TX are joined")};
     Result<Co2Reading> reading = decode(answer);
     if (!reading) {
       const Error& e = reading.error();
-      return Unreadable{
-          line.error(Errc::bad_data, "cannot read the MH-Z19", e.why, "look at its wires and its supply")};
+      return Unreadable{line.error(Errc::bad_data, "cannot read the MH-Z19", e.why, "check its wires and its supply")};
     }
     return *reading;
   }
@@ -80,10 +79,10 @@ class MhZ19 {
       return Error{Errc::bad_data, "cannot read the MH-Z19", "", std::move(why), ""};
     };
     if (answer[8] != checksum(answer)) return refuse("the checksum of its answer is wrong");
-    if (answer[0] != 0xff || answer[1] != 0x86) return refuse("this answers something else");
+    if (answer[0] != 0xff || answer[1] != 0x86) return refuse("this is not the answer to the request");
     const unsigned ppm = static_cast<unsigned>(answer[2]) << 8 | answer[3];
     if (ppm == 0) return refuse("it says 0 ppm, as while it warms up: no air has so little");
-    if (ppm > most) return refuse(std::to_string(ppm) + " ppm is outside of what it measures, 0 to 10000 ppm");
+    if (ppm > most) return refuse(std::to_string(ppm) + " ppm is outside its range, 0 to 10000 ppm");
     return Co2Reading{static_cast<double>(ppm)};
   }
 };

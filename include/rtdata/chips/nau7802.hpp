@@ -3,12 +3,12 @@
 ///     rtdata::DriverSensor<rtdata::Nau7802> scale(loop, {.name = "scale", .rate = 10_Hz}, bus, {.address = 0x2a},
 ///                                                 {.gain = 128, .data_rate = 10, .tare_samples = 20});
 ///
-/// The value is the bridge's output over its supply in mV/V, which load cells are specified in: a cell of 5 kg and
-/// 2 mV/V gives 2 at 5 kg. The bridge is to be supplied from the chip's AVDD pin, which is its reference too.
+/// The value is the bridge's output divided by its supply, in mV/V, as in the data sheets of load cells: a cell of 5 kg
+/// and 2 mV/V gives 2 at 5 kg. Supply the bridge from the chip's AVDD pin, which is also the reference.
 ///
-/// Tare: with `tare_samples`, the average of the first so many samples is taken off all later ones. It is in each
-/// event, the code of the converter too, and while it is being taken there is no value. It is taken once in the life of
-/// the sensor: a chip that comes back after a fault, with a load on it, keeps it.
+/// Tare: with `tare_samples`, the average of that many first samples is subtracted from all later ones. Each event has
+/// the tare and the raw code; there is no value until the tare is known. The sensor takes the tare once: after a fault,
+/// when there may be a load on the cell, it keeps the old one.
 ///
 /// The chip measures by itself, `data_rate` times a second; a tick without a new sample is counted as repeated, and
 /// samples between two ticks are left out. After opening, and after it has lost its settings, it calibrates its own
@@ -36,9 +36,9 @@
 namespace rtdata {
 
 struct BridgeReading {
-  std::optional<double> value = {};  ///< less the tare; none while that is taken
+  std::optional<double> value = {};  ///< minus the tare; empty until the tare is known
   std::int32_t raw = 0;              ///< the code of the converter, 24 bits
-  std::optional<double> tare = {};   ///< that was taken off; none: there is none, or not yet
+  std::optional<double> tare = {};   ///< the tare that was subtracted; empty: none, or not yet known
   friend constexpr auto describe(type_tag<BridgeReading>) {
     return record("bridge", field("value", &BridgeReading::value, "mV/V"), field("raw", &BridgeReading::raw),
                   field("tare", &BridgeReading::tare, "mV/V"));
@@ -63,7 +63,7 @@ class Nau7802 {
     unsigned gain = 128;
     unsigned data_rate = 10;      ///< samples a second
     double supply_voltage = 3.0;  ///< V that the chip gives to the bridge
-    unsigned tare_samples = 0;    ///< whose average is taken off; 0: none
+    unsigned tare_samples = 0;    ///< how many samples to average for the tare; 0: no tare
     friend constexpr auto parameters(type_tag<Config>) {
       return parameter_list(
           parameter("gain", &Config::gain, "1, 2, 4, 8, 16, 32, 64 or 128: its range is 500 mV/V over it"),
@@ -74,7 +74,7 @@ class Nau7802 {
                     range(0, 100'000)));
     }
   };
-  /// The tare, as far as it is taken.
+  /// The tare, or its samples so far.
   struct Memory {
     unsigned count = 0;
     double sum = 0;  // of ratios
@@ -85,8 +85,8 @@ class Nau7802 {
 
   static Result<void> check(const Config& config) {
     const auto refused = [](const char* where, const std::string& value, const char* advice) {
-      return Error{Errc::bad_argument, "cannot use the NAU7802 so", where, value + " is not a value that it has",
-                   advice};
+      return Error{Errc::bad_argument, "cannot use these settings of the NAU7802", where,
+                   value + " is not one of its values", advice};
     };
     if (!detail::place_of(gains, config.gain))
       return refused("gain", std::to_string(config.gain), "take 1, 2, 4, 8, 16, 32, 64 or 128");
@@ -108,14 +108,14 @@ class Nau7802 {
     if ((*revision & 0x0f) != 0x0f)
       return chip.error(Errc::bad_data, "cannot use the chip as a NAU7802",
                         "its revision code is " + to_string(I2cAddress(*revision)) + ", that of a NAU7802 is 0x0f",
-                        "look at which chip is at this address");
+                        "check which chip is at this address");
     if (auto done = chip.write_register(power_register, reset); !done) return done;
     if (auto done = chip.write_register(power_register, digital_on); !done) return done;
     chip.wait(1ms);  // 0.2 ms
     std::array<std::uint8_t, 3> found{};
     if (auto done = chip.read_registers(power_register, found); !done) return done;
     if ((found[0] & powered_up) == 0)
-      return chip.error(Errc::bad_data, "cannot use the NAU7802", "it does not power up", "look at its supply");
+      return chip.error(Errc::bad_data, "cannot use the NAU7802", "it does not power up", "check its supply");
     const std::array<std::array<std::uint8_t, 2>, 5> settings{{{gain_register, gain_of(config_)},
                                                                {rate_register, rate_of(config_)},
                                                                {chopper_register, no_chopper},
@@ -156,12 +156,12 @@ class Nau7802 {
         settings[2] != rate_of(config_)) {
       if (auto done = open(chip); !done) return std::move(done).error();
       return Unreadable{
-          chip.error(Errc::bad_data, what, "it has lost its settings, and is set up again", "look at its supply")};
+          chip.error(Errc::bad_data, what, "it has lost its settings, and is set up again", "check its supply")};
     }
     const MonotonicTime now = Samples<BridgeReading>::now();
     if ((settings[0] & sample_ready) == 0) {
       if (now - last_ > longest_silence)
-        return chip.error(Errc::timed_out, what, "it measures no more", "look at its supply");
+        return chip.error(Errc::timed_out, what, "it has stopped measuring", "check its supply");
       return nothing_new;
     }
     last_ = now;
@@ -170,7 +170,7 @@ class Nau7802 {
     const std::int32_t code = decode(bytes);
     if (code >= most || code <= -most - 1)
       return Unreadable{chip.error(Errc::out_of_range, what, "the bridge is at the end of its range",
-                                   "look at its wires, or choose a smaller `gain`")};
+                                   "check its wires, or choose a smaller `gain`")};
     return tared(code);
   }
 
@@ -193,13 +193,13 @@ class Nau7802 {
       goes_on_ = ++waited_ < longest_calibration;
       if (goes_on_) return nothing_new;
       step_ = Step::settling;
-      return chip.error(Errc::timed_out, what, "its calibration does not end", "look at its supply");
+      return chip.error(Errc::timed_out, what, "its calibration does not end", "check its supply");
     }
     if ((settings[2] & calibration_failed) != 0) {
       step_ = Step::settling;
-      return chip.error(Errc::bad_data, what, "its calibration has failed", "look at its supply, and the bridge's");
+      return chip.error(Errc::bad_data, what, "its calibration has failed", "check its supply, and the bridge's");
     }
-    std::array<std::uint8_t, 3> of_before{};  // a sample that was taken without the calibration
+    std::array<std::uint8_t, 3> of_before{};  // discards a sample from before the calibration
     if (auto done = chip.read_registers(data_register, of_before); !done) return std::move(done).error();
     step_ = Step::running;
     last_ = Samples<BridgeReading>::now();
@@ -220,7 +220,7 @@ class Nau7802 {
   }
 
   static constexpr std::array<unsigned, 8> gains{1, 2, 4, 8, 16, 32, 64, 128};
-  static constexpr std::array<unsigned, 8> data_rates{10, 20, 40, 80, 0, 0, 0, 320};  // those of 0 are reserved
+  static constexpr std::array<unsigned, 8> data_rates{10, 20, 40, 80, 0, 0, 0, 320};  // 0: reserved
   static constexpr std::array<double, 8> supplies{4.5, 4.2, 3.9, 3.6, 3.3, 3.0, 2.7, 2.4};
   static std::uint8_t gain_of(const Config& config) noexcept {
     return static_cast<std::uint8_t>(detail::place_of(supplies, config.supply_voltage).value_or(5) << 3 |
@@ -233,7 +233,7 @@ class Nau7802 {
   static constexpr std::uint8_t power_register = 0x00, gain_register = 0x01, rate_register = 0x02;
   static constexpr std::uint8_t data_register = 0x12;
   static constexpr std::uint8_t chopper_register = 0x15, capacitor_register = 0x1c, revision_register = 0x1f;
-  // Power: supply from inside, sample ready, cycling, powered up, analog on, digital on, reset.
+  // Power: internal supply, sample ready, cycling, powered up, analog on, digital on, reset.
   static constexpr std::uint8_t running = 0x9e, sample_ready = 0x20, powered_up = 0x08;
   static constexpr std::uint8_t digital_on = 0x02, reset = 0x01;
   static constexpr std::uint8_t calibration_failed = 0x08, calibrate_offset = 0x04;

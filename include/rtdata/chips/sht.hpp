@@ -5,10 +5,10 @@
 ///
 /// Each tick starts one measurement of high repeatability and reads it when the chip has had its time (SHT3x 16 ms,
 /// SHT4x 9 ms); the bus is free for others meanwhile, and the event has the time of the start. Both numbers have a
-/// checksum: a reading with a wrong one is unreadable. At opening, the SHT3x is asked for its status and the SHT4x for
-/// its serial number, which have checksums too: another chip, or the other model, is an error. Addresses: 0x44 and 0x45
-/// (SHT4x: 0x44 to 0x46). The SHT4x gives humidities from -6 to 119 %, which are limited to 0 and 100 %, as its data
-/// sheet has it (4.6).
+/// checksum: a reading with a wrong one is unreadable. When it opens, the driver reads the status of an SHT3x or the
+/// serial number of an SHT4x, which have checksums too: another chip, or the other model, is an error. Addresses: 0x44
+/// and 0x45 (SHT4x: 0x44 to 0x46). The SHT4x gives humidities from -6 to 119 %, which are limited to 0 and 100 %, as
+/// its data sheet has it (4.6).
 ///
 /// Sources: Sensirion SHT3x-DIS, data sheet of December 2022: table 4 measurement time, 4.3 single shot, 4.11 status,
 /// 4.12 checksum, 4.13 conversion. SHT4x, data sheet of March 2022: table 4 time, 4.5 commands, 4.6 conversion.
@@ -72,12 +72,12 @@ class Sht {
     if (auto done = chip.read(bytes); !done) return done;
     if (checksum(std::span(bytes).first<2>()) != bytes[2])
       return chip.error(Errc::bad_data, "cannot use the chip as a hygrometer",
-                        "its answer to the question who it is has a wrong checksum",
-                        "look at which chip is at this address, and `model`");
+                        "the answer with its identity has a wrong checksum",
+                        "check which chip is at this address, and `model`");
     return {};
   }
   Result<void> start(I2cDevice& chip) {
-    constexpr std::array<std::uint8_t, 2> of_sht3x{0x24, 0x00};  // without holding the clock
+    constexpr std::array<std::uint8_t, 2> of_sht3x{0x24, 0x00};  // without clock stretching
     constexpr std::array<std::uint8_t, 1> of_sht4x{0xfd};
     return config_.model == ShtModel::sht3x ? chip.write(of_sht3x) : chip.write(of_sht4x);
   }
@@ -106,7 +106,7 @@ class Sht {
   /// `bytes`: temperature, checksum, humidity, checksum. Errors: bad-data (a checksum).
   static Result<HumidityReading> decode(std::span<const std::uint8_t, 6> bytes, ShtModel model) {
     if (checksum(bytes.subspan<0, 2>()) != bytes[2] || checksum(bytes.subspan<3, 2>()) != bytes[5])
-      return Error{Errc::bad_data, what, "", "a checksum is wrong", "look at its wires, and `model`"};
+      return Error{Errc::bad_data, what, "", "a checksum is wrong", "check its wires, and `model`"};
     const auto fraction = [&](std::size_t at) { return (bytes[at] << 8 | bytes[at + 1]) / 65535.0; };
     const double temperature = -45 + 175 * fraction(0);
     const double share = fraction(3);

@@ -1,4 +1,4 @@
-/// PlanChange: what becomes of each part of a running system when another configuration takes the place of its own.
+/// PlanChange: what happens to each part of a running system when a new configuration is applied.
 ///
 ///     SystemPlan next = plan_system(registry, load_config("bench.json"));
 ///     PlanChange change = plan_change(plan, next);
@@ -8,12 +8,13 @@
 ///     // sensor attic: removed
 ///     if (next.good() && change.refused() == 0) system.apply(next);
 ///
-/// Parts are the same when their kind and name are. An item that says the same, in whatever order, is unchanged. One
-/// that differs in what a part can take while it runs (PartPlan::live) is changed live; otherwise the part is made
-/// anew, and so is each that uses it. What the runtime or the recordings are made with cannot change: the name, the
-/// settings of the loop and the log, tiers, and the values that a topic carries. `notes` are kept with the text.
+/// Two parts are the same if they have the same kind and name. A part is unchanged if its item has the same keys and
+/// values, in any order. If only keys differ that can change while the part runs (PartPlan::live), it is changed live;
+/// otherwise the part is restarted, and each part that uses it. Some things cannot change in a running system: the
+/// name, the settings of the loop and the log, tiers, and the fields of a topic. `notes` are stored with the
+/// configuration text.
 ///
-/// A StepwiseChange applies a plan while the loop turns, for one that adds or removes many sensors:
+/// A StepwiseChange applies a plan in steps while the loop turns, for changes of many sensors:
 ///
 ///     StepwiseChange change(system, next);
 ///     while (change.step(2ms)) { /* in a later turn: loop.post(...) */ }
@@ -38,44 +39,44 @@ enum class Fate {
   restarted,  ///< closed, and made anew
   added,
   removed,
-  refused,  ///< cannot be done in a running system: then nothing is done
+  refused,  ///< not possible in a running system: nothing is changed
 };
 std::string_view name_of(Fate fate) noexcept;
 
 struct PartChange {
   std::string object;  ///< "sensor chamber", or the key of a setting: "loop"
   Fate fate = Fate::unchanged;
-  std::string why = {};  ///< the keys that differ, what it uses, why it is refused; empty where the fate says all
+  std::string why = {};  ///< the keys that differ, the part it uses, or why it is refused; may be empty
 
   /// "sensor chamber: restarted (file)"
   std::string text() const;
 };
 
 struct PlanChange {
-  /// Settings that differ, then the parts of the next plan in the order in which they are made, then those removed.
+  /// Settings that differ, then the parts of the next plan in the order of creation, then the removed parts.
   std::vector<PartChange> all;
 
   std::size_t count(Fate fate) const noexcept;
   std::size_t refused() const noexcept { return count(Fate::refused); }
-  /// Nothing is to be done.
+  /// True if nothing changes.
   bool is_empty() const noexcept { return count(Fate::unchanged) == all.size(); }
-  /// A line for each that is not unchanged.
+  /// One line for each change.
   std::string text() const;
 };
 
-/// Both without problems.
+/// Both plans must be without problems.
 PlanChange plan_change(const SystemPlan& now, const SystemPlan& next);
 
-/// Does what System::apply does, a part of it at a time, so that a turn of the loop can come between two steps. Parts
-/// that end or are made anew are closed, the last one made first; outputs give their devices back while the loop turns.
-/// Then parts are made and changed live, in the order of the plan; outputs take their devices while the loop turns.
-/// What stores is closed and made in one step: so what is published meanwhile goes to one or the other. Ticks of a
-/// sensor from when it is closed until its schedule begins again are missed, and counted. When a part cannot be made,
-/// the plan of before is applied in the same way.
+/// Does the same as System::apply, but in steps, so that the loop can turn between two of them. First it closes the
+/// parts that are removed or restarted, in reverse order of creation; outputs release their devices while the loop
+/// turns. Then it makes parts and changes others live, in the order of the plan; outputs open their devices while the
+/// loop turns. A sink is closed and made in one step, so that each event goes to the old or the new one. Ticks of a
+/// sensor between closing and its new schedule count as missed. If a part cannot be made, the old plan is applied in
+/// the same way.
 ///
-/// Owner: the user, as a value that stays where it is; gone before the system. `next` must outlive it. Meanwhile no
-/// part may be added to the system or removed from it, and no other plan applied. When it goes before its last step,
-/// what it has done so far stays.
+/// Owner: the user, as a value that does not move; destroy it before the system. `next` must outlive it. Meanwhile, do
+/// not add or remove parts and do not apply another plan. If it is destroyed before its last step, the steps done so
+/// far remain.
 class StepwiseChange {
  public:
   /// Compares the plans, and changes nothing. ConfigError: the plan has mistakes.
@@ -84,17 +85,17 @@ class StepwiseChange {
   StepwiseChange(const StepwiseChange&) = delete;
   StepwiseChange& operator=(const StepwiseChange&) = delete;
 
-  /// What becomes of each part. When any is refused, do not begin.
+  /// What happens to each part. If any is refused, do not begin.
   const PlanChange& changes() const noexcept;
-  /// The names of the tiers that have to turn for it: one that hangs refuses it.
+  /// The names of the tiers that take part. The change is refused if one of them hangs.
   std::set<std::string> tiers() const;
-  /// Goes on until `budget` has passed by the loop's clock, with a single part if that is at once; returns whether
-  /// there is more to do. Throws as System::apply, in the last step; then there is no more to do. With an endless
-  /// budget from the first step on it waits for devices itself.
+  /// Works until `budget` has passed by the loop's clock, but on at least one part; returns true if there is more to
+  /// do. The last step throws what System::apply throws. With Duration::max() as budget it also waits for devices.
   bool step(Duration budget);
-  /// A device is slow: the next step does nothing until the loops have turned. Call it again in some milliseconds.
+  /// True while it waits for a slow device: the next step does nothing until the loops have turned. Call `step` again
+  /// in some milliseconds.
   bool is_waiting() const noexcept;
-  /// All parts of the plan are there, but for those that the error names.
+  /// True if all parts of the plan exist, except those that the error names.
   bool is_applied() const noexcept;
 
  private:

@@ -1,7 +1,7 @@
 /// Configuration files: reading them, and adding formats.
 ///
-/// `load_config` reads a file in the format that its extension names (JSON, with comments, is shipped) and finds every
-/// mistake it can: none is thrown, all are in the document. Extensions: ".json", ".jsonc", or none.
+/// `load_config` reads a file in the format of its extension (JSON with comments is included). It throws nothing: every
+/// mistake that it finds is in the document. Extensions: ".json", ".jsonc", or none.
 ///
 ///     ConfigDocument document = load_config("bench.json");
 ///     ... checks add to document.problems ...
@@ -40,8 +40,8 @@ struct ConfigDocument {
   std::string excerpt(const Problem& problem) const;
   /// Every problem in the order of the file, each with its excerpt.
   std::string report() const { return report(problems); }
-  /// The same of others, such as those of a plan, each with `prefix` before it. Takes a time that grows with the size
-  /// of the file and with the number of problems, not with their product.
+  /// The same for other problems, such as those of a plan, each after `prefix`. The time is linear in the size of the
+  /// file plus the number of problems.
   std::string report(const Problems& others, std::string_view prefix = {}) const;
 };
 
@@ -53,8 +53,8 @@ class ConfigFormat {
   virtual std::string_view name() const = 0;
   /// {".json"}; an empty one stands for files without extension.
   virtual std::vector<std::string> extensions() const = 0;
-  /// Reads `text`, which is valid UTF-8 without NUL and byte order mark and has something in it. What is wrong goes to
-  /// `problems` with its place in `file`.
+  /// Reads `text`, which is valid UTF-8, not empty, and has no NUL and no byte order mark. Adds each mistake to
+  /// `problems`, with its place in `file`.
   virtual ConfigItem read(std::string_view text, const std::string& file, Problems& problems) const = 0;
 };
 
@@ -89,7 +89,7 @@ ConfigDocument parse_config(std::string_view text, const std::string& name, cons
 ///     builder.end();
 ///     return builder.finish();
 ///
-/// Calls in an order that makes no tree (a value without key in an object, two roots) are asserted in debug builds.
+/// Debug builds assert that the calls form a tree (no value without key in an object, no second root).
 class ConfigBuilder {
  public:
   /// Counted from 1, columns in characters.
@@ -125,7 +125,7 @@ class ConfigBuilder {
   Position innermost() const noexcept;
   /// Path of the innermost open object or array.
   std::string path() const;
-  /// The tree, as far as it was built; what is still open is closed.
+  /// The tree built so far; closes open objects and arrays.
   ConfigItem finish();
 
  private:

@@ -1,11 +1,11 @@
-/// Parts: what a configuration names and a system is made of, whatever its kind: tiers, buses, sinks, sensors.
+/// Parts: the tiers, buses, sinks, sensors and other objects that a configuration lists and a system consists of.
 ///
-/// A `PartPlan` is one part as its item says, checked and not made yet. It knows its name, the parts that it uses and
-/// how it is made. Each part is made after those that it uses and closed before them; otherwise tiers are made first,
-/// then buses, sinks and sensors, and closed in the opposite order. `Parts` are those that are made.
+/// A `PartPlan` is a part that was checked but not made yet. It knows its name, the parts that it uses and how to make
+/// it. A part is made after the parts that it uses and closed before them; otherwise tiers are made first, then buses,
+/// sinks and sensors, and closed in reverse order. `Parts` holds the parts that were made.
 ///
-/// Plans are values, for any thread. Parts: owner the System, thread that of the main loop; while a part is made on a
-/// tier, that thread may look at them.
+/// Plans are values; any thread. Parts: owned by the System, used on the main loop's thread; while a part is made on a
+/// tier, the tier's thread may read them.
 #pragma once
 
 #include <functional>
@@ -32,12 +32,11 @@ namespace config_detail {
 class PlanApplication;
 }
 
-/// Owns what a part was made into, of any type. Destroying it closes the part. Move-only; empty when default-made or
-/// moved from.
+/// Owns the object of a part, of any type. Destroying it closes the part. Move-only; empty by default and after a move.
 class PartObject {
  public:
   PartObject() noexcept = default;
-  /// What `make()` returns, which need not be movable. It can be used as what it is and as a Base.
+  /// Holds what `make()` returns, which need not be movable. `get` returns it as its own type or as a Base.
   template <class Base, class Make>
   static PartObject made_by(Make&& make) {
     PartObject object;
@@ -45,7 +44,7 @@ class PartObject {
     return object;
   }
 
-  /// Null when it can be used as no T.
+  /// Null if it is not a T.
   template <class T>
   T* as() const noexcept {
     return holder_ == nullptr ? nullptr : static_cast<T*>(holder_->as(typeid(T)));
@@ -69,52 +68,52 @@ class PartObject {
   std::unique_ptr<Holder> holder_;
 };
 
-/// A use of another part, which a parameter names (`names_part`, parameter.hpp).
+/// A reference to another part, by a parameter declared with `names_part` (parameter.hpp).
 struct PartUse {
-  std::string kind;  ///< "bus"; "topic": whatever publishes it
+  std::string kind;  ///< "bus"; "topic": any part that publishes it
   std::string name;
-  std::vector<std::string> types;  ///< that the other may be of; empty: of any
-  ConfigItem item;                 ///< that names it
+  std::vector<std::string> types;  ///< allowed types of the other part; empty: any
+  ConfigItem item;                 ///< the item with the name
 };
 
-/// A device's own pace; 0: not known, or it has none.
+/// A device's own sampling; 0: unknown, or it has none.
 struct Sampling {
-  double hertz = 0;          ///< samples a second that it takes by itself
-  std::size_t kept = 0;      ///< samples that it keeps until they are read
-  Duration reading_time{0};  ///< how long a reading takes at least
+  double hertz = 0;          ///< samples a second that the device takes by itself
+  std::size_t kept = 0;      ///< samples that its FIFO holds until they are read
+  Duration reading_time{0};  ///< minimum duration of a reading
 };
 
-/// What a part publishes, as far as it is known before the part is made.
+/// A topic that a part publishes, as far as known before the part is made.
 struct PublishedTopic {
   std::string topic;                               ///< never empty
-  std::shared_ptr<const Description> description;  ///< null: known only once it is made
-  std::optional<SensorLoad> load;                  ///< null: there is nothing to read, the program feeds it
+  std::shared_ptr<const Description> description;  ///< null: known only after the part is made
+  std::optional<SensorLoad> load;                  ///< null: no reading, the program feeds it
   Sampling sampling = {};
-  /// What expressions may name of it, where that is not what the description has: the states of a machine, too. Null:
-  /// not known.
+  /// The fields that expressions may use, if they differ from the description: a machine also has its states. Null:
+  /// unknown.
   std::optional<std::shared_ptr<const Description>> in_expressions = {};
 };
 
-/// What a part stores, and where.
+/// The topics that a part stores, and where.
 struct StoredTopics {
   std::vector<std::string> topics;
   std::string path;             ///< the file it writes; "-" for standard output, empty for none
-  Duration close_deadline{0};   ///< how long closing may wait for it
+  Duration close_deadline{0};   ///< limit for closing it
   bool is_recording = false;    ///< other sinks can go through it
   bool is_sender = false;       ///< its peer is across a network
-  std::string through = {};     ///< the recording that it goes through; empty: none
-  Duration batch_time{0};       ///< how long an event waits at most until it is stored, while nothing fails
-  std::size_t queue_bytes = 0;  ///< memory for events that wait, at most
-  /// Returns an error for each of the topics that the part cannot store; empty: not known before it is made.
+  std::string through = {};     ///< the recording that it reads from; empty: none
+  Duration batch_time{0};       ///< longest wait of an event until it is stored, without failures
+  std::size_t queue_bytes = 0;  ///< maximum memory for queued events
+  /// Returns an error for each topic that the part cannot store. Empty function: not known before it is made.
   std::function<std::vector<Error>(std::span<const TopicToRecord>)> refused_topics = {};
   /// The file that a topic's events go to; empty: all go to `path`.
   std::function<std::string(std::string_view topic)> file_of_topic = {};
-  /// Whether it makes, renames or removes `other` beside `file`, which it writes; both paths absolute. Empty: it has
-  /// the files that it writes and no others.
+  /// Returns true if the part creates, renames or removes `other` as a companion of `file`, which it writes (a log, a
+  /// lock); both paths are absolute. Empty function: it has no companion files.
   std::function<bool(const std::string& file, const std::string& other)> is_companion_file = {};
-  /// Whether one of the files that it writes, which may be there or not, can be opened and locked now. Makes and
-  /// changes nothing. Any thread; blocks on the disk. busy: another process writes it. Empty: not known before it is
-  /// made.
+  /// Checks that a file which the part writes can be opened and locked now, whether it exists or not; creates and
+  /// changes nothing. Any thread; blocks on the disk. Errors: busy (another process writes it). Empty function: not
+  /// known before it is made.
   std::function<Result<void>(const std::string& file)> check_openable = {};
 
   bool wants(std::string_view topic) const noexcept;
@@ -124,60 +123,61 @@ struct PartPlan {
   std::string kind;  ///< "tier", "bus", "sink", "sensor"
   std::string type;  ///< empty for a tier
   std::string name;
-  ConfigItem item;  ///< it was made from
+  ConfigItem item;  ///< the item of the configuration
   std::vector<PartUse> uses = {};
-  std::vector<std::string> secrets = {};  ///< texts of the item that are to be shown nowhere
+  std::vector<std::string> secrets = {};  ///< texts of the item that must never be shown
   std::optional<PublishedTopic> publishes = {};
   std::optional<StoredTopics> stores = {};
-  std::string passes_on = {};  ///< the topic whose events it publishes again, on a topic of its own; empty: none
-  std::string stored_by = {};  ///< the sink by which it wants its events to be stored; empty: by any
-  /// The place that it takes for itself: on a bus, or a device of the machine.
+  std::string passes_on = {};  ///< the topic whose events it republishes on its own topic; empty: none
+  std::string stored_by = {};  ///< the sink that must store its events; empty: any
+  /// The place that the part reserves: on a bus, or a device of the machine.
   struct Place {
     std::string bus = {};              ///< empty: it is on none
     std::string text = {};             ///< "address 0x76"; without a bus "/dev/i2c-1"; empty: none
-    std::string advice = {};           ///< to who wants it, too; empty: to take another
-    std::string bus_type = {};         ///< of a bus that has such a place; empty: of any that the part may be on
-    std::string advice_on_other = {};  ///< for one of another type
-    std::string more = {};             ///< that tells it from others, and is shown nowhere, such as a path of a URL
+    std::string advice = {};           ///< advice for a second user of the place; empty: use another place
+    std::string bus_type = {};         ///< type of bus with such places; empty: any type that the part allows
+    std::string advice_on_other = {};  ///< advice for a bus of another type
+    std::string more = {};             ///< further identity that is never shown, such as the path of a URL
   } place = {};
-  std::vector<Place> more_places = {};  ///< the same, of a part that takes several
-  Duration give_up_after{0};            ///< of a bus: what a sensor does on it for longer is given up; 0: not known
-  Duration holds_bus{0};                ///< of a sensor: so long at a time, and the time of its transfers
-  /// Compares the part with what the topics that it uses carry, once all parts are known. `payload_of`: null where that
-  /// is not known before their parts are made. Empty: there is nothing to compare.
+  std::vector<Place> more_places = {};  ///< further places, if the part takes several
+  Duration give_up_after{0};            ///< of a bus: limit of a sensor's job; 0: unknown
+  Duration holds_bus{0};                ///< of a sensor: longest time on the bus at once, besides its transfers
+  /// Checks the part against the payloads of the topics that it uses, once all parts are known. `payload_of` returns
+  /// null if a payload is not known before its part is made. Empty function: nothing to check.
   using PayloadOf = std::function<const Description*(std::string_view topic)>;
   std::function<void(const PartPlan& part, const PayloadOf& payload_of, Problems& problems)> check_topics = {};
-  /// Why it cannot be set to a value, of an output. Empty text: it can. Empty: it is none, or its item has mistakes.
+  /// Of an output: returns why it cannot be set to a value; an empty text means that it can. Empty function: not an
+  /// output, or the item has mistakes.
   std::function<std::string(double value)> refusal = {};
-  /// Makes it on the loop of the tier that it names, or else on the main loop. Empty: the item has mistakes. On a tier
-  /// that runs it is given up when it does not come back for 1 s, and what it makes then is closed: it looks at `parts`
-  /// before it does anything that may block.
+  /// Makes the part on the loop of its tier, or on the main loop. Empty function: the item has mistakes. On a running
+  /// tier the call is given up after 1 s, and its late result is closed; so it must read `parts` before it does
+  /// anything that may block.
   using Make = std::function<PartObject(Loop& loop, const Parts& parts)>;
   Make make = {};
-  /// Returns what makes it in the place of the one before, of its kind and name, which is closed after this call and
-  /// before it is made: a machine goes on in its state. Empty: as `make`.
+  /// Returns a function that makes the part as the successor of `before`, which has the same kind and name and is
+  /// closed in between: a machine keeps its state this way. Empty function: use `make`.
   std::function<Make(const PartObject& before)> make_again = {};
 
-  /// Of one that was made without waiting for its device (Parts::takes): calls `done` on the part's loop, in a later
-  /// turn, when that has come to an end. Empty: making it waits.
+  /// For a part that was made without waiting for its device (Parts::takes): calls `done` with the result on the part's
+  /// loop, in a later turn. Empty function: `make` waits for the device.
   std::function<void(const PartObject& part, std::function<void(Result<void>)> done)> when_made = {};
-  /// Begins what closing it waits for, such as a slow device, so that the loop turns meanwhile; `done` is called on the
-  /// part's loop, in a later turn. Empty: nothing.
+  /// Begins the slow work of closing, such as releasing a device, while the loop turns; calls `done` on the part's
+  /// loop, in a later turn. Empty function: nothing to wait for.
   std::function<void(const PartObject& part, std::function<void()> done)> ending = {};
 
-  /// The keys of the item that can change while the part runs, each with the function that applies the new value, which
-  /// is the one in the plan that the function is taken from. A change of any other key makes the part anew. A function
-  /// may throw SetupError: then that of the old plan is called, which applies the old value again.
+  /// The keys that can change while the part runs, each with a function that applies the value of this plan. A change
+  /// of any other key restarts the part. If a function throws SetupError, the function of the old plan is called to
+  /// restore the old value.
   std::map<std::string, std::function<void(const PartObject& part)>, std::less<>> live = {};
 
-  /// What is done when it is removed and none is made in its place, before it is closed: a machine leaves what it set
-  /// safe. May throw SetupError: it stays. Empty: nothing.
+  /// Called before the part is closed when it is removed without a successor: a machine sets its outputs safe. If it
+  /// throws SetupError, the part stays. Empty function: nothing to do.
   std::function<void(const PartObject& part)> on_removal = {};
-  /// What a command changes until the next reload: applies what the plan says. Called after each one that leaves the
-  /// part running. May throw SetupError, which is logged. Empty: nothing.
+  /// Restores the values of the plan that a command may have changed. Called after each reload that leaves the part
+  /// running. A SetupError is logged. Empty function: nothing to restore.
   std::function<void(const PartObject& part)> as_written = {};
 
-  /// While this is so, a reload neither makes the part anew nor removes it: an output that is armed.
+  /// A reason why a reload must not restart or remove the part now: for example, an armed output.
   struct Hold {
     std::string what;    ///< "it is armed"
     std::string advice;  ///< "disarm it first"
@@ -199,14 +199,14 @@ class Parts {
   Parts& operator=(const Parts&) = delete;
   ~Parts();
 
-  /// The part as what its factory returned, or as the base of its kind (AnySensor, Sink, Tier). Valid until it is
-  /// removed. SetupError: there is none of that name (not-found, with the nearest); it is no T (bad-argument).
+  /// The part as the type that its factory returned, or as the base of its kind (AnySensor, Sink, Tier). Valid until it
+  /// is removed. SetupError: not-found (no such name; with the nearest one), bad-argument (it is not a T).
   template <class T>
   T& get(std::string_view kind, std::string_view name) const {
     if (T* object = part_named(kind, name).object.as<T>()) return *object;
     refuse_type(kind, name);
   }
-  /// Null: there is none of that name, or it is no T.
+  /// Null: no part of that name, or it is not a T.
   template <class T>
   T* find(std::string_view kind, std::string_view name) const {
     const auto found = by_name_.find({std::string(kind), std::string(name)});
@@ -214,7 +214,7 @@ class Parts {
   }
   /// In the order in which they were made.
   std::vector<std::string> names(std::string_view kind) const;
-  /// How what is made takes its device. Not at once: `PartPlan::when_made` tells.
+  /// How new outputs open their devices. If not at once, `PartPlan::when_made` reports the result.
   Output::Takes takes() const noexcept { return takes_; }
   /// The plans of all parts, in that order. Valid until the system changes.
   std::vector<const PartPlan*> plans() const;

@@ -8,9 +8,9 @@
 ///     for (const ParameterInfo& p : parameters_of<UartConfig>()) ...
 ///     std::cout << schema_of<UartConfig>("uart", "a serial line");
 ///
-/// Reported are: unknown keys (with the nearest known one), required keys that are missing, values of the wrong type,
-/// out of range, of the wrong length or not among the choices. What one parameter cannot say by itself (a minimum below
-/// a maximum) goes into a function beside the Config, which is called when everything else is right:
+/// It reports unknown keys (with the nearest known one), missing required keys, and values of the wrong type, out of
+/// range, of the wrong length or not among the choices. Rules over several parameters (a minimum below a maximum) go
+/// into a function beside the Config, which is called if everything else is right:
 ///
 ///     void check_config(const UartConfig& config, const ConfigItem& item, Problems& problems);
 ///
@@ -40,11 +40,11 @@ namespace rtdata {
 /// What to do with keys that no parameter has.
 enum class UnknownKeys { report, ignore };
 
-/// One table a Config, and one ValueKind a type of members, are all that is compiled for them: the code that reads,
-/// writes and lists what they hold is the same for all (src/config/read/parameter_table.cpp).
+/// The compiler makes one table for each Config and one ValueKind for each member type. The code that reads, writes and
+/// lists the values is the same for all (src/config/read/parameter_table.cpp).
 namespace config_detail {
 
-/// The rules of a parameter, with their words.
+/// The rules of a parameter, with their texts.
 struct RulesOf {
   const ParameterRules& rules;
   const Word* words;
@@ -57,7 +57,7 @@ struct ParameterTable {
   std::span<const ParameterEntry> entries;
   const Word* words;
   using Owner = void* (*)(void* config);
-  const Owner* owners;  ///< whose member each entry is: a base; null: all are of the Config
+  const Owner* owners;  ///< the base that each entry is a member of; null: all are members of the Config
   /// `check_config`; null: there is none.
   void (*check)(const void* config, const ConfigItem& item, Problems& problems);
   void* (*make)();  ///< a Config with its defaults
@@ -265,7 +265,7 @@ struct ValueOf {
       kind.kind = Kind::number;
     } else if constexpr (Integer<T>) {
       kind.kind = Kind::integer;
-      kind.has_most = sizeof(T) <= 4;  // the limits of larger ones are of no use in a message
+      kind.has_most = sizeof(T) <= 4;  // the limits of larger types do not help in a message
       kind.has_least = kind.has_most || std::is_unsigned_v<T>;
       if (kind.has_least) kind.least = static_cast<double>(std::numeric_limits<T>::min());
       if (kind.has_most) kind.most = static_cast<double>(std::numeric_limits<T>::max());
@@ -289,9 +289,9 @@ const ValueKind& value_kind() {
 
 }  // namespace config_detail
 
-/// Reads an item into a Config. True when there was no mistake; else all of them are added to `problems`, and the
-/// members they are about are unspecified. Members whose keys are not there stay as they are. `others`: keys that are
-/// known though no parameter of T, because other code reads them.
+/// Reads an item into a Config. Returns true without mistakes; otherwise adds all mistakes to `problems`, and the
+/// values of those members are unspecified. Members without a key in the item stay as they are. `others`: further keys
+/// that are allowed because other code reads them.
 template <Configurable T>
 bool read_config(const ConfigItem& item, T& out, Problems& problems, UnknownKeys unknown = UnknownKeys::report,
                  const std::vector<std::string>& others = {}) {
@@ -328,21 +328,21 @@ std::string schema_of(std::string_view title, std::string_view doc) {
   return schema(parameters_of<T>(), title, doc);
 }
 
-/// Whether the item is a reference to a secret: a text that is taken from elsewhere and never shown.
+/// True if the item is a reference to a secret: a text that is read from elsewhere and never shown.
 ///
 ///     {"type": "...", "password": {"env": "BROKER_PASSWORD"}}
 ///     {"type": "...", "token": {"file": "/run/credentials/token"}}
 ///
-/// Any text parameter may be written so, but for those that recordings hold. It is resolved when the configuration is
-/// read, which blocks as the file system does; the line end at the end of a file does not count. What was resolved is
-/// not in the recorded configuration, whose text keeps the reference, and is replaced by "(secret)" in errors, the log
-/// and the status (Runtime::Config::secrets). A text of less than 4 bytes is not hidden: it would be found everywhere.
+/// Any text parameter may be a reference, except those that are stored in recordings. Reading the configuration
+/// resolves it, which may block on the file system; a line end at the end of the file is removed. A recorded
+/// configuration keeps the reference, not the secret; errors, the log and the status show "(secret)" instead
+/// (Runtime::Config::secrets). A secret shorter than 4 bytes is not hidden, because it would match everywhere.
 ///
 /// Errors: cannot-resolve (no such variable, file, or nothing in it), not-a-secret (a parameter that recordings hold).
 ///
 /// An object with one key, "env" or "file".
 bool is_secret_reference(const ConfigItem& item) noexcept;
-/// The text that the reference stands for. False when there is none, with a problem.
+/// Reads the secret. Returns false, with a problem, if it cannot be read.
 bool resolve_secret(const ConfigItem& reference, std::string& out, Problems& problems);
 /// The text with each of the secrets, of at least 4 bytes, replaced by "(secret)".
 std::string hide_secrets(std::string text, const std::vector<std::string>& secrets);

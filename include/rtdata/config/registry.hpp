@@ -1,4 +1,4 @@
-/// Registry: the types of sensors, sinks, buses and outputs that configurations can name, and what each makes of its
+/// Registry: the types of sensors, sinks, buses and outputs that configurations can use, and how each is made from its
 /// item.
 ///
 ///     Registry registry;
@@ -14,13 +14,13 @@
 ///     registry.add_bus<WireConfig>(
 ///         "wire", "one wire", [](Runtime&, const std::string&, const WireConfig& config) { return Wire(config); });
 ///
-/// A factory may return any class derived from AnySensor or Sink, and anything for a bus. One that takes a FeedConfig
-/// instead of a SensorConfig makes sensors without a schedule: they have no `rate` and what belongs to it. A function
-/// `ReadTime read_time(const AnalogConfig&)` beside the Config says how long one reading takes (loop.hpp); without it
-/// that is not known.
+/// A factory may return any class derived from AnySensor or Sink; for a bus, any class. A factory that takes a
+/// FeedConfig instead of a SensorConfig makes sensors without a schedule and without `rate`. A function `ReadTime
+/// read_time(const AnalogConfig&)` beside the Config tells how long one reading takes (loop.hpp); without it the time
+/// is unknown.
 ///
-/// A part uses another by naming it: a parameter declared with `names_part("bus", "wire")` is the name of a bus of that
-/// type. The part is then there when the factory is called, which takes `const Parts&` as its last argument:
+/// A part uses another part by its name: a parameter declared with `names_part("bus", "wire")` holds the name of a bus
+/// of that type. That part exists when the factory is called, which takes `const Parts&` as its last argument:
 ///
 ///     [](Loop& loop, const SensorConfig& common, const ProbeConfig& config, const Parts& parts) {
 ///       return Probe(loop, common, parts.get<Wire>("bus", config.bus));
@@ -54,10 +54,10 @@ namespace rtdata {
 /// A kind of part that a configuration lists: its key in the file and its types.
 struct PartKind {
   enum class Written {
-    list,     ///< of objects, each with a `name` of its own or one by default
+    list,     ///< a list of objects, each with a `name`, given or by default
     by_name,  ///< an object; its keys are the names
   };
-  /// What its parts do that others are compared with, also while their items have mistakes.
+  /// What parts of this kind do. It is used in checks against other parts, even if their items have mistakes.
   enum class Does {
     nothing_known,
     publishes,  ///< on `topic`, or else on the topic of its name
@@ -67,10 +67,10 @@ struct PartKind {
   std::string key;   ///< "sensors"
   std::string doc;
   Written written = Written::list;
-  /// A plan is made from the item and, where parts are written by name, their name.
+  /// Makes a plan from the item and, for kinds written by name, the name.
   TypeRegistry<PartPlan, const std::string&> types;
   Does does = Does::nothing_known;
-  /// The parameters that every type of this kind has: all that is known of an item whose type is unknown.
+  /// The parameters that every type of this kind has. An item of unknown type is checked with these alone.
   std::vector<ParameterInfo> common = {};
 };
 
@@ -85,7 +85,7 @@ struct Placement {
   }
 };
 
-/// What sensors of a type have of their own, behind one interface: what is made of it is the same for all.
+/// What is specific to one type of sensor, behind one interface; the code that uses it is common.
 class SensorType {
  public:
   virtual ~SensorType() = default;
@@ -112,7 +112,7 @@ class OutputType {
   virtual std::unique_ptr<Actuator> make(const void* own) const = 0;
 };
 
-/// What is known of a device's own pace. The functions are found beside the Config, or in the driver.
+/// The device's own sampling. The functions stand beside the Config, or in the driver.
 template <class C>
 Sampling sampling_of(const C& config) {
   Sampling sampling;
@@ -130,12 +130,12 @@ Sampling sampling_of(const C& config) {
 /// Without empty lines before and after, which raw strings have.
 std::string trimmed_notes(std::string_view notes);
 
-/// Whether a factory of sensors takes these settings, with or without the parts that are made.
+/// True if a factory of sensors takes these settings, with or without `Parts`.
 template <class Make, class Common, class C>
 inline constexpr bool makes_sensor_of = std::is_invocable_v<const Make&, Loop&, const Common&, const C&> ||
                                         std::is_invocable_v<const Make&, Loop&, const Common&, const C&, const Parts&>;
 
-/// Calls a factory, with the parts when it takes them.
+/// Calls a factory, with `Parts` if it takes them.
 template <class Make, class... Arguments>
 decltype(auto) call_factory(const Make& make, const Parts& parts, Arguments&... arguments) {
   if constexpr (std::is_invocable_v<const Make&, Arguments&..., const Parts&>)
@@ -228,9 +228,9 @@ constexpr auto names_bus() {
     return names_part("bus", BusOf::type);
   }
 }
-/// Reports what a driver says of its settings where they are written.
+/// Reports a driver's error about its settings at their place in the file.
 void report_misfit(const Result<void>& good, const ConfigItem& item, Problems& problems);
-/// The bus as what the driver takes it for: its class, or a base of that.
+/// The bus as the class that the driver uses: its own class, or a base.
 template <class BusOf>
 BusOf& bus_named(const Parts& parts, const std::string& name) {
   if constexpr (std::is_base_of_v<Bus, BusOf>) {
@@ -243,7 +243,7 @@ BusOf& bus_named(const Parts& parts, const std::string& name) {
 
 }  // namespace config_detail
 
-/// What a configuration says of a sensor that is made of a driver: where its chip is, and the driver's own.
+/// The settings of a sensor with a driver: the place of its chip, and the driver's own settings.
 template <Driver D>
 struct DriverConfig {
   using OfDriver = D;
@@ -263,7 +263,7 @@ struct DriverConfig {
   }
 };
 
-/// A factory of T, which is made of the loop and what is configured.
+/// A factory of T, which is constructed from the loop and the settings.
 template <class T>
 inline constexpr auto makes = [
 ]<class... Arguments>(Arguments&... arguments) -> T requires std::is_constructible_v<T, Arguments&...> {
@@ -285,7 +285,7 @@ class Registry {
   void add_sensor(const std::string& type, std::string doc, Describe describe, Make make) {
     add_sensor<C>(type, std::move(doc), std::move(describe), std::move(make), [](PartPlan&, const C&) {});
   }
-  /// `complete(PartPlan&, const C&)`: says more of the part. `page`: what `rtdata types` says of it.
+  /// `complete(PartPlan&, const C&)`: fills in more of the plan. `page`: the documentation for `rtdata types`.
   template <Configurable C, class Describe, class Make, class Complete>
   void add_sensor(const std::string& type, std::string doc, Describe describe, Make make, Complete complete,
                   TypePage page = {}) {
@@ -301,17 +301,17 @@ class Registry {
         std::move(page));
   }
 
-  /// A driver (driver.hpp) that says its type and description itself.
+  /// A driver (driver.hpp) that has its own type name and description.
   template <Driver D>
   requires requires { std::string(D::type), std::string(D::description); }
   void add_driver() { add_driver<D>(std::string(D::type), std::string(D::description)); }
-  /// A driver: its parameters are those of all sensors, `bus`, where it is there, and those of D::Config. A driver may
-  /// say `static constexpr std::string_view notes`, Markdown: its wiring, addresses, limits, for `rtdata types`,
-  /// and `static constexpr std::string_view aliases`, words by which people look for it (its description and models are
-  /// such words already). So that `check` warns of settings that lose data and knows how files grow, it may say how
-  /// many samples a second the device takes by itself (`static double sample_rate(const Config&)`), how many it keeps
-  /// until they are read (`static std::size_t fifo_samples(const Config&)`), and how long a reading takes at least
-  /// (`static Duration reading_time(const Config&)`).
+  /// A driver. Its parameters are those of all sensors, `bus`, the place on the bus, and those of D::Config. A driver
+  /// may declare `static constexpr std::string_view notes`: Markdown about wiring, addresses and limits, for `rtdata
+  /// types`; and `static constexpr std::string_view aliases`: further search words (its description and models are
+  /// search words already). Three functions let `check` warn of settings that lose data and estimate the growth of
+  /// files: `static double sample_rate(const Config&)`, samples a second that the device takes by itself; `static
+  /// std::size_t fifo_samples(const Config&)`, how many samples its FIFO holds; `static Duration reading_time(const
+  /// Config&)`, the minimum duration of a reading.
   template <Driver D>
   void add_driver(const std::string& type, std::string doc) {
     using C = DriverConfig<D>;
@@ -352,17 +352,16 @@ class Registry {
         std::move(page));
   }
 
-  /// C has a member `sink`, a SinkConfig whose parameters are among its own (`include_member(&C::sink)`).
-  /// `path(const C&)`: the file that the sink writes, so that two sinks on one are found; "-" for standard output, ""
-  /// for none. `make(Loop&, const C&)`. A function `refused_topics(const C&, std::span<const TopicToRecord>)` beside
-  /// the Config says which topics such a sink cannot take: then a configuration with one is refused, before anything is
-  /// made. A function `file_of_topic(const C&, std::string_view)` there says which file a topic's events go to, where
-  /// `path` does not: then two sinks on one are found too. A function `is_companion_file(const C&, const std::string&
-  /// file, const std::string& other)` there says which files go with one that it writes, such as a log or a lock: then
-  /// they are no other sink's. A function `check_openable(const C&, const std::string& file)` there says whether such a
-  /// file can be opened and locked now: a reload that would begin one which cannot is refused. A function
-  /// `batch_time(const C&)` there says after which time such a sink stores, where its SinkConfig does not. A C with a
-  /// member `sending` (sender.hpp) or a static `is_sender` has its peer across a network.
+  /// A type of sinks. C has a member `sink`, a SinkConfig whose parameters are included (`include_member(&C::sink)`).
+  /// `path(const C&)`: the file that the sink writes, so that `check` finds two sinks on one file; "-" for standard
+  /// output, "" for none. `make(Loop&, const C&)` makes it. Optional functions beside the Config: `refused_topics(const
+  /// C&, std::span<const TopicToRecord>)` returns the topics that the sink cannot store; such a configuration is
+  /// refused before anything is made. `file_of_topic(const C&, std::string_view)` returns the file of a topic, if it is
+  /// not `path`. `is_companion_file(const C&, const std::string& file, const std::string& other)` tells whether `other`
+  /// belongs to `file`, such as a log or a lock, so that no other sink may use it. `check_openable(const C&, const
+  /// std::string& file)` tells whether a file can be opened and locked now; otherwise a reload that would open it is
+  /// refused. `batch_time(const C&)` returns the time after which the sink stores, if SinkConfig does not. A C with a
+  /// member `sending` (sender.hpp) or a static `is_sender` sends to a peer across a network.
   template <Configurable C, class Path, class Make>
   void add_sink(const std::string& type, std::string doc, Path path, Make make) {
     static_assert(
@@ -373,13 +372,12 @@ class Registry {
                   std::unique_ptr<config_detail::SinkType>(new Type(std::move(path), std::move(make))));
   }
 
-  /// A function `Duration give_up_after(const C&)` beside the Config says after which time the bus gives up what a
-  /// sensor does: then sensors that hold it for longer (driver.hpp) are refused.
-  /// `make(Runtime&, const std::string& name, const C&)` returns the bus, of any class; sensors get it with
-  /// `parts.get<ThatClass>("bus", name)`. It belongs to the runtime: sensors of all loops may name it, and use it from
-  /// the threads of all of them and of their lanes at a time. It is made before them and destroyed after them, but for
-  /// a reading that hung and was left behind on its thread: what that uses must not go with the bus (a shared_ptr in
-  /// both).
+  /// A type of buses. `make(Runtime&, const std::string& name, const C&)` returns the bus, of any class; sensors get it
+  /// with `parts.get<ThatClass>("bus", name)`. A function `Duration give_up_after(const C&)` beside the Config returns
+  /// the limit of a job on the bus: `check` then refuses sensors that hold it for longer (driver.hpp). The bus belongs
+  /// to the runtime: sensors of all loops may use it, from the threads of all loops and lanes at once. It is made
+  /// before the sensors and destroyed after them. A reading that hung may outlive the bus on its abandoned thread: what
+  /// it uses must be shared (a shared_ptr in both).
   template <Configurable C, class Make>
   void add_bus(const std::string& type, std::string doc, Make make) {
     add_part<C>("bus", type, std::move(doc), [make](PartPlan& plan, const C& config) {
@@ -394,8 +392,9 @@ class Registry {
     });
   }
 
-  /// A type of outputs. `make(const C&)`: its device, a unique_ptr of an Actuator; it is called in the guard, if there
-  /// is one, and so uses no other parts. `complete(PartPlan&, const C&)`: the places that it takes.
+  /// A type of outputs. `make(const C&)` returns its device, a unique_ptr of an Actuator; it runs in the guard process
+  /// if there is one, so it cannot use other parts. `complete(PartPlan&, const C&)` adds the places that the output
+  /// takes.
   template <Configurable C, class Make>
   void add_output(const std::string& type, std::string doc, Make make) {
     add_output<C>(type, std::move(doc), std::move(make), [](PartPlan&, const C&) {});
@@ -411,11 +410,11 @@ class Registry {
   /// throws.
   std::unique_ptr<Actuator> make_actuator(const std::string& guarded) const;
 
-  /// A kind of parts of the program's own, made after those that there are. `key`: of the file. `doc`: a phrase.
+  /// Adds a kind of parts, made after the existing kinds. `key`: its key in the file. `doc`: a phrase.
   void add_kind(std::string name, std::string key, std::string doc, PartKind::Written written,
                 PartKind::Does does = PartKind::Does::nothing_known);
-  /// A type of any kind. `plan(PartPlan&, const C&)` is given a plan that has kind, type, item and, where parts are
-  /// written by name, name; it says the rest, of which `make` is required.
+  /// Adds a type of any kind. `plan(PartPlan&, const C&)` gets a plan with kind, type, item and, for kinds written by
+  /// name, the name; it fills in the rest; `make` is required.
   template <Configurable C>
   void add_part(std::string_view kind, const std::string& type, std::string doc,
                 std::function<void(PartPlan&, const C&)> plan) {
@@ -434,9 +433,9 @@ class Registry {
   const TypeRegistryBase& sinks() const { return types("sink"); }
   const TypeRegistryBase& buses() const { return types("bus"); }
   const TypeRegistryBase& outputs() const { return types("output"); }
-  /// In the order in which their parts are made.
+  /// In the order in which the parts are made.
   const std::vector<PartKind>& kinds() const noexcept { return kinds_; }
-  /// As people look for them: sensors, sinks, then the others.
+  /// The order for listings: sensors, sinks, then the others.
   std::vector<const PartKind*> kinds_to_show() const;
   /// The JSON Schema (draft-07) of a whole configuration file.
   std::string schema() const;

@@ -12,9 +12,9 @@
 ///     system.apply(plan_system(registry, load_config("bench.json")));   // what has changed in the file
 ///     loop.run_for(10s);
 ///
-/// A plan is made without touching a device: it finds every mistake of the whole file, those of single items as well as
-/// names used twice or not there, payloads that meet on one topic, and files written twice. It can be checked on
-/// another machine than the one that runs it. Relative paths are relative to the working directory.
+/// Making a plan touches no device. It finds every mistake of the whole file: mistakes in single items, names that are
+/// used twice or missing, different payloads on one topic, and files written twice. The check also works on another
+/// machine than the one that runs the system. Relative paths are relative to the working directory.
 ///
 /// Keys of the file: $schema, name, notes, log, loop, tiers, and those of the registry's kinds of parts: buses, sinks,
 /// sensors. Ids of problems, beside those of problem.hpp: bad-name, cannot-record, cannot-resolve, cannot-write,
@@ -49,10 +49,10 @@ namespace rtdata {
 struct LogSettings {
   std::string file = {};            ///< empty: the program's default
   LogLevel level = LogLevel::info;  ///< lesser ones are left out
-  /// Before it becomes larger it is renamed to FILE.1, what was that to FILE.2, and so on; 0: never.
+  /// At this size the file is renamed to FILE.1, the old FILE.1 to FILE.2, and so on; 0: never.
   std::uint64_t max_bytes = std::uint64_t{10} << 20;
-  unsigned keep = 5;                 ///< how many of those before are kept
-  std::string permissions = "0640";  ///< of a file that is made, less the umask; one that is there keeps its own
+  unsigned keep = 5;                 ///< how many old files are kept
+  std::string permissions = "0640";  ///< of a new file, minus the umask; an existing file keeps its own
 
   friend constexpr auto parameters(type_tag<LogSettings>) {
     return parameter_list(
@@ -67,24 +67,24 @@ struct LogSettings {
                   unit("By")),
         parameter("keep", &LogSettings::keep, "how many of the files before are kept", range(1, 1000)),
         parameter("permissions", &LogSettings::permissions,
-                  "who may read and write a file that is made, in octal digits, less the umask", TextIs::permissions));
+                  "permissions of a new file, in octal digits, minus the umask", TextIs::permissions));
   }
   friend void check_config(const LogSettings& settings, const ConfigItem& item, Problems& problems);
 };
 
-/// What a file says of the main loop, in `loop`.
+/// The settings of the main loop, key `loop`.
 constexpr auto parameters(type_tag<Loop::Config>) {
   using namespace std::chrono_literals;
   return parameter_list(
       parameter("hold_limit", &Loop::Config::hold_limit, "a callback that takes longer is reported by its name",
                 range(10us, 1h)),
       parameter("delivery_budget", &Loop::Config::delivery_budget,
-                "time of handlers in a turn before ticks are looked at again", range(10us, 1s)),
+                "time of handlers in a turn before due ticks are checked again", range(10us, 1s)),
       parameter("phase_grid", &Loop::Config::phase_grid,
                 "schedules start on multiples of it, so that they share wake-ups; 0 s: none", range(0s, 1s)));
 }
 
-/// What a file says of a tier, in `tiers`.
+/// The settings of a tier, key `tiers`.
 struct TierSettings : Tier::Config {
   std::optional<int> cpu = {};  ///< for `cpus`, when it is one
 
@@ -108,7 +108,7 @@ struct TierSettings : Tier::Config {
         parameter("hold_limit", &TierSettings::hold_limit, "a callback that takes longer is reported by its name",
                   range(10us, 1h)),
         parameter("delivery_budget", &TierSettings::delivery_budget,
-                  "time of handlers in a turn before ticks are looked at again", range(10us, 1s)),
+                  "time of handlers in a turn before due ticks are checked again", range(10us, 1s)),
         parameter("phase_grid", &TierSettings::phase_grid,
                   "schedules start on multiples of it, so that they share wake-ups; 0 s: none", range(0s, 1s)));
   }
@@ -116,7 +116,7 @@ struct TierSettings : Tier::Config {
   Tier::Config tier_config(const std::string& tier_name) const;
 };
 
-/// The file's keys that list no parts with types.
+/// The top-level keys that are not lists of parts.
 struct SystemSettings {
   std::string schema = {};
   std::string name = {};
@@ -147,26 +147,26 @@ class PlanApplication;
 struct ComparedPlans;
 }  // namespace config_detail
 
-/// Everything that a configuration says, checked. Only one without problems can be made into a System.
+/// The checked content of a configuration. A System needs a plan without problems.
 struct SystemPlan {
   ConfigDocument document;
   SystemSettings settings;
-  std::vector<PartPlan> parts;       ///< without mistakes of their own; each after those that it uses
+  std::vector<PartPlan> parts;       ///< those without mistakes of their own; each after the parts that it uses
   Problems problems;                 ///< in the order of the file
-  Problems warnings;                 ///< the system runs, but perhaps not as it was meant
-  std::vector<std::string> secrets;  ///< that were resolved (read.hpp): to be shown nowhere
+  Problems warnings;                 ///< the system runs, but perhaps not as intended
+  std::vector<std::string> secrets;  ///< resolved secrets (read.hpp); never shown
 
   bool good() const noexcept { return problems.empty(); }
   /// "sensor", "sink", "bus" or "tier", in the order in which they are made. Valid as long as `parts` is not changed.
   std::vector<const PartPlan*> of_kind(std::string_view kind) const;
-  /// Replaces what was resolved in the texts of problems and warnings.
+  /// Replaces resolved secrets in the texts of problems and warnings.
   void hide_secrets();
   /// Every problem with its line of the file, for people.
   std::string report() const;
-  /// How long the sensors of each loop may hold it (LoopLoad): the main loop, then the tiers; those without sensors are
-  /// left out. One that is overloaded, or has an overloaded lane, is among the warnings.
+  /// How long the sensors of each loop may hold it (LoopLoad): the main loop, then the tiers; loops without sensors are
+  /// left out. `warnings` names each overloaded loop or lane.
   std::vector<LoopLoad> loads() const;
-  /// What the Runtime and the Loop of this system are to be made of.
+  /// The settings for the Runtime and the Loop of this system.
   Runtime::Config runtime_config() const;
   Loop::Config loop_config() const { return settings.loop; }
 };
@@ -176,19 +176,19 @@ SystemPlan plan_system(const Registry& registry, ConfigDocument document);
 
 class System {
  public:
-  /// Makes all parts in the order of the plan: tiers, buses, sinks on `loop`, then sensors, which start unless they are
-  /// configured not to; a part that another uses before that one. Throws ConfigError with every problem of the plan
-  /// before anything is made; SetupError, with the place in the file, what a part threw: then nothing of the system is
-  /// left on the loop.
+  /// Makes all parts in the order of the plan: tiers, buses, sinks on `loop`, then sensors, which start unless
+  /// configured not to. A part is made after the parts that it uses. Throws ConfigError with every problem of the plan,
+  /// before anything is made. If a part throws, throws SetupError with the place in the file, and nothing of the system
+  /// is left on the loop.
   System(Loop& loop, const Registry& registry, const SystemPlan& plan);
-  /// On a loop of the program's own, whose settings stay as they are.
+  /// Uses the program's own loop; its settings do not change.
   System(Loop& loop, const Registry& registry, const ConfigDocument& document);
   /// Closes all parts, the last one made first.
   ~System();
   System(const System&) = delete;
   System& operator=(const System&) = delete;
 
-  /// To start, stop or change while it runs. Valid until it is removed. SetupError (not-found) with the nearest name.
+  /// A sensor, to start, stop or change. Valid until it is removed. SetupError (not-found), with the nearest name.
   AnySensor& sensor(std::string_view name) { return parts_.get<AnySensor>("sensor", name); }
   Sink& sink(std::string_view name) { return parts_.get<Sink>("sink", name); }
   Tier& tier(std::string_view name) { return parts_.get<Tier>("tier", name); }
@@ -198,48 +198,47 @@ class System {
   std::vector<std::string> sink_names() const { return parts_.names("sink"); }
 
   /// Makes one more part of any kind, from an item as in the file (`parse_config(text).or_throw()`), and returns its
-  /// name. `name`: of a kind that is written by name, such as a bus. It is checked as if it stood in the file: throws
-  /// ConfigError with every mistake of it and with the parts that are there (names, payloads of topics, files), or
-  /// SetupError, what making it threw; then the system is as it was. Recordings keep the item and the time.
+  /// name. `name`: of a kind that is written by name, such as a bus. It is checked as if it stood in the file, also
+  /// against the existing parts (names, payloads of topics, files): throws ConfigError with every mistake, or the
+  /// SetupError of its factory; then the system is unchanged. Recordings store the item and the time.
   std::string add(std::string_view kind, const ConfigItem& item, const std::string& name = {});
   AnySensor& add_sensor(const ConfigItem& item) { return sensor(add("sensor", item)); }
   Sink& add_sink(const ConfigItem& item) { return sink(add("sink", item)); }
   void add_bus(const std::string& name, const ConfigItem& item) { add("bus", item, name); }
-  /// Afterwards not one more event of it appears; a sink stores what is queued first. SetupError (not-found); (busy):
-  /// another part uses it. Recordings keep the time.
+  /// Removes a part. Afterwards it publishes no more events; a sink first stores its queue. SetupError: not-found; busy
+  /// (another part uses it). Recordings store the time.
   void remove(std::string_view kind, std::string_view name);
   void remove_sensor(std::string_view name) { remove("sensor", name); }
   void remove_sink(std::string_view name) { remove("sink", name); }
   void remove_bus(std::string_view name) { remove("bus", name); }
 
-  /// What `apply` would do to each part. Those that were added are parts of this system as all others.
+  /// What `apply` would do to each part, including parts added with `add`.
   PlanChange change_to(const SystemPlan& next) const;
-  /// Makes the system what the plan says, in this turn of the loop: closes, makes and changes live what can be so, in
-  /// the order of StepwiseChange (config/change.hpp), which lets the loop turn. What is unchanged goes on; handles of
-  /// parts that were closed are not valid any more. A sink that is closed stores what it has queued afterwards, while
-  /// the loop turns, for its `close_deadline`; one that is made on its file waits for that. Recordings keep the text
-  /// and the time.
+  /// Applies the plan in this turn of the loop: closes, makes and changes parts, in the order of StepwiseChange
+  /// (config/change.hpp), which lets the loop turn in between. Unchanged parts go on; handles of closed parts are
+  /// invalid. A closed sink stores its queue afterwards, while the loop turns, within its `close_deadline`; a new sink
+  /// on the same file waits for that. Recordings store the text and the time.
   ///
-  /// Throws before anything is changed: ConfigError, the plan has mistakes; SetupError (busy), something is refused.
-  /// SetupError, what making a part threw: then the plan of before is applied again; an output of it whose device
-  /// cannot be opened begins as failed, and what cannot be made is gone: the error names both. SetupError
-  /// (not-turning): the plan is applied, but for what a tier has not made within 1 s, which it closes when it turns
-  /// again.
+  /// Throws before any change: ConfigError (the plan has mistakes), SetupError (busy: something is refused). If a part
+  /// cannot be made, the old plan is applied again and the SetupError of the part is thrown; it also names outputs
+  /// whose device cannot be opened (they begin as failed) and old parts that could not be made again (they are gone).
+  /// SetupError (not-turning): the plan is applied, except the parts that a tier has not made within 1 s; the tier
+  /// closes these when it turns again.
   PlanChange apply(const SystemPlan& next);
-  /// Sets all outputs safe, and gives their devices back, while the loops turn; calls `done` in a later turn of this
-  /// loop, when each has done so or has failed to. Then they are to be closed, which waits for nothing more.
+  /// Sets all outputs safe and releases their devices while the loops turn. Calls `done` in a later turn of this loop,
+  /// when each output has finished or failed. Closing them then does not wait.
   void finish_outputs(Callback<void()> done);
-  /// Events that sinks had queued which `apply` closed, and could not send in their time.
+  /// Queued events that sinks closed by `apply` could not send within their deadline.
   std::uint64_t lost_in_changes() const noexcept { return finishing_->lost; }
-  /// Parts that `apply` or a StepwiseChange has not made, or not made again: "sink far". What they had to do meanwhile
-  /// is counted nowhere, so that they stay among these though another change makes them.
+  /// Parts that `apply` or a StepwiseChange could not make: "sink far". Their lost work is counted nowhere, so they
+  /// stay in this list even if a later change makes them.
   const std::set<std::string>& not_made() const noexcept { return not_made_; }
 
  private:
   friend class config_detail::PlanApplication;
   void make(std::unique_ptr<Parts::Part> part);
   PartObject make_on_tier(Loop& loop, const PartPlan& plan);
-  /// What a tier still makes, though it was given up, may use it: then it is closed after that.
+  /// Closes a part, but after any part that a tier still makes although it was given up, because that may use it.
   void close(std::unique_ptr<Parts::Part> part);
   config_detail::Neighbours& neighbours();
   config_detail::ComparedPlans compared_to(const SystemPlan& next) const;
@@ -249,16 +248,16 @@ class System {
   std::string configuration_;  // the file; empty: none
   ConfigItem root_;
   LogSettings log_;
-  std::unique_ptr<config_detail::Neighbours> neighbours_;  // what the parts have taken; null: to be made anew
+  std::unique_ptr<config_detail::Neighbours> neighbours_;  // places and names in use; null: rebuild
   Parts parts_;
   struct GivenUp {
     std::weak_ptr<int> making;  // expired: it has ended
     std::vector<PartUse> uses;
-    std::vector<std::unique_ptr<Parts::Part>> used;  // to be closed then
+    std::vector<std::unique_ptr<Parts::Part>> used;  // to close afterwards
   };
   std::vector<GivenUp> given_up_;
   struct Finishing {
-    std::vector<std::unique_ptr<Parts::Part>> sinks;  // that send what they have queued
+    std::vector<std::unique_ptr<Parts::Part>> sinks;  // sinks that still store their queue
     std::uint64_t lost = 0;
   };
   std::shared_ptr<Finishing> finishing_ = std::make_shared<Finishing>();

@@ -1,4 +1,4 @@
-/// Hysteresis, Pid: controllers, which an output uses by `hysteresis` and `pid`.
+/// Hysteresis, Pid: controllers, for the keys `hysteresis` and `pid` of an output.
 ///
 /// Values without a loop; one thread at a time. They take no memory and throw nothing.
 #pragma once
@@ -15,8 +15,8 @@
 namespace rtdata {
 
 struct HysteresisConfig {
-  double on = 0;   ///< above `off`: on from here up; below it: on from here down
-  double off = 0;  ///< off from here, the other way
+  double on = 0;   ///< if greater than `off`: on from here up; if less: on from here down
+  double off = 0;  ///< off from here, in the other direction
 
   friend constexpr auto parameters(type_tag<HysteresisConfig>) {
     return parameter_list(
@@ -35,13 +35,13 @@ struct HysteresisConfig {
 ///     rtdata::Hysteresis heater({.on = 18, .off = 20});  // heats: on from 18 down, off from 20 up
 ///     output.set(fan.update(temperature));
 ///
-/// Between the thresholds it stays as it is; at first off. What is not finite changes nothing.
+/// Between the thresholds it keeps its state; at first it is off. A value that is not finite changes nothing.
 class Hysteresis {
  public:
   using Config = HysteresisConfig;
   explicit Hysteresis(const Config& config) noexcept : config_(config) {}
 
-  /// Whether it is on, with this value.
+  /// Takes the next value; returns true if it is on.
   bool update(double value) noexcept {
     if (!std::isfinite(value)) return is_on_;
     const bool is_rising = config_.on > config_.off;
@@ -104,10 +104,10 @@ struct PidConfig {
 ///     from there. The integral takes up the difference. A controller without one would keep that difference for ever:
 ///     its output is always what the formula says.
 ///
-/// The time between two updates is that of their `time`, whatever the rate; one that is not after the last counts as no
-/// time, and of those nearer than `one_instant` the last counts. The first update has no integral and no derivative
-/// yet. A measured value that is not finite changes nothing: the last output is returned. One so large that the
-/// arithmetic overflows counts as such a one, and the next update goes on as after `follow`.
+/// `time` gives the time between two updates, whatever the rate. A `time` not later than the last counts as no time
+/// passed; of updates closer than `one_instant`, the last one counts. The first update has no integral and no
+/// derivative. A measured value that is not finite changes nothing: the last output is returned. The same holds for a
+/// value so large that the arithmetic overflows; the next update then continues as after `follow`.
 ///
 /// Form and anti-windup by clamping: K. J. Astrom,
 /// T. Hagglund, "Advanced PID Control", sections 3.2 to 3.5.
@@ -157,9 +157,9 @@ class Pid {
   const Config& config() const noexcept { return config_; }
 
   double setpoint() const noexcept { return config_.setpoint; }
-  /// From the next update on, as the formula says: a ramp or a profile that the proportional part follows.
+  /// Takes effect at the next update, without smoothing, so that the proportional part can follow a ramp or a profile.
   void set_setpoint(double setpoint) noexcept { config_.setpoint = setpoint; }
-  /// From the next update on, without a jump.
+  /// Takes effect at the next update, without a jump of the output.
   void set_gains(double kp, double ki, double kd) noexcept {
     Config next = config_;
     next.kp = kp;
@@ -167,8 +167,8 @@ class Pid {
     next.kd = kd;
     change(next);
   }
-  /// Any other settings, the set point too, from the next update on without a jump. An output that is held at a limit
-  /// leaves it when the formula says so: nothing is put into the integral there that it would have to lose again.
+  /// Changes any settings, including the set point, at the next update, without a jump of the output. An output at a
+  /// limit leaves it as soon as the formula says so: the integral does not store the difference there.
   void change(const Config& next) noexcept {
     const double was = integral_;
     const bool is_held = output_ <= config_.least || output_ >= config_.most;
@@ -179,8 +179,8 @@ class Pid {
     output_ = clamped(output_);
     before_.reset();
   }
-  /// The actuator has this value, whatever was computed: with an integral the next update gives the same, and goes on
-  /// from there.
+  /// Tells the controller the actuator's real value: with an integral, the next update returns the same value and
+  /// continues from there.
   void follow(double output) noexcept {
     output_ = clamped(output);
     is_following_ = true;
@@ -190,7 +190,7 @@ class Pid {
   }
 
  private:
-  /// What an instant began with: a later value of it takes the place of the one before.
+  /// The state at the start of an instant: a later value in the same instant replaces the earlier one.
   struct Before {
     Time instant{};
     double output = 0, integral = 0, rate = 0;
@@ -214,7 +214,7 @@ class Pid {
 
   Config config_;
   double output_;
-  double integral_ = 0;  // as part of the output, so that a change of `ki` moves nothing
+  double integral_ = 0;  // as a part of the output, so that a change of `ki` makes no jump
   double rate_ = 0;      // of the measured value, a second
   Time last_time_{};
   double last_measured_ = 0;

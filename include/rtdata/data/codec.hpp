@@ -2,8 +2,8 @@
 ///
 /// Shipped: "json" (one object a line), "cbor" (the same in binary), "raw" (the compact wire format), "csv" (a row an
 /// event), "influx" (a line of InfluxDB's protocol). A format of your own is a class that derives from `Codec`, added
-/// to a `CodecRegistry` under its name; whatever takes formats by name (files, network sinks, exports) then takes it
-/// too.
+/// to a `CodecRegistry` under its name; everything that takes a format by name (files, network sinks, exports) can then
+/// use it.
 ///
 /// A codec object is used by one thread at a time and keeps memory from event to event; make one per sink. Times are
 /// ns since the Unix epoch. Errors: does_not_fit (raw: too long or absent), bad_data (bytes that do not decode),
@@ -33,13 +33,13 @@
 
 namespace rtdata {
 
-/// An event that came out of bytes; owns everything.
+/// A decoded event; owns its data.
 struct DecodedEvent {
   std::string topic;  ///< empty when the format does not carry it (CSV)
   std::string origin;
   Time time{};
-  std::optional<std::uint64_t> sequence;  ///< none when the format or its settings leave it out
-  std::string run;                        ///< empty when the event was written without
+  std::optional<std::uint64_t> sequence;  ///< empty if the format or its settings omit it
+  std::string run;                        ///< empty if the event was written without a run
   std::vector<std::byte> payload;         ///< laid out as the description says
 
   /// Valid as long as this object is unchanged; sequence 0 when there is none.
@@ -52,20 +52,20 @@ class Codec {
   virtual ~Codec() = default;
 
   virtual std::string_view name() const noexcept = 0;
-  /// How the names of its files end: "csv" of "climate.csv". Unless overridden: the name.
+  /// The extension of its files: "csv" for "climate.csv". Default: the name.
   virtual std::string_view extension() const noexcept { return name(); }
-  /// Whether it writes a line of text an event, in which bytes of texts that are no UTF-8 are escaped
-  /// (docs/formats.md). File sinks count and report these texts. Unless overridden: no.
+  /// True if it writes one line of text for each event. Bytes of texts that are not UTF-8 are then escaped
+  /// (docs/formats.md), and file sinks count and report these texts. Default: false.
   virtual bool is_text() const noexcept { return false; }
   /// Appends the bytes of one event.
   virtual Result<void> encode(const EventView& event, std::vector<std::byte>& out) = 0;
   /// Reads exactly one event; anything missing or left over is an error.
   virtual Result<DecodedEvent> decode(std::span<const std::byte> bytes, const Description& description) = 0;
 
-  /// What stands once before the events of one topic, line end included; empty unless overridden.
+  /// The header before the events of one topic, with its line end. Default: empty.
   virtual std::string header(const Description& description) const;
-  /// How many bytes at the start of `stream` are the first event, 0 while it is not all there. For reading files and
-  /// streams. Unless overridden: up to and with the first line end.
+  /// The size of the first event at the start of `stream`; 0 if it is not complete. For reading files and streams.
+  /// Default: up to and including the first line end.
   virtual std::size_t first_event(std::span<const std::byte> stream) const noexcept;
 };
 
@@ -74,17 +74,17 @@ class Codec {
 ///     {"topic":"climate","time":1772366400000000000,"origin":"chamber","sequence":7,
 ///      "data":{"temperature":21.5,"position":{"x":1},"accel":[0,0,9.81],"state":"idle","battery":null}}
 ///
-/// What has a run (EventView::run) has `"run":"..."` after its sequence. Numbers are the shortest that read back equal,
-/// NaN and infinities the strings "NaN", "Infinity", "-Infinity". A char is a string of one character (bytes from 0x80
-/// on as U+0080 to U+00FF), an enumeration its name (its number when that has none), an absent optional null. Bytes of
-/// a text that are no UTF-8 are escaped, as in CSV (docs/formats.md), and come back equal. Decoding wants every key
-/// once and no other, in any order; "sequence" and "run" may be missing.
+/// An event with a run (EventView::run) has `"run":"..."` after its sequence. Numbers are the shortest that read back
+/// equal, NaN and infinities the strings "NaN", "Infinity", "-Infinity". A char is a string of one character (bytes
+/// from 0x80 on as U+0080 to U+00FF), an enumeration its name (its number when that has none), an absent optional null.
+/// Bytes of a text that are no UTF-8 are escaped, as in CSV (docs/formats.md), and come back equal. Decoding needs
+/// every key exactly once, in any order, and no other keys; "sequence" and "run" may be missing.
 std::unique_ptr<Codec> make_json_codec();
 
 /// CBOR (RFC 8949), a map an event with the keys of JSON, one after the other without anything between (RFC 8742).
 /// Numbers and NaN are those of CBOR, in as few bytes as the integer needs and in four or eight as the float has; a
-/// text is a string of text, or of bytes when it is no UTF-8: no escapes. Else as JSON. Decoding takes any such map,
-/// integers and floats of any size that CBOR has for the value, lists and maps of unknown length too; tags are errors.
+/// text is a text string, or a byte string if it is not UTF-8, without escapes. The rest is as in JSON. Decoding
+/// accepts integers and floats of any CBOR size, and lists and maps of unknown length; tags are errors.
 std::unique_ptr<Codec> make_cbor_codec();
 
 /// InfluxDB's line protocol, also of VictoriaMetrics, QuestDB and Telegraf:
@@ -92,11 +92,10 @@ std::unique_ptr<Codec> make_cbor_codec();
 ///     climate,origin=chamber temperature=21.5,position.x=1,state="idle",sequence=7i 1772366400000000000
 ///
 /// The measurement is the topic, the origin a tag (left out when empty), the time ns, a run the last field (a text); a
-/// field is each leaf by its path:
-/// integers with an i, those above int64 with a u, texts, chars and names of enumerations in quotes, with escapes as in
-/// CSV. The protocol has no NaN, no infinity and no null: these fields are left out, and read back as NaN or absent, so
-/// that infinities do not come back equal. Errors: does-not-fit (an origin or topic with a line break or a trailing
-/// backslash, which it has no way to write).
+/// field is each leaf by its path: integers with an i, those above int64 with a u, texts, chars and names of
+/// enumerations in quotes, with escapes as in CSV. The protocol has no NaN, no infinity and no null: these fields are
+/// left out and read back as NaN or absent, so infinities do not read back equal. Errors: does-not-fit (an origin or
+/// topic with a line break or a trailing backslash, which the protocol cannot represent).
 std::unique_ptr<Codec> make_influx_codec();
 
 struct RawConfig {
@@ -121,7 +120,8 @@ struct CsvConfig {
 /// CSV after RFC 4180 with "\n" as line end ("\r\n" is read too): time, origin, sequence, then a column a leaf. The
 /// topic is not written: a CSV text holds one. An absent optional is an empty cell, an empty text is "". Each byte of a
 /// text that is no UTF-8, and each zero byte, is written as \xHH, a backslash that would begin one of these as \x5c; a
-/// char above 0x7f is U+0080 to U+00FF. Read are also TRUE and FALSE, 1 and 0, and a byte order mark before the row.
+/// char above 0x7f is U+0080 to U+00FF. Reading also accepts TRUE and FALSE, 1 and 0, and a byte order mark before the
+/// row.
 std::unique_ptr<Codec> make_csv_codec(CsvConfig config = {});
 
 /// `time,origin,sequence,temperature,position.x` with a line end: what the CSV codec's `header` gives.
@@ -152,14 +152,14 @@ class CodecRegistry {
   std::map<std::string, Factory, std::less<>> factories_;
 };
 
-/// An event of a C++ type that came out of bytes.
+/// A decoded event of a C++ type.
 template <class T>
 struct Decoded {
   std::string topic;
   std::string origin;
   Time time{};
   std::optional<std::uint64_t> sequence;
-  std::string run;  ///< empty when the event was written without
+  std::string run;  ///< empty if the event was written without a run
   T data;
 
   /// Valid as long as this object is unchanged.

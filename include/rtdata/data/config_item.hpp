@@ -3,7 +3,7 @@
 /// A configuration is an n-ary tree of null, booleans, integers, numbers, strings, arrays and objects; objects keep the
 /// order in which they were written. An item is a value: a copy is a tree of its own, and changing an item changes
 /// neither its parent nor its siblings. Each item knows the place in the file it came from and its path in the tree,
-/// and a copy keeps both, so that a mistake found late can still be shown where it was made.
+/// and a copy keeps both, so that a message about a mistake can always show its place.
 ///
 ///     ConfigItem config = load_config("bench.json").or_throw();
 ///     double volts = config.at("sensors", 0, "span_voltage").get<double>();   // or at("sensors[0].span_voltage")
@@ -12,8 +12,8 @@
 ///     for (const auto& [key, item] : config.children()) std::cout << key << " is " << item.describe() << "\n";
 ///     config.at("sensors[0]").set("rate", 50_Hz);
 ///
-/// Errors: what is not there, or is of another type, throws `ConfigError` with place and path. Nothing is narrowed in
-/// silence: 3.7 is no int, 300 no uint8, true no number, and "10" no duration.
+/// Errors: a missing item or one of another type throws `ConfigError` with place and path. No value is converted with
+/// loss: 3.7 is not an int, 300 not a uint8, true not a number, and "10" not a duration.
 ///
 /// `get` and `set` of a type need its `ConfigValue`: those of the standard types are in config_value.hpp, which
 /// format.hpp includes.
@@ -84,14 +84,14 @@ class ConfigItem {
 
   // Reading ---------------------------------------------------------------------------------------------------------
 
-  /// The child named so; where there is none, the item at this path ("sensors[2].rate"). Null when there is none.
+  /// The child with this key, or else the item at this path ("sensors[2].rate"). Null if there is none.
   const ConfigItem* find(std::string_view key_or_path) const;
   ConfigItem* find(std::string_view key_or_path);
   /// The n-th element of an array or, in order, child of an object. Null when there is none.
   const ConfigItem* find(std::size_t index) const;
   ConfigItem* find(std::size_t index);
 
-  /// As `find`, one step an argument: at("sensors", 2, "rate"). What is not there throws ConfigError.
+  /// As `find`, with one argument for each level: at("sensors", 2, "rate"). Throws ConfigError if the item is missing.
   template <class Step, class... Steps>
   const ConfigItem& at(const Step& step, const Steps&... steps) const {
     const ConfigItem& child = step_to(step);
@@ -130,7 +130,7 @@ class ConfigItem {
     if (!ConfigValue<T>::read(*this, value, problems)) return problems[0].error();
     return value;
   }
-  /// The value of a child, or `otherwise` when there is no such child. One of another type still throws.
+  /// The value of a child, or `otherwise` if there is no such child. A child of another type throws.
   template <class T>
   T value_or(std::string_view key_or_path, T otherwise) const {
     const ConfigItem* child = find(key_or_path);
@@ -140,9 +140,9 @@ class ConfigItem {
 
   // Changing --------------------------------------------------------------------------------------------------------
 
-  /// Becomes this value, of any type that `get` gives, a string literal, nullptr or another item (whose children come
-  /// along). Parent and siblings stay as they are, and so do place and path. A number that is not finite throws
-  /// SetupError (bad_argument): no file can hold it.
+  /// Sets the value: any type that `get` returns, a string literal, nullptr or another item with its children. Parent
+  /// and siblings stay as they are, and so do place and path. A number that is not finite throws SetupError
+  /// (bad_argument): no file can hold it.
   template <class T>
   void set(const T& value) {
     if constexpr (std::is_same_v<T, ConfigItem>)
@@ -191,9 +191,9 @@ class ConfigItem {
 
   const bool* as_boolean() const noexcept { return std::get_if<bool>(&value_); }
   const std::string* as_string() const noexcept { return std::get_if<std::string>(&value_); }
-  /// A number as it was written; "" for what is none.
+  /// The text of a number as it was written; "" for other items.
   std::string number_text() const;
-  /// The integer, when there is one that the type holds.
+  /// The integer; null if the item is not one of this type.
   const std::int64_t* as_signed() const noexcept { return std::get_if<std::int64_t>(&value_); }
   const std::uint64_t* as_unsigned() const noexcept { return std::get_if<std::uint64_t>(&value_); }
   /// The double of an item of kind number.
@@ -224,12 +224,12 @@ class ConfigItem {
   template <class Integer>
   requires std::is_integral_v<Integer>
   const ConfigItem& step_to(Integer index) const {
-    return step_to(static_cast<std::size_t>(index));  // a negative one becomes huge, and is not there
+    return step_to(static_cast<std::size_t>(index));  // a negative index becomes huge and is not found
   }
   const ConfigItem* follow(std::string_view path) const;
   ConfigItem& child_for(std::string_view key);
   ConfigItem& new_element();
-  /// Makes this item, and all below it, say that it lies below `parent`; its place stays.
+  /// Sets `parent` as the parent in the paths of this item and all items below; places do not change.
   void move_below(const std::shared_ptr<const Origin>& parent, std::string_view key, std::size_t index, bool element);
   void renumber_from(std::size_t index);
   void rebuild_origins_of_children();

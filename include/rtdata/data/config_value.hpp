@@ -1,8 +1,8 @@
 /// ConfigValue: how each type is read from a configuration item and written to one.
 ///
-/// `ConfigItem::get`, `ConfigItem::set` and parameter lists all go through it. `read` gives false and adds at least one
-/// problem when the item does not hold such a value, every problem of it when it is a list; `out` is then unspecified.
-/// Specialise it for a type of your own:
+/// `ConfigItem::get`, `ConfigItem::set` and parameter lists all go through it. `read` returns false if the item does
+/// not hold such a value, and adds at least one problem, for a list all of them; `out` is then unspecified. Specialise
+/// it for a type of your own:
 ///
 ///     template <> struct rtdata::ConfigValue<Colour> {
 ///       static bool read(const ConfigItem& item, Colour& out, Problems& problems);
@@ -41,7 +41,7 @@
 
 namespace rtdata {
 
-/// What a value of a configuration may be that is a text or a whole number; the schema says it:
+/// The allowed values of a setting that is a text or a whole number, for the schema:
 ///
 ///     template <>
 ///     struct rtdata::ConfigValue<Address> {
@@ -67,7 +67,7 @@ bool read_character(const ConfigItem& item, char& out, Problems& problems);
 enum class Sign { positive, any };
 bool read_duration(const ConfigItem& item, Duration& out, Sign sign, Problems& problems);
 bool read_rate(const ConfigItem& item, Rate& out, Problems& problems);
-/// The place of the item's text among the names; -1, with a problem, when it is not there.
+/// The index of the item's text in `names`; -1, with a problem, if it is not one of them.
 int choose(const ConfigItem& item, const std::vector<std::string>& names, Problems& problems);
 bool check_is_array(const ConfigItem& item, Problems& problems);
 bool check_is_object(const ConfigItem& item, Problems& problems);

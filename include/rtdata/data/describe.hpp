@@ -28,8 +28,8 @@
 ///     }
 ///
 /// Units are UCUM strings. A missing `describe`, a member left out of it, a name used twice and a type that cannot be
-/// described are compile errors of one sentence. (Members can be counted in aggregates only: in a struct with a
-/// constructor or private members a forgotten one is not noticed.)
+/// described are compile errors of one sentence. (Only members of aggregates can be counted: in a struct with a
+/// constructor or private members, a forgotten member is not detected.)
 ///
 /// Values; any thread.
 #pragma once
@@ -134,8 +134,8 @@ concept DescribedEnum = std::is_enum_v<T> && requires {
   requires detail::is_enum_spec<std::remove_cvref_t<decltype(describe(type_tag<T>{}))>>;
 };
 
-/// The description of T. Made once, at the first call; lives to the end of the program.
-/// Throws `SetupError` (bad_description) at the first call when it is not usable, for example too large.
+/// The description of T. Made at the first call; lives to the end of the program. The first call throws `SetupError`
+/// (bad_description) if the description is invalid, for example too large.
 template <class T>
 const std::shared_ptr<const Description>& description_of();
 
@@ -240,8 +240,8 @@ struct Members<RecordSpec<FieldSpec<Owners, Types>...>> {
   static constexpr bool structs_described = !(UndescribedStruct<Types>::value || ...);
 };
 
-/// Converts to any member, but not to T or a base of T (those are spelled by their members). The operator is const
-/// so that a std::optional prefers its own constructor instead of finding two equal ways.
+/// Converts to any member type, but not to T or a base of T. The operator is const so that the constructor of
+/// std::optional is not ambiguous.
 template <class T>
 struct AnyMember {
   template <class U>
@@ -384,7 +384,7 @@ struct Shape<std::array<T, N>> {
   }
 };
 
-/// Memory of a T that was never made, to ask where its members lie.
+/// Memory of a T that is never constructed, to compute the offsets of its members.
 template <class T>
 union Unmade {
   char none;
@@ -417,7 +417,7 @@ std::shared_ptr<const Description> describe_type(const RecordSpec<Fields...>& sp
   }
 }
 
-/// The checks, one sentence each; later ones only when the earlier ones hold.
+/// The checks, with one sentence each; a check runs only if the earlier ones pass.
 template <class T>
 constexpr bool check_describe() {
   constexpr bool described = Described<T>;
@@ -459,7 +459,7 @@ constexpr bool check_describe() {
   return false;
 }
 
-/// Apart, so that `description_of` stays small enough to be inlined wherever an event is viewed.
+/// A separate function, so that `description_of` stays small enough to be inlined.
 template <class T>
 [[gnu::noinline]] std::shared_ptr<const Description> make_description() {
   return describe_type<T>(describe(type_tag<T>{}));

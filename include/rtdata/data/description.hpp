@@ -54,11 +54,12 @@ struct OptionalAccess {
   bool has_value(const std::byte* optional) const noexcept { return optional[value_size] != std::byte{0}; }
   /// Where the value lies; only when it has one.
   const std::byte* value(const std::byte* optional) const noexcept { return optional; }
-  /// Makes it hold a zero value, or none; returns where to write the value (null for none).
+  /// Sets a zero value, or makes it empty; returns the address of the value (null if empty).
   std::byte* set(std::byte* optional, bool present) const noexcept;
 };
 
-/// The access to optionals with values of this size; lives to the end of the program. Takes a lock: for set-up.
+/// The access to optionals with values of this size; lives to the end of the program. It takes a lock, so use it during
+/// set-up only.
 const OptionalAccess& optional_access(std::size_t value_size);
 
 /// One member of a record.
@@ -77,8 +78,8 @@ struct Field {
   std::vector<Field> fields;                 ///< of a record
   std::size_t alignment = 1;                 ///< bytes; `offset` is a multiple of it
 
-  /// Same name, kind, unit, shape (array, optional, capacity of a text) and values; where it lies in memory does not
-  /// matter, nor the integer an enumeration is stored as.
+  /// True if name, kind, unit, shape (array, optional, capacity of a text) and values are equal; the position in memory
+  /// and the integer type of an enumeration may differ.
   bool same_meaning(const Field& other) const noexcept;
 };
 
@@ -99,8 +100,8 @@ struct Leaf {
 class Description {
  public:
   /// Checks names (see `is_name`), that no path is there twice (also differing in case only), and sizes; the paths
-  /// time, origin, sequence and run are refused. A field of the record itself may be called PATH.name, where PATH is
-  /// that of a value or an array of values in it: it was added to that ("pressure.raw"). Errors: bad_description.
+  /// time, origin, sequence and run are refused. A field of the record itself may be called PATH.name if PATH is a
+  /// value or an array of values in it: the field belongs to that value ("pressure.raw"). Errors: bad_description.
   static Result<std::shared_ptr<const Description>> make(std::string name, std::vector<Field> fields, std::size_t size,
                                                          std::size_t alignment, bool is_of_changes = false);
 
@@ -109,24 +110,23 @@ class Description {
   const std::vector<Leaf>& leaves() const noexcept { return leaves_; }
   std::size_t size() const noexcept { return size_; }  ///< bytes of a payload
   std::size_t alignment() const noexcept { return alignment_; }
-  /// An event comes only when something has changed: the last one holds until the next, however old it is. It is kept
-  /// for those that come later. What a recording gives back does not say so.
+  /// True if the topic publishes only changes: an event is valid until the next one, whatever its age, and later
+  /// subscribers get the last one. Descriptions read back from a recording do not have this flag.
   bool is_of_changes() const noexcept { return is_of_changes_; }
 
   Description(const Description&) = delete;  // leaves point into it
   Description& operator=(const Description&) = delete;
 
-  /// Another number for every description made in this process: a key for what is kept per description.
+  /// A number that is unique for each description in this process, for use as a key.
   std::uint64_t serial() const noexcept { return serial_; }
   /// The leaf with this path, or null.
   const Leaf* find(std::string_view path) const noexcept;
 
   /// Same record name and, in order, fields of the same meaning.
   bool same_meaning(const Description& other) const noexcept;
-  /// Whether payloads of both lie in memory alike, whatever they mean: size, offsets, kinds.
+  /// True if payloads of both have the same memory layout (size, offsets, kinds), whatever they mean.
   bool same_layout(const Description& other) const noexcept;
-  /// What differs in meaning, one line a difference ("field temperature: unit K here, Cel there"); empty when nothing
-  /// does.
+  /// The differences in meaning, one line each ("field temperature: unit K here, Cel there"); empty if there is none.
   std::vector<std::string> differences(const Description& other) const;
 
   /// `{"name": "climate", "fields": [{"name": "temperature", "type": "double", "unit": "Cel"}, ...]}`; keys "array",

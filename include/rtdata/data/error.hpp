@@ -1,9 +1,9 @@
 /// Errors: one story from set-up to run time.
 ///
-/// Set-up (constructors, loading a configuration) throws `SetupError`. Run time never throws: a function that may
-/// fail returns `Result<T>`, and what a sensor or sink meets while running goes to its `on_error`, then to the loop's,
-/// then to the log. Every error of this library carries an `Errc`; `id(Errc)` is its stable name, under which
-/// docs/errors.md explains it.
+/// Set-up (constructors, loading a configuration) throws `SetupError`. Run time never throws: a function that may fail
+/// returns `Result<T>`. An error of a running sensor or sink goes to its `on_error`, else to the loop's, else to the
+/// log. Every error of this library carries an `Errc`; `id(Errc)` is its stable name, under which docs/errors.md
+/// explains it.
 ///
 ///     rtdata::Result<rtdata::Rate> rate = rtdata::parse_rate(text);
 ///     if (!rate) std::cerr << rate.error().text() << '\n';   // what: where: why: what to do
@@ -92,8 +92,8 @@ class SetupError : public std::runtime_error {
   Error error_;
 };
 
-/// A value or the error that took its place. Use: `if (!r) return r.error(); use(*r);`
-/// Reading the value of a failed result, or the error of a good one, is undefined (asserted in debug builds).
+/// A value or an error. Use: `if (!r) return r.error(); use(*r);` Reading the value of a failed result, or the error of
+/// a good one, is undefined (asserted in debug builds).
 template <class T>
 class [[nodiscard]] Result {
  public:
@@ -132,7 +132,7 @@ class [[nodiscard]] Result {
 template <>
 class [[nodiscard]] Result<void> {
  public:
-  Result() noexcept {}  // not defaulted: `return {}` would then fill all of the memory with zeros first
+  Result() noexcept {}  // not defaulted: otherwise `return {}` would first fill the memory with zeros
   Result(Error error) : content_(std::move(error)) {}
 
   bool has_value() const noexcept { return content_.index() == 0; }

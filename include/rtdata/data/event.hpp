@@ -45,8 +45,7 @@ struct Event : EventHeader {
 /// An event of any type, for as long as a call lasts. Copying it copies no payload.
 class EventView {
  public:
-  /// `payload` has the size of the description.
-  /// `run`: the uuid of the run that the event is of, where it is told of one outside of that run; else empty.
+  /// `payload` has the size of the description. `run`: the uuid of the run, for events of another run; otherwise empty.
   EventView(std::string_view topic, const EventHeader& header, const Description& description,
             std::span<const std::byte> payload, std::string_view run = {}) noexcept
       : topic_(topic), header_(&header), description_(&description), payload_(payload), run_(run) {}
@@ -60,7 +59,7 @@ class EventView {
   std::uint64_t sequence() const noexcept { return header_->sequence; }
   std::string_view origin() const noexcept { return header_->origin; }
   const Description& description() const noexcept { return *description_; }
-  /// With origin and sequence it is the key of the event among those of all machines. Empty: not told.
+  /// Run, origin and sequence together identify the event among those of all machines. Empty: the current run.
   std::string_view run() const noexcept { return run_; }
   std::span<const std::byte> payload() const noexcept { return payload_; }
 

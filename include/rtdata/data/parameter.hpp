@@ -1,4 +1,4 @@
-/// Parameters: declare once what a configurable component takes, beside its `Config`.
+/// Parameters: declare the settings of a component once, beside its `Config`.
 ///
 ///     struct UartConfig {
 ///       std::string device;
@@ -16,19 +16,19 @@
 ///       }
 ///     };
 ///
-/// From it follow reading that reports every mistake (`read_config`), the list for people (`parameters_of`), the JSON
-/// Schema (`schema_of`) and writing (`write_config`), all in read.hpp.
+/// The declaration gives reading with a report of every mistake (`read_config`), the list for people (`parameters_of`),
+/// the JSON Schema (`schema_of`) and writing (`write_config`), all in read.hpp.
 ///
 /// A member may be bool, char, an integer, float, double, std::string, Duration or another std::chrono duration, Rate,
 /// an enumeration with a `describe` or with `choices`, a struct with `parameters` of its own, a ConfigItem (anything,
 /// left for later), any type with a `ConfigValue`, and std::optional, std::array, std::vector, std::map<std::string,
-/// ...> of these; unit, range and choices are then those of the elements. The `Config` is default constructible: what
-/// it holds then are the defaults. Parameters of a base come with `include<Base>`, those of a member, without a level
-/// of their own, with `include_member(&Config::member)`.
+/// ...> of these; unit, range and choices are then those of the elements. The `Config` is default constructible; its
+/// values are then the defaults. Parameters of a base come with `include<Base>`, those of a member, without a level of
+/// their own, with `include_member(&Config::member)`.
 ///
-/// A text may be written as {"env": "NAME"} or {"file": "path"}: it is then taken from the environment or from a file,
-/// and never shown; see read.hpp. Not so one that recordings hold (TextIs: recorded, name, field, topic, unit), nor
-/// permissions.
+/// A text may be written as {"env": "NAME"} or {"file": "path"}: it is then read from the environment or from a file
+/// and never shown; see read.hpp. This does not work for texts that are stored in recordings (TextIs: recorded, name,
+/// field, topic, unit) and for permissions.
 ///
 /// A mistake in a declaration is a compile error of one sentence. Values; any thread.
 #pragma once
@@ -48,9 +48,8 @@
 
 namespace rtdata {
 
-/// What a text stands for, which says more about it than its type does. An option of `parameter`: a mistake in such a
-/// text is reported when it is read, and the schema has a pattern for it. An empty text stands for none, where it need
-/// not be there.
+/// The meaning of a text. An option of `parameter`: reading then reports a mistake in the text, and the schema has a
+/// pattern for it. If the parameter is not required, an empty text means none.
 enum class TextIs : std::uint8_t {
   anything,
   recorded,       ///< written into recordings, such as notes
@@ -59,12 +58,12 @@ enum class TextIs : std::uint8_t {
   topic,          ///< see is_topic_name
   topic_pattern,  ///< see is_topic_pattern
   unit,           ///< UCUM; another one is a warning
-  device,         ///< the path of what is opened
-  output_file,    ///< the path of a file that is written: no folder, in a folder that is there
+  device,         ///< the path of a device or file to open
+  output_file,    ///< the path of a file to write, in an existing folder
   permissions,    ///< of a file that is made, in octal digits: "0640"
 };
 
-/// The parameter means something only while another one, beside it, has one of these values.
+/// The parameter has an effect only if another parameter of the same object has one of these values.
 struct OnlyWith {
   std::string_view key = {};  ///< empty: always
   std::vector<std::string_view> values = {};
@@ -79,8 +78,8 @@ struct NamesPart {
 namespace config_detail {
 
 struct ValueKind;
-/// How values of a type are read, written and described. Its definition is in read.hpp: where configurations are only
-/// declared, nothing is made of it.
+/// How values of a type are read, written and described. The definition is in read.hpp, so that a mere declaration
+/// compiles nothing of it.
 template <class T>
 const ValueKind& value_kind();
 
@@ -95,16 +94,16 @@ struct WordRange {
   std::uint8_t count = 0;
 };
 
-/// What a value must keep to, without its type.
+/// The rules of a value, without its type.
 struct ParameterRules {
   bool required = false;  ///< a required text is not empty either
   bool not_zero = false;
-  bool negative = false;  ///< a duration may be
+  bool negative = false;  ///< a duration may be negative
   bool has_least = false;
   bool has_most = false;
   TextIs text = TextIs::anything;
   WordRange only_with_values, part_types, choices;
-  WordRange placeholders;  ///< that may stand in the text, in braces
+  WordRange placeholders;  ///< allowed in braces in the text
   double least = 0;        ///< numbers as they are, durations in ns, rates in Hz
   double most = 0;
   std::string_view unit;
@@ -112,14 +111,15 @@ struct ParameterRules {
   std::string_view names_part;  ///< see NamesPart
 };
 
-/// A parameter, or all of those of a base or member. `kind` alone knows what it is of, so that one code reads all.
+/// A parameter, or all parameters of a base or member. Only `kind` knows the type, so that one function reads all of
+/// them.
 struct ParameterEntry {
   std::string_view key;
   std::string_view doc;
   const ValueKind& (*kind)() = nullptr;
-  const void* owner = nullptr;   ///< an object that was never made, and
-  const void* member = nullptr;  ///< where the member is in it
-  bool is_included = false;      ///< not the member is meant, but its parameters
+  const void* owner = nullptr;   ///< an object that is never constructed
+  const void* member = nullptr;  ///< the member in it
+  bool is_included = false;      ///< the parameters of the member, not the member itself
   std::uint16_t first_word = 0;  ///< among those of the list
   ParameterRules rules;
 };
@@ -156,7 +156,7 @@ struct Unit {
   std::string_view text;
 };
 enum class Quantity { number, duration, rate, none };
-/// Ranges carry their quantity in the type, so that a wrong one is found when compiling.
+/// A range has its quantity in the type, so that the compiler finds a wrong one.
 template <Quantity Q>
 struct Range {
   bool has_least, has_most;
@@ -190,7 +190,7 @@ constexpr double magnitude(const T& value) {
     return static_cast<double>(value);
 }
 
-/// What is left of a type without optional, containers and arrays around it.
+/// The type without optional, containers and arrays around it.
 template <class T>
 struct LeafOf {
   using type = T;
@@ -204,7 +204,7 @@ struct LeafOf<T> : LeafOf<typename T::mapped_type> {};
 template <class T>
 using Leaf = typename LeafOf<T>::type;
 
-/// How many words an option brings.
+/// How many texts an option has.
 template <class Option>
 inline constexpr std::size_t words_in = 0;
 template <std::size_t N>
@@ -270,7 +270,7 @@ struct RulesFor {
     static_assert(std::is_same_v<Leaf, std::string>, "rtdata: names_part is for texts");
     rules.names_part = option.kind;
     rules.part_types = add_words(option.types.data(), N);
-    if (rules.text == TextIs::anything) rules.text = TextIs::recorded;  // a name is shown, and so no secret
+    if (rules.text == TextIs::anything) rules.text = TextIs::recorded;  // a name is shown, so it cannot be a secret
   }
   template <std::size_t N>
   constexpr void add(const std::array<std::string_view, N>& choices) {
@@ -321,25 +321,25 @@ inline constexpr config_detail::Required required{};
 inline constexpr config_detail::MayBeNegative may_be_negative{};
 /// The number may not be 0.
 inline constexpr config_detail::NotZero not_zero{};
-/// What may stand in the text in braces, such as {topic}; anything else in braces is a warning.
+/// Names that the text may use in braces, such as {topic}; any other name in braces is a warning.
 template <class... Names>
 constexpr config_detail::Placeholders<sizeof...(Names)> placeholders(Names... names) {
   return {{std::string_view(names)...}};
 }
-/// The parameter means something only while that of `key`, beside it, has one of these values ("true" and "false" for a
-/// boolean): elsewhere it is a warning.
+/// The parameter has an effect only if `key` in the same object has one of these values ("true" and "false" for a
+/// boolean); otherwise it is a warning.
 template <class... Values>
 constexpr config_detail::OnlyWithValues<sizeof...(Values)> only_with(std::string_view key, Values... values) {
   return {key, {std::string_view(values)...}};
 }
 /// The text is the name of another part of the configuration: one of `kind` ("bus", "tier", "sensor", "sink" or
-/// "topic", which is what any part publishes), and, if they are given, of one of these types. A part that is not there,
-/// or is of another type, is a mistake; one that is there is made first and closed last.
+/// "topic", which is what any part publishes), and, if given, of one of these types. A missing part, or one of another
+/// type, is a mistake. The named part is made before this one and closed after it.
 template <class... Types>
 constexpr config_detail::PartNamed<sizeof...(Types)> names_part(std::string_view kind, Types... types) {
   return {kind, {std::string_view(types)...}};
 }
-/// The UCUM unit of a number, for people and schema; it is not written in the file.
+/// The UCUM unit of a number, for people and the schema; the file does not contain it.
 constexpr config_detail::Unit unit(std::string_view text) { return {text}; }
 
 /// Both ends belong to it. Numbers, durations or rates, as the member.

@@ -1,4 +1,4 @@
-/// Problems: everything that is wrong with a configuration, at once.
+/// Problems: all mistakes of a configuration together.
 ///
 /// Reading a configuration never stops at the first mistake. Each one becomes a `Problem` with a stable id, the place
 /// in the file, the path in the tree, a sentence and, where a name was probably mistyped, the name that was meant:
@@ -41,7 +41,7 @@ struct Problem {
   std::string message;     ///< "unknown key"
   std::string suggestion;  ///< the name that was probably meant, or empty
 
-  /// `file:line:column: path: message (did you mean "rate"?)`, what is empty left out.
+  /// `file:line:column: path: message (did you mean "rate"?)`, without the empty parts.
   std::string text() const;
   /// The same as an error of code bad_configuration.
   Error error() const;
@@ -72,8 +72,8 @@ class Problems {
   std::vector<Problem> list_;
 };
 
-/// Thrown when a configuration with mistakes is used all the same. `what()` is the text of the first problem, and how
-/// many more there are.
+/// Thrown if a configuration with mistakes is used. `what()` is the text of the first problem and the number of further
+/// ones.
 class ConfigError : public SetupError {
  public:
   /// `problems` is not empty.
@@ -84,8 +84,8 @@ class ConfigError : public SetupError {
   Problems problems_;
 };
 
-/// The candidate that `word` was probably meant to be: a few letters wrong, missing, added or swapped (case, '-' and
-/// '_' count for nothing), or the only one that begins with it. Empty when none is near enough.
+/// The candidate that `word` probably means: a few letters wrong, missing, added or swapped (case, '-' and '_' are
+/// ignored), or the only candidate that begins with it. Empty if none is similar enough.
 std::string nearest_name(std::string_view word, const std::vector<std::string>& candidates);
 
 }  // namespace rtdata

@@ -1,12 +1,12 @@
 /// Text: a string of at most N bytes that is plain memory, for use in payloads.
 ///
-/// Payloads travel by memcpy, so they cannot hold a std::string. `text<N>` is built from a
-/// std::string_view, a std::string or a literal and converts to a std::string_view; a longer text is an error, never a
-/// cut. The content is any bytes; where text has to be UTF-8 (JSON, CSV, recordings), those that are none are escaped,
-/// and the sink counts and reports it (docs/formats.md).
+/// Payloads travel by memcpy, so they cannot hold a std::string. `text<N>` is built from a std::string_view, a
+/// std::string or a literal and converts to a std::string_view; a longer text is an error, never a cut. The content is
+/// any bytes. Where text must be UTF-8 (JSON, CSV, recordings), other bytes are escaped, and the sink counts and
+/// reports such texts (docs/formats.md).
 ///
-/// Layout, on which code that knows only a description relies: alignment 1, size N + 2; two bytes with the length, the
-/// low one first, then N bytes, zero after the length. So the capacity of a text of `size` bytes is `size - 2`.
+/// Memory layout, fixed because code without the type relies on it: alignment 1, size N + 2; two bytes with the length,
+/// low byte first, then N bytes, filled with zeros. So the capacity of a text of `size` bytes is `size - 2`.
 ///
 /// A value; any thread. Errors: does_not_fit.
 ///
@@ -60,7 +60,7 @@ class text {
   }
 
   static constexpr std::size_t capacity() noexcept { return N; }
-  /// Never more than N, also when the memory came from elsewhere and is damaged.
+  /// Never more than N, even if the memory is damaged.
   constexpr std::size_t size() const noexcept {
     const auto length = static_cast<std::size_t>(length_[0] | (length_[1] << 8));
     return length < N ? length : N;
@@ -72,16 +72,15 @@ class text {
 
   friend constexpr bool operator==(const text& a, const text& b) noexcept { return a.view() == b.view(); }
   friend constexpr auto operator<=>(const text& a, const text& b) noexcept { return a.view() <=> b.view(); }
-  // Version 14 does not know where a function begins behind `requires`.
-  // clang-format off
+  // clang-format 14 misplaces the body of a function with `requires`. clang-format off
   template <class Other>
-    requires(std::is_convertible_v<const Other&, std::string_view> && !std::is_same_v<Other, text>)
-  friend constexpr bool operator==(const text& a, const Other& b) noexcept {
+  requires(std::is_convertible_v<const Other&, std::string_view> && !std::is_same_v<Other, text>) friend constexpr bool
+  operator==(const text& a, const Other& b) noexcept {
     return a.view() == std::string_view(b);
   }
   template <class Other>
-    requires(std::is_convertible_v<const Other&, std::string_view> && !std::is_same_v<Other, text>)
-  friend constexpr auto operator<=>(const text& a, const Other& b) noexcept {
+  requires(std::is_convertible_v<const Other&, std::string_view> && !std::is_same_v<Other, text>) friend constexpr auto
+  operator<=>(const text& a, const Other& b) noexcept {
     return a.view() <=> std::string_view(b);
   }
   // clang-format on

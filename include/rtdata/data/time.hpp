@@ -38,12 +38,12 @@ std::string to_iso8601(Time time);
 /// as "+02:00".
 Result<Time> parse_iso8601(std::string_view text);
 
-/// A positive number of events a second: `100_Hz`, `Rate::from_period(10ms)`. Or no rate, which is false, and which
-/// code that needs one refuses it.
+/// A positive number of events a second: `100_Hz`, `Rate::from_period(10ms)`. Or no rate: then it converts to false,
+/// and code that needs a rate refuses it.
 class Rate {
  public:
   constexpr Rate() = default;
-  /// No rate when `value` is not above 0 (or not a number), or above 2 GHz; at least one in 292 years.
+  /// No rate if `value` is not greater than 0, not a number, or above 2 GHz. The longest period is 292 years.
   static constexpr Rate hertz(double value) {
     if (!(value > 0)) return Rate{};
     const double period = 1e9 / value + 0.5;
@@ -64,8 +64,8 @@ class Rate {
   Duration period_{0};
 };
 
-/// Times nearer than this are one instant, of which the last value counts, for whatever divides by a time: lines that
-/// USB brings in one packet come 1 ns apart, and are not.
+/// Times closer than this count as one instant, of which the last value is used. Everything that divides by a time
+/// needs it: lines from one USB packet get times 1 ns apart, although they were not sent so fast.
 constexpr Duration one_instant = std::chrono::microseconds{1};
 
 /// "10 ms", "1.5s", "250us", "2 min", "1 h", "3 d"; units ns, us (or µs), ms, s, min, h, d. Exact to the nanosecond; a

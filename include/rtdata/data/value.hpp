@@ -24,19 +24,19 @@ using Value = std::variant<std::monostate, bool, char, std::int64_t, std::uint64
 /// The value of a leaf in the payload that starts at `payload`. Signed integers come as int64, unsigned ones as uint64.
 Value read(const Leaf& leaf, const std::byte* payload);
 
-/// Puts a value in its place; on error the payload stays as it was. Nothing is narrowed in silence: a number must be in
-/// the range of its place, a fraction does not go into an integer, an integer goes into a float only when that holds it
-/// exactly, only a bool goes into a bool. A double is rounded to the nearest float; NaN and infinities are values.
-/// An enumeration takes the name of a value or its number. Absent goes into an optional only.
+/// Writes a value into the payload; on error the payload does not change. No value is converted with loss: a number
+/// must be in range, an integer field takes no fraction, a float field takes an integer only if it is exact, a bool
+/// field takes only a bool. A double is rounded to the nearest float; NaN and infinities are values. An enumeration
+/// takes the name of a value or its number. Only an optional field takes "absent".
 Result<void> write(const Leaf& leaf, std::byte* payload, const Value& value);
 
 /// As a person reads it: "absent", "true", "a", "-3", "0.1", "idle". Numbers are the shortest that read back equal.
 std::string to_string(const Value& value);
 
-/// Whether the leaf is there: false for an optional that has no value.
+/// False for an optional without a value.
 bool is_present(const Leaf& leaf, const std::byte* payload) noexcept;
 
-/// Where the value of a leaf lies; null when it is absent.
+/// The address of a leaf's value; null if it is absent.
 const std::byte* find_value(const Leaf& leaf, const std::byte* payload) noexcept;
 
 }  // namespace rtdata

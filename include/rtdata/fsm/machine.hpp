@@ -11,24 +11,24 @@
 ///     flight.start();
 ///     flight.raise("touchdown");
 ///
-/// From `start` until it is closed the machine is in exactly one state. It is told of the events of its inputs, of
-/// named events (`raise`), and of time. With each, the transitions out of the current state are tried in the order in
-/// which they were added, and the first that may be taken is; the others are not tried. So there is at most one change
-/// with each event. A change runs `leave` of the old state, then `arrive` of the new one. An event that is raised in
-/// one of these, or in a condition, waits until the change is done.
+/// From `start` until it is closed the machine is in exactly one state. It reacts to the events of its inputs, to named
+/// events (`raise`), and to time. At each event it tries the transitions out of the current state in the order in which
+/// they were added, and takes the first whose conditions are true; it does not try the others. So each event causes at
+/// most one change. A change runs `leave` of the old state, then `arrive` of the new one. An event that is raised
+/// meanwhile, or in a condition, waits until the change is complete.
 ///
-/// What throws is reported with its name, and counted. A condition that throws counts as false. When `leave` throws,
-/// the change goes on all the same; when `arrive` throws, the machine is in the new state. With `Config::failure` it
-/// then goes to that state: instead of to the new one when `leave` threw, or from the new one when `arrive` did. What
-/// the failure state itself throws changes nothing more.
+/// An exception from an action or a condition is reported with its name and counted. A condition that throws counts as
+/// false. If `leave` throws, the change continues; if `arrive` throws, the machine is in the new state. With
+/// `Config::failure` the machine then goes to that state: instead of to the new state if `leave` threw, or from the new
+/// state if `arrive` threw. An exception in the failure state itself changes nothing more.
 ///
 /// States and transitions may be added and removed at any time, also in actions and conditions; a state that the
 /// machine is in, or is going to, or goes to after failures, cannot be removed.
 ///
 /// Nothing is allocated when events are taken in and states change. When the loop drains, the machine stands still.
 ///
-/// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's.
-/// Errors: SetupError (bad-argument, bad-name, not-found, busy). What is done with a closed machine does nothing.
+/// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's. Errors: SetupError (bad-argument, bad-name,
+/// not-found, busy). Calls on a closed machine do nothing.
 #pragma once
 
 #include <concepts>
@@ -51,7 +51,7 @@
 
 namespace rtdata::fsm {
 
-/// The states and transitions of a machine as data: to look for mistakes, and to draw.
+/// The states and transitions of a machine as data, for checks and drawings.
 ///
 ///     const fsm::Graph graph = machine.graph();
 ///     for (const fsm::GraphFault& fault : fsm::find_faults(graph)) print(fault.text);
@@ -60,14 +60,14 @@ struct Graph {
   static constexpr std::size_t none = static_cast<std::size_t>(-1);
   struct Node {
     std::string name;
-    bool is_final = false;  ///< meant to be never left
+    bool is_final = false;  ///< no transition may leave it
   };
   struct Edge {
     std::size_t from = 0;  ///< index in `states`
     std::size_t to = 0;
     std::string label = {};         ///< "burnout", "altitude > 5, for 300 ms"
     std::string on = {};            ///< the event that it waits for; empty: any
-    bool is_unconditional = false;  ///< taken as soon as it is tried: those behind it that are tried with it never are
+    bool is_unconditional = false;  ///< always taken when tried; later ones on the same event never are
     Duration after{0};              ///< the time in the state before which it is not tried
   };
   std::string name;  ///< of the machine
@@ -82,7 +82,7 @@ struct GraphFault {
     no_start,     ///< there is no start state
     unreachable,  ///< no way leads to the state from the start
     dead_end,     ///< nothing leads out of the state, and it is not final
-    left_final,   ///< a final state that something leads out of
+    left_final,   ///< a final state with a transition out of it
     duplicate,    ///< two transitions that are the same
     never_taken,  ///< another one is always taken before it
   };
@@ -118,10 +118,10 @@ struct StateChange {
 
 /// When an action or a condition is called.
 struct Moment {
-  Time time{};               ///< that of the event; of what time causes, the loop's on the line of the last event
-  std::string_view state;    ///< the one that the machine is in; in `leave` the one it leaves
+  Time time{};               ///< of the event; for timed changes, the loop's time after the last event
+  std::string_view state;    ///< the current state; in `leave` the old one
   Duration in_state{0};      ///< for how long
-  std::string_view event{};  ///< the named event; empty: it was none
+  std::string_view event{};  ///< the named event; empty: none
 };
 
 /// A function with or without a Moment.
@@ -155,20 +155,20 @@ class State {
   virtual ~State() = default;
   virtual void arrive(const Moment&) {}
   virtual void leave(const Moment&) {}
-  /// Whether the machine may go to this state now: asked last, when everything else speaks for it.
+  /// Returns true if the machine may go to this state now; called after all other conditions were true.
   virtual bool check(const Moment&) { return true; }
 };
 
-/// A state of functions.
+/// A state made of functions.
 struct StateConfig {
   Action arrive = {};
   Action leave = {};
   Condition check = {};   ///< as State::check
-  bool is_final = false;  ///< it is meant that nothing leads out of it
+  bool is_final = false;  ///< no transition may leave it
 };
 
-/// A way from one state to another. Each thing that it says must be so; what it does not say is no matter. When it says
-/// nothing, the next event takes it.
+/// A transition from one state to another. All conditions that are set must be true. Without any condition, the next
+/// event takes it.
 struct Transition {
   std::string from;
   std::string to;
@@ -176,8 +176,9 @@ struct Transition {
   /// named events.
   std::string on = {};
   Condition when = {};
-  /// `when` must have been true this long: with an event, and with each one since then, up to one that came this much
-  /// later. An input that was stale in between begins it anew. Time that passes, and `look`, begin and end nothing.
+  /// `when` must have been true for this long: at one event, at each later event, and at an event that comes at least
+  /// this much later. If an input becomes stale in between, the time starts again. Only events start and end it, not
+  /// passing time and not `look`.
   Duration hold{0};
   /// The machine must have been in `from` this long; then it is tried.
   Duration after{0};
@@ -187,21 +188,21 @@ struct Transition {
 struct MachineCounts {
   std::uint64_t events = 0;       ///< of inputs, named ones, and of time, that were taken in
   std::uint64_t transitions = 0;  ///< without the start
-  std::uint64_t ignored = 0;      ///< named events that nothing waited for in the state at that time
-  std::uint64_t dropped = 0;      ///< named events that were raised when `Machine::max_waiting` waited already
+  std::uint64_t ignored = 0;      ///< named events that no transition of the state waited for
+  std::uint64_t dropped = 0;      ///< named events raised while `Machine::max_waiting` were waiting
   std::uint64_t failures = 0;     ///< actions and conditions that threw
 };
 
 class Machine;
 namespace detail {
-/// An input's event, in its delivery.
+/// Takes an event of an input, during its delivery.
 void input_event(rtdata::detail::Node& machine, Time time, MonotonicTime came);
-/// The condition of this transition out of the current state, counted in the order in which they were added, has not
-/// been true until now.
-void begin_hold_anew(rtdata::detail::Node& machine, std::size_t way);
+/// Restarts the hold time of a transition out of the current state. `way`: its index, in the order in which the
+/// transitions were added.
+void restart_hold(rtdata::detail::Node& machine, std::size_t way);
 /// SetupError (closed).
 rtdata::detail::Node& node_of_open(const Machine& machine, std::string_view input);
-/// The topic is one of its inputs: recordings of its changes keep the account of it, too.
+/// Registers an input topic: recordings of the machine's changes also store the account of that topic.
 void is_made_of(rtdata::detail::Node& machine, std::string_view topic);
 Loop& loop_of(rtdata::detail::Node& machine);
 MonotonicTime now_of(rtdata::detail::Node& machine);
@@ -222,7 +223,7 @@ struct InputTimes {
   std::optional<Time> time{};  // of the last event; none: nothing came yet
   MonotonicTime came{};
 };
-/// Of an open machine. It may end the life of the input.
+/// Passes the event to the machine, if it is open. May destroy the input.
 void input_event(InputTimes& input, Time time);
 }  // namespace detail
 
@@ -247,14 +248,15 @@ class Machine : public Handle {
   /// All from the one to the other. Returns how many.
   std::size_t remove_transitions(std::string_view from, std::string_view to);
 
-  /// Goes to the start state, or to the one that is given, and runs its `arrive`. SetupError (not-found) when there is
-  /// no such state. Of a machine that was started: nothing.
+  /// Goes to the start state, or to the given one, and runs its `arrive`. SetupError (not-found) if there is no such
+  /// state. Does nothing if the machine was started before.
   void start();
-  /// `in_state`: how long it has been there already, of a machine that goes on with what another began.
+  /// `in_state`: the time already spent in the state, for a machine that continues an earlier one.
   void start_in(std::string_view state, std::string_view cause = "start", Duration in_state = Duration{0});
-  /// A named event. Before the start it is ignored, and counted so. One that no transition knows is reported.
+  /// Raises a named event. Before the start it is ignored and counted as ignored. An event that no transition uses is
+  /// reported.
   void raise(std::string_view event);
-  /// Tries the transitions without an event, as after a change of something that is no input.
+  /// Tries the transitions without an event, for example after a change of something other than an input.
   void look();
 
   /// Valid until the next change. Empty: not started, or closed.
@@ -275,7 +277,7 @@ template <class T>
 class Input {
  public:
   Input() noexcept = default;
-  /// `max_age`: older than that it counts as not there. The topic: a name, not a pattern.
+  /// `max_age`: an older event counts as missing. The topic: a name, not a pattern.
   Input(Machine& machine, std::string_view topic, Duration max_age = Duration::max())
       : latest_(new Latest(detail::node_of_open(machine, topic), max_age)) {
     Latest* const latest = latest_.get();
@@ -286,9 +288,9 @@ class Input {
     detail::is_made_of(latest->machine, topic);
   }
 
-  /// There is one that is not too old.
+  /// True if there is an event that is not too old.
   explicit operator bool() const { return latest_ != nullptr && latest_->is_fresh(); }
-  /// The last value, however old; one of zeros before the first.
+  /// The last value, whatever its age; zeros before the first event.
   const T& operator*() const noexcept { return latest_->value; }
   const T* operator->() const noexcept { return &latest_->value; }
   /// Since the last event came. Duration::max(): none did.

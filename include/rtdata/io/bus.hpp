@@ -1,8 +1,8 @@
-/// Bus: what several devices are connected to, with one lane for all of them.
+/// Bus: a connection for several devices, with one lane for all of them.
 ///
-/// It belongs to the runtime: sensors of all loops may be on it. Whatever they do with their devices is done on the one
-/// thread of the bus's lane, in the order in which it was asked for, one job at a time; a job that hangs is given up
-/// after `give_up_after`, and the others go on with a fresh thread.
+/// It belongs to the runtime: sensors of all loops may use it. Every access to a device runs on the one thread of the
+/// bus's lane, one job at a time, in the order of submission. A job that hangs is given up after `give_up_after`, and
+/// the other jobs continue on a new thread.
 ///
 /// A bus of your own (CAN, an FT232H) derives from it, and its devices from `BusDevice`:
 ///
@@ -21,7 +21,8 @@
 ///                                                                       // unless it is empty
 ///     };
 ///
-/// What a device does to its bus must not need the Bus, which may be destroyed while a job hangs: both share it.
+/// A device must not use the Bus object itself, which may be destroyed while a job hangs: keep the connection in an
+/// object that both share.
 ///
 /// Owner: the program, or the System; it must outlive the sensors on it. Thread: `device` of a bus: any; devices: that
 /// on which they are used, one at a time.
@@ -45,10 +46,10 @@ class LaneThread;
 
 /// Statistics of the transfers with the device at one place of a bus.
 struct TransferCounts {
-  std::uint64_t transfers = 0;  ///< with those that failed, and without retries
+  std::uint64_t transfers = 0;  ///< including failed ones, not counting retries
   std::uint64_t failed = 0;     ///< after all retries
   std::uint64_t retried = 0;
-  Duration busy{0};  ///< the bus was held
+  Duration busy{0};  ///< time on the bus
   Duration longest{0};
 };
 
@@ -106,14 +107,14 @@ class BusDevice {
  public:
   /// `counter`: the counts of its place, from `Bus::counter_of`; null: nothing is counted.
   explicit BusDevice(std::shared_ptr<TransferCounter> counter = nullptr) : counter_(std::move(counter)) {}
-  /// Called when a job with this device was given up: if that job ever goes on, it must not touch the bus. Any thread.
+  /// Called when a job with this device was given up: if that job continues later, it must not use the bus. Any thread.
   void abandon() noexcept { is_abandoned_->store(true, std::memory_order_relaxed); }
   bool is_abandoned() const noexcept { return is_abandoned_->load(std::memory_order_relaxed); }
   /// Blocks for this duration, as chips need after a reset. On a manual loop, virtual time passes.
   void wait(Duration duration) const noexcept;
 
  protected:
-  /// A transfer has ended.
+  /// Counts a finished transfer.
   void count(Duration took, bool is_good, std::uint64_t retries = 0) const noexcept {
     if (counter_ != nullptr) counter_->add(took, is_good, retries);
   }

@@ -12,17 +12,18 @@
 ///
 /// Levels are logical: 1 is active, which is high unless `active_low`. An edge that rises makes the line active.
 ///
-/// - An edge has the kernel's time, taken in its interrupt. One that is not on the monotonic line (kernels before 5.7,
-///   with libgpiod 1) gets the time at which it was read.
-/// - libgpiod 2: the kernel numbers the edges of a line and keeps 1024 that were not read yet; those that it drops, the
-///   oldest, are counted. `debounce` is done by the kernel.
-/// - libgpiod 1: it keeps 16, drops the newest, and tells of neither: `lost_is_known()` is false. A full store is
-///   counted as an overflow. `debounce` is done here: an edge counts when the line has kept its level for that time.
-/// - The calls go to the kernel and return in microseconds, but for a chip behind a slow bus (an expander on I2C),
-///   which is waited for.
+/// - An edge has the kernel's time, taken in its interrupt. If that is not the monotonic clock (kernels before 5.7,
+///   with libgpiod 1), the edge gets the time at which it was read.
+/// - libgpiod 2: the kernel numbers the edges of a line and keeps up to 1024 unread ones; it drops the oldest, and the
+///   library counts the dropped ones. The kernel does `debounce`.
+/// - libgpiod 1: the kernel keeps 16 edges, drops the newest, and reports no loss: `lost_is_known()` is false. A full
+///   buffer is counted as an overflow. The library does `debounce`: an edge counts when the line has kept its level for
+///   that time.
+/// - The calls go to the kernel and return in microseconds, except for a chip behind a slow bus (an expander on I2C),
+///   where they wait.
 ///
-/// A line has one user: it is taken until the object is closed. After that an output is set to `safe`, if there is one,
-/// before it is given back; what the chip does with a line that nobody has is its own affair, mostly nothing.
+/// A line has one user: the object holds it until it is closed. Closing sets an output to `safe`, if given, before it
+/// releases the line. After that the chip decides the level of the line; most chips keep it.
 ///
 /// Errors: not-found (no such chip or line), bad-argument (it is not clear which one; settings that the chip cannot
 /// do), not-permitted (group `gpio`), busy (somebody has the line: the error says who), disconnected (the chip is
@@ -95,9 +96,9 @@ struct GpioInput {
   std::string chip = {};  ///< "gpiochip0", "/dev/gpiochip0" or its label; empty: the one that has the line
   GpioBias bias = GpioBias::as_is;
   bool active_low = false;
-  GpioEdgeKind edges = GpioEdgeKind::both;  ///< which of them count; of GpioEdges only, as is `debounce`
+  GpioEdgeKind edges = GpioEdgeKind::both;  ///< which edges count; for GpioEdges only, like `debounce`
   Duration debounce{0};                     ///< shorter levels are ignored as bounces; 0: every edge counts
-  std::string consumer = "rtdata";          ///< as others see who has the line; the kernel keeps 31 bytes of it
+  std::string consumer = "rtdata";          ///< the user's name as the kernel shows it, up to 31 bytes
 
   friend constexpr auto parameters(type_tag<GpioInput>) {
     using namespace std::chrono_literals;
@@ -108,7 +109,7 @@ struct GpioInput {
         parameter("bias", &GpioInput::bias, "the resistor in the chip"),
         parameter("active_low", &GpioInput::active_low, "the line is active when it is low"),
         parameter("edges", &GpioInput::edges, "which of them count: a rising one makes the line active"),
-        parameter("debounce", &GpioInput::debounce, "a level that lasts for less is none; 0: every edge counts",
+        parameter("debounce", &GpioInput::debounce, "a shorter level is ignored; 0: every edge counts",
                   range(Duration{0}, Duration{10s})));
   }
 };
@@ -119,34 +120,34 @@ struct GpioOutput {
   std::string chip = {};
   GpioDrive drive = GpioDrive::push_pull;
   bool active_low = false;
-  bool initial = false;           ///< what it is set to when it is taken, in the same step
-  bool keep = false;              ///< it is taken with the level that it has, not with `initial`
-  std::optional<bool> safe = {};  ///< what it is set to at the end; none: it is left as it is
+  bool initial = false;           ///< its level from the moment it is requested
+  bool keep = false;              ///< keep the present level instead of `initial`
+  std::optional<bool> safe = {};  ///< its level at the end; empty: unchanged
   std::string consumer = "rtdata";
 };
 
-// What carries the lines: the kernel's chips, the fake of tests (fake_gpio.hpp), or something of your own.
+// The backend of the lines: the kernel's chips, the fake for tests (fake_gpio.hpp), or your own.
 
 struct GpioLineInfo {
   std::string name = {};      ///< empty: it has none
-  std::string consumer = {};  ///< who has it, as far as that is said
+  std::string consumer = {};  ///< who has the line, if known
   bool is_used = false;
 };
 struct GpioChipInfo {
   std::string path = {};  ///< "/dev/gpiochip0"
   std::string label = {};
   std::vector<GpioLineInfo> lines = {};  ///< by their numbers
-  int error_number = 0;                  ///< it cannot be opened: an errno
+  int error_number = 0;                  ///< errno, if it cannot be opened
 };
 
-/// An edge as the carrier gives it.
+/// An edge as the backend gives it.
 struct GpioRawEdge {
   bool is_rising = false;    ///< the line became active
   std::int64_t time = 0;     ///< ns of CLOCK_MONOTONIC
-  std::uint32_t number = 0;  ///< of the line's edges since it was taken, from 1, past the last number from 0 again
+  std::uint32_t number = 0;  ///< counts the line's edges from 1; after the maximum comes 0
 };
 
-/// A line that is taken; given back by the destructor. Thread: one at a time.
+/// A requested line; the destructor releases it. Thread: one at a time.
 class GpioRequest {
  public:
   virtual ~GpioRequest() = default;
@@ -158,7 +159,7 @@ class GpioRequest {
   virtual int descriptor() const noexcept = 0;
   /// Takes the edges that wait, as many as there is room for. Returns their number, or a negative errno.
   virtual int read(std::span<GpioRawEdge> edges) noexcept = 0;
-  /// Whether its chip is still there, since not every kernel wakes up those who wait for edges when it goes. Must not
+  /// Returns true if the chip is still there; not every kernel wakes waiting readers when a chip disappears. Must not
   /// block.
   virtual bool is_there() noexcept = 0;
 };
@@ -170,7 +171,7 @@ class GpioBackend {
   virtual std::size_t kept_edges() const noexcept = 0;
   /// Whether `GpioRawEdge::number` is set.
   virtual bool numbers_edges() const noexcept = 0;
-  /// Whether it does `debounce` itself; if not, the library does it.
+  /// True if the backend does `debounce`; otherwise the library does it.
   virtual bool debounces() const noexcept = 0;
   virtual std::vector<GpioChipInfo> chips() = 0;
   /// Null, with an errno: EBUSY when somebody has the line.
@@ -204,7 +205,7 @@ class GpioLine {
   /// Sets an output to its safe value and gives the line back. Harmless when it is closed.
   void close() noexcept;
   bool is_open() const noexcept { return request_ != nullptr; }
-  /// Whether it is open and its chip is still there. Asks for the chip's file, and leaves the line alone.
+  /// True if it is open and its chip is still there. Checks the chip's file and does not use the line.
   bool is_there() const noexcept { return request_ != nullptr && request_->is_there(); }
   /// "gpiochip0:17 (GPIO17)"
   const std::string& place() const noexcept { return place_; }
@@ -220,18 +221,18 @@ class GpioLine {
 struct GpioEdge {
   bool level = false;        ///< of the line after it
   MonotonicTime time{};      ///< the kernel's
-  std::uint64_t number = 0;  ///< from 1, since the line was taken; those that are known to be lost have numbers too
+  std::uint64_t number = 0;  ///< from 1 since the line was requested; edges known to be lost have numbers too
 };
 
 struct GpioEdgeCounts {
   std::uint64_t edges = 0;      ///< that the callback was given
   std::uint64_t lost = 0;       ///< numbered by the kernel, and dropped before they were read
   std::uint64_t filtered = 0;   ///< bounces, where `debounce` is done here
-  std::uint64_t overflows = 0;  ///< times that the kernel's store was full: without numbers, edges may have been lost
+  std::uint64_t overflows = 0;  ///< how often the kernel's buffer was full: without numbers, edges may be lost
 };
 
-/// The edges of a line, each a call on the loop. When the chip goes away `on_error` is called, and there are no more;
-/// make another when it is back.
+/// Calls back on the loop for each edge of a line. When the chip goes away, it calls `on_error` and stops; make a new
+/// object when the chip is back.
 class GpioEdges : public Handle {
  public:
   GpioEdges() noexcept = default;
@@ -243,14 +244,14 @@ class GpioEdges : public Handle {
 
   /// The level of the line, now.
   Result<bool> read() const;
-  /// Calls back for what waits now instead of in the next turn.
+  /// Calls back for waiting edges now, not in the next turn.
   void take_waiting();
   GpioEdgeCounts counts() const noexcept;
   /// Whether the edges have numbers: without them `lost` is not known, and 0.
   bool lost_is_known() const noexcept;
-  /// Why there are no edges any more.
+  /// The error that stopped it.
   std::optional<Error> failure() const;
-  /// Told once, of the end, and of edges that were lost or may be. Without a handler: the loop's.
+  /// Called once at the end, and when edges are or may be lost. Default: the loop's handler.
   void on_error(Callback<void(const ErrorReport&)> handler);
 };
 

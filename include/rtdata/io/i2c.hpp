@@ -6,10 +6,10 @@
 ///
 /// All transfers block the thread that calls them: a program that has a loop gives the bus to sensors (DriverSensor,
 /// driver.hpp), which use it on its lane. `write_read` is one transfer, with a repeated start and without a stop
-/// between; where the adapter knows SMBus only, the transfers that SMBus has are made of its commands.
+/// between; on an adapter with SMBus only, the library uses the SMBus commands, where there is one for the transfer.
 ///
-/// Addresses have 7 bits, as on Linux: 0x08 to 0x77. Data sheets that give 8 bits (0xec to write, 0xed to read) mean
-/// the half of it.
+/// Addresses have 7 bits, as on Linux: 0x08 to 0x77. If a data sheet gives 8 bits (0xec to write, 0xed to read), divide
+/// by two.
 ///
 /// Errors: disconnected (no chip acknowledges), timed-out (the adapter waited in vain: a line is held), busy (a driver
 /// of the kernel has the chip; or arbitration was lost), not-found, not-permitted (of the adapter), bad-argument (a
@@ -33,8 +33,8 @@
 
 namespace rtdata {
 
-/// What carries the transfers: the kernel's adapter, the fake of tests (fake_i2c.hpp), or one of your own.
-/// Thread: that of the bus's lane; after a job was given up, another one while the first still hangs in a call.
+/// The transport: the kernel's adapter, the fake for tests (fake_i2c.hpp), or your own. Thread: the bus's lane; after a
+/// job was given up, a second thread may call it while the first still hangs in a call.
 class I2cTransport {
  public:
   virtual ~I2cTransport() = default;
@@ -46,9 +46,9 @@ class I2cTransport {
 };
 
 struct I2cConfig {
-  std::string device = {};  ///< the adapter, "/dev/i2c-1"
-  unsigned retries = 0;     ///< of a transfer that failed; not where reading twice loses data, as of FIFOs
-  Duration timeout = std::chrono::seconds{1};  ///< what a sensor does on the bus at a time; longer, it is given up
+  std::string device = {};                     ///< the adapter, "/dev/i2c-1"
+  unsigned retries = 0;                        ///< of failed transfers; 0 if a repeated read loses data, as with FIFOs
+  Duration timeout = std::chrono::seconds{1};  ///< limit of each job of a sensor on the bus
 
   friend constexpr auto parameters(type_tag<I2cConfig>) {
     using namespace std::chrono_literals;
@@ -88,7 +88,7 @@ class I2cDevice : public BusDevice {
   /// Registers of 16 bits, the high byte first.
   Result<std::uint16_t> read_word(std::uint8_t number);
   Result<void> write_word(std::uint8_t number, std::uint16_t value);
-  /// Whether the chip can be used: not by a driver of the kernel, for one.
+  /// Checks that the chip can be used, for example that no kernel driver has it.
   Result<void> look_at();
 
   /// An error of this chip, for drivers: "cannot read the BMP280: bus i2c1, 0x76: ...".
@@ -107,13 +107,14 @@ class I2cDevice : public BusDevice {
 class I2cBus : public RegisterBus {
  public:
   static constexpr std::string_view type = "i2c";
-  /// Named as its device. The adapter is opened by the first transfer, and again after it was gone.
+  /// Its name is its device. The first transfer opens the adapter; after the adapter was gone, the next one opens it
+  /// again.
   explicit I2cBus(I2cConfig config);
   I2cBus(std::string name, I2cConfig config);
   /// With another transport; `device` is not used.
   I2cBus(std::string name, std::shared_ptr<I2cTransport> transport, I2cConfig config = {});
 
-  /// SetupError (bad-argument): no address of 7 bits.
+  /// SetupError (bad-argument): not an address of 7 bits.
   I2cDevice device(const I2cDevice::Place& place) const;
   static std::string text_of(const I2cDevice::Place& place) { return "address " + to_string(place.address); }
   /// Any thread.

@@ -11,11 +11,11 @@
 ///           capture.layout().decode(&scans[at], values);
 ///     });
 ///
-/// Everything is in SI units: the kernel's are not all (voltage mV, temperature m°C, pressure kPa, magnetic field Gs,
-/// ...; Documentation/ABI/testing/sysfs-bus-iio), and `conversion` and `decode` have the factor in them.
+/// Everything is in SI units. Some of the kernel's units are not (voltage mV, temperature m°C, pressure kPa, magnetic
+/// field Gs, ...; Documentation/ABI/testing/sysfs-bus-iio); `conversion` and `decode` include the factor.
 ///
 /// A channel's name is that of its files without "in_" and "_raw" or "_input": "voltage0", "voltage0-voltage1",
-/// "accel_x", "temp", "humidityrelative". What a name measures, and so its unit, is known without the device.
+/// "accel_x", "temp", "humidityrelative". The quantity and unit follow from the name, without the device.
 ///
 /// Values, but for IioCapture, which is move-only. Thread: any, one at a time. Calls that touch files below /sys block
 /// for as long as the driver needs to ask its chip: they belong on a lane. `IioCapture::read` never blocks.
@@ -39,7 +39,7 @@ namespace rtdata {
 struct IioStorage {
   bool is_big_endian = false;
   bool is_signed = false;
-  unsigned bits = 0;          ///< that count
+  unsigned bits = 0;          ///< significant bits
   unsigned storage_bits = 0;  ///< 8, 16, 32 or 64: of one element
   unsigned repeat = 1;        ///< elements: 4 of a quaternion
   unsigned shift = 0;         ///< to the right, before the bits are taken
@@ -57,10 +57,10 @@ struct IioQuantity {
   double factor = 1;         ///< from the kernel's unit to this one
   std::string_view kernels;  ///< the kernel's unit, for people
 };
-/// The quantity of a channel: of "accel_x", that of "accel". Null: the kernel has no type of this name, or what follows
-/// is no index or modifier.
+/// The quantity of a channel: for "accel_x" the one of "accel". Null: the kernel has no such type, or the rest of the
+/// name is not an index or modifier.
 const IioQuantity* iio_quantity(std::string_view channel) noexcept;
-/// All that there are, sorted.
+/// All quantities, sorted.
 std::span<const IioQuantity> iio_quantities() noexcept;
 /// Values of a channel: 4 of "rot_quaternion", else 1.
 std::size_t iio_values(std::string_view channel) noexcept;
@@ -70,8 +70,8 @@ struct IioChannel {
   std::string name;
   std::string unit;                        ///< UCUM
   std::string label = {};                  ///< the driver's or device tree's name for it
-  bool is_processed = false;               ///< its file has the finished value ("_input"), no code
-  bool is_readable = false;                ///< by a file; some are in the buffer only
+  bool is_processed = false;               ///< its file has the converted value ("_input"), not a code
+  bool is_readable = false;                ///< it has a file; some channels are in the buffer only
   int index = -1;                          ///< in scans; -1: it is in none
   std::optional<IioStorage> storage = {};  ///< in scans
 };
@@ -115,15 +115,14 @@ class IioDevice {
   /// The path of the file of a channel's value.
   std::string file_of(const IioChannel& channel) const;
 
-  /// To SI units; of a channel whose file has the finished value, what that needs.
+  /// The conversion to SI units, of codes or, if the channel's file has the converted value, of that value.
   Result<IioConversion> conversion(const IioChannel& channel) const;
-  /// The same of the codes in scans, which are never finished values.
+  /// The same for scans, which always hold codes.
   Result<IioConversion> scan_conversion(const IioChannel& channel) const;
   /// One value, in the channel's unit. Errors: as `attribute`, and not-a-number. Blocks while the chip is asked.
   Result<double> read(const IioChannel& channel) const;
 
-  /// Which program has its buffer, as far as that may be seen: "process 1234 (iio_readdev)"; empty: not known. Reads
-  /// all of /proc.
+  /// The program that has its buffer, if visible: "process 1234 (iio_readdev)"; empty: unknown. Reads all of /proc.
   std::string holder() const;
 
  private:
@@ -144,8 +143,8 @@ class IioLayout {
     int index = 0;  ///< in the scan
     IioStorage storage = {};
     IioConversion conversion = {};
-    std::size_t position = 0;   ///< of its first value in what `decode` writes
-    bool is_timestamp = false;  ///< then the two above mean nothing
+    std::size_t position = 0;   ///< index of its first value in the output of `decode`
+    bool is_timestamp = false;  ///< the two above are unused then
   };
   /// The layout of a scan of these channels, in any order. Errors: bad-data (an index twice, a size that is no power of
   /// two, for which kernels differ; a time that is not one number of 64 bits).
@@ -168,7 +167,7 @@ class IioLayout {
   }
 
  private:
-  /// Values of one kind that lie one behind the other, in the scan and in what `decode` writes.
+  /// Consecutive values of one kind, in the scan and in the output of `decode`.
   struct Run {
     std::size_t at = 0;
     IioStorage storage;  ///< of each
@@ -187,13 +186,13 @@ class IioLayout {
 
 struct IioCaptureConfig {
   std::vector<std::string> channels = {};  ///< in the order in which `decode` writes them
-  std::string trigger = {};                ///< its name; empty: the device's own, or the one that it has
-  Rate rate = {};                          ///< set in the trigger or the device; none: as it is
+  std::string trigger = {};                ///< its name; empty: the device's own, or the present one
+  Rate rate = {};                          ///< set in the trigger or the device; none: unchanged
   std::size_t length = 512;                ///< scans that the kernel's buffer holds
   std::size_t watermark = 1;               ///< scans that have to be there before the descriptor is readable
 };
 
-/// A device whose buffer is on. One program at a time can have it; it is off, and given back, when this is destroyed.
+/// A device with its buffer enabled. Only one program can have it. The destructor disables and releases it.
 class IioCapture {
  public:
   /// Blocks while the driver talks to its chip. Errors: busy (another program has it), not-found (no buffer, no such
@@ -211,11 +210,12 @@ class IioCapture {
   double frequency() const noexcept { return frequency_; }
   /// The clock of the timestamps: "monotonic", or another, "realtime" with kernels before 4.8.
   const std::string& clock() const noexcept { return clock_; }
-  /// What was unusual: that the buffer was on and nobody had it.
+  /// Unusual conditions: the buffer was enabled although no program had it.
   const std::vector<std::string>& notes() const noexcept { return notes_; }
   /// Blocks as opening does.
   void close() noexcept;
-  /// Leaves the buffer on and the driver alone, which hangs. Does not block; whoever opens it next takes it over.
+  /// Leaves the buffer enabled, because the driver hangs. Does not block; the next program that opens the device takes
+  /// the buffer over.
   void abandon() noexcept;
 
  private:

@@ -5,19 +5,19 @@
 ///     std::array<std::uint16_t, 2> words{};
 ///     meter.read_registers(ModbusTable::input, 0, words).or_throw();
 ///
-/// All calls block the thread that makes them, for at most `answer_timeout` each; over RTU the next call to a unit
-/// whose answer did not come, or was none, waits as `SerialDevice::transact` does (serial.hpp). A program that has a
-/// loop gives the bus to sensors (ModbusSensor, sensors/modbus.hpp), which use it on its lane. Units on one line share
-/// it: one request at a time, with the silence between two that RTU wants.
+/// All calls block the thread that makes them, for at most `answer_timeout` each; over RTU, after a missing or invalid
+/// answer, the next call to the unit waits as `SerialDevice::transact` does (serial.hpp). A program that has a loop
+/// gives the bus to sensors (ModbusSensor, sensors/modbus.hpp), which use it on its lane. Units on one line share it:
+/// one request at a time, with the silence between two requests that RTU needs.
 ///
-/// Addresses are those of the protocol, from 0: what documents call register 40001 is holding register 0, 30001 input
+/// Addresses are those of the protocol and start at 0: register 40001 in a manual is holding register 0, 30001 is input
 /// register 0.
 ///
 /// The line or connection is opened by the first call, and again after it was lost. A serial line is this program's
 /// alone, as of SerialPort (serial.hpp).
 ///
-/// Errors: timed-out (no answer, not all of it, or an earlier one may still come), bad-data (a wrong checksum, an
-/// answer to something else, what was asked itself), bad-argument (the device's exceptions 1 to 3: it has no such
+/// Errors: timed-out (no answer, an incomplete one, or an earlier answer may still come), bad-data (a wrong checksum,
+/// an answer to another request, an echo of the request), bad-argument (the device's exceptions 1 to 3: it has no such
 /// function, address or number), busy, io-failed (its other exceptions), disconnected (the line was unplugged, the
 /// server refuses or has closed), closed (of a job that was given up); and those of opening a serial line.
 ///
@@ -51,9 +51,9 @@ struct ModbusConfig {
   SerialSettings serial = {};
   std::string host = {};      ///< TCP: a name or an address; empty: RTU
   std::uint16_t port = 502;   ///< TCP
-  Duration connect_delay{0};  ///< TCP: between connecting and the first request, which some servers swallow
-  Duration answer_timeout = std::chrono::milliseconds{500};  ///< a device that has not answered by then is silent
-  Duration timeout = std::chrono::seconds{5};  ///< what a sensor does on the bus at a time; longer, it is given up
+  Duration connect_delay{0};  ///< TCP: wait before the first request; some servers ignore an early one
+  Duration answer_timeout = std::chrono::milliseconds{500};  ///< longest wait for an answer
+  Duration timeout = std::chrono::seconds{5};                ///< limit of each job of a sensor on the bus
 
   friend constexpr auto parameters(type_tag<ModbusConfig>) {
     using namespace std::chrono_literals;
@@ -97,7 +97,7 @@ class ModbusDevice : public BusDevice {
   Result<void> write_registers(std::uint16_t first, std::span<const std::uint16_t> words);
   /// Function 5.
   Result<void> write_coil(std::uint16_t address, std::uint8_t bit);
-  /// Whether the line or the server is there.
+  /// Checks that the line or the server is available.
   Result<void> look_at();
 
   /// An error of this device, for drivers: "cannot read the meter: bus rs485, unit 3: ...".
@@ -121,18 +121,18 @@ class ModbusDevice : public BusDevice {
 class ModbusBus : public Bus {
  public:
   static constexpr std::string_view type = "modbus";
-  /// Named as its device or host. SetupError (bad-argument): settings that there are not, none or both of device and
+  /// Its name is its device or host. SetupError (bad-argument): invalid settings, or not exactly one of device and
   /// host.
   explicit ModbusBus(ModbusConfig config);
   ModbusBus(std::string name, ModbusConfig config);
   /// RTU over another transport, such as a FakeSerial; `device`, `serial` and `host` are not used.
   ModbusBus(std::string name, std::shared_ptr<SerialTransport> line, ModbusConfig config);
 
-  /// SetupError (bad-argument): no unit of 1 to 247.
+  /// SetupError (bad-argument): the unit is not 1 to 247.
   ModbusDevice device(const ModbusDevice::Place& place) const;
-  /// None: several sensors may read one device.
+  /// Always empty: several sensors may read one device.
   static std::string text_of(const ModbusDevice::Place&) { return {}; }
-  /// What the unit has cost the bus. Any thread.
+  /// The transfer counts of the unit. Any thread.
   TransferCounts counts(unsigned unit) const { return counts_of("unit " + std::to_string(unit)); }
 
  private:

@@ -31,7 +31,7 @@ namespace rtdata {
 
 /// An address of 7 bits. In configurations 118 or "0x76".
 struct I2cAddress {
-  static constexpr unsigned first = 0x08;  ///< those below, and above the last, are reserved
+  static constexpr unsigned first = 0x08;  ///< lower ones, and those above `last`, are reserved
   static constexpr unsigned last = 0x77;
   unsigned number = 0;
   constexpr I2cAddress() = default;
@@ -40,7 +40,7 @@ struct I2cAddress {
 };
 /// "0x76"
 std::string to_string(I2cAddress address);
-/// Why it is none, and what is meant when it has 8 bits; empty: it is one.
+/// Why the address is invalid; suggests the right one if it has 8 bits. Empty: it is valid.
 std::string mistake_in(I2cAddress address);
 
 template <>
@@ -75,8 +75,8 @@ struct RegisterAddressing {
   std::uint8_t i2c_burst_bit = 0;    ///< on I2C, when several registers are read
   std::uint8_t spi_read_bit = 0x80;  ///< cleared when a register is written
   std::uint8_t spi_burst_bit = 0;    ///< when several registers are read
-  std::size_t spi_dummy_bytes = 0;   ///< that come before what is read, to 3
-  std::string_view without_spi{};    ///< the chip that has no SPI; empty: it has it
+  std::size_t spi_dummy_bytes = 0;   ///< extra bytes before the data, up to 3
+  std::string_view without_spi{};    ///< name of a chip without SPI; empty: it has SPI
 };
 
 namespace detail {
@@ -108,7 +108,7 @@ class RegisterDevice : public BusDevice {
   Result<void> write_register(std::uint8_t number, std::uint8_t value);
   /// A command: the byte alone, as it is.
   Result<void> command(std::uint8_t code) { return wires_->write_read({&code, 1}, {}); }
-  /// Whether the chip can be used: not by a driver of the kernel, for one.
+  /// Checks that the chip can be used, for example that no kernel driver has it.
   Result<void> look_at() { return wires_->look_at(); }
 
   /// An error of this chip, for drivers: "cannot read the BMP280: bus i2c1, 0x76: ...".
@@ -119,7 +119,7 @@ class RegisterDevice : public BusDevice {
  private:
   friend class I2cBus;
   friend class SpiBus;
-  /// `base`: the device of the bus, whose counts and whose being given up are this one's too.
+  /// `base`: the device of the bus; this object shares its counts and its abandoned flag.
   RegisterDevice(const BusDevice& base, std::shared_ptr<detail::RegisterWires> wires, bool is_on_spi)
       : BusDevice(base), wires_(std::move(wires)), is_on_spi_(is_on_spi) {}
   std::shared_ptr<detail::RegisterWires> wires_;
@@ -127,7 +127,7 @@ class RegisterDevice : public BusDevice {
   bool is_on_spi_;
 };
 
-/// What I2cBus and SpiBus are to such drivers.
+/// The common base of I2cBus and SpiBus for such drivers.
 class RegisterBus : public Bus {
  public:
   static constexpr std::array<std::string_view, 2> types{"i2c", "spi"};
@@ -139,7 +139,7 @@ class RegisterBus : public Bus {
     return place.chip_select ? "chip select " + std::to_string(*place.chip_select)
                              : "address " + to_string(place.address);
   }
-  /// Which of the types of buses has such places, and what to do on the other.
+  /// The type of bus for this place, and the advice for the other type.
   static std::string_view type_of(const RegisterPlace& place) { return types[place.chip_select ? 1 : 0]; }
   static std::string_view advice_on_other(const RegisterPlace& place) {
     return place.chip_select ? "on I2C, give the chip's `address` and no `chip_select`"

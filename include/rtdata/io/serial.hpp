@@ -1,5 +1,5 @@
-/// SerialPort, SerialDevice: bytes over a serial line of the kernel (/dev/serial/by-id/..., /dev/ttyS0), or over
-/// whatever stands in for one: devices that answer requests.
+/// SerialPort, SerialDevice: devices that answer requests on a serial line of the kernel (/dev/serial/by-id/...,
+/// /dev/ttyS0) or on another transport.
 ///
 ///     rtdata::SerialPort port({.device = "/dev/ttyUSB0", .serial = {.baud_rate = 115200}});
 ///     rtdata::SerialDevice meter = port.device();
@@ -15,10 +15,10 @@
 ///   /dev/serial/by-id/... finds an adapter wherever it is plugged in.
 /// - Several devices on one line (RS-485) share the port and its lane: one request at a time.
 ///
-/// Errors: timed-out (no answer, or not all of it; an earlier one may still come for longer than a reading may take),
-/// disconnected (the adapter was unplugged), does-not-fit (no delimiter within the most bytes), closed (of a job that
-/// was given up), and of opening: not-found, not-permitted, busy (who has it is named), bad-argument (no serial line),
-/// out-of-range (it cannot do these settings).
+/// Errors: timed-out (no answer, or an incomplete one; an earlier answer may still come for longer than a reading may
+/// take), disconnected (the adapter was unplugged), does-not-fit (no delimiter within the most bytes), closed (of a job
+/// that was given up), and of opening: not-found, not-permitted, busy (the error names the other program), bad-argument
+/// (not a serial line), out-of-range (the line does not support these settings).
 ///
 /// Thread: SerialPort: any. SerialDevice: one at a time.
 #pragma once
@@ -63,24 +63,24 @@ struct SerialSettings {
   }
 };
 
-/// What carries the bytes: the kernel's serial line, the fake of tests (fake_serial.hpp), or one of your own.
-/// Thread: that of the bus's lane; after a job was given up, another one while the first still hangs in a call.
+/// The transport: the kernel's serial line, the fake for tests (fake_serial.hpp), or your own. Thread: the bus's lane;
+/// after a job was given up, a second thread may call it while the first still hangs in a call.
 class SerialTransport {
  public:
   virtual ~SerialTransport() = default;
   /// Opens it, when it is not open.
   virtual Result<void> open() = 0;
-  /// All of them; opens it when it is not open.
+  /// Writes all bytes; opens the line if it is not open.
   virtual Result<void> write(std::span<const std::uint8_t> bytes, Duration timeout) = 0;
-  /// As soon as there are some; 0: none came in time.
+  /// Returns as soon as there are some bytes; 0: none came in time.
   virtual Result<std::size_t> read(std::span<std::uint8_t> bytes, Duration timeout) = 0;
 };
 
 struct SerialPortConfig {
   std::string device = {};  ///< "/dev/serial/by-id/...", "/dev/ttyUSB0"
   SerialSettings serial = {};
-  Duration answer_timeout = std::chrono::milliseconds{500};  ///< a device that has not answered by then is silent
-  Duration timeout = std::chrono::seconds{5};  ///< what a sensor does on the port at a time; longer, it is given up
+  Duration answer_timeout = std::chrono::milliseconds{500};  ///< longest wait for an answer
+  Duration timeout = std::chrono::seconds{5};                ///< limit of each job of a sensor on the port
 
   friend constexpr auto parameters(type_tag<SerialPortConfig>) {
     using namespace std::chrono_literals;
@@ -102,7 +102,7 @@ class SerialPort;
 class SerialDevice : public BusDevice {
  public:
   using Bus = SerialPort;
-  /// Nothing tells devices apart but what is said to them: any number of sensors may be on a port.
+  /// Always empty: any number of sensors may use a port; only their requests distinguish the devices.
   struct Place {
     friend constexpr auto parameters(type_tag<Place>) { return parameter_list(); }
   };
@@ -110,27 +110,27 @@ class SerialDevice : public BusDevice {
   Result<void> write(std::span<const std::uint8_t> bytes);
   Result<void> write(std::string_view text);
   Result<void> write(std::uint8_t byte) { return write(std::span<const std::uint8_t>(&byte, 1)); }
-  /// All of them; `timeout` counts from the call. Unset: the port's `answer_timeout`.
+  /// Reads all bytes; `timeout` counts from the call. Unset: the port's `answer_timeout`.
   Result<void> read(std::span<std::uint8_t> bytes, std::optional<Duration> timeout = {});
   Result<std::uint8_t> read_byte(std::optional<Duration> timeout = {});
-  /// What comes before `delimiter`, which is taken too. What comes after it is kept for the next read.
+  /// Reads up to `delimiter` and removes it. Later bytes are kept for the next read.
   Result<std::string> read_until(char delimiter, std::optional<Duration> timeout = {}, std::size_t most = 4096);
-  /// Reads what has come, or waits for what comes first: at least one byte, as many as fit.
+  /// Reads the bytes received so far, or waits for the first: at least one byte, as many as fit.
   Result<std::size_t> read_some(std::span<std::uint8_t> bytes, std::optional<Duration> timeout = {});
-  /// Drops what came unasked or too late, sends the request, and reads all of the answer. After an answer that did not
-  /// come, or that was distrusted, it first waits until that can no longer come: for as long again as `answer_timeout`,
-  /// at least a second, or as late as answers have come; and after any, until the line has been still for 20 ms.
+  /// Drops bytes that came without a request or too late, sends the request, and reads the whole answer. After a
+  /// missing or distrusted answer it first waits until a late answer can no longer come: another `answer_timeout`, at
+  /// least a second, or the longest delay seen so far; and then until the line has been silent for 20 ms.
   Result<void> transact(std::span<const std::uint8_t> request, std::span<std::uint8_t> answer,
                         std::optional<Duration> timeout = {});
-  /// The same with an answer that ends with a delimiter.
+  /// The same for an answer that ends with a delimiter.
   Result<std::string> transact(std::string_view request, char delimiter, std::optional<Duration> timeout = {},
                                std::size_t most = 4096);
-  /// Drops what has come and was not read, and waits as `transact` does: for a request that is written by hand.
+  /// Drops unread bytes and waits as `transact` does, before a request sent with `write`.
   Result<void> drop_input();
-  /// What came last makes no sense: the right answer may still come, and is not to be taken for the next one's. Done
-  /// for a driver whose reading is unreadable (driver.hpp).
+  /// Marks the last answer as wrong: the right answer may still come and must not be taken as the answer to the next
+  /// request. Called for a driver after an unreadable reading (driver.hpp).
   void distrust();
-  /// Whether the port can be opened.
+  /// Checks that the port can be opened.
   Result<void> look_at();
 
   Duration answer_timeout() const noexcept;
@@ -143,16 +143,16 @@ class SerialDevice : public BusDevice {
   SerialDevice(std::shared_ptr<Core> core, std::shared_ptr<TransferCounter> counter)
       : BusDevice(std::move(counter)), core_(std::move(core)) {}
   Result<void> check_wanted() const;
-  /// Adds what has come to `pending_`; false: nothing came by then.
+  /// Adds received bytes to `pending_`; false: none came in time.
   Result<bool> receive(MonotonicTime until);
   std::shared_ptr<Core> core_;
-  std::string pending_;  // came with what was read, and is not asked for yet
+  std::string pending_;  // received, but not read yet
 };
 
 class SerialPort : public Bus {
  public:
   static constexpr std::string_view type = "serial";
-  /// Named as its device. SetupError (bad-argument): settings that there are not.
+  /// Its name is its device. SetupError (bad-argument): invalid settings.
   explicit SerialPort(SerialPortConfig config);
   SerialPort(std::string name, SerialPortConfig config);
   /// With another transport; `device` and `serial` are not used.

@@ -1,5 +1,5 @@
-/// SpiBus, SpiDevice: chips on an SPI controller of the kernel (/dev/spidev0.0, /dev/spidev0.1), or on whatever stands
-/// in for one.
+/// SpiBus, SpiDevice: chips on an SPI controller of the kernel (/dev/spidev0.0, /dev/spidev0.1) or on another
+/// transport.
 ///
 ///     rtdata::SpiBus bus({.device = "/dev/spidev0"});  // the controller; a chip is one of its chip selects
 ///     rtdata::SpiDevice chip = bus.device({.chip_select = 1, .mode = 0, .clock = 1'000'000});
@@ -7,7 +7,7 @@
 ///     std::array<std::uint8_t, 3> answer{};
 ///     chip.transfer(ask, answer).or_throw();
 ///
-/// SPI has no acknowledgement: a chip that is not there reads as ones or zeros, which its driver has to notice.
+/// SPI has no acknowledgement: without a chip all bits read as ones or zeros, which the driver must detect.
 ///
 /// All transfers block the thread that calls them: a program that has a loop gives the bus to sensors (DriverSensor,
 /// driver.hpp), which use it on its lane.
@@ -49,14 +49,14 @@ struct SpiPlace {
 /// A piece of a transfer during which the chip stays selected.
 struct SpiSegment {
   std::span<const std::uint8_t> write = {};  ///< empty: zeros are sent
-  std::span<std::uint8_t> read = {};         ///< empty: what comes is dropped; else as long as what is written
+  std::span<std::uint8_t> read = {};         ///< empty: received bytes are dropped; otherwise as long as `write`
   Duration delay_after{0};                   ///< the chip's, before the next piece; to 65 ms
   bool release_after = false;                ///< the chip select goes up before the next piece
 };
 
-/// What carries the transfers: the kernel's controller, the fake of tests (fake_spi.hpp), or one of your own.
-/// Thread: that of the bus's lane; after a job was given up, another one while the first still hangs in a call; of a
-/// bus that `reads_on_loop`, those of all its sensors' loops at once.
+/// The transport: the kernel's controller, the fake for tests (fake_spi.hpp), or your own. Thread: the bus's lane;
+/// after a job was given up, a second thread may call it while the first still hangs in a call; with `reads_on_loop`,
+/// the loops of all its sensors at once.
 class SpiTransport {
  public:
   virtual ~SpiTransport() = default;
@@ -66,9 +66,9 @@ class SpiTransport {
 
 struct SpiConfig {
   std::string device = {};                     ///< of the controller, without the chip select: "/dev/spidev0"
-  Duration timeout = std::chrono::seconds{1};  ///< what a sensor does on the bus at a time; longer, it is given up
-  /// Sensors read on their own loop, which waits for the transfer: for short ones, where handing them to the lane and
-  /// back would take longer. A controller that hangs holds the loop then, whatever `timeout` says.
+  Duration timeout = std::chrono::seconds{1};  ///< limit of each job of a sensor on the bus
+  /// Sensors read on their own loop, which waits for the transfer. For short transfers this is faster than a job on the
+  /// lane. A controller that hangs then holds the loop, without regard to `timeout`.
   bool reads_on_loop = false;
 
   friend constexpr auto parameters(type_tag<SpiConfig>) {
@@ -100,9 +100,9 @@ class SpiDevice : public BusDevice {
   Result<void> transfer(std::span<const std::uint8_t> write, std::span<std::uint8_t> read);
   Result<void> write(std::span<const std::uint8_t> bytes) { return transfer(bytes, {}); }
   Result<void> read(std::span<std::uint8_t> bytes) { return transfer({}, bytes); }
-  /// Sends, then receives, the chip selected all the time.
+  /// Sends, then receives, with the chip selected all the time.
   Result<void> write_read(std::span<const std::uint8_t> write, std::span<std::uint8_t> read);
-  /// One after the other, as one message.
+  /// Transfers the segments one after the other, as one message.
   Result<void> transfer(std::span<const SpiSegment> segments);
 
   /// An error of this chip, for drivers: "cannot read the MCP3208: bus spi0, chip select 1: ...".
@@ -120,16 +120,17 @@ class SpiDevice : public BusDevice {
 class SpiBus : public RegisterBus {
  public:
   static constexpr std::string_view type = "spi";
-  /// Named as its device. A chip select is opened by the first transfer, and again after the controller was gone.
+  /// Its name is its device. The first transfer opens a chip select; after the controller was gone, the next one opens
+  /// it again.
   explicit SpiBus(SpiConfig config);
   SpiBus(std::string name, SpiConfig config);
   /// With another transport; `device` is not used.
   SpiBus(std::string name, std::shared_ptr<SpiTransport> transport, SpiConfig config = {});
 
-  /// SetupError (bad-argument): a mode, or a number of bits, that there is not.
+  /// SetupError (bad-argument): an invalid mode or number of bits.
   SpiDevice device(const SpiPlace& place) const;
   static std::string text_of(const SpiPlace& place) { return "chip select " + std::to_string(place.chip_select); }
-  /// What the chip has cost the bus. Any thread.
+  /// The transfer counts of the chip. Any thread.
   TransferCounts counts(unsigned chip_select) const { return counts_of(text_of({.chip_select = chip_select})); }
   /// Sensors read on their loop, not on the bus's lane.
   bool reads_on_loop() const noexcept override;

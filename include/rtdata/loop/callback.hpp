@@ -55,7 +55,7 @@ class Callback<R(Args...)> {
   Callback(Callback&& other) noexcept { take(other); }
   Callback& operator=(Callback&& other) noexcept {
     if (this != &other) {
-      const Callback old(std::move(*this));  // goes last: its captures' destructors may use this object
+      const Callback old(std::move(*this));  // destroyed last: the destructors of its captures may use this object
       take(other);
     }
     return *this;
@@ -107,21 +107,20 @@ class Callback<R(Args...)> {
   alignas(void*) std::byte storage_[capacity];
 };
 
-/// How long the callbacks of one object took. Handlers of nanoseconds are timed in groups: each group counts once.
+/// How long the callbacks of one object took. Very short handlers are timed in groups: each group counts once.
 struct CallbackTimes {
   std::uint64_t count = 0;
   Duration total{0};
   Duration max{0};
   std::uint32_t held = 0;  ///< of these, how many held the loop longer than its limit
-  /// 99 of 100 took no longer: an estimate, to some 15 %, that follows what changes within some thousand calls.
+  /// 99 of 100 calls took no longer: an estimate within about 15 %, which follows changes within some thousand calls.
   Duration p99() const noexcept { return Duration{static_cast<Duration::rep>(p99_)}; }
 
   void add(Duration took) noexcept {
     ++count;
     total += took;
     if (took > max) max = took;
-    // Goes up by an eighth for one that is longer, and down by so little for one that is not that 99 of them even it
-    // out.
+    // Rises by an eighth after a longer call, and falls by so little after a shorter one that 99 of them cancel it.
     const auto ns = static_cast<float>(took.count());
     if (ns > p99_) {
       const float raised = p99_ * 1.125F + 1;

@@ -1,4 +1,4 @@
-/// Clock: where a runtime gets its time from. The machine's, or one that a test injects.
+/// Clock: the time source of a runtime: the machine's, or one that a test injects.
 ///
 ///     SteppedClock clock;                       // derived from rtdata::SystemClock, with a realtime() of its own
 ///     rtdata::Runtime runtime({.clock = &clock});
@@ -22,14 +22,14 @@ class VirtualThreads;
 class Clock {
  public:
   virtual ~Clock() = default;
-  /// The line on which sampling is scheduled. Never goes back. A clock injected into a loop that runs in real time must
-  /// return CLOCK_MONOTONIC here, since the kernel's timers count on it.
+  /// The monotonic clock, on which sampling is scheduled. Never goes back. A clock injected into a loop that runs in
+  /// real time must return CLOCK_MONOTONIC here, since the kernel's timers count on it.
   virtual MonotonicTime monotonic() noexcept = 0;
   /// The time of day. May jump in either direction.
   virtual Time realtime() noexcept = 0;
   /// Changes whenever `monotonic` begins anew: the machine's boot id.
   virtual std::string boot_id() = 0;
-  /// How far `realtime` may be from UTC; none: not known, since no service synchronises the clock.
+  /// The largest difference of `realtime` from UTC; empty: unknown, because no service synchronises the clock.
   virtual std::optional<Duration> accuracy() noexcept { return std::nullopt; }
 };
 
@@ -53,13 +53,13 @@ class ManualClock : public Clock {
   std::string boot_id() override;
   std::optional<Duration> accuracy() noexcept override { return accuracy_; }
 
-  /// Lets time pass on both lines, to the end of time at most; nothing when the span is not above 0. Within a callback
-  /// of a manual loop: that callback took this long.
-  /// With tiers: the other loops run meanwhile, so that it may last longer.
+  /// Lets time pass on both clocks, up to the largest time at most; does nothing if the duration is not positive.
+  /// Within a callback of a manual loop, the callback takes this long. With tiers, the other loops run meanwhile, so
+  /// the callback may take longer.
   void pass(Duration duration) noexcept;
   /// Sets the time of day, as an operator or NTP would.
   void set_realtime(Time time) noexcept { realtime_ = time; }
-  /// As if a service kept the time of day with this accuracy; none: as if it had stopped.
+  /// Simulates a service that keeps the time of day with this accuracy; empty: no service.
   void set_accuracy(std::optional<Duration> accuracy) noexcept { accuracy_ = accuracy; }
 
  private:
@@ -73,7 +73,7 @@ class ManualClock : public Clock {
   detail::VirtualThreads* threads_ = nullptr;  // of a main loop and its tiers, which share it
 };
 
-/// The time of day at one instant of the monotonic line, by one source.
+/// The time of day at one instant of the monotonic clock, by one source.
 struct ClockPair {
   MonotonicTime monotonic{};
   Time realtime{};

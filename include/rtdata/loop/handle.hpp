@@ -1,4 +1,4 @@
-/// Handle: the rules that every object living on a loop keeps.
+/// Handle: the common rules of all objects on a loop.
 ///
 ///  1. A handle is a move-only value, and owns the object behind it.
 ///  2. After the destructor or `close()` returns, its callback never runs again and the callback's captures are gone;
@@ -13,13 +13,13 @@
 ///     again, it keeps the last one assigned. A callback that runs, polls, advances or closes (`Loop::close`) its loop,
 ///     or makes an object on a loop that is being destroyed, gets SetupError (busy).
 ///
-/// Code on a lane (every call of a sink's Writer) may use `Loop::post` and `Loop::stop` alone: every other verb throws
-/// SetupError (busy). A handle that is closed or destroyed on a lane is closed by its loop in the loop's next turn, and
-/// reported.
+/// Code on a lane (every call of a sink's Writer) may only use `Loop::post` and `Loop::stop`: every other function
+/// throws SetupError (busy). A handle that is closed or destroyed on a lane is closed by its loop in the loop's next
+/// turn, and reported.
 ///
 /// Thread: the loop's, for every member. A handle of a tier may also be closed or destroyed, and a sensor of a tier
-/// used, from the main loop's thread while the tier runs: the call waits until the tier has done it (tier.hpp). A
-/// handle is one object like any other: two threads must not use the same one at a time.
+/// used, from the main loop's thread while the tier runs: the call waits until the tier has done it (tier.hpp). Two
+/// threads must not use the same handle at the same time.
 #pragma once
 
 #include <cstdint>
@@ -37,7 +37,8 @@ namespace detail {
 class LoopCore;
 class Nodes;
 
-/// What lies behind a handle: owned by the handle and, while a callback of it runs, by that call; listed in its loop.
+/// The object behind a handle. Owned by the handle and, while one of its callbacks runs, by that call; listed in its
+/// loop.
 class Node {
  public:
   explicit Node(LoopCore& loop);
@@ -52,7 +53,7 @@ class Node {
   LoopCore* loop() const noexcept { return loop_; }
   /// Closes it and drops the handle's reference. While its tier runs, the tier's thread does so and the caller waits.
   void dispose() noexcept;
-  /// Ends all activity; the captures go now, or when the running callback returns.
+  /// Ends all activity; the captures are destroyed now, or when the running callback returns.
   void close() noexcept;
   /// Fills in the name and times of its callbacks. False when it has none.
   virtual bool report_times(CallbackStatus&) const { return false; }
@@ -106,12 +107,12 @@ class Handle {
   Handle() noexcept = default;
   Handle(Handle&& other) noexcept : node_(std::exchange(other.node_, nullptr)) {}
   Handle& operator=(Handle&& other) noexcept {
-    // Closing the old one runs the user's code, which may use this handle or end its life: it comes last.
+    // Closing the old object runs the user's code, which may use or destroy this handle, so it comes last.
     if (this != &other) const Handle old(std::exchange(node_, std::exchange(other.node_, nullptr)));
     return *this;
   }
   ~Handle() {
-    while (node_ != nullptr) close();  // its callbacks may have assigned another
+    while (node_ != nullptr) close();  // its callbacks may have assigned another object
   }
 
   /// Rule 2. Harmless on a closed handle.

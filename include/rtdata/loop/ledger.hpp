@@ -7,10 +7,10 @@
 ///   topic and sink                       offered = stored + dropped + queued      (from attachment on)
 ///   subscription                         offered = delivered + dropped + cancelled + queued
 ///
-/// One read may bring no sample, one or many. A read that brought nothing usable, an error or data that cannot be
-/// decoded, is failed; any other is taken. `late` is the part of taken that began later than due plus max(1 ms, 10 % of
-/// the period). "Repeated" means that the device itself had nothing new; an equal value is data. `lost` stands beside
-/// the equations: what the source numbered and what never came.
+/// One read may give no sample, one or many. A read with an error, or whose data cannot all be used, is failed; any
+/// other is taken. `late` is the part of taken that began later than due plus max(1 ms, 10 % of the period). "Repeated"
+/// means that the device itself had no new sample; an equal value is data. `lost` is in no equation: samples that the
+/// source numbered but that never arrived.
 ///
 ///     const rtdata::SensorCounts counts = sensor.counts();
 ///     if (counts.missed + counts.failed != 0) std::cout << counts.missed << " ticks missed\n";
@@ -31,25 +31,25 @@ namespace rtdata {
 struct SensorCounts {
   bool has_schedule = false;
   bool lost_is_known = false;  ///< the source numbers its data
-  bool is_one_a_read = true;   ///< each read that was taken brought one sample, new or not, with the time of the read
+  bool is_one_a_read = true;   ///< each read taken gave one sample, new or not, with the time of the read
   // Reads. All 0 without a schedule.
   std::uint64_t scheduled = 0;  ///< ticks of the schedule that have come due
-  std::uint64_t taken = 0;      ///< ticks at which the device was read, and there was nothing new or something usable
-  // Data, as far as reading and publishing touch it.
-  std::uint64_t received = 0;  ///< samples that came, usable or not
+  std::uint64_t taken = 0;      ///< ticks at which the device was read with a usable result or nothing new
+  // Data, as counted by reading and publishing.
+  std::uint64_t received = 0;  ///< samples received, usable or not
   std::uint64_t published = 0;
-  std::uint64_t lateness = 0;  ///< with a schedule: ns from when each of those was due to its time, summed (mod 2^64)
+  std::uint64_t lateness = 0;  ///< with a schedule: sum of the samples' delays after their due times, ns (mod 2^64)
   // Reads.
   std::uint64_t late = 0;    ///< part of taken
-  std::uint64_t missed = 0;  ///< ticks at which nothing was begun (the loop was held, the last read still ran)
-  std::uint64_t failed = 0;  ///< ticks whose read brought nothing usable, or that passed while the device was faulted
+  std::uint64_t missed = 0;  ///< ticks without a read (the loop was held, or the last read still ran)
+  std::uint64_t failed = 0;  ///< ticks whose read gave nothing usable, or while the device was faulted
   // Data.
   std::uint64_t repeated = 0;    ///< the device had nothing new
   std::uint64_t filtered = 0;    ///< held back on purpose
-  std::uint64_t unreadable = 0;  ///< came, and could not be decoded
-  std::uint64_t lost = 0;        ///< numbered by the source, and never came
+  std::uint64_t unreadable = 0;  ///< received, but could not be decoded
+  std::uint64_t lost = 0;        ///< numbered by the source, never received
   std::uint64_t in_flight = 0;   ///< reads begun and not finished: 0 or 1
-  /// Beginnings thrown away, of lines in whose middle a port was opened: no loss, and in no equation.
+  /// First lines discarded because the port was opened in the middle of them; not a loss, in no equation.
   std::uint64_t first_lines = 0;
 
   bool balances() const noexcept {
@@ -93,15 +93,15 @@ struct SinkCounts {
   bool balances() const noexcept { return offered == stored + all_dropped() + queued; }
 };
 
-/// A recorded absence, for one reason. With a schedule: consecutive ticks without a reading, or several such gaps
-/// joined. Without one: a stretch in which nothing could come, or nothing came.
+/// A recorded absence of data, for one reason. With a schedule: consecutive ticks without a reading, or several such
+/// gaps joined. Without a schedule: a time in which no data could come, or none came.
 struct Gap {
   enum class Kind : std::uint8_t {
     missed,        ///< ticks at which nothing was begun
-    failed,        ///< ticks whose reads brought nothing usable
+    failed,        ///< ticks whose reads gave nothing usable
     disconnected,  ///< no schedule: the device was away
-    silent,        ///< no schedule: it sent nothing for longer than it may
-    joined,        ///< several gaps of one origin, since there were too many: in between it has readings
+    silent,        ///< no schedule: it sent nothing for longer than allowed
+    joined,        ///< several gaps of one origin, joined because there were too many; there are readings in between
   };
   Kind kind = Kind::missed;
   /// A word or two of the library's ("loop held", "still reading"), the id of the error that caused it, or "several".
@@ -112,13 +112,12 @@ struct Gap {
 };
 std::string_view name_of(Gap::Kind kind) noexcept;
 
-/// The outages of an origin without a schedule: stretches in which nothing could come, or nothing came for longer than
-/// it may. Each is a gap. What they cost is a time and no count, since the number of events that would have come is not
-/// known.
+/// The outages of an origin without a schedule: times in which no data could come, or none came for longer than
+/// allowed. Each is a gap. They have a duration and no count, because the number of missing events is unknown.
 struct Outages {
   std::uint64_t number = 0;
   Duration time{0};         ///< of all together
-  bool is_at_most = false;  ///< the time: between some of them, which a recording has as one gap, there was data
+  bool is_at_most = false;  ///< `time` is an upper limit: some outages were recorded as one gap, with data in between
 
   void add(const Outages& other) noexcept {
     number += other.number;
@@ -129,13 +128,13 @@ struct Outages {
 /// "1 outage of 6.3 s", "3 outages of 41 s together", "40 outages of at most 12 min together".
 std::string to_string(const Outages& outages);
 
-/// A stretch of unchanged schedule: its ticks were due at first_due + n * period, up to `end`.
+/// A part of a schedule with one period: its ticks were due at first_due + n * period, up to `end`.
 struct Segment {
   Time first_due{};
   Duration period{0};  ///< 0: no schedule
   Time end{};          ///< when the schedule ended, or the last tick that the loop has dealt with
   std::uint64_t scheduled = 0;
-  Duration late_after{0};  ///< reads that begin later than that after they were due are late
+  Duration late_after{0};  ///< a read that begins later than this after its due time is late
 
   /// `scheduled` computed again from the first three.
   std::uint64_t computed() const noexcept {
@@ -146,24 +145,24 @@ struct Segment {
 
 inline constexpr const char* account_topic = "$rtdata/account";
 
-/// The final account: an event for each sensor and feed with what became of its data, published on `$rtdata/account`
-/// when a loop closes, after the last event of all others and before sinks close.
+/// The final account: one event for each sensor and feed with the counts of its data. It is published on
+/// `$rtdata/account` when a loop closes, after all other events and before the sinks close.
 ///
 ///     "sinks": [{"type": "http", "url": "https://collector.example/in", "topics": ["#", "$rtdata/account"]}]
 ///
-/// So the receiver of what a sink sends can tell whether it has everything: of each origin, the events with sequences
-/// up to `published`; and what the machine itself knows to be missing. `#` does not match the topic. With `through`,
-/// the recording has to name it, too; then it waits there as all else does, when the peer is away at the end. It is
-/// published only where a sink or a subscription names the topic, and a program that is killed publishes none.
+/// With it the receiver of a sink's data can check that it has everything: of each origin, the events with sequences up
+/// to `published`; it also shows the losses on the machine itself. `#` does not match the topic. With `through`, the
+/// recording must name the topic too; if the peer is away at the end, the account waits there like all other events. It
+/// is published only if a sink or a subscription names the topic. A program that is killed publishes none.
 struct FinalCounts {
   text<200> name;                ///< of the sensor or feed: the origin of its events
   text<200> topic;               ///< that it published on
-  std::uint64_t published = 0;   ///< events, which is the sequence of the last one
+  std::uint64_t published = 0;   ///< number of events; equals the sequence of the last one
   std::uint64_t late = 0;        ///< of its ticks
   std::uint64_t missed = 0;      ///< ticks at which nothing was begun
-  std::uint64_t failed = 0;      ///< ticks whose read brought nothing usable
+  std::uint64_t failed = 0;      ///< ticks whose read gave nothing usable
   std::uint64_t unreadable = 0;  ///< samples that came and could not be decoded
-  std::uint64_t lost = 0;        ///< samples that the source numbered and that never came
+  std::uint64_t lost = 0;        ///< samples that the source numbered but that never arrived
   bool lost_is_known = false;    ///< the source numbers its data
   friend constexpr auto describe(type_tag<FinalCounts>) {
     return record("account", field("name", &FinalCounts::name, ""), field("topic", &FinalCounts::topic, ""),

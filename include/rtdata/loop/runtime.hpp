@@ -1,15 +1,14 @@
-/// Runtime: what a loop has beside its turns: topics, the ledger, the clock, the run, the log, and the exchange with
-/// others.
+/// Runtime: the shared state of loops: topics, the ledger, the clock, the run, the log, and the exchange between loops.
 ///
 /// A Loop makes a private one unless it is given one; one loop at a time uses it. Nothing is global to the process.
 ///
-/// The main loop's runtime knows all its tiers: it has a copy of each of their topics, sensors and losses, which come
+/// The main loop's runtime knows all its tiers: it has a copy of each of their topics, sensors and losses, received
 /// over the rings between the loops. A tier's own runtime, `tier.loop().runtime()`, holds the tier's sensors and
-/// subscriptions and the topics that other loops announced to it; no sink, and no other loop. Only the tier's thread
-/// may use it.
+/// subscriptions and the topics that other loops announced; it knows no sinks and no other loops. Only the tier's
+/// thread may use it.
 ///
-/// Owner: the user, or the loop that made it; it must outlive its loop: destroying it before, or in its own `on_log`,
-/// ends the program (std::abort), having said so. Thread: the loop's.
+/// Owner: the user, or the loop that made it. It must outlive its loop: destroying it earlier, or in its own `on_log`,
+/// ends the program (std::abort) with a message. Thread: the loop's.
 #pragma once
 
 #include <cstdint>
@@ -43,10 +42,10 @@ struct LogRecord {
   Time time{};
   std::string_view object;  ///< "sensor chamber"
   std::string_view text;
-  std::string_view error_id;  ///< stable id, empty when it is no error
+  std::string_view error_id;  ///< stable id; empty if it is not an error
 };
 
-/// Whether a sensor, sink, lane, loop or tier works.
+/// The health of a sensor, sink, lane, loop or tier.
 enum class Health : std::uint8_t { ok, degraded, faulted };
 std::string_view name_of(Health health) noexcept;
 
@@ -64,15 +63,15 @@ constexpr auto describe(type_tag<Health>) {
 ///       if (e->state == rtdata::Health::faulted) alarm(e->kind, e->name, e->reason);
 ///     });
 ///
-/// One event for each change between ok, degraded and faulted, of whatever tier; its time is that of the change. `#`
-/// does not match the topic; a sink records it when it names it. Recordings in SQLite keep the changes in any case, in
-/// the table rtdata_health.
+/// One event for each change between ok, degraded and faulted, on any tier; its time is that of the change. `#` does
+/// not match the topic; a sink must name it to record it. SQLite recordings always keep the changes, in the table
+/// rtdata_health.
 ///
 /// By kind: the name in the event, and what the states mean:
 ///   sensor   its name.            degraded: reads fail. faulted: closed, and tried again now and then; or stopped by
 ///                                 `on_overrun`.
 ///   sink     its name.            faulted: it cannot store.
-///   lane     the device or bus.   degraded: a job was given up, its thread left behind. faulted: no thread is left to
+///   lane     the device or bus.   degraded: a job was given up, its thread abandoned. faulted: no thread is left to
 ///                                 run jobs.
 ///   loop     its or the tier's.   degraded: held longer than its limit in the last 10 s.
 ///   tier     its name.            faulted: it does not turn (see TierWatch).
@@ -80,7 +79,7 @@ struct HealthChange {
   text<16> kind;
   text<200> name;
   Health state = Health::ok;
-  text<96> reason;  ///< what is longer ends with "..."; empty when it is ok
+  text<96> reason;  ///< a longer one is cut and ends with "..."; empty if ok
   friend constexpr auto describe(type_tag<HealthChange>) {
     return record("health", field("kind", &HealthChange::kind, ""), field("name", &HealthChange::name, ""),
                   field("state", &HealthChange::state, ""), field("reason", &HealthChange::reason, ""));
@@ -96,11 +95,11 @@ struct SensorStatus {
   std::string reason;  ///< why it is not ok
   SensorCounts counts;
   std::string loop = {};  ///< the name of the loop or tier that it is on
-  Time first_due{};  ///< the ticks of its schedule are due at first_due + n * period; means nothing while not running
-  Outages outages = {};  ///< without a schedule; one that lasts counts up to now
+  Time first_due{};       ///< ticks are due at first_due + n * period; valid only while running
+  Outages outages = {};   ///< without a schedule; a current one counts up to now
 };
 
-/// The functions given to `Loop::post` of one loop: each of them was run or waits.
+/// The functions passed to `Loop::post` of one loop: each was run or waits.
 struct PostCounts {
   std::uint64_t posted = 0;
   std::uint64_t run = 0;
@@ -138,8 +137,9 @@ PriorityRange priority_range(SchedulingPolicy policy) noexcept;
 /// The scheduling of the calling thread.
 Scheduling current_scheduling() noexcept;
 
-/// Sets that of the calling thread. Threads that it makes afterwards begin as SCHED_OTHER (SCHED_RESET_ON_FORK).
-/// Errors: not-permitted, which says what to set; bad-argument for a priority out of range.
+/// Sets the scheduling of the calling thread. Threads that it creates afterwards start as SCHED_OTHER
+/// (SCHED_RESET_ON_FORK). Errors: not-permitted (the error gives the needed setting), bad-argument (the priority is out
+/// of range).
 Result<void> set_scheduling(Scheduling scheduling) noexcept;
 
 /// A loop or tier, and the thread that it runs on.
@@ -148,7 +148,7 @@ struct LoopStatus {
   bool is_tier = false;
   bool running = false;
   Scheduling scheduling;                   ///< as the kernel granted it
-  Duration processor_time{0};              ///< spent by its thread so far
+  Duration processor_time{0};              ///< processor time of its thread so far
   std::vector<std::string> warnings = {};  ///< settings of the thread that the kernel refused
   PostCounts posts = {};                   ///< up to now, also while the tier runs
 };
@@ -158,12 +158,12 @@ struct TopicDrops {
   std::uint64_t count = 0;
 };
 
-/// What waits in the recording that a sink goes through: `SinkCounts::queued` events.
+/// The events that wait in the recording for a sink with `through`: `SinkCounts::queued` events.
 struct Backlog {
   std::uint64_t bytes = 0;  ///< of their payloads
   Time oldest{};            ///< the time of the oldest of them; 0: nothing waits
   Duration age{0};          ///< how long that one has waited
-  /// When nothing waits any more at the pace of the last seconds; none: it does not become less.
+  /// Time until nothing waits, at the speed of the last seconds; empty: the backlog does not shrink.
   std::optional<Duration> catch_up = {};
 };
 
@@ -172,8 +172,8 @@ struct SinkStatus {
   Health health = Health::ok;
   std::string reason;
   SinkCounts counts;
-  std::vector<TopicDrops> dropped;  ///< of all reasons, for each topic that lost some
-  /// Of a sink that goes through a recording, once it has looked into that; none: its events wait in memory.
+  std::vector<TopicDrops> dropped;  ///< for all reasons, one entry for each topic with losses
+  /// For a sink with `through`, after it has read its recording; empty: its events wait in memory.
   std::optional<Backlog> backlog = {};
 };
 
@@ -184,11 +184,11 @@ struct TopicStatus {
   SubscriptionCounts subscriptions;  ///< summed
 };
 
-/// What the configuration of a run says from a time on, as recordings keep it (rtdata_configuration).
+/// A change of the configuration during a run, as stored in recordings (rtdata_configuration).
 struct ConfigurationChange {
   Time time{};
-  std::string object;  ///< "sensor chamber": the part that was added, changed or removed; empty: the whole
-  std::string text;    ///< of the part or of the whole; empty: the part was removed
+  std::string object;  ///< "sensor chamber": the part that was added, changed or removed; empty: all
+  std::string text;    ///< the new text of the part or of all; empty: the part was removed
 };
 
 class Runtime {
@@ -197,10 +197,10 @@ class Runtime {
     std::string name = {};           ///< of the set-up; kept in recordings
     std::string notes = {};          ///< the user's; kept in recordings
     std::string configuration = {};  ///< the text of the file it was made from; kept in recordings
-    /// Texts that errors, log records and reasons of health must not show: "(secret)" stands in their place.
+    /// Texts that errors, log records and reasons of health must not show: they show "(secret)" instead.
     std::vector<std::string> secrets = {};
     Clock* clock = nullptr;          ///< null: the machine's. Must outlive the runtime.
-    OutputGuard* guard = nullptr;    ///< holds the devices of outputs (outputs/guard.hpp); null: nobody does. Likewise.
+    OutputGuard* guard = nullptr;    ///< holds the outputs' devices; null: none. Must outlive the runtime.
     std::size_t ring_events = 1024;  ///< capacity of each topic's delivery ring, rounded up to a power of two
   };
   Runtime();
@@ -212,16 +212,16 @@ class Runtime {
   const Config& config() const noexcept;
   /// Where log records go. Default: warnings and errors to standard error, a line each.
   void on_log(Callback<void(const LogRecord&)> handler);
-  /// Records what a source of time (GPS, PPS, a radio clock) showed at an instant of the monotonic line. It sets no
-  /// clock: recordings keep the pair, and derive the UTC of their rows from the most accurate pairs that they have.
+  /// Records the time of a time source (GPS, PPS, a radio clock) at an instant of the monotonic clock. It sets no
+  /// clock: recordings store the pair and derive the UTC of their rows from the most accurate pairs.
   ///
   ///     loop.runtime()
   ///         .note_wall_clock({.monotonic = at, .realtime = utc, .source = "gps", .accuracy = 1us})
   ///         .or_throw();
   ///
-  /// As often as the source speaks: of each source only what says something new is kept, at most once in 10 s. Its
-  /// `occasion` is not looked at. Errors: bad-name (empty, over 64 characters, "system"), bad-argument (an accuracy
-  /// that is not positive; a 17th source).
+  /// Call it as often as the source gives a time: only new information is stored, at most once in 10 s for each source.
+  /// `occasion` is ignored. Errors: bad-name (empty, over 64 characters, "system"), bad-argument (an accuracy that is
+  /// not positive; a 17th source).
   Result<void> note_wall_clock(const ClockPair& pair);
 
   /// Notes the place (file, line, path) that configures the object of that name ("sensor chamber"): reports of
@@ -235,12 +235,13 @@ class Runtime {
   std::vector<TopicStatus> topics() const;
   /// The runtime's own first, then its tiers.
   std::vector<LoopStatus> loops() const;
-  /// Every equation of the ledger holds at this instant. False while the account of a tier is unknown: it did not stop
-  /// in the time that a drain gave it, which was reported, and has neither come out of its callback nor been stopped
-  /// since. Here and in `has_loss`, a running tier counts as it was when the main loop was drained last.
+  /// True if every equation of the ledger holds now. False while the account of a tier is unknown: the tier did not
+  /// stop within the deadline of a drain (which was reported) and has not stopped since. Here and in `has_loss`, a
+  /// running tier counts with its state at the last drain of the main loop.
   bool balances() const;
-  /// Something was missed, failed or lost, a source without a schedule had an outage, a sink dropped something or a
-  /// subscription on a tier, or something could not be taken from a tier, which was reported.
+  /// True if anything was missed, failed or lost: a tick, a sample, an outage of a source without a schedule, an event
+  /// dropped by a sink or by a subscription on a tier, or data that could not be taken over from a tier (which was
+  /// reported).
   bool has_loss() const;
 
   detail::RuntimeCore& core() noexcept { return *core_; }

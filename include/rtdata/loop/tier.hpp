@@ -8,33 +8,34 @@
 ///     rtdata::SqliteSink sink(loop, {.path = "run.db"});
 ///     loop.run();                                            // starts the tier
 ///
-/// What is published on one tier reaches subscriptions and sinks of every other one, as copies, through a bounded ring
-/// for each pair of loops; full, it drops the new event and counts it with the subscription or sink that misses it. The
-/// publishing side takes no lock and allocates nothing; the other side is woken once a turn, or earlier when much was
-/// published. Only payloads that are trivially copyable cross: to subscribe to others on another loop is a SetupError,
-/// or is reported when it is done by name.
+/// Events published on one tier reach subscriptions and sinks on all other loops as copies, through a bounded ring for
+/// each pair of loops. A full ring drops the new event and counts it for the subscription or sink that misses it. The
+/// publishing side takes no lock and allocates nothing; the other side is woken once a turn, or earlier after many
+/// events. Only trivially copyable payloads can cross: subscribing to another payload on another loop throws
+/// SetupError, or is reported if the subscription is by name.
 ///
-/// Without permission for its policy, priority, memory lock or processor a tier runs all the same; `warnings` says what
-/// to set, and so does the log.
+/// Without permission for its policy, priority, memory lock or processor a tier still runs; `warnings` and the log say
+/// what to set.
 ///
-/// Objects are made on the tier's loop before it runs, or in `call`. Closing a handle, and every verb of a sensor, may
-/// be called on the main loop's thread while the tier runs: they wait for the tier to do it. All else is for `call`.
-/// A tier that does not turn refuses verbs as `call` does, and one that has begun with a verb and does not come back
-/// from it for 1 s is not waited for either: the error says so, and the verb may still be done. What is asked for is
-/// then what the main loop knows last, and faulted. Closing waits for 5 s; then the tier does it as soon as it turns,
-/// which is reported: what the callbacks of the handle refer to must live until then.
+/// Make objects on the tier's loop before it runs, or in `call`. While the tier runs, the main loop's thread may close
+/// a handle and call every function of a sensor: the call waits until the tier has done it. Everything else needs
+/// `call`. A tier that does not turn refuses these calls like `call` does. If a call has begun and does not return for
+/// 1 s, the caller stops waiting: the error says so, and the tier may still complete the call. Queries then return the
+/// last state known to the main loop, as faulted. Closing waits for 5 s; after that the tier closes the object as soon
+/// as it turns, which is reported: everything that the callbacks refer to must live until then.
 ///
-/// A tier of which a callback never returns does not keep `Loop::close` from closing the recordings: they are marked as
-/// incomplete, with the callback's name and the time up to which the tier's account is known.
+/// If a callback of a tier never returns, `Loop::close` still closes the recordings: they are marked as incomplete,
+/// with the callback's name and the time up to which the tier's account is known.
 ///
 /// On a manual loop a tier shares its virtual time, and runs whenever the main loop's thread waits: in `advance`,
 /// `run`, `close`, `call`, `stop`, and in `ManualClock::pass`. One of them runs at a time, in an order that
-/// `Loop::Manual` chooses. A callback there must wait for another loop in no other way (`manual_clock().pass(1ms)`
-/// until it is so), nor hold a lock that another one takes while it posts. `policy`, `cpus` and the like mean nothing.
+/// `Loop::Manual` chooses. A callback must not wait for another loop in any other way than `manual_clock().pass(1ms)`
+/// in a loop, and must not hold a lock that another loop takes while it posts. `policy`, `cpus` and similar settings
+/// have no effect.
 ///
-/// Owner: the user; must be destroyed before its main loop, after the handles made on it or not; in a callback of the
-/// main loop too, but not in one of its own, nor on another thread, nor in a call of a sink's Writer: that ends the
-/// program, having said so. Thread: the main loop's.
+/// Owner: the user; destroy it before its main loop, before or after its handles. It may be destroyed in a callback of
+/// the main loop. Destroying it in one of its own callbacks, on another thread, or in a call of a sink's Writer ends
+/// the program with a message. Thread: the main loop's.
 #pragma once
 
 #include <memory>
@@ -57,12 +58,12 @@ class Tier {
   struct Config {
     std::string name = "fast";  ///< in log lines, and of its thread (the first 15 characters)
     SchedulingPolicy policy = SchedulingPolicy::other;
-    int priority = 0;            ///< 1 to 99 for real-time policies
-    std::vector<int> cpus = {};  ///< processors that it may run on; empty: any
-    bool lock_memory = true;     ///< with a real-time policy: mlockall, so that no page of the process is swapped out
-    std::size_t stack = 256 * 1024;  ///< bytes of its stack touched at the start, so that they are there
+    int priority = 0;                ///< 1 to 99 for real-time policies
+    std::vector<int> cpus = {};      ///< processors that it may run on; empty: any
+    bool lock_memory = true;         ///< with a real-time policy: mlockall, so that the process is not swapped out
+    std::size_t stack = 256 * 1024;  ///< bytes of its stack to touch at the start, so that they are in memory
     bool keep_cpu_awake = false;  ///< /dev/cpu_dma_latency 0 while it runs: less lateness, more power, all processors
-    Duration spin{0};  ///< wait so long, to 10 ms, before a deadline spinning: costs as much of a processor a tick
+    Duration spin{0};             ///< busy-wait before a deadline, up to 10 ms: uses the processor that long each tick
     Duration hold_limit = Loop::Config{}.hold_limit;
     Duration delivery_budget = Loop::Config{}.delivery_budget;
     Duration phase_grid = Loop::Config{}.phase_grid;
@@ -70,12 +71,12 @@ class Tier {
     std::size_t ring_bytes = std::size_t{1} << 20;  ///< of each ring from and to another loop; 1024 or more
   };
 
-  /// SetupError (busy): tiers of this main loop run already, so that others cannot be made; (bad-argument): `main`
-  /// belongs to a tier; a priority, a spin or a processor out of range; a name that is taken; (bad-name): a name that
-  /// is empty, longer than 200 characters or has control characters.
+  /// SetupError: busy (tiers of this main loop run already, so no further one can be made); bad-argument (`main`
+  /// belongs to a tier; a priority, a spin or a processor is out of range; the name is taken); bad-name (the name is
+  /// empty, longer than 200 characters or has control characters).
   Tier(Loop& main, Config config);
-  /// Stops it. A callback that does not return is waited for without limit, since it may use what is destroyed next;
-  /// the log says which it is.
+  /// Stops it. Waits without limit for a running callback, because it may use objects that are destroyed next; the log
+  /// names the callback.
   ~Tier();
   Tier(const Tier&) = delete;
   Tier& operator=(const Tier&) = delete;
@@ -83,25 +84,25 @@ class Tier {
   Loop& loop() noexcept;
   const Config& config() const noexcept;
 
-  /// Begins to turn. The main loop's `run` does it too, and does not return by itself while a tier runs.
+  /// Starts the thread. The main loop's `run` also starts it, and does not return by itself while a tier runs.
   void start();
-  /// Ends its thread after the callback under way; nothing is drained, and its objects stay. May be started again. In
-  /// one of its own callbacks, or in a call of a sink's Writer: asks for it, and returns.
+  /// Ends its thread after the running callback; drains nothing and keeps its objects. It may be started again. In one
+  /// of its own callbacks, or in a call of a sink's Writer, only requests the stop and returns.
   void stop() noexcept;
-  /// The same, but waits no longer than this for the callback. False: it hangs there, see `doing`, and the tier ends
-  /// when it returns. A program that must end all the same calls std::_Exit, since destroying anything on the tier
+  /// The same, but waits at most this long for the callback. False: the callback (see `doing`) has not returned; the
+  /// tier ends when it does. A program that must end anyway calls std::_Exit, because destroying an object of the tier
   /// waits for it.
   bool stop_within(Duration at_most) noexcept;
-  /// The callback that it began last, "sensor chamber" or "handler of room/#"; empty: none, or one that has no name or
-  /// is gone. Any thread.
+  /// The callback that it called last, "sensor chamber" or "handler of room/#"; empty: none, or it has no name or no
+  /// longer exists. Any thread.
   std::string doing() const;
   bool is_running() const noexcept;
 
-  /// Runs `function(loop())` on the tier's thread, waits for it and returns what it returns; at once while the tier
-  /// does not run, and in its own callbacks. What it throws is thrown here. SetupError (not-turning): the tier has not
-  /// come out of a callback for 1 s, and the function is never called; at once when that is known already. A function
-  /// that has begun is waited for. SetupError (busy) in a call of a sink's Writer, which may hold what the tier waits
-  /// for.
+  /// Runs `function(loop())` on the tier's thread and returns its result or throws its exception. If the tier does not
+  /// run, or in its own callbacks, runs it at once on the calling thread. SetupError: not-turning (a callback of the
+  /// tier has not returned for 1 s, and the function will never be called; thrown at once if that is known already),
+  /// busy (in a call of a sink's Writer, for which the tier may be waiting). Once the function has begun, the call
+  /// waits without limit.
   template <class Function>
   auto call(Function&& function) {
     using Returned = std::invoke_result_t<Function&, Loop&>;
@@ -114,9 +115,9 @@ class Tier {
     }
   }
 
-  /// What it runs with, once started.
+  /// The scheduling of its thread, once started.
   Scheduling scheduling() const noexcept;
-  /// What was asked for and not granted, and what to set for it.
+  /// Settings that the system refused, each with the way to permit it.
   const std::vector<std::string>& warnings() const noexcept;
 
  private:
@@ -124,14 +125,14 @@ class Tier {
   std::unique_ptr<detail::TierCore> core_;
 };
 
-/// Looks, as long as it lives, whether every running tier of a main loop turns.
+/// Checks, as long as it lives, that every running tier of a main loop turns.
 ///
 ///     rtdata::TierWatch watch(loop);
 ///     rtdata::Ticker feed(loop, 1s, [&](const rtdata::Tick&) { if (watch.all_turn()) feed_the_watchdog(); });
 ///
-/// It asks each tier four times in a limit. One that has not answered for longer than the limit, since a callback does
-/// not return or its processor is taken, is reported by name (not-turning) and becomes faulted in `$rtdata/health`,
-/// until it answers.
+/// It asks each tier four times within `limit`. A tier that has not answered for longer than `limit` (a callback does
+/// not return, or other threads have its processor) is reported by name (not-turning) and is faulted in
+/// `$rtdata/health` until it answers.
 ///
 /// Owner: the user; must be destroyed before its loop. It keeps the loop's `run` from returning. Thread: the loop's.
 class TierWatch {
@@ -141,7 +142,7 @@ class TierWatch {
   TierWatch(const TierWatch&) = delete;
   TierWatch& operator=(const TierWatch&) = delete;
 
-  /// As of the last look.
+  /// The result of the last check.
   bool all_turn() const noexcept { return *all_turn_; }
 
  private:

@@ -4,7 +4,7 @@
 ///     rtdata::Ticker tick(loop, 10ms, [](const rtdata::Tick& t) { ... });
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's. Spans are std::chrono, ns resolution; the
-/// reached precision is the machine's (`script/bench` prints it).
+/// machine limits the precision (`script/bench` prints it).
 #pragma once
 
 #include <cstdint>
@@ -23,15 +23,15 @@ class Timer : public Handle {
     std::string name = "timer";  ///< in reports
   };
   Timer() noexcept = default;
-  /// Not started: see `start`.
+  /// Makes a timer that is not started; see `start`.
   Timer(Loop& loop, Callback<void()> callback);
   Timer(Loop& loop, Config config, Callback<void()> callback);
-  /// Started: fires `delay` from now. A delay of zero or less fires in the next turn.
+  /// Makes and starts a timer that fires `delay` from now. A delay of zero or less fires in the next turn.
   Timer(Loop& loop, Duration delay, Callback<void()> callback);
 
   /// (Re)starts: fires `delay` from now, once; Duration::max(): never.
   void start(Duration delay);
-  /// At an instant of the monotonic line.
+  /// At an instant of the monotonic clock.
   void start_at(MonotonicTime due);
   /// Never fires again unless started again.
   void stop();
@@ -48,13 +48,13 @@ struct Tick {
   Duration lateness() const noexcept { return now - due; }
 };
 
-/// Fires at start + n * period, computed, not accumulated. Ticks that could not begin before the next was due are
-/// skipped and counted, never caught up in a burst. The first tick is at the start.
+/// Fires at start + n * period, computed from the start, so errors do not accumulate. A tick that could not begin
+/// before the next one was due is skipped and counted as missed, never caught up. The first tick is at the start.
 class Ticker : public Handle {
  public:
   struct Config {
     Duration period{0};           ///< at least 1 us
-    Duration phase{0};            ///< added to the start; a negative one is taken within the first period
+    Duration phase{0};            ///< added to the start, modulo the period if negative
     std::string name = "ticker";  ///< in reports
   };
   Ticker() noexcept = default;
@@ -64,8 +64,8 @@ class Ticker : public Handle {
 
   void start();
   void stop();
-  /// A new schedule from now on; from within its own callback, the first tick of it comes a period from now. Nothing
-  /// when the period is the same.
+  /// Starts a new schedule now; called from its own callback, the first tick comes one period from now. Does nothing if
+  /// the period is the same.
   void set_period(Duration period);
   bool is_running() const noexcept;
   /// Over all starts of this handle.

@@ -6,8 +6,8 @@
 ///
 /// A topic belongs to the runtime and lives as long as it does; `Topic<T>` is a reference to it. Publishing copies the
 /// payload into a bounded ring (made at the first subscription) and returns; handlers run after the current callback.
-/// When the ring is full the new event is dropped for the subscriptions and counted. Sinks take their copy at publish,
-/// before the ring. Nothing published before a subscription reaches it.
+/// If the ring is full, the new event is dropped for the subscriptions and counted. Sinks copy the event when it is
+/// published, before the ring. A subscription gets no events from before it was made.
 ///
 /// Payloads with a description are trivially copyable and at most 4 KiB. Any other movable type may be published and
 /// handled too, but not recorded.
@@ -37,17 +37,17 @@ class Subscription : public Handle {
  public:
   Subscription() noexcept = default;
   explicit Subscription(detail::SubscriptionNode* node) noexcept : Handle(node) {}
-  /// Zeros once it is closed.
+  /// All 0 after it is closed.
   SubscriptionCounts counts() const noexcept;
   CallbackTimes times() const noexcept;
-  /// In reports and blame; by default "handler of PATTERN".
+  /// The name in reports; default: "handler of PATTERN".
   void set_name(std::string name);
 };
 
 template <class T>
 class Topic {
  public:
-  /// A description's payload without a C++ type has no Topic<T>; see `Feed`.
+  /// For payloads without a C++ type see `Feed`.
   explicit Topic(detail::TopicCore& core) noexcept : core_(&core) {}
 
   const std::string& name() const noexcept { return detail::topic_name(*core_); }
@@ -81,10 +81,10 @@ Subscription Loop::subscribe(std::string_view pattern, F&& handler) {
   return subscription;
 }
 
-/// Whether `name` is a topic name: segments of [A-Za-z0-9_.-]+ joined by "/", at most 200 characters; the first may
+/// True if `name` is a topic name: segments of [A-Za-z0-9_.-]+ joined by "/", at most 200 characters; the first may
 /// begin with "$" (our own topics: "$rtdata/...").
 bool is_topic_name(std::string_view name) noexcept;
-/// Whether `pattern` is a topic name or one with "+" and "#" as MQTT has them.
+/// True if `pattern` is a topic name, or has the wildcards "+" and "#" as in MQTT.
 bool is_topic_pattern(std::string_view pattern) noexcept;
 /// Whether the pattern matches. "#" and "+" do not match names that begin with "$".
 bool topic_matches(std::string_view pattern, std::string_view name) noexcept;

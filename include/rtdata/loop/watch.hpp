@@ -20,9 +20,10 @@ struct FdEvent {
   bool hung_up = false;  ///< the other side closed, or the device went away
 };
 
-/// Calls back while the descriptor is ready (level-triggered). The descriptor stays the user's: it becomes
-/// non-blocking, is not closed, and must not be closed before the watch is. One watch a descriptor. After an error of
-/// the descriptor (the last call said `hung_up`) it is silent until `set_events`.
+/// Calls back while the descriptor is ready (level-triggered). The user keeps owning the descriptor: it becomes
+/// non-blocking and is not closed by the watch; close the watch before the descriptor. Only one watch for each
+/// descriptor. After an error of the descriptor (the last call had `hung_up`) there are no more calls until
+/// `set_events`.
 class FdWatch : public Handle {
  public:
   enum Events : unsigned { readable = 1, writable = 2, readable_and_writable = 3 };
@@ -33,8 +34,7 @@ class FdWatch : public Handle {
   void set_events(Events events);
 };
 
-/// Calls back on the loop when the process gets the signal. Nothing is watched unless the user asks: a loop never takes
-/// signals by itself.
+/// Calls back on the loop when the process gets the signal. A loop never handles signals by itself.
 class SignalWatch : public Handle {
  public:
   SignalWatch() noexcept = default;

@@ -1,4 +1,4 @@
-/// HttpPeer: where a server of HTTP is, and how it is spoken to. Shared by the sink and the output.
+/// HttpPeer: the address and connection settings of an HTTP server, for the sink and the output.
 ///
 ///     rtdata::HttpPeer relay{.url = "http://relay.local/relay/0", .user = "admin", .password = secret};
 ///
@@ -14,8 +14,8 @@
 
 namespace rtdata {
 
-/// Which version of HTTP. `automatic` is 2 where the connection is encrypted and the peer has it, else 1.1; `two` is 2
-/// in any case, on connections that are not encrypted too.
+/// The version of HTTP. `automatic`: 2 if the connection is encrypted and the peer supports it, otherwise 1.1. `two`:
+/// always 2, also without encryption.
 enum class HttpVersion { automatic, one, two };
 constexpr auto describe(type_tag<HttpVersion>) {
   return enumeration("http_version", value("auto", HttpVersion::automatic), value("1.1", HttpVersion::one),
@@ -44,7 +44,7 @@ struct HttpPeer {
         parameter("password", &HttpPeer::password, "of the user"),
         parameter("http_version", &HttpPeer::http_version,
                   "auto: 2 where https and the peer have it, else 1.1; 2: also without encryption"),
-        parameter("tls", &HttpPeer::tls, "how https proves who is there"),
+        parameter("tls", &HttpPeer::tls, "how https checks the peer's identity"),
         parameter("proxy", &HttpPeer::proxy, "URL of an HTTP proxy; default: none, whatever the environment says"),
         parameter("proxy_user", &HttpPeer::proxy_user, "of the proxy"),
         parameter("proxy_password", &HttpPeer::proxy_password, "of that user"));

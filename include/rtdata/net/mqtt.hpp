@@ -1,4 +1,4 @@
-/// MqttBroker: where a broker of MQTT is, and how it is spoken to. Shared by the sink and the sensor.
+/// MqttBroker: the address and connection settings of an MQTT broker, for the sink, the sensor and the output.
 ///
 ///     rtdata::MqttBroker broker{.host = "broker.local", .user = "node", .tls = rtdata::TlsConfig{}};
 ///
@@ -16,7 +16,7 @@
 namespace rtdata {
 
 enum class MqttVersion {
-  newest,  ///< 5; 3.1.1 of a broker that has no other
+  newest,  ///< 5, or 3.1.1 if the broker has no other
   v5,
   v311,
 };
@@ -33,8 +33,8 @@ struct MqttBroker {
   std::string user = {};
   std::string password = {};
   std::optional<TlsConfig> tls = {};
-  Duration keepalive = std::chrono::seconds{30};        ///< so often at least both sides show that they are there
-  Duration connect_timeout = std::chrono::seconds{10};  ///< with looking up the name
+  Duration keepalive = std::chrono::seconds{30};        ///< longest silence before a ping
+  Duration connect_timeout = std::chrono::seconds{10};  ///< includes the name lookup
 
   friend constexpr auto parameters(type_tag<MqttBroker>) {
     using namespace std::chrono_literals;
@@ -46,7 +46,7 @@ struct MqttBroker {
         parameter("user", &MqttBroker::user, "name at the broker"),
         parameter("password", &MqttBroker::password, "to be written as {\"env\": ...} or {\"file\": ...}"),
         parameter("tls", &MqttBroker::tls, "encrypted; {} is enough where the broker's certificate is a public one"),
-        parameter("keepalive", &MqttBroker::keepalive, "so often at least both sides show that they are there",
+        parameter("keepalive", &MqttBroker::keepalive, "longest silence of a side before it sends a ping",
                   range(5s, 18h)),
         parameter("connect_timeout", &MqttBroker::connect_timeout, "how long connecting may take", range(10ms, 10min)));
   }

@@ -1,10 +1,9 @@
-/// TlsConfig: how a connection is encrypted, and how its ends prove who they are.
+/// TlsConfig: encryption of a connection and identity of both sides.
 ///
 ///     "tls": {"ca_file": "/etc/rtdata/ca.pem", "certificate": "node7.pem", "key": "node7.key"}
 ///
-/// The peer's certificate is checked unless that is switched off: that an authority which this machine trusts has
-/// signed it, that it is valid now, and that it is for the host that was asked for. A machine whose clock is far off
-/// finds no certificate valid.
+/// Unless switched off, the peer's certificate is checked: a trusted authority must have signed it, it must be valid
+/// now, and it must name the host. With a wrong clock, no certificate is valid.
 ///
 /// A value; any thread.
 #pragma once
@@ -17,24 +16,25 @@
 namespace rtdata {
 
 struct TlsConfig {
-  /// Whether the peer has to prove who it is. False: anybody between this machine and the peer can read and change
+  /// True: the peer must prove its identity. False: anyone between this machine and the peer can read and change
   /// everything.
   bool verify = true;
-  std::string ca_file = {};      ///< the authorities (PEM) that are trusted; empty: those of this machine
-  std::string certificate = {};  ///< file (PEM) by which this machine proves who it is, where the peer asks for it
+  std::string ca_file = {};      ///< trusted authorities (PEM); empty: those of this machine
+  std::string certificate = {};  ///< this machine's certificate (PEM file), if the peer asks for one
   std::string key = {};          ///< file (PEM) with the private key of `certificate`
   std::string key_password = {};
 
   friend constexpr auto parameters(type_tag<TlsConfig>) {
     return parameter_list(
-        parameter("verify", &TlsConfig::verify,
-                  "false: the peer need not prove who it is, so that anybody between can read and change everything"),
+        parameter(
+            "verify", &TlsConfig::verify,
+            "false: the peer's identity is not checked, so that anybody on the way can read and change everything"),
         parameter("ca_file", &TlsConfig::ca_file,
                   "file (PEM) with the authorities that are trusted; default: those of this machine"),
         parameter("certificate", &TlsConfig::certificate,
-                  "file (PEM) by which this machine proves who it is, where the peer asks for it"),
+                  "file (PEM) with the certificate of this machine, if the peer asks for one"),
         parameter("key", &TlsConfig::key, "file (PEM) with the private key of the certificate"),
-        parameter("key_password", &TlsConfig::key_password, "of the key, where it has one"));
+        parameter("key_password", &TlsConfig::key_password, "password of the key, if it has one"));
   }
 };
 
@@ -42,8 +42,8 @@ struct TlsMistake {
   std::string key;  ///< "certificate"
   std::string message;
 };
-/// What is wrong with it by itself: a certificate without a key, a file that cannot be read. Opens the files; nothing
-/// is sent.
+/// The mistakes in the settings: a certificate without a key, a file that cannot be read. Opens the files; sends
+/// nothing.
 std::vector<TlsMistake> mistakes_of(const TlsConfig& config);
 
 }  // namespace rtdata

@@ -1,7 +1,7 @@
 /// GpioActuator: a GPIO line as the device of an output. 0 is inactive, 1 active; it takes no other value.
 ///
-/// The line is taken as an output with its level in one step: no pulse comes between. A line that is kept is taken with
-/// the level that it has. Given back, it has its last level as long as the chip leaves it so, which is its own affair.
+/// Opening makes the line an output and sets its level in one step, without a pulse in between. With `keep`, the line
+/// keeps its present level. After it is released, the chip decides the level of the line; most chips keep the last one.
 ///
 /// Errors: those of a GPIO line (io/gpio.hpp); out-of-range.
 #pragma once
@@ -38,7 +38,7 @@ class GpioActuator : public CheckedActuator {
   OutputRange range() const override { return {0, 1, true}; }
   Result<void> open(std::optional<double> value) override;
   Result<void> set(double value) override;
-  /// Whether the chip is still there, such as one behind USB.
+  /// Checks that the chip is still there, for example one on USB.
   Result<void> check() override;
 
  private:

@@ -1,5 +1,5 @@
-/// OutputGuard: a process of its own that holds the devices of outputs, so that they get their safe values also when
-/// this program hangs, is stopped or is killed.
+/// OutputGuard: a separate process that holds the devices of outputs, so that they get their safe values even if this
+/// program hangs, is stopped or is killed.
 ///
 ///     int main() {
 ///       rtdata::OutputGuard guard([](const std::string& what) -> std::unique_ptr<rtdata::Actuator> {
@@ -10,27 +10,26 @@
 ///       rtdata::Loop loop(runtime, {});
 ///       rtdata::Output pump(loop, {.name = "pump"}, {}, "pump");
 ///
-/// The constructor forks: what `make` needs must be there by then. Make it before the program has threads, and before
-/// it opens what the guard is not to share: the guard closes all descriptors but the standard ones, of which it keeps
-/// standard error.
+/// The constructor forks: everything that `make` needs must exist by then. Construct it before the program has threads
+/// and before it opens files that the guard must not share: the guard closes all descriptors except standard error.
 ///
 /// The guard makes, sets and destroys each output's Actuator on a thread of its own. It sets the safe value
-///   - when the loop has not turned for the output's `watchdog`: then it takes no other value until the output is
+///   - when the loop has not turned for the output's `watchdog`; it then takes no other value until the output is
 ///     armed;
-///   - when the program has ended, in whatever way: at once; then it gives the device back and ends.
-/// A device that does not take its safe value is tried again, after the end of the program or of the output for 10 s.
-/// What came of that is told in the log, and on standard error when the program has gone.
+///   - at once when the program has ended, for any reason; then it releases the device and ends.
+/// If a device does not take its safe value, the guard tries again; after the end of the program or of the output, for
+/// 10 s. The result is in the log, or on standard error if the program has ended.
 ///
-/// It ignores SIGINT, SIGTERM, SIGHUP, SIGQUIT and SIGABRT, which terminals and service managers send to it too. What
-/// ends it all the same (SIGKILL, an Actuator that crashes) is seen by the program: its outputs take their devices
-/// themselves, set them safe, and stay so.
+/// It ignores SIGINT, SIGTERM, SIGHUP, SIGQUIT and SIGABRT, which terminals and service managers also send to it. If it
+/// ends anyway (SIGKILL, an Actuator that crashes), the program notices: its outputs open their devices themselves, set
+/// them safe, and keep them safe.
 ///
-/// What it cannot do is in docs/outputs.md.
+/// docs/outputs.md lists its limits.
 ///
-/// It has 1024 outputs at most, each of a text of 64 KiB at most: others are refused (does-not-fit).
+/// It holds at most 1024 outputs, each with a `guarded` text of at most 64 KiB; others are refused (does-not-fit).
 ///
 /// Owner: the user; it must outlive the runtime. Thread: that of the constructor; outputs use it on their loops.
-/// Errors: SetupError (io-failed): there is no process or memory for it.
+/// Errors: SetupError (io-failed): the system has no process or memory for it.
 #pragma once
 
 #include <cstddef>
@@ -46,8 +45,8 @@ namespace rtdata {
 class OutputGuard {
  public:
   static constexpr std::size_t most_outputs = 1024;
-  static constexpr std::size_t most_bytes = 65536;  ///< of what an output is given as `guarded`
-  /// Called in the guard, with what an output was given as `guarded`. May throw.
+  static constexpr std::size_t most_bytes = 65536;  ///< of an output's `guarded` text
+  /// Makes the device of an output, in the guard. The argument is the output's `guarded` text. May throw.
   using Make = std::function<std::unique_ptr<Actuator>(const std::string& what)>;
   explicit OutputGuard(const Make& make);
   /// Waits for the guard's end, at most 2 s.
@@ -55,14 +54,14 @@ class OutputGuard {
   OutputGuard(const OutputGuard&) = delete;
   OutputGuard& operator=(const OutputGuard&) = delete;
 
-  /// The program is about to end: each output sets its safe value as soon as its loop turns, within a quarter of its
-  /// `watchdog`, and takes no other from then on; where its loop does not turn, the guard does so when the watchdog is
-  /// over. One that is kept keeps what it has. Any thread; no allocation, nothing is waited for.
+  /// Call this when the program is about to end. Each output sets its safe value as soon as its loop turns, within a
+  /// quarter of its `watchdog`, and takes no other value afterwards; if its loop does not turn, the guard does it after
+  /// the watchdog time. An output with `keep` keeps its value. Any thread; does not allocate or wait.
   void make_all_safe() noexcept;
   /// Its process id.
   int process() const noexcept;
-  /// The names of outputs, sorted, that ended without that their device took the safe value, then or while the guard
-  /// tried again and the loop turned, and of which none was made again that is safe. Thread: any.
+  /// The sorted names of outputs that ended while their device had not taken the safe value, and did not take it later,
+  /// and that were not made again and set safe. Any thread.
   std::vector<std::string> ended_unsafe() const;
 
   struct Link;

@@ -1,16 +1,16 @@
-/// HttpActuator: a device on the network that is set by a request of HTTP, as the device of an output.
+/// HttpActuator: an output device on the network that is set by an HTTP request.
 ///
 ///     rtdata::HttpActuator relay({.server = {.url = "http://192.168.1.40/relay/0?turn={value}"},
 ///                                 .method = rtdata::HttpSetMethod::get, .words = {{"0", "off"}, {"1", "on"}}});
 ///
 /// A value is set when the server has answered with a status from 200 to 299, within `timeout`. Redirections are not
-/// followed. When there is no answer, the device may have the value all the same: nobody knows.
+/// followed. Without an answer it is unknown whether the device has the value.
 ///
-/// The library `rtdata::http`, which needs libcurl. A request is done on a thread of its own, which is left behind when
-/// the name servers do not answer; what is left behind sends nothing any more once the time is over.
+/// Library `rtdata::http`, which needs libcurl. A request runs on its own thread, which is abandoned if the name
+/// servers do not answer; an abandoned thread sends nothing after the timeout.
 ///
-/// Errors: bad-argument (a URL or header that cannot be one); disconnected (nobody was reached or answered in time: an
-/// output begins all the same, and tries again); what the server's answer means.
+/// Errors: bad-argument (an invalid URL or header); disconnected (no connection or no answer in time: an output starts
+/// anyway and tries again); others according to the server's answer.
 #pragma once
 
 #include <map>
@@ -29,28 +29,28 @@ constexpr auto describe(type_tag<HttpSetMethod>) {
 }
 
 struct HttpActuatorConfig {
-  HttpPeer server = {};  ///< in its URL, too, `{value}` is the value
+  HttpPeer server = {};  ///< `{value}` in its URL is replaced too
   HttpSetMethod method = HttpSetMethod::post;
-  std::string text = "{value}";  ///< the body, but of get; `{value}` is the value, as short as it is exact: 1, 0.5
+  std::string text = "{value}";  ///< the body, except for get; `{value}`: the shortest exact number: 1, 0.5
   std::string content_type = "text/plain; charset=utf-8";
-  std::map<std::string, std::string> words = {};  ///< what is written in place of a value: {"0": "off", "1": "on"}
-  Duration timeout = std::chrono::seconds{1};     ///< from looking up the name to the answer
+  std::map<std::string, std::string> words = {};  ///< texts to send for values: {"0": "off", "1": "on"}
+  Duration timeout = std::chrono::seconds{1};     ///< from name lookup to answer
 
   friend constexpr auto parameters(type_tag<HttpActuatorConfig>) {
     using namespace std::chrono_literals;
-    return parameter_list(
-        include_member(&HttpActuatorConfig::server),
-        parameter("method", &HttpActuatorConfig::method, "of the request; get has no body"),
-        parameter("text", &HttpActuatorConfig::text, "the body of the request; {value} stands for the value",
-                  placeholders("value")),
-        parameter("content_type", &HttpActuatorConfig::content_type, "of the body"),
-        parameter("words", &HttpActuatorConfig::words, "what {value} is, by value: {\"0\": \"off\", \"1\": \"on\"}"),
-        parameter("timeout", &HttpActuatorConfig::timeout, "from looking up the name to the answer",
-                  range(Duration{10ms}, Duration{1500ms})));
+    return parameter_list(include_member(&HttpActuatorConfig::server),
+                          parameter("method", &HttpActuatorConfig::method, "of the request; get has no body"),
+                          parameter("text", &HttpActuatorConfig::text,
+                                    "the body of the request; {value} stands for the value", placeholders("value")),
+                          parameter("content_type", &HttpActuatorConfig::content_type, "of the body"),
+                          parameter("words", &HttpActuatorConfig::words,
+                                    "the text in place of {value}, by value: {\"0\": \"off\", \"1\": \"on\"}"),
+                          parameter("timeout", &HttpActuatorConfig::timeout, "from looking up the name to the answer",
+                                    range(Duration{10ms}, Duration{1500ms})));
   }
   friend void check_config(const HttpActuatorConfig& config, const ConfigItem& item, Problems& problems);
 };
-/// Nothing is sent.
+/// Sends nothing.
 void check_config(const HttpActuatorConfig& config, const ConfigItem& item, Problems& problems);
 
 class HttpActuator : public Actuator {

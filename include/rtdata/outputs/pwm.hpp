@@ -1,13 +1,13 @@
 /// PwmActuator: a channel of a PWM chip of the kernel (/sys/class/pwm) as the device of an output. Its value is the
 /// duty cycle, from 0 to 1.
 ///
-/// The channel is exported if it is not, and enabled once its period and duty cycle are set, so that it never shows
-/// others. A channel that is kept stays as it is if it is enabled, and else begins with a duty cycle of 0. Given back,
-/// it keeps its duty cycle and stays exported: another process can go on with it.
+/// Opening exports the channel if needed, sets period and duty cycle, and then enables it, so that no other signal
+/// appears. With `keep`, an enabled channel does not change; a disabled one starts with a duty cycle of 0. After it is
+/// released, the channel keeps its duty cycle and stays exported, so another process can continue with it.
 ///
-/// Interface: the kernel's Documentation/ABI/testing/sysfs-class-pwm; times in ns.
-/// Errors: not-found (no such chip or channel), not-permitted, out-of-range (a value that is no duty cycle; a frequency
-/// that the chip cannot do), io-failed.
+/// Interface: the kernel's Documentation/ABI/testing/sysfs-class-pwm; times in ns. Errors: not-found (no such chip or
+/// channel), not-permitted, out-of-range (a value that is not 0 to 1; a frequency that the chip does not support),
+/// io-failed.
 #pragma once
 
 #include <cstdint>
@@ -21,7 +21,7 @@ struct PwmConfig {
   std::uint32_t chip = 0;  ///< of /sys/class/pwm/pwmchip0
   std::uint32_t channel = 0;
   Rate frequency = Rate::hertz(1000);
-  bool inverted = false;                ///< the duty cycle is the part of the time that it is low
+  bool inverted = false;                ///< the duty cycle is the share of the time that the pin is low
   std::string root = "/sys/class/pwm";  ///< where the chips are
 
   friend constexpr auto parameters(type_tag<PwmConfig>) {

@@ -1,7 +1,7 @@
-/// SerialActuator: a device on a serial line that is set by sending it a text, as the device of an output.
+/// SerialActuator: an output device on a serial line that is set by sending it a text.
 ///
-/// A value is set when the kernel has sent the text, and with `answer` when the device has sent that back, within
-/// `timeout`. A device that is kept is sent nothing when it is taken. What else the device sends is thrown away.
+/// A value is set when the kernel has sent the text and, with `answer`, the device has sent that answer within
+/// `timeout`. With `keep`, opening sends nothing. Other data from the device is discarded.
 ///
 /// Errors: those of opening a serial line; timed-out; disconnected; io-failed.
 #pragma once
@@ -17,9 +17,9 @@ namespace rtdata {
 struct SerialActuatorConfig {
   std::string device = {};  ///< "/dev/serial/by-id/...", "/dev/ttyUSB0"
   SerialSettings serial = {};
-  std::string text = "{value}\n";                 ///< `{value}` is the value, as short as it is exact: 1, 0.5
-  std::map<std::string, std::string> words = {};  ///< what is written in place of a value: {"0": "off", "1": "on"}
-  std::string answer = {};  ///< the device sends it when it has the value; empty: it is not waited for
+  std::string text = "{value}\n";                 ///< `{value}`: the shortest exact number: 1, 0.5
+  std::map<std::string, std::string> words = {};  ///< texts to send for values: {"0": "off", "1": "on"}
+  std::string answer = {};                        ///< the device's reply after a value; empty: do not wait for one
   Duration timeout = std::chrono::milliseconds{500};
 
   friend constexpr auto parameters(type_tag<SerialActuatorConfig>) {
@@ -29,7 +29,8 @@ struct SerialActuatorConfig {
         include_member(&SerialActuatorConfig::serial),
         parameter("text", &SerialActuatorConfig::text, "what is sent; {value} stands for the value",
                   placeholders("value")),
-        parameter("words", &SerialActuatorConfig::words, "what {value} is, by value: {\"0\": \"off\", \"1\": \"on\"}"),
+        parameter("words", &SerialActuatorConfig::words,
+                  "the text in place of {value}, by value: {\"0\": \"off\", \"1\": \"on\"}"),
         parameter("answer", &SerialActuatorConfig::answer,
                   "what the device sends when it has the value; empty: it is not waited for"),
         parameter("timeout", &SerialActuatorConfig::timeout, "for sending and the answer",

@@ -4,21 +4,21 @@
 ///                                          .sink = {.through = "run.db"}});
 ///
 /// One table a topic, named as the topic, made by the sink: `time` (UTC), `time_ns` (exact, as recorded), `run`,
-/// `origin`, `sequence`, then one column a field, with units as comments. Rows go in by COPY, in one transaction with
-/// the position up to which the server has the origin (rtdata_position). After whatever happened to either side, the
-/// position is read again and what the server has is not sent again. docs/postgresql.md has the layout.
+/// `origin`, `sequence`, then one column a field, with units as comments. COPY inserts the rows, in one transaction
+/// with the position of each origin on the server (rtdata_position). After any failure on either side, the sink reads
+/// the position again and does not send rows that the server already has. docs/postgresql.md has the layout.
 ///
 /// While the server is away events wait: in the sink's queue, or, with `through`, in the recording of that name. With
-/// `through` the account of the recording goes along, so that `rtdata verify postgresql://...` can hold the server's
-/// rows to it.
+/// `through` it also sends the account of the recording, so that `rtdata verify postgresql://...` can check the
+/// server's rows against it.
 ///
-/// The sink opens its connection with its first batch and makes it anew after every failure. What a server cannot do
-/// for now (it is away, full, read only, a table is locked or is not ours) is reported and tried again. A row that a
-/// table's own constraint, trigger or computed column refuses is dropped as refused; the others are stored. Passwords
-/// are in no report.
+/// The sink opens its connection with its first batch and again after every failure. If the server cannot store now (it
+/// is away, full or read-only, or a table is locked or belongs to someone else), the sink reports it and tries again. A
+/// row that is refused by a constraint, trigger or computed column of the table is dropped as refused; the others are
+/// stored. Reports never contain passwords.
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's; libpq is called on the sink's lane, and
-/// never waits longer than `timeout`. Errors of the constructor (SetupError): bad_argument (a URL that is none, a
+/// never waits longer than `timeout`. Errors of the constructor (SetupError): bad-argument (an invalid URL, or a
 /// password in it), those of `Sink`.
 #pragma once
 
@@ -37,13 +37,13 @@ struct PostgresqlConfig {
   std::string url = {};                    ///< postgresql://user@host:port/database?sslmode=...; the others add to it
   std::string host = {};      ///< a name, an address, or the folder of a Unix socket; libpq's default when empty
   int port = 0;               ///< 0: libpq's default, 5432
-  std::string database = {};  ///< libpq's default when empty: the user's name
+  std::string database = {};  ///< empty: libpq's default, the user's name
   std::string user = {};
   std::string password = {};  ///< empty: ~/.pgpass, PGPASSFILE or none
-  std::string schema = {};    ///< where the tables are; it is made. Empty: the first of the server's search_path
-  std::string machine = {};   ///< what this machine is called on the server; its host name when empty
-  Duration timeout = std::chrono::seconds{30};  ///< of connecting, of each answer of the server, of its statements
-  /// Larger batches than other sinks': each is a transaction, which the server forces onto its disk.
+  std::string schema = {};    ///< schema of the tables, made if missing; empty: the first of search_path
+  std::string machine = {};   ///< name of this machine on the server; empty: its host name
+  Duration timeout = std::chrono::seconds{30};  ///< for connecting, for each answer and for each statement
+  /// Larger batches than in other sinks: each is a transaction, which the server syncs to its disk.
   SinkConfig sink = {.batch_rows = 5000};
 
   friend constexpr auto parameters(type_tag<PostgresqlConfig>) {
@@ -60,13 +60,13 @@ struct PostgresqlConfig {
         parameter("schema", &PostgresqlConfig::schema, "of the tables; made when it is not there"),
         parameter("machine", &PostgresqlConfig::machine, "this machine's name on the server; its host name by default",
                   TextIs::name),
-        parameter("timeout", &PostgresqlConfig::timeout, "the server has so long for each answer", range(100ms, 1h)),
+        parameter("timeout", &PostgresqlConfig::timeout, "time limit of each answer of the server", range(100ms, 1h)),
         include_member(&PostgresqlConfig::sink));
   }
   friend void check_config(const PostgresqlConfig& config, const ConfigItem& item, Problems& problems);
 };
 
-/// Returns an error, `where` its topic, for each topic that the server cannot have a table for.
+/// Returns an error for each topic for which the server cannot have a table; `where` is the topic.
 std::vector<Error> refused_topics(const PostgresqlConfig& config, std::span<const TopicToRecord> topics);
 
 class PostgresqlSink : public Sink {

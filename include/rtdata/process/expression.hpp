@@ -1,4 +1,4 @@
-/// Expression: a formula over named values, written as text: of derived topics, limits and the conditions of machines.
+/// Expression: a formula over named values, written as text, for derived topics, limits and conditions of machines.
 ///
 ///     rtdata::Expression falling("altitude < highest(altitude) - 5 and since(burnout) > 2", {"altitude", "burnout"});
 ///     falling.set(0, 812.5);
@@ -15,24 +15,24 @@
 ///   - since(condition): seconds since the condition last became true, which includes that it was true at first
 ///   - integral(x): the area under x, in its unit times seconds: straight from each value to the next
 ///   - age(x): seconds since x last had a new value; before the first one, since the first event
-/// `seconds` is a constant. Each of them takes a value in when a name in its argument has been `set` since the
-/// evaluation before, whatever `? :`, `and` and `or` around it choose: setting one name says nothing about the others.
-/// Without a new value it gives what it gave before.
+/// `seconds` is a constant. Such a function takes a new value when a name in its argument has been `set` since the last
+/// evaluation, even if `? :`, `and` or `or` around it do not use it; setting one name does not affect functions of
+/// other names. Without a new value the function keeps its result.
 ///
-/// A result is a value, *waiting*, or failed. Waiting: a name that it needs was never set, or a memory has nothing to
-/// tell yet (`previous(x)` of the first value, `since(c)` before c was ever true). Failed: a number that is not finite
-/// anywhere on the way, even where the result would be finite (1 / (1 / 0)), with a reason. An `and` with a side that
-/// is false is false, and an `or` with one that is true is true, whatever the other side is; `? :` needs only what it
-/// chooses. Otherwise failed wins over waiting. A memory but `age` whose argument is waiting or failed is so too, and
-/// keeps what it has.
+/// A result is a value, *waiting*, or failed. Waiting: a needed name was never set, or a function with a memory has no
+/// result yet (`previous(x)` at the first value, `since(c)` before c was ever true). Failed, with a reason: any
+/// intermediate number is not finite, even if the result would be finite (1 / (1 / 0)). An `and` with a false side is
+/// false, and an `or` with a true side is true, whatever the other side is; `? :` needs only the chosen side. Otherwise
+/// failed has priority over waiting. A function with a memory, except `age`, is waiting or failed if its argument is,
+/// and keeps its memory.
 ///
 /// A name is words joined by dots, with an index where there is one: `altitude`, `imu.x`, `imu.accel[0]`. The "/" of a
 /// topic is written as a dot, since "/" divides: topic "room/climate", field "temperature" is
 /// `room.climate.temperature`. A name with other characters stands in single quotes: `'tank-1/level.value'`. A name of
-/// the program's that is called as a constant (`e`) hides that.
+/// the program that equals a constant (`e`) hides the constant.
 ///
-/// Memory is taken when it is made: setting, evaluating and resetting take none, neither do they lock or throw.
-/// Owner: the holder; move-only. Thread: one at a time.
+/// The constructor allocates all memory: setting, evaluating and resetting do not allocate, lock or throw. Owner: the
+/// holder; move-only. Thread: one at a time.
 #pragma once
 
 #include <cstddef>
@@ -52,11 +52,11 @@ namespace rtdata {
 struct ExpressionMistake {
   std::size_t column = 1;  ///< of the text, from 1, in characters (UTF-8 code points), as those of files
   std::string why;         ///< "there is no name \"altitud\""
-  std::string suggestion;  ///< the name that was probably meant, or empty
+  std::string suggestion;  ///< the name that was probably intended, or empty
   bool operator==(const ExpressionMistake&) const = default;
 };
 
-/// Thrown when an expression is made of a text with a mistake. `what()` has text, column and reason.
+/// Thrown by the constructor for a text with a mistake. `what()` has text, column and reason.
 class ExpressionError : public SetupError {
  public:
   ExpressionError(std::string_view text, ExpressionMistake mistake);
@@ -69,22 +69,22 @@ class ExpressionError : public SetupError {
 /// Why an expression has failed.
 enum class ExpressionFailure : std::uint8_t {
   none,
-  not_finite,        ///< a name was set to what is not finite
+  not_finite,        ///< a name was set to a number that is not finite
   division_by_zero,  ///< or the logarithm of 0
   undefined,         ///< such as the root of a negative number
   too_large,         ///< for a double
 };
 
-/// Of one evaluation.
+/// The result of one evaluation.
 struct ExpressionResult {
   enum class State : std::uint8_t { value, waiting, failed };
   State state = State::waiting;
   ExpressionFailure failure = ExpressionFailure::none;
-  double value = 0;  ///< finite; of a condition 1 or 0; 0 where there is none
+  double value = 0;  ///< finite; 1 or 0 for a condition; 0 without a value
 
   bool has_value() const noexcept { return state == State::value; }
   bool has_failed() const noexcept { return state == State::failed; }
-  /// Has a value, other than 0.
+  /// True if it has a value other than 0.
   bool is_true() const noexcept { return state == State::value && value != 0; }
 };
 
@@ -96,11 +96,11 @@ class Expression {
 
   /// The first mistake of a text, or none.
   static std::optional<ExpressionMistake> check(std::string_view text, const std::vector<std::string>& names);
-  /// The names that a text uses, each once, in order, as they are written but with "." for "/" and without quotes; for
-  /// who looks up what they are before making it. Of a text with a mistake in its grammar: bad-argument, with the
-  /// mistake's column. `known`: words that are names also where they would be constants (`e`).
+  /// The names that a text uses, each once, in order, with "." for "/" and without quotes, to look them up before
+  /// making the expression. Errors: bad-argument (a mistake in the grammar, with its column). `known`: words that are
+  /// names although they are also constants (`e`).
   static Result<std::vector<std::string>> names_in(std::string_view text, const std::vector<std::string>& known = {});
-  /// As `names_in` writes it: two names that become the same are the same.
+  /// The form that `names_in` returns: two names with the same form are the same name.
   static std::string normal_name(std::string_view name);
 
   /// Empty: evaluates to waiting.
@@ -114,19 +114,19 @@ class Expression {
   const std::string& text() const noexcept;
   /// As they were given.
   const std::vector<std::string>& names() const noexcept;
-  /// Whether the text has this name. `index`: among `names()`; one beyond them is not used.
+  /// True if the text uses this name. `index`: in `names()`; false for an index out of range.
   bool uses(std::size_t index) const noexcept;
-  /// Whether its value is true or false: a comparison, `and`, `or`, `not`, `true`, `false`, or a choice between such.
+  /// True if its result is true or false: a comparison, `and`, `or`, `not`, `true`, `false`, or a choice between such.
   bool is_condition() const noexcept;
 
-  /// A new value of a name. One that is not finite makes what uses it fail. An index beyond the names: nothing.
+  /// Sets a name. A value that is not finite makes the expressions with it fail. Ignores an index out of range.
   void set(std::size_t index, double value) noexcept;
-  /// It has no value now: what uses it waits.
+  /// Removes the value of a name: expressions with it wait.
   void set_unknown(std::size_t index) noexcept;
-  /// One event. `time`: of the event, on the loop's line; one that is before the last one's counts as that.
+  /// Evaluates for one event. `time`: the event's time; an earlier time than the last one counts as the last one.
   ExpressionResult evaluate(Time time) noexcept;
-  /// Why the last evaluation failed or waits, for people: "imu.x is no finite number", "division by zero in column 7";
-  /// empty when it has a value. Takes memory: not for each event.
+  /// Why the last evaluation failed or waits, for people: "imu.x is not a finite number", "division by zero in column
+  /// 7"; empty if it has a value. Allocates memory: do not call it for each event.
   std::string why() const;
   /// Forgets all values and memories.
   void reset() noexcept;

@@ -4,19 +4,18 @@
 ///     if (watch.take(pressure, loop.now())) show(watch.state());
 ///     watch.acknowledge();
 ///
-/// A value is beyond `high` or `high_high` when it is greater, and beyond `low` or `low_low` when it is less. It is at
-/// a level once it has been beyond that limit, with every value that came, for `delay`; and no more with the first
-/// value that is back by `hysteresis`. Values come with their times, and time alone changes nothing, so that a replay
-/// finds the same.
+/// A value is beyond `high` or `high_high` if it is greater, and beyond `low` or `low_low` if it is less. The level is
+/// reached when all values have been beyond the limit for `delay`; it ends with the first value that is back by
+/// `hysteresis`. Only values change the level, not the passing of time, so a replay gives the same result.
 ///
-/// The alarm is what is to be signalled: the level, but, when `latched`, the worst level until somebody has
-/// acknowledged it, also when the value is back. A level that is worse than the alarm, or on the other side, is a new
-/// alarm, and not acknowledged. Levels `low_low` and `high_high` are worse than `low` and `high`.
+/// The alarm is the state to signal: the level or, if `latched`, the worst level until somebody has acknowledged it,
+/// even if the value is back. A level that is worse than the alarm, or on the other side, is a new alarm without
+/// acknowledgement. Levels `low_low` and `high_high` are worse than `low` and `high`.
 ///
-/// A value that is unknown (absent, not finite, or because nothing comes) has the level `unknown`. The alarm then stays
-/// what it was, or is `unknown` where there was none: somebody is to look.
+/// An unknown value (absent, not finite, or no events) has the level `unknown`. An existing alarm then does not change;
+/// without one, the alarm is `unknown`, so that somebody checks.
 ///
-/// No function allocates, locks or throws, but for the constructor and `change`. Values; one thread at a time.
+/// Only the constructor and `change` may allocate or throw; no function locks. Values; one thread at a time.
 #pragma once
 
 #include <array>
@@ -39,19 +38,19 @@ constexpr auto describe(type_tag<LimitLevel>) {
 
 struct LimitSettings {
   std::optional<double> low_low = {}, low = {}, high = {}, high_high = {};  ///< at least one, in ascending order
-  double hysteresis = 0;  ///< not negative; less than what is between `low` and `high`
+  double hysteresis = 0;  ///< not negative; less than the distance from `low` to `high`
   Duration delay{0};
   bool latched = false;
 };
 
-/// Errors (bad-argument): no limit, not in ascending order, not finite, a hysteresis or delay that cannot be.
+/// Errors (bad-argument): no limit, not in ascending order, not finite, an invalid hysteresis or delay.
 Result<void> check_limits(const LimitSettings& settings);
 
 struct LimitState {
   LimitLevel level = LimitLevel::normal;  ///< of the value
-  LimitLevel alarm = LimitLevel::normal;  ///< to be signalled
-  bool acknowledged = true;               ///< or there is no alarm
-  std::optional<double> value = {};       ///< the last one; none: it is unknown
+  LimitLevel alarm = LimitLevel::normal;  ///< the state to signal
+  bool acknowledged = true;               ///< also true without an alarm
+  std::optional<double> value = {};       ///< the last one; empty: unknown
   std::optional<double> limit = {};       ///< that of the alarm's level
   bool operator==(const LimitState&) const = default;
 };
@@ -61,15 +60,15 @@ class LimitWatch {
   /// SetupError: as `check_limits`.
   explicit LimitWatch(const LimitSettings& settings);
 
-  /// Whether level, alarm or acknowledgement have changed.
+  /// Takes a value; returns true if level, alarm or acknowledgement have changed.
   bool take(double value, Time time) noexcept;
   bool take_unknown() noexcept;
-  /// Somebody has seen the alarm. False: there was nothing to acknowledge.
+  /// Acknowledges the alarm. False: there was nothing to acknowledge.
   bool acknowledge() noexcept;
   const LimitState& state() const noexcept { return state_; }
-  /// Other limits: the alarm and its acknowledgement stay until the next value. SetupError: as `check_limits`.
+  /// Changes the limits; the alarm and its acknowledgement stay until the next value. SetupError: as `check_limits`.
   void change(const LimitSettings& settings);
-  /// As it was made.
+  /// Returns to the initial state.
   void reset() noexcept;
 
  private:
@@ -89,7 +88,7 @@ class LimitWatch {
   double hysteresis_ = 0;
   Duration delay_{0};
   bool is_latched_ = false;
-  double same_from_ = 0, same_until_ = 0;  // a value between these changes nothing, whatever its time
+  double same_from_ = 0, same_until_ = 0;  // a value between these changes nothing, at any time
   LimitState state_;
 };
 

@@ -6,23 +6,24 @@
 ///                       .unit = "bar"}}}}, read);
 ///
 /// A field is named by its path ("temperature", "position.x", "accel[0]"), an array also by its name, which stands for
-/// all its elements. Each sample goes through the calibration and then through the filters in their order. What is
-/// published has, behind the fields of the sensor:
-///   - `NAME.raw`, as the sensor gave it, of each field whose value is changed: by a calibration, median, mean,
-///     exponential or clamp;
+/// all its elements. Each sample goes through the calibration and then through the filters in their order. The
+/// published event has these additional fields after those of the sensor:
+///   - `NAME.raw`, the sensor's value of each field that is changed by a calibration, median, mean, exponential or
+///     clamp;
 ///   - `NAME.rate`, optional, of each field with a rate of change.
 /// An integer whose value is changed becomes a double, beside the exact integer in `NAME.raw`; float stays float; all
 /// else stays as it is. Calculations are in double: `delta` and rates of 64-bit integers beyond 2^53 are rounded.
 ///
 /// A value that is not finite, before or afterwards, or outside its table or bounds, makes the sample unreadable
-/// (ledger.hpp); it is never published. A sample that `throttle` or `delta` hold back is `filtered`; it has been seen
-/// by all the other filters. With these on several fields, it is held back when all of these fields hold it back.
+/// (ledger.hpp); it is never published. A sample that `throttle` or `delta` holds back counts as `filtered`, although
+/// the other filters have used it. If several fields have `throttle` or `delta`, the sample is held back only if all of
+/// them hold it back.
 ///
-/// Filters begin anew, as if the next sample were the first, after a start, a gap, a fault, a sample that was lost or
-/// unreadable, a time that goes back, and `AnySensor::set_processing`; those of an optional field also after it was
-/// absent. Memory is taken when the sensor is made, none later.
+/// Filters restart, as if the next sample were the first, after a start, a gap, a fault, a lost or unreadable sample, a
+/// time that goes back, and `AnySensor::set_processing`; filters of an optional field also after it was absent. All
+/// memory is allocated when the sensor is made.
 ///
-/// Recordings keep what holds from when on, with the version, in rtdata_configuration: docs/process.md.
+/// Recordings store each processing with its version and start time, in rtdata_configuration (docs/process.md).
 ///
 /// Values; any thread.
 #pragma once
@@ -43,16 +44,16 @@ namespace rtdata {
 enum class OutsideTable : std::uint8_t {
   refuse,  ///< the sample is unreadable
   clamp,   ///< the value of the nearest end
-  extend,  ///< the line through the two points at that end goes on
+  extend,  ///< extend the line through the two points at that end
 };
 
-/// x = raw * scale + offset; of that the polynomial, or the table, if there is one.
+/// x = raw * scale + offset; then the polynomial or the table of x, if there is one.
 struct Calibration {
-  std::string version = {};                       ///< in recordings; empty: made from the numbers, eight hex digits
+  std::string version = {};                       ///< for recordings; empty: eight hex digits made from the numbers
   double scale = 1;                               ///< not 0
   double offset = 0;                              ///< in the unit of the scaled value
   std::vector<double> polynomial = {};            ///< c0 + c1 x + c2 x^2 ...: 2 to 10 coefficients
-  std::vector<std::array<double, 2>> table = {};  ///< pairs of x, which ascend, and value: 2 to 1000, straight between
+  std::vector<std::array<double, 2>> table = {};  ///< 2 to 1000 pairs of ascending x and value; linear in between
   OutsideTable outside = OutsideTable::refuse;    ///< of a table
   std::optional<double> least = {};               ///< a value below it is unreadable
   std::optional<double> most = {};                ///< a value above it is unreadable
@@ -69,22 +70,23 @@ struct Filter {
   std::optional<Duration> time = {};  ///< of a throttle
   std::optional<double> by = {};      ///< of a delta
 
-  /// The middle one of the last values; while there are fewer, of those, of an even number the mean of the middle two.
+  /// The median of the last `of` values, or of all while there are fewer; of an even number, the mean of the middle
+  /// two.
   static Filter median(unsigned of) { return {.type = FilterType::median, .of = of}; }
-  /// The mean of the last `of` values; of all so far while there are fewer.
+  /// The mean of the last `of` values, or of all while there are fewer.
   static Filter mean(unsigned of) { return {.type = FilterType::mean, .of = of}; }
   /// y += weight * (x - y), beginning with the first value.
   static Filter exponential(double weight) { return {.type = FilterType::exponential, .weight = weight}; }
-  /// What is below becomes `least`, what is above `most`.
+  /// Lower values become `least`, higher ones `most`.
   static Filter clamp(std::optional<double> least, std::optional<double> most) {
     return {.type = FilterType::clamp, .least = least, .most = most};
   }
-  /// Publishes at most one sample in a time, by the times of the samples.
+  /// Publishes at most one sample in this time, by the times of the samples.
   static Filter throttle(Duration time) { return {.type = FilterType::throttle, .time = time}; }
   /// Publishes a sample only when it differs by this much or more from the last published one.
   static Filter delta(double by) { return {.type = FilterType::delta, .by = by}; }
-  /// The change a second of the value as the filters before it give it, in `NAME.rate`, which is absent for the first
-  /// sample, and where no time has passed since the last one.
+  /// The change per second of the value after the previous filters, in `NAME.rate`; absent for the first sample and if
+  /// no time has passed since the last one.
   static Filter rate_of_change() { return {.type = FilterType::rate_of_change}; }
 };
 
@@ -94,7 +96,7 @@ struct FieldProcessing {
   std::optional<std::string> unit = {};  ///< UCUM, of the calibrated value; unset: as that of the raw one
 };
 
-/// What calibrations and filters are called in a configuration file: the key `process` of every sensor.
+/// The configuration of calibrations and filters: the key `process` of every sensor.
 ///
 ///     {"name": "tank", "type": "analog", ..., "process": {"value": {
 ///         "calibration": {"version": "2026-03", "table": [[0.5, 0], [4.5, 10]]},
@@ -107,7 +109,7 @@ constexpr auto parameters(type_tag<Calibration>) {
       parameter("offset", &Calibration::offset, "added to that"),
       parameter("polynomial", &Calibration::polynomial, "its coefficients, of that: c0, c1, c2 ..., 2 to 10"),
       parameter("table", &Calibration::table, "pairs of that and the value, 2 to 1000, straight between them"),
-      parameter("outside", &Calibration::outside, "what becomes of a value outside the table",
+      parameter("outside", &Calibration::outside, "how a value outside the table is treated",
                 choices(value("refuse", OutsideTable::refuse), value("clamp", OutsideTable::clamp),
                         value("extend", OutsideTable::extend))),
       parameter("least", &Calibration::least, "a value below it is unreadable"),
@@ -122,14 +124,14 @@ constexpr auto parameters(type_tag<Filter>) {
                         value("exponential", FilterType::exponential), value("clamp", FilterType::clamp),
                         value("throttle", FilterType::throttle), value("delta", FilterType::delta),
                         value("rate_of_change", FilterType::rate_of_change))),
-      parameter("of", &Filter::of, "so many samples: of a median odd, 3 to 255; of a mean 2 to 1000",
+      parameter("of", &Filter::of, "number of samples: of a median odd, 3 to 255; of a mean 2 to 1000",
                 only_with("type", "median", "mean")),
       parameter("weight", &Filter::weight, "of the new value, above 0, up to 1", only_with("type", "exponential")),
-      parameter("least", &Filter::least, "what is below becomes this", only_with("type", "clamp")),
-      parameter("most", &Filter::most, "what is above becomes this", only_with("type", "clamp")),
+      parameter("least", &Filter::least, "values below it become it", only_with("type", "clamp")),
+      parameter("most", &Filter::most, "values above it become it", only_with("type", "clamp")),
       parameter("time", &Filter::time, "at most one sample in this time", range(Duration{1}, Duration{24h}),
                 only_with("type", "throttle")),
-      parameter("by", &Filter::by, "only what differs by so much from what was published last",
+      parameter("by", &Filter::by, "only values that differ by at least this from the last published one",
                 only_with("type", "delta")));
 }
 
@@ -145,15 +147,15 @@ void check_config(const FieldProcessing& config, const ConfigItem& item, Problem
 /// By the path of the field.
 using Processing = std::map<std::string, FieldProcessing>;
 
-/// What is wrong with a part of a Processing.
+/// A mistake in a part of a Processing.
 struct ProcessingMistake {
   std::string field;  ///< path of the field
-  std::string key;    ///< of the part that it is found in, such as "table"; empty: the field itself
+  std::string key;    ///< key of the wrong part, such as "table"; empty: the field itself
   std::string why;
   std::string advice;
 };
 
-/// Thrown where a Processing does not fit a sensor.
+/// Thrown if a Processing does not fit a sensor.
 class ProcessingError : public SetupError {
  public:
   ProcessingError(const std::string& sensor, std::vector<ProcessingMistake> mistakes);
@@ -163,8 +165,9 @@ class ProcessingError : public SetupError {
   std::vector<ProcessingMistake> mistakes_;
 };
 
-/// The description of what a sensor publishes, of that of its own; the same when nothing is added or changed.
-/// ProcessingError: a field that is not there, or no number; a part that is wrong in itself; a payload above 4 KiB.
+/// The description of the published event, made from the sensor's own description; the same if nothing is added or
+/// changed. ProcessingError: a field that does not exist or is not a number, a mistake in a part, or a payload above 4
+/// KiB.
 std::shared_ptr<const Description> processed(const std::shared_ptr<const Description>& description,
                                              const Processing& processing, const std::string& sensor);
 

@@ -5,16 +5,16 @@
 ///     rocket.take(time, {.height = 212.4, .acceleration = 3.1});   // m; g, 1 at rest
 ///     if (rocket.now().speed + rocket.now().speed_deviation < 0) { ... }   // it surely falls
 ///
-/// A Kalman filter of height, speed, acceleration and the accelerometer's bias. What it believes:
-///   - on the ground the accelerometer shows what it shows beside 1 g, and the barometer how high the ground is;
-///   - in flight the barometer is left out while the speed is near that of sound, and each height that is farther from
-///     the expected one than noise explains; what is left out for seconds is believed again once a stretch of it agrees
-///     with what the accelerometer shows or, longer, with itself;
-///   - while the speed is not known (no accelerometer, or one at the end of its range) the barometer is left out for
-///     `burn` after the liftoff, then believed once a stretch of it agrees;
-///   - an accelerometer at the end of its range, or that shows one and the same value for 2 s, measures nothing; nor
-///     does a barometer that repeats a height.
-/// The deviations grow while nothing is measured: they say how sure it is.
+/// A Kalman filter of height, speed, acceleration and the accelerometer's bias. Its rules:
+///   - on the ground it learns the accelerometer's bias (the difference from 1 g) and the height of the ground;
+///   - in flight it ignores the barometer near the speed of sound, and each height that differs from the expected one
+///     by more than the noise; after seconds of ignored heights it uses the barometer again when a series of heights
+///     agrees with the accelerometer or, after a longer time, with itself;
+///   - while the speed is unknown (no accelerometer, or one at the end of its range) it ignores the barometer for
+///     `burn` after the liftoff, then uses it again when a series of heights agrees;
+///   - it ignores an accelerometer at the end of its range or with the same value for 2 s, and a barometer that repeats
+///     a height.
+/// The deviations show the uncertainty; they grow while nothing is measured.
 ///
 /// A value, without a loop; allocates nothing after its construction. Any thread, one at a time.
 #pragma once
@@ -28,49 +28,49 @@
 namespace rtdata {
 
 struct VerticalKalmanConfig {
-  Duration burn = std::chrono::seconds{7};  ///< after the liftoff, without the speed by an accelerometer: no barometer
-  double noise = 0.5;                       ///< m, of the barometer, at least; more is found by itself
-  double range = 0;                         ///< g, the end of the accelerometer's; 0: found by values that repeat there
+  Duration burn = std::chrono::seconds{7};  ///< time without the barometer after liftoff, if the speed is unknown
+  double noise = 0.5;                       ///< m, least noise of the barometer; it detects more by itself
+  double range = 0;                         ///< g, range of the accelerometer; 0: detected by repeated values
 };
 
 struct VerticalReadings {
   static constexpr double none = std::numeric_limits<double>::quiet_NaN();
   double height = none;        ///< m, by the barometer; NaN: not measured
-  double acceleration = none;  ///< g, along the axis, as it is felt: 1 at rest, 0 in free fall; NaN: not measured
+  double acceleration = none;  ///< g, along the axis, as measured: 1 at rest, 0 in free fall; NaN: not measured
 };
 
 enum class BarometerUse {
-  none,     ///< it has brought nothing new
-  used,     ///< its height counts
-  locked,   ///< left out: near the speed of sound, or `burn` is not over
-  refused,  ///< left out: too far from what is expected
+  none,     ///< no new value
+  used,     ///< its height is used
+  locked,   ///< ignored: near the speed of sound, or during `burn`
+  refused,  ///< ignored: too far from the expected height
 };
 
 struct VerticalState {
-  double height = 0;        ///< m, by the barometer's zero
+  double height = 0;        ///< m, above the barometer's zero
   double speed = 0;         ///< m/s, upwards
   double acceleration = 0;  ///< m/s2, upwards; -9.8 in free fall
   double height_deviation = 0;
   double speed_deviation = 0;
-  double ground = VerticalReadings::none;  ///< m, where it stood; NaN: it has not stood still
-  double unchanged = 0;                    ///< s for which the barometer has brought nothing new
+  double ground = VerticalReadings::none;  ///< m, where it stood; NaN: not known
+  double unchanged = 0;                    ///< s since the barometer's last new value
   BarometerUse barometer = BarometerUse::none;
   bool accelerometer = false;  ///< it measures
-  bool is_flying = false;      ///< from the liftoff on, until it has stood still
+  bool is_flying = false;      ///< from liftoff until it stands still
 };
 
 class VerticalKalman {
  public:
   explicit VerticalKalman(VerticalKalmanConfig config = {});
-  /// Readings less than 1 us apart are of one instant, of which the last of each kind counts; so are those of a time
-  /// before the latest.
+  /// Readings less than 1 us apart count as one instant, of which the last of each kind is used; so do readings older
+  /// than the latest.
   void take(Time time, VerticalReadings readings);
   const VerticalState& now() const noexcept { return now_.state; }
   /// As new.
   void reset() noexcept;
 
  private:
-  /// A stretch of the barometer's heights, thinned to what there is room for.
+  /// A series of the barometer's heights, thinned to the available space.
   struct Point {
     double time = 0, height = 0;
     double path = 0;  // m, by the accelerometer alone, from where the stretch begins

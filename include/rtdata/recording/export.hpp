@@ -33,31 +33,32 @@ struct ExportConfig {
   RowFilter filter = {};
   ExportTime time = ExportTime::recorded;
   enum class TimeText { nanoseconds, iso8601 };
-  TimeText time_text = TimeText::nanoseconds;  ///< of CSV; the other formats have their own
+  TimeText time_text = TimeText::nanoseconds;  ///< for CSV; the other formats have their own
   enum class Header { names, names_and_units };
   Header header = Header::names;  ///< of CSV
   enum class Existing { refuse, replace };
-  Existing existing = Existing::refuse;  ///< files that are in the folder already
-  /// Not 0: reduced to steps of this length, see `Recording::steps`. In UTC the steps are those of UTC.
+  Existing existing = Existing::refuse;  ///< if a file exists already
+  /// Not 0: reduces the rows to steps of this length, see `Recording::steps`. With UTC times, the steps are aligned to
+  /// UTC.
   Duration step{0};
-  /// Called after each 256 KiB or so that were written; empty: not called.
+  /// Called after about each 256 KiB written; empty: not called.
   std::function<void(const ExportProgress&)> on_progress = {};
 };
 
 struct ExportCount {
   std::string path;  ///< empty for a stream
   std::uint64_t rows = 0;
-  std::uint64_t refused = 0;  ///< rows that do not fit the format; they are left out
-  Error refusal = {};         ///< why the first of them does not fit
+  std::uint64_t refused = 0;  ///< rows left out because they do not fit the format
+  Error refusal = {};         ///< the error of the first of them
 };
 
-/// All rows to one stream; CSV has its header also when there are none. A format that does not name topics (CSV) takes
-/// the rows of one description only: otherwise bad-argument, before anything is written.
+/// Writes all rows to one stream; CSV always has a header. A format without topic names (CSV) can hold rows of only one
+/// description: otherwise bad-argument, before anything is written.
 Result<ExportCount> export_rows(const Recording& recording, const ExportConfig& config, std::ostream& out);
 
-/// A file a topic in a folder, which is made: room/climate.csv, then room/climate~2.csv for a second description; of
-/// JSON lines room/climate.jsonl. A file that is there already is an error (bad-argument), and nothing is written,
-/// unless `existing` says to replace it.
+/// Writes a file for each topic into a folder, which is made: room/climate.csv, then room/climate~2.csv for a second
+/// description; for JSON lines room/climate.jsonl. An existing file is an error (bad-argument), and nothing is written,
+/// unless `existing` allows to replace it.
 Result<std::vector<ExportCount>> export_files(const Recording& recording, const ExportConfig& config,
                                               const std::string& folder,
                                               const CodecRegistry& registry = CodecRegistry::standard());

@@ -1,10 +1,10 @@
-/// Recording: reads back what a SqliteSink recorded, also while it records.
+/// Recording: reads the recording of a SqliteSink, also while the sink still writes it.
 ///
 ///     auto recording = rtdata::Recording::open("run.db").or_throw();
 ///     auto events = recording.events<Climate>("room/climate").or_throw();
 ///     while (const auto* event = events.next().or_throw()) print(event->time, event->data.temperature);
 ///
-/// Of any type, over several topics in order of time, with the gaps where they are:
+/// Events of any type from several topics, in order of time, with the gaps in their places:
 ///
 ///     auto rows = recording.rows({.topic = "room/#", .gaps = rtdata::RowFilter::Gaps::in_place}).or_throw();
 ///     while (const rtdata::RecordedRow* row = rows.next().or_throw()) {
@@ -16,13 +16,13 @@
 /// in which it has events, whose fields are "events" and of each number in the topic "temperature.count",
 /// "temperature.min", "temperature.max" and "temperature.mean".
 ///
-/// Every payload comes back equal: 64-bit unsigned bit for bit, NaN, absent optionals, enumerations by name. (-0.0
-/// comes back as 0.0, which is equal: SQLite keeps no sign of zero.) A field that a later run added reads as absent,
-/// NaN, zero or empty in the rows from before.
+/// Every payload reads back equal: 64-bit unsigned bit for bit, NaN, absent optionals, enumerations by name. (-0.0
+/// reads back as 0.0: SQLite keeps no sign of zero.) A field that a later run added reads as absent, NaN, zero or empty
+/// in older rows.
 ///
-/// Owner: the holder; Rows may outlive the Recording. Thread: one at a time. Times are as they were recorded (a line
-/// that never jumps); `Recording::utc_line` gives UTC. Errors: not-found, not-permitted, not-a-recording,
-/// newer-version, damaged, busy.
+/// Owner: the holder; Rows may outlive the Recording. Thread: one at a time. Times are recorded times, on a clock that
+/// never jumps; `Recording::utc_line` gives UTC. Errors: not-found, not-permitted, not-a-recording, newer-version,
+/// damaged, busy.
 #pragma once
 
 #include <cstdint>
@@ -41,9 +41,9 @@
 namespace rtdata {
 
 enum class RunState {
-  recording,  ///< it records now, or ended without closing and was not sealed yet
+  recording,  ///< still being recorded, or ended without closing and not sealed yet
   closed,
-  sealed,  ///< it ended without closing, and a later start wrote down what was lost; or a tier hung at its end: see
+  sealed,  ///< ended without closing, and a later start recorded the losses; or a tier hung at its end: see
            ///< `remark`
 };
 std::string_view name_of(RunState state) noexcept;
@@ -53,10 +53,10 @@ struct RunInfo {
   std::string uuid, name, notes, configuration, program, host, boot_id;
   std::int64_t pid = 0;
   Time started{};
-  std::optional<Time> ended;  ///< the last account; none before the first
-  Duration clock_offset{0};   ///< recorded time minus the monotonic line
+  std::optional<Time> ended;  ///< time of the last account; empty before the first
+  Duration clock_offset{0};   ///< recorded time minus the monotonic clock
   RunState state = RunState::recording;
-  std::optional<std::uint64_t> lost;  ///< of a sealed run: published and not stored; none: not known
+  std::optional<std::uint64_t> lost;  ///< of a sealed run: published but not stored; empty: unknown
   std::string remark;
 };
 
@@ -79,24 +79,24 @@ struct LedgerEntry {
   std::uint64_t dropped_newest = 0, dropped_oldest = 0, dropped_refused = 0, dropped_unsaved = 0;
   std::uint64_t first_sequence = 0, last_sequence = 0;  ///< offered; 0: none
   std::uint64_t pruned = 0;
-  std::int64_t rows_up_to = 0;            ///< rows after this rowid came after the account
-  std::vector<std::string> made_of = {};  ///< topics of whose events its own are made
+  std::int64_t rows_up_to = 0;            ///< rows after this rowid are newer than the account
+  std::vector<std::string> made_of = {};  ///< topics from which its events are made
   std::uint64_t dropped() const noexcept { return dropped_newest + dropped_oldest + dropped_refused + dropped_unsaved; }
 };
 
-/// What an origin came to in all runs that were deleted, and its outages in them (without a schedule).
+/// The total account of an origin over all deleted runs, and its outages (without a schedule).
 struct DeletedOrigin {
-  LedgerEntry account;  ///< only sums: no sequences; lost_is_known: of all of them
+  LedgerEntry account;  ///< only sums, no sequences; lost_is_known: for all runs
   Outages outages;
 };
 
-/// The runs of which `max_bytes` or `max_age` had deleted every row, and then the account: what is left are sums.
+/// The totals of runs whose rows and account were deleted by `max_bytes` or `max_age`.
 struct DeletedRuns {
   std::uint64_t runs = 0;  ///< 0: none was deleted, and nothing else is set
   std::int64_t first_run = 0, last_run = 0;
   Time started{}, ended{};    ///< of the first, of the last
-  std::uint64_t sealed = 0;   ///< of them, those that were not closed
-  std::uint64_t unsaved = 0;  ///< events of sensors that had only begun when their run was killed
+  std::uint64_t sealed = 0;   ///< how many of them were not closed
+  std::uint64_t unsaved = 0;  ///< events of new sensors whose run was killed before its first account
   std::vector<DeletedOrigin> origins;
 };
 
@@ -122,17 +122,16 @@ struct RecordedClock {
   std::string occasion = {};
 };
 
-/// The UTC of the monotonic line of one boot, bound late: by all pairs of monotonic time and time of day in the
-/// recordings of that boot.
+/// Converts recorded times of one boot to UTC, from all pairs of monotonic time and time of day in the recording for
+/// that boot.
 ///
-/// A pair says the time of day at its instant to within its accuracy, and less well away from it: worse by 1 us for
-/// each second (1 ppm). A pair is used if no other pair has a smaller error at its instant. From one such pair to the
-/// next the line is straight; before the first and after the last it is parallel to the monotonic one. It never goes
-/// back.
+/// A pair gives the time of day at its instant within its accuracy; the error grows by 1 us for each second of distance
+/// (1 ppm). A pair is used if no other pair has a smaller error at its instant. Between two such pairs UTC is linear;
+/// before the first and after the last it runs parallel to the monotonic clock. It never goes back.
 ///
-/// Pairs of unknown accuracy are used only when there are no others. Then a clock was set because it was wrong, so the
-/// last one holds for the whole boot: an hour's step leaves neither a hole nor an hour twice. (One before 2020 was
-/// never set, and overrules none that was.)
+/// Pairs of unknown accuracy are used only if there are no others. Then the last one applies to the whole boot, because
+/// a clock is set when it was wrong: a step of an hour leaves no gap and no double hour. (A pair before 2020 is from a
+/// clock that was never set; it does not replace later ones.)
 class UtcLine {
  public:
   /// From `since` on: UTC = monotonic + offset + (monotonic - since) * rate.
@@ -142,11 +141,11 @@ class UtcLine {
     double rate = 0;
     bool operator==(const Stretch&) const = default;
   };
-  /// `pairs`: of the boot, in any order. `clock_offset`: of the run whose times are asked for.
+  /// `pairs`: all of the boot, in any order. `clock_offset`: of the run to convert.
   explicit UtcLine(std::span<const RecordedClock> pairs, Duration clock_offset = Duration{0});
-  /// The UTC of a time as recorded in that run. One from before the boot (a source with times of its own) stays.
+  /// The UTC of a recorded time of that run. A time before the boot (from a source with its own times) does not change.
   Time utc(Time recorded) const noexcept;
-  /// The opposite: the first time in that run whose UTC is not before this one.
+  /// The inverse: the first recorded time of that run whose UTC is not before `utc`.
   Time recorded(Time utc) const noexcept;
   /// In order; the first begins at 0. None when there are no pairs.
   const std::vector<Stretch>& stretches() const noexcept { return stretches_; }
@@ -168,7 +167,7 @@ struct RecordedConfiguration {
   Time time{};
   std::string object;       ///< "sensor chamber": the part that was added, changed or removed; empty: the whole
   std::string text;         ///< of the part or of the whole; empty: the part was removed
-  std::uint64_t count = 0;  ///< changes of the object up to this one, joined since there were too many
+  std::uint64_t count = 0;  ///< number of changes of the object joined into this one
 };
 
 /// See HealthChange (runtime.hpp).
@@ -179,38 +178,38 @@ struct RecordedHealth {
   Time last{};              ///< when that was; `time` is when the first was
 };
 
-/// What a sink that goes through the recording (SinkConfig::through) still has to send.
+/// The events that a sink with SinkConfig::through still has to send.
 struct RecordedBacklog {
   std::string sink;
-  std::string host;                 ///< the machine whose sink it is
+  std::string host;                 ///< the machine of the sink
   std::uint64_t events = 0;         ///< that wait
   std::uint64_t bytes = 0;          ///< of those, their payloads
   std::optional<Time> oldest = {};  ///< of those, UTC; none: nothing waits
-  std::uint64_t refused = 0;        ///< events that its peer will never take: dropped
-  std::uint64_t refused_keys = 0;   ///< of the newest of those the recording has the keys and the reasons
-  std::uint64_t unsent = 0;         ///< events that a limit of the recording deleted before its peer had them
+  std::uint64_t refused = 0;        ///< events that its peer refused; dropped
+  std::uint64_t refused_keys = 0;   ///< how many of these have keys and reasons in the recording (the newest)
+  std::uint64_t unsent = 0;         ///< events deleted by a limit of the recording before they were sent
 };
 
-/// Which rows. Everything is taken that is not left out.
+/// Selects rows. The default selects all.
 struct RowFilter {
   std::string topic = "#";               ///< a pattern; topics of "$rtdata/" only when it begins with "$"
   std::optional<std::int64_t> run = {};  ///< number of the run; all of them unless given
   std::optional<std::string> origin = {};
-  std::optional<Time> from = {};   ///< first time taken; of gaps, those that have not ended by then
-  std::optional<Time> until = {};  ///< first time not taken any more
-  std::uint64_t limit = 0;         ///< at most so many rows, gaps not counted; 0: no limit
+  std::optional<Time> from = {};   ///< first time selected; gaps that end later are included
+  std::optional<Time> until = {};  ///< first time not selected
+  std::uint64_t limit = 0;         ///< maximum number of rows, not counting gaps; 0: no limit
   /// Thins out: only the events 1, 1 + every, 1 + 2 * every and so on of each origin.
   std::uint64_t every = 1;
   enum class Gaps {
     left_out,
-    in_place,  ///< each where it begins, before events of that time
+    in_place,  ///< each at its beginning, before events of the same time
   };
   Gaps gaps = Gaps::left_out;
   enum class Times {
-    recorded,  ///< the run's line, which never jumps
+    recorded,  ///< the run's clock, which never jumps
     utc,       ///< see UtcLine
   };
-  Times times = Times::recorded;  ///< what `from` and `until` are; of `steps`, also what the steps are
+  Times times = Times::recorded;  ///< clock of `from` and `until`, and of the steps in `steps`
 };
 
 namespace detail {
@@ -223,13 +222,13 @@ struct RowCursor;
 class RecordedRow {
  public:
   std::int64_t run() const noexcept { return run_; }
-  /// Not null: there is no event, but a gap of that origin. Only with `RowFilter::Gaps::in_place`.
+  /// Not null: this row is a gap of that origin, not an event. Only with `RowFilter::Gaps::in_place`.
   const RecordedGap* gap() const noexcept { return gap_; }
-  /// Of a gap: only the name is set.
+  /// For a gap only the name is set.
   const RecordedTopic& topic() const noexcept { return *topic_; }
-  /// Of a gap: when it begins, and sequence 0.
+  /// For a gap: its beginning, and sequence 0.
   const EventHeader& header() const noexcept { return header_; }
-  /// Not of a gap.
+  /// Not for a gap.
   EventView event() const noexcept { return EventView(topic_->topic, header_, *topic_->description, payload_); }
 
  private:
@@ -243,16 +242,17 @@ class RecordedRow {
   std::vector<std::byte> payload_;
 };
 
-/// Rows run by run, in each in order of time across all topics; at one time in order of topics. Those that do not lie
-/// in that order, and all of `steps`, SQLite sorts first, in a temporary file if need be. While it lives it
-/// sees the recording as it was when it was made, also while another process writes it; as long as that takes, the log
-/// of a recording that is being written grows.
+/// Rows run by run, in order of time across all topics; at equal times in order of topics. Rows stored in another
+/// order, and all rows of `steps`, are first sorted by SQLite, if necessary in a temporary file. It sees the recording
+/// as it was when it was made, even if another process writes to it; during that time the WAL file of the recording
+/// grows.
 class Rows {
  public:
   Rows(Rows&&) noexcept;
   Rows& operator=(Rows&&) noexcept;
   ~Rows();
-  /// Null after the last. Errors: damaged (a value that does not fit its field is named with topic, run and sequence).
+  /// The next row; null after the last. Errors: damaged (a value does not fit its field; names topic, run and
+  /// sequence).
   Result<const RecordedRow*> next();
 
  private:
@@ -265,7 +265,7 @@ class Rows {
 template <Described T>
 struct RecordedEvent : Event<T> {
   std::int64_t run = 0;
-  const RecordedGap* gap = nullptr;  ///< not null: no event, but a gap: `data` means nothing
+  const RecordedGap* gap = nullptr;  ///< not null: a gap, not an event; `data` is unused
 };
 
 namespace detail {
@@ -274,8 +274,7 @@ Result<std::shared_ptr<const void>> make_recorded_map(const RecordedTopic& topic
 void apply_recorded_map(const void* map, const std::byte* from, std::byte* to) noexcept;
 }  // namespace detail
 
-/// `Rows` of one type. The fields of T are found by name in each topic and each of its descriptions; it may leave some
-/// out.
+/// `Rows` of one type. The fields of T are found by name in each topic and each of its descriptions; T may omit fields.
 template <Described T>
 class RecordedEvents {
  public:
@@ -318,7 +317,7 @@ class Recording {
 
   const std::string& path() const noexcept;
   Result<std::vector<RunInfo>> runs() const;
-  /// The runs that are not among them any more.
+  /// The totals of runs that were deleted.
   Result<DeletedRuns> deleted_runs() const;
   /// In order of name and version.
   Result<std::vector<RecordedTopic>> topics() const;
@@ -327,16 +326,15 @@ class Recording {
   Result<std::vector<RecordedGap>> gaps(std::int64_t run) const;
   Result<std::vector<RecordedSegment>> schedule(std::int64_t run) const;
   Result<std::vector<RecordedClock>> clock(std::int64_t run) const;
-  /// The line of the run's boot; other runs of that boot in this recording help to find it. Error: not-found.
+  /// The UTC conversion for the run's boot, from all runs of that boot in this recording. Error: not-found.
   Result<UtcLine> utc_line(std::int64_t run) const;
   Result<std::vector<RecordedConfiguration>> configurations(std::int64_t run) const;
-  /// Of each sink that goes through the recording, by its name: as of its last position in the file, which is that of
-  /// the last transaction.
+  /// One entry for each sink with `through`, by name, as of the last committed position.
   Result<std::vector<RecordedBacklog>> backlogs() const;
   Result<std::vector<RecordedError>> errors(std::int64_t run) const;
   /// Every change of health, in order of time.
   Result<std::vector<RecordedHealth>> health(std::int64_t run) const;
-  /// Errors: bad-name (a pattern that is none), bad-argument (every 0).
+  /// Errors: bad-name (an invalid pattern), bad-argument (`every` is 0).
   Result<Rows> rows(const RowFilter& filter) const;
   /// The same as payloads of a type. Errors: also not-found (no such topic in the recording), description-differs (a
   /// field that is missing or of another kind or unit, named, in a topic that has rows).
@@ -353,12 +351,12 @@ class Recording {
     filter.topic = topic;
     return events<T>(filter);
   }
-  /// Reduced: for each origin and each step in which it has events a row, whose time is the beginning of the step, a
-  /// multiple of its length since the epoch; its sequence counts the steps of the origin. Its description has the field
-  /// "events", and for each number and bool of the topic a record of `count`, `min`, `max` and `mean`, of the values
-  /// that are there and not NaN (the last three absent when there are none): `min` and `max` in the number's own kind,
-  /// of a bool as u8, `mean` a double. Steps without events have no row: with `Gaps::in_place` the gaps tell why. Reads
-  /// each event once. Errors: bad-name, bad-argument (a step below 1 ns).
+  /// Reduces events to steps: one row for each origin and each step with events. The time of a row is the beginning of
+  /// the step, a multiple of its length since the epoch; the sequence counts the steps of the origin. The description
+  /// has the field "events" and, for each number and bool of the topic, a record of `count`, `min`, `max` and `mean`
+  /// over the values that are present and not NaN (the last three are absent if there are none): `min` and `max` in the
+  /// number's own kind, for a bool as u8, `mean` a double. Steps without events have no row; with `Gaps::in_place` the
+  /// gaps show the reason. Reads each event once. Errors: bad-name, bad-argument (a step below 1 ns).
   Result<Rows> steps(const RowFilter& filter, Duration step) const;
 
   /// For the other parts of this library.
@@ -370,29 +368,29 @@ class Recording {
   std::shared_ptr<detail::RecordingFile> file_;
 };
 
-/// What a topic of a run came to.
+/// The summary of one topic in a run.
 struct TopicSummary {
   std::string topic;
   std::size_t origins = 0;
   std::uint64_t rows = 0;
-  double wanted_hertz = 0;  ///< from the schedule, summed over the origins; 0: no schedule
-  /// Rows in the scheduled time, as far as it is accounted for; without a schedule, in the run. 0: not known.
+  double wanted_hertz = 0;  ///< scheduled rate, summed over the origins; 0: no schedule
+  /// Rows per second of scheduled time in the account; without a schedule, of the run. 0: unknown.
   double reached_hertz = 0;
-  /// Row time minus the tick that it belongs to, modulo the period; of scheduled origins. Percentiles to 2 %.
+  /// Row time minus the time of its tick, modulo the period, for scheduled origins. Percentiles within 2 %.
   bool has_lateness = false;
   Duration lateness_p50{0}, lateness_p99{0}, lateness_max{0};
   std::uint64_t published = 0, missed = 0, failed = 0, unreadable = 0, dropped = 0, late = 0;
-  std::uint64_t repeated = 0;     ///< the source itself had nothing new; no loss
-  std::uint64_t first_lines = 0;  ///< no loss: as of SensorCounts
-  std::uint64_t pruned = 0;       ///< stored, and deleted again by `max_age` or `max_bytes`; reached_hertz counts them
+  std::uint64_t repeated = 0;     ///< the source had nothing new; not a loss
+  std::uint64_t first_lines = 0;  ///< not a loss; see SensorCounts
+  std::uint64_t pruned = 0;       ///< stored, later deleted by `max_age` or `max_bytes`; included in reached_hertz
   Outages outages;                ///< of origins without a schedule
-  std::vector<std::string> made_of_it;  ///< recorded topics, of one that is not recorded itself
-  bool is_complete = false;             ///< those counts are of the whole run; else up to its last account
-  std::optional<std::uint64_t> lost;    ///< none: the sources number nothing
-  std::optional<Time> first, last;      ///< none without rows
+  std::vector<std::string> made_of_it;  ///< recorded topics made from this one, if it is not recorded itself
+  bool is_complete = false;             ///< the counts cover the whole run; otherwise up to the last account
+  std::optional<std::uint64_t> lost;    ///< empty: no source numbers its data
+  std::optional<Time> first, last;      ///< empty without rows
 };
 
-/// One entry a topic that has an account or rows in the run, in order of name. Reads every row's time once.
+/// One entry for each topic with an account or rows in the run, in order of name. Reads every row's time once.
 Result<std::vector<TopicSummary>> summary(const Recording& recording, std::int64_t run);
 
 }  // namespace rtdata

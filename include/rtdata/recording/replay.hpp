@@ -1,30 +1,30 @@
-/// Replay: gives the events of a recording to the loop's handlers and sinks again, as they came when it was recorded.
+/// Replay: publishes the events of a recording again to the loop's handlers and sinks, in their recorded order and
+/// timing.
 ///
 ///     rtdata::Loop loop{rtdata::Loop::Manual{}};  // virtual time: as fast as it goes
 ///     auto climate = loop.subscribe<Climate>("room/climate", [](const rtdata::Event<Climate>& e) { use(*e); });
 ///     rtdata::Replay replay(loop, {.file = "run.db"});
 ///     while (!replay.is_done()) loop.advance(1min);
 ///
-/// Each event has its recorded time, origin, sequence and payload, and comes after the ones before it as far as it did
-/// then, divided by `speed`, over all topics in the order of time. Gaps, stretches of schedule and changes of health go
-/// to recordings in the same way. When the run was closed, all of it is replayed, at speed 1, and the loop's time is
-/// that of the run, as `rtdata replay` makes it (a runtime whose clock begins at `RunInfo::started`, or at most 10 s
-/// before), the account comes, too: then what is recorded again verifies as a copy of the first. Otherwise its origins
-/// are recorded as sources without a schedule, whose gaps are `silent`; this is logged. Events that the recording
-/// dropped are counted as dropped again.
+/// Each event has its recorded time, origin, sequence and payload. The events of all topics come in order of time, with
+/// the recorded distances divided by `speed`. Gaps, segments of schedules and changes of health also go to recordings.
+/// The account is replayed too if the run was closed, all of it is replayed at speed 1, and the loop has the time of
+/// the run, as in `rtdata replay` (a runtime whose clock starts at `RunInfo::started` or at most 10 s earlier); a new
+/// recording then verifies like the first. Otherwise the origins are recorded as sources without a schedule, with
+/// `silent` gaps; this is logged. Events dropped by the recording count as dropped again.
 ///
-/// On a manual loop the same recording gives the same deliveries every time. In real time, reading is on a lane of its
-/// own, and what comes later than due comes at once; times and sequences are the recorded ones in any case.
+/// On a manual loop the same recording gives the same deliveries every time. In real time a lane reads the file, and
+/// late events are published at once; they always have their recorded times and sequences.
 ///
-/// What cannot be replayed is told: a file that is none, a topic that exists with other fields, a name that a sensor
-/// has, a recording into which this program records (SetupError); damage that reading meets (reported; the replay ends
-/// there, `faulted`); events that are not in order (reported, counted in `refused`).
+/// Errors: SetupError for a file that is not a recording, a topic that exists with other fields, a name that a sensor
+/// already has, and a recording into which this program records. Damage found while reading is reported and ends the
+/// replay as `faulted`. Events out of order are reported and counted in `refused`.
 ///
-/// A run is replayed, by default the last one: another `Replay` of another run needs other names of origins (`prefix`),
-/// or a Runtime of its own, as `rtdata replay` makes for each run.
+/// It replays one run, by default the last one. A second `Replay` of another run needs other names for its origins
+/// (`prefix`) or its own Runtime, as `rtdata replay` makes for each run.
 ///
-/// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's. Making it opens the file and reads what is
-/// known of the run, which blocks for that long. While it lives it sees the recording as it was.
+/// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's. The constructor opens the file and reads
+/// the data of the run, which blocks. It sees the recording as it was at that time.
 #pragma once
 
 #include <cstdint>
@@ -47,11 +47,11 @@ struct ReplayConfig {
   std::string file = {};                    ///< the recording
   std::int64_t run = 0;                     ///< number of the run; 0: the last one
   std::vector<std::string> topics = {"#"};  ///< patterns
-  /// "OLD=NEW": the topic OLD, and those below it, are replayed as NEW. The first that fits counts.
+  /// "OLD=NEW": the topic OLD, and those below it, are replayed as NEW. The first match is used.
   std::vector<std::string> rename = {};
-  std::string prefix = {};  ///< put before the names of the origins, so that they differ from those of sensors
+  std::string prefix = {};  ///< added to the names of the origins, so that they differ from the sensors' names
   std::string from = {};    ///< UTC as 2026-03-01T12:00:00Z, or recorded ns; empty: from the start
-  std::string until = {};   ///< the first time that is left out; empty: to the end
+  std::string until = {};   ///< the first time not replayed; empty: to the end
   double speed = 1;         ///< 2: twice as fast
 
   friend constexpr auto parameters(type_tag<ReplayConfig>) {
@@ -62,27 +62,27 @@ struct ReplayConfig {
         parameter("topics", &ReplayConfig::topics, "which topics: names or patterns, + for one level, # for all below",
                   TextIs::topic_pattern),
         parameter("rename", &ReplayConfig::rename, "\"OLD=NEW\": the topic OLD, and those below it, become NEW"),
-        parameter("prefix", &ReplayConfig::prefix, "put before the names of the origins"),
+        parameter("prefix", &ReplayConfig::prefix, "prefix of the names of the origins"),
         parameter("from", &ReplayConfig::from, "first time, in UTC as 2026-03-01T12:00:00Z or as recorded in ns"),
         parameter("until", &ReplayConfig::until, "first time that is left out"),
         parameter("speed", &ReplayConfig::speed, "2: twice as fast as it was recorded", range(1e-6, 1e6)));
   }
 };
-/// Whether there is such a recording, with that run and events on those topics. Blocks while it looks.
+/// Checks that the recording exists and has the run, with events on those topics. Blocks.
 Result<void> check_replayable(const ReplayConfig& config);
-/// What no parameter says by itself: renamings and times that are none; the same.
+/// Checks rules over several parameters: renamings and times.
 void check_config(const ReplayConfig& config, const ConfigItem& item, Problems& problems);
 
 struct ReplayCounts {
-  std::uint64_t events = 0;   ///< given to handlers and sinks
+  std::uint64_t events = 0;   ///< published
   std::uint64_t gaps = 0;     ///< the same
-  std::uint64_t dropped = 0;  ///< that the recording dropped, or deleted again: counted as dropped where it is recorded
-  std::uint64_t refused = 0;  ///< not in order, or of an origin or topic that cannot be replayed: not given to anybody
+  std::uint64_t dropped = 0;  ///< events dropped or deleted by the recording; new recordings count them as dropped
+  std::uint64_t refused = 0;  ///< events out of order, or of an origin or topic that cannot be replayed; not published
 };
 
 /// Published on "$rtdata/replay" when a replay has ended.
 struct ReplayEnd {
-  std::int64_t of_run = 0;  ///< that was replayed
+  std::int64_t of_run = 0;  ///< the replayed run
   std::uint64_t events = 0, gaps = 0, dropped = 0, refused = 0;
   bool is_complete = false;  ///< false: it was stopped, or the recording is damaged
   RTDATA_FIELDS(ReplayEnd, (of_run), (events), (gaps), (dropped), (refused), (is_complete))
@@ -96,12 +96,12 @@ class Replay : public Handle {
   /// run, no topic that matches), not-a-recording, damaged, description-differs, busy (a name that is taken).
   Replay(Loop& loop, ReplayConfig config);
 
-  /// All was given to handlers and sinks, or it was stopped by an error. True of a closed one.
+  /// True if everything was published, an error stopped it, or it is closed.
   bool is_done() const noexcept;
   ReplayCounts counts() const noexcept;
-  /// The run that is replayed; 0 of a closed one.
+  /// The replayed run; 0 if closed.
   std::int64_t run() const noexcept;
-  /// Called once, when it has ended; with an error when the recording is damaged.
+  /// Called once at the end; with an error if the recording is damaged.
   void on_done(Callback<void(const Result<void>&)> handler);
 };
 

@@ -1,27 +1,26 @@
-/// verify: whether a recording agrees with itself.
+/// verify: checks a recording against its own account.
 ///
 ///     auto recording = rtdata::Recording::open("run.db").or_throw();
 ///     rtdata::VerifyReport report = rtdata::verify(recording).or_throw();
 ///     std::cout << report.text();
 ///     return report.exit_code();
 ///
-/// Everything is computed again from the rows, the schedule and the gaps, and compared with the account that was
-/// written with the data, and with its checksums. It shows accidental loss and damage: a row, a value, a gap or an
-/// account that was deleted, added or changed. It is no proof against forgery: a program that changes all
-/// of it alike is not noticed.
+/// It recomputes all counts from the rows, the schedule and the gaps, and compares them with the recorded account and
+/// its checksums. It detects accidental loss and damage: a row, a value, a gap or an account that was deleted, added or
+/// changed. It does not protect against forgery: consistent changes of all parts are not detected.
 ///
-/// What is compared, per run and (topic, origin):
+/// It checks, for each run and (topic, origin):
 ///   rows == stored - pruned; sequences ascend, each once, from first_sequence to last_sequence; what is missing of
 ///   them == dropped + pruned; times ascend and lie within the run; offered == stored + dropped; published >= offered;
 ///   the equations of ledger.hpp; each segment's ticks == (end - first_due) / period + 1, their sum == scheduled, no
 ///   two segments of an origin overlap; counts of the gaps == missed and failed, and none has more ticks than its time;
 ///   of a closed run, where each read brings one sample: each tick is a row at its time, or in exactly one gap;
 ///   the checksums of values and accounts. docs/recording.md has the rules in full.
-/// A run that is being recorded, or ended without closing, is compared up to its last account; offered may then be
-/// ahead of stored (what was queued), and gaps, segments and equations are only held to bounds. So are those of a
-/// sealed run.
+/// A run that is still being recorded, or that ended without closing, is checked up to its last account. Offered may
+/// then exceed stored by the queued events, and gaps, segments and equations are checked only against bounds. The same
+/// holds for a sealed run.
 ///
-/// Thread: that of the recording. Memory: an entry an origin. Reads each row once.
+/// Thread: that of the recording. Memory: one entry for each origin. Reads each row once.
 #pragma once
 
 #include <cstdint>
@@ -35,9 +34,9 @@ namespace rtdata {
 
 enum class Verdict {
   balanced,
-  sealed,        ///< not closed, and a later start wrote down what was lost, or a tier hung; what is there agrees
-  recording,     ///< its process is alive: agrees as far as its last account goes
-  unsealed,      ///< its process is gone without closing, and nothing was sealed yet
+  sealed,        ///< not closed; a later start recorded the losses, or a tier hung; the rest agrees
+  recording,     ///< its process is alive; it agrees up to its last account
+  unsealed,      ///< its process ended without closing, and it is not sealed yet
   not_balanced,  ///< something does not agree
 };
 std::string_view name_of(Verdict verdict) noexcept;
@@ -49,16 +48,16 @@ struct OriginOutages {
   std::size_t gaps = 0;  ///< of which several outages may be one
 };
 
-/// What one topic lost in a run, by the place where it was lost. An empty topic: of sensors whose names are unknown.
+/// The losses of one topic in a run, by place. An empty topic: sensors with unknown names.
 struct TopicLoss {
   std::string topic;
   std::uint64_t missed = 0, failed = 0;  ///< ticks of the schedule without a reading
   std::uint64_t unreadable = 0;
-  std::uint64_t by_source = 0;  ///< numbered by the source, or told by it as an overflow, and never came
+  std::uint64_t by_source = 0;  ///< numbered by the source, or reported by it as an overflow, but never received
   std::uint64_t dropped_newest = 0, dropped_oldest = 0, refused = 0;  ///< by the recording, as DropReason
   std::uint64_t not_saved = 0;                                        ///< when the run ended without closing
-  Outages outages;                                                    ///< how many samples they cost is not known
-  std::vector<std::string> made_of_it = {};  ///< recorded topics, of one that is not recorded itself
+  Outages outages;                                                    ///< the number of lost samples is unknown
+  std::vector<std::string> made_of_it = {};  ///< recorded topics made from this one, if it is not recorded itself
 
   std::uint64_t ticks() const noexcept { return missed + failed; }
   std::uint64_t samples() const noexcept {
@@ -70,7 +69,7 @@ struct TopicLoss {
 
 struct RunReport {
   RunInfo info;
-  UtcLine line{{}};  ///< by which all of the report's sentences are in UTC
+  UtcLine line{{}};  ///< converts the times of the report to UTC
   Verdict verdict = Verdict::balanced;
   std::uint64_t rows = 0, offered = 0, stored = 0, dropped = 0, unsaved = 0, pruned = 0;
   std::uint64_t scheduled = 0, missed = 0, failed = 0, late = 0;
@@ -81,18 +80,18 @@ struct RunReport {
   std::size_t origins = 0, gaps = 0;                 ///< outages are gaps, too
   std::vector<OriginOutages> outages;                ///< of each origin that had some, the longest first
   std::vector<TopicLoss> losses;                     ///< of each topic that lost something, the most first
-  std::vector<std::string> not_known;  ///< of what it is not known whether it was lost; empty: all is known
-  /// Topics of which some source has no schedule and numbers nothing: what it lost itself is not detectable.
+  std::vector<std::string> not_known;                ///< data for which a loss is unknown; empty: all is known
+  /// Topics with a source that has no schedule and no numbers: its own losses cannot be detected.
   std::vector<std::string> not_detectable;
-  /// What it lost, and what is not known: as the text has it, and `rtdata run` at its end. At least one.
+  /// The losses and unknowns as lines of text, also shown by `rtdata run` at its end. At least one line.
   std::vector<std::string> lines;
   std::vector<std::string> problems;  ///< a sentence each; the first 100
-  std::vector<std::string> notes;     ///< worth knowing, no problem; the first 100
-  std::uint64_t more_problems = 0;    ///< beyond these
+  std::vector<std::string> notes;     ///< not problems; the first 100
+  std::uint64_t more_problems = 0;    ///< number of further problems
   bool has_open_equations = false;    ///< of a sealed run: see its notes
 };
 
-/// What is left of the runs whose rows and accounts were deleted.
+/// The totals of runs whose rows and accounts were deleted.
 struct DeletedReport {
   DeletedRuns runs;
   std::uint64_t offered = 0, stored = 0, dropped = 0, unsaved = 0;
@@ -104,21 +103,21 @@ struct VerifyReport {
   std::string path;
   std::vector<RunReport> runs;
   std::optional<DeletedReport> deleted;  ///< none: no run was deleted
-  /// By sink that goes through it: events that a limit deleted before its peer had them.
+  /// For each sink with `through`: events deleted by a limit before they were sent.
   std::map<std::string, std::uint64_t> unsent;
-  std::vector<std::string> problems;  ///< that belong to no run
+  std::vector<std::string> problems;  ///< problems of no particular run
 
-  /// The verdict of the whole file: the worst of its runs (recording counts as balanced).
+  /// The verdict of the whole file: the worst of its runs (`recording` counts as balanced).
   Verdict verdict() const noexcept;
   /// 0: balanced, sealed or being recorded; 1: not balanced, or not sealed.
   int exit_code() const noexcept;
-  /// As a person reads it, the newest run last, at most 80 columns wide where the names allow.
+  /// The report for people, the newest run last; at most 80 columns wide if the names allow.
   std::string text() const;
   std::string to_json() const;
 };
 
-/// What the account of one run says by itself: no row is read, and nothing is compared. `rows`: those that are to be
-/// there. Errors: not-found, those of `Recording`.
+/// The account of one run alone; reads no rows and compares nothing. `rows`: the expected number. Errors: not-found,
+/// those of `Recording`.
 Result<RunReport> account_of(const Recording& recording, std::int64_t run);
 
 /// Errors: damaged (pages that cannot be read), those of `Recording`. A program exits with 2 then.

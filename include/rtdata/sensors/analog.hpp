@@ -4,9 +4,9 @@
 ///                                  {.file = "/sys/bus/iio/devices/iio:device0/in_voltage0_raw",
 ///                                   .scale = 100, .quantization_bits = 12, .unit = "bar"});
 ///
-/// The file holds one whole number, the converter's code; each tick reads it and converts it to the user's unit. It may
-/// be named as `device` and `channel` instead: the device is then found by its name whatever number it has, each time
-/// that it is opened.
+/// The file holds one whole number, the converter's code; each tick reads it and converts it to the user's unit.
+/// Instead of the file you can give `device` and `channel`: the device is then found by its name, whatever its number,
+/// each time it is opened.
 ///
 ///
 ///     zero  = 2^bits * (zero_value_voltage - zero_voltage) / span_voltage
@@ -24,12 +24,12 @@
 /// both alike.
 ///
 /// Events: a record "analog" of `value` (double, in `unit`) and `raw` (int64, the code); `analog_reading` reads them. A
-/// reading that is missing, empty, no number or out of the converter's range is an error and a gap, never a value. Ids:
-/// not-found, not-permitted, io-failed, disconnected, not-a-number, out-of-range, bad-data (too long), timed-out.
+/// reading that is missing, empty, not a number or out of the converter's range is an error and a gap, never a value.
+/// Ids: not-found, not-permitted, io-failed, disconnected, not-a-number, out-of-range, bad-data (too long), timed-out.
 ///
-/// The file is opened and read on a lane, one per physical device: a converter that hangs costs its own readings only.
-/// The file stays open between readings below /sys, and on local disks, where every 100 ms it is looked at whether the
-/// path names another one; anything else (a FIFO, a file of another machine) is opened for each.
+/// A lane opens and reads the file, one for each physical device: a converter that hangs loses only its own readings.
+/// Below /sys and on local disks the file stays open between readings; on local disks the sensor checks every 100 ms if
+/// the path names another file. Anything else (a FIFO, a file of another machine) is opened for each reading.
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's.
 #pragma once
@@ -92,7 +92,7 @@ struct AnalogConfig {
   }
 };
 
-/// What no parameter says by itself: that the sensor's range has a width, and that there is a file or a channel.
+/// Checks that the sensor's range has a width, and that there is a file or a channel.
 void check_config(const AnalogConfig& config, const ConfigItem& item, Problems& problems);
 
 /// The payload of an analog sensor's events.
@@ -101,7 +101,7 @@ struct AnalogReading {
   std::int64_t raw = 0;  ///< the converter's code
 };
 
-/// The loop's part; how long the converter holds its lane is for its data sheet to say, and so not known.
+/// The time on the loop; the time on the lane depends on the converter and is unknown.
 ReadTime read_time(const AnalogConfig& config);
 /// The value of a code. Pure; the code is not checked against the range.
 double convert(const AnalogConfig& config, std::int64_t adc) noexcept;
@@ -109,14 +109,13 @@ double convert(const AnalogConfig& config, std::int64_t adc) noexcept;
 Result<std::int64_t> parse_adc(const AnalogConfig& config, std::string_view text);
 /// The description of the events of a sensor with this unit. Errors: bad-description.
 Result<std::shared_ptr<const Description>> analog_description(const std::string& unit);
-/// What an analog sensor's event says; nothing for an event of another kind.
+/// The reading in an analog sensor's event; empty for another event.
 std::optional<AnalogReading> analog_reading(const EventView& event) noexcept;
 
 class AnalogSensor : public AnySensor {
  public:
   AnalogSensor() noexcept = default;
-  /// SetupError: as `Sensor`; and bad-argument for a configuration that cannot convert (no file or channel, a span of 0
-  /// V).
+  /// SetupError: as `Sensor`; bad-argument for an invalid configuration (no file or channel, a span of 0 V).
   AnalogSensor(Loop& loop, SensorConfig sensor, AnalogConfig config);
 
  private:

@@ -6,15 +6,15 @@
 /// At its rate it publishes
 /// - `count`: pulses since it was made, also those that the kernel dropped, where it numbers them (libgpiod 2);
 /// - `total`: count * per_pulse, in `unit`;
-/// - `frequency`: pulses a second, from the kernel's times of the last pulse of this interval and the last one before
-///   it. No value when none has come in it; 0 once none has come for `still_after`; after that, from the pulses of the
-///   interval alone;
+/// - `frequency`: pulses a second, from the kernel's times of the last pulse in this interval and the last one before
+///   it. No value without a pulse in the interval; 0 after `still_after` without a pulse; the next one is computed from
+///   the pulses of its interval alone;
 /// - `speed`: frequency * per_pulse, in `unit` a `per`;
-/// - `overflows`: how often the kernel's store was full, so that pulses may be missing from `count`. Always 0 with
-///   libgpiod 2, which numbers them.
+/// - `overflows`: how often the kernel's buffer was full, so that `count` may be too low. Always 0 with libgpiod 2,
+///   which numbers the pulses.
 ///
-/// A line that cannot be read fails its ticks, is opened again like any sensor's device, and counts on from where it
-/// was: the pulses of an outage are not known, and its gap says when that was.
+/// Ticks fail while the line cannot be read. It is opened again like any sensor's device and continues its count: the
+/// pulses during an outage are unknown, and the gap shows its time.
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's.
 #pragma once
@@ -41,25 +41,25 @@ struct CounterReading {
 
 struct CounterConfig {
   GpioInput input = {.edges = GpioEdgeKind::rising};
-  double per_pulse = 1;                            ///< what one pulse stands for, in `unit`
+  double per_pulse = 1;                            ///< value of one pulse, in `unit`
   std::string unit = {};                           ///< UCUM; empty: pulses
   std::string per = "s";                           ///< of the speed: "s", "min", "h"
-  Duration still_after = std::chrono::seconds{5};  ///< without a pulse for so long, the frequency is 0
+  Duration still_after = std::chrono::seconds{5};  ///< without a pulse for this long, the frequency is 0
 
   friend constexpr auto parameters(type_tag<CounterConfig>) {
     using namespace std::chrono_literals;
     return parameter_list(
         include_member(&CounterConfig::input),
-        parameter("per_pulse", &CounterConfig::per_pulse, "what one pulse stands for, in `unit`", not_zero),
+        parameter("per_pulse", &CounterConfig::per_pulse, "the amount of one pulse, in `unit`", not_zero),
         parameter("unit", &CounterConfig::unit, "of `total` (UCUM), such as L, {rev}, mm, kW.h; empty: pulses",
                   TextIs::unit),
         parameter("per", &CounterConfig::per, "the time in the unit of `speed`", choices("s", "min", "h")),
-        parameter("still_after", &CounterConfig::still_after, "without a pulse for so long, the frequency is 0",
+        parameter("still_after", &CounterConfig::still_after, "without a pulse for this time, the frequency is 0",
                   range(Duration{1ms}, Duration{24h})));
   }
 };
 
-/// Errors: bad-description (a unit that makes none).
+/// Errors: bad-description (an invalid unit).
 Result<std::shared_ptr<const Description>> counter_description(const CounterConfig& config);
 ReadTime read_time(const CounterConfig& config);
 

@@ -3,21 +3,21 @@
 ///     rtdata::DerivedSensor norm(loop, {.name = "norm"},
 ///                                {.on = "imu", .fields = {{"value", "sqrt(x^2 + y^2 + z^2)", "m/s2"}}});
 ///
-/// Each event on the topic `on` gives one event, with its time; of the topics `with`, their latest values count. What
-/// expressions are: process/expression.hpp. Their names are
+/// Each event on the topic `on` gives one event with the same time; for the topics `with`, the latest values are used.
+/// Expressions: process/expression.hpp. Their names are
 ///   - FIELD, a field of the topic `on` by its path: `x`, `accel[0]`;
 ///   - TOPIC.FIELD of any of these topics, with "." for "/": `room.climate.temperature`;
-///   - TOPIC of one with a single number, or with one called `value`.
+///   - TOPIC, if it has a single number or a field called `value`.
 /// Numbers of all kinds, booleans (1 or 0) and enumerations (their number) have values; texts have none.
 ///
-/// The fields are doubles, and absent where the expression waits: for the second value of a rate, say, or for a field
-/// that is absent itself. What becomes of an event on the topic `on`:
-///   - a topic `with` has brought nothing yet, or nothing in the last `age` before it: nothing is published, the sensor
-///     is faulted, and the time until the next one that can be used is a gap (disconnected);
-///   - an expression fails (division by zero, a number that is not finite, a field that is not there): it is
-///     unreadable, told with the reason, and the sensor is degraded until the next good one;
-///   - else it is published, with the fields that have a value.
-/// Memories begin anew after `start`.
+/// The fields are doubles; a field is absent while its expression waits, for example for the second value of a rate or
+/// for an absent field. An event on the topic `on` has one of these results:
+///   - a topic `with` has no event yet, or none within `age` before it: nothing is published, the sensor is faulted,
+///     and the time until the next usable event is a gap (disconnected);
+///   - an expression fails (division by zero, a number that is not finite, a missing field): the event is unreadable,
+///     the reason is reported, and the sensor is degraded until the next good event;
+///   - otherwise it is published, with the fields that have a value.
+/// Functions with a memory restart after `start`.
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's.
 #pragma once
@@ -48,8 +48,8 @@ struct DerivedField {
 };
 
 struct DerivedConfig {
-  std::string on = {};                 ///< the topic each of whose events gives one
-  std::vector<std::string> with = {};  ///< other topics, of which the latest values count
+  std::string on = {};                 ///< each event of this topic gives one event
+  std::vector<std::string> with = {};  ///< other topics; their latest values are used
   Duration age = std::chrono::seconds{10};
   std::string expression = {};  ///< of a single field called `value`; empty: `fields`
   std::string unit = {};        ///< of that field
@@ -58,8 +58,8 @@ struct DerivedConfig {
   friend constexpr auto parameters(type_tag<DerivedConfig>) {
     using namespace std::chrono_literals;
     return parameter_list(
-        parameter("on", &DerivedConfig::on, "the topic each of whose events gives one", required, names_part("topic")),
-        parameter("with", &DerivedConfig::with, "other topics, of which the latest values count", names_part("topic")),
+        parameter("on", &DerivedConfig::on, "the topic: each of its events gives one", required, names_part("topic")),
+        parameter("with", &DerivedConfig::with, "other topics; their latest values are used", names_part("topic")),
         parameter("age", &DerivedConfig::age, "older values of the topics `with` are not used: there is a gap",
                   range(Duration{1us}, Duration{24h * 365})),
         parameter("expression", &DerivedConfig::expression, "of a single field called `value`", TextIs::recorded),
@@ -68,12 +68,12 @@ struct DerivedConfig {
   }
 };
 
-/// Errors: bad-description (no fields, a name twice, a unit that is none).
+/// Errors: bad-description (no fields, a duplicate name, an invalid unit).
 Result<std::shared_ptr<const Description>> derived_description(const DerivedConfig& config);
-/// What no parameter says by itself: expressions that can be read, and either `expression` or `fields`.
+/// Checks rules over several parameters: the expressions are valid, and there is either `expression` or `fields`.
 void check_config(const DerivedConfig& config, const ConfigItem& item, Problems& problems);
-/// Whether the topics have the fields that the expressions name. `payload_of`: what a topic carries, null when that is
-/// not known: then nothing is said of its fields.
+/// Checks that the topics have the fields in the expressions. `payload_of`: the description of a topic; null if
+/// unknown, then its fields are not checked.
 void check_derived_names(const DerivedConfig& config,
                          const std::function<const Description*(std::string_view topic)>& payload_of,
                          const ConfigItem& item, Problems& problems);

@@ -17,41 +17,42 @@
 ///     };
 ///     rtdata::DriverSensor<Lm75> room(loop, {.name = "room", .rate = 10_Hz}, bus, {.address = 0x49});
 ///
-/// A chip that brings several samples at a time has `Result<void> read(Device&, Samples<Value>&)` instead. One that
-/// needs several conversions for a sample, such as a converter with several channels, has `bool goes_on() const`: asked
-/// after each read that returns no error; while it is true, `start`, the pause and `read` come once more, the bus being
-/// free in between.
+/// A chip with several samples at a time has `Result<void> read(Device&, Samples<Value>&)` instead. A chip that needs
+/// several conversions for a sample, such as a converter with several channels, has `bool goes_on() const`: it is
+/// called after each read without an error; while it returns true, `start`, the pause and `read` are repeated, and the
+/// bus is free in between.
 ///
-/// A payload that depends on the Config, such as on the channels that are chosen, is described by the driver:
-/// `static Result<std::shared_ptr<const Description>> describe(const Config&)`. Value is then trivially copyable and
-/// begins with what the description says (DescriptionBuilder lays fields out as compilers do), or, where its size is
-/// not known beforehand, a `DescribedValue`.
+/// If the payload depends on the Config, for example on the selected channels, the driver describes it: `static
+/// Result<std::shared_ptr<const Description>> describe(const Config&)`. Value is then trivially copyable and begins
+/// with the fields of the description (DescriptionBuilder uses the layout of compilers), or is a `DescribedValue` if
+/// its size is not known beforehand.
 ///
-/// What no parameter of the Config says by itself, such as a list of good values or two that must fit together, is told
-/// by `static Result<void> check(const Config&)`: the mistake's `where` is the key of the parameter
-/// ("channels[1].range"). Configurations are refused with it at that place, and programs by a SetupError.
+/// For rules such as a list of valid values, or two parameters that must fit together, a driver has `static
+/// Result<void> check(const Config&)`: the error's `where` is the key of the parameter ("channels[1].range"). A
+/// configuration is refused with the error at that place; a program gets a SetupError.
 ///
-/// A driver that waits for its chip while it holds the bus, such as for a reset or a self-test, says for how long:
-/// `static Duration bus_time(const Config&)`, the longest of its calls without the transfers. A bus that would give up
-/// before is refused, by configurations at their place, and by a SetupError.
+/// A driver that waits for its chip while it holds the bus, such as for a reset or a self-test, declares the time:
+/// `static Duration bus_time(const Config&)`, the longest of its calls without the transfers. A bus with a shorter
+/// limit is refused, in a configuration at its place, otherwise by a SetupError.
 ///
 /// A chip with registers that is on I2C or SPI, as the user likes, has `using Device = rtdata::RegisterDevice` and
 /// `static RegisterAddressing addressing(const Config&)` (registers.hpp).
 ///
-/// A driver without open() is opened by one reading that is thrown away, so that a chip that is absent is known at the
-/// start, and `required` means something. One that brings several samples at a time needs an open() for that.
+/// A driver without open() is opened with one reading that is discarded, so that a missing chip is detected at the
+/// start and `required` works. A driver with several samples at a time needs an open() for that.
 ///
-/// Configurations know a driver by `registry.add_driver<Lm75>()`.
+/// `registry.add_driver<Lm75>()` makes a driver available in configurations.
 ///
-/// What a driver must not forget between openings, such as a tare, is its `Memory`: copied out with `Memory memory()
-/// const` after each read that ends, and into a fresh driver with `void remember(const Memory&)`. A chip that measures
-/// by itself, with a FIFO, has `static std::uint64_t unread(const Memory&, MonotonicTime now)`: how many samples it
-/// took since the last one that was read. It is asked when the sensor stops while the chip cannot be read, and such a
-/// Memory ends with that; a fresh driver that remembers one tells by `Samples::lost_in_fault` what was missed before.
+/// State that a driver must keep between openings, such as a tare, is its `Memory`: it is copied with `Memory memory()
+/// const` after each completed read, and into a new driver object with `void remember(const Memory&)`. For a chip that
+/// measures by itself, with a FIFO, the driver has `static std::uint64_t unread(const Memory&, MonotonicTime now)`: the
+/// number of samples that the chip took since the last one read. It is called when the sensor stops while the chip
+/// cannot be read; that Memory is then discarded. A new driver object with a Memory reports earlier losses with
+/// `Samples::lost_in_fault`.
 ///
-/// A driver is made of its Config for each opening; all its calls but the constructor are made on the bus's lane, one
-/// at a time. A call that outlives the bus's limit is given up: thread, driver and device are left behind (the device
-/// does nothing more), and a fresh driver goes on.
+/// A driver object is made from its Config for each opening; all its calls except the constructor run on the bus's
+/// lane, one at a time. A call beyond the bus's limit is given up: thread, driver and device are abandoned (the device
+/// does nothing more), and a new driver object continues.
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: DriverSensor: the loop's; the bus must outlive it.
 #pragma once
@@ -87,20 +88,21 @@ class DescribedValue {
   std::vector<std::byte> bytes_;
 };
 
-/// What one read brings, in order. Used on the lane, by the driver.
+/// The samples of one read, in order. Used by the driver, on the lane.
 template <class T>
 class Samples {
  public:
   /// Adds a sample with the time at which the read began.
   void add(T value) { samples_.push_back({std::move(value), std::nullopt}); }
-  /// With its own time; one in the future becomes that at which the read ended, one that is not after the sample before
-  /// 1 ns more than that one's.
+  /// Adds a sample with its own time. A time in the future becomes the end of the read; a time not after the previous
+  /// sample becomes 1 ns more than that.
   void add(T value, MonotonicTime time) { samples_.push_back({std::move(value), time}); }
   /// The chip has dropped `count` samples before it was read (its FIFO was full).
   void lost(std::uint64_t count) { lost_ += count; }
-  /// The chip took `count` samples while it could not be read, a fault that is told already: lost without an error.
+  /// The chip took `count` samples while it could not be read, which was already reported: counts them as lost without
+  /// an error.
   void lost_in_fault(std::uint64_t count) { lost_in_fault_ += count; }
-  /// The chip gave something that cannot be decoded.
+  /// The chip gave data that cannot be decoded.
   void unreadable(Error error) { unreadable_.push_back(std::move(error)); }
   /// The time on the lane: for the times of samples.
   static MonotonicTime now() noexcept { return detail::lane_now(); }
@@ -134,7 +136,7 @@ concept Driver = requires(D driver, typename D::Device& device) {
   };
 };
 
-/// Where a driver's chip is unless it is said.
+/// The default place of a driver's chip.
 template <Driver D>
 constexpr typename D::Device::Place default_place() {
   if constexpr (requires { D::place; }) {
@@ -144,7 +146,7 @@ constexpr typename D::Device::Place default_place() {
   }
 }
 
-/// What a driver's events consist of. Errors: bad-description (its Config chooses what cannot be).
+/// The description of a driver's events. Errors: bad-description (the Config selects something invalid).
 template <Driver D>
 Result<std::shared_ptr<const Description>> driver_description(const typename D::Config& config) {
   if constexpr (requires { D::describe(config); }) {
@@ -154,7 +156,8 @@ Result<std::shared_ptr<const Description>> driver_description(const typename D::
   }
 }
 
-/// Whether sensors can be made with this Config. Errors: `where` is the key of the parameter, when it is one's fault.
+/// Checks that sensors can be made with this Config. Errors: `where` is the key of the wrong parameter, if there is
+/// one.
 template <Driver D>
 Result<void> check_driver(const typename D::Config& config) {
   if constexpr (requires { D::check(config); }) {
@@ -164,7 +167,7 @@ Result<void> check_driver(const typename D::Config& config) {
   return description ? Result<void>() : Result<void>(description.error());
 }
 
-/// Whether the chip of this Config can be at this place: on SPI, which not all have. Errors: `where` is the key.
+/// Checks that the chip of this Config can be at this place: not all chips have SPI. Errors: `where` is the key.
 template <Driver D>
 Result<void> check_place(const typename D::Config& config, const typename D::Device::Place& place) {
   if constexpr (requires { D::addressing(config).without_spi; }) {
@@ -175,8 +178,8 @@ Result<void> check_place(const typename D::Config& config, const typename D::Dev
   return {};
 }
 
-/// For how long a call of the driver holds the bus at most, without the transfers: as it says, and where one reading is
-/// its opening, the time of its conversion.
+/// The longest time that a call of the driver holds the bus, without the transfers: the declared time, or the
+/// conversion time if a reading is used for opening.
 template <Driver D>
 Duration bus_time_of(const typename D::Config& config) {
   if constexpr (requires { D::bus_time(config); }) {
@@ -228,14 +231,14 @@ struct MemoryOf<D> {
 
 }  // namespace detail
 
-/// A driver as the sensor's base sees it. All calls are on the loop.
+/// Adapts a driver to the sensor's base. All calls are on the loop.
 template <class D>
 class DriverDevice final : public detail::LaneDevice {
   using Value = typename D::Value;
   using Device = typename D::Device;
   using BusOf = typename Device::Bus;
 
-  /// A driver and its chip, of one opening. On the lane, until it is left behind.
+  /// A driver and its chip, from one opening. On the lane, until it is abandoned.
   struct Session {
     Session(const typename D::Config& config, Device device_) : driver(config), device(std::move(device_)) {}
     D driver;
@@ -254,11 +257,11 @@ class DriverDevice final : public detail::LaneDevice {
       is_open = true;
       return {};
     }
-    /// What came makes no sense: where answers have no numbers, the right one may still come.
+    /// The answer was wrong: on a bus without numbered answers the right one may still come.
     void distrust() {
       if constexpr (requires { device.distrust(); }) device.distrust();
     }
-    /// One reading, of which nothing is kept: is the chip there, and does it make sense?
+    /// A reading that is discarded, to check that the chip answers correctly.
     Result<void> try_it() {
       for (bool goes_on = true; goes_on;) {
         if constexpr (requires { driver.start(device); }) {
@@ -295,7 +298,7 @@ class DriverDevice final : public detail::LaneDevice {
       } catch (const std::exception& e) {
         return Error{Errc::handler_threw, what, "", e.what(), ""};
       } catch (...) {
-        return Error{Errc::handler_threw, what, "", "an exception that is no std::exception", ""};
+        return Error{Errc::handler_threw, what, "", "an exception that is not a std::exception", ""};
       }
     } catch (...) {  // no memory for the error
       return Error{Errc::handler_threw, "", "", "", ""};
@@ -320,7 +323,7 @@ class DriverDevice final : public detail::LaneDevice {
       if (!std::exchange(is_converting, false)) {
         samples.clear();
         has_news = true;
-        if (!session->is_open) {  // the one before it was left behind
+        if (!session->is_open) {  // the earlier one was abandoned
           result = guarded("open() of the driver threw", [this] { return session->open(); });
           if (!result) return;
         }
@@ -436,7 +439,7 @@ class DriverDevice final : public detail::LaneDevice {
     const std::string place = BusOf::text_of(place_);
     return {Errc::timed_out, "cannot read the chip", "bus " + bus_.name() + (place.empty() ? "" : ", " + place),
             "no answer within " + to_string(bus_.give_up_after()),
-            "look at the chip and its wires; `timeout` of the bus sets how long to wait"};
+            "check the chip and its wires; `timeout` of the bus sets how long to wait"};
   }
 
  private:
@@ -470,7 +473,7 @@ template <Driver D>
 class DriverSensor : public AnySensor {
  public:
   DriverSensor() noexcept = default;
-  /// SetupError: as `Sensor`; what the driver's constructor throws; a place on the bus that is none, or that is taken.
+  /// SetupError: as `Sensor`; from the driver's constructor; an invalid or taken place on the bus.
   DriverSensor(Loop& loop, SensorConfig sensor, typename D::Device::Bus& bus,
                typename D::Device::Place place = default_place<D>(), typename D::Config config = {})
       : AnySensor(make(loop, std::move(sensor), bus, std::move(place), std::move(config))) {}

@@ -6,14 +6,14 @@
 ///       std::puts(edge->level ? "active" : "inactive");
 ///     });
 ///
-/// The event's time is the kernel's, of the edge. `count` goes on over outages; what happened during one is in its gap.
+/// The event has the kernel's time of the edge. `count` continues after outages; the gap shows the time of an outage.
 ///
-/// - Edges that the kernel dropped are counted as lost with libgpiod 2, are in `count`, and are reported. With libgpiod
-///   1 `lost` is not detectable: that some may be missing is reported when the kernel's buffer was full.
-/// - Bounces that are held back here (`debounce`, with libgpiod 1) are filtered.
-/// - A chip that goes away, or is not there at the start, makes the sensor faulted and is looked for again after
-///   `retry_first`, doubling to `retry_longest`; the time without it is a gap (disconnected). Without its file it is
-///   missed within 1 s, where the kernel does not tell.
+/// - With libgpiod 2, edges dropped by the kernel are counted as lost, included in `count`, and reported. With libgpiod
+///   1 `lost` is unknown: the sensor reports possible losses when the kernel's buffer was full.
+/// - Bounces suppressed by the library (`debounce`, with libgpiod 1) count as filtered.
+/// - If the chip disappears or is missing at the start, the sensor is faulted and tries again after `retry_first`,
+///   doubling to `retry_longest`; the time without the chip is a gap (disconnected). If the kernel does not report it,
+///   the sensor detects the missing chip file within 1 s.
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's.
 #pragma once
@@ -37,8 +37,8 @@ struct EdgeReading {
 
 struct EdgeConfig {
   GpioInput input = {};
-  Duration silence{0};                                    ///< without an edge for longer, it has a gap; 0: it may be
-  Duration retry_first = std::chrono::milliseconds{100};  ///< wait before a lost chip is looked for again
+  Duration silence{0};                                    ///< without an edge for longer, it has a gap; 0: no limit
+  Duration retry_first = std::chrono::milliseconds{100};  ///< wait before trying a lost chip again
   Duration retry_longest = std::chrono::seconds{10};      ///< the wait doubles up to this
   bool required = false;                                  ///< a line that cannot be used at the start throws
   bool start = true;                                      ///< start when made
@@ -49,7 +49,7 @@ struct EdgeConfig {
         include_member(&EdgeConfig::input),
         parameter("silence", &EdgeConfig::silence, "without an edge for longer, it is degraded and has a gap; 0: never",
                   range(Duration{0}, Duration{24h})),
-        parameter("retry_first", &EdgeConfig::retry_first, "wait before a lost chip is looked for again",
+        parameter("retry_first", &EdgeConfig::retry_first, "wait before the program looks for a lost chip again",
                   range(Duration{1ms}, Duration{1h})),
         parameter("retry_longest", &EdgeConfig::retry_longest, "the wait doubles up to this",
                   range(Duration{1ms}, Duration{24h})),

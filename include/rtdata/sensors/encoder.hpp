@@ -4,22 +4,23 @@
 ///                                 {.device = "44000000.timer:counter", .per_count = 1.0 / 4096, .unit = "{rev}"});
 ///
 /// At its rate it publishes
-/// - `count`: what the kernel's counter says, carried on where that wraps around;
+/// - `count`: the kernel's counter, extended when it wraps around;
 /// - `position`: count * per_count, in `unit`;
 /// - `speed`: the change of position since the last reading, in `unit` a `per`; no value of the first reading;
 /// - `direction`: forward or backward, as the hardware saw it last; no value where the driver does not tell it.
 ///
-/// Wrapping around: after `ceiling`, where the driver has that attribute; after 2^bits, where `bits` is set; and after
-/// 32 bits where the kernel's text shows a negative number of 32 bits, as interrupt-cnt's does. A driver that counts
-/// both ways may turn by less than half of that range between two readings, one that counts up only by less than all of
-/// it: what is faster is not noticed. A count up that goes back without a known range was set by somebody: that reading
-/// fails, and the next one begins with the new count.
+/// The counter wraps around after `ceiling`, if the driver has that attribute; after 2^bits, if `bits` is set; and
+/// after 32 bits, if the kernel shows negative numbers of 32 bits, as interrupt-cnt does. Between two readings a
+/// counter in both directions may move by less than half of that range, an upward counter by less than the whole range:
+/// faster changes are not detected. If an upward counter without a known range goes back, somebody has set it: that
+/// reading fails, and the next one starts with the new count.
 ///
-/// What it counts of a quadrature encoder's edges (one, two or four a period) is the driver's `function`: set here, it
-/// is written to the driver when the counter is opened; else it stays as it is. `per_count` has to fit it.
+/// The driver's `function` decides how many edges of a quadrature encoder count (one, two or four a period). If set
+/// here, it is written to the driver when the counter is opened; otherwise it does not change. `per_count` must match
+/// it.
 ///
-/// A counter that is off (`enable` is 0) is switched on when it is opened, and stays on. One that goes away makes the
-/// sensor faulted, and it is looked for by its name; the count begins anew with what the counter says then.
+/// Opening switches the counter on (`enable`) if it is off; it stays on. If the counter disappears, the sensor is
+/// faulted and searches for it by name; the count then restarts with the counter's value.
 ///
 /// The kernel's interface: Documentation/ABI/testing/sysfs-bus-counter. It is read on a lane, one for each device.
 ///
@@ -50,11 +51,11 @@ struct EncoderConfig {
   std::string device = {};                     ///< name, number ("0", "counter0") or path; empty: the only one
   std::string channel = {};                    ///< name, number ("0", "count0"); empty: the only one
   std::string function = {};                   ///< of the driver, such as "quadrature x4"; empty: as it is
-  double per_count = 1;                        ///< what one count stands for, in `unit`
+  double per_count = 1;                        ///< value of one count, in `unit`
   std::string unit = {};                       ///< UCUM; empty: counts
   std::string per = "s";                       ///< of the speed: "s", "min", "h"
   unsigned bits = 0;                           ///< of a counter without a ceiling; 0: as the driver says
-  std::string root = {};                       ///< put before /sys: where a container sees its host's
+  std::string root = {};                       ///< prefix of /sys, such as the host's root folder in a container
   Duration timeout = std::chrono::seconds{1};  ///< a read that takes longer is given up
 
   friend constexpr auto parameters(type_tag<EncoderConfig>) {
@@ -63,27 +64,27 @@ struct EncoderConfig {
     return parameter_list(
         parameter("device", &C::device, "the counter: its name, number or path; empty: the only one that there is",
                   TextIs::device),
-        parameter("channel", &C::channel, "which count of it: its name or number; empty: the only one",
+        parameter("channel", &C::channel, "the count of that counter: its name or number; empty: the only one",
                   TextIs::recorded),
         parameter(
             "function", &C::function,
-            "what of its signals it counts, as the driver calls it, such as \"quadrature x4\"; empty: as it is set",
+            "which of its signals it counts, as the driver calls it, such as \"quadrature x4\"; empty: as it is set",
             TextIs::recorded),
-        parameter("per_count", &C::per_count, "what one count stands for, in `unit`", not_zero),
+        parameter("per_count", &C::per_count, "the amount of one count, in `unit`", not_zero),
         parameter("unit", &C::unit, "of `position` (UCUM), such as {rev}, mm, rad, L; empty: counts", TextIs::unit),
         parameter("per", &C::per, "the time in the unit of `speed`", choices("s", "min", "h")),
-        parameter("bits", &C::bits, "it wraps around after so many bits; 0: as its driver says", range(0, 63)),
-        parameter("root", &C::root, "put before /sys: where a container sees its host's", TextIs::device),
+        parameter("bits", &C::bits, "it wraps around after this number of bits; 0: as its driver says", range(0, 63)),
+        parameter("root", &C::root, "prefix of /sys, such as the host's root folder in a container", TextIs::device),
         parameter("timeout", &C::timeout, "a read that takes longer is given up", range(Duration{1ms}, Duration{1h})));
   }
 };
 
 /// Errors: bad-description (a unit that makes none).
 Result<std::shared_ptr<const Description>> encoder_description(const EncoderConfig& config);
-/// The lane's part is not known: it depends on the bus behind the counter, mostly a register.
+/// The time on the lane is unknown: it depends on the counter's hardware.
 ReadTime read_time(const EncoderConfig& config);
 
-/// How far a counter that wraps around has come.
+/// Extends a counter that wraps around.
 class CountTracker {
  public:
   enum class Way { up, down, both };
@@ -91,10 +92,10 @@ class CountTracker {
   CountTracker(Way way, std::uint64_t range) noexcept : way_(way), range_(range) {}
   CountTracker() noexcept : CountTracker(Way::both, 0) {}
 
-  /// Takes a number of the kernel's. False: it cannot have come by counting, and the count begins anew with it.
+  /// Takes a number from the kernel. False: counting cannot give this number; the count restarts with it.
   bool take(std::uint64_t raw) noexcept;
   std::int64_t count() const noexcept { return count_; }
-  /// Since the take before; none after the first one, or after one that began anew.
+  /// The change since the last take; empty after the first one and after a restart.
   std::optional<std::int64_t> change() const noexcept { return change_; }
 
  private:

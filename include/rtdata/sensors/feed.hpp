@@ -33,32 +33,32 @@ namespace detail {
 
 class FeedNode;
 Node* make_feed(Loop& loop, FeedConfig config, PayloadType type);
-/// `payload` is moved from when its type is not trivially copyable. Nothing when there is no feed or it is stopped.
+/// Moves from `payload` if its type is not trivially copyable. Does nothing without a feed or if it is stopped.
 void feed_publish(Node* feed, const void* payload);
 void feed_publish(Node* feed, const void* payload, Time time);
 
 }  // namespace detail
 
-/// The part that does not depend on the payload's type; also feeds payloads that have a description only.
+/// The part that does not depend on the payload's type; also for payloads with only a description.
 class AnyFeed : public AnySensor {
  public:
   AnyFeed() noexcept = default;
   /// A feed of payloads without a C++ type. SetupError (bad-description) without a description.
   AnyFeed(Loop& loop, FeedConfig config, std::shared_ptr<const Description> description);
 
-  /// `payload` has the description's size and layout. On a closed or stopped feed: nothing.
+  /// `payload` has the description's size and layout. Does nothing on a closed or stopped feed.
   void publish_bytes(std::span<const std::byte> payload);
   void publish_bytes(std::span<const std::byte> payload, Time time);
-  /// An input that was no use: counted as unreadable, reported, and the feed is degraded until the next good one.
+  /// Reports an unusable input: counts it as unreadable; the feed is degraded until the next good input.
   void fail(const Error& error);
-  /// The source cannot be reached: faulted until the next good input, and the time until then is an outage, a gap
-  /// `disconnected`. Not an input: counts nothing.
+  /// Reports that the source cannot be reached: the feed is faulted until the next good input, and that time is a
+  /// `disconnected` gap. Counts no input.
   void fault(const Error& error);
-  /// An input that the source had sent before.
+  /// Counts an input that the source had sent before.
   void repeated();
-  /// Inputs that the source numbered and that never came; those that came and were no use are not among them.
+  /// Counts inputs that the source numbered but that never arrived; unusable inputs do not belong to them.
   void lost(std::uint64_t count);
-  /// Says that the source numbers its data, so that `lost` is known and not just zero.
+  /// Declares that the source numbers its data, so that `lost` is known.
   void set_numbered();
 
  protected:

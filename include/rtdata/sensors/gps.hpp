@@ -5,20 +5,19 @@
 ///       if (fix->lat && fix->lon) std::printf("%.7f %.7f\n", *fix->lat, *fix->lon);
 ///     });
 ///
-/// Each report of a fix (TPV) becomes one event, whose time is that of the read which brought its end; the receiver's
-/// own time is a field. The numbers of satellites are those of the receiver's last report of them (SKY).
+/// Each report of a fix (TPV) becomes one event. Its time is the time of the read that completed the report; the
+/// receiver's own time is a field. The numbers of satellites are from the receiver's last SKY report.
 ///
-/// - What gpsd does not say is no value, never 0.
-/// - A report whose text, its time included, is that of the last one of its receiver is counted as repeated, and not
-///   published. A line that is no report, or longer than 64 KiB, is counted as unreadable and reported, and costs no
-///   other line anything. Reports of other kinds, and of other receivers than `device`, are not counted.
-/// - gpsd that is absent, or goes away, makes the sensor faulted; it is connected to again after `retry_first`,
-///   doubling to `retry_longest`. Absent at the start: the same, unless it is `required`. The time without it is a gap
-///   (disconnected).
-/// - Without a report of a fix for longer than `silence` it is degraded until one comes, and has a gap (silent). gpsd
-///   is asked for a sign of life then; when it gives none for as long again, the connection counts as lost.
-/// - The receiver's time moves no schedule. When five reports of a fix in a row agree, and nothing speaks against it,
-///   it is noted as a source of the time of day ("gps", see Runtime::note_wall_clock).
+/// - A value that gpsd does not give is absent, never 0.
+/// - A report with the same text and time as the receiver's last one is counted as repeated and not published. A line
+///   that is not a report, or longer than 64 KiB, is counted as unreadable and reported; other lines are not affected.
+///   Reports of other kinds, and of other receivers than `device`, are not counted.
+/// - If gpsd is missing or goes away, the sensor is faulted and connects again after `retry_first`, doubling to
+///   `retry_longest`; also at the start, unless it is `required`. The time without gpsd is a gap (disconnected).
+/// - Without a report of a fix for longer than `silence` the sensor is degraded until one comes, with a gap (silent).
+///   It then polls gpsd; without an answer for the same time again, the connection counts as lost.
+/// - The receiver's time does not change schedules. When five consecutive reports of a fix agree and nothing
+///   contradicts them, the sensor records it as a time source ("gps", see Runtime::note_wall_clock).
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's.
 #pragma once
@@ -34,8 +33,8 @@
 
 namespace rtdata {
 
-/// What a receiver says of where it is. The names are gpsd's, which explains them: `man gpsd_json`. Uncertainties are
-/// of 95 % confidence.
+/// The position report of a receiver. The names are gpsd's, which explains them: `man gpsd_json`. Uncertainties are of
+/// 95 % confidence.
 struct GpsFix {
   text<128> device = {};                      ///< the receiver, as gpsd names it
   std::uint8_t mode = 0;                      ///< of the fix: 0 not known, 1 none, 2 without height, 3 with height
@@ -86,10 +85,10 @@ struct GpsFix {
 struct GpsConfig {
   std::string host = "localhost";                         ///< where gpsd runs: a name or an address
   std::uint16_t port = 2947;                              ///< of gpsd
-  std::string device = {};                                ///< the receiver, as gpsd names it; empty: whatever it has
-  Duration silence = std::chrono::seconds{10};            ///< without a fix's report for longer, it has a gap; 0: never
-  Duration report_delay = std::chrono::seconds{1};        ///< from a fix to its report at most; 0: no source of time
-  Duration retry_first = std::chrono::milliseconds{100};  ///< wait before a lost gpsd is connected to again
+  std::string device = {};                                ///< gpsd's name of the receiver; empty: any
+  Duration silence = std::chrono::seconds{10};            ///< without a fix report for longer: a gap; 0: no limit
+  Duration report_delay = std::chrono::seconds{1};        ///< longest delay of a report; 0: not a time source
+  Duration retry_first = std::chrono::milliseconds{100};  ///< wait before the program connects to a lost gpsd again
   Duration retry_longest = std::chrono::seconds{10};      ///< the wait doubles up to this
   bool required = false;                                  ///< gpsd that does not answer at the start throws
   bool start = true;                                      ///< start when made
@@ -105,7 +104,7 @@ struct GpsConfig {
         parameter("report_delay", &GpsConfig::report_delay,
                   "from a fix to its report at most: the accuracy of the time of day that it gives; 0: it gives none",
                   range(Duration{0}, Duration{1min})),
-        parameter("retry_first", &GpsConfig::retry_first, "wait before a lost gpsd is connected to again",
+        parameter("retry_first", &GpsConfig::retry_first, "wait before the program connects to a lost gpsd again",
                   range(Duration{1ms}, Duration{1h})),
         parameter("retry_longest", &GpsConfig::retry_longest, "the wait doubles up to this",
                   range(Duration{1ms}, Duration{24h})),
@@ -114,7 +113,7 @@ struct GpsConfig {
   }
 };
 
-/// What no parameter says by itself: that there is a host.
+/// Checks that there is a host.
 void check_config(const GpsConfig& config, const ConfigItem& item, Problems& problems);
 /// How long the longest read takes: 4 KiB of short reports.
 ReadTime read_time(const GpsConfig& config);

@@ -1,17 +1,17 @@
-/// HostSensor: what this computer knows of itself.
+/// HostSensor: measurements of this computer: load, memory, disks, temperatures.
 ///
 ///     rtdata::HostSensor load(loop, {.name = "load", .topic = "host/cpu", .rate = 10_Hz},
 ///                             {.quantity = rtdata::HostQuantity::cpu});
 ///     auto s = loop.topic<rtdata::HostCpu>("host/cpu").subscribe(loop, [](const auto& e) { use(e->busy); });
 ///
 /// Each quantity has a payload of its own, below; `available_host_sensors` lists what this machine has. A quantity that
-/// it does not have is an error (not-found): the sensor is faulted and tried again, or throws when `required`. A disk,
-/// network or processor of another name is found missing by the first read, which fails.
+/// it does not have is an error (not-found): the sensor is faulted and tried again, or throws when `required`. If a
+/// disk, network or processor does not exist, the first read fails.
 ///
 /// Files of /proc stay open and are read inline: a read costs microseconds (`process` the least: fit for 1 kHz and
-/// more, and it always changes). Files of /sys may ask a slow chip: they are read on a lane, and given up after
-/// `timeout`. Shares of time are made of the difference of two reads: the first read gives nothing (repeated), nor does
-/// one so soon that the kernel's clock (10 ms mostly) has not moved.
+/// more, and it always changes). Files of /sys may access a slow chip: they are read on a lane, with the limit
+/// `timeout`. Shares of time need the difference of two reads: the first read gives no event (repeated), and neither
+/// does a read before the kernel's clock (mostly 10 ms) has advanced.
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's.
 #pragma once
@@ -129,8 +129,8 @@ struct HostProcess {
   std::uint64_t time_slices = 0;  ///< how often the loop's thread was put on a CPU
   RTDATA_FIELDS(HostProcess, (cpu_time, "ns"), (run_time, "ns"), (wait_time, "ns"), (time_slices))
 };
-/// `alarm`, here and below: whether the chip says that a limit of it is passed; none: it has no such limit, or does not
-/// tell. The value is as good with it as without. What the chip calls a fault of its sensor is no value but an error.
+/// `alarm`, here and below: true if the chip reports that a limit is passed; empty: no such limit, or not reported. The
+/// value is valid in both cases. If the chip reports a fault of its sensor, the read is an error.
 struct HostTemperature {
   double temperature = 0;
   std::optional<bool> alarm = {};
@@ -162,7 +162,7 @@ struct HostHumidity {
   std::optional<bool> alarm = {};
   RTDATA_FIELDS(HostHumidity, (humidity, "%"), (alarm))
 };
-/// Counted by the chip since it was switched on, or as its data sheet says: it may begin anew at 0.
+/// Counted by the chip since power-on, or according to its data sheet: it may restart at 0.
 struct HostEnergy {
   double energy = 0;
   RTDATA_FIELDS(HostEnergy, (energy, "J"))
@@ -175,7 +175,7 @@ struct HostFrequency {
 struct HostConfig {
   HostQuantity quantity = HostQuantity::cpu;
   std::string device = {};                     ///< which one, see HostQuantity
-  std::string root = {};                       ///< put before /proc and /sys: where a container sees its host's
+  std::string root = {};                       ///< prefix of /proc and /sys, such as a container's mount of the host
   Duration timeout = std::chrono::seconds{1};  ///< a read of /sys that takes longer is given up
 
   friend constexpr auto parameters(type_tag<HostConfig>) {
@@ -185,7 +185,7 @@ struct HostConfig {
         parameter("device", &HostConfig::device, "which CPU, disk, network interface, thermometer, or input of hwmon",
                   only_with("quantity", "cpu", "disk", "network", "temperature", "frequency", "voltage", "current",
                             "power", "fan", "humidity", "energy")),
-        parameter("root", &HostConfig::root, "put before /proc and /sys: where a container sees its host's",
+        parameter("root", &HostConfig::root, "prefix of /proc and /sys, such as the host's root folder in a container",
                   TextIs::device),
         parameter("timeout", &HostConfig::timeout, "a read of /sys that takes longer is given up",
                   range(Duration{1ms}, Duration{1h}),
@@ -194,9 +194,9 @@ struct HostConfig {
   }
 };
 
-/// What no parameter says by itself: that a disk or network is named.
+/// Checks that a disk or network is named.
 void check_config(const HostConfig& config, const ConfigItem& item, Problems& problems);
-/// Some ten times what was measured (docs/tiers.md), since there are slower boards and machines with more processors.
+/// About ten times the measured values (docs/tiers.md), for slower boards and machines with more processors.
 ReadTime read_time(const HostConfig& config);
 
 /// The description of the quantity's payload.
@@ -222,7 +222,7 @@ struct HostSensorInfo {
   std::string name;       ///< as the kernel calls it ("x86_pkg_temp"), or empty
   std::string file = {};  ///< of /sys, below the root, that has the value; empty: it is in one of /proc
 };
-/// Looks into /proc and /sys below `root`. Blocks for as long as listing directories takes; any thread.
+/// Searches /proc and /sys below `root`. Blocks while it lists directories; any thread.
 std::vector<HostSensorInfo> available_host_sensors(const std::string& root = {});
 
 }  // namespace rtdata

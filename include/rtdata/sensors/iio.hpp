@@ -5,22 +5,22 @@
 ///     rtdata::IioBufferSensor imu(loop, {.name = "imu"},
 ///                                 {.device = "mpu6050", .channels = {"accel_x", "anglvel_z"}, .rate = 200_Hz});
 ///
-/// `IioSensor` asks for each channel at its own rate, by a file each. `IioBufferSensor` takes what the kernel's driver
-/// puts into its buffer, all channels of one instant together, at the rate of a trigger: of the chip's own data-ready
-/// interrupt, of a timer of the kernel. For more than some 10 Hz that is the way.
+/// `IioSensor` reads one file for each channel at the sensor's rate. `IioBufferSensor` takes scans from the kernel's
+/// buffer, with all channels of one instant together, at the rate of a trigger: the chip's data-ready interrupt or a
+/// timer of the kernel. Use it above about 10 Hz.
 ///
 /// Events: a record "iio" of one double for each channel (four for a quaternion), in the order of `channels`, named as
-/// the channel ("-" as "_"), in SI units (iio.hpp). All of it is known from the configuration, without the device.
+/// the channel ("-" as "_"), in SI units (iio.hpp). The configuration alone defines them, without the device.
 ///
-/// - The device is found by name, label, number or path, and again each time that it is opened: one that is unplugged
-///   makes the sensor faulted, and it is looked for until it is back.
-/// - Opening and closing, which can make a driver talk to its chip for long, is done on a lane, one for each `device`.
-/// - Buffered, an event's time is the kernel's: its clock is set to the monotonic one where the kernel can (4.8 and
-///   later), else converted from the time of day. A time that cannot be is replaced by that of the read, and told.
-/// - Buffered: the kernel does not tell of scans that it dropped, so `lost` is not detectable. But a buffer that was
-///   found full, and times that are further apart than the rate says, are reported and recorded as a gap (silent).
-/// - A device whose buffer another program has is an error (busy) that names it where that may be seen. One whose
-///   buffer is on while nobody has it, as after a kill, is taken over, which is logged.
+/// - The device is searched by name, label, number or path each time it is opened: if it is unplugged, the sensor is
+///   faulted and searches until it is back.
+/// - Opening and closing, which may take long in a driver, run on a lane, one for each `device`.
+/// - Buffered events have the kernel's time: from the monotonic clock if the kernel supports it (4.8 and later),
+///   otherwise converted from the time of day. An impossible time is replaced by the time of the read, and reported.
+/// - Buffered: the kernel does not report dropped scans, so `lost` is unknown. But a full buffer, and times further
+///   apart than the rate allows, are reported and recorded as a gap (silent).
+/// - If another program has the buffer, that is an error (busy), which names the program if visible. If the buffer is
+///   enabled but no program has it, for example after a kill, the sensor takes it over and logs this.
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's.
 #pragma once
@@ -40,7 +40,7 @@ namespace rtdata {
 struct IioConfig {
   std::string device = {};                     ///< name, label, number, or path below /sys or /dev
   std::vector<std::string> channels = {};      ///< "accel_x", "voltage0-voltage1"
-  std::string root = {};                       ///< put before /sys: where a container sees its host's
+  std::string root = {};                       ///< prefix of /sys, such as the host's root folder in a container
   Duration timeout = std::chrono::seconds{1};  ///< a read of all channels that takes longer is given up
 
   friend constexpr auto parameters(type_tag<IioConfig>) {
@@ -50,7 +50,8 @@ struct IioConfig {
                   TextIs::device),
         parameter("channels", &IioConfig::channels, "what is read, such as accel_x or voltage0", required,
                   TextIs::recorded),
-        parameter("root", &IioConfig::root, "put before /sys: where a container sees its host's", TextIs::device),
+        parameter("root", &IioConfig::root, "prefix of /sys, such as the host's root folder in a container",
+                  TextIs::device),
         parameter("timeout", &IioConfig::timeout, "a read of all channels that takes longer is given up",
                   range(Duration{1ms}, Duration{1h})));
   }
@@ -59,8 +60,8 @@ struct IioConfig {
 struct IioBufferConfig {
   std::string device = {};                                ///< name, label, number, or path below /sys or /dev
   std::vector<std::string> channels = {};                 ///< "accel_x", "voltage0-voltage1"
-  std::string trigger = {};                               ///< its name; empty: the device's own, or the one that it has
-  std::optional<Rate> rate = {};                          ///< set in trigger or device; unset: left as it is
+  std::string trigger = {};                               ///< its name; empty: the device's own, or the present one
+  std::optional<Rate> rate = {};                          ///< set in trigger or device; unset: unchanged
   std::size_t length = 512;                               ///< scans that the kernel's buffer holds
   std::size_t watermark = 1;                              ///< scans at a time: more cost less, and come later
   std::string root = {};                                  ///< put before /sys and /dev
@@ -85,7 +86,8 @@ struct IioBufferConfig {
         parameter("length", &C::length, "scans that the kernel's buffer holds", range(2, 65536)),
         parameter("watermark", &C::watermark, "scans that are taken at a time: more cost less, and come later",
                   range(1, 65536)),
-        parameter("root", &C::root, "put before /sys and /dev: where a container sees its host's", TextIs::device),
+        parameter("root", &C::root, "prefix of /sys and /dev, such as the host's root folder in a container",
+                  TextIs::device),
         parameter("timeout", &C::timeout, "opening that takes longer is given up", range(Duration{1ms}, Duration{1h})),
         parameter("silence", &C::silence, "silent for longer, it is degraded and has a gap; 0: never",
                   range(Duration{0}, Duration{24h})),
@@ -102,17 +104,17 @@ struct IioBufferConfig {
 /// bad-description.
 Result<std::shared_ptr<const Description>> iio_description(const std::vector<std::string>& channels);
 
-/// What no parameter says by itself: that the channels are some, and that the watermark is no longer than the buffer.
+/// Checks that there are channels, and that the watermark is not larger than the buffer.
 void check_config(const IioConfig& config, const ConfigItem& item, Problems& problems);
 void check_config(const IioBufferConfig& config, const ConfigItem& item, Problems& problems);
-/// The loop's part; how long the chip takes is for its data sheet to say, and so not known.
+/// The time on the loop; the time on the lane depends on the chip and is unknown.
 ReadTime read_time(const IioConfig& config);
 ReadTime read_time(const IioBufferConfig& config);
 
 class IioSensor : public AnySensor {
  public:
   IioSensor() noexcept = default;
-  /// SetupError: as `Sensor`; bad-argument for channels that are none.
+  /// SetupError: as `Sensor`; bad-argument for invalid channels.
   IioSensor(Loop& loop, SensorConfig sensor, IioConfig config);
 
  private:

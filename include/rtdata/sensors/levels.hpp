@@ -5,10 +5,10 @@
 ///                                           {.name = "back", .line = "GPIO27"}}});
 ///
 /// Each event has a boolean for each line, in order, under its `name`; true is active. They are read one after the
-/// other. What happens between two readings is not seen: for that there are edges (edge.hpp).
+/// other. It does not see changes between two readings; use an EdgeSensor for that (edge.hpp).
 ///
-/// The lines are taken, read and given back on a lane, so that an expander on a slow bus holds no loop. When one of
-/// them cannot be read, the reading has failed; all are taken again when the sensor is faulted.
+/// A lane opens, reads and releases the lines, so that an expander on a slow bus does not hold the loop. If one line
+/// cannot be read, the reading fails; a faulted sensor opens all lines again.
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's.
 #pragma once
@@ -55,7 +55,7 @@ struct LevelsConfig {
 
 /// Errors: bad-description (no lines, a name twice).
 Result<std::shared_ptr<const Description>> levels_description(const LevelsConfig& config);
-/// What no parameter says by itself: that there are lines, and no line twice.
+/// Checks that there are lines and no line is listed twice.
 void check_config(const LevelsConfig& config, const ConfigItem& item, Problems& problems);
 ReadTime read_time(const LevelsConfig& config);
 

@@ -4,15 +4,14 @@
 ///                               {.on = "tank", .field = "pressure", .high = 5e5, .hysteresis = 1e4, .latched = true});
 ///     alarm.acknowledge();
 ///
-/// What levels, alarms and acknowledging are: process/limits.hpp. It publishes an event with the first value, and with
-/// each change. An unknown value (the field is absent, the topic has no such number, nothing has come for `silence`) is
-/// a level too; where nothing comes the sensor is also faulted, and has a gap. A `stop` publishes an unknown value,
-/// since nobody watches any more; closing the limit and the end of its run publish nothing.
+/// process/limits.hpp defines levels, alarms and acknowledgement. It publishes an event for the first value and for
+/// each change. An unknown value (the field is absent, the topic has no such number, no event for `silence`) is a level
+/// too; without events the sensor is also faulted, with a gap. `stop` publishes an unknown value, because nothing is
+/// watched then; closing the limit and the end of its run publish nothing.
 ///
-/// A flood is joined: after an event, changes within `join` are held back and counted, unless the alarm is worse than
-/// what was published since, or changes from too low to too high or back; what has become of them is published when
-/// `join` is over, whether an event comes then or not. So a value that swings about a limit makes few events, and an
-/// alarm is never late.
+/// Frequent changes are joined: after an event, changes within `join` are held back and counted, and the result is
+/// published when `join` is over. A worse alarm, or one on the other side, is published at once. So a value that
+/// oscillates around a limit gives few events, and an alarm is never late.
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's.
 #pragma once
@@ -52,7 +51,7 @@ struct LimitConfig {
         parameter("high", &C::high, "greater values are a warning"),
         parameter("high_high", &C::high_high, "greater values are critical"),
         parameter("hysteresis", &C::hysteresis, "a level ends when the value is back by this much", range(0.0, 1e300)),
-        parameter("delay", &C::delay, "a level begins when the value has been beyond the limit for so long",
+        parameter("delay", &C::delay, "a level begins when the value has been beyond the limit for this time",
                   range(Duration{0}, longest)),
         parameter("latched", &C::latched, "the alarm stays until it is acknowledged"),
         parameter("silence", &C::silence, "without an event for longer, the value is unknown; 0: never",
@@ -62,9 +61,9 @@ struct LimitConfig {
   }
 };
 
-/// What no parameter says by itself.
+/// Checks rules over several parameters.
 void check_config(const LimitConfig& config, const ConfigItem& item, Problems& problems);
-/// Whether the topic has such a number. `payload_of`: what a topic carries; null: not known, nothing is said.
+/// Checks that the topic has such a number. `payload_of`: the description of a topic; null: unknown, not checked.
 void check_limit_field(const LimitConfig& config,
                        const std::function<const Description*(std::string_view topic)>& payload_of,
                        const ConfigItem& item, Problems& problems);
@@ -72,12 +71,12 @@ void check_limit_field(const LimitConfig& config,
 /// The payload: what has changed.
 struct Alarm {
   LimitLevel level = LimitLevel::normal;  ///< of the value
-  LimitLevel alarm = LimitLevel::normal;  ///< to be signalled
+  LimitLevel alarm = LimitLevel::normal;  ///< the state to signal
   bool is_active = false;                 ///< the alarm is not normal
-  bool acknowledged = true;               ///< or there is none
+  bool acknowledged = true;               ///< also true without an alarm
   std::optional<double> value{};          ///< unit of the field; none: unknown
   std::optional<double> limit{};          ///< that of the alarm, unit of the field
-  std::uint32_t joined = 0;               ///< changes since the event before that had none of their own
+  std::uint32_t joined = 0;               ///< changes since the last event that were joined into this one
 
   friend constexpr auto describe(type_tag<Alarm>) {
     return record("alarm", field("level", &Alarm::level), field("alarm", &Alarm::alarm),
@@ -93,10 +92,10 @@ class LimitSensor : public AnySensor {
   /// SetupError: as `Feed`; bad-argument for limits that cannot work.
   LimitSensor(Loop& loop, FeedConfig feed, LimitConfig config);
 
-  /// Somebody has seen the alarm, which is published. False: there is nothing to acknowledge.
+  /// Acknowledges the alarm and publishes that. False: there is nothing to acknowledge.
   bool acknowledge();
-  /// Other limits, delay, latch, silence and joining, from the next event on; the alarm stays as it is until then. What
-  /// it watches (`on`, `field`) stays. SetupError: as the constructor.
+  /// Changes limits, delay, latch, silence and joining, from the next event on; until then the alarm does not change.
+  /// `on` and `field` cannot change. SetupError: as the constructor.
   void change(const LimitConfig& config);
   /// As it is now; normal when it is closed.
   LimitState state() const;

@@ -5,17 +5,16 @@
 ///         {.fields = {{.name = "voltage", .address = 0, .type = Kind::u16, .scale = 0.1, .unit = "V"},
 ///                     {.name = "energy", .address = 10, .type = Kind::f32, .unit = "kW.h"}}});
 ///
-/// - Each tick reads all fields: those that lie one behind the other in one request, others in one of their own; with
-///   `gap`, those too between which there are so many registers that no field has. A request that fails fails the
-///   reading.
-/// - Numbers are put together in `word_order`, high word and high byte first ("abcd") unless it says otherwise; where
-///   it has the low byte of a register first, that is so of numbers of one register, too.
-/// - A number with a `scale` or an `offset` is published as a double, raw * scale + offset; others as they are. Coils
-///   and discrete inputs are bools.
-/// - `no_value` is the raw number by which the device says that there is none (0x8000, 65535 ...), of an integer with
-///   or without its sign: the field is then absent, as it is with a float that is no number. Without `no_value` such a
-///   float makes the reading unreadable.
-/// - An answer with a wrong checksum, or to something else, is unreadable; the device's exceptions are reported by
+/// - Each tick reads all fields: consecutive ones in one request, others in separate requests; with `gap`, a request
+///   may include that many unused registers between two fields. If a request fails, the reading fails.
+/// - Numbers are assembled in `word_order`, by default high word and high byte first ("abcd"). An order with the low
+///   byte of a register first also applies to numbers of one register.
+/// - A number with a `scale` or an `offset` is published as a double, raw * scale + offset; others unchanged. Coils and
+///   discrete inputs are bools.
+/// - `no_value` is the raw number that the device sends for a missing value (0x8000, 65535 ...), for integers as signed
+///   or unsigned number: the field is then absent. With `no_value` a float that is NaN is absent too; without it, NaN
+///   makes the reading unreadable.
+/// - An answer with a wrong checksum, or to another request, is unreadable; the device's exceptions are reported by
 ///   name.
 ///
 /// In the library rtdata::modbus. Driver (driver.hpp): used on the bus's lane.
@@ -43,13 +42,12 @@ struct ModbusField {
   double scale = 1;
   double offset = 0;                    ///< added after scaling
   std::string unit = {};                ///< UCUM
-  std::optional<double> no_value = {};  ///< the raw number that stands for none
+  std::optional<double> no_value = {};  ///< the raw number for a missing value
 
   friend constexpr auto parameters(type_tag<ModbusField>) {
     return parameter_list(
         parameter("name", &ModbusField::name, "name of the field", required, TextIs::field),
-        parameter("table", &ModbusField::table,
-                  "what it is one of: registers (holding, input) or bits (coil, discrete)"),
+        parameter("table", &ModbusField::table, "its table: registers (holding, input) or bits (coil, discrete)"),
         parameter("address", &ModbusField::address, "of its first register or bit, from 0", required),
         parameter("type", &ModbusField::type, "type of the value in the registers",
                   choices(value("int16", Kind::i16), value("int32", Kind::i32), value("int64", Kind::i64),
@@ -59,12 +57,12 @@ struct ModbusField {
         parameter("scale", &ModbusField::scale, "factor", not_zero, only_with("table", "holding", "input")),
         parameter("offset", &ModbusField::offset, "added after scaling", only_with("table", "holding", "input")),
         parameter("unit", &ModbusField::unit, "unit of the value (UCUM)", TextIs::unit),
-        parameter("no_value", &ModbusField::no_value, "the raw number that stands for none",
+        parameter("no_value", &ModbusField::no_value, "the raw number that means no value",
                   only_with("table", "holding", "input")));
   }
 };
 
-/// In which order the bytes of a number lie in the registers; a is the highest of four.
+/// The order of the bytes of a number in the registers; a is the highest of four.
 enum class WordOrder { abcd, cdab, badc, dcba };
 constexpr auto describe(type_tag<WordOrder>) {
   return enumeration("word_order", value("abcd", WordOrder::abcd), value("cdab", WordOrder::cdab),
@@ -82,8 +80,8 @@ class Modbus {
       "registers, 30001 `\"address\": 0` of the input registers. More: [modbus.md](modbus.md).";
   struct Config {
     std::vector<ModbusField> fields = {};
-    WordOrder word_order = WordOrder::abcd;  ///< badc and dcba: also of numbers of one register
-    unsigned gap = 0;                        ///< registers, or bits, that are read along though no field has them
+    WordOrder word_order = WordOrder::abcd;  ///< badc and dcba: also for numbers of one register
+    unsigned gap = 0;                        ///< how many unused registers or bits a request may include
     friend constexpr auto parameters(type_tag<Config>) {
       return parameter_list(
           parameter("fields", &Config::fields, "what is read", required),
@@ -101,16 +99,16 @@ class Modbus {
 
   /// SetupError (bad-argument, bad-description): a configuration that cannot work.
   explicit Modbus(const Config& config);
-  /// The line or server is there; whether the unit answers is what each read says.
+  /// Sends nothing: each read shows if the unit answers.
   Result<void> open(ModbusDevice&) { return {}; }
   Reading<DescribedValue> read(ModbusDevice& device);
 
-  /// What is asked for at a time.
+  /// One request.
   struct Request {
     ModbusTable table = ModbusTable::holding;
     std::uint16_t first = 0;
     unsigned count = 0;
-    std::vector<std::size_t> fields = {};  ///< that it brings, as places in the list
+    std::vector<std::size_t> fields = {};  ///< the fields that it reads, as indexes in the list
   };
   static std::vector<Request> requests(const Config& config);
   /// The number in these registers: as many as the type needs, one after the other. Errors: not-a-number.

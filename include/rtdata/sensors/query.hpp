@@ -4,14 +4,14 @@
 ///     rtdata::DriverSensor<rtdata::Query> meter(loop, {.name = "meter", .rate = 5_Hz}, port, {},
 ///         {.request = "MEAS:VOLT:DC?\n", .fields = {{.name = "voltage", .unit = "V"}}});
 ///
-/// Each tick sends the request, and takes the line that comes back as SerialLineSensor (serial_line.hpp) takes lines:
-/// CSV (a single number is a line of one column) or JSON. What came before the request was sent, such as an answer that
-/// came too late, is dropped. Several sensors may ask one device, or several on one line, for different things.
+/// Each tick sends the request and decodes the answer as SerialLineSensor (serial_line.hpp) decodes lines: CSV (a
+/// single number is a line of one column) or JSON. Bytes received before the request, such as a late answer, are
+/// dropped. Several sensors may send different requests to one device, or to several devices on one line.
 ///
-/// - No answer, or not all of it, within the port's `answer_timeout` is a failure; an answer that cannot be decoded is
+/// - No complete answer within the port's `answer_timeout` is a failure; an answer that cannot be decoded is
 ///   unreadable.
-/// - `at_open` is sent after each opening of the port: what sets the device up.
-/// - `skip_lines`: lines before the answer, of devices that send back what they are sent.
+/// - `at_open` is sent after each opening of the port, to set the device up.
+/// - `skip_lines`: lines before the answer, for devices that echo the request.
 ///
 /// Driver (driver.hpp): used on the port's lane.
 #pragma once
@@ -41,10 +41,10 @@ class Query {
       "number "
       "alone is one column) or JSON, as of [serial](serial.md); a column without a name, such as a unit, is not kept.";
   struct Config {
-    std::string request = {};               ///< with its end
+    std::string request = {};               ///< including its line end
     std::string request_hex = {};           ///< instead of `request`: bytes, as hexadecimal digits
     std::vector<std::string> at_open = {};  ///< sent after each opening of the port, in order
-    char answer_end = '\n';                 ///< a carriage return before it does not count
+    char answer_end = '\n';                 ///< a carriage return before it is ignored
     unsigned skip_lines = 0;                ///< before the answer
     LineFormat format = LineFormat::csv;
     std::vector<LineField> fields = {};
@@ -61,7 +61,7 @@ class Query {
           parameter("fields", &Config::fields, "what is in the answer", required),
           parameter("separator", &Config::separator, "between the columns of CSV", only_with("format", "csv")));
     }
-    /// Checks that there is one request, and that `fields` and the others go together.
+    /// Checks that there is one request, and that `fields` fit the other settings.
     friend void check_config(const Config& config, const ConfigItem& item, Problems& problems);
   };
   using Value = DescribedValue;

@@ -15,7 +15,7 @@
 ///
 /// All calls of a device may use any handle, its own sensor's too, and may throw, which is a failure.
 ///
-/// Reading must not block: what can (bus transfers, slow kernel files) belongs on a lane, as `AnalogSensor` does it.
+/// Reading must not block: slow work (bus transfers, slow kernel files) belongs on a lane, as in `AnalogSensor`.
 ///
 /// The life of a sensor:
 ///   1. made: it starts at once; `stop` and `start` any number of times.
@@ -47,16 +47,16 @@ namespace rtdata {
 
 struct Tick;
 
-/// The device had nothing new: counted as repeated, nothing is published.
+/// The device had no new sample: counted as repeated, not published.
 struct NothingNew {};
 inline constexpr NothingNew nothing_new{};
 
-/// The device answered with something that cannot be decoded: counted as unreadable, and the read has failed.
+/// The device's answer cannot be decoded: counted as unreadable, and the read has failed.
 struct Unreadable {
   Error error;
 };
 
-/// What reading a device gives: a value, nothing new, an error, or what cannot be decoded.
+/// The result of a read: a value, nothing new, an error, or an answer that cannot be decoded.
 template <class T>
 class Reading {
  public:
@@ -79,11 +79,11 @@ class Reading {
   std::variant<T, NothingNew, Error, Unreadable> content_;
 };
 
-/// What becomes of a sensor whose read holds its loop longer than the loop's limit, which is reported in any case.
+/// What to do if a read holds the loop longer than the loop's limit, besides the report.
 enum class OnOverrun : std::uint8_t {
   warn,       ///< nothing more
-  slow_down,  ///< its rate is halved each time, down to a sixteenth of the wanted one
-  stop,       ///< it is stopped, and is faulted until it is started again
+  slow_down,  ///< halve its rate each time, down to a sixteenth
+  stop,       ///< stop it; it is faulted until it is started again
 };
 
 struct SensorConfig {
@@ -91,8 +91,8 @@ struct SensorConfig {
   std::string topic = {};  ///< empty: as the name
   Rate rate = {};          ///< ticks a second, up to 1 MHz
   Duration phase{0};       ///< added to the start of its schedule; a negative one: within the first period
-  std::optional<Duration> late_after = {};  ///< late beyond this; unset: the larger of 1 ms and 10 % of the period
-  std::optional<Duration> read_time = {};   ///< holds the loop or lane for at most this; unset: as the device says
+  std::optional<Duration> late_after = {};  ///< unset: the larger of 1 ms and 10 % of the period
+  std::optional<Duration> read_time = {};   ///< longest time on the loop or lane; unset: as the device declares
   unsigned faulted_after = 3;               ///< failures in a row that make it faulted
   Duration retry_first = std::chrono::milliseconds{100};  ///< delay before a faulted device is opened again
   Duration retry_longest = std::chrono::seconds{30};      ///< the delay doubles up to this
@@ -102,7 +102,7 @@ struct SensorConfig {
   Processing process = {};  ///< calibration and filters of its fields
 };
 
-/// What the parts that all sensors have in common are called in a configuration file.
+/// The configuration keys that all sensors have.
 ///
 ///     {"name": "chamber", "topic": "pressure/chamber", "rate": "100 Hz", "retry_first": "100 ms", ...}
 ///
@@ -139,32 +139,32 @@ namespace detail {
 
 class SensorNode;
 
-/// How a read ended. `value`: well, with whatever was handed to the port, which may be nothing, one sample or many.
+/// How a read ended. `value`: without an error; the port got no, one or many samples.
 enum class Sampled { value, nothing_new, failed };
 
-/// How a sampling function hands over what it read: lives for one read. Dead once the sensor was stopped meanwhile.
+/// Takes the samples of one read. It does nothing if the sensor was stopped meanwhile.
 class SamplePort {
  public:
-  /// Publishes with the time of the read; the payload may be moved from. Once for each sample that the read brought.
+  /// Publishes one sample with the time of the read; may move from the payload.
   void publish(void* payload) { publish(payload, time_); }
   /// Publishes with the device's own time.
   void publish(void* payload, Time time);
-  /// Publishes with the instant at which the device took it.
+  /// Publishes with the monotonic time at which the device took it.
   void publish_at(void* payload, MonotonicTime time);
   /// The device reports that it has dropped `count` samples.
   void lost(std::uint64_t count);
-  /// The device took `count` samples while it could not be read, a fault that has been told.
+  /// The device took `count` samples while it could not be read, which was already reported.
   void lost_in_fault(std::uint64_t count);
   /// The device gave a sample that it had given before.
   void repeated() noexcept;
-  /// What a read that failed returns. When something usable was handed over before, the read is taken all the same; the
-  /// error is reported.
+  /// The return value of a failed read. The error is reported; if the read published a sample before, it still counts
+  /// as taken.
   Sampled fail(Error error) {
     error_ = std::move(error);
     return Sampled::failed;
   }
-  /// The device gave a sample that cannot be decoded. Others of the same read may be handed over before and afterwards;
-  /// without any, the read has failed, whatever it returns.
+  /// The device gave a sample that cannot be decoded. The read may publish others before and afterwards; without any,
+  /// the read has failed, whatever it returns.
   Sampled unreadable(Error error);
 
  private:
@@ -175,15 +175,15 @@ class SamplePort {
   MonotonicTime due_;
   Time time_;
   const Tick* tick_;        // of a read on the loop
-  bool is_begun_ = false;   // counted as such; most reads on the loop are counted when they have ended
-  Duration late_after_{0};  // of one that is begun: later than this it is late
+  bool is_begun_ = false;   // already counted as begun; most reads on the loop are counted at their end
+  Duration late_after_{0};  // limit for a late read, once begun
   Duration pushed_{0};      // added to the time of the read, so that timestamps strictly increase
-  bool is_usable_ = false;  // a sample that can be decoded was handed over
+  bool is_usable_ = false;  // a usable sample was published
   bool has_sample_ = false;
   std::optional<Error> error_;
 };
 
-/// A device as the sensor's base sees it.
+/// The interface of a device for the sensor's base.
 class SensorDevice {
  public:
   virtual ~SensorDevice() = default;
@@ -260,31 +260,31 @@ Node* make_sensor(Loop& loop, SensorConfig config, PayloadType type, std::unique
 
 }  // namespace detail
 
-/// What every sensor can do, whatever it reads.
+/// The interface of all sensors.
 class AnySensor : public Handle {
  public:
   AnySensor() noexcept = default;
 
-  /// Acquires the device and begins a new stretch of schedule. Nothing on a running or closed sensor. SetupError when
-  /// the sensor is `required` and the device cannot be opened. Returns whether it was this call that started it.
+  /// Opens the device and begins a new segment of its schedule. Does nothing on a running or closed sensor. SetupError
+  /// if the sensor is `required` and the device cannot be opened. Returns true if this call started it.
   bool start();
-  /// Ends its activity: see "The life of a sensor". Returns whether it was this call that stopped it.
+  /// Ends its activity: see "The life of a sensor". Returns true if this call stopped it.
   bool stop();
   bool is_running() const noexcept;
-  /// While running too: a new stretch of schedule begins now. Undoes what `on_overrun` did to the rate. SetupError
-  /// (bad-argument) when it is not possible.
+  /// Changes the rate, also while it runs: a new segment of the schedule begins now. Cancels a reduction by
+  /// `on_overrun`. SetupError (bad-argument) if the rate is not possible.
   void set_rate(Rate rate);
   Rate rate() const noexcept;
-  /// From the next sample on. What is published keeps its fields, their types and units: SetupError
-  /// (description-differs) when they would become others, ProcessingError.
+  /// Changes the processing from the next sample on. The published fields, types and units must stay the same:
+  /// otherwise SetupError (description-differs); ProcessingError.
   void set_processing(const Processing& processing);
 
-  /// Zeros once it is closed.
+  /// All 0 after it is closed.
   SensorCounts counts() const noexcept;
   Health health() const noexcept;
   SensorStatus status() const;
   CallbackTimes times() const noexcept;
-  /// Errors of this sensor; without a handler they go to the loop's.
+  /// Sets the handler for errors of this sensor. Default: the loop's handler.
   void on_error(Callback<void(const ErrorReport&)> handler);
 
  protected:
@@ -295,7 +295,8 @@ template <class T>
 class Sensor : public AnySensor {
  public:
   Sensor() noexcept = default;
-  /// SetupError: a name that is taken or not allowed, no rate, a topic with another payload, a required device missing.
+  /// SetupError: the name is taken or not allowed, there is no rate, the topic has another payload, or a required
+  /// device is missing.
   template <class Device>
   Sensor(Loop& loop, SensorConfig config, Device device)
       : AnySensor(detail::make_sensor(loop, std::move(config), detail::payload_type<T>(),

@@ -5,37 +5,36 @@
 ///                                   .fields = {{.name = "ax", .unit = "m/s2"}, {.name = "count", .type = Kind::u32}},
 ///                                   .sequence_field = "count"});
 ///
-/// Each line becomes one event, whose fields are the configured ones; its time is that of the read which brought its
-/// end.
+/// Each line becomes one event with the configured fields; its time is the time of the read that completed the line.
 ///
-/// - CSV as in RFC 4180, a row a line: one column a field, in order; a field without a name is a column that is not
-///   kept. Blanks around a column do not count, nor do double quotes around it; in them a separator belongs to the
-///   column and a quote is written twice. JSON: an object a line, keys in any order, others ignored; "imu.ax" as a
-///   field's `key` reaches into nested objects.
-/// - An empty column (JSON: null, or no such key) is no value in a field that is `optional`, and else a mistake, but
-///   for a text, which it leaves empty. Numbers become the nearest that there is: 1e-400 is 0. A bool is true, false, 1
-///   or 0, in upper or lower case. A byte order mark at the beginning does not count.
-/// - A line ends with a newline, a carriage return before it does not count. Empty lines and those that begin with
-///   `comment` are skipped, as are the first `skip_lines` lines after opening.
-/// - What comes up to the first newline after opening is thrown away, since it may be half a line, and counted
-///   (`SensorCounts::first_lines`), unless `first_line` is `keep`, or no byte came for 100 ms after the opening.
-/// - A line that cannot be used (columns missing, no number, out of its type's range, longer than `max_line`) is
-///   counted as unreadable and reported, and costs no other line anything.
-/// - `sequence_field` names an integer by which the device numbers its lines: jumps are counted as lost, less the lines
-///   in between that came and could not be used; equal numbers as repeated (and not published). A number that goes back
-///   is a restart of the device, unless it is the wrap of the field's type.
-///   A line whose number makes a jump is held until the next one, for `silence` or a second at most: when that takes
-///   the jump back, as after a wrong digit, the line is unreadable; else both are published with their own times.
-/// - A device that goes away makes the sensor faulted; it is opened again after `retry_first`, doubling to
-///   `retry_longest`, by its path: /dev/serial/by-id/... finds it wherever it is plugged in again. Absent at the start:
-///   the same, unless it is `required`. The time without it is a gap (disconnected).
-/// - A line that is silent for longer than `silence` is degraded until a good line comes, and has a gap (silent).
-/// - Without the end of a line for max(4 KiB, `max_line`), as at the wrong speed, it is degraded, which counts as one
-///   unreadable; also while it waits for the end of what may be half a line.
-/// - The line is taken for this program alone.
+/// - CSV as in RFC 4180, one row a line: one column for each field, in order; a field without a name skips its column.
+///   Blanks and double quotes around a column are removed; within quotes a separator belongs to the column and a quote
+///   is written twice. JSON: one object a line, keys in any order, other keys ignored; "imu.ax" as a field's `key`
+///   selects from nested objects.
+/// - An empty column (JSON: null, or no such key) makes an `optional` field absent and a text empty; for other fields
+///   it is an error. Numbers are rounded to the nearest representable one: 1e-400 is 0. A bool is true, false, 1 or 0,
+///   in upper or lower case. A byte order mark at the beginning is ignored.
+/// - A line ends with a newline; a carriage return before it is ignored. The sensor skips empty lines, lines that begin
+///   with `comment`, and the first `skip_lines` lines after opening.
+/// - The bytes up to the first newline after opening may be half a line: they are discarded and counted
+///   (`SensorCounts::first_lines`), unless `first_line` is `keep` or no byte came for 100 ms after opening.
+/// - An unusable line (a missing column, not a number, out of its type's range, longer than `max_line`) is counted as
+///   unreadable and reported; other lines are not affected.
+/// - `sequence_field` names an integer with which the device numbers its lines: a jump counts as lost, minus the
+///   unusable lines in between; an equal number counts as repeated and is not published. A number that goes back is a
+///   restart of the device, unless the field's type wraps around. A line whose number makes a jump is held until the
+///   next one, for `silence` or a second at most: when that takes the jump back, as after a wrong digit, the line is
+///   unreadable; else both are published with their own times.
+/// - If the device disappears, the sensor is faulted and opens it again after `retry_first`, doubling to
+///   `retry_longest`, by its path: /dev/serial/by-id/... finds it on any port. The same at the start, unless it is
+///   `required`. The time without the device is a gap (disconnected).
+/// - Without a line for longer than `silence` the sensor is degraded until a good line comes, with a gap (silent).
+/// - Without a line end for max(4 KiB, `max_line`), for example at the wrong speed, the sensor is degraded, and this
+///   counts as one unreadable line.
+/// - The serial line is locked for this program.
 ///
-/// `format` nmea: a receiver of GPS or other satellites without gpsd, which sends sentences of NMEA 0183. `fields` is
-/// not used: events are `GpsFix` (gps.hpp), as of GpsSensor.
+/// `format` nmea: a satellite receiver (GPS or others) without gpsd, which sends NMEA 0183 sentences. `fields` is not
+/// used: events are `GpsFix` (gps.hpp), as of GpsSensor.
 ///
 ///     rtdata::SerialLineSensor gps(loop, {.name = "gps"}, {.device = "/dev/ttyACM0", .format = LineFormat::nmea});
 ///
@@ -43,10 +42,10 @@
 ///   the GSV sentences before. It is published with the last of them, which is learned from the instant before, or when
 ///   the first of the next instant comes; its time is that of the read which brought the last. Sentences without a time
 ///   (VTG, GSA) belong to the last with one; RMC's velocity is used before VTG's.
-/// - What a sentence does not say is no value, never 0; without a fix (GGA 0, RMC V) there is no position and no
+/// - A value that a sentence does not give is absent, never 0; without a fix (GGA 0, RMC V) there is no position and no
 ///   velocity.
-/// - A sentence with a wrong checksum, without one, or with what cannot be read, is counted as unreadable; what it
-///   would have said is absent. Received are fixes and unreadable sentences; sentences of other kinds are not counted.
+/// - A sentence with a wrong or missing checksum, or with unreadable content, is counted as unreadable; its values are
+///   absent. `received` counts fixes and unreadable sentences; sentences of other kinds are not counted.
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's.
 #pragma once
@@ -62,13 +61,13 @@ namespace rtdata {
 
 /// One field of a line.
 struct LineField {
-  std::string name = {};    ///< of the payload's field; empty (CSV only): the column is not kept
+  std::string name = {};    ///< of the payload's field; empty (CSV only): skip the column
   Kind type = Kind::f64;    ///< any but enumeration and record
   std::string unit = {};    ///< UCUM
   double scale = 1;         ///< a float or double is multiplied by it
   std::string key = {};     ///< JSON: where it is in the object, levels separated by dots; empty: as the name
   std::size_t length = 32;  ///< of a text: the most bytes it may have
-  bool optional = false;    ///< an empty column, null or a missing key is no value; else the line cannot be used
+  bool optional = false;    ///< an empty column, null or a missing key makes the field absent; otherwise an error
 
   friend constexpr auto parameters(type_tag<LineField>) {
     return parameter_list(
@@ -110,7 +109,7 @@ struct SerialConfig {
   FirstLine first_line = FirstLine::discard;
   std::size_t max_line = 4096;                            ///< bytes; a longer line is unreadable
   std::string sequence_field = {};                        ///< the field that numbers the lines; empty: none
-  Duration silence{0};                                    ///< silent for longer, it has a gap; 0: it may be silent
+  Duration silence{0};                                    ///< without a line for longer, it has a gap; 0: no limit
   Duration retry_first = std::chrono::milliseconds{100};  ///< wait before a lost device is opened again
   Duration retry_longest = std::chrono::seconds{10};      ///< the wait doubles up to this
   bool required = false;                                  ///< a device that cannot be opened at the start throws
@@ -145,12 +144,12 @@ struct SerialConfig {
   }
 };
 
-/// The description of what such a line publishes: by its fields, or that of a fix. Errors: as `line_description`.
+/// The description of the events: from the fields, or of a fix. Errors: as `line_description`.
 Result<std::shared_ptr<const Description>> serial_description(const SerialConfig& config);
 /// The description ("line") of the events that lines with these fields make. Errors: bad-description, bad-argument.
 Result<std::shared_ptr<const Description>> line_description(const std::vector<LineField>& fields);
 
-/// What no parameter says by itself: that `fields` and `sequence_field` go together, and that `separator` and `comment`
+/// Checks that `fields` and `sequence_field` go together, and that `separator` and `comment`
 /// are none of what columns hold.
 void check_config(const SerialConfig& config, const ConfigItem& item, Problems& problems);
 /// How long the longest read takes: 1 KiB of short lines.

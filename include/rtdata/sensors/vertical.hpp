@@ -5,11 +5,10 @@
 ///                                   {.barometer = "rocket", .height = "altitude",
 ///                                    .accelerometer = "rocket", .acceleration = "acceleration"});
 ///
-/// How it estimates: process/vertical_kalman.hpp. Each event of these topics gives one, with its time; where both are
-/// of one topic, one event brings both. A height may be a pressure; units are those of the topics' fields: m, Pa, hPa,
-/// kPa, mbar or bar, of which none is m; [g] or m/s2, of which none is [g]. Another unit, or a field that is not there,
-/// is told, and the event is unreadable. A value that is absent or no number is none, and the estimate goes on without.
-/// It begins anew after `start`.
+/// The estimate: process/vertical_kalman.hpp. Each event of these topics gives one event with the same time; one topic
+/// may have both fields. A height may be a pressure; units are those of the topics' fields: m, Pa, hPa, kPa, mbar or
+/// bar, of which none is m; [g] or m/s2, of which none is [g]. Another unit or a missing field is reported, and the
+/// event is unreadable. Without a value (absent or NaN) the estimate continues without it. It restarts after `start`.
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's. Takes no memory once it is made.
 #pragma once
@@ -71,7 +70,7 @@ struct VerticalMotion {
   double height_deviation = 0;
   double speed_deviation = 0;
   std::optional<double> above{};  ///< m, over where it stood; none: it has not stood still
-  double unchanged = 0;           ///< s for which the barometer has brought nothing new
+  double unchanged = 0;           ///< s for which the barometer has had no new value
   BarometerUse barometer = BarometerUse::none;
   bool accelerometer = false;  ///< it measures
   bool flying = false;         ///< from the liftoff on, until it stands still
@@ -87,10 +86,10 @@ struct VerticalMotion {
 };
 VerticalMotion motion_of(const VerticalState& state) noexcept;
 
-/// What no parameter says by itself: one of both topics at least.
+/// Checks rules over several parameters: at least one of the two topics.
 void check_config(const VerticalConfig& config, const ConfigItem& item, Problems& problems);
-/// Whether the topics have such numbers, in units that it knows. `payload_of`: what a topic carries; null: not known,
-/// nothing is said.
+/// Checks that the topics have such numbers, in known units. `payload_of`: the description of a topic; null: unknown,
+/// not checked.
 void check_vertical_fields(const VerticalConfig& config,
                            const std::function<const Description*(std::string_view topic)>& payload_of,
                            const ConfigItem& item, Problems& problems);

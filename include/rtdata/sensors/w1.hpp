@@ -3,15 +3,15 @@
 ///     rtdata::W1Sensor boiler(loop, {.name = "boiler", .rate = 0.5_Hz}, {.device = "28-000000c0ffee"});
 ///     auto s = loop.topic<rtdata::W1Temperature>("boiler").subscribe(loop, [](const auto& e) { use(*e); });
 ///
-/// A conversion takes up to 750 ms at 12 bits: each thermometer is read on a lane of its own, so that it holds nobody,
-/// and those with a supply of their own convert at the same time. A rate above 1 Hz misses ticks. On a bus with
-/// parasitic power the kernel lets one convert at a time: `timeout` has to be as long as all of them take.
+/// A conversion takes up to 750 ms at 12 bits: each thermometer has its own lane, so it delays nothing else, and
+/// thermometers with their own supply convert at the same time. A rate above 1 Hz misses ticks. On a bus with parasitic
+/// power the kernel allows one conversion at a time: `timeout` must cover the conversions of all thermometers.
 ///
-/// Not published, but unreadable: a wrong checksum; 85 °C as a thermometer shows it that has lost its supply and has
-/// not measured since (its byte 6 tells that from a measured one: kernel, w1_therm.c, W1_THERM_CHECK_RESULT); all bytes
-/// 0, of a bus that is shorted, whose checksum is right; what is outside -55 to 125 °C (DS18B20 data sheet,
-/// "Operation - measuring temperature"). A thermometer that is gone makes the sensor faulted, until it is back; the
-/// kernel finds one that is plugged in within 10 s.
+/// A reading is unreadable with a wrong checksum; at 85 °C after the thermometer has lost its supply (byte 6
+/// distinguishes this from a measured 85 °C: kernel, w1_therm.c, W1_THERM_CHECK_RESULT); with all bytes 0, from a
+/// shorted bus, although the checksum is right; and outside -55 to 125 °C (DS18B20 data sheet, "Operation - measuring
+/// temperature"). If a thermometer disappears, the sensor is faulted until it is back; the kernel finds a plugged-in
+/// thermometer within 10 s.
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's.
 #pragma once
@@ -34,7 +34,7 @@ struct W1Temperature {
 
 struct W1Config {
   std::string device = {};                     ///< "28-000000c0ffee"; empty: the only one that there is
-  std::string root = {};                       ///< put before /sys: where a container sees its host's
+  std::string root = {};                       ///< prefix of /sys, such as the host's root folder in a container
   Duration timeout = std::chrono::seconds{3};  ///< a read that takes longer is given up
 
   friend constexpr auto parameters(type_tag<W1Config>) {
@@ -42,15 +42,16 @@ struct W1Config {
     return parameter_list(
         parameter("device", &W1Config::device,
                   "the thermometer, such as 28-000000c0ffee; empty: the only one that there is", TextIs::recorded),
-        parameter("root", &W1Config::root, "put before /sys: where a container sees its host's", TextIs::device),
+        parameter("root", &W1Config::root, "prefix of /sys, such as the host's root folder in a container",
+                  TextIs::device),
         parameter("timeout", &W1Config::timeout, "a read that takes longer is given up",
                   range(Duration{1ms}, Duration{1h})));
   }
 };
 
-/// What no parameter says by itself: that the device is a name, not a path.
+/// Checks that the device is a name, not a path.
 void check_config(const W1Config& config, const ConfigItem& item, Problems& problems);
-/// The lane's part is that of a conversion of 12 bits.
+/// The time on the lane is a conversion of 12 bits.
 ReadTime read_time(const W1Config& config);
 /// Degrees Celsius in the text of a file w1_slave. Errors: disconnected (no answer), bad-data, out-of-range.
 Result<double> parse_w1(std::string_view text);

@@ -7,9 +7,9 @@
 /// Time of day (UTC unless set otherwise), topic, origin, sequence, then the fields with their units. Control
 /// characters within texts are written as `\x1b`.
 ///
-/// The lines are written on the sink's lane: a terminal that stands still or a pipe without a reader delays nothing
-/// else; the queue fills, then events are dropped and counted. A pipe whose reader has gone ends the sink: it is
-/// faulted, reported, and what comes is refused; no SIGPIPE reaches the program.
+/// The sink's lane writes the lines: a stopped terminal or a slow pipe delays nothing else; the queue fills, then
+/// events are dropped and counted. When the reader of a pipe has ended, the sink ends too: it is faulted, this is
+/// reported, and further events are refused. The program gets no SIGPIPE.
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's. Errors of the constructor (SetupError):
 /// bad_argument (a descriptor that is not open for writing); those of `Sink`.
@@ -28,7 +28,7 @@ constexpr auto describe(type_tag<ConsoleTime>) {
 struct ConsoleConfig {
   int descriptor = 1;                   ///< 1: standard output, 2: standard error; a copy is used
   ConsoleTime time = ConsoleTime::utc;  ///< local: as TZ or /etc/localtime says
-  /// Smaller and quicker than other sinks': a person reads it.
+  /// Smaller queue and faster output than other sinks: a person reads it.
   SinkConfig sink = {.name = "console",
                      .batch_time = std::chrono::milliseconds{100},
                      .queue_bytes = std::size_t{4} << 20,
@@ -42,7 +42,7 @@ struct ConsoleConfig {
   }
 };
 
-/// What no parameter says by itself: that the descriptor is open for writing.
+/// Checks that the descriptor is open for writing.
 void check_config(const ConsoleConfig& config, const ConfigItem& item, Problems& problems);
 
 class ConsoleSink : public Sink {

@@ -3,27 +3,26 @@
 ///     rtdata::FileSink recording(loop, {.path = "run.jsonl"});
 ///     rtdata::FileSink table(loop, {.path = "run-{topic}.csv", .format = "csv"});
 ///
-/// A file holds one run: each time that a sink begins, a file that is there already is given the next number
-/// ("run-00000001.jsonl", which sorts before "run.jsonl"), and a new one takes its name. With `rotate` the sink goes on
-/// in the file that is there. Half an event that a kill or a power cut left at its end is seen to at the next start,
-/// and reported: half an event could be taken for values that were never measured, so it is moved to FILE.half. (To
-/// find the end, CSV and raw bytes are read through once at the start.)
+/// A file holds one run: when a sink starts, it renames an existing file to the next number ("run-00000001.jsonl",
+/// which sorts before "run.jsonl") and starts a new one. With `rotate` the sink continues the existing file. A kill or
+/// a power failure may leave half an event at the end of a file. The next start reports it and moves it to FILE.half,
+/// because half an event could look like wrong values. (To find the end, the sink reads CSV and raw files once at the
+/// start.)
 ///
-/// In the file's name, `{topic}` stands for the topic, its `/` written as `-`: a file each. `{date}` is the day of the
-/// start (UTC), `{run}` one more than the largest number there is at its place among the files of the folder. A format
-/// with a header (CSV) holds one topic a file: a second topic on one path is an error that says so. Where `rotate` goes
-/// on in a file with another header, that is an error: choose another name.
+/// In the file's name, `{topic}` is the topic with `-` for `/`, which gives a file for each topic. `{date}` is the day
+/// of the start (UTC), `{run}` one more than the largest such number among the files of the folder. A format with a
+/// header (CSV) holds one topic in a file: a second topic on the same path is an error. If `rotate` would continue a
+/// file with another header, that is an error: choose another name.
 ///
-/// One process at a time writes a file: it is locked (flock), and a second start is refused with the holder's process
-/// id. When the disk is full the events wait in the queue; a batch goes on where it stopped, so that each event is
-/// there once. A batch that stays half-written until the deadline of closing counts as lost as a whole. An event that
-/// does not fit the format (raw: a value over 255 bytes, an absent optional) is dropped as refused, counted and
-/// reported. A file that is deleted or moved is made anew, and that is reported, at the next batch.
+/// Only one process writes a file: it is locked (flock), and a second start is refused with the process id of the
+/// first. If the disk is full, the events wait in the queue; a batch continues where it stopped, so each event is in
+/// the file once. A batch that is still half-written at the deadline of closing counts as lost. An event that does not
+/// fit the format (raw: a value over 255 bytes, an absent optional) is dropped as refused, counted and reported. If the
+/// file is deleted or moved, the next batch makes it again and reports this.
 ///
-/// With `rotate` a file that is full, or whose time is over, is given the next number, and a new one takes its name and
-/// its header. Each event is in one of them as a whole.
-/// When no new file can be made, the old one grows on, and that is reported. After a restart, the time of a file from
-/// before is that of its last change.
+/// With `rotate` a file at its size or time limit is renamed to the next number, and a new one starts with the header.
+/// No event is split between files. If no new file can be made, the sink continues the old one and reports this. After
+/// a restart, the time of an existing file is that of its last change.
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's; files are written on the sink's lane.
 /// Errors of the constructor (SetupError): not_found (no such directory, no such format), not_permitted, busy,
@@ -45,8 +44,8 @@ namespace rtdata {
 class ConfigItem;
 class Problems;
 
-/// When what was written is forced onto the disk (fdatasync). Without it, a power cut loses what the kernel still holds
-/// (some 30 s, usually); a kill loses nothing that was written.
+/// When the sink forces written data to the disk (fdatasync). Without it, a power failure loses the data that the
+/// kernel still holds (usually about 30 s); a kill loses nothing that was written.
 enum class FileSync {
   never,
   batch,     ///< after each batch: the safest, the slowest
@@ -57,7 +56,7 @@ constexpr auto describe(type_tag<FileSync>) {
                      value("close", FileSync::at_close));
 }
 
-/// When a file is given a number and a new one begun: at whichever comes first.
+/// When to rename the file and start a new one; the first limit reached counts.
 struct FileRotation {
   static constexpr std::uint64_t least_bytes = 4096;
   static constexpr Duration least_time = std::chrono::seconds{1};
@@ -80,9 +79,9 @@ struct FileConfig {
   /// ends with .csv or .cbor, else jsonl
   std::string format = {};
   FileSync sync = FileSync::at_close;
-  FileRotation rotate = {};  ///< run.csv is the file that is written; those before are run-00000001.csv and so on
-  std::uint64_t keep = 0;    ///< with `rotate`: how many earlier files are kept; 0: all
-  std::string permissions = "0640";  ///< of a file that is made, less the umask; one that is there keeps its own
+  FileRotation rotate = {};          ///< run.csv is the current file; earlier ones are run-00000001.csv and so on
+  std::uint64_t keep = 0;            ///< with `rotate`: how many earlier files are kept; 0: all
+  std::string permissions = "0640";  ///< of a new file, minus the umask; an existing file keeps its own
   SinkConfig sink = {};              ///< name: the file's by default
 
   friend constexpr auto parameters(type_tag<FileConfig>) {
@@ -99,27 +98,28 @@ struct FileConfig {
         parameter("rotate", &FileConfig::rotate, "when a new file is begun; those before get numbers that sort"),
         parameter("keep", &FileConfig::keep, "how many of those before are kept; 0: all"),
         parameter("permissions", &FileConfig::permissions,
-                  "who may read and write a file that is made, in octal digits, less the umask", TextIs::permissions),
+                  "permissions of a new file, in octal digits, minus the umask", TextIs::permissions),
         include_member(&FileConfig::sink));
   }
   friend void check_config(const FileConfig& config, const ConfigItem& item, Problems& problems);
 };
 
-/// Of these, which the files cannot take: a second one on one path of a format with a header, one whose file is there
-/// with another header, or with something else. An error each, `where` its topic or file. Files are read, none is made.
-/// A format that is not among `formats` is not looked at.
+/// Returns an error for each topic that the files cannot store: a second topic on one path in a format with a header,
+/// or an existing file with another header or other content. `where` is the topic or file. Reads files, makes none.
+/// Ignores formats that are not in `formats`.
 std::vector<Error> refused_topics(const FileConfig& config, std::span<const TopicToRecord> topics,
                                   const CodecRegistry& formats = CodecRegistry::standard());
 
-/// The name of its format, which `format` or the end of `path` says.
+/// The name of its format, from `format` or the end of `path`.
 std::string format_of(const FileConfig& config);
-/// The path of the file that this topic's events go to, {date} and {run} as they are written.
+/// The path of a topic's file, with {date} and {run} unreplaced.
 std::string file_of_topic(const FileConfig& config, std::string_view topic);
-/// Whether `other` goes with `file`, one of the sink's: FILE.half, and those before it.
+/// True if `other` belongs to the sink's `file`: FILE.half and the earlier files.
 bool is_companion_file(const FileConfig& config, const std::string& file, const std::string& other);
 
-/// Whether the sink can begin now to write `file`, which may be there or not, and no other process writes it. Makes and
-/// changes nothing. Any thread; blocks on the disk. Errors: not_permitted, busy, bad_argument, as of the constructor.
+/// Checks that the sink could start writing `file` now, whether it exists or not, and that no other process writes it.
+/// Creates and changes nothing. Any thread; blocks on the disk. Errors: not_permitted, busy, bad_argument, as of the
+/// constructor.
 Result<void> check_openable(const FileConfig& config, const std::string& file);
 
 class FileSink : public Sink {

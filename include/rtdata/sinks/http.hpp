@@ -1,29 +1,30 @@
-/// HttpSink: events by HTTP or HTTPS to any server: an event or a batch a request, several requests under way.
+/// HttpSink: sends events by HTTP or HTTPS to any server, one event or a batch in each request, several requests at
+/// once.
 ///
 ///     rtdata::HttpSink collector(loop, {.server = {.url = "https://collector.example/ingest", .bearer = token},
 ///                                       .sink = {.name = "collector", .through = "recording"}});
 ///
-/// The peer has the events of a request once it answers with a status from 200 to 299. Without an answer, and after
-/// 408, 429 and 5xx, the request is sent again, after the time that the peer asks for (Retry-After, an hour at most) or
-/// a delay that doubles. After 400 and 422 its events are sent in halves, down to the one that the peer does not take,
-/// which is dropped as refused, with the first line of the answer as the reason; after 413 in halves, too. After any
-/// other answer (401 and 403 of a token that has expired, 404 of a URL that is wrong) nothing is thrown away: the sink
-/// is faulted, says what to do, and tries again after `retry_longest`. Redirections by 307 and 308 within the same
-/// scheme, host and port are followed, others are such an answer.
+/// An answer with a status from 200 to 299 confirms the events of a request. Without an answer, and after 408, 429 and
+/// 5xx, the sink sends the request again, after the time in Retry-After (at most an hour) or a delay that doubles.
+/// After 400, 422 and 413 it sends the events in halves, until it finds the one that the peer does not take; this event
+/// is dropped as refused, with the first line of the answer as the reason. After any other answer (401 and 403 for an
+/// expired token, 404 for a wrong URL) no event is dropped: the sink is faulted, gives advice, and tries again after
+/// `retry_longest`. It follows redirections 307 and 308 within the same scheme, host and port; other redirections count
+/// as such an answer.
 ///
-/// An answer of 200 to 299 that is cut off before its end is no answer: the request is sent again, three times. If that
-/// does not help, and the request itself was sent whole, its events count as delivered, which is told and counted; or
-/// it is sent again and again, as `cut_answer` says.
+/// An answer of 200 to 299 that is cut off does not count: the request is sent again, three times. If that does not
+/// help and the request was sent completely, `cut_answer` decides: its events count as delivered, which is reported and
+/// counted, or the request is sent again until there is a complete answer.
 ///
-/// An event may arrive twice, when an answer gets lost. Its run, origin and sequence tell; so does the header
-/// Idempotency-Key, which is the same whenever the same events are sent again in one request. With a `window` above 1
-/// requests may overtake each other.
+/// If an answer is lost, an event may arrive twice. The receiver can recognise it by run, origin and sequence, and by
+/// the header Idempotency-Key, which is the same if the same events are sent again in one request. With a `window`
+/// above 1 requests may overtake each other.
 ///
-/// Events are encoded, and compressed, on lanes. Transfers are done by libcurl on the loop, without blocking it; names
-/// are looked up on a lane. The environment's proxy variables are not used: give `proxy`.
+/// Lanes encode and compress the events. libcurl transfers them on the loop without blocking it; a lane looks names up.
+/// The environment's proxy variables are not used: give `proxy`.
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's. Errors of the constructor (SetupError):
-/// bad_argument (what `check` says of the configuration), not_found (no such format); those of `Sink`.
+/// bad_argument (an invalid configuration), not_found (no such format); those of `Sink`.
 #pragma once
 
 #include <string>
@@ -49,7 +50,7 @@ constexpr auto describe(type_tag<HttpCompression>) {
   return enumeration("compression", value("none", HttpCompression::none), value("gzip", HttpCompression::gzip));
 }
 
-/// What a request counts as whose answer, from 200 to 299, is cut off, time after time.
+/// What to do with a request whose answer, from 200 to 299, is repeatedly cut off.
 enum class HttpCutAnswer { delivered, again };
 constexpr auto describe(type_tag<HttpCutAnswer>) {
   return enumeration("cut_answer", value("delivered", HttpCutAnswer::delivered), value("again", HttpCutAnswer::again));
@@ -76,13 +77,12 @@ struct HttpConfig {
             "by the program"),
         parameter("content_type", &HttpConfig::content_type, "in place of the format's own"),
         parameter("compression", &HttpConfig::compression, "of what is sent"),
-        parameter(
-            "cut_answer", &HttpConfig::cut_answer,
-            "what a request counts as that was sent whole, and whose answer of 200 to 299 was cut off four times: "
-            "delivered, or sent again and again"),
+        parameter("cut_answer", &HttpConfig::cut_answer,
+                  "a request that was sent whole, and whose answer of 200 to 299 was cut off four times, counts as "
+                  "delivered, or is sent again and again"),
         include_member(&HttpConfig::sending), include_member(&HttpConfig::sink));
   }
-  /// What no parameter says by itself. Nothing is sent.
+  /// Checks rules over several parameters. Sends nothing.
   friend void check_config(const HttpConfig& config, const ConfigItem& item, Problems& problems);
 };
 

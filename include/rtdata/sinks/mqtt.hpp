@@ -1,21 +1,21 @@
-/// MqttSink: a message an event, to a broker of MQTT 5 or 3.1.1.
+/// MqttSink: sends each event as a message to an MQTT 5 or 3.1.1 broker.
 ///
 ///     rtdata::MqttSink broker(loop, {.host = "broker.local", .topic = "plant/{topic}", .qos = 1,
 ///                                    .sink = {.through = "run.db"}});
 ///
-/// `{topic}` and `{origin}` in `topic` stand for those of the event; what MQTT does not take in a topic (+ and # of an
-/// origin) becomes _. The payload is an event in a format: "json" (its default), "cbor", "influx", "raw", or one of the
-/// program's.
+/// `{topic}` and `{origin}` in `topic` are replaced by those of the event; characters that MQTT does not allow (+ and #
+/// in an origin) become _. The payload is an event in a format: "json" (its default), "cbor", "influx", "raw", or one
+/// of the program's.
 ///
-/// What is promised: with `qos` 1 or 2 an event stays until the broker has confirmed it; after a lost connection, what
-/// was not confirmed is sent again, so that it may come twice (with QoS 2, too: the sessions of broker and sender end
-/// with their connection). With 0, an event counts as sent once the kernel has taken it. A message that the broker
-/// refuses (an ACL, say) is told, dropped and counted with MQTT 5; a broker of 3.1.1 confirms what it throws away, and
-/// with QoS 0 no broker says anything. A broker that refuses the connection (a password, a name) keeps the sink
-/// faulted, and events wait.
+/// Guarantees: with `qos` 1 or 2 the sink keeps an event until the broker has confirmed it. After a lost connection it
+/// sends unconfirmed events again, so they may arrive twice (also with QoS 2, because the session ends with the
+/// connection). With `qos` 0 an event counts as sent when the kernel has taken it. With MQTT 5, a message that the
+/// broker refuses (for example by an ACL) is reported, dropped and counted; a broker of MQTT 3.1.1 confirms discarded
+/// messages too, and with QoS 0 there is no answer. While a broker refuses the connection (password, name), the sink is
+/// faulted and events wait.
 ///
-/// The library `rtdata::mqtt`, which needs libmosquitto. Connecting and looking up names happen on a lane, all else on
-/// the loop, a bounded number of messages in a turn of it.
+/// Library `rtdata::mqtt`, which needs libmosquitto. Connecting and name lookup run on a lane, the rest on the loop,
+/// with a limited number of messages in one turn.
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's; events are encoded on the sink's lane.
 /// Errors of the constructor (SetupError): bad_argument (no host, a topic that MQTT does not take, csv), not_found (no
@@ -47,7 +47,7 @@ struct MqttWill {
     return parameter_list(parameter("topic", &MqttWill::topic, "where the broker publishes it", required),
                           parameter("message", &MqttWill::message, "what it publishes when the connection is lost"),
                           parameter("qos", &MqttWill::qos, "0, 1 or 2", range(0, 2)),
-                          parameter("retain", &MqttWill::retain, "whether the broker keeps it for who comes later"));
+                          parameter("retain", &MqttWill::retain, "whether the broker keeps it for later subscribers"));
   }
 };
 
@@ -57,16 +57,16 @@ struct MqttConfig {
   std::string topic = "{topic}";
   std::string format = "json";
   std::uint8_t qos = 1;
-  bool retain = false;               ///< the broker keeps the last message of each topic for who comes later
-  bool wait_for_subscriber = false;  ///< an event that nobody is subscribed to is sent again until somebody is
+  bool retain = false;               ///< the broker keeps the last message of each topic for later subscribers
+  bool wait_for_subscriber = false;  ///< repeat an event until there is a subscriber
   MqttVersion version = MqttVersion::newest;
   std::string client_id = {};  ///< empty: the broker chooses
   std::string user = {};
   std::string password = {};
   std::optional<TlsConfig> tls = {};
   std::optional<MqttWill> will = {};
-  Duration keepalive = std::chrono::seconds{30};        ///< so often at least both sides show that they are there
-  Duration connect_timeout = std::chrono::seconds{10};  ///< with looking up the name
+  Duration keepalive = std::chrono::seconds{30};        ///< longest silence before a ping
+  Duration connect_timeout = std::chrono::seconds{10};  ///< includes the name lookup
   SendingConfig sending = {.window = 4, .parcel_rows = 100};
   SinkConfig sink = {.batch_time = std::chrono::milliseconds{100}};  ///< name: "mqtt" by default
 
@@ -80,23 +80,23 @@ struct MqttConfig {
         parameter("format", &MqttConfig::format, "json, cbor, influx or raw"),
         parameter("qos", &MqttConfig::qos, "0: at most once, 1: at least once, 2: once for each connection",
                   range(0, 2)),
-        parameter("retain", &MqttConfig::retain, "whether the broker keeps the last message for who comes later"),
+        parameter("retain", &MqttConfig::retain, "whether the broker keeps the last message for later subscribers"),
         parameter("wait_for_subscriber", &MqttConfig::wait_for_subscriber,
-                  "an event that nobody is subscribed to waits until somebody is; version 5, qos 1"),
+                  "an event without a subscriber waits until there is one; version 5, qos 1"),
         parameter("version", &MqttConfig::version, "of MQTT"),
         parameter("client_id", &MqttConfig::client_id, "its name at the broker; empty: the broker chooses"),
         parameter("user", &MqttConfig::user, "name at the broker"),
         parameter("password", &MqttConfig::password, "to be written as {\"env\": ...} or {\"file\": ...}"),
         parameter("tls", &MqttConfig::tls, "encrypted; {} is enough where the broker's certificate is a public one"),
         parameter("will", &MqttConfig::will, "what the broker publishes when the connection is lost"),
-        parameter("keepalive", &MqttConfig::keepalive, "so often at least both sides show that they are there",
+        parameter("keepalive", &MqttConfig::keepalive, "longest silence of a side before it sends a ping",
                   range(5s, 18h)),
         parameter("connect_timeout", &MqttConfig::connect_timeout, "how long connecting may take", range(10ms, 10min)),
         include_member(&MqttConfig::sending), include_member(&MqttConfig::sink));
   }
 };
 
-/// What no parameter says by itself: a host and topics that can be ones, a format that can be sent.
+/// Checks rules over several parameters: a valid host, valid topics, and a format that can be sent.
 void check_config(const MqttConfig& config, const ConfigItem& item, Problems& problems);
 
 class MqttSink : public Sink {

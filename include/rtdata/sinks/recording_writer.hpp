@@ -1,8 +1,8 @@
-/// RecordingWriter: a writer that keeps an account of what it stores, as SqliteSink does; most writers need none of
+/// RecordingWriter: a writer that also stores the account of its events, as SqliteSink does. Most writers do not need
 /// this and derive from Writer (sink.hpp).
 ///
-/// Beside storing records it may refuse topics before their first event, set the pace at which it is given batches and
-/// accounts, warn, and keep the counts of the loop where they survive a kill.
+/// Besides storing records it may refuse topics before their first event, set the pace of batches and accounts, warn,
+/// and keep the loop's counts in memory that survives a kill.
 ///
 /// Owner: its sink. Thread: said at each call.
 #pragma once
@@ -19,7 +19,7 @@
 
 namespace rtdata {
 
-/// What an origin's account says at the end of a batch.
+/// An origin's account at the end of a batch.
 struct OriginAccount {
   std::uint32_t slot = 0;
   SensorCounts sensor;        ///< since the sink was attached
@@ -29,12 +29,12 @@ struct OriginAccount {
   std::uint64_t dropped_oldest = 0;
   std::uint64_t first_sequence = 0;  ///< of the first event offered to this sink; 0: none yet
   std::uint64_t last_sequence = 0;
-  Segment segment;  ///< under way, from the first tick since then; `scheduled` 0: none
-  Gap gap;          ///< under way, if `has_gap`
+  Segment segment;  ///< the current one, from the first tick since then; `scheduled` 0: none
+  Gap gap;          ///< the current one, if `has_gap`
   bool has_gap = false;
 };
 
-/// All that a recording holds besides events. A writer that keeps no account ignores it.
+/// Everything in a recording besides events. A writer without an account ignores it.
 struct Account {
   struct GapEntry {
     std::uint32_t slot;
@@ -46,7 +46,7 @@ struct Account {
   };
   struct MadeOfEntry {
     std::uint32_t slot;
-    std::string topics;  ///< of whose events its own are made, with spaces between
+    std::string topics;  ///< topics from which its events are made, separated by spaces
   };
   struct ErrorEntry {
     Time time;
@@ -63,12 +63,12 @@ struct Account {
     Time last{};              ///< of those; `time` is that of the first
   };
   Time at{};
-  bool is_last = false;                ///< the sink closes: nothing follows
-  std::string unknown = {};            ///< what no account of this sink has, and why; empty: nothing
-  std::vector<OriginAccount> origins;  ///< those that changed; of many, a part
+  bool is_last = false;                ///< the sink closes: this is the last account
+  std::string unknown = {};            ///< data missing from this account, and why; empty: none
+  std::vector<OriginAccount> origins;  ///< changed accounts; if there are many, a part of them
   std::vector<GapEntry> gaps;          ///< closed since the last account
   std::vector<SegmentEntry> segments;  ///< ended since the last account
-  std::vector<MadeOfEntry> made_of;    ///< that became known since the last account
+  std::vector<MadeOfEntry> made_of;    ///< new since the last account
   std::vector<ErrorEntry> errors;
   std::vector<ClockPair> clock;
   std::vector<HealthEntry> health;  ///< changes since the last account
@@ -80,19 +80,18 @@ struct Account {
   }
 };
 
-/// What was counted of a slot, where it survives a kill.
+/// The counts of a slot, in memory that survives a kill.
 struct LiveCounts {
   std::uint64_t offered = 0;
   std::uint64_t dropped = 0;
 };
 
-/// How a writer wants its batches, when each costs something however small it is.
+/// The pace of batches, for writers where each batch has a fixed cost.
 struct StorePace {
-  /// 0: a batch is stored as soon as `batch_rows` wait. Otherwise all that came within `batch_time` is one batch,
-  /// stored sooner when it takes this much of the queue's memory.
+  /// 0: a batch is stored as soon as `batch_rows` events wait. Otherwise a batch has all events of `batch_time`; it is
+  /// stored earlier if it uses this much memory of the queue.
   std::size_t bytes = 0;
-  /// The longest wait before an account in which only counts have changed is stored; sooner, once `account_events` have
-  /// come since the last one.
+  /// The longest wait before an account with only new counts is stored; earlier after `account_events` events.
   Duration account_time{0};
   std::uint64_t account_events = 0;
   /// `RecordingWriter::sync` is called this long after the first batch that was stored since its last call; 0: never.
@@ -106,17 +105,17 @@ struct RowFeedConfig;
 class RowFeed;
 }  // namespace detail
 
-/// A call on the loop's thread may use nothing of the loop but `post` and `stop`, as those on the lane.
+/// All calls, also those on the loop's thread, may only use `post` and `stop` of the loop.
 class RecordingWriter : public Writer {
  public:
   RecordingWriter* as_recording() noexcept final { return this; }
 
-  /// When the sink is to be opened.
+  /// When to open the sink.
   enum class Opening {
-    with_first_batch,  ///< what fails is tried again, as storing is
-    at_set_up,  ///< the constructor of the sink begins it. While the loop does not run it waits for it, and throws
-                ///< what went wrong (SetupError); in a callback it does not wait, and what fails is reported and
-                ///< tried again. Events published meanwhile are queued.
+    with_first_batch,  ///< a failure is tried again, like storing
+    at_set_up,         ///< by the sink's constructor. While the loop does not run, it waits and throws
+                       ///< what went wrong (SetupError); in a callback it does not wait, and what fails is reported and
+                       ///< tried again. Events published meanwhile are queued.
   };
 
   // ---- on the loop's thread
@@ -125,36 +124,34 @@ class RecordingWriter : public Writer {
   /// Once, before the first batch.
   virtual StorePace pace() const { return {}; }
   /// Before the first event of a topic: from the sink's constructor, or later, while the lane may be at work. `number`
-  /// is that of the slots to come. An error: no event of the topic comes here, each is counted as refused, and the sink
-  /// is faulted; the constructor throws it.
+  /// is that of the slots to come. On an error all events of the topic count as refused, and the sink is faulted; the
+  /// constructor throws the error.
   virtual Result<void> add_topic(std::uint32_t number, std::string_view topic, const Description& description);
-  /// Returns where the sink counts the events offered to a slot, or null: then it counts in its own memory. Called once
-  /// for each slot when the slot is made; with `Opening::at_set_up` not before `open` has returned, and then for all
-  /// slots made so far, in order.
+  /// Returns the memory where the sink counts the events offered to a slot; null: its own memory. Called once for each
+  /// new slot; with `Opening::at_set_up` after `open` has returned, then for all slots so far, in order.
   virtual LiveCounts* live_counts(std::uint32_t slot);
-  /// Gives an origin's account as it is now, whenever it changes without an event being written: a tick that brought
-  /// none, a changed schedule. A writer may store it where it survives a kill. Not called after the last account was
-  /// handed over. `closed`: the gaps that have ended and may be missing from the stored accounts, joined into one;
-  /// null: none.
+  /// Passes an origin's current account when it changes without an event: a tick without a sample, a changed schedule.
+  /// A writer may store it in memory that survives a kill. Not called after the last account. `closed`: ended gaps that
+  /// may be missing from the stored accounts, joined into one; null: none.
   virtual void keep(const OriginAccount& now, const Gap* closed);
-  /// With `Opening::at_set_up`, called after `open`, when all counts from before it have been moved to where
-  /// `live_counts` and `keep` put them: from here on they are up to date there.
+  /// With `Opening::at_set_up`, called after `open`, when all earlier counts have been moved to the memory of
+  /// `live_counts` and `keep`; from now on these are current.
   virtual void begin_counting() {}
-  /// Whether other sinks can go through it.
+  /// True if other sinks can use it for `through`.
   virtual bool is_recording() const noexcept { return false; }
-  /// Of a recording: the uuid of its run, from the beginning on. Any thread.
+  /// The uuid of a recording's run, from the start. Any thread.
   virtual std::string run() const { return {}; }
-  /// For a sink that goes through this recording; null: none can. Once for each of these sinks.
+  /// Makes the row source for a sink with `through` on this recording; null: not possible. Once for each such sink.
   virtual std::unique_ptr<detail::RowFeed> feed(const detail::RowFeedConfig& config);
-  /// Once it was closed: what the recording says of the run. Null: that is not known.
+  /// After closing: the recording's report of the run. Null: unknown.
   virtual std::shared_ptr<const RunReport> recorded() const { return nullptr; }
 
   // ---- on the lane
-  /// What was stored is to survive a power cut from now on: called by time, `StorePace::sync_time`.
+  /// Makes stored data survive a power failure; called according to `StorePace::sync_time`.
   virtual Result<void> sync() { return {}; }
-  /// What the user should hear of although nothing failed (space runs out). Asked after each turn of work.
+  /// A warning for the user although nothing failed (space runs out). Called after each job.
   virtual std::optional<Error> take_warning() { return std::nullopt; }
-  /// What the log should have. Asked after each turn of work.
+  /// Lines for the log. Called after each job.
   virtual std::vector<std::string> take_remarks() { return {}; }
 };
 

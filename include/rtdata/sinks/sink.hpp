@@ -1,8 +1,8 @@
 /// Sinks: turn events of any described payload into durable or remote records.
 ///
-/// A sink attaches to topics by pattern and takes its copy of each event when it is published (a memcpy into a bounded
-/// queue); its `Writer` stores them in batches on a lane of its own, so that neither the loop nor another sink ever
-/// waits for it. A new kind of sink is a Writer:
+/// A sink attaches to topics by pattern and copies each event when it is published (a memcpy into a bounded queue). Its
+/// `Writer` stores them in batches on its own lane, so neither the loop nor another sink ever waits for it. A new kind
+/// of sink is a Writer:
 ///
 ///     class Lines final : public rtdata::Writer {
 ///       rtdata::Result<void> open() override { ... }
@@ -12,8 +12,8 @@
 ///     };
 ///     rtdata::Sink sink(loop, {.name = "lines"}, std::make_unique<Lines>());
 ///
-/// A topic that the patterns match and that the writer cannot take is never left out in silence: its events are offered
-/// and dropped as refused, and the sink is faulted with the reason for as long as it lives.
+/// If the writer cannot take a matching topic, this is never silent: its events are counted as offered and dropped as
+/// refused, and the sink stays faulted with the reason.
 ///
 /// Every event offered ends as stored, dropped with a reason, or is still queued (ledger.hpp). A failed batch is kept
 /// and tried again with a delay that doubles; meanwhile the queue fills, and when it is full events are dropped by the
@@ -43,14 +43,14 @@
 
 namespace rtdata {
 
-/// What is dropped when the queue is full.
+/// Which event to drop if the queue is full.
 enum class WhenFull { drop_newest, drop_oldest };
 constexpr auto describe(type_tag<WhenFull>) {
   return enumeration("when_full", value("drop_newest", WhenFull::drop_newest),
                      value("drop_oldest", WhenFull::drop_oldest));
 }
 
-/// Where a sink that goes through a recording begins, at its first start.
+/// Where a sink with `through` begins at its first start.
 enum class From { now, beginning };
 constexpr auto describe(type_tag<From>) {
   return enumeration("from", value("now", From::now), value("beginning", From::beginning));
@@ -58,19 +58,19 @@ constexpr auto describe(type_tag<From>) {
 
 struct SinkConfig {
   std::string name = {};                            ///< in reports and the ledger; each kind has a default
-  std::vector<std::string> topics = {"#"};          ///< patterns; topics made later are taken too
-  std::size_t batch_rows = 500;                     ///< events that are stored together; more when more wait already
-                                                    ///< (SqliteSink: all that came within batch_time)
-  Duration batch_time = std::chrono::seconds{1};    ///< a batch is stored after so long, however small it is
-  std::size_t queue_bytes = std::size_t{32} << 20;  ///< memory for events that wait, at most
+  std::vector<std::string> topics = {"#"};          ///< patterns; they also match topics made later
+  std::size_t batch_rows = 500;                     ///< events stored together; more if more are waiting
+                                                    ///< (SqliteSink: all events of batch_time)
+  Duration batch_time = std::chrono::seconds{1};    ///< a batch is stored after this time, whatever its size
+  std::size_t queue_bytes = std::size_t{32} << 20;  ///< maximum memory for queued events
   WhenFull when_full = WhenFull::drop_newest;
   Duration retry_first = std::chrono::milliseconds{100};  ///< after a failed batch; doubles up to retry_longest
-  Duration retry_longest = std::chrono::seconds{10};      ///< both above 0; Duration::max(): not before it closes
-  Duration close_deadline = std::chrono::seconds{10};     ///< how long closing waits for what is queued
-  /// The name of a recording (SqliteSink) of the same loop: events are taken from there once they are committed, and
-  /// the position is kept in it, so that nothing is lost while the peer is away. Empty: from memory.
+  Duration retry_longest = std::chrono::seconds{10};      ///< both above 0; Duration::max(): only when it closes
+  Duration close_deadline = std::chrono::seconds{10};     ///< how long closing waits for the queue
+  /// The name of a recording (SqliteSink) on the same loop: the sink reads committed events from it and keeps its
+  /// position there, so nothing is lost while the peer is away. Empty: events come from memory.
   std::string through = {};
-  From from = From::now;  ///< with `through`, when the recording has no position of this sink yet
+  From from = From::now;  ///< with `through`, if the recording has no position of this sink
 
   friend constexpr auto parameters(type_tag<SinkConfig>) {
     using namespace std::chrono_literals;
@@ -80,12 +80,12 @@ struct SinkConfig {
                   TextIs::topic_pattern),
         parameter("batch_rows", &SinkConfig::batch_rows, "events that are stored together (sqlite: all of batch_time)",
                   range(1, 1'000'000)),
-        parameter("batch_time", &SinkConfig::batch_time, "a batch is stored after so long, however small it is",
+        parameter("batch_time", &SinkConfig::batch_time, "a batch is stored after this time, however small it is",
                   range(1ms, 1h)),
         parameter("queue_bytes", &SinkConfig::queue_bytes, "memory for events that wait, at most", unit("By"),
                   range(262144.0, 68719476736.0)),
         parameter("when_full", &SinkConfig::when_full, "what is dropped when that memory is full"),
-        parameter("retry_first", &SinkConfig::retry_first, "delay after a failed batch; doubles with each failure",
+        parameter("retry_first", &SinkConfig::retry_first, "delay after a failed batch; it doubles with each failure",
                   range(1ms, 1h)),
         parameter("retry_longest", &SinkConfig::retry_longest, "the delay doubles up to this", range(1ms, 24h)),
         parameter("close_deadline", &SinkConfig::close_deadline, "how long closing waits for what is queued",
@@ -97,16 +97,16 @@ struct SinkConfig {
   }
 };
 
-/// One (topic, origin) that a sink takes events of. Immutable once it is listed.
+/// One (topic, origin) of a sink. Immutable once it is listed.
 struct SlotInfo {
   std::uint32_t topic_number = 0;  ///< counts the topics of this sink from 0
   std::string origin;
   std::string topic;
   std::shared_ptr<const Description> description;
-  std::string run = {};  ///< uuid of the run that the events are of; with `through` that of the recording
+  std::string run = {};  ///< uuid of the events' run; with `through`, of the recording
 };
 
-/// One event as a writer gets it. Valid until `write` returns.
+/// One event for a writer. Valid until `write` returns.
 struct Record {
   std::uint32_t slot = 0;
   const SlotInfo* info = nullptr;
@@ -114,7 +114,7 @@ struct Record {
   std::span<const std::byte> payload;
   /// Valid as long as this record is.
   EventView view() const noexcept { return EventView(info->topic, header, *info->description, payload); }
-  /// The same with its run: for what leaves the machine.
+  /// The same with its run, for peers on other machines.
   EventView keyed_view() const noexcept {
     return EventView(info->topic, header, *info->description, payload, info->run);
   }
@@ -151,16 +151,16 @@ class Batch {
   std::size_t size() const noexcept { return rows_; }
   const SlotInfo& slot(std::uint32_t slot) const noexcept;
   std::size_t slots() const noexcept;
-  /// Events of the slot that will be stored once this batch is.
+  /// The number of stored events of the slot after this batch.
   std::uint64_t stored_after(std::uint32_t slot) const noexcept;
   std::uint64_t refused_after(std::uint32_t slot) const noexcept;
-  /// Null when this batch brings none. See recording_writer.hpp.
+  /// The account; null if this batch has none. See recording_writer.hpp.
   const Account* account() const noexcept { return account_; }
-  /// This record can never be stored (it does not fit the format): it is dropped, counted and reported. Refusals hold
-  /// only if the batch succeeds.
+  /// This record can never be stored (it does not fit the format): it is dropped, counted and reported. Refusals take
+  /// effect only if the batch succeeds.
   void refuse(const Record& record, const Error& why);
-  /// As `refuse`; no other record of its topic can be stored either, so that the sink is faulted for as long as it
-  /// lives, with this reason. The others' records are stored. To be called for each record of the topic.
+  /// As `refuse`, if no other record of its topic can be stored either: the sink stays faulted with this reason.
+  /// Records of other topics are stored. Call it for each record of the topic.
   void refuse_topic(const Record& record, const Error& why);
 
  private:
@@ -171,37 +171,37 @@ class Batch {
   const Account* account_ = nullptr;
 };
 
-/// A topic that a sink is to take, before either is made. See `refused_topics` of each kind.
+/// A topic for a sink, before either is made. See `refused_topics` of each kind.
 struct TopicToRecord {
   std::string_view name;
   const Description* description;  ///< null: not known yet
 };
 
-/// Stores records. Called on the sink's lane, one call at a time. What it throws is an error of the sink's. Of the loop
-/// it may use `post` and `stop` alone, in the calls on the loop's thread too: all else is refused (handle.hpp). A call
-/// that has not returned when the sink's `close_deadline` is over is left behind on its thread, together with the
-/// writer: it goes on after the sink and its loop are gone, of which it must use nothing then.
+/// Stores records. Called on the sink's lane, one call at a time. An exception is an error of the sink. It may only use
+/// `post` and `stop` of the loop, also in calls on the loop's thread: everything else is refused (handle.hpp). If a
+/// call has not returned at the sink's `close_deadline`, the sink abandons its thread together with the writer: the
+/// call may continue after the sink and its loop are destroyed, so it must not use them then.
 class Writer {
  public:
   virtual ~Writer() = default;
-  /// Before the first batch, and again after a failure. A writer that is open already does nothing.
+  /// Called before the first batch, and again after a failure. Does nothing if the writer is open.
   virtual Result<void> open() = 0;
-  /// Stores all of the batch, or fails and is given the same batch again later: then it goes on where it stopped, and
-  /// refuses again what it refused. An error `closed` is the end of the writer: nothing is tried again, what is queued
-  /// and what comes later is refused, and the sink stays faulted.
+  /// Stores the whole batch, or fails and gets the same batch again later: then it continues where it stopped and
+  /// refuses the same records again. The error `closed` ends the writer: nothing is tried again, queued and later
+  /// events are refused, and the sink stays faulted.
   virtual Result<void> write(Batch& batch) = 0;
-  /// Nothing more is queued for now.
+  /// Called when the queue is empty.
   virtual Result<void> flush() { return {}; }
-  /// The last call: what was written is made durable and the resources are released. Not after an `open` that failed.
+  /// The last call: makes written data durable and releases resources. Not called after a failed `open`.
   virtual Result<void> close() { return {}; }
-  /// On the loop's thread, once, before the other calls: its sink goes through the recording in this file. What it
-  /// returns is called on the recording's lane after this writer is closed, once the recording is closed too and has
-  /// its last account; the text that it returns goes to the log. Null: nothing is to be called.
+  /// Called on the loop's thread, once, before the other calls, if its sink has `through` with the recording in this
+  /// file. The returned function is called on the recording's lane after both this writer and the recording are closed
+  /// and the last account is written; its text goes to the log. Null: no function.
   virtual std::function<std::string()> goes_through(const std::string& recording) {
     (void)recording;
     return {};
   }
-  /// The sink calls it once: `this` if the writer is a RecordingWriter, else null.
+  /// Called once by the sink: `this` if the writer is a RecordingWriter, otherwise null.
   virtual RecordingWriter* as_recording() noexcept { return nullptr; }
   /// The same for a Sender (sender.hpp).
   virtual Sender* as_sender() noexcept { return nullptr; }
@@ -210,24 +210,24 @@ class Writer {
 class Sink : public Handle {
  public:
   Sink() noexcept = default;
-  /// SetupError: a pattern that is none, a topic without a description under an exact name, a topic that the writer
-  /// refuses; of a writer that is opened at set-up (recording_writer.hpp), what its opening met while the loop did not
-  /// run.
+  /// SetupError: an invalid pattern, an exact name of a topic without a description, a topic that the writer refuses;
+  /// for a writer that is opened at set-up (recording_writer.hpp) while the loop does not run, the error of its
+  /// opening.
   Sink(Loop& loop, SinkConfig config, std::unique_ptr<Writer> writer);
 
-  /// Zeros once it is closed.
+  /// All 0 after it is closed.
   SinkCounts counts() const noexcept;
   Health health() const noexcept;
   SinkStatus status() const;
-  /// Errors of this sink; without a handler they go to the loop's.
+  /// Sets the handler for errors of this sink. Default: the loop's handler.
   void on_error(Callback<void(const ErrorReport&)> handler);
-  /// Hands over what is queued now, without waiting for the batch to fill.
+  /// Stores the queue now, without waiting for the batch to fill.
   void flush();
-  /// Hands over what is queued now; `done` is called on the loop when that is stored and, as far as the writer can see
-  /// to it, survives a power cut. When storing fails, it is tried again first; of a sink that is closed, never.
+  /// Stores the queue now; calls `done` on the loop when it is stored and, as far as the writer can ensure, survives a
+  /// power failure. If storing fails, it is tried again first; if the sink is closed meanwhile, `done` is never called.
   void sync(Callback<void()> done);
-  /// Takes nothing from here on, and stores what is queued while the loop turns, for `close_deadline` at most; then
-  /// `done` is called with the number of events that were lost, and the sink may be closed, not from within it.
+  /// Takes no more events, and stores the queue while the loop turns, for `close_deadline` at most; then calls `done`
+  /// with the number of lost events. Close the sink after that, but not inside `done`.
   void finish(Callback<void(std::uint64_t lost)> done);
 };
 

@@ -1,4 +1,4 @@
-/// TcpSink: events to any server that listens on a TCP port, one after the other on one connection.
+/// TcpSink: sends events to a TCP server, one after the other on one connection.
 ///
 ///     rtdata::TcpSink lines(loop, {.host = "192.168.1.7", .port = 9000});
 ///     rtdata::TcpSink sure(loop, {.host = "collector.local", .port = 9000, .format = "raw",
@@ -6,13 +6,13 @@
 ///
 /// Any format of the registry that carries the topic: "jsonl", "cbor", "influx", "raw" (docs/formats.md), or one of the
 /// program's. The connection is made with the first event and made again when it is lost; names are looked up without
-/// blocking the loop. A peer that is away, slow, or reads nothing delays nothing else: events wait in the queue, or
-/// with `through` in the recording.
+/// blocking the loop. A missing or slow peer delays nothing else: events wait in the queue, or with `through` in the
+/// recording.
 ///
-/// What is promised: with `acknowledge`, each event stays until the peer has confirmed it, so that every one arrives,
-/// now and then twice (after a lost connection what was not confirmed is sent again, and the last event of the old
-/// connection may end in the middle). Without, an event counts as sent once the kernel has taken it: what its buffers
-/// held when the connection was lost is gone; how many bytes that may be is in the error that says so.
+/// Guarantees: with `acknowledge`, the sink keeps each event until the peer has confirmed it, so every event arrives,
+/// sometimes twice (after a lost connection it sends unconfirmed events again, and the last event of the old connection
+/// may be incomplete). Without `acknowledge`, an event counts as sent when the kernel has taken it: if the connection
+/// is lost, the data in the kernel's buffers are lost; the error gives the number of bytes.
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's; events are encoded on the sink's lane.
 /// Errors of the constructor (SetupError): bad_argument (no host, no port, csv), not_found (no such format); those of
@@ -33,10 +33,10 @@ namespace rtdata {
 class ConfigItem;
 class Problems;
 
-/// How the peer confirms each event, in the order in which they came.
+/// How the peer confirms each event, in order.
 enum class Acknowledge {
   none,
-  byte,  ///< 0x06 (ACK): it has it; 0x15 (NAK): it refuses it
+  byte,  ///< 0x06 (ACK): received; 0x15 (NAK): refused
   line,  ///< "ok", or "no" and a reason, with a line end
 };
 constexpr auto describe(type_tag<Acknowledge>) {
@@ -48,10 +48,10 @@ struct TcpConfig {
   std::string host = {};   ///< a name or an address
   std::uint16_t port = 0;  ///< of the server
   std::string format = "jsonl";
-  bool sequence = false;  ///< "raw" alone: with the sequence number after the origin
+  bool sequence = false;  ///< "raw" only: with the sequence number after the origin
   Acknowledge acknowledge = Acknowledge::none;
-  std::optional<TlsConfig> tls = {};                    ///< encrypted; none: as it is. Needs OpenSSL when built
-  Duration connect_timeout = std::chrono::seconds{10};  ///< of each of the host's addresses; the same for TLS
+  std::optional<TlsConfig> tls = {};                    ///< encryption; empty: none. The build needs OpenSSL
+  Duration connect_timeout = std::chrono::seconds{10};  ///< for each address of the host, and again for TLS
   SendingConfig sending = {.window = 4, .parcel_rows = 1000, .parcel_bytes = std::size_t{64} << 10};
   SinkConfig sink = {.batch_time = std::chrono::milliseconds{100}};  ///< name: "tcp" by default
 
@@ -74,7 +74,7 @@ struct TcpConfig {
   }
 };
 
-/// What no parameter says by itself: a host that can be one, a format that can be sent.
+/// Checks rules over several parameters: a valid host, and a format that can be sent.
 void check_config(const TcpConfig& config, const ConfigItem& item, Problems& problems);
 
 class TcpSink : public Sink {

@@ -1,4 +1,4 @@
-/// UdpSink: one JSON object a datagram, for programs that draw what comes: PlotJuggler, or a script of your own.
+/// UdpSink: sends one JSON object in each datagram, for live plots in PlotJuggler or your own script.
 ///
 ///     rtdata::UdpSink view(loop, {.host = "192.168.1.7"});
 ///
@@ -7,9 +7,9 @@
 /// `timestamp` is in seconds since the Unix epoch, the fields stand under their topic. Any other format of the registry
 /// can be sent, an event a datagram ("cbor", "influx", "raw").
 ///
-/// What is promised: nothing arrives for sure, nor in order; an event counts as sent once the kernel has taken it. What
-/// the peer's machine refuses because nobody listens there is told, and counted as refused, where the network says so
-/// (one event for each time it does); sending goes on. An event that is longer than a datagram is refused.
+/// No guarantees: events may be lost or arrive in another order; an event counts as sent when the kernel has taken it.
+/// If the network reports that nobody listens at the peer, this is reported and counted as refused (one event for each
+/// such report); sending continues. An event that is longer than a datagram is refused.
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's; events are encoded on the sink's lane.
 /// Errors of the constructor (SetupError): bad_argument (no host, no port, csv), not_found (no such format); those of
@@ -34,7 +34,7 @@ struct UdpConfig {
   std::string format = "fields";   ///< "fields": the object above; or a format of the registry
   std::size_t longest = 65507;     ///< bytes of a datagram; more than 1472 go in several packets
   SendingConfig sending = {.window = 1, .parcel_rows = 256};
-  SinkConfig sink = {.batch_time = std::chrono::milliseconds{20},  // somebody looks at it
+  SinkConfig sink = {.batch_time = std::chrono::milliseconds{20},  // for a live view
                      .queue_bytes = std::size_t{4} << 20,
                      .when_full = WhenFull::drop_oldest,
                      .close_deadline = std::chrono::seconds{1}};  ///< name: "udp" by default
@@ -51,7 +51,7 @@ struct UdpConfig {
   }
 };
 
-/// What no parameter says by itself: a host that can be one, a format that can be sent.
+/// Checks rules over several parameters: a valid host, and a format that can be sent.
 void check_config(const UdpConfig& config, const ConfigItem& item, Problems& problems);
 
 class UdpSink : public Sink {

@@ -5,10 +5,10 @@
 ///     rtdata::GpioEdges button(loop, {.line = 3}, [](const rtdata::GpioEdge&) { ... }, pins);
 ///     pins->drive("gpiochip0", 3, true, time);
 ///
-/// What carries the edges is a descriptor that is readable while some wait, as the kernel's is; so many are kept, and
-/// numbered or not, as libgpiod 2 or 1 have them.
+/// As with the kernel, its descriptor is readable while edges wait. It keeps as many edges as libgpiod 2 or 1, numbered
+/// or not.
 ///
-/// Thread: any; a lock holds those who use the lines and the test apart.
+/// Thread: any; a lock protects it.
 #pragma once
 
 #include <cstddef>
@@ -27,19 +27,18 @@ class FakeGpio final : public GpioBackend {
   explicit FakeGpio(Like like = Like::libgpiod_2);
   ~FakeGpio() override;
 
-  /// Its lines are called `prefix` and their number; without one they have no names.
+  /// Names the lines `prefix` plus number; without a prefix they have no names.
   void add_chip(const std::string& name, std::size_t lines, const std::string& prefix = {},
                 const std::string& label = "fake");
-  /// Takes the chip away. Whoever has lines of it sees what the kernel would show: with `hangs_up`, a hang-up, else
-  /// nothing.
+  /// Removes the chip. Users of its lines see the same as with the kernel: a hang-up if `hangs_up`, otherwise nothing.
   void unplug(const std::string& chip, bool hangs_up = false);
-  /// As a chip of that name that is new.
+  /// Adds a new chip of that name.
   void plug_in(const std::string& chip);
-  /// Opening it fails with this errno; 0: no more.
+  /// Opening fails with this errno; 0: no longer.
   void refuse(const std::string& chip, int error_number);
-  /// Somebody else has the line; empty: nobody.
+  /// Another user has the line; empty: nobody.
   void occupy(const std::string& chip, unsigned number, const std::string& consumer);
-  /// The level on the wire, at a time of the monotonic line.
+  /// The level on the wire, at a time of the monotonic clock.
   void drive(const std::string& chip, unsigned number, bool is_high, MonotonicTime time);
   /// The level on the wire, of outputs too.
   bool level(const std::string& chip, unsigned number) const;

@@ -5,12 +5,11 @@
 ///     rtdata::I2cBus bus("i2c1", wires);
 ///     rtdata::DriverSensor<Lm75> room(loop, {.name = "room", .rate = 10_Hz}, bus, {.address = 0x48});
 ///
-/// A chip has 256 registers and a pointer that goes on by itself, as most have; registers that do more get functions.
-/// An address without a chip does not acknowledge. On a manual loop a transfer takes as much virtual time as is
-/// set, and one that takes longer than the bus's timeout hangs.
+/// A chip has 256 registers and a pointer that increments by itself, like most chips; special registers get functions.
+/// An address without a chip does not acknowledge. On a manual loop a transfer takes as much virtual time as is set,
+/// and one that takes longer than the bus's timeout hangs.
 ///
-/// Thread: any; a lock holds transfers and the test apart. The functions are called under it, and must not call the
-/// fake.
+/// Thread: any; a lock protects it. The functions are called under it, and must not call the fake.
 #pragma once
 
 #include <array>
@@ -37,9 +36,9 @@ class FakeI2cChip {
   std::uint8_t get(std::uint8_t number) const;
   void set_word(std::uint8_t number, std::uint16_t value);
   std::uint16_t word(std::uint8_t number) const;
-  /// Each byte that is read from this register comes from the function, and the pointer stays: a FIFO.
+  /// The function returns each byte read from this register, and the pointer stays: a FIFO.
   void on_read(std::uint8_t number, std::function<std::uint8_t()> next);
-  /// After a byte (or the high byte of a word: the whole word) was written to this register.
+  /// Calls the function after a write to this register, with the byte or the whole word.
   void on_write(std::uint8_t number, std::function<void(std::uint16_t value)> written);
 
   /// The next transfers fail with this errno.

@@ -5,10 +5,10 @@
 ///     rtdata::SerialPort port("meter", wires);
 ///
 /// The function is called with what each write sends, and returns what the device answers. On a manual loop an answer
-/// comes after as much virtual time as it is told to take: one that takes longer than a driver waits is found by its
-/// next read, unless that drops it.
+/// comes after the virtual time set: an answer after the driver's timeout is found by its next read, unless that drops
+/// it.
 ///
-/// Thread: any; a lock holds calls and the test apart. The function is called under it, and must not call the fake.
+/// Thread: any; a lock protects it. The function is called under it, and must not call the fake.
 #pragma once
 
 #include <cstdint>

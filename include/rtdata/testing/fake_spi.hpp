@@ -8,8 +8,7 @@
 /// transfer; either span may be empty. On a manual loop a transfer takes as much virtual time as is set, and one
 /// that takes longer than the bus's timeout hangs.
 ///
-/// Thread: any; a lock holds transfers and the test apart. The functions are called under it, and must not call the
-/// fake.
+/// Thread: any; a lock protects it. The functions are called under it, and must not call the fake.
 #pragma once
 
 #include <functional>

@@ -26,7 +26,7 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
-/// How late ticks were, or how long writes took, in ns.
+/// The JSON of lateness or write times, in ns.
 Json json_of(std::vector<std::int64_t> times) {
   std::sort(times.begin(), times.end());
   const auto at = [&](double fraction) {
@@ -43,7 +43,7 @@ struct Ticks {
   std::vector<std::string> warnings;
 };
 
-/// Adds those of a ticker on a tier with a real-time policy, where that is permitted.
+/// Adds the ticks of a ticker on a tier with a real-time policy, if permitted.
 void add_ticks(Ticks& ticks, Duration period, Duration duration, std::optional<int> cpu) {
   Loop loop;
   loop.runtime().on_log([](const LogRecord&) {});  // the warnings are printed at the end
@@ -51,7 +51,7 @@ void add_ticks(Ticks& ticks, Duration period, Duration duration, std::optional<i
   if (cpu) config.cpus = {*cpu};
   Tier tier(loop, config);
   std::size_t count = ticks.lateness.size();
-  ticks.lateness.resize(count + static_cast<std::size_t>(duration / period) + 1000);  // touched
+  ticks.lateness.resize(count + static_cast<std::size_t>(duration / period) + 1000);  // loads the pages
   Ticker ticker(tier.loop(), period, [&](const Tick& tick) {
     if (count < ticks.lateness.size()) ticks.lateness[count++] = tick.lateness().count();
     ticks.missed += tick.missed;
@@ -63,7 +63,7 @@ void add_ticks(Ticks& ticks, Duration period, Duration duration, std::optional<i
   ticks.lateness.resize(count);
 }
 
-/// Adds what cyclictest of rt-tests measures with the same priority; nothing where it cannot be run.
+/// Adds the results of cyclictest (rt-tests) with the same priority, if it can run.
 void add_cyclictest(std::vector<std::int64_t>& lateness, Duration period, Duration duration, const Scheduling& like,
                     std::optional<int> cpu) {
   constexpr std::int64_t most = 100'000;  // us
@@ -86,7 +86,7 @@ void add_cyclictest(std::vector<std::int64_t>& lateness, Duration period, Durati
 
 Json measure_rate(Duration period, Duration duration, std::optional<int> cpu, Ticks& ticks) {
   std::vector<std::int64_t> cyclictest;
-  constexpr int turns = 4;  // so that noise that comes and goes meets both
+  constexpr int turns = 4;  // so that temporary noise affects both
   for (int turn = 0; turn < turns; ++turn) {
     add_ticks(ticks, period, duration / (2 * turns), cpu);
     add_cyclictest(cyclictest, period, duration / (2 * turns), ticks.scheduling, cpu);
@@ -112,7 +112,7 @@ Json measure(const BenchOptions& options) {
     granted = ticks.scheduling;
     warnings = ticks.warnings;
   }
-  ::munlockall();  // what follows needs memory
+  ::munlockall();  // the next parts need memory
   utsname system{};
   ::uname(&system);
   json["machine"] = {{"system", std::string(system.sysname) + " " + system.release + " " + system.machine},

@@ -134,12 +134,12 @@ namespace {
 
 constexpr std::string_view deleted_unsent = "deleted by a limit of the recording";
 
-/// What a sink that goes through a recording lost so was there for as long as that keeps anything.
+/// True for events that a limit of the recording deleted before a sink with `through` had sent them.
 bool is_deletion(const Status::Sink& sink, DropReason reason) {
   return sink.backlog && reason == DropReason::queue_full_oldest;
 }
 
-/// Of what sinks dropped: "refused", or "5 queue full, 2 refused".
+/// Why sinks dropped events: "refused", or "5 queue full, 2 refused".
 std::string reasons_of(const Status& status) {
   std::uint64_t deleted = 0, refused = 0;
   for (const Status::Sink& sink : status.sinks) {
@@ -167,7 +167,7 @@ std::string verdict(const Status& status, const Ending& ending) {
   const auto add = [&](const std::string& what, const std::string& names) {
     losses += (losses.empty() ? "" : ", ") + what + (names.empty() ? "" : " (" + names + ")");
   };
-  // The topics that it happened to, the worst first: `amount` orders them, `text` is what is said of one.
+  // The affected topics, the worst first: `amount` gives the order, `text` the text of one.
   const auto worst = [&](const auto& amount, const auto& text) {
     std::vector<const Status::Account*> topics;
     for (const Status::Account& topic : status.topics) {
@@ -219,7 +219,7 @@ std::string verdict(const Status& status, const Ending& ending) {
             (ending.not_stored == 1 ? " event was NOT stored; " : " events were NOT stored; ");
   if (!ending.not_made.empty()) text += "NOT made by a reload: " + ending.not_made + "; ";
   for (const std::string& sink : ending.unknown_backlogs)
-    text += "what waits in a recording is NOT known (" + sink + "); ";
+    text += "the backlog in a recording is NOT known (" + sink + "); ";
   if (!mute.empty()) text += "NO EVENT ever came from " + mute + "; ";
   text += losses.empty()
               ? (mute.empty() && ending.unknown_backlogs.empty() && ending.unknown.empty() && ending.not_made.empty()
@@ -233,7 +233,7 @@ std::string verdict(const Status& status, const Ending& ending) {
             " in a recording to be sent";
   if (all.first_lines > 0)
     text += "; " + std::to_string(all.first_lines) +
-            (all.first_lines == 1 ? " first line thrown away (" : " first lines thrown away (") +
+            (all.first_lines == 1 ? " first line discarded (" : " first lines discarded (") +
             topics_of(&Status::Account::first_lines) + ")";
   if (!ending.unknown.empty()) return text;
   text += ending.balances ? "; ledger balances" : "; the ledger does NOT balance";
@@ -254,7 +254,7 @@ std::string dropped_text(const Status::Sink& sink) {
 
 namespace {
 
-/// What the recordings have of a topic: the runs of one sink follow each other, and of several the one that has most.
+/// The losses of a topic in the recordings: the sum over the runs of one sink; of several sinks, the largest.
 TopicLoss held_of(const Status& status, const std::string& topic) {
   std::map<std::string, TopicLoss> by_sink;
   for (const Status::Sink& sink : status.sinks) {
@@ -280,7 +280,7 @@ TopicLoss held_of(const Status& status, const std::string& topic) {
   return most;
 }
 
-/// The losses that no recording has.
+/// The losses that are in no recording.
 std::vector<std::string> unrecorded_lines(const Status& status) {
   const auto beyond = [](std::uint64_t all, std::uint64_t held) { return all - std::min(all, held); };
   std::vector<TopicLoss> losses;

@@ -1,4 +1,4 @@
-// What a run came to, in sentences.
+// The result of a run, as text.
 #pragma once
 
 #include <cstdint>
@@ -9,7 +9,7 @@
 
 namespace rtdata::app {
 
-/// What each recording says of its run, in the lines of `rtdata verify`, and what none of them holds.
+/// The losses in each recording of the run, with the lines of `rtdata verify`, and those in no recording.
 ///
 ///     run.db, run 3
 ///       LOST: 660 ticks of host/process (missed 660)
@@ -17,23 +17,23 @@ namespace rtdata::app {
 ///       LOST: 12 samples of board (lost by the source 12)
 std::string recorded_text(const Status& status);
 
-/// What the verdict says beside the account.
+/// Further facts for the verdict.
 struct Ending {
   bool balances = true;          ///< every equation of the ledger
-  bool has_loss = false;         ///< as the runtime says
-  std::string unknown = {};      ///< what is not in the account; empty: it is complete
-  std::uint64_t not_stored = 0;  ///< when the time to close was over
-  std::string not_made = {};     ///< parts that a reload has not made, or not made again: "sink far"
-  /// Sinks that go through a recording and could not look into it, with the reason: what waits for them is not known.
+  bool has_loss = false;         ///< from the runtime
+  std::string unknown = {};      ///< what the account does not contain; empty: it is complete
+  std::uint64_t not_stored = 0;  ///< events still queued at the deadline of closing
+  std::string not_made = {};     ///< parts that a reload could not make: "sink far"
+  /// Sinks with `through` that could not read their recording, with the reason; their backlog is unknown.
   std::vector<std::string> unknown_backlogs = {};
 };
-/// One sentence: what was lost and of whom, what is there, whether the ledger balances.
+/// One sentence: the losses by origin, the events taken, and whether the ledger balances.
 ///
 ///     nothing lost: 4177 events, 131 of them late; ledger balances
 ///     LOST: 666 ticks missed (host/process 660, host/cpu 6), 1 outage of 6.3 s (board); taken: 4177 events; ledger
 ///     balances
 std::string verdict(const Status& status, const Ending& ending);
-/// What a sink dropped, and why: "12 (queue full, newest)".
+/// The number and reason of a sink's drops: "12 (queue full, newest)".
 std::string dropped_text(const Status::Sink& sink);
 /// "12000 events, 0 late, 3 missed, 0 failed, 0 dropped, 12 queued"
 std::string progress(const Status& status);

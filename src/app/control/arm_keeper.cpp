@@ -10,7 +10,7 @@
 namespace rtdata::app {
 namespace {
 
-constexpr Duration arm_patience = std::chrono::seconds{3};  // less than that of who commands
+constexpr Duration arm_patience = std::chrono::seconds{3};  // less than the time that the commander waits
 
 }  // namespace
 
@@ -18,9 +18,9 @@ struct ArmKeeper::Waiting {
   std::string output, topic;
   std::string machines;  // "machine a and machine b"
   bool is_armed = false;
-  std::set<std::string> recordings = {};  // that do not have it yet
+  std::set<std::string> recordings = {};  // recordings that have not stored it yet
   std::set<std::string> all = {};
-  std::uint64_t dropped = 0;  // by these, of the output's topic, before
+  std::uint64_t dropped = 0;  // events of the output's topic that they had dropped before
   Timer timer = {};
   Told told = {};
 };
@@ -48,13 +48,15 @@ void ArmKeeper::keep(const std::string& output, const std::function<bool()>& act
   look_at_event(waiting);
 }
 
-/// First it is to be an event, which a disarmed output makes when its device has answered.
+/// Waits for the event first: when disarmed, an output publishes it after its device has answered.
 void ArmKeeper::look_at_event(const std::shared_ptr<Waiting>& waiting) {
-  system_.parts().get<Output>("output", waiting->output).when_told([this, &loop = loop_, weak = std::weak_ptr(waiting)] {
-    loop.post([this, weak] {
-      if (const auto still = weak.lock()) look_at_card(still);
-    });
-  });
+  system_.parts()
+      .get<Output>("output", waiting->output)
+      .when_published([this, &loop = loop_, weak = std::weak_ptr(waiting)] {
+        loop.post([this, weak] {
+          if (const auto still = weak.lock()) look_at_card(still);
+        });
+      });
 }
 
 void ArmKeeper::look_at_card(const std::shared_ptr<Waiting>& waiting) {
@@ -80,10 +82,10 @@ void ArmKeeper::conclude(const std::shared_ptr<Waiting>& waiting, const std::str
   std::string missing;
   for (const std::string& name : waiting->recordings.empty() ? waiting->all : waiting->recordings)
     missing += (missing.empty() ? "" : " and ") + name;
-  waiting->told(why.empty()
-                    ? ""
-                    : "but that is not on the card in " + missing + ", " + why + ": after a kill or a power cut now, " +
-                          waiting->machines + " would " + (waiting->is_armed ? "not " : "") + "arm it again");
+  waiting->told(why.empty() ? ""
+                            : "but that is not on the disk in " + missing + ", " + why +
+                                  ": after a kill or a power failure now, " + waiting->machines + " would " +
+                                  (waiting->is_armed ? "not " : "") + "arm it again");
 }
 
 void ArmKeeper::end() {

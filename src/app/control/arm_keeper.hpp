@@ -1,4 +1,4 @@
-// Arming and disarming that outlive a kill: they are on the card before who commanded them is answered.
+// Arming and disarming that survive a kill: they are on disk before the command is answered.
 #pragma once
 
 #include <cstdint>
@@ -12,18 +12,18 @@
 
 namespace rtdata::app {
 
-/// Forces onto the card whether an output is armed, where a machine that goes on after a kill looks for that.
-/// Thread: the main loop's. Gone before the system.
+/// Syncs the armed state of an output to the recording from which a machine resumes after a kill. Thread: the main
+/// loop's. Destroy it before the system.
 class ArmKeeper {
  public:
-  /// `failed`: why it is not on the card, and what that means; empty: it is, or no machine looks for it.
+  /// `failed`: why it is not on disk, and the consequence; empty: it is, or no machine needs it.
   using Told = std::function<void(const std::string& failed)>;
   ArmKeeper(Loop& loop, System& system) : loop_(loop), system_(system) {}
 
-  /// Arms or disarms it with `act`, which returns whether that was done, and tells what came of it: at once, or within
-  /// 3 s. Not done: nothing is told.
+  /// Calls `act`, which arms or disarms the output and returns true if it did. Then calls back with the result, at once
+  /// or within 3 s. If `act` returns false, does not call back.
   void keep(const std::string& output, const std::function<bool()>& act, Told told);
-  /// The run ends: nothing is waited for any more.
+  /// The run ends: stops all waiting.
   void end();
 
  private:

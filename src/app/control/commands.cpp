@@ -27,7 +27,7 @@ using Words = std::vector<std::string>;
 
 struct Verb {
   const char* word;
-  std::size_t least, most;  // words that follow
+  std::size_t least, most;  // number of further words
   CommandHelp help;
   std::string (*act)(System&, const Words&, std::string_view by);
 };
@@ -48,7 +48,7 @@ std::string set_rate(System& system, const Words& words, std::string_view) {
 }
 
 std::string acknowledge(System& system, const Words& words, std::string_view) {
-  (void)system.sensor(words[1]);  // throws, with the nearest name, when there is none
+  (void)system.sensor(words[1]);  // throws with the nearest name if there is none
   auto* const limit = system.parts().find<LimitSensor>("sensor", words[1]);
   if (limit == nullptr) throw std::invalid_argument("sensor " + words[1] + " is no limit");
   return limit->acknowledge() ? "the alarm of " + words[1] + " is acknowledged"
@@ -140,7 +140,7 @@ const std::vector<Verb>& verbs() {
 }
 
 constexpr std::size_t longest_command = 240;
-/// Of a tier. Less than whoever has asked waits.
+/// For a tier; less than the client waits.
 constexpr Duration turn_patience = std::chrono::seconds{2};
 
 CommandOutcome act(System& system, const Words& words, std::string_view by) {
@@ -154,7 +154,7 @@ CommandOutcome act(System& system, const Words& words, std::string_view by) {
   }
   if (words.size() - 1 < verb->least || words.size() - 1 > verb->most)
     return {false, std::string("it is written `") + verb->help.words + "`"};
-  // As it is to be recorded.
+  // The text for the recording.
   const std::string all = detail::listed(words, " ");
   if (all.size() > longest_command)
     return {false,
@@ -190,7 +190,7 @@ void repeat_command(System& system, const CommandRecord& recorded) {
   for (std::string word; text >> word;) words.push_back(word);
   if (words.size() == 3 && words[0] == "event") {
     if (auto* const machine = system.parts().find<fsm::ConfiguredMachine>("machine", words[1]))
-      (void)machine->raise(words[2]);  // one that no transition waits for any more
+      (void)machine->raise(words[2]);  // an event that no transition uses any more
   } else if (words.size() == 2 && words[0] == "ack") {
     if (auto* const limit = system.parts().find<LimitSensor>("sensor", words[1])) (void)limit->acknowledge();
   }
@@ -211,8 +211,8 @@ namespace {
 
 std::string hanging_text(const Tier& tier, const std::string& time = {}) {
   const std::string at = tier.doing();
-  return "tier " + tier.config().name + " has not come out of " + (at.empty() ? "a callback" : at) + time +
-         ": nothing was done; look for what blocks there";
+  return "tier " + tier.config().name + " has not returned from " + (at.empty() ? "a callback" : at) + time +
+         ": nothing was done; find what blocks there";
 }
 
 }  // namespace
@@ -239,7 +239,7 @@ Tier* CommandDesk::tier_of(const Words& words) const {
 void CommandDesk::run(const Words& words, std::string_view by, Told told) {
   Tier* const tier = tier_of(words);
   if (tier == nullptr) return run_here(words, by, std::move(told));
-  if (!may_answer(loop_, *tier)) {  // at once; an event would be taken and done who knows when
+  if (!may_answer(loop_, *tier)) {  // refuse at once: a hanging tier would execute the command much later
     const CommandOutcome outcome{false, hanging_text(*tier)};
     keep(words, by, outcome);
     return told(outcome);
@@ -297,7 +297,7 @@ void CommandDesk::keep(const Words& words, std::string_view by, const CommandOut
   try {
     if (!record_) {
       record_ = Feed<CommandRecord>(loop_, {.name = "rtdata-commands", .topic = command_topic});
-      record_.set_numbered();  // it makes its events itself
+      record_.set_numbered();  // it numbers its own events
     }
     record_.publish({detail::fitting<longest_command>(command), detail::fitting<60>(by), outcome.done,
                      detail::fitting<240>(outcome.text)});

@@ -1,4 +1,4 @@
-// What a running instance can be commanded to do (`rtdata ctl`), and the record of it.
+// The commands of a running instance (`rtdata ctl`), and their record.
 #pragma once
 
 #include <cstdint>
@@ -15,10 +15,10 @@
 
 namespace rtdata::app {
 
-/// The topic of the record. `#` matches it.
+/// The topic of the records. `#` matches it.
 inline constexpr const char* command_topic = "rtdata/commands";
 
-/// One command, as it is recorded: what, by whom, and what came of it. Texts that are too long end with "...".
+/// The record of one command: the command, who gave it, and the result. Long texts are cut and end with "...".
 struct CommandRecord {
   text<240> command;
   text<60> by;  ///< "uid 1000, pid 4711"
@@ -32,20 +32,20 @@ struct CommandRecord {
 
 struct CommandOutcome {
   bool done = false;
-  std::string text;  ///< what has been done, or why not
+  std::string text;  ///< the result, or why it was refused
 };
 
 /// The line that answers a command, without its end.
 std::string command_answer(const CommandOutcome& outcome);
 
-/// Gives the system a command of a recording again that machines and limits decide by: a named event, or that an alarm
-/// was seen. Thread: the loop's.
+/// Repeats a recorded command that affects machines or limits: a named event, or the acknowledgement of an alarm.
+/// Thread: the loop's.
 void repeat_command(System& system, const CommandRecord& recorded);
 
-/// Whether a tier of this main loop is worth asking: it runs, and is not known to hang. That one refuses at once.
+/// True if a tier of this main loop runs and is not known to hang.
 bool may_answer(Loop& loop, const Tier& tier);
 
-/// Calls `function` on this main loop once the tier has turned, however late that is: who asks may be gone then.
+/// Calls `function` on this main loop once the tier has turned, however late: the caller may be destroyed by then.
 void when_it_turns(Loop& loop, Tier& tier, std::function<void()> function);
 
 /// Commands the parts of a system. Thread: the loop's.
@@ -56,17 +56,17 @@ class CommandDesk {
   CommandDesk(Loop& loop, System& system, Log log)
       : loop_(loop), system_(system), log_(std::move(log)), keeper_(loop, system) {}
 
-  /// Does what the words say, of all commands but `reload`, records it, and tells what came of it: at once, but of
-  /// arming and disarming when that is on the card, or after 3 s, and of a part of a tier when that turns. One that
-  /// does not for 2 s is refused; the loop goes on meanwhile.
+  /// Executes any command except `reload`, records it and calls back with the result: at once for most commands; for
+  /// arming and disarming when it is on disk, or after 3 s; for a part on a tier when the tier turns. If the tier does
+  /// not turn for 2 s, the command is refused; the loop continues meanwhile.
   void run(const std::vector<std::string>& words, std::string_view by, Told told);
-  /// The run ends: who still waits is told.
+  /// The run ends: answers all waiting clients.
   void end();
-  /// Records a command and what came of it: its event is the topic's, and a line of the log.
+  /// Records a command and its result: an event on the topic, and a line in the log.
   void keep(const std::vector<std::string>& words, std::string_view by, const CommandOutcome& outcome);
 
  private:
-  struct Asked;  // a tier, before what is to be done there
+  struct Asked;  // a question to a tier before its command is executed
   Tier* tier_of(const std::vector<std::string>& words) const;
   void run_here(const std::vector<std::string>& words, std::string_view by, Told told);
   void refuse(const std::shared_ptr<Asked>& asked, const std::string& why);
@@ -76,10 +76,10 @@ class CommandDesk {
   Log log_;
   std::vector<std::shared_ptr<Asked>> asked_;
   ArmKeeper keeper_;
-  Feed<CommandRecord> record_;  // made with the first command
+  Feed<CommandRecord> record_;  // made at the first command
 };
 
-/// The verbs and what follows each, for people: "rate SENSOR RATE".
+/// The commands with their arguments, for people: "rate SENSOR RATE".
 struct CommandHelp {
   const char* words;
   const char* meaning;

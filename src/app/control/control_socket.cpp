@@ -24,20 +24,20 @@ namespace rtdata::app {
 namespace {
 
 constexpr Duration pause = std::chrono::milliseconds{20};
-constexpr int most_after_end = 8;  // lines of a client that has ended its side: there is no pause between them
+constexpr int most_after_end = 8;  // lines of a client that has closed its side, answered without a pause
 constexpr Duration client_patience = std::chrono::seconds{5};
 
-/// Set to an absolute path; of several, parted by ':', the first. Else empty.
+/// The variable if it is an absolute path, or the first of several separated by ':'; otherwise empty.
 std::string folder_in(const char* variable) {
   const char* const value = std::getenv(variable);
   return value != nullptr && value[0] == '/' ? std::string(value, std::strcspn(value, ":")) : std::string();
 }
 
-/// Where sockets may be, best first.
+/// The possible folders of sockets, best first.
 std::vector<std::string> folders() {
   std::vector<std::string> all;
   if (std::string only = folder_in("RTDATA_RUNTIME_DIR"); !only.empty()) return {std::move(only)};
-  // Of a service, made by systemd below /run; its /tmp may be private.
+  // The folder of a service, made by systemd below /run; the service's /tmp may be private.
   if (std::string service = folder_in("RUNTIME_DIRECTORY"); !service.empty()) all.push_back(std::move(service));
   if (const std::string user = folder_in("XDG_RUNTIME_DIR"); !user.empty()) all.push_back(user + "/rtdata");
   all.push_back("/run/rtdata");
@@ -45,7 +45,7 @@ std::vector<std::string> folders() {
   return all;
 }
 
-/// The folders, and those in them: services have one each.
+/// The folders and their subfolders: each service has its own.
 std::vector<std::string> folders_to_search() {
   std::vector<std::string> all;
   for (std::string& folder : folders()) {
@@ -60,7 +60,7 @@ std::vector<std::string> folders_to_search() {
   return all;
 }
 
-/// Owned by this user, and writable by no other.
+/// True if this user owns the folder and no other user can write to it.
 bool is_private(const std::string& folder) {
   struct stat found {};
   return ::lstat(folder.c_str(), &found) == 0 && S_ISDIR(found.st_mode) && found.st_uid == ::geteuid() &&
@@ -77,7 +77,7 @@ bool address_of(const std::string& path, sockaddr_un& address) {
 
 const sockaddr* generic(const sockaddr_un& address) { return reinterpret_cast<const sockaddr*>(&address); }
 
-/// "4711.sock" to 4711; 0: no name of a socket.
+/// "4711.sock" gives 4711; 0: not the name of a socket.
 pid_t pid_of(std::string_view name) {
   constexpr std::string_view suffix = ".sock";
   pid_t pid = 0;
@@ -88,7 +88,7 @@ pid_t pid_of(std::string_view name) {
 
 bool is_alive(pid_t pid) { return ::kill(pid, 0) == 0 || errno != ESRCH; }
 
-/// The sockets in a folder, of the living and the dead.
+/// The sockets in a folder, also those of ended processes.
 std::vector<Instance> sockets_in(const std::string& folder) {
   std::vector<Instance> all;
   DIR* const directory = ::opendir(folder.c_str());
@@ -112,7 +112,7 @@ std::optional<ucred> peer_at(int fd) noexcept {
   return peer;
 }
 
-/// Of this user, or root.
+/// True if the peer is this user or root.
 bool is_trusted(int fd) {
   const auto peer = peer_at(fd);
   return peer && (peer->uid == ::geteuid() || peer->uid == 0);
@@ -126,11 +126,11 @@ struct ControlSocket::Client {
   MonotonicTime last_asked;  // or connected
   uv_pipe_t pipe{};
   uv_write_t write{};
-  Timer timer = {};          // of the pause after an answer, and of the patience while one is not read
-  std::string in = {};       // at most a line and what was read with it
-  std::size_t searched = 0;  // of `in`: no end of line in it
+  Timer timer = {};          // for the pause after an answer, and for the limit while an answer is not read
+  std::string in = {};       // at most a line and the bytes read with it
+  std::size_t searched = 0;  // how many bytes of `in` have no line end
   std::string out = {};      // an answer that is being sent
-  std::size_t unread = 0;    // of it, when the patience began
+  std::size_t unread = 0;    // unread bytes when the limit began
   bool is_answered = false;  // an answer is being made
   bool has_ended = false;    // it sends no more
   int answered_after_end = 0;
@@ -140,7 +140,7 @@ struct ControlSocket::Client {
     uv_os_fd_t fd = -1;
     return uv_fileno(reinterpret_cast<uv_handle_t*>(&pipe), &fd) == 0 ? fd : -1;
   }
-  /// Before it is disconnected; if it takes that at once.
+  /// Sends a last text before disconnecting, if that does not block.
   void tell(std::string text) {
     const uv_buf_t buffer = uv_buf_init(text.data(), static_cast<unsigned>(text.size()));
     uv_try_write(stream(), &buffer, 1);
@@ -214,7 +214,7 @@ void ControlSocket::listen() {
     uv_pipe_init(loop_.uv(), server_, 0);
     server_->data = this;
     int status = uv_pipe_bind(server_, path_.c_str());
-    // What is accepted by a function of its own holds the loop for one client a turn, however many there are.
+    // A posted function accepts one client in each turn, so that many clients do not hold the loop.
     if (status == 0)
       status = uv_listen(reinterpret_cast<uv_stream_t*>(server_), most_clients, [](uv_stream_t* server, int error) {
         auto& to = *static_cast<ControlSocket*>(server->data);
@@ -249,13 +249,13 @@ void ControlSocket::accept() {
   if (!answer_next(*client)) drop(*client);
 }
 
-/// Disconnects the client that has been silent for the longest time, of those before the last one that wait for no
-/// answer: what they were told last is whole. False: all wait for one.
+/// Disconnects the client that has been silent for the longest time, of those (except the newest) that do not wait for
+/// an answer. False: all wait for one.
 bool ControlSocket::make_room() {
   Client* quietest = nullptr;
   for (Client* client : clients_) {
     if (client->is_answered || !client->out.empty() || client == clients_.back()) continue;
-    if (quietest == nullptr || client->last_asked < quietest->last_asked) quietest = client;  // in their order
+    if (quietest == nullptr || client->last_asked < quietest->last_asked) quietest = client;  // in order of connection
   }
   if (quietest == nullptr) return false;
   quietest->tell("{\"error\":\"too many clients, and this one asked nothing for the longest\"}\n");
@@ -374,12 +374,12 @@ Result<ControlClient> ControlClient::connect(const std::string& path) {
   if (!address_of(path, address))
     return Error{Errc::bad_argument, "cannot connect", path, "the path is too long", "use a shorter one"};
   ControlClient client(::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0));
-  constexpr timeval patience{0, 500'000};  // where others are to be connected before
+  constexpr timeval patience{0, 500'000};  // for a full queue of other clients
   ::setsockopt(client.fd_, SOL_SOCKET, SO_SNDTIMEO, &patience, sizeof patience);
   const bool is_connected = client.fd_ >= 0 && ::connect(client.fd_, generic(address), sizeof address) == 0;
   if (!is_connected && errno == EAGAIN) {
-    return Error{Errc::busy, "cannot connect", path, "too many wait to be connected",
-                 "see whether the process is stopped"};
+    return Error{Errc::busy, "cannot connect", path, "too many clients wait for a connection",
+                 "check whether the process is stopped"};
   }
   if (!is_connected) return system_error(errno, "cannot connect", path);
   if (!is_trusted(client.fd_) && ::geteuid() != 0)
@@ -397,7 +397,7 @@ Result<std::string> ControlClient::ask(std::string_view line, Duration at_most) 
   if (!answer) return std::move(answer).error();
   if (*answer) return std::move(**answer);
   return Error{Errc::timed_out, "no answer", "instance", "it did not answer in time",
-               "see whether it is stopped, its loop is held, or the machine is busy"};
+               "check whether it is stopped, its loop is held, or the machine is busy"};
 }
 
 void ControlClient::send(std::string_view line) {
@@ -429,8 +429,8 @@ Result<std::optional<std::string>> ControlClient::receive(Duration at_most) {
       char buffer[16 * 1024];
       const ssize_t size = ::recv(fd_, buffer, sizeof buffer, MSG_DONTWAIT);
       if (size == 0 || (size < 0 && errno != EAGAIN && errno != EINTR)) {
-        return Error{Errc::closed, "no answer", "instance", "it has ended, or serves others, who came later: 8 at most",
-                     "look again when fewer look at it"};
+        return Error{Errc::closed, "no answer", "instance", "it has ended, or serves other, later clients: 8 at most",
+                     "try again when it has fewer clients"};
       }
       if (size > 0) rest_.append(buffer, static_cast<std::size_t>(size));
     }

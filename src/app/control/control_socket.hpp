@@ -1,5 +1,5 @@
-// The local socket of a running instance: one line of JSON in, one line of JSON out. A user may connect who may enter
-// its folder: the user that runs the instance, and root.
+// The local socket of a running instance: one line of JSON in, one line of JSON out. Only the user of the instance and
+// root can connect, because only they can enter its folder.
 //
 // The socket is PID.sock in the first of these folders that can be used, made with mode 0700 and owned by the user:
 // $XDG_RUNTIME_DIR/rtdata, /run/rtdata, /tmp/rtdata-UID; or in $RTDATA_RUNTIME_DIR and no other, when that is set.
@@ -24,11 +24,11 @@ struct uv_pipe_s;
 
 namespace rtdata::app {
 
-/// Takes connections on its loop and answers their lines. It never waits, and its memory is bounded: at most 8 clients,
-/// lines of at most 64 KiB, a line of each client every 20 ms, and one answer at a time; a client that does not read an
-/// answer for 5 s or sends a longer line is disconnected; when there is one too many, so is the one that has been
-/// silent for the longest time, of those that wait for no answer: idle connections keep no client out, and no command
-/// that is under way ends without its answer. While all wait for one, the one too many is told so and disconnected.
+/// Accepts connections on its loop and answers their lines. It never waits, and its memory is bounded: at most 8
+/// clients, lines of at most 64 KiB, one line of each client every 20 ms, and one answer at a time. It disconnects a
+/// client that does not read an answer for 5 s or sends a longer line. If there is a ninth client, it disconnects the
+/// longest silent client that does not wait for an answer, so that idle connections do not block others and each
+/// command gets its answer. If all wait for an answer, it tells the new client so and disconnects it.
 ///
 /// Thread: the loop's, for everything. The process ignores SIGPIPE.
 class ControlSocket {
@@ -36,20 +36,21 @@ class ControlSocket {
   static constexpr std::size_t most_clients = 8;
   static constexpr std::size_t longest_line = 64 * 1024;
 
-  /// Makes the text that goes back, without the end of line, from what it was given; on a thread of the socket's own.
+  /// Makes the text of the answer, without the line end, on the socket's own thread.
   using Work = std::function<std::string()>;
-  /// Takes from the loop what the answer needs, quickly; the rest is work. `client` numbers the connections from 1.
+  /// Collects the data for the answer on the loop, quickly, and returns the rest as Work. `client` numbers the
+  /// connections from 1.
   using Answer = std::function<Work(std::uint64_t client, std::string_view line)>;
   using Gone = std::function<void(std::uint64_t client)>;
-  /// Opens the socket, and removes those that dead processes left behind. SetupError when no folder can be used: the
-  /// program can do without.
+  /// Opens the socket, and removes sockets of ended processes. SetupError if no folder can be used; the program can run
+  /// without.
   ControlSocket(Loop& loop, Answer answer, Gone gone);
   ControlSocket(const ControlSocket&) = delete;
   ControlSocket& operator=(const ControlSocket&) = delete;
   ~ControlSocket();
 
   const std::string& path() const noexcept { return path_; }
-  /// Who is connected, as the kernel says: "uid 1000, pid 4711". "somebody" once the connection is gone.
+  /// The client according to the kernel: "uid 1000, pid 4711"; "somebody" after the connection has ended.
   std::string peer_of(std::uint64_t client) noexcept;
 
  private:
@@ -61,7 +62,7 @@ class ControlSocket {
   Client* find(std::uint64_t number) noexcept;
   void drop(Client& client);
   void received(Client& client, std::ptrdiff_t size);
-  /// Answers the next line, if it is there. False: the client is to go.
+  /// Answers the next line, if it is complete. False: disconnect the client.
   bool answer_next(Client& client);
   void answered(std::uint64_t number, std::string text);
   void sent(Client& client, int status);
@@ -79,21 +80,21 @@ class ControlSocket {
   std::array<char, 16 * 1024> buffer_;  // of what is being read
 };
 
-/// A running instance, as its socket shows it.
+/// A running instance, found by its socket.
 struct Instance {
   pid_t pid = 0;
   std::string path;
 };
-/// Those whose sockets this user may use, by pid; also one that takes no connection now. Sockets of dead processes are
-/// left out.
+/// The instances whose sockets this user may use, by pid, also one that accepts no connection now. Skips sockets of
+/// ended processes.
 std::vector<Instance> running_instances();
-/// Folders that may hold more of them, which this user may not look into: other users' services.
+/// Folders that may have more instances but that this user may not read: services of other users.
 std::vector<std::string> closed_folders();
 
 /// The other side of a ControlSocket. Move-only.
 class ControlClient {
  public:
-  /// Does not block. Errors: busy (more connect to it than it takes), those of the system.
+  /// Does not block. Errors: busy (too many clients connect), those of the system.
   static Result<ControlClient> connect(const std::string& path);
   ControlClient(ControlClient&& other) noexcept
       : fd_(std::exchange(other.fd_, -1)), out_(std::move(other.out_)), rest_(std::move(other.rest_)) {}
@@ -106,9 +107,9 @@ class ControlClient {
   ~ControlClient();
   /// Sends a line and waits for its answer for `at_most`.
   Result<std::string> ask(std::string_view line, Duration at_most);
-  /// Sends a line as far as that does not block; `receive` sends the rest.
+  /// Sends as much of a line as possible without blocking; `receive` sends the rest.
   void send(std::string_view line);
-  /// Waits for the next answer for `at_most`; nothing: it has not come yet.
+  /// Waits for the next answer for `at_most`; empty: it has not come yet.
   Result<std::optional<std::string>> receive(Duration at_most);
 
  private:
@@ -116,7 +117,7 @@ class ControlClient {
   void send_more();
   int fd_ = -1;
   std::string out_;   // not sent yet
-  std::string rest_;  // received, and no answer yet
+  std::string rest_;  // received, but not a complete answer yet
 };
 
 }  // namespace rtdata::app

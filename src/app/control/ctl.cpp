@@ -42,7 +42,7 @@ int ctl(const std::vector<std::string>& given) {
     std::cerr << "rtdata: which command?\n" << ctl_help() << std::flush;
     return exit_configuration;
   }
-  // The first word may be an instance; one that is called as a command is named by its pid.
+  // The first word may be an instance. An instance with the name of a command must be given by its pid.
   std::vector<std::string> words = given;
   std::string instance;
   if (words.size() > 1 && !is_verb(words[0]) && is_verb(words[1])) {
@@ -59,7 +59,7 @@ int ctl(const std::vector<std::string>& given) {
   int status = exit_good;
   std::optional<FoundInstance> found = choose_instance(instance, "ctl", status);
   if (!found) return status;
-  // The status that was asked for comes first.
+  // The answer to the status request comes first.
   if (!found->answers) (void)found->client->receive(answer_limit);
   const nlohmann::ordered_json request{{"request", "command"}, {"version", Status::newest}, {"words", words}};
   const auto line = found->client->ask(request.dump(-1, ' ', false, nlohmann::ordered_json::error_handler_t::replace),
@@ -70,7 +70,7 @@ int ctl(const std::vector<std::string>& given) {
   };
   if (!line) return fail(line.error().text() + "; whether it was done, its log says");
   if (line->find_first_not_of(" \r\n") == std::string::npos)
-    return fail("it is not done yet; its log says what comes of it");
+    return fail("it is not done yet; its log will have the result");
   const auto answer = nlohmann::ordered_json::parse(*line, nullptr, false);
   for (const char* key : {"done", "refused", "error", "ended"}) {
     if (!answer.is_object() || !answer.contains(key) || !answer[key].is_string()) continue;
@@ -79,7 +79,7 @@ int ctl(const std::vector<std::string>& given) {
     std::cout << text << std::endl;
     return exit_good;
   }
-  return fail("it answers something else; use the same version of the program on both sides");
+  return fail("its answer does not fit the request; use the same version of the program on both sides");
 }
 
 }  // namespace rtdata::app

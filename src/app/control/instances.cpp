@@ -13,10 +13,10 @@ namespace {
 
 using Found = FoundInstance;
 
-constexpr Duration search_limit = std::chrono::milliseconds{500};  // of all instances, when the one meant has answered
-constexpr Duration longest_search = std::chrono::seconds{3};       // when it has not
+constexpr Duration search_limit = std::chrono::milliseconds{500};  // once the wanted one has answered
+constexpr Duration longest_search = std::chrono::seconds{3};       // if it has not
 
-/// All are asked at once, and waited for together. `wanted`: see Found::matches.
+/// Asks all instances at once and waits for all answers together. `wanted`: see Found::matches.
 std::vector<Found> find_instances(const std::string& wanted) {
   std::vector<Found> all;
   for (Instance& instance : running_instances()) {
@@ -65,14 +65,14 @@ void FoundInstance::hear(Duration at_most) {
 
 Error instance_does_not_answer() {
   return {Errc::timed_out, "no status", "instance", "it does not answer",
-          "see whether it is stopped, its loop is held, or the machine is busy"};
+          "check whether it is stopped, its loop is held, or the machine is busy"};
 }
 
 std::optional<FoundInstance> choose_instance(const std::string& wanted, const char* command, int& status) {
   status = exit_other;
   std::vector<Found> instances = find_instances(wanted);
   if (instances.empty()) {
-    std::cerr << "rtdata: no instance is running that this user may look at; `rtdata run FILE` starts one" << std::endl;
+    std::cerr << "rtdata: no instance is running that this user may see; `rtdata run FILE` starts one" << std::endl;
     for (const std::string& folder : closed_folders())
       std::cerr << "rtdata: " << folder << " is of another user, such as a service: `sudo rtdata " << command << "`"
                 << std::endl;
@@ -105,7 +105,7 @@ std::optional<FoundInstance> choose_instance(const std::string& wanted, const ch
     std::cerr << "rtdata: pid " << found.instance.pid << ": " << instance_does_not_answer().text() << std::endl;
     return std::nullopt;
   }
-  return found;  // without the others' connections
+  return found;  // closes the connections to the others
 }
 
 }  // namespace rtdata::app

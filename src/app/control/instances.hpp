@@ -1,4 +1,4 @@
-// The running instances that a command line means.
+// Finds the running instance for a command line.
 #pragma once
 
 #include <optional>
@@ -9,25 +9,25 @@
 
 namespace rtdata::app {
 
-/// What is sent to an instance to hear how it stands.
+/// The request for the status of an instance.
 inline constexpr const char* status_request = R"({"request":"status"})";
 
 struct FoundInstance {
   Instance instance;
-  std::optional<ControlClient> client;  // none: it takes no connection
+  std::optional<ControlClient> client;  // empty: it accepts no connection
   bool answers = false;
-  std::string name;           // empty: not known
-  std::string configuration;  // or why nothing is known
+  std::string name;           // empty: unknown
+  std::string configuration;  // or why the status is unknown
 
-  /// By name or pid; every one when none is given.
+  /// By name or pid; an empty text matches every instance.
   bool matches(const std::string& wanted) const {
     return wanted.empty() || wanted == name || wanted == std::to_string(instance.pid);
   }
   void hear(Duration at_most);
 };
 
-/// The one that is meant, by name or pid; empty: the only one. It is connected, and was asked for its status, which it
-/// may not have sent yet. None: why was printed, and `status` is what the program is to exit with.
+/// The instance with this name or pid; empty: the only one. It is connected, and its status was requested but may not
+/// have arrived yet. Empty result: the reason was printed, and `status` is the exit status of the program.
 std::optional<FoundInstance> choose_instance(const std::string& wanted, const char* command, int& status);
 
 Error instance_does_not_answer();

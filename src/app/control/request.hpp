@@ -1,4 +1,4 @@
-// What is asked through the control socket, a line of JSON each, and the short answers. Private to the program.
+// The requests through the control socket, one line of JSON each, and the short answers. Private to the program.
 #pragma once
 
 #include <string>
@@ -7,9 +7,9 @@
 
 namespace rtdata::app {
 
-/// Why what was asked is no request for a status; empty: it is one.
+/// Why a line is not a status request; empty: it is one.
 std::string refusal_of(std::string_view line);
-/// The words of a request that is a command; empty: it is none.
+/// The words of a command; empty: the line is not a command.
 std::vector<std::string> command_words(std::string_view line);
 /// {"KEY":"TEXT"}, without a line's end.
 std::string answer_line(std::string_view key, std::string_view text);

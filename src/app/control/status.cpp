@@ -157,7 +157,8 @@ class Writer {
   Json json_ = Json::object();
 };
 
-/// Keys that are not there leave what the value has: an older instance does not know them. Throws what nlohmann throws.
+/// A missing key leaves the value unchanged, because an older instance does not know it. Throws the exceptions of
+/// nlohmann.
 class Reader {
  public:
   explicit Reader(const Json& json) : json_(json) { (void)json.get_ref<const Json::object_t&>(); }
@@ -244,7 +245,8 @@ Result<Status> status_from(std::string_view line) try {
   fields(reader, status);
   return status;
 } catch (const Json::exception&) {
-  return no_status(Errc::bad_data, "it answers something else", "use the same version of the program on both sides");
+  return no_status(Errc::bad_data, "its answer does not fit the request",
+                   "use the same version of the program on both sides");
 }
 
 }  // namespace rtdata::app

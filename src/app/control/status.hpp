@@ -1,5 +1,5 @@
-// How a run stands: what `run`, `top` and the account at its end print, and what the control socket answers. Its JSON
-// is documented in docs/program.md ("The status").
+// The status of a run, for `run`, `top`, the account at its end, and the control socket. Its JSON is documented in
+// docs/program.md ("The status").
 #pragma once
 
 #include <array>
@@ -17,9 +17,9 @@
 
 namespace rtdata::app {
 
-/// A value: any thread may have one. What is not known, or means nothing of that object, is empty.
+/// A value; any thread. Fields that are unknown or do not apply are empty.
 struct Status {
-  /// Of the JSON and of what may be asked for. Within one, keys are added only: what they mean stays.
+  /// The version of the JSON and the requests. Within a version, keys are only added; their meaning does not change.
   static constexpr std::int64_t newest = 1;
 
   struct Instance {
@@ -29,17 +29,17 @@ struct Status {
     Duration running_for{0};
     std::string configuration;  ///< path of its file
   };
-  /// Of a sensor, of a topic with all its sensors, and of all together; also of those that were closed since.
+  /// The account of a sensor, of a topic with all its sensors, or of all sensors, including closed ones.
   struct Account {
     std::string name = {};
     std::uint64_t published = 0, late = 0, missed = 0, failed = 0, unreadable = 0;
     std::uint64_t lost = 0;                       ///< by the source
-    bool lost_is_known = false;                   ///< of a topic or of all: of one of its sensors at least
+    bool lost_is_known = false;                   ///< for a topic or all: true for at least one of its sensors
     std::uint64_t repeated = 0, first_lines = 0;  ///< no loss
     std::uint64_t dropped = 0;                    ///< by sinks; not of a sensor
     std::uint64_t handlers_dropped = 0;           ///< not of a sensor
     Outages outages = {};
-    Health health = Health::ok;  ///< of a topic the worst of its sensors'
+    Health health = Health::ok;  ///< for a topic, the worst of its sensors
     std::string reason = {};
 
     std::uint64_t losses() const noexcept { return missed + failed + unreadable + lost + dropped; }
@@ -65,8 +65,8 @@ struct Status {
     // In the process itself.
     std::uint64_t readings = 0;  ///< taken of its schedule, or received without one
     Time first_due{};
-    Duration period{0};              ///< 0: it has no schedule now
-    std::vector<std::byte> payload;  ///< `value` is made of it where that is wanted, not on the loop
+    Duration period{0};              ///< 0: no schedule now
+    std::vector<std::byte> payload;  ///< source of `value`, which is made later and not on the loop
     std::shared_ptr<const Description> description;
     std::optional<std::string> shown() const;
   };
@@ -78,7 +78,7 @@ struct Status {
     std::optional<double> load_percent;  ///< of a processor, over the last seconds
     std::optional<Lateness> lateness;    ///< of its sensors together
     std::vector<std::string> warnings;
-    std::optional<std::string> hangs_in;  ///< the callback that a tier has not come out of for a second
+    std::optional<std::string> hangs_in;  ///< the callback in which a tier has been for more than a second
     Duration processor_time{0};           ///< so far; in the process itself
   };
   struct Sink {
@@ -87,12 +87,12 @@ struct Status {
     std::array<std::uint64_t, drop_reasons> dropped{};
     Health health = Health::ok;
     std::string reason;
-    std::optional<Backlog> backlog;  ///< what waits in the recording that it goes through: `queued` events
+    std::optional<Backlog> backlog;  ///< with `through`: the events waiting in the recording
 
-    // In the process itself, of one that was closed.
+    // Only within the process, for a closed sink.
     bool is_recording = false;
-    std::string recording;                      ///< that it went through; empty: none
-    std::shared_ptr<const RunReport> recorded;  ///< what it says of its run; null: it was not closed
+    std::string recording;                      ///< its recording (`through`); empty: none
+    std::shared_ptr<const RunReport> recorded;  ///< its report of the run; null: not closed
     std::uint64_t all_dropped() const noexcept { return dropped[0] + dropped[1] + dropped[2]; }
   };
   /// A place on a bus.
@@ -101,7 +101,7 @@ struct Status {
     std::uint64_t transfers = 0, failed = 0, retried = 0;
     Duration busy{0}, longest{0};
   };
-  /// Of a kind that has no status of its own, such as a bus.
+  /// A part of a kind without its own status, such as a bus.
   struct Part {
     std::string kind, name, type;
     std::vector<std::string> users;  ///< "sensor chamber"
@@ -124,20 +124,20 @@ struct Status {
   std::vector<Sink> sinks;  ///< first those that were closed
   std::vector<Part> parts;
   std::vector<Callback> callbacks;  ///< that took most
-  /// Sensors that never gave an event, and those without a schedule whose source numbers nothing.
+  /// Sensors that never published an event; sensors without a schedule whose source does not number its data.
   std::vector<std::string> mute, not_detectable;
 };
 
-/// What the ledger of the runtime says now. `paths`: of the sinks that are there, by name. Thread: the loop's.
+/// The present status from the runtime's ledger. `paths`: of the existing sinks, by name. Thread: the loop's.
 Status status_of(Runtime& runtime, const std::map<std::string, std::string>& paths = {});
 
-/// A number has six digits.
+/// Numbers are shown with six digits.
 std::string shown_value(const Value& value);
 
 /// One line, without its end. It makes `value` of the sensors.
 std::string json_of(Status& status);
-/// What an instance answers. Errors: why it has none, in its words; closed (it ends); newer-version (its version is
-/// newer than this program).
+/// Parses the answer of an instance. Errors: the instance's own error text; closed (it ends); newer-version (its
+/// version is newer than this program).
 Result<Status> status_from(std::string_view line);
 
 }  // namespace rtdata::app

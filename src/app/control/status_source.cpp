@@ -19,13 +19,13 @@
 namespace rtdata::app {
 namespace {
 
-constexpr std::size_t most_callbacks = 64;  // those that took most
+constexpr std::size_t most_callbacks = 64;  // the slowest ones
 
 Status::Lateness lateness_of(const TimeCounts& counts) {
   return {counts.percentile(0.5), counts.percentile(0.99), counts.largest()};
 }
 
-/// Of an alarm or an output: what matters now, in place of all fields.
+/// For an alarm or an output, shows the important fields only.
 void show_change(Status::Sensor& sensor) {
   const std::vector<std::byte>& payload = sensor.payload;
   const Description& description = *sensor.description;
@@ -69,7 +69,7 @@ Duration TimeCounts::percentile(double fraction) const noexcept {
   for (std::size_t i = 0; i < counts_.size(); ++i) {
     below += counts_[i];
     if (below <= wanted) continue;
-    const std::size_t next = i + 1;  // its smallest is the first that is above
+    const std::size_t next = i + 1;  // the lower end of the next step
     const std::uint64_t end = next < 8 ? next : (8 + (next & 7)) << (next / 8 - 1);
     return std::min(largest_, Duration{static_cast<Duration::rep>(end)});
   }
@@ -92,7 +92,7 @@ std::optional<double> Pace::per_second(MonotonicTime now) const noexcept {
   const auto span = static_cast<double>((marks_.back().at - marks_.front().at).count());
   const Duration since = now - marks_.back().at;
   if (marks_.size() < 2) return since < known ? std::nullopt : std::optional(0.0);
-  // Nothing came for clearly longer than from one to the next: it has become slower, or stopped.
+  // The pause is clearly longer than the interval: the count grows more slowly or has stopped.
   if (since > std::chrono::seconds{1} && static_cast<double>(since.count()) * count > 2 * span)
     return 1e9 / static_cast<double>(since.count());
   return count * 1e9 / span;
@@ -138,7 +138,7 @@ void StatusSource::watch() {
   if (subscription_) return;
   subscription_ = loop_.subscribe("#", [this](const EventView& event) {
     const auto found = seen_.find(event.origin());
-    if (found == seen_.end()) return;  // made since the last look
+    if (found == seen_.end()) return;  // new since the last time
     Seen& seen = found->second;
     seen.payload.assign(event.payload().begin(), event.payload().end());
     seen.came_at = loop_.now();
@@ -225,7 +225,7 @@ void StatusSource::add_callbacks(Status& status) {
                                     [&](const AskedTier& one) { return one.name == tier->config.name; });
     AskedTier& one = asked.emplace_back(known == tiers_.end() ? AskedTier{tier->config.name, {}, {}} : *known);
     if (one.asked != nullptr && one.asked->is_done()) one.answered = std::move(one.asked);
-    if (one.asked == nullptr) one.asked = tier->loop.core().nodes.begin_survey();  // else it hangs: one is enough
+    if (one.asked == nullptr) one.asked = tier->loop.core().nodes.begin_survey();  // one request at a time
     if (one.answered != nullptr) add(one.answered->callbacks(), one.name);
     const auto shown = std::find_if(status.loops.begin(), status.loops.end(),
                                     [&](const Status::Loop& loop) { return loop.name == one.name; });

@@ -1,4 +1,4 @@
-// Takes the status of a running instance, and answers who asks for it.
+// Takes the status of a running instance and answers status requests.
 #pragma once
 
 #include <cstdint>
@@ -24,7 +24,7 @@ class CallbackSurvey;
 
 namespace rtdata::app {
 
-/// Counts of times, each within 1/8 of itself, and the largest as it was.
+/// A histogram of times with a resolution of 1/8, and the exact maximum.
 class TimeCounts {
  public:
   void add(Duration time) noexcept;
@@ -39,12 +39,12 @@ class TimeCounts {
   Duration largest_{0};
 };
 
-/// How fast a count grows, over the last 5 s: from one instant at which it was higher to another, so that what comes
-/// once a second has a rate of 1 Hz whenever it is looked at.
+/// The growth rate of a count over the last 5 s, measured between two increases, so that one event a second always
+/// gives 1 Hz.
 class Pace {
  public:
   void add(std::uint64_t count, MonotonicTime at);
-  /// None: not known yet.
+  /// Empty: not known yet.
   std::optional<double> per_second(MonotonicTime now) const noexcept;
 
  private:
@@ -55,8 +55,8 @@ class Pace {
   std::deque<Mark> marks_;
 };
 
-/// What it must see of events (last values, lateness) it looks at only while somebody watches, but for what changes
-/// seldom: an instance at which nobody looks pays nothing. Thread: the loop's.
+/// It subscribes to events (last values, lateness) only while a client watches, except for topics that seldom change,
+/// so an unwatched instance has no cost. Thread: the loop's.
 class StatusSource {
  public:
   struct Info {
@@ -67,23 +67,23 @@ class StatusSource {
       const Bus* bus = nullptr;  ///< if it is one; lives until the next `set`
     };
     std::vector<Part> parts = {};
-    /// Of alarms and outputs, which bring an event only when something changes: the last one is kept from the start.
+    /// Topics of alarms and outputs, which publish only changes: their last event is kept from the start.
     std::vector<std::string> changes = {};
-    const Parts* made = nullptr;  ///< where the machines are; null: there are none. Outlives this.
+    const Parts* made = nullptr;  ///< the parts with the machines; null: none. Must outlive this.
   };
   StatusSource(Loop& loop, Info info);
-  /// Another configuration.
+  /// Takes the data of a new configuration.
   void set(Info info);
 
-  /// From here on it watches, for this client, until that is forgotten.
+  /// Takes the status, and watches for this client from now on until `forget`.
   Status take(std::uint64_t client);
   void forget(std::uint64_t client);
-  /// `{"request":"status"}` gives the status; anything else {"error": why}, also a command whose words are none. What
-  /// is returned makes the text, one line without its end, on any thread, also when this object is gone.
+  /// Answers `{"request":"status"}` with the status, and anything else with {"error": why}. The returned function makes
+  /// the text, one line without its end, on any thread, even after this object is destroyed.
   std::function<std::string()> answer(std::uint64_t client, std::string_view line);
 
  private:
-  /// Of a sensor, while somebody watches.
+  /// Data of a sensor while a client watches.
   struct Seen {
     std::vector<std::byte> payload;
     MonotonicTime came_at{};
@@ -93,11 +93,11 @@ class StatusSource {
     TimeCounts now;                    // of this second
     std::optional<TimeCounts> before;  // of the one before it
   };
-  /// What a tier's callbacks took, which only its own thread knows.
+  /// The callback times of a tier, which only its own thread knows.
   struct AskedTier {
     std::string name;
-    std::shared_ptr<const detail::CallbackSurvey> asked;     // perhaps never answered
-    std::shared_ptr<const detail::CallbackSurvey> answered;  // the last that was; null: none
+    std::shared_ptr<const detail::CallbackSurvey> asked;     // may remain unanswered
+    std::shared_ptr<const detail::CallbackSurvey> answered;  // the last answered request; null: none
   };
   void watch();
   void keep_changes();
@@ -115,7 +115,7 @@ class StatusSource {
   std::vector<AskedTier> tiers_;
   MonotonicTime turned_{}, taken_{};
   Subscription subscription_;
-  std::map<std::string, std::vector<std::byte>, std::less<>> changes_;  // the last of each origin
+  std::map<std::string, std::vector<std::byte>, std::less<>> changes_;  // the last event of each origin
   std::vector<Subscription> change_subscriptions_;
 };
 

@@ -33,7 +33,7 @@ std::string left(std::string_view text, std::size_t width) {
 std::string time_text(Duration time) { return detail::rounded_time(static_cast<double>(time.count())); }
 std::string rate_text(const std::optional<double>& hertz) { return hertz ? frequency_text(*hertz) : "-"; }
 
-/// As many lines as it needs, up to `most`.
+/// Adds the lines that the text needs, up to `most`.
 void add_wrapped(Lines& lines, const std::string& text, std::size_t columns, std::size_t most) {
   std::string rest = wrapped(text, columns);
   for (; most > 0 && !rest.empty(); --most) {
@@ -47,9 +47,9 @@ void add_health(Lines& lines, Health health, const std::string& reason, std::siz
   if (health != Health::ok) add_wrapped(lines, "  ! " + std::string(name_of(health)) + ": " + reason, columns, 3);
 }
 
-/// What is said of one object, made when there is room for it.
+/// The lines of one object, made if there is space for them.
 struct Block {
-  int badness = 0;  ///< 0: well; 1: it has lost something; 2: degraded or its like; 3: faulted
+  int badness = 0;  ///< 0: ok; 1: has losses; 2: degraded or similar; 3: faulted
   std::function<Lines()> lines;
 };
 
@@ -57,7 +57,7 @@ int badness_of(Health health, bool has_loss) {
   return health != Health::ok ? static_cast<int>(health) + 1 : has_loss ? 1 : 0;
 }
 
-/// Their lines, what is not well first. What finds no room in so many is counted: "and 5 more, all well".
+/// The lines of all blocks, problems first. Blocks without space are counted: "and 5 more, all well".
 Lines fitted_blocks(const std::vector<Block>& all, std::size_t room) {
   std::vector<const Block*> blocks;
   for (const Block& block : all) blocks.push_back(&block);
@@ -116,7 +116,7 @@ Lines head_of(const Status& status, std::size_t columns) {
                    right(load.data(), 8) + late(&Status::Lateness::p50) + late(&Status::Lateness::p99) +
                    late(&Status::Lateness::max));
     for (const std::string& warning : loop.warnings) head.push_back("  ! " + warning);
-    if (loop.hangs_in) head.push_back("  ! it does not turn: it has not come out of " + *loop.hangs_in);
+    if (loop.hangs_in) head.push_back("  ! it does not turn: it has not returned from " + *loop.hangs_in);
   }
   head.emplace_back();
   return head;
@@ -137,10 +137,10 @@ Lines lines_of(const Status::Sensor& sensor, bool has_unreadable, std::size_t co
         columns, 3);
   if (sensor.lost > 0) lines.push_back("  - " + std::to_string(sensor.lost) + " lost by the source");
   if (sensor.repeated > 0)
-    lines.push_back("  - " + std::to_string(sensor.repeated) + " repeated by the source, which is no loss");
+    lines.push_back("  - " + std::to_string(sensor.repeated) + " repeated by the source, which is not a loss");
   if (sensor.first_lines > 0)
     lines.push_back("  - " + std::to_string(sensor.first_lines) +
-                    (sensor.first_lines == 1 ? " first line" : " first lines") + " thrown away");
+                    (sensor.first_lines == 1 ? " first line" : " first lines") + " discarded");
   if (sensor.outages.number > 0) lines.push_back("  - " + to_string(sensor.outages));
   return lines;
 }
@@ -219,7 +219,7 @@ Lines lines_of(const Status& status, std::size_t columns, std::size_t rows) {
   lines.push_back(heading);
   const std::vector<Block> sinks = sinks_of(status, columns);
   Lines parts = parts_of(status), callbacks = callbacks_of(status);
-  // Where rows are few, what says least of whether data is lost goes first.
+  // If there are few rows, the lines that are least important for data loss are left out first.
   constexpr std::size_t least_sensor_lines = 6;
   const std::size_t sensor_lines = fitted_blocks(sensors, rows).size();
   const std::size_t needed = lines.size() + sensor_lines + (sinks.empty() ? 0 : fitted_blocks(sinks, rows).size() + 2);

@@ -1,4 +1,4 @@
-// A status as text for people: what `top` and a run on a terminal show, and the tables at the end of a run.
+// A status as text for people, for `top`, a run on a terminal, and the tables at the end of a run.
 #pragma once
 
 #include <cstddef>
@@ -9,11 +9,12 @@
 
 namespace rtdata::app {
 
-/// Lines of at most so many columns, and `rows` of them if that is enough for the most urgent. What is not well comes
-/// first; where rows are few, callbacks and other parts are left out, then what is well: "and 5 more, all well".
+/// Lines of at most `columns` columns, and at most `rows` lines if that is enough for the most urgent. Problems come
+/// first; if there are few rows, callbacks and other parts are left out, then objects without problems: "and 5 more,
+/// all well".
 std::vector<std::string> lines_of(const Status& status, std::size_t columns, std::size_t rows);
 
-/// What each topic and sink came to, at most `columns` wide where names allow (0: as wide as they are).
+/// The result of each topic and sink, at most `columns` wide if the names allow (0: no limit).
 std::string summary(const Status& status, std::size_t columns);
 
 }  // namespace rtdata::app

@@ -18,15 +18,15 @@
 namespace rtdata::app {
 namespace {
 
-constexpr Duration silence_limit = std::chrono::milliseconds{500};  // then it is told
-constexpr Duration answer_limit = std::chrono::seconds{5};          // of the one that is looked at
+constexpr Duration silence_limit = std::chrono::milliseconds{500};  // then the view shows the silence
+constexpr Duration answer_limit = std::chrono::seconds{5};          // for the watched instance
 constexpr Duration once_limit = std::chrono::seconds{3};            // with --once
-constexpr Duration most_deaf = std::chrono::milliseconds{50};       // to keys and signals
+constexpr Duration most_deaf = std::chrono::milliseconds{50};       // longest time without a check for keys and signals
 constexpr Duration refresh = std::chrono::seconds{1};
 
 volatile sig_atomic_t interrupted = 0;
 
-/// While it lives: keys come one by one and unseen, and Ctrl-C ends the view rather than the process.
+/// Switches the terminal to single keys without echo; Ctrl-C ends the view, not the process.
 class Terminal {
  public:
   Terminal() {
@@ -44,7 +44,7 @@ class Terminal {
   ~Terminal() {
     if (is_changed_) ::tcsetattr(STDIN_FILENO, TCSANOW, &before_);
   }
-  /// False: it is to end, since q was typed or a signal came.
+  /// False: end, because q was typed or a signal came.
   bool wait(Duration duration) {
     const auto until = std::chrono::steady_clock::now() + duration;
     while (interrupted == 0) {
@@ -73,20 +73,20 @@ class Terminal {
 
 void print(const std::string& text) { std::cout << text << std::flush; }
 
-/// The next answer; none when the terminal ends the wait. `tell_silence` is called once, when none came for a while.
+/// The next answer; empty if the terminal ends the wait. Calls `report_silence` once if there is no answer for a while.
 std::optional<Result<std::string>> receive(ControlClient& client, Terminal& terminal, Duration limit,
-                                           const std::function<void()>& tell_silence) {
+                                           const std::function<void()>& report_silence) {
   const auto begun = std::chrono::steady_clock::now();
-  for (bool is_told = false;;) {
+  for (bool is_reported = false;;) {
     auto line = client.receive(most_deaf);
     if (!line) return std::move(line).error();
     if (*line) return std::move(**line);
     if (!terminal.wait(Duration{0})) return std::nullopt;
     const Duration waited = std::chrono::steady_clock::now() - begun;
     if (waited > limit) return instance_does_not_answer();
-    if (!is_told && waited > silence_limit) {
-      tell_silence();
-      is_told = true;
+    if (!is_reported && waited > silence_limit) {
+      report_silence();
+      is_reported = true;
     }
   }
 }
@@ -96,7 +96,7 @@ int show(FoundInstance& found, const TopOptions& options) {
   const bool is_live = options.how_often == HowOften::live && options.show_as == ShowAs::text &&
                        ::isatty(STDOUT_FILENO) == 1;
   std::string failed;
-  bool has_ended = false;  // as it should, and said so
+  bool has_ended = false;  // normally, with its last answer
   if (is_live) print("\x1b[?25l\x1b[2J");
   const Duration limit = options.how_often == HowOften::once ? once_limit : answer_limit;
   const auto next_answer = [&] {
@@ -104,7 +104,7 @@ int show(FoundInstance& found, const TopOptions& options) {
       if (is_live) print("\x1b[H\x1b[Jpid " + std::to_string(found.instance.pid) + " does not answer\r\nq ends");
     });
   };
-  // Rates are known from the second answer on: the first was the search.
+  // Rates are known from the second answer on; the search used the first.
   bool goes_on = true;
   if (!found.answers) {
     const auto first = next_answer();

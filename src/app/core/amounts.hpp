@@ -14,12 +14,12 @@ std::string bytes_text(double bytes);
 /// Two digits or three: "45 s", "12 min", "3.5 h", "2.1 d".
 std::string span_text(Duration span);
 
-/// What waits in a recording until a sink has sent it.
+/// Events in a recording that wait for a sink to send them.
 struct WaitingEvents {
   std::uint64_t events = 0;
   std::uint64_t bytes = 0;
   std::optional<Duration> age = {};       ///< of the oldest
-  std::optional<Duration> catch_up = {};  ///< none: it does not become less, or that is not known
+  std::optional<Duration> catch_up = {};  ///< empty: the backlog does not shrink, or it is unknown
 };
 /// "12 events (950 B) wait, the oldest for 12 min"
 std::string waiting_text(const WaitingEvents& waiting);

@@ -15,11 +15,11 @@
 
 namespace rtdata::app {
 
-/// What a subcommand does once the command line is read; returns the exit status.
+/// The action of a subcommand after the command line is parsed; returns the exit status.
 using Action = std::function<int(const Registry&)>;
 
-/// For what people read: lines as wide as the terminal, while it lives. Not where a run goes on, whose handlers may
-/// print from any thread, and not around data.
+/// Wraps output lines at the width of the terminal while it lives, for text for people. Not for data, and not during a
+/// run, where handlers may print from any thread.
 class ForPeople {
  public:
   explicit ForPeople(bool is_for_people = true) {
@@ -32,18 +32,18 @@ class ForPeople {
   std::optional<WrappedOutput> out_, err_;
 };
 
-/// An option without a value, which makes `to` this. `to` is of what the command's Action holds.
+/// Adds an option without a value, which sets `to`. `to` belongs to the state of the command's Action.
 template <class Value>
 void add_flag(CLI::App& command, const char* name, Value& to, Value is, const char* doc) {
   command.add_flag_callback(
       name, [&to, is] { to = is; }, doc);
 }
-/// Of a command that prints for people or for programs.
+/// Adds --json to a command that can print for people or for programs.
 inline void add_json(CLI::App& command, ShowAs& show_as, const char* doc = "Print JSON") {
   add_flag(command, "--json", show_as, ShowAs::json, doc);
 }
 
-/// Each adds to the command what it takes, and returns what is done with it.
+/// Each adds the options of a command and returns its action.
 Action prepare_init(CLI::App& command);
 Action prepare_run(CLI::App& command);
 Action prepare_check(CLI::App& command);
@@ -56,7 +56,7 @@ Action prepare_bench(CLI::App& command);
 Action prepare_scan(CLI::App& command);
 Action prepare_doctor(CLI::App& command);
 
-// Of recordings.
+// Commands for recordings.
 Action prepare_verify(CLI::App& command);
 Action prepare_info(CLI::App& command);
 Action prepare_export(CLI::App& command);

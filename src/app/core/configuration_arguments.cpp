@@ -13,12 +13,12 @@
 namespace rtdata::app {
 namespace {
 
-/// A span above nothing. None: it is no such span, and that was said.
+/// Parses a positive duration. Empty: invalid, and an error was printed.
 std::optional<Duration> span_of(const std::string& option, const std::string& text) {
   const Result<Duration> parsed = parse_duration(text);
   if (parsed && *parsed > Duration{0}) return *parsed;
   std::cerr << "rtdata: " << option << " " << text << ": "
-            << (parsed ? "it must be longer than nothing" : parsed.error().text()) << std::endl;
+            << (parsed ? "it must be longer than 0" : parsed.error().text()) << std::endl;
   return std::nullopt;
 }
 
@@ -42,7 +42,7 @@ Action prepare_run(CLI::App& command) {
   };
   const auto given = std::make_shared<Given>();
   command.add_option("FILE", given->options.file, "The configuration")->required();
-  command.add_option("--for", given->duration, "End after so long, such as 10s or 5min")->type_name("DURATION");
+  command.add_option("--for", given->duration, "End after this time, such as 10s or 5min")->type_name("DURATION");
   add_flag(command, "--fail-on-loss", given->options.on_loss, OnLoss::fail,
            "Exit 3 when anything was lost: ticks, events, or a time without a device");
   add_flag(command, "--quiet,-q", given->options.talk, Talk::quiet, "Print warnings and errors only");
@@ -73,7 +73,7 @@ Action prepare_check(CLI::App& command) {
   command.add_option("FILE", options->file, "The configuration")->required();
   command
       .add_option("--against", options->against,
-                  "Also say what becomes of each part when it takes the place of this one in a running system")
+                  "Also say what happens to each part when it replaces this one in a running system")
       ->type_name("FILE");
   return [options](const Registry& registry) {
     const ForPeople wrapped;
@@ -132,7 +132,7 @@ Action prepare_top(CLI::App& command) {
       "  rtdata top bench --once           one look at the instance called bench\n"
       "  rtdata top 4711 --once --json     for programs");
   return [options](const Registry&) {
-    const WrappedOutput errors(std::cerr, STDERR_FILENO);  // the rest is laid out for the terminal, or data
+    const WrappedOutput errors(std::cerr, STDERR_FILENO);  // all other output is data or wrapped separately
     return top(*options);
   };
 }
@@ -143,7 +143,7 @@ Action prepare_ctl(CLI::App& command) {
       ->expected(0, 1002);
   command.prefix_command();
   command.footer(ctl_help() +
-                 "Each is recorded on the topic rtdata/commands, with who gave it and what came of it.\n"
+                 "Each is recorded on the topic rtdata/commands, with its sender and its result.\n"
                  "examples:\n  rtdata ctl rate imu \"200 Hz\"\n  rtdata ctl bench note valve replaced");
   return [words](const Registry&) {
     const ForPeople wrapped;
@@ -181,7 +181,7 @@ Action prepare_bench(CLI::App& command) {
 Action prepare_scan(CLI::App& command) {
   const auto options = std::make_shared<ScanOptions>();
   command.add_flag("--probe", options->probe,
-                   "Also read a byte from each free I2C address; a chip may take that amiss");
+                   "Also read a byte from each free I2C address; a chip may react wrongly to that");
   command.add_option("--root", options->root, "Look at a copy of another machine's /sys and /dev in this folder")
       ->type_name("DIR");
   add_json(command, options->show_as);

@@ -15,7 +15,7 @@ inline constexpr int exit_other = 1;
 inline constexpr int exit_configuration = 2;
 inline constexpr int exit_loss = 3;
 
-/// "2 sensors, 1 sink": of each kind that publishes or stores.
+/// "2 sensors, 1 sink": the number of parts of each kind that publishes or stores.
 std::string counts_text(const Registry& registry, const SystemPlan& plan);
 
 enum class OnLoss { ignore, fail };
@@ -32,7 +32,7 @@ struct RunOptions {
 int run(const Registry& registry, const RunOptions& options);
 struct CheckOptions {
   std::string file;
-  std::string against;  ///< the configuration of a running system that it is to take the place of; empty: none
+  std::string against;  ///< the running configuration to compare with; empty: none
 };
 int check(const Registry& registry, const CheckOptions& options);
 int init(const Registry& registry, const std::string& file);
@@ -48,13 +48,13 @@ struct ForwardOptions {
   std::string database;
   std::string file;  ///< the configuration whose sinks send
 };
-/// Sends what waits in the recording, until nothing is left. exit_good: all is sent; exit_other: it was ended before.
+/// Sends all waiting events of the recording. exit_good: all sent; exit_other: ended earlier.
 int forward(const Registry& registry, const ForwardOptions& options);
 enum class TypesAs { text, all, schema, markdown };
-/// `name`: only this type, or those that a chip or a word stands for; empty: all, a line each (`all`: with parameters).
+/// `name`: a type, or a chip or search word; empty: all types, one line each (`all`: with parameters).
 int types(const Registry& registry, const std::string& name, TypesAs format);
 
-/// Prints what docs/errors.md says of an error's id; empty: the ids. exit_other: there is no such id.
+/// Prints the section of docs/errors.md about an error id; empty: lists the ids. exit_other: there is no such id.
 int explain(std::string id);
 
 enum class HowOften { live, once };
@@ -72,22 +72,22 @@ std::string ctl_help();
 
 struct ScanOptions {
   std::string root;    ///< a copy of another machine's /proc, /sys, /etc, /dev; empty: this machine
-  bool probe = false;  ///< read from the free addresses of I2C adapters
+  bool probe = false;  ///< reads from the free addresses of I2C adapters
   ShowAs show_as = ShowAs::text;
 };
 int scan(const Registry& registry, const ScanOptions& options);
 
 struct DoctorOptions {
-  std::string file;  ///< the configuration that is to run here; empty: none
-  std::string root;  ///< as that of ScanOptions
+  std::string file;  ///< the configuration to check on this machine; empty: none
+  std::string root;  ///< as in ScanOptions
   ShowAs show_as = ShowAs::text;
 };
-/// exit_good: notes at most; exit_loss: something costs timing or data; exit_configuration: something that the
-/// configuration needs cannot work, or it has mistakes.
+/// exit_good: nothing worse than notes; exit_loss: something costs timing or data; exit_configuration: the
+/// configuration has mistakes, or needs something that cannot work.
 int doctor(const Registry& registry, const DoctorOptions& options);
 
 struct BenchOptions {
-  Duration duration = std::chrono::seconds{60};  ///< of all parts together, about
+  Duration duration = std::chrono::seconds{60};  ///< approximate total of all parts
   std::string json_file;                         ///< empty: none
   std::optional<int> cpu;                        ///< the processor to sample on
 };

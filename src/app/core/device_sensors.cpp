@@ -15,8 +15,8 @@
 
 namespace rtdata::app {
 
-/// The buffer of an IIO device, which one sensor can have. By its name in the file: whether two names are of one device
-/// is seen when it runs.
+/// The buffer of an IIO device, for only one sensor, identified by the name in the file. Two names for the same device
+/// are only detected at run time.
 static PartPlan::Place buffer_of(const std::string& device, const std::string& root) {
   constexpr std::string_view prefix = "iio:device";
   std::string name = device;

@@ -1,4 +1,4 @@
-// The place of what is on a GPIO line. Private to the program.
+// The place of a part on a GPIO line. Private to the program.
 #pragma once
 
 #include <string>
@@ -7,7 +7,7 @@
 
 namespace rtdata::app {
 
-/// The line as it is written, which no two sensors of a configuration may have.
+/// The line as written in the file; only one sensor of a configuration may use it.
 inline PartPlan::Place place_of(std::string line, const std::string& chip) {
   if (!chip.empty()) line.insert(0, chip + ":");
   if (line.starts_with("/dev/")) line.erase(0, 5);

@@ -1,4 +1,4 @@
-// Where a machine goes on after a pause: what a recording says of it.
+// Finds the state in which a machine resumes after a pause, from a recording.
 #include <algorithm>
 
 #include "app/core/machines.hpp"
@@ -12,23 +12,23 @@ namespace {
 
 using fsm::MachineSettings;
 
-constexpr std::size_t most_runs = 100;  // that are looked at
+constexpr std::size_t most_runs = 100;  // number of runs to search
 
 struct LastKnown {
   RunInfo run;
   std::string state;
-  Duration in_state{0};           // when the run ended, as far as it is recorded
-  std::optional<Duration> pause;  // since then; none: no clock can say it
+  Duration in_state{0};           // at the end of the recorded run
+  std::optional<Duration> pause;  // since then; empty: no clock can measure it
 };
 
-/// Of the time between the end of what is recorded and now.
+/// The time between the end of the recorded data and now.
 std::optional<Duration> pause_since(const Recording& recording, const RunInfo& run, Time last, Loop& loop) {
   Clock& clock = loop.runtime().core().clock();
   if (run.boot_id == clock.boot_id()) {
     const MonotonicTime then{last.time_since_epoch() - run.clock_offset};
     return std::max(clock.monotonic() - then, Duration{0});
   }
-  // Another boot: only times of day can be compared, and both must be known to be right.
+  // After another boot only times of day can be compared, and both must be known to be right.
   if (!clock.accuracy()) return std::nullopt;
   const auto pairs = recording.clock(run.run);
   const bool was_right = pairs && std::any_of(pairs->begin(), pairs->end(),
@@ -89,7 +89,7 @@ std::optional<Resumed> resumed(Loop& loop, const MachineSettings& settings, cons
   const bool is_there = std::any_of(settings.states.begin(), settings.states.end(),
                                     [&](const fsm::StateSettings& state) { return state.name == last.state; });
   if (!is_there) {
-    tell(LogLevel::warning, "its last state, " + last.state + ", is no state of it any more, " + begins);
+    tell(LogLevel::warning, "its last state, " + last.state + ", is not a state of it any more, " + begins);
     return std::nullopt;
   }
   const bool is_fresh = last.pause ? *last.pause <= settings.resume->max_age
@@ -110,7 +110,7 @@ Result<bool> was_armed(const std::string& path, std::int64_t run, const std::str
   const Recording recording = Recording::open(path).or_throw();
   const std::vector<RunInfo> runs = recording.runs().or_throw();
   std::size_t looked_at = 0;
-  // Back from there: a reload begins a run without events of outputs that it does not touch.
+  // Searches backwards, because a run after a reload has no events of unchanged outputs.
   for (auto one = runs.rbegin(); one != runs.rend() && looked_at < most_runs; ++one) {
     if (one->run > run) continue;
     ++looked_at;

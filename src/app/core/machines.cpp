@@ -17,7 +17,7 @@
 namespace rtdata::app {
 namespace {
 
-/// With the tier that it runs on.
+/// A machine with its tier.
 struct PlacedMachine {
   fsm::MachineSettings own;
   config_detail::Placement placement;
@@ -35,7 +35,7 @@ bool arms(const fsm::MachineSettings& settings, const std::string& output) {
   });
 }
 
-/// What a state does to outputs.
+/// Sets outputs when states change.
 class OutputSetter {
  public:
   OutputSetter(Loop& loop, const Parts& parts, const fsm::MachineSettings& settings)
@@ -44,7 +44,7 @@ class OutputSetter {
       for (const fsm::OutputValue& one : state.set) outputs_[one.output] = parts.find<Output>("output", one.output);
       for (const std::string& name : state.arm) outputs_[name] = parts.find<Output>("output", name);
     }
-    std::erase_if(outputs_, [](const auto& output) { return output.second == nullptr; });  // a replay makes none
+    std::erase_if(outputs_, [](const auto& output) { return output.second == nullptr; });  // a replay makes no outputs
   }
   bool is_needed() const { return !outputs_.empty(); }
   void arrive(std::string_view name) {
@@ -61,12 +61,12 @@ class OutputSetter {
     loop_.core().call_there([&] { result = function(); });
     return std::move(*result);
   }
-  /// What an output has by the machine, and until when.
+  /// A value that the machine has set, with its remaining lease.
   struct Held {
     fsm::OutputValue value;
     MonotonicTime until;
   };
-  /// Of a value that somebody else set, or whose lease is over, nothing.
+  /// The values still set by the machine; not values with an expired lease or set by others.
   std::vector<Held> held() const {
     std::vector<Held> all;
     for (const fsm::OutputValue& one : set_) {
@@ -76,7 +76,7 @@ class OutputSetter {
     }
     return all;
   }
-  /// The machine goes, and none takes its place. What somebody else has set since stays.
+  /// Sets outputs safe when the machine is removed; values set by others since then stay.
   void leave_safe() {
     for (const fsm::OutputValue& one : std::exchange(set_, {})) {
       Output& output = *outputs_.at(one.output);
@@ -89,7 +89,7 @@ class OutputSetter {
                                      (done ? "being set to its safe value" : "not set safe: " + done.error().why));
     }
   }
-  /// Of the machine before: those that a reload has made anew get it again.
+  /// Sets the values of the previous machine again on outputs that a reload has restarted.
   void hold(const std::vector<Held>& before) {
     for (const auto& [one, until] : before) {
       const auto known = outputs_.find(one.output);
@@ -100,7 +100,7 @@ class OutputSetter {
         set(*known->second, one);
     }
   }
-  /// Those that were armed when the machine paused.
+  /// Arms the outputs that were armed when the machine paused.
   void arm_again(const Parts& parts, const std::string& recording, std::int64_t run) const {
     for (const PartPlan* plan : parts.plans()) {
       const auto known = plan->kind == "output" ? outputs_.find(plan->name) : outputs_.end();
@@ -134,7 +134,7 @@ class OutputSetter {
   const fsm::MachineSettings settings_;
   const std::string by_;
   std::map<std::string, Output*> outputs_;
-  std::vector<fsm::OutputValue> set_;  // by the machine, the last of each output
+  std::vector<fsm::OutputValue> set_;  // the last value set by the machine for each output
 };
 
 struct ActingMachine : fsm::ConfiguredMachine {
@@ -143,7 +143,7 @@ struct ActingMachine : fsm::ConfiguredMachine {
   std::shared_ptr<OutputSetter> setter;
 };
 
-/// The machine in whose place another is made.
+/// The machine that is replaced.
 struct MachineBefore {
   std::string state;
   MonotonicTime since;
@@ -151,7 +151,8 @@ struct MachineBefore {
   std::vector<OutputSetter::Held> held;
 };
 
-/// A change, and each state as a name that is true in it. Null: a state is called as a name cannot be.
+/// The description of a change, plus each state as a name that is true in it. Null: a state has a name that expressions
+/// cannot use.
 std::shared_ptr<const Description> with_states(const fsm::MachineSettings& settings) {
   DescriptionBuilder builder("state_change");
   builder.field("lasted", Kind::f64, "s");
@@ -160,7 +161,7 @@ std::shared_ptr<const Description> with_states(const fsm::MachineSettings& setti
   return described ? *described : nullptr;
 }
 
-/// Where a machine goes on that a reload makes anew. None: its state is not there any more, which is said.
+/// The state in which a machine continues after a reload. Empty: the state no longer exists, which is logged.
 std::optional<fsm::ConfiguredMachine::Beginning> after_reload(Loop& loop, const fsm::MachineSettings& settings,
                                                               const MachineBefore& before, MonotonicTime now) {
   const bool is_there = std::any_of(settings.states.begin(), settings.states.end(),
@@ -169,7 +170,7 @@ std::optional<fsm::ConfiguredMachine::Beginning> after_reload(Loop& loop, const 
     return fsm::ConfiguredMachine::Beginning{before.state, now - before.since, "reloaded", before.is_acted_on};
   loop.runtime().core().log(
       LogLevel::warning, "machine " + settings.name,
-      "it was in " + before.state + ", which is no state of it any more: it begins in " + settings.start);
+      "it was in " + before.state + ", which is not a state of it any more: it begins in " + settings.start);
   return std::nullopt;
 }
 
@@ -186,7 +187,7 @@ PartObject make(Loop& loop, const Parts& parts, const fsm::MachineSettings& sett
       if (plan->kind == "sink" && plan->name == settings.resume->recording) path = plan->stores->path;
     if (const auto last = before ? std::nullopt : resumed(loop, settings, path)) {
       beginning = last->beginning;
-      // Of one that a reload adds again, the outputs are as they are.
+      // If a reload adds the machine again, the outputs do not change.
       if (last->run.uuid != loop.runtime().core().run_uuid()) setter->arm_again(parts, path, last->run.run);
     }
     Sink& sink = parts.get<Sink>("sink", settings.resume->recording);
@@ -206,7 +207,8 @@ PartObject make(Loop& loop, const Parts& parts, const fsm::MachineSettings& sett
   return made;
 }
 
-/// One machine sets an output. That it follows no topic, and is on the same loop, is seen where parts are compared.
+/// Reserves the outputs: only one machine may set an output. The comparison of parts checks that the output follows no
+/// topic and is on the same loop.
 void take_outputs(PartPlan& plan, const fsm::MachineSettings& settings) {
   std::set<std::string> taken;
   for (const fsm::StateSettings& state : settings.states)

@@ -51,7 +51,7 @@ struct Command {
 
 constexpr Command commands[] = {
     {"init", "Write a starter file for this machine, ready to run", app::prepare_init},
-    {"run", "Run a configuration; Ctrl-C ends it and stores what is queued", app::prepare_run},
+    {"run", "Run a configuration; Ctrl-C ends it and stores the queued events", app::prepare_run},
     {"top", "Look at a running instance: rates, lateness, losses, sinks", app::prepare_top},
     {"ctl", "Command a running instance: rates, alarms, notes, reload", app::prepare_ctl},
     {"scan", "List the devices of this machine, with lines to paste", app::prepare_scan},
@@ -60,14 +60,14 @@ constexpr Command commands[] = {
     {"check", "Find every mistake in a configuration; exit 2 if there is any", app::prepare_check},
     {"graph", "Draw the machines of a configuration", app::prepare_graph},
     {"types", "List the types of sensors, sinks and formats with their parameters", app::prepare_types},
-    {"explain", "Say what an error means, by the id in brackets behind it", app::prepare_explain},
+    {"explain", "Explain an error, by the id in brackets behind it", app::prepare_explain},
 #ifdef RTDATA_WITH_SQLITE
     {"verify", "Check a recording: exit 0 balanced or sealed, 1 not, 2 unreadable", app::prepare_verify},
     {"info", "Sum up a recording", app::prepare_info},
     {"export", "Write out what was recorded", app::prepare_export},
     {"replay", "Give recorded events to sinks again, as they came or faster", app::prepare_replay},
     {"import", "Make a recording of a table in CSV", app::prepare_import},
-    {"forward", "Send what waits in a recording that was moved elsewhere", app::prepare_forward},
+    {"forward", "Send the backlog of a recording that was moved elsewhere", app::prepare_forward},
 #endif
 };
 
@@ -75,7 +75,7 @@ struct Part {
   const char* name;
   const char* library;
   const char* package;
-  const char* version = nullptr;  // that it was built with; null: it was built without it
+  const char* version = nullptr;  // version of the library; null: built without it
 };
 
 // clang-format off
@@ -118,7 +118,7 @@ constexpr Part parts[] = {
 };
 // clang-format on
 
-/// With the parts that there are, and those that were left out.
+/// The version, with the included and missing libraries.
 std::string version_text() {
   std::string text = "rtdata " RTDATA_VERSION;
   for (const Part& part : parts) {
@@ -132,7 +132,7 @@ std::string version_text() {
   return text;
 }
 
-/// What is wrong with a first argument that is no command.
+/// The message for an unknown command.
 std::string wrong_command(const std::string& word) {
   std::vector<std::string> names;
   for (const Command& command : commands) names.emplace_back(command.name);
@@ -144,7 +144,7 @@ std::string wrong_command(const std::string& word) {
          "; `rtdata --help` explains them";
 }
 
-/// What is wrong with arguments of a command that it does not know.
+/// The message for unknown arguments of a command.
 std::string wrong_argument(const CLI::App& command) {
   const std::vector<std::string> left = command.remaining();
   const auto option = std::find_if(left.begin(), left.end(),
@@ -165,8 +165,7 @@ int parse_and_run(const Registry& registry, int argc, char** argv) {
   program.footer(examples);
   program.require_subcommand(1);
 
-  // A subcommand that comes first is the only one that matters: the others are not even made, so that `run` starts
-  // soon.
+  // If the first argument is a subcommand, only that one is made, so that `run` starts quickly.
   const std::string_view first = argc > 1 ? argv[1] : "";
   const bool is_named = std::any_of(std::begin(commands), std::end(commands),
                                     [&](const Command& command) { return command.name == first; });
@@ -200,14 +199,14 @@ int parse_and_run(const Registry& registry, int argc, char** argv) {
   return app::exit_other;
 }
 
-/// While it lives, std::cout remembers why a write failed. It keeps no text, so any thread may print as before.
+/// While it lives, it stores the error of a failed write to std::cout. It buffers no text, so any thread may print.
 class StandardOutput final : public std::streambuf {
  public:
   StandardOutput() : to_(std::cout.rdbuf(this)) {}
   StandardOutput(const StandardOutput&) = delete;
   StandardOutput& operator=(const StandardOutput&) = delete;
   ~StandardOutput() override { std::cout.rdbuf(to_); }
-  /// False: something that was printed is lost, and that was said; but not of a reader that went away.
+  /// False: printed text was lost, and an error was shown. A closed pipe does not count.
   bool is_written() {
     std::cout.flush();
     const int failed = errno_.load();

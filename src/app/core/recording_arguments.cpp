@@ -13,7 +13,7 @@
 namespace rtdata::app {
 namespace {
 
-/// A whole number from there on. Without it, CLI11 takes -1 as the largest unsigned number.
+/// Accepts whole numbers from `least` on. Without it, CLI11 reads -1 as the largest unsigned number.
 CLI::Validator at_least(std::int64_t least) {
   const auto check = [least](const std::string& text) {
     std::int64_t number = 0;
@@ -31,7 +31,7 @@ Action prepare_verify(CLI::App& command) {
       "examples:\n  rtdata verify bench.db\n  rtdata verify bench.db --run 3\n  rtdata verify "
       "postgresql://rt@db.example/plant\nexit status:\n"
       "  0  balanced: every tick and event is accounted for, losses too; or sealed:\n"
-      "     so up to the kill or power cut that ended it; or being recorded\n"
+      "     so up to the kill or power failure that ended it; or being recorded\n"
       "  1  a run is not balanced, or not sealed yet: record into it again\n"
       "  2  unreadable or damaged");
   command.add_option("DB", options->database, "The recording, or a server: postgresql://...")->required();
@@ -71,12 +71,12 @@ Action prepare_export(CLI::App& command) {
   command.add_option("--origin", options->origin, "Only events of this sensor")->type_name("NAME");
   command.add_option("--from", options->from, "First time, as 2026-03-01T12:00:00Z or in ns")->type_name("TIME");
   command.add_option("--until", options->until, "First time that is left out")->type_name("TIME");
-  command.add_option("--limit", options->limit, "At most so many rows; 0: all")->check(at_least(0));
+  command.add_option("--limit", options->limit, "At most this many rows; 0: all")->check(at_least(0));
   command.add_option("--every", options->every, "Only each n-th row")->check(at_least(1));
   command
-      .add_option("--step", options->step,
-                  "Reduced: for each step of this length how many values, the least, the largest and the mean of each "
-                  "number")
+      .add_option(
+          "--step", options->step,
+          "Reduced: for each step of this length how many values, the least, the largest and the mean of each number")
       ->type_name("DURATION");
   add_flag(command, "--utc", options->times, Export::Times::utc,
            "Times as UTC, by the clock when it was right; --from and --until are UTC, too");
@@ -85,7 +85,7 @@ Action prepare_export(CLI::App& command) {
       "examples:\n  rtdata export bench.db --topic host/cpu --format csv --utc > cpu.csv\n"
       "  rtdata export bench.db --topic host/cpu --step 1min");
   return [options](const Registry&) {
-    // Rows on the same terminal say themselves how far it is.
+    // Rows on the same terminal already show the progress.
     if (::isatty(STDERR_FILENO) == 1 && (::isatty(STDOUT_FILENO) != 1 || !options->folder.empty()))
       options->progress = Export::Progress::shown;
     const WrappedOutput errors(std::cerr, STDERR_FILENO);
@@ -109,7 +109,8 @@ Action prepare_import(CLI::App& command) {
   command.add_option("--decimal", options->decimal, "The decimal mark of its numbers; default: \".\"")
       ->type_name("CHARACTER")
       ->check(CLI::IsMember({".", ","}));
-  command.add_option("--zone", options->zone, "Of times that say none: Z (UTC), or such as +01:00")->type_name("ZONE");
+  command.add_option("--zone", options->zone, "Time zone of times without one: Z (UTC), or such as +01:00")
+      ->type_name("ZONE");
   command.add_option("--topic", options->topic, "Topic; default: the file's name");
   command.add_option("--origin", options->origin, "Who made it; default: the file's name")->type_name("NAME");
   command.add_option("--into", options->database, "The recording; default: FILE with .db")->type_name("DB");
@@ -142,7 +143,7 @@ Action prepare_replay(CLI::App& command) {
   command.add_option("--topic", config.topics, "Topics or patterns; default: all")->expected(1, -1);
   command.add_option("--rename", config.rename, "OLD=NEW: the topic OLD, and those below it, become NEW")
       ->expected(1, -1);
-  command.add_option("--prefix", config.prefix, "Put before the names of the origins");
+  command.add_option("--prefix", config.prefix, "Prefix of the names of the origins");
   command.add_option("--from", config.from, "First time, in UTC as 2026-03-01T12:00:00Z, or as recorded in ns")
       ->type_name("TIME");
   command.add_option("--until", config.until, "First time that is left out")->type_name("TIME");

@@ -1,5 +1,5 @@
-// The subcommands of rtdata that read recordings. Each prints to `out`, its errors to `err`, and returns the exit code.
-// What `out` does not take is the caller's to tell.
+// The subcommands of rtdata that read recordings. Each prints to `out`, prints errors to `err`, and returns the exit
+// code. The caller reports failed writes to `out`.
 #pragma once
 
 #include <cstdint>
@@ -18,7 +18,7 @@ struct VerifyOptions {
   std::optional<std::int64_t> run = {};  // all of them unless given
   ShowAs show_as = ShowAs::text;
 };
-/// 0 balanced, sealed or being recorded; 1 a run is not balanced or not sealed, or there is none of that number; 2
+/// 0 balanced, sealed or being recorded; 1 a run is not balanced or not sealed, or there is no run of that number; 2
 /// unreadable.
 int verify(const VerifyOptions& options, std::ostream& out, std::ostream& err);
 
@@ -36,48 +36,48 @@ struct ExportOptions {
   std::string database;
   std::string topic = "#";
   std::string format = "csv";  // a name of CodecRegistry::standard(), or jsonl
-  std::string folder = {};     // a file a topic in it; empty: everything to `out`
+  std::string folder = {};     // folder for one file per topic; empty: everything goes to `out`
   enum class Existing { refuse, replace };
   Existing existing = Existing::refuse;  // replace: --overwrite
   std::optional<std::int64_t> run = {};
   std::optional<std::string> origin = {};
-  std::string from = {};   // first time taken, ISO 8601 or ns, as recorded or (--utc) UTC; empty: from the start
-  std::string until = {};  // first time not taken
+  std::string from = {};   // first time exported, ISO 8601 or ns, recorded or (--utc) UTC; empty: from the start
+  std::string until = {};  // first time not exported
   std::uint64_t limit = 0;
   std::uint64_t every = 1;
-  std::string step = {};  // --step: reduced to steps of this length; empty: each event
+  std::string step = {};  // --step: length of steps; empty: each event
   enum class Progress { hidden, shown };
   Progress progress = Progress::hidden;  // shown: on `err`, which is a terminal
   enum class Times { recorded, utc };
-  Times times = Times::recorded;  // utc: --utc, after the clock was set right, as ISO 8601 in CSV
+  Times times = Times::recorded;  // utc: --utc, corrected times, as ISO 8601 in CSV
   enum class Header { names, names_and_units };
   Header header = Header::names;
 };
-/// 0; 1 when it cannot be exported so, or there is no such run, topic or origin; 2 unreadable.
+/// 0; 1 if the export is not possible, or there is no such run, topic or origin; 2 unreadable.
 int export_recording(const ExportOptions& options, std::ostream& out, std::ostream& err);
 
 struct ImportOptions {
-  std::string file;             // CSV whose first row names the columns, with units as "speed [m/s]"
+  std::string file;             // CSV with column names in the first row, and units as in "speed [m/s]"
   std::string time_column;      // its heading
-  std::string scale = "1 s";    // what 1 in that column is; times in ISO 8601 need none
-  std::string start = {};       // ISO 8601: what 0 there is; empty: 1970
+  std::string scale = "1 s";    // duration of 1 in that column; not used for ISO 8601
+  std::string start = {};       // time of 0 in that column, ISO 8601; empty: 1970
   std::string separator = ",";  // a character, or "tab"
-  std::string decimal = {};     // "." or ","; empty: the former, and what looks like the latter is refused
-  std::string zone = {};        // "Z", "+01:00": of times that say none; empty: they are refused
+  std::string decimal = {};     // "." or ","; empty: ".", and numbers that look like "," are refused
+  std::string zone = {};        // "Z", "+01:00": for times without a zone; empty: these are refused
   std::string topic = {};       // empty: the file's name
   std::string origin = {};      // empty: the file's name
-  std::string database = {};    // empty: FILE.db; one that exists is added to
+  std::string database = {};    // empty: FILE.db; adds to an existing one
 };
-/// 0; 1 when nothing, or not all, was imported: the error says which row.
+/// 0; 1 if nothing, or not all, was imported: the error names the row.
 int import_table(const ImportOptions& options, std::ostream& out, std::ostream& err);
 
 struct ReplayOptions {
   ReplayConfig config;             // run 0: all of them, one after the other
-  std::string configuration = {};  // whose sinks get the events; empty: the terminal
+  std::string configuration = {};  // its sinks get the events; empty: the terminal
   bool is_virtual = false;         // --speed max: as fast as it goes, in virtual time
   bool is_quiet = false;
 };
-/// 0; 1 not all was replayed, or stored; 2 unreadable, or mistakes in the configuration.
+/// 0; 1 not everything was replayed or stored; 2 unreadable, or mistakes in the configuration.
 int replay(const Registry& registry, const ReplayOptions& options);
 
 }  // namespace rtdata::app

@@ -9,19 +9,19 @@ namespace rtdata {
 static constexpr auto parameters(type_tag<SqliteConfig>) {
   return parameter_list(
       parameter("path", &SqliteConfig::path, "the file; one that exists is added to", required, TextIs::output_file),
-      parameter(
-          "profile", &SqliteConfig::profile,
-          "what a power cut may cost: normal: 30 s, safe: what was not committed, fast: the file; card: for SD cards, "
-          "10 s at risk",
-          choices(value("normal", SqliteProfile::normal), value("safe", SqliteProfile::safe),
-                  value("fast", SqliteProfile::fast), value("card", SqliteProfile::card))),
+      parameter("profile", &SqliteConfig::profile,
+                "what a power failure may cost: normal: 30 s, safe: what was not committed, fast: the file; card: for "
+                "SD cards, "
+                "10 s at risk",
+                choices(value("normal", SqliteProfile::normal), value("safe", SqliteProfile::safe),
+                        value("fast", SqliteProfile::fast), value("card", SqliteProfile::card))),
       parameter("max_bytes", &SqliteConfig::max_bytes,
                 "the oldest rows are deleted when the recording takes more; 0: no limit, else 4 MiB at least",
                 unit("By")),
       parameter("max_age", &SqliteConfig::max_age, "rows older than this are deleted; 0 s: no limit",
                 range(std::chrono::seconds{0}, std::chrono::hours{24 * 36500})),
       parameter("permissions", &SqliteConfig::permissions,
-                "who may read and write a file that is made, in octal digits, less the umask", TextIs::permissions),
+                "permissions of a new file, in octal digits, minus the umask", TextIs::permissions),
       include_member(&SqliteConfig::sink));
 }
 

@@ -21,7 +21,7 @@
 namespace rtdata::app {
 namespace {
 
-/// The shipped formats, and those of this sink alone, and no others.
+/// Accepts only the included formats and those of this sink.
 void check_format(const std::string& name, std::initializer_list<const char*> own, const ConfigItem& item,
                   Problems& problems) {
   std::vector<std::string> formats = CodecRegistry::standard().names();

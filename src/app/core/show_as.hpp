@@ -1,4 +1,4 @@
-// Whether a subcommand prints for people or for programs. Private to the program.
+// Selects output for people or for programs. Private to the program.
 #pragma once
 
 namespace rtdata::app {

@@ -8,16 +8,16 @@
 
 namespace rtdata::app {
 
-/// A table for people: first row the heading; columns whose heading begins with '>' are aligned to the right. Columns
-/// are parted by two blanks, lines end with a newline and have no blanks before it.
+/// A table for people: first row the heading; columns whose heading begins with '>' are aligned to the right. Two
+/// blanks separate columns; lines end with a newline, without blanks before it.
 class Table {
  public:
   explicit Table(std::vector<std::string> heading);
   /// `note`: a line below it, such as why something is not ok; empty: none.
   void add(std::vector<std::string> row, std::string note = {});
   bool empty() const noexcept { return rows_.size() < 2; }
-  /// Where it is wider than `columns` (0: never), the first column gets narrower: what does not fit it has a line of
-  /// its own, and the rest of its row follows.
+  /// If the table is wider than `columns` (0: no limit), the first column becomes narrower: a cell that does not fit
+  /// gets its own line, and the rest of its row follows.
   std::string text(std::string_view indent = "", std::size_t columns = 0) const;
 
  private:

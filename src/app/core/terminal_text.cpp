@@ -11,7 +11,7 @@
 namespace rtdata::app {
 namespace {
 
-/// Where the rest of a line goes on: under its last column that begins in the first two thirds, else by two.
+/// The indentation of a broken line: under its last column that begins in the first two thirds, otherwise two.
 std::size_t indent_of(std::string_view line, std::size_t columns) {
   const std::size_t begin = std::min(line.find_first_not_of(' '), line.size());
   std::size_t indent = begin + 2;
@@ -99,7 +99,7 @@ std::string for_terminal(std::string_view text, std::size_t columns) {
 WrappedOutput::WrappedOutput(std::ostream& stream, int fd)
     : stream_(stream), to_(stream.rdbuf()), columns_(columns_of(fd)), flags_(stream.flags()) {
   if (columns_ == 0) return;
-  stream.unsetf(std::ios::unitbuf);  // or a line of standard error would come in pieces
+  stream.unsetf(std::ios::unitbuf);  // otherwise a line of standard error would be written in pieces
   stream.rdbuf(this);
 }
 

@@ -1,4 +1,4 @@
-// Text as wide as the terminal that it goes to. What goes elsewhere (a pipe, a file) is not touched.
+// Wraps text at the width of the terminal. Output to a pipe or file is not changed.
 #pragma once
 
 #include <cstddef>
@@ -9,24 +9,24 @@
 
 namespace rtdata::app {
 
-/// Columns of the terminal behind a file descriptor, 80 where it does not know; 0: there is none.
+/// The columns of the terminal of a file descriptor; 80 if unknown; 0: not a terminal.
 std::size_t columns_of(int fd);
 
-/// Breaks lines that are wider than `columns` at blanks. What is broken off hangs under the last column of a line that
-/// looks like one of a table, else two to the right of its beginning. A word that is wider stays whole, so that a path
-/// can be copied; so do lines with escape sequences. `columns` 0: the text as it is.
+/// Breaks lines that are wider than `columns` at blanks. The rest is indented under the last column of a line that
+/// looks like a table row, otherwise by two. Longer words are not broken, so that a path can be copied, and neither are
+/// lines with escape sequences. `columns` 0: no change.
 std::string wrapped(std::string_view text, std::size_t columns);
 
-/// With '?' for control characters, and bytes that are no UTF-8: what a device or somebody else's file says must not
-/// command the terminal.
+/// Replaces control characters and bytes that are not UTF-8 by '?', because text from a device or another file must not
+/// control the terminal.
 std::string printable(std::string_view text);
 
-/// For a terminal of so many columns: control characters but line ends and tabs as \xHH, and broken as above. `columns`
-/// 0: the text as it is.
+/// For a terminal with `columns` columns: writes control characters, except line ends and tabs, as \xHH, and wraps as
+/// above. `columns` 0: no change.
 std::string for_terminal(std::string_view text, std::size_t columns);
 
-/// While it lives, lines printed to a stream are made for the terminal behind `fd`, if there is one. For what is
-/// read by people, never for data. Thread: one prints.
+/// While it lives, wraps lines printed to a stream for the terminal of `fd`, if it is one. For text for people, not for
+/// data. Thread: one at a time.
 class WrappedOutput final : public std::streambuf {
  public:
   WrappedOutput(std::ostream& stream, int fd);
@@ -45,7 +45,7 @@ class WrappedOutput final : public std::streambuf {
   std::streambuf* const to_;
   const std::size_t columns_;
   const std::ios::fmtflags flags_;  // of the stream before
-  std::string line_;                // that is not complete
+  std::string line_;                // the incomplete line
 };
 
 }  // namespace rtdata::app

@@ -9,15 +9,15 @@ namespace {
 
 constexpr std::size_t most_kept = 1000;
 
-/// Of a payload that has these fields.
+/// The text of a field in the payload.
 std::string word(const CourseEvent& event, std::string_view field) {
   for (const auto& [name, value] : event.values)
     if (name == field) return std::holds_alternative<std::monostate>(value) ? std::string() : to_string(value);
   return {};
 }
 
-/// False: a command that is no note.
-bool tell_note(CourseEvent& event) {
+/// False: the command is not a note.
+bool fill_note(CourseEvent& event) {
   constexpr std::string_view verb = "note ";
   const std::string command = word(event, "command");
   event.text = command.substr(std::min(verb.size(), command.size()));
@@ -26,7 +26,7 @@ bool tell_note(CourseEvent& event) {
   return command.starts_with(verb);
 }
 
-bool tell_alarm(CourseEvent& event) {
+bool fill_alarm(CourseEvent& event) {
   const std::string value = word(event, "value"), limit = word(event, "limit");
   const bool is_active = word(event, "is_active") == "true";
   event.text = is_active ? word(event, "alarm") : "normal";
@@ -36,7 +36,7 @@ bool tell_alarm(CourseEvent& event) {
   return true;
 }
 
-bool tell_state(CourseEvent& event) {
+bool fill_state(CourseEvent& event) {
   const std::string from = word(event, "from"), cause = word(event, "cause");
   event.text = (from.empty() ? "" : from + " -> ") + word(event, "to") + (cause.empty() ? "" : " (" + cause + ")");
   return true;
@@ -51,9 +51,9 @@ struct Kind {
 
 const std::vector<Kind>& kinds() {
   static const std::vector<Kind> all{
-      {"command", {"command", "by"}, tell_note, &Course::notes},
-      {"alarm", {"level", "alarm", "is_active", "acknowledged", "value", "limit"}, tell_alarm, &Course::alarms},
-      {"state_change", {"from", "to", "cause", "lasted"}, tell_state, &Course::states}};
+      {"command", {"command", "by"}, fill_note, &Course::notes},
+      {"alarm", {"level", "alarm", "is_active", "acknowledged", "value", "limit"}, fill_alarm, &Course::alarms},
+      {"state_change", {"from", "to", "cause", "lasted"}, fill_state, &Course::states}};
   return all;
 }
 

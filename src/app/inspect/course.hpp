@@ -13,7 +13,7 @@ namespace rtdata::app {
 
 struct CourseEvent {
   Time time{};         ///< as recorded
-  std::string object;  ///< the limit or machine; of a note who made it
+  std::string object;  ///< the limit or machine; for a note, who made it
   std::string text;    ///< for people, without the object
   std::vector<std::pair<std::string, Value>> values;
 };
@@ -28,7 +28,7 @@ struct Course {
   CourseEvents notes, alarms, states;
 };
 
-/// `topics`: of the recording. What is in their payloads says which they are.
+/// `topics`: all of the recording; their payloads show which ones are relevant.
 Course course_of(const Recording& recording, const std::vector<RecordedTopic>& topics, std::int64_t run);
 
 }  // namespace rtdata::app

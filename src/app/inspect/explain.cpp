@@ -30,7 +30,7 @@ std::vector<Section> sections_of(std::string_view page) {
   return sections;
 }
 
-/// Without the marks of Markdown. Lines of one paragraph are one line, which a terminal breaks where it ends.
+/// Removes the Markdown marks and joins the lines of a paragraph; the terminal output wraps it again.
 std::string plain(std::string_view markdown) {
   std::string text;
   bool is_code = false;

@@ -17,7 +17,7 @@
 namespace rtdata::app {
 namespace {
 
-/// "+01:00", this machine's at that time of its own.
+/// "+01:00", this machine's time zone at that local time.
 std::string zone_at(Time time) {
   const auto seconds = static_cast<std::time_t>(to_nanoseconds(time) / 1'000'000'000);
   std::tm here{};
@@ -50,7 +50,7 @@ std::string list_of(const std::set<std::string>& names) {
   return text.empty() ? "nothing" : text;
 }
 
-/// Throws SetupError: there is no such run, topic or origin in the recording, whatever the time.
+/// Throws SetupError if the recording has no such run, topic or origin at any time.
 void find(const Recording& recording, const RowFilter& filter) {
   const auto missing = [&](std::string why) {
     throw SetupError({Errc::not_found, "cannot export", recording.path(), std::move(why),
@@ -72,7 +72,7 @@ void find(const Recording& recording, const RowFilter& filter) {
   if (filter.run && !numbers.contains(std::to_string(*filter.run)))
     missing("there is no " + of_run + "; its runs are " + list_of(numbers));
   if (is_there || (filter.topic == "#" && !filter.origin)) return;
-  // A run that goes on, or was killed, may have rows before its first account.
+  // A running or killed run may have rows before its first account.
   auto rows = recording.rows({.topic = filter.topic, .run = filter.run, .origin = filter.origin}).or_throw();
   if (rows.next().or_throw() != nullptr) return;
   if (origins.empty()) missing(of_run + " has no topic " + filter.topic + "; there is " + list_of(topics));
@@ -80,23 +80,23 @@ void find(const Recording& recording, const RowFilter& filter) {
           list_of(origins));
 }
 
-/// Reports rows that are left out, which is an error.
-int tell_refused(std::ostream& err, const ExportCount& count) {
+/// Reports refused rows, which is an error.
+int report_refused(std::ostream& err, const ExportCount& count) {
   if (count.refused == 0) return 0;
   err << "rtdata: " << count.refused << (count.refused == 1 ? " row was" : " rows were")
       << " left out, the first: " << count.refusal.text() << "\n";
   return 1;
 }
 
-/// Rows of several runs: what says which they are of.
-void tell_runs(std::ostream& err, const Recording& recording, const ExportOptions& options) {
+/// For rows of several runs: explains which column shows the run.
+void report_runs(std::ostream& err, const Recording& recording, const ExportOptions& options) {
   const auto runs = recording.runs();
   if (!runs || runs->size() < 2 || options.run || options.format == "raw") return;
   err << "rtdata: of " << runs->size() << " runs: `run` says of which each row is"
       << (options.format == "csv" ? "" : ", by its uuid") << "; --run takes one\n";
 }
 
-/// A line on a terminal that says how far it is, once it has taken a second.
+/// A progress line on the terminal, shown after one second.
 class Progress {
  public:
   Progress(std::ostream& err, bool is_shown)
@@ -157,19 +157,19 @@ int export_recording(const ExportOptions& options, std::ostream& out, std::ostre
     progress.clear();
     if (!made && !out) return 1;
     const ExportCount& count = made.or_throw();
-    if (count.rows != 0) tell_runs(err, recording, options);
+    if (count.rows != 0) report_runs(err, recording, options);
     if (count.rows + count.refused == 0)
       err << "rtdata: no rows: " << recording.path() << " has none of what was asked for\n";
-    return tell_refused(err, count);
+    return report_refused(err, count);
   }
   auto made = export_files(recording, config, options.folder);
   progress.clear();
   const auto& counts = made.or_throw();
   int status = 0;
-  if (!counts.empty()) tell_runs(err, recording, options);
+  if (!counts.empty()) report_runs(err, recording, options);
   for (const ExportCount& count : counts) {
     out << count.path << ": " << count.rows << (count.rows == 1 ? " row\n" : " rows\n");
-    status = std::max(status, tell_refused(err, count));
+    status = std::max(status, report_refused(err, count));
   }
   return status;
 } catch (const SetupError& error) {

@@ -1,4 +1,4 @@
-// rtdata import: makes a recording of somebody's table, so that it can be verified, read and exported as any other.
+// rtdata import: makes a recording from a table, to verify, read and export it like any other recording.
 #include <algorithm>
 #include <cctype>
 #include <cmath>
@@ -27,7 +27,7 @@
 namespace rtdata::app {
 namespace {
 
-/// What the table is, found by reading it once.
+/// The structure of the table, found by reading it once.
 struct Found {
   std::vector<ImportColumn> columns;  // all of the file
   std::size_t time_column = 0;
@@ -39,7 +39,7 @@ struct Found {
 /// How to write a separator on the command line.
 std::string shown_separator(char separator) { return separator == '\t' ? "tab" : std::string("\"") + separator + "\""; }
 
-/// What separates the columns, when it is another character than was said: how to say it. Empty: not known.
+/// The option for the probable separator, if the given one is wrong. Empty: unknown.
 std::string separator_advice(const ImportOptions& options, char said) {
   std::ifstream in(options.file, std::ios::binary);
   std::string head, row;
@@ -69,7 +69,7 @@ std::string separator_advice(const ImportOptions& options, char said) {
 void check_text(const ImportRows& table, const ImportColumn& column, const std::string& text, const std::string& file) {
   if (detail::is_readable(text)) return;
   refuse(table.where(),
-         "the text \"" + detail::readable(text.substr(0, 40)) + "\" in column " + column.heading + " is no UTF-8",
+         "the text \"" + detail::readable(text.substr(0, 40)) + "\" in column " + column.heading + " is not UTF-8",
          "convert the file: iconv -f WINDOWS-1252 -t UTF-8 " + file);
 }
 
@@ -83,7 +83,7 @@ Found look_at(const ImportOptions& options, const ImportNotation& notation) {
   std::vector<std::string_view> headings;
   for (const detail::CsvCell& cell : cells) {
     if (!detail::is_readable(cell.text))
-      refuse(table.where(), "the heading \"" + detail::readable(cell.text.substr(0, 40)) + "\" is no UTF-8",
+      refuse(table.where(), "the heading \"" + detail::readable(cell.text.substr(0, 40)) + "\" is not UTF-8",
              "convert the file: iconv -f WINDOWS-1252 -t UTF-8 " + options.file);
     ImportColumn& column = found.columns.emplace_back();
     column.heading = cell.text;
@@ -125,12 +125,12 @@ Found look_at(const ImportOptions& options, const ImportNotation& notation) {
                              is_number(when, ',', number) && !may_have_thousands(when);
       const bool has_date = when.size() >= 10 && when[4] == '-' && when[7] == '-';
       refuse(table.where(),
-             "\"" + detail::readable(when.substr(0, 64)) + "\" in column " + options.time_column + " is no time" +
+             "\"" + detail::readable(when.substr(0, 64)) + "\" in column " + options.time_column + " is not a time" +
                  (is_beyond  ? " that can be recorded, which are those from 1678 to 2261"
                   : has_date ? ": " + time.error().why
                              : ""),
-             is_start                                   ? "look at --start"
-             : is_beyond                                ? "look at --scale" + scale_of(number)
+             is_start                                   ? "check --start"
+             : is_beyond                                ? "check --scale" + scale_of(number)
              : has_comma                                ? "its numbers have decimal commas: write --decimal ,"
              : has_date && !time.error().advice.empty() ? time.error().advice
                                                         : "a number, or a time as 2026-03-01T12:00:00Z");
@@ -153,7 +153,7 @@ Found look_at(const ImportOptions& options, const ImportNotation& notation) {
   }
   if (found.rows == 0) refuse(options.file, "it has no rows", "");
   if (detail::span_between(found.first, found.last) == Duration::max())
-    refuse(options.file, "its times span more than 292 years", "look at --scale");
+    refuse(options.file, "its times span more than 292 years", "check --scale");
   for (ImportColumn& column : found.columns) {
     column.look_at_all();
     if (options.decimal.empty() && column.seems_to_have_decimal_commas())
@@ -174,7 +174,7 @@ Found look_at(const ImportOptions& options, const ImportNotation& notation) {
   return found;
 }
 
-/// The number of rows, of which those that are `moved` got another time than they have in the file.
+/// Records the rows and returns their number. `moved`: how many got a later time than in the file.
 std::uint64_t record(const ImportOptions& options, const Found& found, const ImportNotation& notation,
                      std::uint64_t& moved) {
   ManualClock clock(found.first - Duration{1});
@@ -184,9 +184,9 @@ std::uint64_t record(const ImportOptions& options, const Found& found, const Imp
   loop.on_error([&](const ErrorReport& report) {
     if (!failed) failed = report.error;
   });
-  // First, since a wrong name is refused before there is a file.
+  // Made first, so that a wrong name is refused before there is a file.
   AnyFeed feed(loop, {.name = options.origin, .topic = options.topic}, found.description);
-  // Time passes as fast as it goes: what is stored together is a matter of memory, not of time.
+  // Virtual time passes as fast as possible, so batches are limited by memory, not by time.
   SqliteSink sink(loop, {.path = options.database, .sink = {.batch_time = std::chrono::hours{1}}});
   ImportRows table(options.file, notation.separator);
   std::vector<detail::CsvCell> cells;
@@ -205,7 +205,7 @@ std::uint64_t record(const ImportOptions& options, const Found& found, const Imp
       const Value value = value_of(found.columns[i], cells[i]);
       if (!write(found.description->leaves()[leaf++], payload.data(), value)) changed();
     }
-    // As the feed does: events of one origin follow each other in time.
+    // As in the feed: times of one origin must increase.
     const Time given = std::max(*time, last + Duration{1});
     if (given != *time) ++moved;
     loop.advance(given - last);
@@ -229,12 +229,12 @@ ImportNotation notation_of(const ImportOptions& options) {
   const std::string& said = options.separator;
   const char separator = said == "tab" || said == "\\t" ? '\t' : said.size() == 1 ? said[0] : '\0';
   if (separator != '\t' && (separator < ' ' || separator == '"' || std::isalnum(static_cast<unsigned char>(separator))))
-    refuse("--separator " + said, "it is no character between cells", "such as \";\", or tab");
+    refuse("--separator " + said, "it is not a character between cells", "such as \";\", or tab");
   notation.separator = separator;
   if (options.decimal == ",") notation.decimal = ',';
   if (separator == notation.decimal) refuse("--separator " + said, "it is the decimal mark, too", "set --decimal");
   if (!notation.zone.empty() && !parse_iso8601("2026-03-01T12:00:00" + notation.zone))
-    refuse("--zone " + notation.zone, "it is no time zone", "Z, which is UTC, or such as +01:00");
+    refuse("--zone " + notation.zone, "it is not a time zone", "Z, which is UTC, or such as +01:00");
   return notation;
 }
 

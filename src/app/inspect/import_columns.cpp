@@ -21,7 +21,7 @@ std::string_view array_of(std::string_view heading, std::size_t& index) {
   return detail::read_number(number, index) == std::errc{} ? heading.substr(0, open) : std::string_view();
 }
 
-/// Where the bracket opens that the last character closes: units have brackets of their own, such as [m[H2O]].
+/// The position of the bracket that the last character closes; units contain brackets too, such as [m[H2O]].
 std::size_t opening_bracket(std::string_view heading) {
   int depth = 0;
   for (std::size_t at = heading.ends_with(']') ? heading.size() : 0; at-- > 0;) {
@@ -39,7 +39,7 @@ void make_name(std::string& text) {
     if (detail::lower_case(text) == taken) text += "_";
 }
 
-/// How many columns from this one on are the elements of an array, all of them numbers; 0: it is none.
+/// How many columns from this one on are elements of an array of numbers; 0: not an array.
 std::size_t array_size(std::span<const ImportColumn> columns) {
   std::size_t size = 0;
   for (const ImportColumn& column : columns) {
@@ -50,7 +50,7 @@ std::size_t array_size(std::span<const ImportColumn> columns) {
   return size;
 }
 
-/// The name, or with a number after it, as no column has it.
+/// The name, with a number after it if a column already has it.
 std::string free_name(const std::string& name, const std::vector<ImportColumn>& columns) {
   std::string free = name;
   const auto is_taken = [&](const ImportColumn& column) {

@@ -13,21 +13,21 @@
 
 namespace rtdata::app {
 
-/// A column, and what all its cells that were looked at can be.
+/// A column, and the types that all its cells so far can have.
 struct ImportColumn {
   std::string heading, name, unit;
-  std::string array;  // of which it is an element, as of "accel[0]"; empty: none
+  std::string array;  // its array, as for "accel[0]"; empty: none
   std::size_t index = 0;
   char decimal = '.';
-  // What all its cells can be.
+  // The types that all its cells can have.
   bool can_be_integer = true, can_be_number = true, has_empty = false, has_any = false;
   bool has_large = false;
   bool can_be_with_comma = true, has_comma = false;  // a number with a decimal comma
-  bool can_be_thousands = true;                      // what has commas may have those of thousands
-  bool are_whole = true;                             // numbers without a fraction, or with commas as of thousands
+  bool can_be_thousands = true;                      // its commas may be thousands separators
+  bool are_whole = true;                             // no fractions; commas may separate thousands
   std::size_t longest = 1;
 
-  /// Integers of which some would change as doubles stay texts.
+  /// Integers that are not exact as doubles stay texts.
   void look_at_all() { can_be_number = can_be_number && (can_be_integer || !has_large); }
   bool seems_to_have_decimal_commas() const {
     return has_any && !can_be_number && can_be_with_comma && has_comma && !can_be_thousands;
@@ -43,12 +43,12 @@ struct ImportColumn {
 /// "chamber temperature [Cel]" is the field chamber_temperature in Cel; of "imu.ax", ax where that is unique.
 void name_columns(std::vector<ImportColumn>& columns);
 
-/// The payload of all columns with values but the one of time; of numbers "accel[0]", "accel[1]" an array, whose
-/// elements are named after it. `file`: for errors, which are bad-argument and those of DescriptionBuilder.
+/// The description of all columns with values, without the time column; number columns "accel[0]", "accel[1]" become an
+/// array. `file`: for error messages. Errors: bad-argument and those of DescriptionBuilder.
 Result<std::shared_ptr<const Description>> describe_columns(std::vector<ImportColumn>& columns, std::size_t time_column,
                                                             const std::string& file);
 
-/// The cell as its column is described.
+/// The value of the cell, in the type of its column.
 Value value_of(const ImportColumn& column, const detail::CsvCell& cell);
 
 }  // namespace rtdata::app

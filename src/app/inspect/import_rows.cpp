@@ -16,7 +16,7 @@ constexpr std::size_t longest_row = std::size_t{1} << 20;
 
 Result<bool> ImportRows::next(std::vector<detail::CsvCell>& cells) {
   std::string row, line;
-  bool is_quoted = false;  // the row does not end with this line, which ends within quotes
+  bool is_quoted = false;  // the row continues on the next line, because this one ends within quotes
   line_ = next_line_;
   while (std::getline(in_, line)) {
     ++next_line_;
@@ -40,7 +40,7 @@ Result<bool> ImportRows::next(std::vector<detail::CsvCell>& cells) {
     cells = *std::move(split);
     for (detail::CsvCell& cell : cells) {
       if (cell.quoted) continue;
-      // Blanks around a cell do not count, as on a serial line.
+      // Blanks around a cell are removed, as on a serial line.
       cell.text.erase(0, std::min(cell.text.find_first_not_of(" \t"), cell.text.size()));
       cell.text.erase(cell.text.find_last_not_of(" \t") + 1);
     }

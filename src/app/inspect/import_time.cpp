@@ -12,8 +12,8 @@
 namespace rtdata::app {
 namespace {
 
-/// `scale` times a number such as "1795665132.554291437", to the nearest nanosecond: a double would be up to 119 ns
-/// beside a time of today. None: it is written otherwise, or is too large.
+/// `scale` times a number such as "1795665132.554291437", exact to the nanosecond (a double would be wrong by up to 119
+/// ns). Empty: another notation, or too large.
 std::optional<Duration> exact_time(std::string_view text, char decimal, Duration scale) {
   const bool is_negative = text.starts_with('-');
   if (is_negative || text.starts_with('+')) text.remove_prefix(1);
@@ -40,7 +40,7 @@ std::optional<Duration> exact_time(std::string_view text, char decimal, Duration
   return Duration{is_negative ? -ns : ns};
 }
 
-/// None: it is no time that can be recorded, which are those from 1678 to 2261.
+/// Empty: the time cannot be recorded (only 1678 to 2261).
 std::optional<Time> later_than(Time start, Duration by) {
   constexpr std::int64_t most = 9'200'000'000'000'000'000;
   std::int64_t sum = 0;
@@ -73,7 +73,7 @@ bool may_have_thousands(const std::string& text) {
   return true;
 }
 
-/// By which this would be a time of these decades, since 1970: "; with --scale 1ns it is 2026-03-01". Empty: by none.
+/// A scale that gives a time in these decades, counted from 1970: "; with --scale 1ns it is 2026-03-01". Empty: none.
 std::string scale_of(double number) {
   for (const auto& [scale, name] : {std::pair{1, "1ns"}, {1'000, "1us"}, {1'000'000, "1ms"}}) {
     const double seconds = number * scale / 1e9;
@@ -92,7 +92,7 @@ Result<Time> time_of(const std::string& text, const ImportNotation& notation) {
     if (!since_start && std::abs(ns) < 9.2e18) since_start = Duration{std::llround(ns)};
     const auto time = since_start ? later_than(notation.start, *since_start) : std::nullopt;
     if (time) return *time;
-    return import_refused("", text + " is no time that can be recorded", "look at --scale and --start");
+    return import_refused("", text + " is not a time that can be recorded", "check --scale and --start");
   }
   // The end of a day, as tables of weather have it.
   constexpr std::size_t hour = 11;

@@ -37,13 +37,14 @@ std::string table_of(const std::vector<TopicSummary>& topics) {
     add(topic.unreadable, "unreadable");
     add(topic.late, "late");
     add(topic.lost.value_or(0), "lost by the source");
-    add(topic.first_lines, topic.first_lines == 1 ? "first line thrown away" : "first lines thrown away");
+    add(topic.first_lines, topic.first_lines == 1 ? "first line discarded" : "first lines discarded");
     if (topic.outages.number != 0) losses += (losses.empty() ? "" : ", ") + to_string(topic.outages);
     if (topic.pruned != 0)
       losses += (losses.empty() ? "" : ", ") + std::to_string(topic.pruned) +
                 " more rows were pruned (max_age, max_bytes)";
     if (topic.repeated != 0)
-      losses += (losses.empty() ? "" : "; ") + count_of(topic.repeated) + " repeated by the source, which is no loss";
+      losses += (losses.empty() ? "" : "; ") + count_of(topic.repeated) +
+                " repeated by the source, which is not a loss";
     if (!topic.made_of_it.empty())
       losses += (losses.empty() ? "" : "; ") +
                 ("not recorded itself: account of what is made of it, " + detail::listed(topic.made_of_it));
@@ -96,7 +97,7 @@ Json json_of(const RunInfo& run, const UtcLine& line) {
   return json;
 }
 
-/// With the keys of a running instance's status, as far as a recording knows them.
+/// Uses the keys of a running instance's status, as far as a recording has the values.
 Json json_of(const TopicSummary& topic) {
   const auto rate = [](double hertz) { return hertz > 0 ? Json(hertz) : Json(); };
   const auto time = [](const std::optional<Time>& at) { return at ? Json(to_nanoseconds(*at)) : Json(); };
@@ -143,7 +144,7 @@ Json json_of(const Value& value) {
       value);
 }
 
-/// What is read of a recording before anything is printed.
+/// The data read from a recording before anything is printed.
 struct Content {
   std::vector<RunInfo> runs;
   std::vector<UtcLine> lines;  // of these
@@ -189,7 +190,7 @@ Content read(const Recording& recording, std::optional<std::int64_t> wanted, Inf
   return content;
 }
 
-/// "missed 12: reason", "disconnected: reason"; of gaps that were joined, how many there were together.
+/// "missed 12: reason", "disconnected: reason"; for joined gaps, with their number.
 std::string described(const RecordedGap& gap) {
   if (gap.kind == "joined") {
     return "several gaps joined" + (gap.count > 0 ? ", " + std::to_string(gap.count) + " together" : std::string()) +
@@ -199,7 +200,7 @@ std::string described(const RecordedGap& gap) {
          (gap.reason.empty() || gap.reason == gap.kind ? "" : ": " + gap.reason);
 }
 
-/// The first of them, a wrapped line each; nothing when there are none.
+/// Prints the first items, a wrapped line each; prints nothing if there are none.
 template <class Item, class Text>
 void print_first(const std::vector<Item>& items, std::size_t most, const std::string& heading, std::ostream& out,
                  const Text& text_of_item) {

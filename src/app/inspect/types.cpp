@@ -16,7 +16,7 @@
 namespace rtdata::app {
 namespace {
 
-/// `columns`: of the terminal, on which long lists of choices do not widen their column; 0: there is none.
+/// `columns`: of the terminal, so that long lists of choices do not widen their column; 0: not a terminal.
 void add_parameters(Table& table, const std::vector<ParameterInfo>& parameters, const std::string& indent,
                     std::size_t columns) {
   constexpr std::size_t widest = 16;
@@ -43,7 +43,7 @@ void add_parameters(Table& table, const std::vector<ParameterInfo>& parameters, 
   }
 }
 
-/// What one type's page has beside its parameters.
+/// The notes on a type's page.
 std::string notes_of(const TypeInfo& type) {
   std::string text;
   for (std::size_t at = 0; at < type.page.notes.size();) {
@@ -75,7 +75,7 @@ std::string described(const TypeInfo& type, Page page) {
   return text;
 }
 
-/// What of the type `host` this machine has.
+/// The `host` sensors that this machine has.
 std::string on_this_machine() {
   std::string text = "  on this machine:\n";
   for (const HostSensorInfo& info : available_host_sensors()) {
@@ -89,7 +89,7 @@ std::string on_this_machine() {
   return text;
 }
 
-/// A line a type, which fits 80 columns.
+/// One line for a type, at most 80 columns.
 std::string line_of(const TypeInfo& type) {
   constexpr std::size_t name_width = 15, width = 80;
   std::string name = type.name;
@@ -111,9 +111,9 @@ void print_lines(const Registry& registry) {
             << std::endl;
 }
 
-/// What a chip or a usual word stands for: a page when that is one type, else a line each. False: nothing.
+/// Prints the types for a chip or search word: a page for one type, otherwise one line each. False: no match.
 bool print_types_for(const std::string& word, const Registry& registry) {
-  std::vector<TypeInfo> found;  // the closest of each kind: csv is a format of serial lines, and of files
+  std::vector<TypeInfo> found;  // the best match of each kind: csv is a format of serial lines and of files
   for (const PartKind* kind : registry.kinds_to_show()) {
     const std::vector<TypeInfo> types = kind->types.types();
     for (const std::size_t i : types_for_word(types, word)) found.push_back(types[i]);

@@ -42,7 +42,7 @@ std::string type_text(const ParameterType& type) {
 
 using Parameters = std::vector<ParameterInfo>;
 
-/// What every sensor, or every sink, has.
+/// The parameters that every sensor, or every sink, has.
 const Parameters& common_parameters() {
   static const Parameters common = [] {
     Parameters all = parameters_of<SensorConfig>();

@@ -1,4 +1,4 @@
-// Whether what a configuration names is there, and free: devices, chips, GPIO lines, PWM channels.
+// Checks that the devices, chips, GPIO lines and PWM channels of a configuration exist and are free.
 #include <sys/stat.h>
 #include <unistd.h>
 
@@ -20,13 +20,13 @@ using Found = std::optional<Finding>;
 
 constexpr const char* no_data = "it has no data until that is mended";
 constexpr const char* begins_as_failed = "it begins as failed, and is tried each second";
-/// A line or a channel is taken when the part is made.
+/// A line or a channel is opened when the part is made.
 constexpr const char* no_start = "the run does not start";
 
 Finding at_fault(const PartPlan& part, std::string what, std::string advice, const char* cost = no_data) {
   return {Severity::fault, part.object(), std::move(what), part.kind == "output" ? no_start : cost, std::move(advice)};
 }
-/// Of what is not there: an output is made without it, unless it is `required`.
+/// A finding for a missing device: an output is made without it, unless it is `required`.
 Finding missing(const PartPlan& part, std::string what, std::string advice, const char* cost = no_data) {
   bool is_required = false;
   Problems ignored;
@@ -37,8 +37,7 @@ Finding missing(const PartPlan& part, std::string what, std::string advice, cons
 }
 Finding well(const PartPlan& part, std::string what) { return {Severity::good, part.object(), std::move(what)}; }
 
-/// The file of the machine that the part is configured with; empty: none. Names of other kinds, such as a disk's or a
-/// network's, are looked for by the sensor itself.
+/// The device file of the part; empty: none. The sensor itself searches for other names, such as a disk or a network.
 std::string device_of(const MachineFiles& files, const PartPlan& part) {
   for (const char* key : {"device", "file"}) {
     const std::string device = text_or_empty(part.item, key);
@@ -52,7 +51,7 @@ std::string device_of(const MachineFiles& files, const PartPlan& part) {
 }
 
 Finding examine_device(const MachineFiles& files, const PartPlan& part, const std::string& device) {
-  // What the kernel shows below /sys and /proc is read; a bus or a port is written to as well.
+  // Files below /sys and /proc are only read; a bus or a port is also written.
   const bool is_node = device.starts_with("/dev/");
   const Access access = access_to(files, device, is_node ? R_OK | W_OK : R_OK);
   if (!access.is_granted)
@@ -60,8 +59,8 @@ Finding examine_device(const MachineFiles& files, const PartPlan& part, const st
   struct stat status {};
   if (files.is_this_machine() && is_node && ::stat(device.c_str(), &status) == 0 && !S_ISCHR(status.st_mode))
     return at_fault(
-        part, device + " is no device but a file or folder",
-        "somebody wrote to that name while the device was not there: remove it, and plug the device in again");
+        part, device + " is not a device but a file or folder",
+        "a program wrote to that name while the device was unplugged: remove it, and plug the device in again");
   const std::string holder = files.is_this_machine() && is_node && part.type == "serial" ? detail::holder_of(device)
                                                                                          : "";
   if (holder.empty()) return well(part, device + " can be used");
@@ -69,7 +68,7 @@ Finding examine_device(const MachineFiles& files, const PartPlan& part, const st
           part.kind == "output" ? no_start : two_at_a_port, "end that first"};
 }
 
-/// A chip on I2C that a driver of the kernel has; the others are known when they are talked to.
+/// Checks for a chip on I2C that a kernel driver has. Other chips can only be checked by talking to them.
 Found examine_chip(const MachineFiles& files, const SystemPlan& plan, const PartPlan& part) {
   constexpr std::string_view before = "address 0x";
   if (!part.place.text.starts_with(before)) return {};
@@ -88,7 +87,7 @@ Found examine_chip(const MachineFiles& files, const SystemPlan& plan, const Part
   return {};
 }
 
-/// A thermometer on 1-Wire, of which the configuration has no file's path.
+/// Checks a thermometer on 1-Wire, which has no file path in the configuration.
 Found examine_w1(const MachineFiles& files, const PartPlan& part) {
   if (part.kind != "sensor" || part.type != "w1") return {};
   const std::string bus = text_or_empty(part.item, "root") + "/sys/bus/w1", device = text_or_empty(part.item, "device");
@@ -98,12 +97,12 @@ Found examine_w1(const MachineFiles& files, const PartPlan& part) {
   const std::string folder = bus + "/devices/" + device;
   if (!files.exists(folder))
     return at_fault(part, device + " is not on the 1-Wire bus",
-                    "look at its wires and its pull-up resistor; `rtdata scan` lists those that answer");
+                    "check its wires and its pull-up resistor; `rtdata scan` lists those that answer");
   if (!files.exists(folder + "/w1_slave")) return at_fault(part, device + " has no driver", load_w1_therm);
   return well(part, device + " is on the 1-Wire bus");
 }
 
-/// A receiver behind this machine's gpsd: whether that is installed. Whether it runs, a sensor says.
+/// Checks that gpsd is installed, for a receiver on this machine. The sensor reports if it does not run.
 Found examine_gps(const MachineFiles& files, const PartPlan& part) {
   if (part.kind != "sensor" || part.type != "gps") return {};
   const std::string host = text_or_empty(part.item, "host");
@@ -114,7 +113,7 @@ Found examine_gps(const MachineFiles& files, const PartPlan& part) {
                  "it has no data unless gpsd runs in a container", std::string(detail::how_to_start_gpsd)};
 }
 
-/// None: on a copy of another machine's files, where nobody says which lines its chips have.
+/// Empty for a copy of another machine's files, because the lines of its chips are unknown.
 Found examine_line(const MachineFiles& files, const PartPlan& part, [[maybe_unused]] const ConfigItem& item) {
   if (files.names("/dev", "gpiochip").empty())
     return missing(part, "this machine has no GPIO chip", "`ls /dev/gpiochip*` shows them", no_start);
@@ -129,9 +128,10 @@ Found examine_line(const MachineFiles& files, const PartPlan& part, [[maybe_unus
         part, found.error().where + ": " + found.error().why, found.error().advice, no_start);
   if (!found->line.is_used) return well(part, found->text + " is free");
   const std::string& who = found->line.consumer;
-  return Finding{Severity::warning, part.object(),
-                 found->text + ": " + (who.empty() ? "somebody has it, who gives no name" : "\"" + who + "\" has it"),
-                 no_start, "end that, or use another line; a driver of the kernel is named in the device tree"};
+  return Finding{
+      Severity::warning, part.object(),
+      found->text + ": " + (who.empty() ? "another program uses it, which gives no name" : "\"" + who + "\" has it"),
+      no_start, "end that, or use another line; a driver of the kernel is named in the device tree"};
 #else
   return {};
 #endif

@@ -1,4 +1,4 @@
-// What of this machine costs timing or data: facts, and what is said of each as tables of rules.
+// Facts of this machine that cost timing or data, and tables of rules for them.
 #include <grp.h>
 #include <sys/resource.h>
 #include <sys/statvfs.h>
@@ -27,11 +27,11 @@ using Facts = std::map<std::string, std::string, std::less<>>;
 
 struct Rule {
   const char* subject;
-  const char* fact;   ///< or a file, whose text is the fact; of one that is not there nothing is said
-  const char* value;  ///< that it has: one of a|b; a* begins so. Of the rules of a fact the first holds that fits
+  const char* fact;   ///< or a file, whose text is the fact; a missing file gives no finding
+  const char* value;  ///< pattern: one of a|b; a* is a prefix. The first matching rule of a fact applies
   Severity severity;
-  const char *what, *cost = "", *advice = "";  ///< {} stands for the fact, {/proc/version} for a file's text
-  const char* needed = "";                     ///< a fact: where it is one, the finding is worse by one
+  const char *what, *cost = "", *advice = "";  ///< {} is replaced by the fact, {/proc/version} by the file's text
+  const char* needed = "";                     ///< if this fact exists, the finding is one level worse
 };
 
 using enum Severity;
@@ -59,7 +59,7 @@ constexpr Rule timing_rules[] = {
     {"real-time priorities", "priority in files", "*", good, "{}"},
     {"memory lock", "memory lock", "all", good, "this user may lock all memory"},
     {"memory lock", "memory lock", "*", note, "this user may lock {} KiB",
-     "a page that was swapped out costs milliseconds when it is used again", limits_advice, "needs lock"},
+     "a page that was swapped out costs milliseconds at its next use", limits_advice, "needs lock"},
     {"swap", "swap", "/dev/zram*", note, "there is swap space: {}",
      "memory that is not locked may be compressed meanwhile", lock_advice},
     {"swap", "swap", "*", note, "there is swap space: {}",
@@ -80,10 +80,9 @@ constexpr Rule processor_rules[] = {
     {"real-time share", "real-time share", "*", note, "real-time threads get {} if others want the rest",
      "matters to those that spin", "sudo sysctl kernel.sched_rt_runtime_us=-1"},
     {"timer slack", "timer slack", "*", note, "{} ns",
-     "what the program is started from lets its timers be that late; loops and tiers set their own",
-     "`timer_slack` of a tier"},
+     "the parent process lets its timers be that late; loops and tiers set their own", "`timer_slack` of a tier"},
     {"power", "unreadable state", "*", warning, "the firmware's state cannot be read: \"{}\"",
-     "nobody knows whether the supply is too weak", good_state},
+     "it is not known whether the supply is too weak", good_state},
     // The bits of vcgencmd get_throttled.
     {"power", "throttled 0", "*", warning, "the supply's voltage was too low {}", supply_cost, supply_advice},
     {"power", "throttled 1", "*", warning, "the frequency was limited {}", are_slow, see_supply},
@@ -94,7 +93,7 @@ constexpr Rule processor_rules[] = {
     {"power", "voltage alarm", "0", good, "the supply's voltage is not too low"},
     {"power", "voltage alarm", "1", warning, "the supply's voltage is or was too low", supply_cost, supply_advice},
     {"power", "voltage alarm", "*", warning, "the supply's state cannot be read: \"{}\"",
-     "nobody knows whether it is too weak", good_state},
+     "it is not known whether it is too weak", good_state},
 };
 
 constexpr const char* clock_source = "/sys/devices/system/clocksource/clocksource0/current_clocksource";
@@ -123,12 +122,12 @@ constexpr Rule clock_rules[] = {
 constexpr Rule disk_rules[] = {
     {"disk", "read-only", "*", warning, "it is mounted read-only", "nothing can be recorded",
      "after an error the kernel does this: see dmesg, then check the file system", "needs disk"},
-    {"disk", "type", "tmpfs|ramfs", warning, "it is memory ({})", "what is recorded is gone when the power is",
+    {"disk", "type", "tmpfs|ramfs", warning, "it is memory ({})", "recordings are lost when the power fails",
      "record into a folder of a disk"},
     {"disk", "type", "nfs*|cifs|smb3|fuse.*", warning, "it is a network's or a program's ({})",
      "writes wait for it, and locks of SQLite may not hold", "record onto a local disk, and copy afterwards"},
     {"disk", "type", "vfat|exfat|msdos", warning, "its file system has no journal ({})",
-     "a power cut can damage all of it", "ext4 for what is recorded onto"},
+     "a power failure can damage all of it", "a disk with ext4 for recordings"},
     {"disk", "card", "*", note, "it is an SD card or eMMC", "writes wear it out",
      "`\"profile\": \"card\"` of a recording writes less often"},
     {"disk", "full", "*", warning, "{} MB are free", "recording stops within minutes", "make room", "needs disk"},
@@ -158,7 +157,7 @@ std::string filled(std::string text, const std::string& fact, const MachineFiles
   return text;
 }
 
-/// `of`: what the subjects are of.
+/// `of`: the owner of the subjects.
 std::vector<Finding> judged(std::span<const Rule> rules, const MachineFiles& files, const Facts& facts,
                             const std::string& of = {}) {
   std::vector<Finding> found;
@@ -236,7 +235,7 @@ void add_power(const MachineFiles& files, Facts& facts) {
         facts["throttled " + std::to_string(bit)] = (is_so & 1) != 0 ? "now" : "since the start";
     return;
   }
-  // Its kernel does not show the firmware's state: the alarm of the driver rpi_volt.
+  // If the kernel does not show the firmware's state: the alarm of the driver rpi_volt.
   for (const std::string& chip : files.names("/sys/class/hwmon", "hwmon"))
     if (files.text("/sys/class/hwmon/" + chip + "/name") == "rpi_volt")
       facts.emplace("voltage alarm", files.text("/sys/class/hwmon/" + chip + "/in0_lcrit_alarm").value_or(""));
@@ -271,7 +270,7 @@ Facts timing_facts(const MachineFiles& files, const SystemPlan* plan) {
   return facts;
 }
 
-/// Of tiers that are bound to processors.
+/// Checks tiers that are bound to processors.
 void examine_tiers(const MachineFiles& files, const SystemPlan& plan, std::vector<Finding>& found) {
   const std::string cpus = "/sys/devices/system/cpu/cpu";
   if (!files.exists(cpus + "0")) return;
@@ -290,7 +289,7 @@ void examine_tiers(const MachineFiles& files, const SystemPlan& plan, std::vecto
   }
 }
 
-/// Of the mount of the longest path that the folder lies below. Later mounts cover earlier ones.
+/// The facts of the mount with the longest path above the folder. Later mounts cover earlier ones.
 Facts disk_facts(const MachineFiles& files, const std::string& folder) {
   std::istringstream lines(files.text("/proc/mounts").value_or(""));
   std::string best_at, best_device, best_options;
@@ -364,7 +363,7 @@ std::vector<Finding> examine_disks(const MachineFiles& files, const SystemPlan* 
 }
 
 std::vector<Finding> examine_groups(const MachineFiles& files) {
-  // To these, distributions give the devices of ports and buses.
+  // Distributions give ports and buses to these groups.
   constexpr std::string_view wanted[] = {"dialout", "i2c", "spi", "gpio", "iio"};
   std::vector<gid_t> mine;
   if (files.is_this_machine()) {
@@ -381,14 +380,14 @@ std::vector<Finding> examine_groups(const MachineFiles& files) {
     std::getline(std::getline(std::getline(std::getline(fields, name, ':'), password, ':'), number, ':'), members);
     const bool is_mine = std::any_of(mine.begin(), mine.end(),
                                      [&](gid_t one) { return std::to_string(one) == number; });
-    // Of a copy, whose users nobody knows here: anybody.
+    // On a copy the users are unknown: any member counts.
     const bool has_member = files.is_this_machine() ? is_mine : !line.ends_with(':');
     if (std::find(std::begin(wanted), std::end(wanted), name) != std::end(wanted) && !has_member)
       missing.push_back(name);
   }
   if (missing.empty()) return {{good, "groups", "of those that devices belong to, none is missing"}};
   const std::string all = detail::listed(missing, ",");
-  return {{note, "groups", (files.is_this_machine() ? "this user is not in: " : "nobody is in: ") + all,
+  return {{note, "groups", (files.is_this_machine() ? "this user is not in: " : "no user is in: ") + all,
            "devices of these groups cannot be opened", "sudo usermod -aG " + all + " $USER, then log in again"}};
 }
 

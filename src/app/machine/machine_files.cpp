@@ -32,7 +32,7 @@ MachineFiles::MachineFiles(std::string root) : root_(std::move(root)) {
 bool MachineFiles::exists(const std::string& file) const { return ::access(path(file).c_str(), F_OK) == 0; }
 
 std::optional<std::string> MachineFiles::text(const std::string& file) const {
-  // A device, or a pipe that somebody put here, could block.
+  // Skips devices and pipes, which could block.
   struct stat status {};
   if (::stat(path(file).c_str(), &status) != 0 || !S_ISREG(status.st_mode)) return std::nullopt;
   std::ifstream stream(path(file), std::ios::binary);
@@ -90,7 +90,7 @@ Result<std::vector<std::int64_t>> times_of_sync(const std::string& folder, Durat
   ::unlink(path.c_str());
   std::vector<std::int64_t> times;
   const std::string block(4096, 'x');
-  constexpr int blocks = 256;  // of the file, each written again and again
+  constexpr int blocks = 256;  // blocks of the file, written repeatedly
   const auto end = std::chrono::steady_clock::now() + duration;
   for (auto began = end - duration; times.size() < 5 || began < end; began = std::chrono::steady_clock::now()) {
     const auto at = static_cast<off_t>(times.size() % blocks * block.size());

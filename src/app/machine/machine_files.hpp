@@ -12,7 +12,7 @@
 
 namespace rtdata::app {
 
-/// All paths are those of the machine ("/sys/class/hwmon"); what is not there, or cannot be read, is none or empty.
+/// All paths are paths on the machine ("/sys/class/hwmon"); a missing or unreadable file gives an empty result.
 class MachineFiles {
  public:
   /// `root`: the folder of the copy; empty or "/": this machine.
@@ -22,7 +22,7 @@ class MachineFiles {
   /// Where the file is: the path below the root.
   std::string path(const std::string& file) const { return root_ + file; }
   bool exists(const std::string& file) const;
-  /// At most 64 KiB, without blanks and line ends at both ends.
+  /// At most 64 KiB, without leading and trailing blanks and line ends.
   std::optional<std::string> text(const std::string& file) const;
   /// Names in a folder, sorted, numbers in them by their value: "i2c-2" before "i2c-10".
   /// `prefix`: those that begin so.
@@ -34,23 +34,22 @@ class MachineFiles {
   std::string root_;
 };
 
-/// What `access` says of a device, and what to do about it.
+/// The permission for a device, with advice.
 struct Access {
   bool is_granted = true;
   std::string why = {};     ///< "Permission denied"
   std::string advice = {};  ///< names the group that may
 };
 
-/// `mode`: R_OK, W_OK. On a copy of another machine, whose users nobody knows here, it says only what is not there.
+/// `mode`: R_OK, W_OK. On a copy of another machine, whose users are unknown, it only reports missing files.
 Access access_to(const MachineFiles& files, const std::string& file, int mode);
 
-/// How long each write of 4096 bytes took until it was on the folder's disk, in ns: writes for that long, five at
-/// least.
+/// The times of synced writes of 4096 bytes to the folder's disk, in ns. Writes for `duration`, at least five times.
 Result<std::vector<std::int64_t>> times_of_sync(const std::string& folder, Duration duration);
-/// Whether the folder is on an SD card or eMMC, as the kernel names it (mmcblk0).
+/// True if the folder is on an SD card or eMMC, by the kernel's name (mmcblk0).
 bool is_on_card(const std::string& folder, const std::string& root = "");
 
-// What scan and doctor say of the same.
+// Advice used by both scan and doctor.
 inline constexpr const char* load_w1_therm = "sudo modprobe w1_therm; for good: a line `w1_therm` in /etc/modules";
 inline constexpr const char* two_at_a_port = "two programs at one port take each other's bytes";
 

@@ -1,4 +1,4 @@
-// What this machine has that could be measured with. Private to the program.
+// Finds devices of this machine for measurements. Private to the program.
 #pragma once
 
 #include <string>
@@ -9,22 +9,22 @@
 
 namespace rtdata::app {
 
-/// A device, or a place where devices are.
+/// A device, or a bus for devices.
 struct FoundDevice {
   /// "serial", "i2c", "spi", "gpio", "iio", "hwmon", "counter", "1-wire", "pps", "pwm", "gpsd"
   std::string kind;
-  std::string path;           ///< by which it is opened
-  std::string what;           ///< what is known of it: "FTDI FT232R USB UART, ttyUSB0"
-  std::string obstacle = {};  ///< why it cannot be used; empty: it can, as far as is known
+  std::string path;           ///< path to open it
+  std::string what;           ///< its description: "FTDI FT232R USB UART, ttyUSB0"
+  std::string obstacle = {};  ///< why it cannot be used; empty: no obstacle known
   std::string advice = {};    ///< what to do about that
   struct Line {
     std::string list;  ///< "buses", "sensors"
-    std::string text;  ///< of that list, in JSON
+    std::string text;  ///< item for that list, in JSON
   };
-  std::vector<Line> lines = {};  ///< to paste: each is one that `check` takes
+  std::vector<Line> lines = {};  ///< lines to paste, accepted by `check`
 };
 
-/// What a bus or a kind of device would need that this machine lacks: "modprobe i2c-dev".
+/// Advice for a missing bus or kind of device: "modprobe i2c-dev".
 struct ScanHint {
   std::string kind, text;
 };
@@ -35,8 +35,8 @@ struct Scan {
 };
 
 enum class Probing {
-  no,   ///< files of the kernel are read, and gpsd is connected to; no device is touched
-  yes,  ///< every free address of every I2C adapter is read from, which can disturb a chip
+  no,   ///< reads files of the kernel and connects to gpsd; uses no device
+  yes,  ///< reads from every free address of every I2C adapter, which can disturb a chip
 };
 
 /// Only lines of types that the registry has.

@@ -9,7 +9,7 @@
 namespace rtdata::app {
 namespace {
 
-/// As the kernel describes them to those who may open them; none of another machine, or without libgpiod.
+/// The chips according to the kernel, if this user may open them; none for another machine or without libgpiod.
 std::vector<GpioChipInfo> chips_of_kernel([[maybe_unused]] const MachineFiles& files) {
 #ifdef RTDATA_WITH_GPIO
   if (files.is_this_machine()) return make_kernel_gpio()->chips();
@@ -30,7 +30,7 @@ std::string lines_text(const GpioChipInfo& chip) {
   return (free.empty() ? "" : "; free:" + free) + (used.empty() ? "" : "; used:" + used);
 }
 
-/// By its name, where no other line has that name, or else by its number.
+/// The name if it is unique, otherwise the number.
 std::string line_name(const std::vector<GpioChipInfo>& all, const std::string& name, const std::string& chip,
                       std::size_t number) {
   std::size_t alike = 0;
@@ -46,7 +46,7 @@ void scan_gpio(Scanner& scanner) {
   for (const std::string& chip : scanner.files.names("/sys/bus/gpio/devices", "gpiochip")) {
     const std::string folder = "/sys/bus/gpio/devices/" + chip;
     std::string label, count;
-    // The classes of the old interface know label and size; they are read, never written.
+    // The old interface shows label and size; it is only read.
     for (const std::string& old : scanner.files.names(folder + "/gpio", "gpiochip")) {
       label = scanner.text(folder + "/gpio/" + old + "/label");
       count = scanner.text(folder + "/gpio/" + old + "/ngpio");

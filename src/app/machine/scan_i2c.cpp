@@ -1,4 +1,4 @@
-// I2C adapters, and which chip is likely at an address, by that and, where it has one, its identity.
+// I2C adapters, and the probable chip at an address, from the address and the chip's identity, if it has one.
 #include <unistd.h>
 
 #include <algorithm>
@@ -16,7 +16,7 @@
 namespace rtdata::app {
 namespace {
 
-/// A sensor of a configuration that reads the chip; those that this program lacks are left out.
+/// A sensor type that reads the chip; types that this program lacks are left out.
 struct Driven {
   std::string_view type, members = "";  ///< in JSON
 };
@@ -51,7 +51,7 @@ constexpr Identity identities[] = {
     {{0x28, 0x29}, 0x00, 0xa0, "BNO055", {{{"bno055"}}}},
 };
 
-/// Chips that are often at an address and say nothing of themselves.
+/// Common chips without an identity, by address.
 struct Usual {
   std::uint8_t first, last;
   std::string_view chips;
@@ -82,7 +82,7 @@ constexpr Usual usual[] = {
     {0x76, 0x77, "MS5611", {{{"barometer", R"("model": "ms5611")"}}}},
 };
 
-/// What answers at an address.
+/// The probable chip at an address.
 struct Likely {
   std::string what;
   std::span<const Driven> drivers;
@@ -113,10 +113,10 @@ void probe(Scanner& scanner, const std::string& adapter, const std::string& bus_
     std::array<std::uint8_t, 1> byte{};
     if (const Result<void> answered = chip.read(byte); !answered) {
       if (answered.error().code == Errc::disconnected) continue;
-      // On a bus of which a line is held every address costs the adapter's time-out.
+      // If a line of the bus is stuck, every address takes the adapter's timeout.
       if (answered.error().code == Errc::timed_out && ++timeouts < 3) continue;
       scanner.add({"i2c", path, "cannot be probed", answered.error().why,
-                   "look at its wires and pull-up resistors: SDA and SCL are high on a bus at rest"});
+                   "check its wires and pull-up resistors: SDA and SCL are high on a bus at rest"});
       return;
     }
     const std::string text = to_string(I2cAddress(address));

@@ -31,7 +31,7 @@ void hwmon_chips(Scanner& scanner) {
   }
 }
 
-/// Of a device of these: the one that it has, where no other has it, or else what the kernel calls it.
+/// The name of a device if it is unique, otherwise the kernel's name ("iio:device0").
 std::string name_of(const Scanner& scanner, const std::string& device, const char* prefix, const std::string& folder) {
   const std::string name = scanner.text(folder + "/" + device + "/name");
   const std::vector<std::string> all = scanner.files.names(folder, prefix);
@@ -41,7 +41,7 @@ std::string name_of(const Scanner& scanner, const std::string& device, const cha
   return name.empty() || alike != 1 ? device : name;
 }
 
-/// All channels of a device: by its buffer, when it has a trigger of its own, else one by one.
+/// A line for all channels of a device: through its buffer if it has its own trigger, otherwise one by one.
 void iio_line(Scanner& scanner, FoundDevice& found, const std::string& device) {
   const MachineFiles& files = scanner.files;
   const std::string folder = "/sys/bus/iio/devices/" + device;

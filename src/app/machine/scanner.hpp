@@ -1,4 +1,4 @@
-// What the parts of `rtdata scan` share: one file for each kind of device. Private to the program.
+// The common part of `rtdata scan`, which has one file for each kind of device. Private to the program.
 #pragma once
 
 #include <initializer_list>
@@ -19,16 +19,16 @@ class Scanner {
   const Probing probing;
   Scan scan;
 
-  /// A device that is opened by `path`; if this user may not, with the reason and what to do. The reference is valid
-  /// until the next one is added.
+  /// Adds a device with the path to open it, and, if this user may not open it, the reason and advice. The reference is
+  /// valid until the next `add`.
   FoundDevice& add(std::string kind, std::string path, std::string what, int mode);
-  /// What is known of one without opening it.
+  /// Adds a device whose data are known without opening it.
   void add(FoundDevice device) { scan.devices.push_back(std::move(device)); }
   void hint(std::string kind, std::string text) { scan.hints.push_back({std::move(kind), std::move(text)}); }
 
-  /// A line to paste, if this program takes it; one of a type that it lacks is left out. `bus`: the item that it is on.
+  /// Adds a line to paste, if this program has its type. `bus`: the item of its bus.
   void line(FoundDevice& device, const char* list, const std::string& text, const std::string& bus = {}) const;
-  /// The same of a sensor, with a name like this one. `members`: what follows its name and type, in JSON.
+  /// The same for a sensor, with a unique name similar to `name`. `members`: its keys after name and type, in JSON.
   void sensor(FoundDevice& device, const std::string& name, const std::string& type, const std::string& members = {},
               const std::string& bus = {});
   /// The file's text, for people: at most 80 characters, none of them a control character.
@@ -41,7 +41,7 @@ class Scanner {
 
 /// As a JSON string.
 std::string json_text(const std::string& text);
-/// Those that are not empty, with blanks between.
+/// Joins the texts that are not empty with blanks.
 std::string joined(std::initializer_list<std::string> words);
 
 void scan_serial(Scanner& scanner);

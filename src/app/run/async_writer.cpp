@@ -59,13 +59,13 @@ AsyncWriter::~AsyncWriter() {
   if (pool_ == nullptr) return;
   const bool is_written = wait_until_written(std::chrono::seconds{2});
   logger_ = nullptr;
-  if (!is_written) new std::shared_ptr(pool_);  // joining its thread could take for ever; the process ends soon
+  if (!is_written) new std::shared_ptr(pool_);  // joining its thread might never return; the process ends soon
 }
 
 void AsyncWriter::open(int fd, std::function<void(std::size_t)> before) {
   counts_->fd.store(fd);
   if (pool_ != nullptr) return;
-  // A fatal signal that its thread took would wait for that very thread to write what it has.
+  // Blocks fatal signals in its thread: the signal handler waits for this thread to write.
   const detail::SignalsBlocked for_the_writer;
   try {
     pool_ = std::make_shared<spdlog::details::thread_pool>(queue_, 1);

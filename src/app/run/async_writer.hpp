@@ -1,4 +1,4 @@
-// Text to a file descriptor, from a thread of its own: the caller never waits for a terminal, a pipe or a disk.
+// Writes text to a file descriptor on its own thread: the caller never waits for a terminal, a pipe or a disk.
 #pragma once
 
 #include <atomic>
@@ -23,27 +23,27 @@ namespace rtdata::app {
 struct WriterCounts {
   std::atomic<std::uint64_t> taken{0};
   std::atomic<std::uint64_t> written{0};
-  std::atomic<int> last_errno{0};  ///< of a write that failed; its text is lost
+  std::atomic<int> last_errno{0};  ///< of the last failed write; its text is lost
   std::atomic<int> fd{-1};
   bool is_idle() const noexcept { return written.load() >= taken.load(); }
 };
 
-/// One thread, started at the first `open`. When more than `queue` texts wait, the oldest is thrown away.
-/// Thread: `write` any, all else one.
+/// One thread, started at the first `open`. If more than `queue` texts wait, the oldest is dropped. Thread: `write`
+/// any, all else one.
 class AsyncWriter {
  public:
   explicit AsyncWriter(std::size_t queue) : queue_(queue) {}
   AsyncWriter(const AsyncWriter&) = delete;
   AsyncWriter& operator=(const AsyncWriter&) = delete;
-  /// Waits for what is queued, at most 2 s: a thread that is stuck in a write is left behind.
+  /// Waits for the queue, at most 2 s; abandons a thread that is stuck in a write.
   ~AsyncWriter();
 
-  /// `fd` stays the caller's and must live as long as this. `before`: called on the thread with the size of what is
-  /// written next; it may put another file behind `fd`.
+  /// The caller owns `fd`, which must outlive this object. `before`: called on the thread with the size of the next
+  /// write; it may put another file behind `fd`.
   void open(int fd, std::function<void(std::size_t)> before = {});
   bool is_open() const noexcept { return logger_ != nullptr; }
   void write(std::string_view text) noexcept;
-  /// True when everything taken so far has been written, or thrown away.
+  /// True if everything queued so far was written or dropped.
   bool wait_until_written(Duration limit) noexcept;
   const WriterCounts& counts() const noexcept { return *counts_; }
 
@@ -54,7 +54,7 @@ class AsyncWriter {
   std::shared_ptr<spdlog::logger> logger_;
 };
 
-/// All of the text, by write(2); errno of what failed, or 0. Async-signal-safe.
+/// Writes the whole text with write(2); returns 0 or the errno. Async-signal-safe.
 int write_fully(int fd, const char* text, std::size_t size) noexcept;
 
 }  // namespace rtdata::app

@@ -23,7 +23,7 @@ int compare(const Registry& registry, const SystemPlan& plan, const std::string&
     return exit_configuration;
   }
   PlanChange change = plan_change(now, plan);
-  // As a reload says it: the process that sets outputs safe begins before there are threads.
+  // As in a reload: the process that sets outputs safe must start before there are threads.
   if (now.of_kind("output").empty()) {
     for (PartChange& part : change.all)
       if (part.object.starts_with("output ")) part = {part.object, Fate::refused, std::string(no_guard)};

@@ -32,8 +32,8 @@ void RunConsole::open_log(SystemPlan& plan) {
   messages_.open(STDERR_FILENO);
   const LogSettings& settings = plan.settings.log;
   const std::string file = log_file_of(plan, options_.log_file);
-  if (!check_log_file(file, plan)) return;  // it is another's file
-  // Probably a mistyped name: a log beside it would only be in the way.
+  if (!check_log_file(file, plan)) return;  // the file belongs to something else
+  // Probably a mistyped name: do not make a log file for it.
   const auto is_unread = [](const Problem& problem) { return problem.id == "cannot-read"; };
   if (options_.log_file.empty() && std::any_of(plan.problems.begin(), plan.problems.end(), is_unread)) return;
   if (auto opened = log_.open(file, settings); !opened) {
@@ -53,8 +53,8 @@ AsyncWriter& RunConsole::terminal() {
   return terminal_;
 }
 
-/// What people are told of it: an object's error once, until something else is told of the object, though it comes
-/// again and is the reason of its health too. None: nothing new. The log has all.
+/// The text for people: an error of an object is shown once, until another message about the object; repeats and the
+/// same reason of its health are not shown. Empty: nothing new. The log has everything.
 std::optional<std::string> RunConsole::news(std::string_view object, const std::string& text) {
   if (object.empty() || object == "program") return text;
   std::string once = text;
@@ -69,7 +69,7 @@ std::optional<std::string> RunConsole::news(std::string_view object, const std::
 void RunConsole::say(LogLevel level, std::string_view object, std::string_view what, std::string_view error_id) {
   const std::string text = without_secrets(std::string(what));
   log_.write(level, object, text, error_id);
-  tell_log_failure();
+  report_log_failure();
   if (level < (options_.talk == Talk::quiet ? LogLevel::warning : LogLevel::info)) return;
   const std::optional<std::string> shown = news(object, text);
   if (!shown) return;
@@ -86,9 +86,9 @@ void RunConsole::say(LogLevel level, std::string_view object, std::string_view w
 
 void RunConsole::tell(const std::string& text) { messages_.write(for_terminal(text, columns_of(STDERR_FILENO))); }
 
-void RunConsole::tell_log_failure() {
+void RunConsole::report_log_failure() {
   const int failed = log_.counts().last_errno.load();
-  if (failed == 0 || std::exchange(log_failure_told_, true)) return;
+  if (failed == 0 || std::exchange(is_log_failure_reported_, true)) return;
   say(LogLevel::warning, "log", system_error(failed, "cannot write the log file", log_.file()).text());
 }
 
@@ -100,7 +100,7 @@ void RunConsole::draw(const Status& status) {
   if (!has_view_) return;
   winsize size{};
   if (::ioctl(STDOUT_FILENO, TIOCGWINSZ, &size) != 0 || size.ws_col == 0) size = {24, 80, 0, 0};
-  const std::size_t columns = std::max<std::size_t>(size.ws_col, 20) - 1;  // the last makes some terminals wrap
+  const std::size_t columns = std::max<std::size_t>(size.ws_col, 20) - 1;  // the last column makes some terminals wrap
   const std::size_t rows = std::max<std::size_t>(size.ws_row, 6) - 1;
   std::vector<std::string> below = lines_in(for_terminal(note_, columns));
   below.resize(std::min<std::size_t>(below.size(), 5));
@@ -124,7 +124,7 @@ void RunConsole::close_view() {
   view_is_shown_ = false;
   if (note_.empty()) return;
   tell(note_ + "\n");
-  messages_.wait_until_written(std::chrono::seconds{2});  // before the tables, which go another way
+  messages_.wait_until_written(std::chrono::seconds{2});  // before the tables, which are written directly
 }
 
 void RunConsole::report(LogLevel level, const Status& status, const std::string& verdict) {
@@ -154,13 +154,13 @@ void RunConsole::end_at_once(const char* signal, std::optional<std::uint64_t> qu
 }
 
 void RunConsole::end_hanging(const char* signal, const std::string& where) {
-  leave(std::string("ended by ") + signal + " though it hangs: the main loop has not come out of " + where + " for " +
-        to_string(StopSignals::hang_limit) + "; the next run on its recordings says what is known");
+  leave(std::string("ended by ") + signal + " though it hangs: the main loop has not returned from " + where + " for " +
+        to_string(StopSignals::hang_limit) + "; the next run on its recordings reports the rest of the account");
 }
 
 void RunConsole::starts_slowly(const std::string& where) {
   const std::string text = "does not run yet after " + to_string(StopSignals::slow_limit) +
-                           ": it has not come out of " + where + "; look at its device";
+                           ": it has not returned from " + where + "; check its device";
   log_.write(LogLevel::warning, "program", text);
   const std::string line = for_terminal("rtdata: warning: program: " + text + "\n", columns_of(STDERR_FILENO));
   write_fully(STDERR_FILENO, line.data(), line.size());

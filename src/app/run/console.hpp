@@ -1,4 +1,4 @@
-// What a run says: to people on the terminal, and all of it to the log file.
+// The messages of a run: for people on the terminal, and all of them in the log file.
 #pragma once
 
 #include <atomic>
@@ -17,12 +17,12 @@
 
 namespace rtdata::app {
 
-/// Thread: the loop's, unless said otherwise. Nothing of it waits but what says so.
+/// Thread: the loop's, unless stated otherwise. Functions do not wait unless stated.
 class RunConsole {
  public:
   explicit RunConsole(const RunOptions& options) : options_(options) {}
 
-  /// The log file that the plan names, unless it is another's file.
+  /// Opens the log file of the plan, unless the file belongs to something else.
   void open_log(SystemPlan& plan);
   Log& log() noexcept { return log_; }
 
@@ -30,31 +30,32 @@ class RunConsole {
   void add_secrets(const std::vector<std::string>& secrets);
   std::string without_secrets(const std::string& text) const;
 
-  /// To the log file, and to people: an error of an object once, until something else is said of it.
+  /// Writes to the log file and shows the message to people: an error of an object only once, until another message
+  /// about it.
   void say(LogLevel level, std::string_view object, std::string_view what, std::string_view error_id = {});
-  /// To people only, as it is.
+  /// Shows text to people only.
   void tell(const std::string& text);
-  void tell_log_failure();
+  void report_log_failure();
 
-  /// A sink writes to standard output: nothing else does.
+  /// Reserves standard output for a sink.
   void leave_stdout() noexcept { uses_stdout_ = true; }
   bool leaves_stdout() const noexcept { return uses_stdout_; }
   /// The table, where standard output is a terminal for people.
   void open_view();
   bool has_view() const noexcept { return has_view_; }
-  /// Over what was drawn before.
+  /// Draws the table over the previous one.
   void draw(const Status& status);
   void close_view();
 
-  /// The last that is said.
+  /// The last message.
   void report(LogLevel level, const Status& status, const std::string& verdict);
-  /// Waits some seconds at most.
+  /// Waits at most some seconds.
   void wait_until_written();
-  /// A second signal. Thread: the signals'.
+  /// Ends the program after a second signal. Thread: that of signals.
   [[noreturn]] void end_at_once(const char* signal, std::optional<std::uint64_t> queued);
-  /// `where` holds the loop, which has not begun to turn. Thread: the signals'.
+  /// Reports that the loop has not started to turn because of `where`. Thread: that of signals.
   void starts_slowly(const std::string& where);
-  /// The loop has not come to a signal. Thread: the signals'.
+  /// Ends the program because the loop has not processed a signal. Thread: that of signals.
   [[noreturn]] void end_hanging(const char* signal, const std::string& where);
 
  private:
@@ -64,7 +65,7 @@ class RunConsole {
 
   const RunOptions& options_;
   std::vector<std::string> secrets_;
-  std::map<std::string, std::string, std::less<>> told_;  // to people, last, of each object
+  std::map<std::string, std::string, std::less<>> told_;  // last message shown for each object
   AsyncWriter terminal_{16};
   AsyncWriter messages_{64};
   Log log_;
@@ -73,7 +74,7 @@ class RunConsole {
   std::atomic<bool> view_is_shown_{false};
   std::string note_;  // below the table
   bool uses_stdout_ = false;
-  bool log_failure_told_ = false;
+  bool is_log_failure_reported_ = false;
 };
 
 }  // namespace rtdata::app

@@ -14,7 +14,7 @@ namespace {
 using config_detail::child_or_self;
 using config_detail::text_or_empty;
 
-/// It has a `silence`, which is not set.
+/// True if it has a parameter `silence` that is not set.
 bool may_go_quiet(const PartPlan& part, const std::vector<ParameterInfo>& parameters) {
   const auto silence = std::find_if(parameters.begin(), parameters.end(),
                                     [](const ParameterInfo& parameter) { return parameter.key == "silence"; });
@@ -36,7 +36,7 @@ std::string unnoticed_silence(const Registry& registry, const SystemPlan& plan) 
     }
   }
   if (names.empty()) return "";
-  return "without `silence`, such as \"10 s\", nobody notices when " +
+  return "without `silence`, such as \"10 s\", no report is made when " +
          std::string(names.size() == 1 ? "this device goes" : "these devices go") + " quiet: " + detail::listed(names);
 }
 
@@ -69,20 +69,19 @@ std::string only_in_memory(const SystemPlan& plan) {
   }
   if (names.empty()) return names;
   return "events for " + names +
-         " wait in memory only: while the peer is away they are dropped when that is full, and what waits at the end "
-         "of the program is gone; with `through` they wait in a recording";
+         " wait in memory only: while the peer is away they are dropped when it is full, and the rest is lost at the "
+         "end of the program; with `through` they wait in a recording";
 }
 
 void warn_of_losses(SystemPlan& plan) {
   for (const PartPlan& part : plan.parts) {
     if (part.stores && part.stores->is_recording && part.stores->close_deadline <= Duration{0}) {
-      plan.warnings.add(
-          child_or_self(part.item, "close_deadline")
-              .problem("loses-data",
-                       "the end of the run does not wait until what came last is stored: what came within "
-                       "its `batch_time`, " +
-                           to_string(part.stores->batch_time) +
-                           ", is lost; give it some seconds, or leave `close_deadline` out"));
+      plan.warnings.add(child_or_self(part.item, "close_deadline")
+                            .problem("loses-data",
+                                     "the end of the run does not wait until the last events are stored: those that "
+                                     "came within its `batch_time`, " +
+                                         to_string(part.stores->batch_time) +
+                                         ", are lost; give it some seconds, or leave `close_deadline` out"));
     }
     if (!part.publishes || !part.publishes->load || part.publishes->load->period <= Duration{0}) continue;
     const Sampling& sampling = part.publishes->sampling;

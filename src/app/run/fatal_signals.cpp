@@ -14,12 +14,12 @@ namespace rtdata::app {
 namespace {
 
 constexpr std::array fatal{SIGSEGV, SIGBUS, SIGILL, SIGFPE, SIGABRT, SIGSYS, SIGXCPU, SIGXFSZ};
-// A signal handler can reach globals only.
+// A signal handler can only use globals.
 std::atomic<const WriterCounts*> counts_of_log{nullptr};
 std::array<struct sigaction, fatal.size()> before;
 alignas(16) std::array<char, 64 * 1024> handler_stack;
 
-/// A line without the heap: text is cut where it does not fit.
+/// A line without heap memory: text that does not fit is cut.
 struct Line {
   std::array<char, 160> text{};
   std::size_t size = 0;
@@ -56,7 +56,7 @@ void add_time(Line& line) noexcept {
   line.add("Z");
 }
 
-/// Behind what is written already, once.
+/// Adds a line once, after the lines already written.
 template <class AddText>
 void write_last_line(const AddText& add_text) noexcept {
   const WriterCounts* const counts = counts_of_log.exchange(nullptr);
@@ -86,7 +86,7 @@ extern "C" void on_fatal_signal(int signal) {
     if (fatal[i] == signal) ::sigaction(signal, &before[i], nullptr);
   }
   errno = saved_errno;
-  ::raise(signal);  // comes when this handler has returned
+  ::raise(signal);  // is delivered when this handler has returned
 }
 
 }  // namespace

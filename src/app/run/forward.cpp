@@ -1,4 +1,5 @@
-// `rtdata forward DB FILE`: sends what waits in a recording, with the sinks of a configuration that go through one.
+// `rtdata forward DB FILE`: sends the waiting events of a recording with the sinks of a configuration that have
+// `through`.
 #include <unistd.h>
 
 #include <algorithm>
@@ -25,8 +26,8 @@ using config_detail::text_or_empty;
 constexpr Duration look_period = std::chrono::milliseconds{200};
 constexpr Duration line_period = std::chrono::seconds{10};
 
-/// Which of the recordings that sinks go through `database` is: the only one; else the one whose senders it knows, or
-/// that has its file's name. Several: it cannot be told.
+/// The recording of the configuration that corresponds to `database`: the only one used by `through`, else the one with
+/// the same senders or the same file name. Several: ambiguous.
 std::vector<std::string> recordings_of(const ConfigItem& sinks, const Recording& database) {
   std::vector<std::string> all, known, namesakes;
   const auto add = [](std::vector<std::string>& to, const std::string& name) {
@@ -51,8 +52,8 @@ std::vector<std::string> recordings_of(const ConfigItem& sinks, const Recording&
   return namesakes.size() == 1 ? namesakes : all;
 }
 
-/// The same configuration with its recording at `database`, the sinks that go through it, and nothing else. What is
-/// kept has the places that it had.
+/// The configuration reduced to its recording, now at `database`, and the sinks with `through` to it. Items keep their
+/// places in the file.
 ConfigItem forwarding_configuration(const ConfigItem& root, const std::vector<std::string>& recordings,
                                     const std::string& database, std::vector<std::string>& senders) {
   const ConfigItem* sinks = root.find("sinks");
@@ -63,7 +64,7 @@ ConfigItem forwarding_configuration(const ConfigItem& root, const std::vector<st
       ConfigItem recording = sink.item;
       recording.set("name", name);
       recording.set("path", database);
-      // What it has is to be sent, however old it has become.
+      // All its events must be sent, whatever their age.
       recording.set("max_age", "0 s");
       recording.set("max_bytes", 0);
       kept.push_back(recording);
@@ -75,7 +76,7 @@ ConfigItem forwarding_configuration(const ConfigItem& root, const std::vector<st
   }
   ConfigItem result = ConfigItem::object();
   if (const ConfigItem* name = root.find("name")) result.set("name", *name);
-  result.set("notes", "sent what waited in this recording");
+  result.set("notes", "sent the backlog of this recording");
   result.set("sinks", kept);
   return result;
 }
@@ -91,7 +92,7 @@ class Forward {
       return exit_configuration;
     }
     std::optional<Recording> database(std::move(*opened));
-    // What else is in it, such as devices and folders of the node, need not be here.
+    // Other parts, such as devices and folders, need not exist on this machine.
     const ConfigDocument whole = load_config(options_.file);
     std::vector<std::string> senders;
     const ConfigItem* sinks = whole.root.find("sinks");
@@ -100,10 +101,9 @@ class Forward {
     if (recordings.size() > 1) {
       std::cerr << "rtdata: sinks of " << options_.file << " go through " << recordings.size() << " recordings,";
       for (const std::string& name : recordings) std::cerr << " \"" << name << "\"";
-      std::cerr
-          << ", and which of them " << options_.database
-          << " is cannot be told: it has the file name of none, and positions of none of their sinks alone; leave "
-             "the others out of a copy of the configuration\n";
+      std::cerr << "; it is unknown which of them " << options_.database
+                << " is: its file name is that of none of them, and its positions fit no one of them alone; "
+                   "leave the others out of a copy of the configuration\n";
       return exit_configuration;
     }
     ConfigItem root;
@@ -149,7 +149,7 @@ class Forward {
       ~Detach() { signals.detach(); }
     } const detach{signals};
     MonotonicTime told = loop.now();
-    int quiet = 0;  // looks in a row without anything that waits, all of them well
+    int quiet = 0;  // consecutive checks without waiting events, with all sinks ok
     Ticker look(loop, {.period = look_period, .name = "look"}, [&](const Tick& tick) {
       if (tick.now - told >= line_period) {
         told = tick.now;
@@ -172,17 +172,17 @@ class Forward {
       refused += sink.counts.all_dropped();
       is_known = is_known && sink.backlog.has_value();
     }
-    left += tell_of_others(senders);
+    left += report_others(senders);
     const bool is_all = left == 0 && refused == 0 && is_known;
     std::cout << (is_all     ? "all is sent: "
                   : is_known ? "not all is sent: "
-                             : "it is not known what was to be sent: ")
+                             : "it is not known which events were to be sent: ")
               << sent << " events, " << refused << " dropped, " << left << " wait" << std::endl;
     return is_all ? exit_good : exit_other;
   }
 
-  /// What waits for sinks that the configuration does not have: nobody sends it. How many events.
-  std::uint64_t tell_of_others(const std::vector<std::string>& senders) const {
+  /// Reports events that wait for sinks missing in the configuration, and returns their number.
+  std::uint64_t report_others(const std::vector<std::string>& senders) const {
     const auto recording = Recording::open(options_.database).or_throw();
     std::uint64_t sum = 0;
     for (const RecordedBacklog& other : backlogs_of_others(recording, senders).or_throw()) {

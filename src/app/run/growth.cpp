@@ -16,10 +16,10 @@ namespace {
 
 constexpr double seconds_per_day = 86400;
 
-/// Of a row, whatever its format: of numbers in a recording it is nearly right, text takes up to four times that.
+/// For a row in any format: nearly right for numbers in a recording; text takes up to four times that.
 constexpr double bytes_a_field = 9;
 
-/// As often as it is read, or as often as the device takes samples by itself; 0: not known.
+/// The rate of reads, or of the device's own samples; 0: unknown.
 double events_per_second(const PublishedTopic& published) {
   if (published.sampling.hertz > 0) return published.sampling.hertz;
   if (!published.load || published.load->period <= Duration{0}) return 0;

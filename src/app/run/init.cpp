@@ -16,8 +16,8 @@ namespace rtdata::app {
 
 namespace {
 
-/// Beside the starter file, which names it; one that is there is replaced, since it belongs to this program. Empty: it
-/// cannot be written, which costs an editor's help only.
+/// Writes the schema beside the starter file, which refers to it; replaces an old one, because the schema belongs to
+/// this program. Empty: it cannot be written; only the editor's help is missing then.
 std::string write_schema(const Registry& registry, const std::string& file) {
   const std::filesystem::path path = std::filesystem::path(file).parent_path() / schema_file;
   std::ofstream out(path);

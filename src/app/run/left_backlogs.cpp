@@ -47,7 +47,7 @@ bool contains(const std::vector<std::string>& names, const std::string& name) {
   return std::find(names.begin(), names.end(), name) != names.end();
 }
 
-/// Those that have come to the recording; fast, however much waits. Of formats without them: none.
+/// The sinks known in the recording; fast for any backlog. Older formats have none.
 std::vector<std::string> known_sinks(const Recording& recording) {
   const detail::RecordingFile& file = *recording.file();
   if (file.database.integer("SELECT count(*) FROM sqlite_schema WHERE name = 'rtdata_position'") == 0) return {};
@@ -76,7 +76,7 @@ void warn_of_left_backlogs(SystemPlan& plan) {
     std::error_code unknown;
     if (!std::filesystem::is_regular_file(path, unknown)) continue;
     const auto recording = Recording::open(path);
-    if (!recording) continue;  // it is refused when it is made
+    if (!recording) continue;  // making it reports the error
     std::vector<std::string> senders;
     for (const PartPlan* sink : plan.of_kind("sink"))
       if (sink->stores && sink->stores->through == part->name) senders.push_back(sink->name);
@@ -85,7 +85,7 @@ void warn_of_left_backlogs(SystemPlan& plan) {
     for (const RecordedBacklog& backlog : *backlogs)
       plan.warnings.add(part->item.problem(
           "left-backlog", waiting_text({backlog.events, backlog.bytes, {}, {}}) + " in " + path + " for a sink \"" +
-                              backlog.sink + "\", and no sink of that name goes through it: nobody sends them"));
+                              backlog.sink + "\", and no sink of that name goes through it: they are not sent"));
   }
 }
 

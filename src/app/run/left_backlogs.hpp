@@ -1,4 +1,4 @@
-// What waits in a recording for a sender that nobody runs any more.
+// Events in a recording that wait for a sender that is no longer configured.
 #pragma once
 
 #include <string>
@@ -9,15 +9,15 @@
 
 namespace rtdata::app {
 
-/// Of a recording, what waits for sinks of other names than these: by sink, only where something waits.
+/// The backlogs of a recording for sinks with other names than these, without empty ones.
 Result<std::vector<RecordedBacklog>> backlogs_of_others(const Recording& recording,
                                                         const std::vector<std::string>& names);
 
-/// Adds a warning (left-backlog) for every recording of the plan that is there already, where events wait for a sink
-/// that does not go through it in this plan. Blocks while it reads.
+/// Adds the warning left-backlog for every existing recording of the plan in which events wait for a sink that does not
+/// use it in this plan. Blocks while it reads.
 void warn_of_left_backlogs(SystemPlan& plan);
 
-/// A line for each recording with senders that is written `now`, and that none of `next` writes.
+/// One line for each recording with senders that is written `now` but not in `next`.
 std::vector<std::string> recordings_left(const std::vector<const PartPlan*>& now, const SystemPlan& next);
 
 /// The name of a sink of a configuration: as written, or its path, or its type.

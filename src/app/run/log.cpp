@@ -22,19 +22,19 @@ std::string_view name_of(LogLevel level) noexcept {
 
 Log::~Log() {
   writer_.wait_until_written(std::chrono::seconds{2});
-  // The descriptor stays open: a writer that is stuck may still use it, and the process ends soon.
+  // The descriptor stays open, because a stuck writer may still use it, and the process ends soon.
 }
 
 namespace {
 
 int open_file(const std::string& path, mode_t permissions) noexcept {
-  // Not to wait for the reader of a named pipe.
+  // Does not wait for the reader of a named pipe.
   return ::open(path.c_str(), O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC | O_NONBLOCK, permissions);
 }
 
-/// Puts a new file behind the descriptor when the one there is full, or is no longer where it was (logrotate). The
-/// number of the descriptor stays the same, so that a fatal signal writes to the right file at each moment; spdlog's
-/// own rotating sink has none to give.
+/// Puts a new file behind the descriptor when the present file is full or was moved (logrotate). The descriptor number
+/// stays the same, so that a fatal signal always writes to the right file; spdlog's own rotating sink gives no
+/// descriptor.
 class LogFile {
  public:
   LogFile(std::string path, int fd, const LogSettings& settings)
@@ -56,7 +56,7 @@ class LogFile {
  private:
   void rotate(mode_t mode) noexcept {
     const auto numbered = [&](unsigned number) { return path_ + "." + std::to_string(number); };
-    for (unsigned i = keep_; i-- > 1;) ::rename(numbered(i).c_str(), numbered(i + 1).c_str());  // some are not there
+    for (unsigned i = keep_; i-- > 1;) ::rename(numbered(i).c_str(), numbered(i + 1).c_str());  // some may not exist
     if (::rename(path_.c_str(), numbered(1).c_str()) != 0) return tell(errno);
     begin_new(mode);
   }
@@ -67,12 +67,12 @@ class LogFile {
     ::fchmod(made, mode & 07777);
     ::dup3(made, fd_, O_CLOEXEC);
     ::close(made);
-    is_told_ = false;
+    is_reported_ = false;
   }
 
-  /// Into the file that goes on.
+  /// Writes a message to the continued file.
   void tell(int reason) noexcept {
-    if (std::exchange(is_told_, true)) return;
+    if (std::exchange(is_reported_, true)) return;
     std::array<char, 96> line{};
     const int size = std::snprintf(line.data(), line.size(), "cannot begin a new log file: error %d\n", reason);
     write_fully(fd_, line.data(), static_cast<std::size_t>(size));
@@ -82,7 +82,7 @@ class LogFile {
   int fd_;
   std::uint64_t max_bytes_;
   unsigned keep_;
-  bool is_told_ = false;
+  bool is_reported_ = false;
 };
 
 }  // namespace

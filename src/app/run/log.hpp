@@ -1,4 +1,4 @@
-// The log file of a run: a line for every error met, written within moments, whatever becomes of the program.
+// The log file of a run: one line for every error, written at once, whatever happens to the program.
 //
 //     2026-03-01T12:00:00.123456Z error sensor chamber: cannot read the ADC file: ... [not-found]
 #pragma once
@@ -15,7 +15,7 @@ namespace rtdata::app {
 /// Appends to the file, which rotates by size (LogSettings). Thread: `write` any, all else the main one.
 class Log {
  public:
-  Log() : writer_(128) {}  // lines that wait; each takes 0.4 KiB, made resident at the start
+  Log() : writer_(128) {}  // queued lines; each takes 0.4 KiB, allocated at the start
   Log(const Log&) = delete;
   Log& operator=(const Log&) = delete;
   ~Log();
@@ -37,8 +37,7 @@ class Log {
 std::string_view name_of(LogLevel level) noexcept;
 
 /// While it lives, a fatal signal (SIGSEGV, SIGBUS, SIGILL, SIGFPE, SIGABRT, SIGSYS, SIGXCPU, SIGXFSZ) waits up to half
-/// a second for the log to be written, adds a line of its own, and goes on to what it did before. One at a time in a
-/// process.
+/// a second for the log to be written, adds its own line, and then has its previous effect. One at a time in a process.
 class FatalSignals {
  public:
   explicit FatalSignals(const Log& log);

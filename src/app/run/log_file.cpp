@@ -14,7 +14,7 @@
 namespace rtdata::app {
 namespace {
 
-/// Why the log cannot be this file while the part writes those of its topics; empty: it can.
+/// Why the log cannot use this file, because the part writes it; empty: it can.
 std::string conflict_with(const PartPlan& part, const SystemPlan& plan, const config_detail::WrittenFile& log) {
   const StoredTopics& stores = *part.stores;
   if (stores.path.empty() || stores.path == "-") return "";
@@ -28,7 +28,7 @@ std::string conflict_with(const PartPlan& part, const SystemPlan& plan, const co
   return why;
 }
 
-/// Why it cannot be appended to; empty: it can.
+/// Why the log cannot append to the file; empty: it can.
 std::string obstacle(const std::string& file) {
   struct stat about {};
   if (::stat(file.c_str(), &about) == 0) {
@@ -57,11 +57,11 @@ bool check_log_file(const std::string& file, SystemPlan& plan) {
     const ConfigItem* const at = log != nullptr ? config_detail::child_of(*log, "file") : nullptr;
     to.add((at != nullptr ? *at : plan.document.root).problem(id, message));
   };
-  const bool is_told = file == plan.settings.log.file;  // by the plan
+  const bool is_reported = file == plan.settings.log.file;  // by the plan
   bool is_free = true;
   const auto refuse = [&](const std::string& message) {
     is_free = false;
-    if (!is_told) add(plan.problems, "duplicate-path", message);
+    if (!is_reported) add(plan.problems, "duplicate-path", message);
   };
   const config_detail::WrittenFile log{file, "the log", [&](const std::string& path, const std::string& other) {
                                          return config_detail::is_rotated_log(plan.settings.log, path, other);

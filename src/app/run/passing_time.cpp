@@ -14,7 +14,7 @@ namespace {
 
 constexpr Duration long_step = std::chrono::hours{24 * 365};
 constexpr Duration least_step = std::chrono::microseconds{1};
-constexpr Duration real_step = std::chrono::milliseconds{2};  // what a peer sends may be seen so late
+constexpr Duration real_step = std::chrono::milliseconds{2};  // longest delay for data from a peer
 
 bool needs_real_time(Loop& loop) {
   const auto& recorders = loop.runtime().core().recorders;
@@ -24,7 +24,7 @@ bool needs_real_time(Loop& loop) {
   });
 }
 
-/// To the next instant at which something is due.
+/// The time to the next deadline.
 Duration one_step(Loop& loop) {
   detail::Deadlines& deadlines = loop.core().deadlines;
   deadlines.leave_out_idle(detail::later(loop.now(), long_step));
@@ -51,7 +51,7 @@ void pass_time(Loop& loop, const std::function<bool()>& is_over) {
     if (needs_real_time(loop)) {
       pass_real_time(loop, one_step(loop));
     } else {
-      loop.advance(one_step(loop));  // at the next instant a sink may begin to send
+      loop.advance(one_step(loop));  // a sink may begin to send at the next instant
     }
   }
 }

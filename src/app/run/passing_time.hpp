@@ -1,4 +1,4 @@
-// Virtual time beside peers and devices whose time is the machine's.
+// Virtual time with peers and devices in real time.
 #pragma once
 
 #include <functional>
@@ -7,9 +7,9 @@
 
 namespace rtdata::app {
 
-/// Lets the time of a manual loop pass until `is_over`: as fast as it goes; but while a sink sends something to its
-/// peer, or waits before it tries again, no faster than the machine's time, so that time-outs, delays and deadlines are
-/// real ones. Loop's thread, not within a callback.
+/// Lets the time of a manual loop pass as fast as possible until `is_over` returns true. While a sink sends to its peer
+/// or waits for a retry, time passes no faster than real time, so that timeouts, delays and deadlines are real. Loop's
+/// thread, not within a callback.
 void pass_time(Loop& loop, const std::function<bool()>& is_over);
 
 }  // namespace rtdata::app

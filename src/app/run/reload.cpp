@@ -16,8 +16,8 @@ namespace rtdata::app {
 namespace {
 
 constexpr Duration device_look = std::chrono::milliseconds{5};
-constexpr Duration storing_patience = std::chrono::milliseconds{2500};  // less than whoever asked for it waits
-constexpr std::size_t most_told = 100;                                  // mistakes: telling them takes the loop's time
+constexpr Duration storing_patience = std::chrono::milliseconds{2500};  // less than the client waits
+constexpr std::size_t most_reported = 100;                              // reporting takes the loop's time
 constexpr Duration step_time = std::chrono::milliseconds{2};            // of a turn
 
 }  // namespace
@@ -51,7 +51,7 @@ void Reload::conclude(Change& change, LogLevel level, const std::string& text, s
     under_way_ = nullptr;
     begin_next();
   }
-  loop_.post([read = std::move(change.read)] {});  // to destroy many parts takes a turn of its own
+  loop_.post([read = std::move(change.read)] {});  // destroying many parts needs a separate turn
 }
 
 void Reload::refuse(Change& change, const std::string& text) {
@@ -72,12 +72,13 @@ bool Reload::may_be_applied(Change& change) {
   if (!change.read->failed.empty()) return refused(change.read->failed);
   const SystemPlan& next = change.read->plan;
   console_.add_secrets(next.secrets);
-  for (std::size_t i = 0; i < std::min(next.problems.size(), most_told); ++i)
+  for (std::size_t i = 0; i < std::min(next.problems.size(), most_reported); ++i)
     add(change, LogLevel::error, next.problems[i].text(), next.problems[i].id);
   if (!next.good()) {
-    return refused(std::to_string(next.problems.size()) +
-                   (next.problems.size() == 1 ? " mistake in " : " mistakes in ") + options_.file +
-                   (next.problems.size() > most_told ? ", the first of which are told; `rtdata check` tells all" : ""));
+    return refused(
+        std::to_string(next.problems.size()) + (next.problems.size() == 1 ? " mistake in " : " mistakes in ") +
+        options_.file +
+        (next.problems.size() > most_reported ? ", the first of which are told; `rtdata check` tells all" : ""));
   }
   for (const Problem& warning : next.warnings) add(change, LogLevel::warning, warning.text(), warning.id);
   if (!run_.has_guard && !next.of_kind("output").empty()) return refused(std::string(no_guard));
@@ -89,17 +90,17 @@ bool Reload::may_be_applied(Change& change) {
   }
   for (const PartChange& part : parts.all)
     if (part.fate == Fate::refused) add(change, LogLevel::error, part.text());
-  return refused("what is refused can be done by starting the program again");
+  return refused("a restart of the program applies the refused changes");
 }
 
-/// Looks whether new files can be written.
+/// Checks that new files can be written.
 struct Reload::NewFilesLook final : detail::LaneJob {
   NewFilesLook(Reload& reload, const std::shared_ptr<Change>& change, std::vector<NewFile> files)
       : reload_(reload), change_(change), files_(std::move(files)) {}
   void run() noexcept override try {
     for (const NewFile& file : files_)
       if (std::string why = obstacle_to_write(file); !why.empty()) obstacles_.push_back(file.object + ": " + why);
-  } catch (...) {  // no memory: as if it had not come back
+  } catch (...) {  // no memory: treated like a job that did not return
     has_failed_ = true;
   }
   void done(Outcome outcome) override {
@@ -120,7 +121,7 @@ struct Reload::NewFilesLook final : detail::LaneJob {
  private:
   Reload& reload_;
   const Weak change_;
-  const std::vector<NewFile> files_;  // their functions are those of the plan, and hold what they use
+  const std::vector<NewFile> files_;  // their functions come from the plan and own what they use
   std::vector<std::string> obstacles_;
   bool has_failed_ = false;
 };
@@ -169,7 +170,7 @@ void Reload::then(const Weak& change, void (Reload::*step)(const std::shared_ptr
 void Reload::apply(std::shared_ptr<const NextPlan> read, const std::string& why, Told told,
                    std::set<std::string> given_up) {
   const auto change = std::make_shared<Change>(Change{std::move(read), why, std::move(told), std::move(given_up)});
-  // A device, or a disk, has held it up: the file is another by now.
+  // A device or a disk delayed the reading: the file has been read again since then.
   if (change->read->number < newest_)
     return refuse(*change, "the file was read again since, and is applied as it was then");
   newest_ = change->read->number;
@@ -227,9 +228,9 @@ void Reload::ask_tiers(const std::shared_ptr<Change>& change) {
 }
 
 void Reload::stop_waiting(const std::shared_ptr<Change>& change) {
-  if (!std::exchange(change->is_waiting, false)) return;  // both are there in one turn
+  if (!std::exchange(change->is_waiting, false)) return;  // both may happen in one turn
   change->patience = {};
-  if (change->is_looking) {  // the lane gives the look up at the same time
+  if (change->is_looking) {  // the lane gives up the check at the same time
     for (const NewFile& file : new_files(system_.parts().plans(), change->read->plan, change->steps->changes()))
       change->obstacles.push_back(NewFilesLook::not_known({file}).front());
   }
@@ -242,8 +243,8 @@ void Reload::stop_waiting(const std::shared_ptr<Change>& change) {
   if (all.empty()) return go_on(change);
   const std::string stuck = detail::listed(all, " ");
   refuse(*change, "it would close " + stuck +
-                      ", which cannot store what it has now, and would lose it; mend what keeps it from that, or give "
-                      "it up: `rtdata ctl reload give-up " +
+                      ", which cannot store its queue now, and would lose it; mend the cause, or give it up: `rtdata "
+                      "ctl reload give-up " +
                       stuck + "` counts and reports what is lost");
 }
 
@@ -266,10 +267,10 @@ void Reload::go_on(const std::shared_ptr<Change>& change) {
     change->patience = Timer(loop_, device_look, [this, weak = Weak(change)] { then(weak, &Reload::go_on); });
     return;
   }
-  then(change, is_more ? &Reload::go_on : &Reload::be_applied);
+  then(change, is_more ? &Reload::go_on : &Reload::finish_change);
 }
 
-void Reload::be_applied(const std::shared_ptr<Change>& change) {
+void Reload::finish_change(const std::shared_ptr<Change>& change) {
   run_.applied(change->read->plan);
   std::set<std::string> made;
   for (const PartChange& part : change->steps->changes().all)
@@ -279,20 +280,20 @@ void Reload::be_applied(const std::shared_ptr<Change>& change) {
     if (plan->stores && plan->stores->check_openable && made.contains(plan->object()))
       change->waits_for.insert(plan->name);
   const Weak weak = change;
-  if (change->waits_for.empty()) return then(weak, &Reload::tell_parts);
+  if (change->waits_for.empty()) return then(weak, &Reload::report_parts);
   change->is_waiting = true;
-  change->patience = Timer(loop_, opening_patience, [this, weak] { then(weak, &Reload::tell_unopened); });
+  change->patience = Timer(loop_, opening_patience, [this, weak] { then(weak, &Reload::report_unopened); });
   for (const std::string& name : std::set<std::string>(change->waits_for)) {
     system_.sink(name).sync([this, name, weak] {
       const auto still = weak.lock();
       if (still == nullptr || still->waits_for.erase(name) == 0) return;
-      if (still->waits_for.empty()) then(weak, &Reload::tell_unopened);  // not from within the sink
+      if (still->waits_for.empty()) then(weak, &Reload::report_unopened);  // not from within the sink
     });
   }
 }
 
-void Reload::tell_unopened(const std::shared_ptr<Change>& change) {
-  if (!std::exchange(change->is_waiting, false)) return;  // both are there in one turn
+void Reload::report_unopened(const std::shared_ptr<Change>& change) {
+  if (!std::exchange(change->is_waiting, false)) return;  // both may happen in one turn
   change->patience = {};
   for (const std::string& name : change->waits_for) {
     const SinkStatus sink = system_.sink(name).status();
@@ -300,15 +301,15 @@ void Reload::tell_unopened(const std::shared_ptr<Change>& change) {
         "sink " + name + " stores nothing yet" +
             (sink.reason.empty() ? ", " + to_string(opening_patience) + " after it was made" : ": " + sink.reason));
   }
-  tell_parts(change);
+  report_parts(change);
 }
 
-void Reload::tell_parts(const std::shared_ptr<Change>& change) {
+void Reload::report_parts(const std::shared_ptr<Change>& change) {
   const PlanChange& parts = change->steps->changes();
-  for (const MonotonicTime begin = loop_.now(); change->told_parts < parts.all.size();) {
-    const PartChange& part = parts.all[change->told_parts++];
+  for (const MonotonicTime begin = loop_.now(); change->reported_parts < parts.all.size();) {
+    const PartChange& part = parts.all[change->reported_parts++];
     if (part.fate != Fate::unchanged) add(*change, LogLevel::info, part.text());
-    if (loop_.now() - begin >= step_time) return then(change, &Reload::tell_parts);
+    if (loop_.now() - begin >= step_time) return then(change, &Reload::report_parts);
   }
   for (const std::string& line : change->left) add(*change, LogLevel::warning, line, "left-backlog");
   if (!change->missing.empty())

@@ -1,4 +1,4 @@
-// The configuration of a run is read again, and applied while the run goes on.
+// Reads the configuration of a run again and applies it while the run continues.
 #pragma once
 
 #include <atomic>
@@ -22,16 +22,16 @@
 
 namespace rtdata::app {
 
-/// Why a system that was started without outputs gets none.
+/// Why outputs cannot be added to a system that was started without outputs.
 inline constexpr std::string_view no_guard = "the guard of outputs is started with the program: start it again";
 
-/// Thread: the loop's, unless said otherwise. Gone before the system.
+/// Thread: the loop's, unless stated otherwise. Destroy it before the system.
 class Reload {
  public:
   struct Run {
     std::function<bool()> is_ending;
     std::function<void(const SystemPlan& next)> applied;
-    bool has_guard = false;  ///< the process that sets outputs safe, which is started with the program
+    bool has_guard = false;  ///< the process that sets outputs safe was started with the program
   };
   struct NextPlan {
     SystemPlan plan;
@@ -49,22 +49,22 @@ class Reload {
         run_(std::move(run)),
         lane_(loop.core(), "reload", std::chrono::seconds{1}) {}
 
-  static constexpr Duration opening_patience = std::chrono::milliseconds{500};  // who asked waits for it, too
-  /// Reads and checks the file again. Any thread but the loop's: so nothing waits for it.
+  static constexpr Duration opening_patience = std::chrono::milliseconds{500};  // the client waits for it, too
+  /// Reads and checks the file again. Any thread except the loop's, so that the loop does not wait.
   std::shared_ptr<const NextPlan> read_again() const;
-  /// `why`: what asked for it, for messages. A recording that the change closes stores first what it has, while the
-  /// loop turns; one that cannot, as on a full disk, would lose it: then nothing is changed.
-  /// One that comes while another is applied waits for it; of several that wait, the last one is applied.
-  /// `given_up`: sinks that the change closes, by name: it goes on without what they cannot store.
+  /// `why`: the cause, for messages. A recording that the change closes first stores its queue, while the loop turns;
+  /// if it cannot, for example on a full disk, nothing is changed, because the queue would be lost. A reload that comes
+  /// while another is applied waits for it; of several waiting ones, the last is applied. `given_up`: names of sinks
+  /// that the change closes even if they cannot store their queue.
   void apply(std::shared_ptr<const NextPlan> read, const std::string& why, Told told,
              std::set<std::string> given_up = {});
-  /// Events of sinks that were closed before they could store them.
+  /// Events that closed sinks could not store.
   std::uint64_t not_stored() const noexcept { return system_.lost_in_changes(); }
-  /// The run is over: what is under way stays as it is. Returns the parts that a change has not made, or not again.
+  /// The run ends: a running change stops as it is. Returns the parts that changes could not make.
   const std::set<std::string>& end();
 
  private:
-  /// One that is under way.
+  /// A reload in progress.
   struct Change {
     std::shared_ptr<const NextPlan> read;
     std::string why;
@@ -72,41 +72,41 @@ class Reload {
     std::set<std::string> given_up = {};
     std::unique_ptr<StepwiseChange> steps = {};
     bool is_waiting = false;
-    bool is_looking = false;                  // whether files that it begins can be written
-    std::vector<std::string> obstacles = {};  // to that, a line each
-    // Sinks that store what they have, and "tier fast" until that turns; then sinks that open their files.
+    bool is_looking = false;                  // the check of new files is running
+    std::vector<std::string> obstacles = {};  // reasons against new files, a line each
+    // Sinks that still store their queue, and "tier fast" until it turns; then sinks that open their files.
     std::set<std::string> waits_for = {};
     Timer patience = {};
-    std::vector<std::string> left = {};  // recordings that it closes for good, a line each
-    std::size_t told_parts = 0;          // of those that are changed, for the log
-    std::string details = {};            // what is said of it, a line each
-    std::string missing = {};            // what could not be made, though it is applied
+    std::vector<std::string> left = {};  // recordings that it closes permanently, a line each
+    std::size_t reported_parts = 0;      // number of changed parts already logged
+    std::string details = {};            // its messages, a line each
+    std::string missing = {};            // parts that could not be made, although it is applied
   };
   using Weak = std::weak_ptr<Change>;
   void conclude(Change& change, LogLevel level, const std::string& text, std::string_view id = {});
   void refuse(Change& change, const std::string& text);
   void add(Change& change, LogLevel level, const std::string& text, std::string_view id = {});
-  /// False: it is refused, and concluded.
+  /// False: it is refused and finished.
   bool may_be_applied(Change& change);
-  /// Why these sinks cannot be given up; empty: they can.
+  /// Why these sinks' queues must not be given up; empty: they may.
   std::string obstacle_to_give_up(const Change& change) const;
-  /// The sinks that the change closes, by name. `recordings_alone`: without those that send over a network.
+  /// The sinks that the change closes, by name. `recordings_alone`: without network sinks.
   std::set<std::string> closing_sinks(const Change& change, bool recordings_alone) const;
   void begin(const std::shared_ptr<Change>& change);
-  /// Whether the files that it begins can be written: asked on the lane, while closing sinks store what they have.
+  /// Checks on the lane that new files can be written, while closing sinks store their queue.
   void look_at_new_files(const std::shared_ptr<Change>& change);
-  /// Whether the tiers turn that it needs.
+  /// Checks that the needed tiers turn.
   void ask_tiers(const std::shared_ptr<Change>& change);
-  /// What waits, in a turn of its own.
+  /// Begins the waiting reload, in a separate turn.
   void begin_next();
-  /// What comes next, in a turn of its own. Not when this change is concluded.
+  /// Runs the next step in a separate turn, unless this change is finished.
   void then(const Weak& change, void (Reload::*step)(const std::shared_ptr<Change>&));
   void stop_waiting(const std::shared_ptr<Change>& change);
   void go_on(const std::shared_ptr<Change>& change);
-  void be_applied(const std::shared_ptr<Change>& change);
-  /// Tells which sinks that it has made could not open their files.
-  void tell_unopened(const std::shared_ptr<Change>& change);
-  void tell_parts(const std::shared_ptr<Change>& change);
+  void finish_change(const std::shared_ptr<Change>& change);
+  /// Reports new sinks that could not open their files.
+  void report_unopened(const std::shared_ptr<Change>& change);
+  void report_parts(const std::shared_ptr<Change>& change);
 
   struct NewFilesLook;
 
@@ -116,11 +116,11 @@ class Reload {
   const RunOptions& options_;
   RunConsole& console_;
   const Run run_;
-  std::shared_ptr<Change> under_way_;                // null: none
-  std::shared_ptr<Change> next_;                     // that waits for it
-  mutable std::atomic<std::uint64_t> readings_ = 0;  // begun
-  std::uint64_t newest_ = 0;                         // that was to be applied
-  detail::Lane lane_;                                // that looks at files, on whatever disks they are
+  std::shared_ptr<Change> under_way_;                // null: no reload in progress
+  std::shared_ptr<Change> next_;                     // the waiting one
+  mutable std::atomic<std::uint64_t> readings_ = 0;  // number of readings begun
+  std::uint64_t newest_ = 0;                         // the newest that was applied
+  detail::Lane lane_;                                // checks files on all disks
 };
 
 }  // namespace rtdata::app

@@ -1,4 +1,4 @@
-// rtdata replay: gives a recording's events to the sinks of a configuration, or to the terminal, run by run.
+// rtdata replay: publishes the events of a recording to the sinks of a configuration or the terminal, run by run.
 #include "rtdata/recording/replay.hpp"
 
 #include <sys/stat.h>
@@ -37,13 +37,13 @@ bool is_same_file(const std::string& a, const std::string& b) {
          of_a.st_ino == of_b.st_ino;
 }
 
-/// It makes its events of those of other parts.
+/// True if the part derives its events from other parts.
 bool follows_others(const PartPlan& part) {
   return part.kind == "machine" ||
          (part.kind == "sensor" && (part.type == "derived" || part.type == "limit" || part.type == "vertical"));
 }
 
-/// A machine begins in its start state, whatever the recordings of the configuration say.
+/// Makes machines begin in their start state, without regard to recordings.
 void forget_pauses(ConfigItem& root) {
   ConfigItem* machines = root.is_object() ? root.find("machines") : nullptr;
   if (machines == nullptr || !machines->is_array()) return;
@@ -51,7 +51,7 @@ void forget_pauses(ConfigItem& root) {
     if (ConfigItem* one = machines->find(i); one->is_object()) one->remove("resume");
 }
 
-/// The parts of a configuration that take events; those that read devices, and what they need, are left out.
+/// The parts of a configuration that take events, without parts that read devices and the parts that these need.
 SystemPlan takers_of(const Registry& registry, const ReplayOptions& options) {
   ConfigDocument document = load_config(options.configuration);
   forget_pauses(document.root);
@@ -77,14 +77,14 @@ SystemPlan takers_of(const Registry& registry, const ReplayOptions& options) {
   for (const PartPlan& part : plan.parts) {
     if (part.stores && is_same_file(part.stores->path, options.config.file)) {
       throw SetupError({Errc::bad_argument, "cannot replay", options.config.file,
-                        "sink " + part.name + " records into it: what is replayed would be recorded again",
+                        "sink " + part.name + " records into it: the replayed events would be recorded again",
                         "record into another file"});
     }
   }
   return plan;
 }
 
-/// Leaves out the parts whose events the replay gives.
+/// Removes the parts whose events the replay publishes.
 void leave_out_recorded(SystemPlan& plan, const Recording& recording, const RunInfo& run, const ReplayConfig& config,
                         bool is_quiet) {
   std::set<std::string> given, recorded;
@@ -102,7 +102,7 @@ void leave_out_recorded(SystemPlan& plan, const Recording& recording, const RunI
   });
 }
 
-/// The pairs of clocks of a run's boot, so that what is recorded again has the same UTC.
+/// Adds the clock pairs of a run's boot, so that a new recording has the same UTC.
 void give_clock(const Recording& recording, const RunInfo& run, Loop& loop) {
   detail::RuntimeCore& runtime = loop.runtime().core();
   for (const RunInfo& other : recording.runs().or_throw()) {
@@ -115,8 +115,8 @@ void give_clock(const Recording& recording, const RunInfo& run, Loop& loop) {
   }
 }
 
-/// The machine's, for a run in real time whose time of day is that of another. As the two do not belong together, the
-/// run has a boot of its own: its pairs say nothing of what was recorded since this machine started.
+/// The machine's monotonic clock with the time of day of the recorded run. The run has its own boot id, because its
+/// clock pairs are not valid for other recordings of this machine.
 class RunClock final : public SystemClock {
  public:
   explicit RunClock(Time realtime) { set_realtime(realtime); }
@@ -130,7 +130,7 @@ class RunClock final : public SystemClock {
   Duration offset_{0};
 };
 
-/// For a run in virtual time: both its lines go on as those of the run that was recorded did at `begin`.
+/// For a run in virtual time: both clocks start as in the recorded run at `begin`.
 ManualClock clock_of(const RunInfo& run, Time begin) {
   const Duration since_boot = detail::difference(run.clock_offset, begin.time_since_epoch());
   if (since_boot <= Duration{0} || since_boot == Duration::max()) return ManualClock(begin);
@@ -139,7 +139,7 @@ ManualClock clock_of(const RunInfo& run, Time begin) {
   return clock;
 }
 
-/// As Loop::close does it. Senders have the machine's time for what is still to be sent.
+/// As Loop::close, but senders get real time to finish.
 std::uint64_t close_in_virtual_time(Loop& loop) {
   constexpr Duration deadline = std::chrono::seconds{10};
   std::uint64_t lost = 0;
@@ -153,9 +153,8 @@ std::uint64_t close_in_virtual_time(Loop& loop) {
   return lost;
 }
 
-/// What sinks dropped or could not close, beside what the recording had dropped already: those are counted again.
-/// False: none did.
-bool tell_drops(const Runtime& runtime, std::uint64_t dropped_before) {
+/// Reports events that sinks dropped or did not store, except those already dropped in the recording. False: none.
+bool report_drops(const Runtime& runtime, std::uint64_t dropped_before) {
   bool is_any = false;
   for (const SinkStatus& sink : runtime.sinks()) {
     const std::uint64_t refused = sink.counts.dropped[static_cast<std::size_t>(DropReason::refused)];
@@ -200,7 +199,7 @@ class ReplayRun {
       try {
         give(recording, run, plan ? &*plan : nullptr);
       } catch (const SetupError& error) {
-        // One of several may have nothing of what is asked for.
+        // Some of several runs may have no matching events.
         if (runs.size() == 1 || error.error().code != make_error_code(Errc::not_found)) throw;
         last_missing_ = error.error();
       }
@@ -213,11 +212,11 @@ class ReplayRun {
   void give(const Recording& recording, const RunInfo& run, const SystemPlan* plan) {
     ReplayConfig config = options_.config;
     config.run = run.run;
-    // Its line is that of the run, so that whoever asks for the time gets that at which it was recorded.
+    // The loop has the run's clock, so that it shows recorded times.
     const Time asked = detail::beginning_of(recording, run, config);
     const Time begin = std::clamp(asked, run.started, std::max(run.started, run.ended.value_or(asked)));
     ManualClock clock = clock_of(run, begin);
-    RunClock real_clock(begin - std::chrono::seconds{1});  // while sinks are opened time passes
+    RunClock real_clock(begin - std::chrono::seconds{1});  // time passes while sinks are opened
     Runtime::Config runtime_config = plan != nullptr ? plan->runtime_config() : Runtime::Config{};
     runtime_config.clock = options_.is_virtual ? static_cast<Clock*>(&clock) : &real_clock;
     if (runtime_config.name.empty() || plan == nullptr) runtime_config.name = run.name;
@@ -270,7 +269,7 @@ class ReplayRun {
     const ReplayCounts counts = replay.counts();
     const std::uint64_t lost = options_.is_virtual ? close_in_virtual_time(loop) : loop.close();
     replayed_ += counts.events;
-    const bool has_dropped = tell_drops(runtime, counts.dropped);
+    const bool has_dropped = report_drops(runtime, counts.dropped);
     if (failed || counts.refused > 0 || is_stopped_ || lost > 0 || has_dropped) status_ = exit_other;
   }
 

@@ -33,11 +33,11 @@ namespace rtdata::app {
 namespace {
 
 constexpr Duration redraw_period = std::chrono::milliseconds{500};
-constexpr Duration longest_to_be_safe = std::chrono::seconds{12};  // of a slow device
-constexpr Duration answer_patience = std::chrono::seconds{4};      // less than that of the control socket
+constexpr Duration longest_to_be_safe = std::chrono::seconds{12};  // for a slow device
+constexpr Duration answer_patience = std::chrono::seconds{4};      // less than the limit of the control socket
 constexpr Duration line_period = std::chrono::seconds{10};         // in a pipe, and for the service manager
 
-/// One run, from the file to the exit status. Members in the order in which they may go.
+/// One run, from the file to the exit status. The order of the members is their order of construction and destruction.
 class Run {
  public:
   Run(const Registry& registry, const RunOptions& options)
@@ -80,7 +80,7 @@ class Run {
 
   int run(const SystemPlan& plan) {
     for (const Problem& warning : plan.warnings) {
-      if (warning.id == "cannot-write") continue;  // of the log: reported when it was opened
+      if (warning.id == "cannot-write") continue;  // from the log: already reported when it was opened
       console_.say(LogLevel::warning, "configuration", warning.text(), warning.id);
     }
     Runtime::Config runtime_config = plan.runtime_config();
@@ -131,13 +131,13 @@ class Run {
     });
     std::optional<ControlSocket> control;
     open_control(control, loop, reload, status, desk);
-    tell_start(plan);
+    report_start(plan);
 
     console_.open_view();
     {
       Service service(loop);
-      loop.post([&] { be_ready(service); });
-      // Without the table there is nothing to show between two lines: the program is not woken up for it.
+      loop.post([&] { report_ready(service); });
+      // Without the table nothing is shown between two lines, so the program need not wake up.
       Ticker ticker(loop,
                     Ticker::Config{.period = console_.has_view() ? redraw_period : line_period, .name = "display"},
                     [&](const Tick& tick) { show(runtime, service, tick.due); });
@@ -146,28 +146,28 @@ class Run {
       } else {
         loop.run();
       }
-      (void)service.tell("STOPPING=1\nSTATUS=storing what is queued");
+      (void)service.tell("STOPPING=1\nSTATUS=storing the queued events");
       is_closing_ = true;
       desk.end();
       set_safe(loop, system);
       ticker.set_period(redraw_period);
-      not_stored_ += reload.not_stored();  // what its sinks still send is among what closing counts
+      not_stored_ += reload.not_stored();  // closing counts what its sinks still send
       not_stored_ += loop.close(close_deadline_);
     }
-    tell_holds(loop.callbacks());
+    report_holds(loop.callbacks());
     const std::string hanging = stop_tiers(plan, system);
-    tell_buses(system);
+    report_buses(system);
     console_.close_view();
     const int exit_status = report(runtime, loop.core().runtime.unknown_end,
                                    unsafe_outputs(system, runtime.config().guard), reload.end());
     if (!hanging.empty()) {
       control.reset();
-      leave_behind(hanging);
+      exit_while_hanging(hanging);
     }
     return exit_status;
   }
 
-  /// Paths of the sinks for the summary, and how long closing them may take.
+  /// Notes the paths of the sinks for the summary, and how long closing them may take.
   void note_sinks(const SystemPlan& plan) {
     close_deadline_ = plan.settings.tiers.empty() ? Duration{0} : Duration{std::chrono::seconds{2}};
     for (const PartPlan& part : plan.parts) {
@@ -189,14 +189,14 @@ class Run {
       if (part.kind == "machine") info.made = &system.parts();
       if (part.publishes && (part.kind == "output" || part.type == "limit"))
         info.changes.push_back(part.publishes->topic);
-      if (part.publishes || part.stores || part.type.empty()) continue;  // which have a status of their own
+      if (part.publishes || part.stores || part.type.empty()) continue;  // these have their own status
       info.parts.push_back({{part.kind, part.name, part.type, users[{part.kind, part.name}], {}},
                             system.parts().find<Bus>(part.kind, part.name)});
     }
     return info;
   }
 
-  /// On the control socket's thread: waits for the loop, but not for ever.
+  /// On the control socket's thread: waits for the loop with a limit.
   static CommandOutcome reload_for(Loop& loop, Reload& reload, CommandDesk& desk, const std::vector<std::string>& words,
                                    const std::string& by) {
     auto outcome = std::make_shared<std::promise<CommandOutcome>>();
@@ -211,12 +211,11 @@ class Run {
     });
     if (told.wait_for(answer_patience) == std::future_status::ready) return told.get();
     return {false,
-            "it is not applied yet: the loop is busy, such as storing what a closed sink has; the log says what "
-            "comes of it"};
+            "it is not applied yet: the loop is busy, such as storing the queue of a closed sink; the log will have "
+            "the result"};
   }
 
-  /// Outputs of which nobody knows whether they have their safe value, also those that a reload closed: "output heater,
-  /// output fan".
+  /// Outputs that may not have their safe value, also those closed by a reload: "output heater, output fan".
   static std::string unsafe_outputs(const System& system, const OutputGuard* guard) {
     std::set<std::string> all;
     if (guard != nullptr)
@@ -227,13 +226,13 @@ class Run {
     }
     return detail::listed(all);
   }
-  /// Tells what held those that stop; returns those that do not, for people: "tier fast in sensor chamber".
+  /// Stops all tiers; reports what delayed them. Returns the tiers that do not stop: "tier fast in sensor chamber".
   std::string stop_tiers(const SystemPlan& plan, System& system) {
     std::string hanging;
     for (const auto& entry : plan.settings.tiers) {
       Tier& tier = system.tier(entry.first);
       if (tier.stop_within(std::chrono::milliseconds{100})) {
-        tell_holds(tier.loop().callbacks());
+        report_holds(tier.loop().callbacks());
         continue;
       }
       const std::string where = tier.doing();
@@ -243,17 +242,17 @@ class Run {
     return hanging;
   }
 
-  /// All outputs at once, while the loop turns, so that none waits for the device of another.
+  /// Sets all outputs safe at once, while the loop turns, so that none waits for another's device.
   static void set_safe(Loop& loop, System& system) {
     if (system.parts().names("output").empty()) return;
     system.finish_outputs([&loop] { loop.stop(); });
     loop.run_for(longest_to_be_safe);
   }
 
-  /// The end of a program of which a thread does not end: what it uses cannot be destroyed.
-  [[noreturn]] void leave_behind(const std::string& hanging) {
-    console_.say(LogLevel::error, "program", "ended though it hangs: " + hanging + "; the recordings say what is known",
-                 "not-turning");
+  /// Ends the program although a thread does not end, without destroying what the thread uses.
+  [[noreturn]] void exit_while_hanging(const std::string& hanging) {
+    console_.say(LogLevel::error, "program",
+                 "ended though it hangs: " + hanging + "; the recordings have the rest of the account", "not-turning");
     log_.write(LogLevel::info, "program", "ended with status " + std::to_string(exit_other));
     log_.wait_until_written(std::chrono::seconds{1});
     console_.wait_until_written();
@@ -273,9 +272,8 @@ class Run {
       desk.run(words, by, [outcome](const CommandOutcome& came) { outcome->set_value(came); });
       return [told = std::make_shared<std::future<CommandOutcome>>(outcome->get_future())] {
         if (told->wait_for(answer_patience) == std::future_status::ready) return command_answer(told->get());
-        return command_answer({false,
-                               "it is not known yet whether that is on the card: the loop is busy; the log "
-                               "says what comes of it"});
+        return command_answer(
+            {false, "it is not known yet whether that is on the disk: the loop is busy; the log will have the result"});
       };
     };
     try {
@@ -286,7 +284,7 @@ class Run {
     }
   }
 
-  void tell_start(const SystemPlan& plan) {
+  void report_start(const SystemPlan& plan) {
     std::string text = "running " + plan.settings.name + ": " + counts_text(registry_, plan);
     if (options_.duration) text += ", for " + to_string(*options_.duration);
     text += log_.file().empty() ? "" : "; log " + log_.file();
@@ -302,14 +300,14 @@ class Run {
     }
   }
 
-  /// The loop turns, and so do its tiers.
-  void be_ready(Service& service) {
+  /// Called when the loop and its tiers turn.
+  void report_ready(Service& service) {
     const auto told = service.tell("READY=1\nSTATUS=running");
     if (!told) console_.say(LogLevel::warning, "program", told.error().text(), told.error().id());
   }
 
-  /// The callbacks that held the loop, and their times.
-  void tell_holds(const std::vector<CallbackStatus>& callbacks) {
+  /// Logs the callbacks that held the loop, with their times.
+  void report_holds(const std::vector<CallbackStatus>& callbacks) {
     for (const CallbackStatus& callback : callbacks) {
       const CallbackTimes& times = callback.times;
       if (times.held == 0) continue;
@@ -322,7 +320,7 @@ class Run {
   }
 
   /// Logs the transfer counts of each place on each bus.
-  void tell_buses(const System& system) {
+  void report_buses(const System& system) {
     for (const std::string& name : system.parts().names("bus")) {
       const Bus* bus = system.parts().find<Bus>("bus", name);
       if (bus == nullptr) continue;
@@ -337,31 +335,31 @@ class Run {
   }
 
   void stop(Loop& loop, const char* signal) {
-    is_storing_told_ = true;
-    if (is_closing_) {  // stopping the loop would end that
+    is_storing_reported_ = true;
+    if (is_closing_) {  // stopping the loop would end the closing
       console_.say(LogLevel::info, "program",
-                   std::string(signal) + ": it is storing what is queued already (again: ends at once)");
+                   std::string(signal) + ": it is storing the queued events already (again: ends at once)");
       draw();
       return;
     }
     console_.say(LogLevel::info, "program",
-                 std::string("stopping on ") + signal + ": storing what is queued (again: ends at once)");
+                 std::string("stopping on ") + signal + ": storing the queued events (again: ends at once)");
     draw();
     loop.stop();
   }
 
-  /// The view watches as a client of its own.
+  /// The view is its own client of the status.
   void draw() {
     constexpr std::uint64_t view = 0;
     if (console_.has_view() && status_ != nullptr) console_.draw(status_->take(view));
   }
 
-  /// A run whose time is over may take long to store what is queued: said when it has taken half a second.
-  void tell_storing(std::uint64_t queued) {
-    if (is_storing_told_ || ++shows_while_closing_ < 2 || queued == 0) return;
-    is_storing_told_ = true;
+  /// Shows a message if storing the queue at the end takes more than half a second.
+  void report_storing(std::uint64_t queued) {
+    if (is_storing_reported_ || ++shows_while_closing_ < 2 || queued == 0) return;
+    is_storing_reported_ = true;
     console_.say(LogLevel::info, "program",
-                 "storing what is queued: " + std::to_string(queued) + " events, for at most " +
+                 "storing the queued events: " + std::to_string(queued) + " events, for at most " +
                      to_string(close_deadline_) + " (Ctrl-C twice ends at once)");
   }
 
@@ -370,16 +368,16 @@ class Run {
     const bool is_line_due = due - last_line_ >= line_period;
     if (is_line_due) last_line_ = due;
     if (is_line_due) (void)service.tell("STATUS=" + progress(status_of(runtime)));
-    console_.tell_log_failure();
-    if (is_closing_) tell_storing(status_of(runtime).queued);
+    console_.report_log_failure();
+    if (is_closing_) report_storing(status_of(runtime).queued);
     draw();
     if (is_line_due && !console_.has_view()) console_.say(LogLevel::info, "", progress(status_of(runtime)));
   }
 
-  /// `unknown`: what is not in the account; empty: it is complete.
+  /// `unknown`: what the account does not contain; empty: it is complete.
   int report(Runtime& runtime, const std::string& unknown, const std::string& unsafe,
              const std::set<std::string>& not_made) {
-    console_.tell_log_failure();
+    console_.report_log_failure();
     const Status status = status_of(runtime, paths_);
     Ending ending{unknown.empty() && runtime.balances(), runtime.has_loss(), unknown, not_stored_};
     ending.not_made = detail::listed(not_made);
@@ -388,7 +386,7 @@ class Run {
       if (followers_.contains(sink.name) && !sink.backlog)
         ending.unknown_backlogs.push_back("sink " + sink.name + (sink.reason.empty() ? "" : ": " + sink.reason));
       constexpr auto refused = static_cast<std::size_t>(DropReason::refused);
-      if (recordings_.contains(sink.name) && sink.dropped[refused] != 0) is_all_stored = false;  // by disk or file
+      if (recordings_.contains(sink.name) && sink.dropped[refused] != 0) is_all_stored = false;  // by the disk
     }
     is_all_stored = is_all_stored && ending.unknown_backlogs.empty();
     std::string said = verdict(status, ending);
@@ -401,7 +399,8 @@ class Run {
     return ending.balances && is_all_stored && unsafe.empty() ? exit_good : exit_other;
   }
 
-  /// Of a file with outputs. Before there are threads, and so before the file is checked: one with mistakes has none.
+  /// Starts the guard for a file with outputs, before there are threads and so before the file is checked. A file with
+  /// mistakes gets no guard.
   static std::unique_ptr<OutputGuard> start_guard(const Registry& registry, const ConfigDocument& document) {
     const ConfigItem* const outputs = document.root.find("outputs");
     if (outputs == nullptr || outputs->size() == 0) return nullptr;
@@ -412,19 +411,19 @@ class Run {
   const RunOptions& options_;
   ConfigDocument document_;                   // until it is checked
   const std::unique_ptr<OutputGuard> guard_;  // null: the file has no outputs
-  StopSignals signals_;                       // before the others: their threads are not to take the signals
+  StopSignals signals_;                       // before the others, so that their threads do not get the signals
   RunConsole console_;
   Log& log_ = console_.log();
-  StatusSource* status_ = nullptr;  // while there is one
+  StatusSource* status_ = nullptr;  // null: none now
   MonotonicTime last_line_{};
   bool is_closing_ = false;
   Duration close_deadline_{0};
-  std::map<std::string, std::string> paths_;  // of the sinks, also of those that were closed
+  std::map<std::string, std::string> paths_;  // of the sinks, also of closed ones
   std::set<std::string> recordings_;          // of the sinks
-  std::set<std::string> followers_;           // that go through one of them
-  bool is_storing_told_ = false;
+  std::set<std::string> followers_;           // sinks with `through`
+  bool is_storing_reported_ = false;
   unsigned shows_while_closing_ = 0;
-  std::uint64_t not_stored_ = 0;  // when a sink or all ended: they are lost
+  std::uint64_t not_stored_ = 0;  // lost when sinks ended
 };
 
 }  // namespace

@@ -18,7 +18,7 @@ namespace {
 
 constexpr Duration longest_limit = std::chrono::seconds{1};
 
-/// A number of the environment; 0 where there is none.
+/// A number from the environment; 0 if there is none.
 std::int64_t number_of(const char* variable) {
   const char* text = std::getenv(variable);
   std::int64_t value = 0;
@@ -53,7 +53,7 @@ Result<void> ServiceManager::tell(std::string_view state) {
   if (address_.empty()) return {};
   const auto failed = [this](int number) {
     const std::string shown = (address_.front() == '\0' ? "@" : address_.substr(0, 1)) + address_.substr(1);
-    return system_error(number, "cannot tell the service manager", shown,
+    return system_error(number, "cannot notify the service manager", shown,
                         "check `Type=notify` and `NotifyAccess` of the unit");
   };
   sockaddr_un address{};
@@ -80,7 +80,7 @@ Service::Service(Loop& loop) {
 
 void Service::feed() {
   if (all_turn()) {
-    (void)manager_.tell("WATCHDOG=1");  // a socket that does not work was reported with READY=1
+    (void)manager_.tell("WATCHDOG=1");  // a failing socket was already reported with READY=1
   } else {
     ++withheld_;
   }

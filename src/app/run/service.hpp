@@ -12,7 +12,7 @@
 
 namespace rtdata::app {
 
-/// The service manager's end: $NOTIFY_SOCKET, $WATCHDOG_USEC and $WATCHDOG_PID of the environment, see sd_notify(3).
+/// The connection to the service manager, from $NOTIFY_SOCKET, $WATCHDOG_USEC and $WATCHDOG_PID, see sd_notify(3).
 class ServiceManager {
  public:
   ServiceManager();
@@ -20,10 +20,10 @@ class ServiceManager {
   ServiceManager& operator=(const ServiceManager&) = delete;
   ~ServiceManager();
 
-  /// One or several lines of "KEY=value". Never waits; nothing where no manager listens. Errors: the operating
+  /// Sends one or several lines of "KEY=value". Never waits; does nothing without a manager. Errors: the operating
   /// system's.
   Result<void> tell(std::string_view state);
-  /// How often it must be fed; 0: it has no watchdog on this process.
+  /// The watchdog time of this process; 0: none.
   Duration watchdog() const noexcept { return watchdog_; }
 
  private:
@@ -32,22 +32,21 @@ class ServiceManager {
   Duration watchdog_{0};
 };
 
-/// A run as a service. Watches the tiers that the loop has by now, and feeds the watchdog at half its time while all of
-/// them turn; the main loop feeds it itself, so it must turn too. It must be destroyed before the loop. Thread: the
-/// loop's.
+/// A run as a service. Watches the tiers of the loop, and feeds the watchdog at half its time while all of them turn.
+/// The main loop does this, so it must turn too. Destroy it before the loop. Thread: the loop's.
 class Service {
  public:
   explicit Service(Loop& loop);
 
   Result<void> tell(std::string_view state) { return manager_.tell(state); }
   bool all_turn() const noexcept { return !tiers_ || tiers_->all_turn(); }
-  /// How often the watchdog was not fed since a tier did not turn.
+  /// How often the watchdog was not fed because a tier did not turn.
   std::uint64_t withheld() const noexcept { return withheld_; }
 
  private:
   void feed();
   ServiceManager manager_;
-  std::optional<TierWatch> tiers_;  // none: a watch would wake the program for nothing
+  std::optional<TierWatch> tiers_;  // empty: no watch needed
   std::uint64_t withheld_ = 0;
   Ticker ticker_;  // closed: there is no watchdog
 };

@@ -16,7 +16,7 @@ struct Entry {
   std::string text;
 };
 
-/// Whether it could be made: a type of this program, without mistakes.
+/// True if the item could be made: its type exists in this program and it has no mistakes.
 bool is_usable(const Registry& registry, const char* list, const std::string& text) {
   return plan_system(registry, parse_config("{\"" + std::string(list) + "\": [" + text + "]}")).good();
 }
@@ -32,7 +32,7 @@ void add_list(std::string& file, const Registry& registry, const char* list, con
   file += "  \"" + std::string(list) + "\": [" + items + (items.empty() ? "]" : "\n  ]");
 }
 
-/// What every computer knows of itself, and this one of its temperature.
+/// The host sensors that every computer has, and this one's temperature.
 std::vector<Entry> host_entries() {
   const auto entry = [](std::string comment, const char* name, const char* rate) {
     return Entry{std::move(comment), R"({"name": ")" + std::string(name) + R"(", "type": "host", "quantity": ")" +
@@ -50,8 +50,8 @@ std::vector<Entry> host_entries() {
   return entries;
 }
 
-/// What scan finds that needs no wiring to be known: converters of the kernel, thermometers on 1-Wire, gpsd; four of a
-/// kind at most. Of the rest, a comment says that it is there.
+/// Devices found by scan that need no knowledge of the wiring: converters of the kernel, 1-Wire thermometers, gpsd; at
+/// most four of each kind. A comment lists the other devices.
 std::vector<Entry> found_entries(const Registry& registry, const MachineFiles& files, std::string& others) {
   struct Wanted {
     std::string_view kind;
@@ -102,7 +102,7 @@ std::string starter_file(const Registry& registry, const std::string& file, cons
                             R"(, "topics": ["#"], "rotate": {"bytes": 100000000}, "keep": 9})";
   add_list(text, registry, "sinks",
            {{"check it with: rtdata verify " + stem + ".db; at 1 GB its oldest rows give way to new ones" +
-                 (is_card ? "\n    // card: fewer writes, since this is an SD card; a power cut costs 10 s" : ""),
+                 (is_card ? "\n    // card: fewer writes, since this is an SD card; a power failure costs 10 s" : ""),
              recording},
             {"one JSON object a line; 10 files of 100 MB, then the oldest goes", lines}});
   return text + "\n}\n";

@@ -8,10 +8,10 @@
 
 namespace rtdata::app {
 
-/// The JSON Schema that editors read, beside the starter file.
+/// The JSON Schema for editors, written beside the starter file.
 inline constexpr const char* schema_file = "rtdata.schema.json";
-/// A configuration that runs on this machine as it is, also for months: sensors that exist here, at gentle rates, sinks
-/// of the types there are, with limits. `file` names its outputs. `root`: of the machine's files.
+/// A configuration that runs on this machine without changes, also for months: existing sensors at low rates, and
+/// available sinks with limits. `file` gives the names of its output files. `root`: of the machine's files.
 std::string starter_file(const Registry& registry, const std::string& file, const std::string& root = "");
 
 }  // namespace rtdata::app

@@ -22,7 +22,7 @@ namespace rtdata::app {
 
 namespace {
 
-/// False when the process has none, or it has hung up.
+/// False if the process has no terminal, or it has hung up.
 bool has_terminal() noexcept {
   const int fd = ::open("/dev/tty", O_RDONLY | O_CLOEXEC | O_NOCTTY | O_NONBLOCK);
   if (fd >= 0) ::close(fd);
@@ -34,7 +34,7 @@ bool has_terminal() noexcept {
 struct StopSignals::State {
   sigset_t taken{};
   sigset_t mask_before{};
-  int any_taken = 0;  // one of them; 0: all are ignored
+  int any_taken = 0;  // one of the handled signals; 0: all are ignored
   struct sigaction pipe_before {};
   const bool had_terminal = has_terminal();
   std::atomic<bool> is_over{false};
@@ -43,12 +43,12 @@ struct StopSignals::State {
   std::mutex mutex;
   Loop* loop = nullptr;
   Actions actions;
-  const char* pending = nullptr;  // came before there was a loop
+  const char* pending = nullptr;  // received before there was a loop
   int count = 0;
-  const char* waits = nullptr;  // the first one, while the loop has not come to it
+  const char* waits = nullptr;  // the first one, until the loop has processed it
   MonotonicTime posted{};
   bool is_reload_pending = false;
-  std::optional<MonotonicTime> starts;  // while it has not turned, and nobody was told that
+  std::optional<MonotonicTime> starts;  // start time, until the loop turns or the delay is reported
 
   struct Answer {
     std::mutex mutex;
@@ -69,7 +69,7 @@ struct StopSignals::State {
     }
   }
 
-  /// -1: none, and the loop was looked at.
+  /// The next signal; -1: none. Also checks the loop.
   int next() {
     const auto left = time_left();
     if (!left) {
@@ -88,7 +88,7 @@ struct StopSignals::State {
     }
     return -1;
   }
-  /// Until the loop has hung, or is slow; none: it is not waited for.
+  /// Time until the loop counts as hung or slow; empty: no limit.
   std::optional<Duration> time_left() {
     const std::lock_guard lock(mutex);
     if (loop == nullptr) return std::chrono::seconds{1};  // one may come
@@ -171,11 +171,11 @@ StopSignals::StopSignals() : state_(std::make_unique<State>()) {
 StopSignals::~StopSignals() {
   ::sigaction(SIGPIPE, &state_->pipe_before, nullptr);
   if (state_->any_taken == 0) return;
-  // It waits without a descriptor, which the system may refuse: a signal of its own wakes it.
+  // The thread waits without a descriptor, which the system may refuse, so a signal wakes it.
   state_->is_over = true;
   ::pthread_kill(state_->thread.native_handle(), state_->any_taken);
   state_->thread.join();
-  // One that came too late to be read for is no reason to die of, now that all is closed.
+  // A late SIGHUP must not end the process now that everything is closed.
   if (::sigismember(&state_->taken, SIGHUP) == 1) ::signal(SIGHUP, SIG_IGN);
   ::pthread_sigmask(SIG_SETMASK, &state_->mask_before, nullptr);
 }

@@ -1,5 +1,5 @@
 // SIGINT and SIGTERM: the first one asks the run to end, a second one ends the process. SIGHUP reads the configuration
-// again, or, when the terminal that the program was started on has gone, is as the others.
+// again; if the program's terminal has closed, it acts like the others.
 #pragma once
 
 #include <functional>
@@ -11,12 +11,12 @@
 
 namespace rtdata::app {
 
-/// While it lives, the three signals are taken by a thread of its own, so that they are seen also when the loop is
-/// held. Those that are ignored stay so. SIGPIPE is ignored: a write to who has gone fails, and ends no run. Make it
-/// before any other thread: they inherit that the signals are blocked.
+/// While it lives, a separate thread handles the three signals, so that they work even if the loop is held. Ignored
+/// signals stay ignored. SIGPIPE is ignored: a write to a closed pipe fails and does not end the run. Construct it
+/// before any other thread, so that the threads inherit the blocked signals.
 class StopSignals {
  public:
-  /// A loop that does not turn for so long after a signal has hung.
+  /// A loop that does not turn for this long after a signal counts as hung.
   static constexpr Duration hang_limit = std::chrono::seconds{5};
   static constexpr Duration slow_limit = std::chrono::seconds{3};
   StopSignals();
@@ -25,23 +25,23 @@ class StopSignals {
   ~StopSignals();
 
   struct Actions {
-    /// On the loop, once.
+    /// Called on the loop, once.
     std::function<void(const char* signal)> first;
-    /// On the loop: how many events wait to be stored.
+    /// On the loop: the number of events waiting to be stored.
     std::function<std::uint64_t()> queued;
-    /// On the signals' thread. `queued`: as it is now; nothing when the loop does not answer. Does not return.
+    /// On the signals' thread. `queued`: the present number; empty if the loop does not answer. Does not return.
     std::function<void(const char* signal, std::optional<std::uint64_t> queued)> second;
     /// On the signals' thread, for SIGHUP: reads the configuration again.
     std::function<void()> reload;
     /// On the signals' thread, at once, with the first signal. Empty: nothing.
     std::function<void()> at_once = {};
-    /// On the signals' thread: the loop has not come to `first` for `hang_limit`. Does not return. Empty: nothing.
+    /// On the signals' thread, if the loop has not called `first` for `hang_limit`. Does not return. May be empty.
     std::function<void(const char* signal)> hangs = {};
-    /// On the signals' thread, once: the loop does not turn yet, `slow_limit` after the first `attach`. Empty: nothing.
+    /// On the signals' thread, once, if the loop does not turn `slow_limit` after the first `attach`. May be empty.
     std::function<void()> slow = {};
   };
-  /// `loop` must live until `detach`. A signal that came before counts as the first; a SIGHUP then, or while `reload`
-  /// is empty, is kept: the configuration may have been read before it. Once more: with other actions.
+  /// `loop` must live until `detach`. An earlier signal counts as the first. An earlier SIGHUP, or one while `reload`
+  /// is empty, is kept, because the configuration may have been read before it. A second call replaces the actions.
   void attach(Loop& loop, Actions actions);
   void detach() noexcept;
 

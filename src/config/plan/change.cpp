@@ -28,7 +28,7 @@ std::vector<std::string> differing_keys(const ConfigItem& now, const ConfigItem&
   return keys;
 }
 
-/// Settings that are no parts, in the order in which they are written.
+/// Compares settings other than parts, in the order of the file.
 void compare_settings(const ConfigItem& now, const ConfigItem& next, std::vector<PartChange>& changes) {
   const auto compare_one = [&](const std::string& key) {
     const bool is_kept = key == "notes" || key == "$schema";
@@ -47,7 +47,7 @@ void compare_settings(const ConfigItem& now, const ConfigItem& next, std::vector
     if (child_of(next, child.key) == nullptr) compare_one(child.key);
 }
 
-/// By itself, without what it uses.
+/// Compares one part, without the parts that it uses.
 PartChange compared(const PartPlan& now, const PartPlan& next) {
   PartChange change{next.object()};
   const std::vector<std::string> keys = differing_keys(now.item, next.item);
@@ -66,7 +66,7 @@ PartChange compared(const PartPlan& now, const PartPlan& next) {
   return change;
 }
 
-/// Why it cannot be made while the run goes on; empty: it can.
+/// Why it cannot be made during the run; empty: it can.
 std::string obstacle(const PlannedChange& planned, const RunSoFar& run) {
   const PartPlan& part = *planned.next;
   if (!part.publishes) return "";
@@ -90,7 +90,7 @@ std::string obstacle(const PlannedChange& planned, const RunSoFar& run) {
          detail::listed(carries->differences(*part.publishes->description)) + "); give it another topic";
 }
 
-/// Of a part that is to be made anew or removed.
+/// Refuses to restart or remove a part that is held.
 void respect_hold(const PartPlan& part, const RunSoFar& run, PartChange& change) {
   if (!part.hold || (change.fate != Fate::restarted && change.fate != Fate::removed)) return;
   if (!run.is_held) {
@@ -121,7 +121,7 @@ ComparedPlans compare(const Compared& now, const Compared& next, const RunSoFar&
       change.why = "a tier is made before the loops run; start the program again";
     }
     if (change.fate == Fate::unchanged || change.fate == Fate::live) {
-      // Each part stands behind those that it uses.
+      // Each part comes after the parts that it uses.
       for (const PartUse& use : part->uses) {
         if (use.kind == "topic" || !restarted.contains({use.kind, use.name})) continue;
         change.fate = Fate::restarted;

@@ -1,4 +1,4 @@
-// What becomes of the parts of a system when another plan takes the place of its own. Private to src/config.
+// Compares a system's plan with a new one, part by part. Private to src/config.
 #pragma once
 
 #include <functional>
@@ -9,13 +9,13 @@
 
 namespace rtdata::config_detail {
 
-/// A configuration as it is compared: its parts in the order in which they are made, and its settings.
+/// A configuration for comparison: its parts in the order of creation, and its settings.
 struct Compared {
   std::vector<const PartPlan*> parts;
   const ConfigItem& root;
 };
 
-/// What becomes of one part; `now` is null when it is added, `next` when it is removed.
+/// The change of one part; `now` is null if it is added, `next` if it is removed.
 struct PlannedChange {
   const PartPlan* now;
   const PartPlan* next;
@@ -29,9 +29,9 @@ struct ComparedPlans {
   PlanChange all() const;
 };
 
-/// What a run has fixed until its end.
+/// Facts that are fixed until the end of a run.
 struct RunSoFar {
-  /// What the topic carries; null: not known.
+  /// The description of a topic; null: unknown.
   std::function<const Description*(const std::string& topic)> carried;
   /// Where events of this name were published.
   struct Published {
@@ -39,7 +39,7 @@ struct RunSoFar {
     std::string tier = {};   ///< empty: on the main loop
   };
   std::function<Published(const std::string& origin)> published;
-  /// Whether what holds a part (PartPlan::hold) is so. Empty: not known.
+  /// Returns true if a part is held now (PartPlan::hold). Empty: unknown.
   std::function<bool(const PartPlan& part)> is_held = {};
 };
 

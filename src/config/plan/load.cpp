@@ -62,7 +62,7 @@ bool check_encoding(std::string_view text, const std::string& file, Problems& pr
     const std::size_t size = detail::utf8_size(text.substr(i));
     if (size == 0 || text[i] == '\0') {
       problems.add("bad-encoding", place, "",
-                   size == 0 ? "this byte is not UTF-8: save the file as UTF-8" : "a NUL byte: the file is no text");
+                   size == 0 ? "this byte is not UTF-8: save the file as UTF-8" : "a NUL byte: the file is not text");
       return false;
     }
     ++place.column;
@@ -83,7 +83,7 @@ std::string extension_of(std::string_view file) {
   return detail::lower_case(name.substr(dot));
 }
 
-/// Shows places of a text, each with its line. Goes forwards in the text from one place to the next.
+/// Shows places of a text with their lines, in order of the text.
 class Excerpts {
  public:
   explicit Excerpts(std::string_view text) : text_(text) {

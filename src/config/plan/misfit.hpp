@@ -1,4 +1,4 @@
-// A processing that does not fit its sensor, told where the sensor's item is not known.
+// An error of a processing that does not fit its sensor, thrown where the sensor's item is not known.
 #pragma once
 
 #include <vector>

@@ -19,13 +19,13 @@
 namespace rtdata::config_detail {
 namespace {
 
-/// Where a part's topic is said: its `topic`, or else its `name`.
+/// The item with a part's topic: its `topic`, or else its `name`.
 const ConfigItem& topic_item(const PartPlan& part) {
   const ConfigItem* topic = child_of(part.item, "topic");
   return topic != nullptr ? *topic : child_or_self(part.item, "name");
 }
 
-/// Where a part's name is said: its `name`, or else the item, at its key.
+/// A problem at a part's name: its `name`, or else the item, at its key.
 Problem problem_of_name(const PartPlan& part, std::string id, std::string message) {
   const ConfigItem* name = child_of(part.item, "name");
   return name != nullptr ? name->problem(std::move(id), std::move(message))
@@ -109,7 +109,7 @@ void Neighbours::check_name(const PartPlan& part, Problems& problems) {
 
 void Neighbours::check_place(const PartPlan& part, const PartPlan::Place& taken, Problems& problems) {
   const bool is_on_bus = !taken.bus.empty();
-  std::error_code ignored;  // a device that is not there is what its path says
+  std::error_code ignored;  // a missing device is identified by its path
   const std::string place = is_on_bus ? taken.text : std::filesystem::weakly_canonical(taken.text, ignored).string();
   const auto [known, is_new] = places_.try_emplace({taken.bus, (place.empty() ? taken.text : place) + taken.more},
                                                    &part);
@@ -170,7 +170,8 @@ std::string Neighbours::conflict_with_configuration(const WrittenFile& written) 
   return "";
 }
 
-/// Why it cannot be written; empty: it can. A part has several topics in one file, but none in one beside another.
+/// Why the file cannot be written; empty: it can. A part may write several topics into one file, but not a file that is
+/// a companion of another.
 std::string Neighbours::conflict_with_files(const KnownFile& written) const {
   if (std::string why = conflict_with_configuration(written.file); !why.empty()) return why;
   for (const KnownFile& known : files_) {
@@ -220,7 +221,7 @@ void Neighbours::check_stored_topics(Problems& problems) {
     const StoredTopics& stores = *storing.part->stores;
     const std::size_t first_new = std::exchange(storing.stored, topic_names_.size());
     if (!stores.refused_topics) continue;
-    // All of them, since a new topic may be in the way of one that is stored already.
+    // All topics, because a new topic may conflict with one that is already stored.
     std::vector<TopicToRecord> wanted;
     std::size_t known = 0;
     for (std::size_t i = 0; i < topic_names_.size(); ++i) {
@@ -235,7 +236,7 @@ void Neighbours::check_stored_topics(Problems& problems) {
                                   .refused_topics({wanted.begin(), wanted.begin() + static_cast<std::ptrdiff_t>(known)})
                                   .empty();
     if (was_refused) continue;  // reported when those were added
-    // What holds for several topics is one mistake.
+    // The same error for several topics is reported once.
     const std::vector<Error> errors = stores.refused_topics(wanted);
     for (auto first = errors.begin(); first != errors.end();) {
       const auto next = std::find_if(first, errors.end(), [&](const Error& error) {
@@ -249,7 +250,7 @@ void Neighbours::check_stored_topics(Problems& problems) {
   }
 }
 
-/// Each event of such a name would be refused.
+/// Each event with such a name would be refused.
 void Neighbours::check_written_names(Problems& problems) {
   for (Storing& storing : storing_) {
     const PartPlan& sink = *storing.part;
@@ -363,7 +364,7 @@ void Neighbours::check_stored_by(const PartPlan& part, Problems& problems) const
     problems.add(at.problem("wrong-part", name + " is on another loop; give both the same `tier`, or none"));
   }
   if (part.kind != "machine") return;
-  // A recording with limits keeps the last row of each topic: by those the machine and its outputs go on.
+  // A recording with limits keeps the last row of each topic, from which the machine and its outputs resume.
   const auto check_alone = [&](const PartPlan& one) {
     for (const PartPlan* other : publishers(one.publishes->topic))
       if (other != &one)
@@ -385,7 +386,7 @@ void Neighbours::check_uses(const PartPlan& part, Problems& problems) {
   if (part.stores && !part.stores->through.empty()) check_through(part, problems);
   if (part.check_topics) {
     const auto payload_of = [this](std::string_view topic) -> const Description* {
-      // Along what passes it on, which may go in a circle.
+      // Follows the topics that pass events on, which may form a cycle.
       for (std::size_t i = 0; i <= topics_.size(); ++i) {
         const auto known = topics_.find(topic);
         if (known == topics_.end()) return nullptr;
@@ -435,7 +436,7 @@ void Neighbours::check_uses(const PartPlan& part, Problems& problems) {
       const bool follows = !text_or_empty(other->item, "on").empty();
       if (follows || other->tier() != part.tier())
         problems.add(use.item.problem("wrong-part", "the output " + name + ", at " + place_of_name(*other) +
-                                                        (follows ? ", follows a topic, and is set by nobody else"
+                                                        (follows ? ", follows a topic, and nothing else sets it"
                                                                  : ", is on another loop; give both the same `tier`")));
       continue;
     }

@@ -1,4 +1,4 @@
-// What must hold between the parts of a configuration. Private to src/config.
+// Checks the parts of a configuration against each other. Private to src/config.
 #pragma once
 
 #include <functional>
@@ -15,40 +15,39 @@
 
 namespace rtdata::config_detail {
 
-/// A wrong name gets a suggestion, which takes a search among all names: done for this many mistakes at most, so that
-/// the time to report many of them grows no faster than their number.
+/// The maximum number of wrong names with a suggestion. A suggestion needs a search over all names, so this limit keeps
+/// the time linear in the number of mistakes.
 inline constexpr std::size_t most_suggestions = 100;
 
-/// Knows what the parts have taken: names, topics with their payloads, and files. A part is added when it has been
-/// compared with those before it, which takes a time that does not grow with their number, but for files. Parts with
-/// mistakes of their own are among them, as far as they are known.
+/// Knows the names, topics with their payloads, and files of the parts. Adding a part compares it with the earlier
+/// ones; the time does not depend on their number, except for files. It includes parts with mistakes, as far as they
+/// are known.
 class Neighbours {
  public:
   /// `configuration`: the file, which no part may write; empty: none. `registry` must outlive it.
   Neighbours(const Registry& registry, const std::string& configuration);
 
-  /// Names that are taken, payloads that differ on one topic, files that another writes. The part must stay where it is
-  /// as long as this object is used.
+  /// Adds a part and reports taken names, different payloads on one topic, and files that another part writes. The part
+  /// must not move while this object is used.
   void add(const PartPlan& part, Problems& problems);
-  /// After the last one: files that are made for single topics, as far as they have not been looked at.
+  /// After the last part: checks files of single topics that were not checked yet.
   void check_files_of_topics(Problems& problems);
-  /// After the last one: topics that parts are to store and cannot, as far as they have not been looked at. May read
-  /// files.
+  /// After the last part: checks that parts can store their topics, as far as not checked yet. May read files.
   void check_stored_topics(Problems& problems);
   /// Marks all topics added so far as checked, for all sinks added so far: `check_stored_topics` skips them.
   void assume_stored();
   /// Reports each part that `part` uses and that does not exist or has a wrong type.
   void check_uses(const PartPlan& part, Problems& problems);
-  /// The recording that a sink goes through has all of its topics.
+  /// Checks that the recording of a sink with `through` has all topics of the sink.
   void check_through(const PartPlan& part, Problems& problems) const;
-  /// The sink that is to store a part's events takes them, itself and on the same loop.
+  /// Checks that the `stored_by` sink of a part takes its events, directly and on the same loop.
   void check_stored_by(const PartPlan& part, Problems& problems) const;
-  /// The log is a file of its own. `at`: the item that names it.
+  /// Adds the log file, which no part may write. `at`: its item.
   void add_log(const LogSettings& log, const ConfigItem& at, Problems& problems);
 
   /// Null when there is none.
   const PartPlan* find(std::string_view kind, std::string_view name) const;
-  /// Each topic, with the first part that publishes on it and knows its payload.
+  /// Each topic, with the first part that publishes on it with a known payload.
   const std::map<std::string, const PartPlan*, std::less<>>& topics() const noexcept { return topics_; }
   /// All parts that publish on this topic.
   const std::vector<const PartPlan*>& publishers(const std::string& topic) const;
@@ -68,7 +67,7 @@ class Neighbours {
   };
 
   void check_name(const PartPlan& part, Problems& problems);
-  /// What the states of a machine set outputs to.
+  /// Checks the values that the states of a machine set on outputs.
   void check_values(const PartPlan& machine, Problems& problems) const;
   void check_written_names(Problems& problems);
   void check_topic(const PartPlan& part, Problems& problems);
@@ -87,8 +86,8 @@ class Neighbours {
   std::map<std::string, const PartPlan*, std::less<>> topics_;
   std::map<std::string, const PartPlan*> topic_by_lower_case_;
   std::map<std::string, std::vector<const PartPlan*>> publishers_;
-  std::vector<const PartPlan*> publishing_;  // in the order in which they came
-  std::vector<std::string> topic_names_;     // in the order in which they came
+  std::vector<const PartPlan*> publishing_;  // in order of adding
+  std::vector<std::string> topic_names_;     // in order of adding
   std::vector<Storing> storing_;
   std::set<const PartPlan*> refused_paths_;
   std::vector<KnownFile> files_;

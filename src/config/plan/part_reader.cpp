@@ -24,7 +24,7 @@ PartPlan created(const PartKind& kind, const std::string& name, const ConfigItem
     }
   } catch (const ConfigError& error) {
     problems.append(error.problems());
-  } catch (const SetupError& error) {  // it cannot say what it will publish
+  } catch (const SetupError& error) {  // its description is invalid
     const Error& e = error.error();
     Error rest{e.code, e.what, "", e.why, e.advice};
     problems.add(item.problem("bad-value", rest.text()));
@@ -32,7 +32,7 @@ PartPlan created(const PartKind& kind, const std::string& name, const ConfigItem
   return {};
 }
 
-/// What is known of an item with mistakes.
+/// The known data of an item with mistakes.
 PartPlan raw_plan(const PartKind& kind, const std::string& name, const ConfigItem& item) {
   PartPlan plan;
   plan.kind = kind.name;
@@ -47,7 +47,7 @@ PartPlan raw_plan(const PartKind& kind, const std::string& name, const ConfigIte
   return plan;
 }
 
-/// A topic that is written was checked when it was read, but not one that is the name of the part.
+/// A written topic was checked when it was read; a topic that comes from the part's name is checked here.
 void check_topic(const PartPlan& plan, Problems& problems) {
   const std::string& topic = plan.publishes->topic;
   std::string mistake;
@@ -59,7 +59,7 @@ void check_topic(const PartPlan& plan, Problems& problems) {
   if (!mistake.empty()) problems.add(child_or_self(plan.item, "name").problem("bad-name", mistake));
 }
 
-/// Both waits are written, and the one that grows from the other is shorter. A default goes along.
+/// Reports `retry_longest` below `retry_first` if both are written; adjusts a default otherwise.
 void check_retries(const ConfigItem& item, Problems& problems) {
   const auto written = [&](std::string_view key) -> std::optional<Duration> {
     const ConfigItem* value = child_of(item, key);
@@ -123,7 +123,7 @@ PartPlan PartReader::read(const PartKind& kind, const std::string& name, const C
   const std::vector<ParameterInfo>& parameters = parameters_of_item(kind, item);
   if (kind.written == PartKind::Written::by_name && !detail::is_name(name))
     problems.add(problem_at_key(item, "bad-name", detail::name_rule));
-  // A sink is called as its path by default, unless that is a secret: names are shown.
+  // A sink's default name is its path, unless that is a secret, because names are shown.
   ConfigItem named = item;
   const ConfigItem* path = child_of(item, "path");
   const std::string type = text_or_empty(item, "type");

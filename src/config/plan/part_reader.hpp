@@ -1,4 +1,4 @@
-// One item of a configuration becomes the plan of a part. Private to src/config.
+// Makes the plan of a part from its item. Private to src/config.
 #pragma once
 
 #include <map>
@@ -12,10 +12,10 @@ namespace rtdata::config_detail {
 
 class PartReader {
  public:
-  /// What is wrong with the item by itself is added to `problems`: then the plan has no `make`, and as much else as is
-  /// known of it, to be compared with the others. `name`: of a part that is written by name.
+  /// Adds the item's own mistakes to `problems`; the plan then has no `make`, but all other known data for the
+  /// comparison with other parts. `name`: for kinds written by name.
   PartPlan read(const PartKind& kind, const std::string& name, const ConfigItem& item, Problems& problems);
-  /// What items of this one's type can be configured with; when there is no such type, what is common to all.
+  /// The parameters of the item's type; for an unknown type, the common ones.
   const std::vector<ParameterInfo>& parameters_of_item(const PartKind& kind, const ConfigItem& item);
 
  private:

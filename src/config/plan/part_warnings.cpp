@@ -14,7 +14,7 @@
 namespace rtdata::config_detail {
 namespace {
 
-/// Of each loop, by its tier ("": the main loop), the parts that are read on it.
+/// The parts read on each loop, by tier ("": the main loop).
 std::map<std::string, std::vector<const PartPlan*>> parts_by_loop(const std::vector<PartPlan>& parts) {
   std::map<std::string, std::vector<const PartPlan*>> loops;
   for (const PartPlan& part : parts)
@@ -28,7 +28,7 @@ LoopLoad load_of(const std::string& name, const std::vector<const PartPlan*>& pa
   return estimate_load(name, loads);
 }
 
-/// The part that takes the largest share, as `share` says it of a load.
+/// The part with the largest share; `share` computes it from a load.
 template <class Share>
 const PartPlan& largest(const std::vector<const PartPlan*>& parts, const Share& share) {
   return **std::max_element(parts.begin(), parts.end(), [&](const PartPlan* a, const PartPlan* b) {
@@ -71,7 +71,7 @@ void warn_of_loop(const std::string& tier, const std::string& name, const std::v
 }  // namespace
 
 void warn_of_patterns(const std::vector<PartPlan>& parts, const Neighbours& neighbours, Problems& warnings) {
-  // A sensor whose topics are known only once it is made may publish on any.
+  // A sensor whose topics are known only after it is made may publish on any topic.
   if (std::any_of(parts.begin(), parts.end(),
                   [](const PartPlan& part) { return part.kind == "sensor" && part.make && !part.publishes; }))
     return;
@@ -138,8 +138,8 @@ void warn_of_recordings(const std::vector<PartPlan>& parts, Problems& warnings) 
     if (::statfs(folder.empty() ? "." : folder.c_str(), &about) != 0 || about.f_type != TMPFS_MAGIC) continue;
     warnings.add(child_or_self(part.item, "path")
                      .problem("in-memory",
-                              "the recording is on a file system in memory: what waits in it for a peer is "
-                              "gone when the machine restarts"));
+                              "the recording is on a file system in memory: its backlog for a peer is lost when the "
+                              "machine restarts"));
   }
 }
 

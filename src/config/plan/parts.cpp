@@ -65,10 +65,10 @@ void Parts::add(std::unique_ptr<Part> part) {
   made_.push_back(std::move(part));
 }
 
-/// The part leaves the list before it goes, since what it does at its end may look at the list.
+/// Removes the part from the list before it is destroyed, because its destructor may use the list.
 std::unique_ptr<Parts::Part> Parts::take(std::string_view kind, std::string_view name) {
   const Part& part = part_named(kind, name);
-  // Most are taken in the opposite order to that in which they were made.
+  // Most parts are taken in reverse order of creation.
   const auto at = std::find_if(made_.rbegin(), made_.rend(), [&](const auto& made) { return made.get() == &part; });
   std::unique_ptr<Part> last = std::move(*at);
   made_.erase(std::next(at).base());

@@ -72,7 +72,7 @@ class Planner {
     if (kind.written == PartKind::Written::list) {
       if (!check_is_array(*list, plan_.problems)) return;
     } else if (list->is_array() && list->size() == 0) {
-      return;  // an empty list is none, however parts are written
+      return;  // an empty list counts as missing, for both ways of writing parts
     } else if (!check_is_object(*list, plan_.problems)) {
       return;
     }
@@ -88,7 +88,7 @@ class Planner {
     }
   }
 
-  /// What must hold between the parts; those with mistakes of their own are among them, as far as they are known.
+  /// Checks the parts against each other, including parts with mistakes as far as they are known.
   void compare() {
     Neighbours neighbours(registry_, plan_.document.file);
     for (const PartPlan& part : plan_.parts) neighbours.add(part, plan_.problems);
@@ -114,7 +114,8 @@ class Planner {
     warn_of_plain_secrets(root(), plan_.warnings);
     const auto at = [&](const char* key) -> const ConfigItem& { return child_or_self(root(), key); };
     if (storing_ == 0 && publishing_ != 0 && plan_.problems.empty()) {
-      plan_.warnings.add(at("sinks").problem("no-sinks", "there are no sinks: what the sensors read is kept nowhere"));
+      plan_.warnings.add(
+          at("sinks").problem("no-sinks", "there are no sinks: the readings of the sensors are kept nowhere"));
     }
     if (publishing_ == 0 && (plan_.problems.empty() || (has_good_settings_ && at("sensors").is_array()))) {
       plan_.warnings.add(at("sensors").problem("no-sensors", "there are no sensors: nothing will be recorded"));
@@ -137,7 +138,7 @@ SystemPlan plan_system(const Registry& registry, ConfigDocument document) {
   SystemPlan plan;
   plan.document = std::move(document);
   plan.problems = plan.document.problems;
-  if (plan.document.root.is_null() && !plan.problems.empty()) return plan;  // there is nothing to look at
+  if (plan.document.root.is_null() && !plan.problems.empty()) return plan;  // nothing was read
   Planner(registry, plan).read();
   plan.problems.sort();
   plan.warnings.sort();

@@ -18,13 +18,13 @@ namespace {
 bool ends(Fate fate) { return fate == Fate::restarted || fate == Fate::removed; }
 bool is_made(Fate fate) { return fate == Fate::restarted || fate == Fate::added; }
 
-/// Of the sink that has left the runtime just now: another of its name may have another file.
+/// Notes the file of the sink that was just closed, because a new sink of that name may have another file.
 void note_file_of_closed(Loop& loop, const std::string& name, const std::optional<StoredTopics>& stores) {
   auto& closed = loop.runtime().core().closed_sinks;
   if (stores && !closed.empty() && closed.back().name == name && !closed.back().path) closed.back().path = stores->path;
 }
 
-/// Both at a time get into each other's way: they have one file; a broker of MQTT knows clients by their names.
+/// True if both cannot exist at the same time: they write one file, or use one MQTT client name.
 bool exclude_each_other(const PartPlan& one, const PartPlan& other) {
   const auto file = [](const PartPlan& plan) {
     return std::filesystem::absolute(plan.stores->path).lexically_normal();
@@ -33,7 +33,7 @@ bool exclude_each_other(const PartPlan& one, const PartPlan& other) {
   return !one.stores->path.empty() && !other.stores->path.empty() && file(one) == file(other);
 }
 
-/// It is a source of its own: what others publish makes none of its events.
+/// True if the part is an independent source, whose events do not come from other parts.
 bool is_source(const PartPlan& plan) {
   return plan.kind == "sensor" &&
          std::none_of(plan.uses.begin(), plan.uses.end(), [](const PartUse& use) { return use.kind == "topic"; });
@@ -102,8 +102,9 @@ void PlanApplication::end() {
   }
   if (failure_ == nullptr) {
     if (missing.empty()) return;
-    throw SetupError({Errc::not_turning, "not made", missing, "",
-                      "all else is as it was to be; what is made late is closed again: look for what blocks there"});
+    throw SetupError(
+        {Errc::not_turning, "not made", missing, "",
+         "everything else is as configured; parts that are made late are closed again: find what blocks there"});
   }
   try {
     std::rethrow_exception(std::exchange(failure_, nullptr));
@@ -147,10 +148,10 @@ void PlanApplication::refuse_hanging() const {
     try {
       system_.tier(name).call([](Loop&) {});
     } catch (const SetupError& error) {
-      if (error.error().code != Errc::not_turning) continue;  // one that does not exist yet
+      if (error.error().code != Errc::not_turning) continue;  // the tier does not exist yet
       throw SetupError({Errc::not_turning, "cannot apply the configuration", "tier " + name, error.error().why,
-                        "nothing was changed; look for what blocks there, or leave as they are its parts, and the "
-                        "sinks that take its topics"});
+                        "nothing was changed; find what blocks there, or leave its parts as they are, and the sinks "
+                        "that take its topics"});
     }
   }
 }
@@ -162,7 +163,7 @@ void PlanApplication::refuse_held(const PartPlan& part) const {
 
 void PlanApplication::begin() {
   refuse();
-  system_.neighbours_.reset();  // it knows parts that go
+  system_.neighbours_.reset();  // it refers to removed parts
   order_ = system_.parts_.plans();
   list_ending();
 }
@@ -184,7 +185,7 @@ void PlanApplication::list_ending() {
 
 void PlanApplication::close_one() {
   const bool is_last = place_ == ending_.size();
-  // What stores is closed after the outputs, whose last events it has.
+  // Sinks are closed after the outputs, so that they get the outputs' last events.
   if (!released_.empty() && (is_last || ending_[place_]->now->stores)) {
     is_waiting_ = may_wait_ && *releasing_ != 0;
     if (is_waiting_) return;
@@ -241,7 +242,7 @@ void PlanApplication::close(const PartPlan& plan) {
   const std::optional<StoredTopics> stores = plan.stores;
   if (stores && !switching_) switching_.emplace(system_.loop_.runtime().core());
   std::unique_ptr<Parts::Part> part = system_.parts_.take(plan.kind, plan.name);
-  // What goes through a recording has nothing in memory: it ends with that.
+  // A sink with `through` has nothing in memory, so it is closed without waiting.
   if (stores && stores->through.empty() && part->object.as<Sink>() != nullptr) return finish(std::move(part));
   system_.close(std::move(part));
   note_file_of_closed(system_.loop_, name, stores);
@@ -282,7 +283,7 @@ void PlanApplication::make_one() {
     if (planned.change.fate == Fate::live) change_live(planned);
     if (planned.change.fate == Fate::refused) note_missing(planned.change.object, planned.change.why);
   } catch (const SetupError& error) {
-    // Nobody waits for a tier, nor undoes what it may be doing.
+    // Does not wait for a hanging tier and does not undo its work.
     if (!old_ && error.error().code != Errc::not_turning) return go_back(std::current_exception());
     note_missing(planned.next->object(), error.what());
   } catch (...) {
@@ -293,7 +294,7 @@ void PlanApplication::make_one() {
 }
 
 void PlanApplication::make(const PartPlan& plan) {
-  if (plan.stores) {  // waits for what still stores there
+  if (plan.stores) {  // waits for the old sink, which still stores to the same file
     auto& sinks = system_.finishing_->sinks;
     for (auto one = sinks.begin(); one != sinks.end();) {
       const bool is_there = exclude_each_other((*one)->plan, plan);
@@ -319,7 +320,7 @@ void PlanApplication::make(const PartPlan& plan) {
     ++taking_->left;
     plan.when_made(made.object, [&loop = system_.loop_, weak = std::weak_ptr(taking_), &plan](Result<void> result) {
       loop.post([weak, &plan, result = std::move(result)] {
-        const auto taking = weak.lock();  // with which the plan is there
+        const auto taking = weak.lock();  // the plan is complete then
         if (taking == nullptr) return;
         --taking->left;
         if (!result && !taking->failed) taking->failed = error_at(plan, result.error());
@@ -329,7 +330,7 @@ void PlanApplication::make(const PartPlan& plan) {
   if (!stopped_.contains(plan.object())) return;
   made.object.as<AnySensor>()->stop();
   system_.loop_.runtime().core().log(LogLevel::warning, plan.object(),
-                                     "it was stopped, and stays so now that it is made anew, until it is started");
+                                     "it was stopped, and stays stopped after the reload, until it is started");
 }
 
 PartPlan::Make PlanApplication::counting_absence(const PartPlan& plan, PartPlan::Make make) {
@@ -338,11 +339,11 @@ PartPlan::Make PlanApplication::counting_absence(const PartPlan& plan, PartPlan:
     detail::OriginCore* const origin = loop.runtime().core().find_origin(name);
     // It had a schedule under way when it was closed.
     if (origin != nullptr && detail::later(origin->free_from(), 2 * away.period) >= away.since)
-      origin->be_away(away.period);
+      origin->set_absence_period(away.period);
     PartObject made = make(loop, parts);
     if (origin == nullptr) return made;
     if (!made.as<AnySensor>()->is_running()) {
-      origin->be_away(Duration{0});
+      origin->set_absence_period(Duration{0});
     } else if (away.period == Duration{0} && has_outage && loop.now() > away.since &&
                origin->absent_since() == Time::min()) {
       origin->begin_absence(Gap::Kind::disconnected, made_anew, away.since);
@@ -399,7 +400,7 @@ void PlanApplication::settle() {
                                          error.error().id());
     }
   }
-  // They are closed in the opposite order.
+  // They are closed in reverse order.
   std::vector<std::unique_ptr<Parts::Part>> in_order(places.size());
   for (std::unique_ptr<Parts::Part>& part : made) {
     const auto found = places.find(part.get());
@@ -426,7 +427,7 @@ void PlanApplication::finish_one() {
 
 void PlanApplication::go_back(std::exception_ptr why) {
   failure_ = std::move(why);
-  // Before a recording begins anew with it.
+  // Before a recording starts with it.
   if (before_ != nullptr) system_.loop_.runtime().core().configurations.restore(std::move(*before_));
   before_ = nullptr;
   old_.emplace();

@@ -9,8 +9,7 @@
 namespace rtdata {
 namespace {
 
-/// A reload leaves an output disarmed that is, and does not touch one that somebody has armed by command. `made`: what
-/// makes it.
+/// After a reload a disarmed output stays disarmed, and an output armed by command is not changed. `made`: makes it.
 void keep_arming(PartPlan& plan, const OutputConfig& config, std::function<PartPlan::Make(Arming armed)> made) {
   plan.make_again = [made = std::move(made)](const PartObject& before) -> PartPlan::Make {
     const auto* const output = before.as<Output>();
@@ -23,7 +22,7 @@ void keep_arming(PartPlan& plan, const OutputConfig& config, std::function<PartP
                }};
 }
 
-/// A reload changes the settings of a controller while its output runs, also those that a command has changed.
+/// A reload changes the settings of a controller while its output runs, also settings changed by a command.
 void change_controller_live(PartPlan& plan, const OutputConfig& config) {
   if (!config.pid) return;
   const auto change = [pid = *config.pid](const PartObject& part) { part.as<Output>()->change_pid(pid).or_throw(); };
@@ -33,7 +32,7 @@ void change_controller_live(PartPlan& plan, const OutputConfig& config) {
   };
 }
 
-/// A change of the configuration does not hold the loop until its device is taken or given back.
+/// A change of the configuration does not hold the loop while a device is opened or released.
 void let_the_loop_turn(PartPlan& plan) {
   plan.when_made = [](const PartObject& part, std::function<void(Result<void>)> done) {
     part.as<Output>()->when_taken(std::move(done));
@@ -41,7 +40,7 @@ void let_the_loop_turn(PartPlan& plan) {
   plan.ending = [](const PartObject& part, std::function<void()> done) { part.as<Output>()->finish(std::move(done)); };
 }
 
-/// What the sensor publishes; an empty topic is as its name.
+/// The published topic of a sensor; an empty topic means its name.
 PublishedTopic published_topic(const std::string& name, const std::string& topic,
                                Result<std::shared_ptr<const Description>> description, const Processing& processing) {
   std::shared_ptr<const Description> published = std::move(description).or_throw();
@@ -75,7 +74,7 @@ const T& config_at(const ConfigObjects& configs, std::size_t place) {
   return *static_cast<const T*>(configs[place].get());
 }
 
-/// A sensor's own parameters are behind those of all sensors, on one level.
+/// The parameters of the type, after those common to all sensors, on one level.
 template <class Common>
 void plan_sensor(PartPlan& plan, const ConfigObjects& configs,
                  const std::shared_ptr<const config_detail::SensorType>& made) {
@@ -113,14 +112,14 @@ void config_detail::report_misfit(const Result<void>& good, const ConfigItem& it
 }
 
 Registry::Registry() {
-  add_kind("bus", "buses", "what sensors are connected to, by name; each has a `type`", PartKind::Written::by_name);
+  add_kind("bus", "buses", "connections of sensors to devices, by name; each has a `type`", PartKind::Written::by_name);
   add_kind("sink", "sinks", "where it goes; each has a `type`", PartKind::Written::list, PartKind::Does::stores);
-  add_kind("sensor", "sensors", "what is read; each has a `type`", PartKind::Written::list, PartKind::Does::publishes);
+  add_kind("sensor", "sensors", "the sensors; each has a `type`", PartKind::Written::list, PartKind::Does::publishes);
   kinds_.back().common = parameters_of<config_detail::Placement>();
   add_kind("machine", "machines", "state machines", PartKind::Written::list, PartKind::Does::publishes);
   kinds_.back().common = parameters_of<config_detail::Placement>();
   kinds_.back().types.set_default("machine");
-  add_kind("output", "outputs", "what is set; each has a `type`", PartKind::Written::list, PartKind::Does::publishes);
+  add_kind("output", "outputs", "the outputs; each has a `type`", PartKind::Written::list, PartKind::Does::publishes);
   kinds_.back().common = parameters_of<config_detail::Placement>();
 }
 
@@ -142,7 +141,7 @@ void Registry::add_kind(std::string name, std::string key, std::string doc, Part
     throw SetupError(
         {Errc::bad_argument, "cannot add a kind of parts", "\"" + name + "\"", why, "give it another name and key"});
   };
-  if (name == "tier" || name == "topic") refuse("that is what tiers and topics are named by");
+  if (name == "tier" || name == "topic") refuse("tiers and topics are named by it");
   for (const ParameterInfo& setting : parameters_of<SystemSettings>())
     if (setting.key == key) refuse("`" + key + "` is a setting of the file");
   for (const PartKind& known : kinds_)

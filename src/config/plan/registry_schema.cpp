@@ -8,7 +8,7 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
-/// The schema of what a file says of the parts of a kind.
+/// The schema of the parts of one kind in a file.
 Json schema_of_kind(const PartKind& kind) {
   auto item = Json::parse(kind.types.schema());
   item.erase("$schema");

@@ -14,7 +14,7 @@
 namespace rtdata {
 namespace {
 
-/// An error of making a part says where its item is.
+/// Adds the place of the item to an error of making a part.
 template <class Make>
 PartObject made_at(const PartPlan& plan, const Make& make) {
   try {
@@ -24,8 +24,7 @@ PartObject made_at(const PartPlan& plan, const Make& make) {
   }
 }
 
-/// Makes the part on this loop. What is made of its item may meet errors, which say where it is and show no secret of
-/// it.
+/// Makes the part on this loop. Its later errors show the place of the item and no secrets.
 PartObject made_on(Loop& loop, const PartPlan& plan, const Parts& parts) {
   if (std::string place = plan.item.place().text(); !place.empty() && plan.kind != "tier")
     loop.runtime().note_place(plan.object(), std::move(place));
@@ -129,7 +128,7 @@ std::string System::add(std::string_view kind, const ConfigItem& item, const std
     make(std::move(part));
     loop_.runtime().core().configurations.add(std::move(object), item.to_json());
   } catch (...) {
-    neighbours_.reset();  // it knows a part that does not come
+    neighbours_.reset();  // it refers to a part that was not made
     throw;
   }
   return made;
@@ -193,13 +192,13 @@ void System::finish_outputs(Callback<void()> done) {
       ++all->left;
       try {
         part->plan.ending(part->object, one_done);
-      } catch (const SetupError&) {  // its loop does not turn: the guard does it
+      } catch (const SetupError&) {  // its loop does not turn: the guard sets it safe
         one_done();
       }
     }
   };
   begin(false);
-  begin(true);  // one of them may not turn, which takes its time
+  begin(true);  // a tier may not turn, which takes time
   one_done();
 }
 

@@ -22,8 +22,8 @@
 namespace rtdata::config_detail {
 namespace {
 
-/// What is done with each value of a parameter that is no list or map; and with one that means nothing beside what
-/// another parameter `is`.
+/// Functions to call for each value of a parameter that is not a list or map, and for a parameter without effect
+/// because of another parameter's value `is`.
 struct Use {
   std::function<void(const ParameterInfo& parameter, const ConfigItem& leaf)> leaf;
   std::function<void(const ParameterInfo& parameter, const ConfigItem& value, const std::string& is)> no_effect = {};
@@ -41,7 +41,7 @@ void descend(const ParameterInfo& parameter, const ParameterType& type, const Co
   }
 }
 
-/// For each parameter that the item has, and those below it.
+/// Visits each parameter that is set in the item, and those below it.
 void for_each_given(const std::vector<ParameterInfo>& parameters, const ConfigItem& item, const Use& use) {
   for (const ParameterInfo& parameter : parameters) {
     const ConfigItem* value = child_of(item, parameter.key);
@@ -76,7 +76,7 @@ void warn_of_placeholders(const ParameterInfo& parameter, const ConfigItem& item
   }
 }
 
-/// Where the kernel shows what it knows: no file of ours can be made there.
+/// True for folders of the kernel, in which no file can be created.
 bool is_of_kernel(const std::string& folder) {
   struct statfs about {};
   if (::statfs(folder.c_str(), &about) != 0) return false;
@@ -110,7 +110,7 @@ void check_output_file(const ParameterInfo& parameter, const ConfigItem& leaf, P
   if (!is_there && (errno == ENAMETOOLONG || errno == ELOOP))
     return refuse(shown + " cannot be written: " + std::generic_category().message(errno));
   if (is_there && S_ISDIR(about.st_mode)) return refuse(shown + " is a folder: give the name of a file in it");
-  if (is_there && !S_ISREG(about.st_mode)) return refuse(shown + " is no regular file: give the path of a file");
+  if (is_there && !S_ISREG(about.st_mode)) return refuse(shown + " is not a regular file: give the path of a file");
   if (!parsed.has_filename()) return refuse(shown + " names no file");
   if (is_of_kernel(folder)) return refuse("in the folder of " + shown + " the kernel lets no file be made");
   if (is_there && ::faccessat(AT_FDCWD, path.c_str(), R_OK | W_OK, AT_EACCESS) != 0)
@@ -119,7 +119,7 @@ void check_output_file(const ParameterInfo& parameter, const ConfigItem& leaf, P
   if (has_placeholder(parameter, folder))
     return refuse("a placeholder stands in the name of a folder; put it into the file's name");
   struct stat link {};
-  const bool is_link = ::lstat(path.c_str(), &link) == 0;  // to what is not there: that is made
+  const bool is_link = ::lstat(path.c_str(), &link) == 0;  // its target does not exist and will be created
   const std::string made_in = is_link ? std::filesystem::path(FileIdentity(path).target()).parent_path().string()
                                       : folder;
   struct stat about_folder {};
@@ -132,7 +132,7 @@ void check_output_file(const ParameterInfo& parameter, const ConfigItem& leaf, P
 }
 
 bool names_a_secret(std::string_view key) {
-  std::string plain;  // apiKey, api_key, API-Key are one
+  std::string plain;  // apiKey, api_key and API-Key are equal
   for (const char c : key) {
     if (c >= 'A' && c <= 'Z') plain += static_cast<char>(c | 0x20);
     if ((c >= 'a' && c <= 'z') || (c >= '0' && c <= '9')) plain += c;
@@ -184,7 +184,7 @@ void warn_of(const std::vector<ParameterInfo>& parameters, const ConfigItem& ite
     const bool is_unit = (type.element.empty() ? type : type.element.front()).text == TextIs::unit;
     if (text != nullptr && is_unit && !detail::is_ucum(*text))
       warnings.add(
-          leaf.problem("unknown-unit", "\"" + *text + "\" is no unit of UCUM (ucum.org)", detail::ucum_for(*text)));
+          leaf.problem("unknown-unit", "\"" + *text + "\" is not a unit of UCUM (ucum.org)", detail::ucum_for(*text)));
     if (text != nullptr && type.text == TextIs::output_file) warn_of_placeholders(parameter, leaf, *text, warnings);
   };
   const auto warn_of_no_effect = [&](const ParameterInfo& parameter, const ConfigItem& value, const std::string& is) {

@@ -1,4 +1,4 @@
-// What is worth saying of a configuration that has no mistake, by what the parameters declare. Private to src/config.
+// Warnings about a valid configuration, from the declarations of its parameters. Private to src/config.
 #pragma once
 
 #include <functional>
@@ -13,13 +13,13 @@ namespace rtdata::config_detail {
 void for_each_text(
     const std::vector<ParameterInfo>& parameters, const ConfigItem& item,
     const std::function<void(const ParameterInfo& parameter, const std::string& text, const ConfigItem& at)>& use);
-/// Units that are no UCUM, unknown placeholders, parameters that mean nothing beside the others.
+/// Warns about units that are not UCUM, unknown placeholders, and parameters without effect.
 void warn_of(const std::vector<ParameterInfo>& parameters, const ConfigItem& item, Problems& warnings);
-/// Texts under keys that secrets are kept under, anywhere below the item.
+/// Warns about plain texts under keys for secrets, anywhere below the item.
 void warn_of_plain_secrets(const ConfigItem& item, Problems& warnings);
-/// Files that cannot be written: mistakes.
+/// Reports files that cannot be written.
 void check_output_files(const std::vector<ParameterInfo>& parameters, const ConfigItem& item, Problems& problems);
-/// Resolves all references to secrets once more; what cannot be is left out.
+/// Resolves all references to secrets again; skips those that fail.
 void collect_secrets(const std::vector<ParameterInfo>& parameters, const ConfigItem& item,
                      std::vector<std::string>& secrets);
 

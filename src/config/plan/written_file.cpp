@@ -31,7 +31,7 @@ fs::path named(const fs::path& path) {
   return resolved(whole.parent_path()) / last;
 }
 
-/// Where its own links lead: also to what is not there yet, which is where the file will be made.
+/// Follows the path's own links, also to a missing target, where the file will be created.
 fs::path followed(fs::path at) {
   std::error_code failed;
   for (int links = 0; links < most_links; ++links) {
@@ -64,7 +64,7 @@ bool FileIdentity::is_companion_file(
   if (!is_companion_file) return false;
   for (const std::string& file : {main.name_, main.target_}) {
     if (is_companion_file(file, name_) || is_companion_file(file, target_)) return true;
-    if (id_ && links_ > 1) {  // one of those that are there may be a hard link to this
+    if (id_ && links_ > 1) {  // an existing file may be a hard link to this one
       std::error_code failed;
       const fs::path folder = fs::path(file).parent_path();
       for (fs::directory_iterator entry(folder, failed), end; !failed && entry != end; entry.increment(failed)) {

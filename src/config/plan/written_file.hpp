@@ -1,5 +1,4 @@
-// Files that sinks and the log write, and whether two of them are in each other's way. Private to src/config and
-// src/app.
+// Files that sinks and the log write, and conflicts between them. Private to src/config and src/app.
 #pragma once
 
 #include <sys/types.h>
@@ -14,16 +13,16 @@
 
 namespace rtdata::config_detail {
 
-/// All that tells whether another path leads to the same file, as it was when this was made.
+/// Identifies a file, to compare it with other paths; the state at construction.
 class FileIdentity {
  public:
   explicit FileIdentity(const std::string& path);
 
-  /// Where it is or would be made: absolute, all links followed.
+  /// The absolute path where it is or would be created, with all links followed.
   const std::string& target() const noexcept { return target_; }
-  /// Also through symbolic links, of which what they lead to need not be there, and hard links.
+  /// Compares also through symbolic links, even to missing targets, and hard links.
   bool is_same(const FileIdentity& other) const noexcept;
-  /// Whether this is one of the files that go with `main`, by a function as StoredTopics::is_companion_file.
+  /// True if this is a companion file of `main`, by a function like StoredTopics::is_companion_file.
   bool is_companion_file(
       const FileIdentity& main,
       const std::function<bool(const std::string& file, const std::string& other)>& is_companion_file) const;
@@ -49,10 +48,10 @@ struct WrittenFile {
 /// A file that this part writes.
 WrittenFile written_file(const PartPlan& part, const std::string& path);
 
-/// Why `file` cannot be written while `known` is; empty: it can.
+/// Why `file` cannot be written at the same time as `known`; empty: it can.
 std::string conflict(const WrittenFile& file, const WrittenFile& known);
 
-/// Whether the log renames its file to `other` when it is full.
+/// True if the log's rotation renames its file to `other`.
 bool is_rotated_log(const LogSettings& settings, const std::string& file, const std::string& other);
 
 }  // namespace rtdata::config_detail

@@ -43,7 +43,7 @@ bool is_json_number(std::string_view word) {
   return i == word.size();
 }
 
-/// Whether a token that begins like a value, but goes on, was taken for that value: 01, 5V, truely.
+/// True if only the beginning of a token was taken as a value: 01, 5V, truely.
 bool is_half_a_word(const Token& token) {
   if (token.text.empty() || std::string_view("\"[]{}").find(token.text.front()) != std::string_view::npos) return false;
   return token.text != "true" && token.text != "false" && token.text != "null" && !is_json_number(token.text);
@@ -80,14 +80,14 @@ Problem bad_word(const Token& token) {
                  nearest_name(token.text, {"true", "false", "null"}));
 }
 
-/// Such as a word processor or a web page makes of plain ones.
+/// Quotes as written by word processors and web pages.
 bool has_typographic_quote(std::string_view text) {
   for (const std::string_view quote : {"\u201c", "\u201d", "\u201e", "\u2018", "\u2019", "\u00ab", "\u00bb"})
     if (text.starts_with(quote)) return true;
   return false;
 }
 
-/// What is wrong with a token whatever stands around it; false when nothing is.
+/// Explains a token that is wrong in any context; false if it is not.
 bool broken_token(const JsonMistake& mistake, const TextScanner& before, const Token& token, Problem& out) {
   if (token.text.empty()) return false;
   if (token.text.front() == '"' && mistake.library_text.find("invalid string") != std::string_view::npos)
@@ -95,7 +95,7 @@ bool broken_token(const JsonMistake& mistake, const TextScanner& before, const T
   else if (token.text.front() == '/')
     out = problem(token.position, mistake.library_text.find("missing closing") != std::string_view::npos
                                       ? "this comment is not closed: there is no '*/'"
-                                      : "a '/' alone is no comment: write // or /* */");
+                                      : "a '/' alone is not a comment: write // or /* */");
   else if (token.text.front() == '\'')
     out = problem(token.position, "text needs double quotes (\"), not single ones");
   else if (token.text.front() == '#')

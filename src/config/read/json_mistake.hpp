@@ -1,4 +1,4 @@
-/// What is wrong where the JSON library stops reading, in words for people. Private to src/config.
+/// Explains a mistake where the JSON library stops reading, for people. Private to src/config.
 #pragma once
 
 #include <string>
@@ -8,7 +8,7 @@
 
 namespace rtdata {
 
-/// What is known when the library refuses a text.
+/// The state when the library refuses a text.
 struct JsonMistake {
   std::size_t bytes_read = 0;     ///< by the library
   std::string_view library_text;  ///< its own words
@@ -21,7 +21,7 @@ struct JsonMistake {
   ConfigBuilder::Position opened;  ///< where the innermost object or array begins
 };
 
-/// `scanner` stands behind the last thing that was accepted. The file and path of the result are empty.
+/// `scanner` stands after the last accepted token. The file and path of the result are empty.
 Problem explain(const JsonMistake& mistake, TextScanner& scanner);
 
 }  // namespace rtdata

@@ -1,4 +1,4 @@
-// Where mistakes are shown, and words that they share. Private to src/config.
+// Common functions for the places and texts of mistakes. Private to src/config.
 #pragma once
 
 #include <string>
@@ -47,7 +47,7 @@ inline std::string place_of(const ConfigItem& item) {
 
 inline std::string topic_advice(std::string_view topic) {
   return "\"" + std::string(topic) +
-         "\" is no topic name: letters, digits, _ . - in levels joined by /, such as \"room/climate\"";
+         "\" is not a topic name: letters, digits, _ . - in levels joined by /, such as \"room/climate\"";
 }
 
 /// Replaces the secrets in the texts of the problems.

@@ -1,4 +1,4 @@
-// What reading and listing by tables of parameters share. Private to the library.
+// The common part of reading and listing parameters by their tables. Private to the library.
 #pragma once
 
 #include <span>

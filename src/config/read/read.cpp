@@ -43,7 +43,7 @@ std::string mistake_in(std::string_view text, TextIs is) {
       return detail::permissions_of(text) ? "" : detail::permissions_rule;
     case TextIs::anything:
     case TextIs::recorded:
-    case TextIs::unit:  // one that is no UCUM is a warning
+    case TextIs::unit:  // a unit that is not UCUM is a warning
       return "";
     case TextIs::name:
       return detail::is_name(text) ? "" : detail::name_rule;
@@ -62,7 +62,7 @@ std::string mistake_in(std::string_view text, TextIs is) {
     case TextIs::topic_pattern:
       return is_topic_pattern(text) ? ""
                                     : "\"" + std::string(text) +
-                                          "\" is no topic or pattern: levels joined by /, + for one level, # at the "
+                                          "\" is not a topic or pattern: levels joined by /, + for one level, # at the "
                                           "end for all below";
     case TextIs::output_file:
       if (detail::has_control(text)) return "a path that is written has no control characters: it is shown as a name";
@@ -70,7 +70,7 @@ std::string mistake_in(std::string_view text, TextIs is) {
     case TextIs::device:
       if (text == "~" || text.starts_with("~/")) {
         const char* const home = std::getenv("HOME");
-        return "~ is a word of the shell's, which nobody expands here: write \"" +
+        return "only a shell expands ~, this program does not: write \"" +
                std::string(home != nullptr && *home == '/' ? home : "/home/pi") + std::string(text.substr(1)) + "\"";
       }
       if (is == TextIs::device && is_windows_port(text))
@@ -101,8 +101,8 @@ bool is_name_of_something(TextIs is) {
   return is == TextIs::name || is == TextIs::field || is == TextIs::topic || is == TextIs::topic_pattern;
 }
 
-/// Where a key belongs that is often written elsewhere, or is another word for one that is known here; in the order in
-/// which they are tried. `known`: the key that is known here, and is meant or says what kind of item it is.
+/// A key that is often written in the wrong place, or is another word for a known key; tried in this order. `known`: a
+/// key of this item that is meant, or that shows the kind of item.
 struct Elsewhere {
   std::string_view keys, known, advice;
 };
@@ -120,7 +120,7 @@ constexpr std::string_view as_path = "the file is named by `path`";
 constexpr std::string_view as_line = "the GPIO line is named by `line`: its number, its name, or chip:line";
 constexpr std::string_view of_sensor = "it belongs to the sensor that is on this bus";
 constexpr Elsewhere elsewhere[] = {
-    {"rate", "max_line", "a serial line takes what comes: it has no rate"},
+    {"rate", "max_line", "a serial line takes every line that comes: it has no rate"},
     {"calibration scale offset polynomial calibrate tare", "process", in_process},
     {"filters filter median mean average throttle delta clamp window", "process", in_filters},
     {"pin gpio", "line", as_line},
@@ -156,7 +156,7 @@ bool read_text(const ConfigItem& item, std::string& out, const RulesOf& paramete
   const ParameterRules& rules = parameter.rules;
   if (is_secret_reference(item)) {
     if (rules.text == TextIs::permissions) {
-      problems.add(item.problem("not-a-secret", "permissions are no secret: write them as they are"));
+      problems.add(item.problem("not-a-secret", "permissions are not secret: write them as they are"));
       return false;
     }
     if (is_recorded(rules.text)) {
@@ -201,7 +201,7 @@ bool check_duration(const ConfigItem& item, Duration value, const ParameterRules
 }
 
 bool check_rate(const ConfigItem& item, Rate value, const ParameterRules& rules, Problems& problems) {
-  // A rate is kept as its period in ns: the limits are compared as such, so that both ends belong to the range.
+  // A rate is stored as its period in ns, so the limits are compared as periods; both ends belong to the range.
   ParameterRules rounded = rules;
   if (rules.has_least && rules.least > 0) rounded.least = Rate::hertz(rules.least).hertz();
   if (rules.has_most && rules.most > 0) rounded.most = Rate::hertz(rules.most).hertz();
@@ -247,7 +247,7 @@ bool check_keys(const ConfigItem& item, const std::vector<KnownKey>& known, Unkn
   std::sort(names.begin(), names.end());
 
   bool good = true;
-  std::vector<std::string> meant;  // absent keys that are there, but misspelt: reported once, not as missing too
+  std::vector<std::string> meant;  // keys that are present but misspelt are not reported as missing too
   for (const ConfigChild& child : item.children()) {
     if (unknown == UnknownKeys::ignore || std::binary_search(names.begin(), names.end(), child.key)) continue;
     if (const Elsewhere* place = place_elsewhere(child.key, names)) {

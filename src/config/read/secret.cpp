@@ -23,7 +23,7 @@ std::string read_file(const std::string& path, std::string& out) {
   if (fd < 0) return std::generic_category().message(errno);
   struct stat about {};
   std::string why;
-  if (::fstat(fd, &about) != 0 || !S_ISREG(about.st_mode)) why = "it is no regular file";
+  if (::fstat(fd, &about) != 0 || !S_ISREG(about.st_mode)) why = "it is not a regular file";
   std::array<char, 4096> buffer{};
   while (why.empty()) {
     const ssize_t got = ::read(fd, buffer.data(), buffer.size());
@@ -68,7 +68,7 @@ bool resolve_secret(const ConfigItem& reference, std::string& out, Problems& pro
   if (out.ends_with('\n')) out.pop_back();
   if (out.ends_with('\r')) out.pop_back();
   if (out.empty()) return fail("the file " + *name + " is empty");
-  if (out.find('\0') != std::string::npos) return fail("the file " + *name + " is no text: it has a NUL byte");
+  if (out.find('\0') != std::string::npos) return fail("the file " + *name + " is not text: it has a NUL byte");
   return true;
 }
 

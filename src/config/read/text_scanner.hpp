@@ -1,7 +1,7 @@
-/// TextScanner: walks through JSON text beside the JSON library, which reports values but not where they are.
+/// TextScanner: reads JSON text in parallel with the JSON library, which reports values but not their places.
 ///
-/// The library has already accepted the tokens that are skipped here, so that finding their ends is all there is to do.
-/// Lines and characters are counted as the text goes by, once. Private to src/config.
+/// The library has already accepted the tokens, so the scanner only needs to find their ends. It counts lines and
+/// characters once. Private to src/config.
 #pragma once
 
 #include <cstddef>
@@ -26,7 +26,7 @@ class TextScanner {
   Token next();
   /// The same, after the commas and colons between two values.
   Token next_value();
-  /// The line and column of a byte that has not gone by yet.
+  /// The line and column of a byte not yet passed.
   ConfigBuilder::Position position_of(std::size_t byte) const;
   /// Where the next token would be looked for.
   std::size_t offset() const noexcept { return offset_; }

@@ -47,7 +47,7 @@ Json json_of(const ConfigItem& item) { return Json::parse(item.to_json(ConfigIte
 
 Json object_schema(const std::vector<ParameterInfo>& parameters);
 
-/// What JSON Schema can say of a text, as a regular expression of ECMA 262; empty: nothing.
+/// The JSON Schema pattern of a text, a regular expression of ECMA 262; empty: none.
 std::string pattern_of(TextIs is) {
   constexpr const char* level = "[A-Za-z0-9_.-]+";
   const std::string name = std::string(level) + "(/" + level + ")*";
@@ -87,7 +87,7 @@ Json reference_schema(const char* key, const char* doc) {
   return json;
 }
 
-/// A text, or where to take it from.
+/// The schema of a text, or of a reference to a secret.
 Json text_schema(const ParameterType& type) {
   Json json = Json::object();
   json["type"] = "string";
@@ -172,7 +172,7 @@ Json type_schema(const ParameterType& type) {
   return json;
 }
 
-/// What people read: the phrase, then unit and range where the schema has no other word for them.
+/// The description for people: the phrase, then unit and range if the schema has no keyword for them.
 std::string description_of(const ParameterInfo& parameter) {
   std::string text = parameter.doc;
   if (!parameter.unit.empty()) text += " (" + parameter.unit + ")";
@@ -245,7 +245,7 @@ std::string ParameterType::name() const {
 }
 
 std::string ParameterType::range() const {
-  if (kind == TypeKind::text_or_integer) return "";  // what is said of it has it
+  if (kind == TypeKind::text_or_integer) return "";  // its description contains the range
   return element.empty() ? config_detail::range_text(least, most, kind, "") : element[0].range();
 }
 

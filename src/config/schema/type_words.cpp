@@ -1,4 +1,4 @@
-// Which types a word stands for: the words are those of their own declarations.
+// Finds the types for a search word, from the words in their declarations.
 #include <algorithm>
 #include <array>
 
@@ -24,7 +24,7 @@ std::string plain(std::string_view word) {
   return result;
 }
 
-/// The word as it is written in the text, by itself or in the plural; empty: it is not there.
+/// The word as written in the text, in singular or plural; empty: not found.
 std::string_view written(std::string_view text, const std::string& word) {
   while (!text.empty()) {
     const auto is_of_word = [](char c) { return is_letter(c) || is_digit(c) || c == '-' || c == '_'; };
@@ -41,13 +41,13 @@ std::string_view written(std::string_view text, const std::string& word) {
 
 bool has_word(std::string_view text, const std::string& word) { return !written(text, word).empty(); }
 
-/// Of a short word only in capitals: a CAN bus is not meant by "they can".
+/// A short word matches only in capitals: "they can" does not mean a CAN bus.
 bool describes(std::string_view text, const std::string& word) {
   const std::string_view here = written(text, word);
   return word.size() > 3 ? !here.empty() : !std::all_of(here.begin(), here.end(), is_small_letter);
 }
 
-/// A chip's name, such as sht31; other words are too common to look for in long texts.
+/// True for names of chips, such as sht31; other words are too common to search in long texts.
 bool is_like_a_chip(const std::string& word) {
   return word.size() >= 4 && std::any_of(word.begin(), word.end(), is_digit) &&
          std::any_of(word.begin(), word.end(), is_letter);

@@ -1,4 +1,4 @@
-// Blame: which callback held the loop for longer than its limit.
+// Blame: finds the callback that held the loop longer than its limit.
 #pragma once
 
 #include <string>
@@ -34,7 +34,7 @@ class Blame {
   MonotonicTime held_last() const noexcept { return held_last_; }
 
  private:
-  /// Makes the loop's health ok again some time after it was held last.
+  /// Sets the loop's health to ok some time after it was last held.
   struct Recovery final : Deadline {
     explicit Recovery(Blame& blame_) : blame(blame_) {}
     void fire(MonotonicTime now) override;
@@ -44,7 +44,7 @@ class Blame {
   void report_hold(const Named& name, Duration took) noexcept {
     try {
       report(name(), took);
-    } catch (...) {  // out of memory: it is counted all the same
+    } catch (...) {  // out of memory: it is still counted
     }
   }
   void report(const std::string& name, Duration took);

@@ -1,4 +1,4 @@
-// What the callbacks of a tier took, gathered while it runs.
+// Collects the callback times of a tier while it runs.
 #pragma once
 
 #include <memory>
@@ -14,8 +14,8 @@ namespace rtdata::detail {
 class Node;
 class Nodes;
 
-/// The loop goes through its objects on its own thread, a few in a turn, so that it is not held. Any thread may ask for
-/// a survey (`Nodes::begin_survey`) and wait for it; a loop that hangs never finishes it.
+/// The loop visits its objects on its own thread, a few in each turn, so that it is not held. Any thread may request a
+/// survey (`Nodes::begin_survey`) and wait for it; a hanging loop never finishes it.
 class CallbackSurvey {
  public:
   static constexpr std::size_t most_in_turn = 16;
@@ -27,7 +27,7 @@ class CallbackSurvey {
 
  private:
   friend class Nodes;
-  Node* next_ = nullptr;  // moved on by the loop when that node goes
+  Node* next_ = nullptr;  // the loop advances it when that node is destroyed
   std::vector<CallbackStatus> callbacks_;
   Latch done_;
 };

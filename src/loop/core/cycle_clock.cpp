@@ -36,7 +36,7 @@ MonotonicTime CycleClock::read() noexcept {
   std::uint64_t after = 0;
   MonotonicTime time;
   bool was_interrupted = true;
-  const int attempts = longest_ != 0 ? most_attempts : 1;  // while the rate is not known for certain, neither is this
+  const int attempts = longest_ != 0 ? most_attempts : 1;  // one attempt while the rate is uncertain
   for (int attempt = 0; attempt < attempts && was_interrupted; ++attempt) {
     before = cycles();
     time = kernel_time();
@@ -50,7 +50,7 @@ MonotonicTime CycleClock::read() noexcept {
   const Duration elapsed = time - compared_;
   if (was_interrupted) {
     longest_ = 0;
-    if (elapsed > longest_comparison) scale_ = 0;  // perhaps it is the rate that is wrong
+    if (elapsed > longest_comparison) scale_ = 0;  // the rate may be wrong
     return base_;
   }
   if (elapsed < shortest_comparison) return base_;

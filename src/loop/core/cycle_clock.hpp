@@ -12,9 +12,9 @@
 
 namespace rtdata::detail {
 
-/// Agrees with the kernel's clock to some 100 ns. Where the kernel does not take its own time from a counter that can
-/// be read here, each call reads the kernel's clock. Should the counters of two processors differ, it is off by 100 us
-/// at most, and may go back by that when the thread moves. One thread.
+/// Agrees with the kernel's clock within about 100 ns. If the kernel's clock does not use a readable counter, each call
+/// reads the kernel's clock. If the counters of two processors differ, it is wrong by at most 100 us, and may go back
+/// by that when the thread moves. One thread.
 class CycleClock {
  public:
   CycleClock();
@@ -55,9 +55,9 @@ class CycleClock {
   bool is_usable_;
   MonotonicTime base_{};
   std::uint64_t base_cycles_ = 0;
-  std::uint64_t longest_ = 0;  // cycles behind the base that are interpolated; 0: the rate is not known for certain
+  std::uint64_t longest_ = 0;  // longest interpolation in cycles; 0: the rate is uncertain
   std::uint64_t scale_ = 0;    // ns per cycle, times 2^scale_bits
-  // A read some time ago, with which the next ones are compared for the rate.
+  // An earlier read, compared with later ones to get the rate.
   MonotonicTime compared_{};
   std::uint64_t compared_cycles_ = 0;
 };

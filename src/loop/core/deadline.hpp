@@ -12,11 +12,11 @@ namespace rtdata::detail {
 
 class Deadline {
  public:
-  /// Does what is due and moves or removes itself in the heap.
+  /// Does its work and moves or removes itself in the heap.
   virtual void fire(MonotonicTime now) = 0;
-  /// As things are, `fire` would do nothing: in virtual time, until something else is due, it is left out.
+  /// True if `fire` would do nothing now: in virtual time it is skipped until something else is due.
   virtual bool is_idle() const noexcept { return false; }
-  /// `due` becomes its first instant from `at` on; those before it are nobody's.
+  /// Sets `due` to its first instant from `at` on; earlier ones are not counted.
   virtual void leave_out_until(MonotonicTime) noexcept {}
 
   MonotonicTime due{};
@@ -34,11 +34,11 @@ class DeadlineHeap {
  public:
   Deadline* top() const noexcept { return entries_.empty() ? nullptr : entries_.front(); }
   std::size_t size() const noexcept { return entries_.size(); }
-  /// So many may be in it from now on without asking for memory.
+  /// Allocates memory for `count` deadlines.
   void make_room(std::size_t count) {
     if (count > entries_.capacity()) entries_.reserve(std::max(count, 2 * entries_.capacity()));
   }
-  /// There is room for it.
+  /// Needs room from `make_room`.
   void insert(Deadline& deadline) noexcept {
     entries_.push_back(&deadline);
     if (deadline.order == 0) deadline.order = ++last_order_;
@@ -55,7 +55,7 @@ class DeadlineHeap {
     place(hole, last);
     moved(*last);
   }
-  /// After its `due` has changed.
+  /// Call it after `due` has changed.
   void moved(Deadline& deadline) noexcept {
     sift_up(deadline.heap_index);
     sift_down(deadline.heap_index);

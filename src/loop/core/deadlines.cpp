@@ -49,7 +49,7 @@ std::optional<MonotonicTime> Deadlines::next_due() const noexcept {
 }
 
 void Deadlines::leave_out_idle(MonotonicTime until) noexcept {
-  // Those that are first, taken aside until it is known what comes after them.
+  // Idle deadlines at the front, removed until the next other deadline is known.
   struct Idle {
     Deadline* deadline;
     MonotonicTime due;
@@ -89,7 +89,7 @@ void Deadlines::spin() noexcept {
 }
 
 void Deadlines::fire_due() {
-  // Deadlines that come due meanwhile fire at once, but after `rounds` rounds I/O gets its turn.
+  // Deadlines that become due meanwhile fire at once, but after `rounds` rounds I/O comes first.
   constexpr int rounds = 4;
   if (firing_) return;
   firing_ = true;
@@ -104,8 +104,8 @@ void Deadlines::fire_due() {
     while (is_due(until)) {
       Deadline& due = *heap_.top();
       const MonotonicTime due_at = due.due;
-      // `fire` throws for want of memory. Then it has moved itself before; else it is taken out, or it would fire for
-      // ever.
+      // `fire` may throw without memory. If it has not moved itself by then, it is removed, so that it does not fire
+      // for ever.
       if (!loop_.call_own("loop", [&] { due.fire(begin); }) && heap_.top() == &due && due.due == due_at) remove(due);
       begin = loop_.now();
     }

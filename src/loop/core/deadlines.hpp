@@ -1,4 +1,4 @@
-// The deadlines of a loop, in the order in which they come due, and the firing of those that are due.
+// The deadlines of a loop, in order of time, and their firing.
 #pragma once
 
 #include <cstddef>
@@ -16,8 +16,7 @@ class Deadlines {
  public:
   explicit Deadlines(LoopCore& loop) noexcept : loop_(loop) {}
 
-  /// Once for each deadline object on this loop, so that none asks for memory when it is inserted. Throws, with nothing
-  /// changed.
+  /// Call it once for each deadline object on this loop, so that inserting does not allocate. Throws without changes.
   void reserve_one();
   void release_one() noexcept { --reserved_; }
   void insert(Deadline& deadline) noexcept;
@@ -26,21 +25,20 @@ class Deadlines {
   void moved(Deadline& deadline) noexcept;
 
   bool is_due(MonotonicTime now) const noexcept { return heap_.top() != nullptr && has_come(heap_.top()->due, now); }
-  /// Of the first deadline, if it ever comes.
+  /// The time of the first deadline; empty if it never comes.
   std::optional<MonotonicTime> next_due() const noexcept;
-  /// Up to here every due tick has been fired or counted.
+  /// All ticks up to this time have been fired or counted.
   MonotonicTime handled_until() const noexcept { return handled_until_; }
   void begin(MonotonicTime now) noexcept { handled_until_ = now; }
 
-  /// In virtual time: passes over the ticks before `until`, and before anything else is due, at which nothing is to be
-  /// done.
+  /// In virtual time: skips idle ticks before `until` and before any other deadline.
   void leave_out_idle(MonotonicTime until) noexcept;
 
   bool is_firing() const noexcept { return firing_; }
-  /// Unless they fire already. The timer is not armed for the next one before `arm` is called.
+  /// Does nothing while deadlines fire. Call `arm` afterwards to arm the timer for the next one.
   void fire_due();
   void arm() noexcept;
-  /// Waits for the next one without sleeping when it is due within `Loop::Config::spin`.
+  /// Busy-waits for the next one if it is due within `Loop::Config::spin`.
   void spin() noexcept;
 
  private:

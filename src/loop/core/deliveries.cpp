@@ -25,7 +25,7 @@ void Deliveries::add(DeliveryQueue& queue) {
 }
 
 Deliveries::Left Deliveries::deliver(Budget budget) {
-  constexpr int most_rounds = 100;  // each brings what the handlers of the one before have published
+  constexpr int most_rounds = 100;  // each delivers events published by the handlers of the previous round
   if (delivering_ || loop_.is_ending()) return Left::nothing;
   delivering_ = true;
   MonotonicTime current = loop_.now();
@@ -45,7 +45,7 @@ bool Deliveries::must_pause(MonotonicTime now, MonotonicTime limit) const noexce
 }
 
 Deliveries::Left Deliveries::deliver_round(MonotonicTime& current, MonotonicTime end) {
-  // A round that was broken off goes on, so that the rounds of handlers in a circle are counted whatever comes due
+  // An interrupted round continues, so that rounds of handlers in a circle are counted even if deadlines come in
   // between.
   std::size_t unfinished = 0;
   for (DeliveryQueue* queue = first_; queue != nullptr; queue = queue->next_ready_) {

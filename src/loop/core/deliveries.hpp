@@ -1,4 +1,5 @@
-// The deliveries of a loop: queues with pending events take turns, one small group of events each, under a time budget.
+// The deliveries of a loop: queues with pending events alternate, with a small group of events each, within a time
+// budget.
 #pragma once
 
 #include <cstdint>
@@ -12,12 +13,12 @@ class LoopCore;
 /// A queue of events for handlers on a loop: the loop's side of a topic.
 class DeliveryQueue {
  public:
-  /// Delivers one small group of events of the round, beginning at `begin`; returns when it ended. Between two handlers
-  /// it returns early when `Deliveries::must_pause`: the next call goes on there.
+  /// Delivers a small group of events of the round, starting at time `begin`; returns the end time. It returns early
+  /// between two handlers if `Deliveries::must_pause`; the next call continues there.
   virtual MonotonicTime deliver_group(LoopCore& loop, MonotonicTime begin, MonotonicTime time_limit) = 0;
 
   bool has_pending() const noexcept { return head_ != tail_; }
-  /// Is among those that the loop delivers from.
+  /// True if the loop delivers from it now.
   bool is_ready() const noexcept { return is_ready_; }
 
  protected:
@@ -29,7 +30,7 @@ class DeliveryQueue {
 
  private:
   friend class Deliveries;
-  /// Events queued by now belong to a round of deliveries, those published from now on do not.
+  /// Starts a round: events queued so far belong to it, later ones do not.
   void begin_round() noexcept { round_end_ = head_; }
   bool is_in_round() const noexcept { return tail_ < round_end_; }
   DeliveryQueue* next_ready_ = nullptr;
@@ -44,28 +45,28 @@ class Deliveries {
   Deliveries& operator=(const Deliveries&) = delete;
   ~Deliveries();
 
-  /// It has pending events.
+  /// Adds a queue with pending events.
   void add(DeliveryQueue& queue);
   bool is_empty() const noexcept { return first_ == nullptr; }
   bool is_delivering() const noexcept { return delivering_; }
   void handler_begins(MonotonicTime at) noexcept { handler_began_ = at; }
-  /// When the handler that runs now was called with the first of the events that it takes in a row, which is seldom
-  /// longer ago than some microseconds: for what does not need the clock read for each event.
+  /// When the running handler was called for the first event of its group, seldom more than some microseconds ago; for
+  /// uses that need no clock reading for each event.
   MonotonicTime handler_began() const noexcept { return handler_began_; }
 
   enum class Budget { limited, none };
-  /// What it left in the queues.
+  /// Why events are left in the queues.
   enum class Left {
     nothing,
     later,   // the budget was spent
     circle,  // the rounds were spent: handlers kept publishing events for each other
   };
   Left deliver(Budget budget);
-  /// Whether deliveries have to stop now: their time budget, which ends at `limit`, is spent, or a deadline of the loop
-  /// is due. With `MonotonicTime::max()` as `limit` they never have to.
+  /// True if deliveries must stop now: the time budget ended at `limit`, or a deadline of the loop is due. Never with
+  /// `MonotonicTime::max()` as `limit`.
   bool must_pause(MonotonicTime now, MonotonicTime limit) const noexcept;
-  /// Called when virtual time moves on: handlers that publish for each other get a limited number of rounds at each
-  /// instant, and the count begins anew.
+  /// Called when virtual time advances: resets the number of rounds, which is limited at each instant for handlers that
+  /// publish for each other.
   void begin_instant() noexcept { rounds_ = 0; }
 
  private:

@@ -1,4 +1,4 @@
-// The end of the program, for mistakes that no exception can report.
+// Ends the program for mistakes that no exception can report.
 #pragma once
 
 #include <cstdio>
@@ -8,7 +8,7 @@
 
 namespace rtdata::detail {
 
-/// Says what is wrong on standard error, and aborts: going on would use what is gone.
+/// Writes the error to standard error and aborts, because continuing would use destroyed objects.
 [[noreturn, gnu::cold]] inline void end_program(const Error& error) noexcept {
   std::fprintf(stderr, "rtdata: fatal: %s\n", error.text().c_str());
   std::abort();

@@ -7,8 +7,7 @@
 namespace rtdata::detail {
 
 void refuse_empty(const char* what, std::string_view name) {
-  throw SetupError({Errc::bad_argument, what, std::string(name), "there is nothing to be called: its function is empty",
-                    "give it a function"});
+  throw SetupError({Errc::bad_argument, what, std::string(name), "its function is empty", "give it a function"});
 }
 
 Node::Node(LoopCore& loop) : loop_(&loop) {
@@ -27,7 +26,7 @@ Node::~Node() {
 void Node::dispose() noexcept {
   LoopCore* const loop = loop_;
   if (loop != nullptr && loop->runs_elsewhere()) {
-    // Longer than for what can be refused: after this, what its callbacks refer to may go.
+    // A longer limit than for other calls, because objects used by its callbacks may be destroyed after this.
     const auto closed = loop->call_there_within(
         std::chrono::seconds{5}, [this] { dispose(); }, LoopCore::Begun::is_given_up);
     if (closed == LoopCore::Called::not_begun) loop->dispose_when_it_turns(*this);
@@ -40,8 +39,8 @@ void Node::dispose() noexcept {
 
 void Node::close() noexcept {
   if (loop_ == nullptr || is_closing_) return;
-  is_closing_ = true;  // closing may report, and the handler of the report may close it once more
-  retain();            // or let go of it
+  is_closing_ = true;  // closing may report, and the report's handler may close it again
+  retain();            // or destroy the handle
   on_close();
   loop_->nodes.unlink(*this);
   loop_ = nullptr;

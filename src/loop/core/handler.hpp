@@ -1,4 +1,4 @@
-// Handler: a callback that may set another in its place, or close its owner, while it runs.
+// Handler: a callback that may replace itself or close its owner while it runs.
 #pragma once
 
 #include <cstdint>
@@ -8,7 +8,7 @@
 
 namespace rtdata::detail {
 
-/// It is taken out for the call and put back afterwards, unless another was set meanwhile: while it runs there is none.
+/// It is removed for the call and restored afterwards, unless another one was set meanwhile.
 template <class Argument>
 class Handler {
  public:

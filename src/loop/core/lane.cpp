@@ -13,7 +13,7 @@
 namespace rtdata::detail {
 namespace {
 
-constexpr Duration longest_wait = std::chrono::hours{24 * 365};  // the library adds it to the time of now
+constexpr Duration longest_wait = std::chrono::hours{24 * 365};  // the standard library adds it to the present time
 
 }  // namespace
 
@@ -25,10 +25,10 @@ bool LaneJob::begin(MonotonicTime now) noexcept {
 
 bool LaneJob::end() noexcept {
   int expected = running;
-  return state_.compare_exchange_strong(expected, finished);  // before its listener's `is_waited_for` is looked at
+  return state_.compare_exchange_strong(expected, finished);  // before `is_waited_for` of its listener is read
 }
 
-LaneJob::State LaneJob::take_away() noexcept {
+LaneJob::State LaneJob::withdraw() noexcept {
   int was = state_.load(std::memory_order_acquire);
   while ((was == queued || was == running) &&
          !state_.compare_exchange_weak(was, taken_away, std::memory_order_acq_rel)) {
@@ -36,7 +36,7 @@ LaneJob::State LaneJob::take_away() noexcept {
   return static_cast<State>(was);
 }
 
-/// Looks after the limit while jobs are outstanding.
+/// Checks the limit while jobs are outstanding.
 struct Lane::Watchdog final : Deadline {
   explicit Watchdog(Lane& lane_) : lane(lane_) {}
   void fire(MonotonicTime) override { lane.check_limit(); }
@@ -90,20 +90,20 @@ Lane::~Lane() {
   loop_.deadlines.remove(*watchdog_);
   loop_.deadlines.remove(*delayed_);
   for (int i = 0; i < 2; ++i) loop_.deadlines.release_one();
-  if (!loop_.is_manual() && !is_left_behind_) {
-    for (LaneJob* job = first_.get(); job != nullptr; job = job->next_outstanding_.get()) {  // they shall not begin
+  if (!loop_.is_manual() && !is_thread_abandoned_) {
+    for (LaneJob* job = first_.get(); job != nullptr; job = job->next_outstanding_.get()) {  // must not start
       int expected = LaneJob::queued;
       job->state_.compare_exchange_strong(expected, LaneJob::taken_away, std::memory_order_acq_rel);
     }
     for (LaneJob* job = first_.get(); job != nullptr; job = job->next_outstanding_.get()) {
       if (job->state_.load(std::memory_order_acquire) != LaneJob::running) continue;
       Duration most = std::min(job->limit_, longest_wait);
-      if (most == job->limit_) {  // since it began: lanes whose devices hang together are waited for together
+      if (most == job->limit_) {  // counted from its start, so that waits for several hanging devices overlap
         const MonotonicTime end = later(MonotonicTime{Duration{job->began_.load(std::memory_order_relaxed)}}, most);
         most = std::clamp(span_between(loop_.now(), end), Duration{0}, most);
       }
       loop_.lanes.wait(most, [&] { return job->state_.load() != LaneJob::running; });
-      if (job->take_away() == LaneJob::running) thread_->leave_behind();
+      if (job->withdraw() == LaneJob::running) thread_->abandon_thread();
     }
   }
   thread_ = nullptr;
@@ -116,7 +116,7 @@ Lane::~Lane() {
   loop_.lanes.remove(*this);
 }
 
-std::size_t Lane::left_behind() const noexcept { return thread_->left_behind(); }
+std::size_t Lane::abandoned_threads() const noexcept { return thread_->abandoned_threads(); }
 
 bool Lane::is_stuck() const noexcept { return thread_->is_stuck(); }
 
@@ -149,7 +149,7 @@ Duration Lane::run_here(LaneJob& job, MonotonicTime now) noexcept {
 void Lane::submit_in_virtual_time(std::shared_ptr<LaneJob> job) {
   auto& completions = delayed_->completions;
   if (completions.size() == completions.capacity()) completions.reserve(2 * completions.size() + 1);
-  const bool runs_later = !is_shared_ && loop_.virtual_threads()->choose();  // those of several loops keep their order
+  const bool runs_later = !is_shared_ && loop_.virtual_threads()->choose();  // jobs of several loops keep their order
   const MonotonicTime from = std::max(thread_->free_from, loop_.now());
   Duration takes = loop_.lanes.scripted_duration;
   if (!runs_later) takes = later(MonotonicTime{takes}, run_here(*job, from)).time_since_epoch();
@@ -175,13 +175,13 @@ bool Lane::submit(std::shared_ptr<LaneJob> job, Duration give_up_after) {
     submit_in_virtual_time(std::move(job));
     return true;
   }
-  if (is_left_behind_ || !start_thread()) return false;
+  if (is_thread_abandoned_ || !start_thread()) return false;
   job->began_.store(loop_.now().time_since_epoch().count(), std::memory_order_relaxed);
   job->state_.store(LaneJob::queued, std::memory_order_relaxed);
   add(job);
   thread_->push(std::move(job), loop_.lanes.shared_listener());
   loop_.lanes.hand_over(thread_->pool());
-  if (watchdog_->is_listed() && give_up_after >= shortest_) return true;  // it will look in time
+  if (watchdog_->is_listed() && give_up_after >= shortest_) return true;  // the watchdog will check in time
   shortest_ = std::min(shortest_, give_up_after);
   watch_until(later(loop_.now(), shortest_));
   return true;
@@ -208,7 +208,7 @@ void Lane::finish(LaneJob::Outcome outcome) {
 void Lane::look_at_health(LaneJob::Outcome outcome, Duration limit) {
   Health now = health_;
   if (outcome == LaneJob::Outcome::given_up) now = is_stuck() ? Health::faulted : Health::degraded;
-  if (outcome == LaneJob::Outcome::finished) now = left_behind() > 0 ? Health::degraded : Health::ok;
+  if (outcome == LaneJob::Outcome::finished) now = abandoned_threads() > 0 ? Health::degraded : Health::ok;
   set_health(now, "a job outlived its limit of ", limit, " and was given up");
 }
 
@@ -236,25 +236,25 @@ void Lane::wait(Duration at_most) {
     return;
   }
   loop_.lanes.wake_threads();
-  if (!is_left_behind_ && thread_->has_thread()) {
+  if (!is_thread_abandoned_ && thread_->has_thread()) {
     const std::shared_ptr<LaneJob> first = first_;
     loop_.lanes.wait(std::min(at_most, longest_wait), [&] { return first->state_.load() == LaneJob::finished; });
   }
   collect();
 }
 
-void Lane::leave_behind() noexcept {
-  if (std::exchange(is_left_behind_, true)) return;
+void Lane::abandon_thread() noexcept {
+  if (std::exchange(is_thread_abandoned_, true)) return;
   for (LaneJob* job = first_.get(); job != nullptr; job = job->next_outstanding_.get())
-    if (job->take_away() == LaneJob::running) thread_->leave_behind();
+    if (job->withdraw() == LaneJob::running) thread_->abandon_thread();
 }
 
 void Lane::check_limit() {
   const auto is_alive = is_alive_;
   loop_.deadlines.remove(*watchdog_);
   collect();
-  if (!*is_alive || first_ == nullptr || is_left_behind_) return;
-  if (!start_thread()) {  // another loop's job hangs in the last thread that there may be
+  if (!*is_alive || first_ == nullptr || is_thread_abandoned_) return;
+  if (!start_thread()) {  // another loop's job hangs in the last allowed thread
     give_up();
     if (!*is_alive || first_ == nullptr) return;
   }
@@ -278,18 +278,18 @@ void Lane::check_limit() {
 
 void Lane::give_up() {
   const auto is_alive = is_alive_;
-  if (is_left_behind_) return;
+  if (is_thread_abandoned_) return;
   collect();
   if (!*is_alive || first_ == nullptr) return;
-  const auto was = first_->take_away();
+  const auto was = first_->withdraw();
   if (was == LaneJob::finished) return collect();
-  if (was == LaneJob::running) thread_->leave_behind();
+  if (was == LaneJob::running) thread_->abandon_thread();
   if (start_thread()) {
     thread_->pool()->wake();
     return finish(LaneJob::Outcome::given_up);
   }
   while (*is_alive && first_ != nullptr) {
-    if (first_->take_away() == LaneJob::running) thread_->leave_behind();
+    if (first_->withdraw() == LaneJob::running) thread_->abandon_thread();
     finish(LaneJob::Outcome::given_up);
   }
 }

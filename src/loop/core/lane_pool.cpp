@@ -16,14 +16,14 @@
 namespace rtdata::detail {
 namespace {
 
-constexpr unsigned most_idle = 4;  // more end when they have nothing to do
+constexpr unsigned most_idle = 4;  // further idle threads end
 constexpr Duration patience = std::chrono::milliseconds{1};
-constexpr std::uint64_t least_in_patience = 10;  // so many jobs are begun in it where quick lanes get on
-constexpr Duration longest_untold = std::chrono::microseconds{500};
+constexpr std::uint64_t least_in_patience = 10;  // number of jobs begun within it if quick lanes make progress
+constexpr Duration longest_unreported = std::chrono::microseconds{500};
 
 MonotonicTime kernel_now() noexcept { return std::chrono::steady_clock::now(); }
 
-/// Clears the highest bit that is set, and returns which that was. -1: none is.
+/// Clears the highest set bit and returns its index; -1: none.
 int take_highest(std::atomic<unsigned>& bits) noexcept {
   unsigned was = bits.load();
   while (was != 0 && !bits.compare_exchange_weak(was, was & ~std::bit_floor(was))) {
@@ -50,55 +50,56 @@ void LaneListener::stop_listening() noexcept {
 
 struct LanePool::Worker {
   MonotonicTime now{};
-  Duration took{0};                        // the job that it has run
-  std::shared_ptr<LaneQueue> queue;        // of that job
-  std::shared_ptr<LaneListener> listener;  // of that job
-  bool tells_at_once = false;              // of that job
-  bool has_come = true;                    // it was called, and has not looked yet
-  bool calls = false;                      // another one, before it runs that job
-  std::shared_ptr<LaneListener> untold;    // of jobs that have ended
-  MonotonicTime untold_since{};
+  Duration took{0};                          // the job that it has run
+  std::shared_ptr<LaneQueue> queue;          // of that job
+  std::shared_ptr<LaneListener> listener;    // of that job
+  bool reports_at_once = false;              // of that job
+  bool has_come = true;                      // it was woken and has not looked yet
+  bool calls = false;                        // wake another thread before running that job
+  std::shared_ptr<LaneListener> unreported;  // of jobs that have ended
+  MonotonicTime unreported_since{};
 
   void tell() noexcept {
-    if (untold == nullptr) return;
-    untold->tell();
-    untold = nullptr;
+    if (unreported == nullptr) return;
+    unreported->tell();
+    unreported = nullptr;
   }
   void ended() noexcept {
-    if (untold != listener) {
+    if (unreported != listener) {
       tell();
-      untold_since = now;
+      unreported_since = now;
     }
-    untold = std::move(listener);
-    if (tells_at_once || took > patience || now - untold_since > longest_untold || untold->is_waited_for.load()) tell();
+    unreported = std::move(listener);
+    if (reports_at_once || took > patience || now - unreported_since > longest_unreported ||
+        unreported->is_waited_for.load())
+      tell();
   }
 };
 
-/// Shared with the threads, which may be left behind.
+/// Shared with the threads, which may be abandoned.
 ///
-/// Whoever sends a job looks afterwards whether somebody comes or runs quick jobs, and else wakes one that sleeps;
-/// whoever goes to sleep looks afterwards whether a job was sent: so one of the two sees it (all of this is
-/// sequentially consistent).
+/// The sender of a job then checks that a thread comes or runs quick jobs, and otherwise wakes one. A thread that goes
+/// to sleep then checks for new jobs. So one of the two sees the job (all accesses are sequentially consistent).
 struct LanePool::State : std::enable_shared_from_this<LanePool::State> {
   const int most_slow;
   const Duration quick;
   std::atomic<LaneJob*> sent{nullptr};  // the newest first
-  std::atomic<bool> comes{false};       // a thread that was woken has not looked yet
+  std::atomic<bool> comes{false};       // a woken thread has not looked yet
   std::atomic<bool> gets_on{true};      // what is quick
-  std::atomic<int> quick_lanes{0};      // that wait, or of which a job runs; changed under the mutex, as are the next
+  std::atomic<int> quick_lanes{0};      // waiting or running; changed under the mutex, like the next members
   std::atomic<int> quick_running{0};
-  std::atomic<int> slow_running{0};        // without those that were quick until now
+  std::atomic<int> slow_running{0};        // without lanes that were quick until now
   std::atomic<std::uint64_t> begun{0};     // jobs
-  std::atomic<unsigned> sleeping{0};       // a bit for each place where a thread sleeps that nobody has woken yet
+  std::atomic<unsigned> sleeping{0};       // a bit for each place with a sleeping thread not yet woken
   std::atomic<std::ptrdiff_t> threads{0};  // without those that hang
   std::atomic<std::ptrdiff_t> behind{0};   // that hang
   std::atomic<bool> quit{false};
-  // Where threads sleep. The first that is free is taken, and the last woken first: mostly the same thread goes on,
-  // whose memory is still in the processor's caches. Not std::counting_semaphore, which may lose a wake-up in the
-  // libraries of our compilers.
+  // Where threads sleep. A thread takes the first free place, and the last one is woken first, so mostly the same
+  // thread continues, with warm caches. Not std::counting_semaphore, which may lose a wake-up in the libraries of our
+  // compilers.
   std::array<sem_t, most_idle> places;
 
-  PriorityMutex mutex;  // of what follows; no loop takes it on the way of a job
+  PriorityMutex mutex;  // protects the following members; no loop takes it when it submits a job
   Chain<LaneQueue, &LaneQueue::next> quick_waiting, slow_waiting;
   std::array<LaneQueue*, most_quick> quick_ones{};  // of which a job runs
   std::condition_variable_any ended;
@@ -121,7 +122,7 @@ struct LanePool::State : std::enable_shared_from_this<LanePool::State> {
 
   // ---- any thread
 
-  /// False: there is none that sleeps, and the system gives none, or it may not be asked.
+  /// False: no thread sleeps, and no new one can or may be made.
   bool wake_one(bool may_make) noexcept {
     do {
       if (comes) return true;
@@ -134,14 +135,14 @@ struct LanePool::State : std::enable_shared_from_this<LanePool::State> {
       comes = true;
       if (make_thread()) return true;
       comes = false;
-    } while (sleeping != 0);  // one went to sleep meanwhile, since one was to come
+    } while (sleeping != 0);  // one went to sleep meanwhile
     return false;
   }
   bool make_thread() noexcept {
     const SignalsBlocked for_the_thread;
     ++threads;
     try {
-      // Detached, since it may have to be left behind; counting them stands for joining.
+      // Detached, because it may be abandoned; the counts replace joining.
       std::thread([self = shared_from_this()] {
         if (self->processors) ::sched_setaffinity(0, sizeof(cpu_set_t), &*self->processors);
         self->run();
@@ -178,7 +179,7 @@ struct LanePool::State : std::enable_shared_from_this<LanePool::State> {
   }
   void take_sent() noexcept {
     if (sent == nullptr) return;
-    ++quick_lanes;  // there may be some among them
+    ++quick_lanes;  // some of them may be quick
     LaneJob* newest = sent.exchange(nullptr);
     LaneJob* oldest = nullptr;
     while (newest != nullptr) newest = std::exchange(newest->next_, std::exchange(oldest, newest));
@@ -204,7 +205,7 @@ struct LanePool::State : std::enable_shared_from_this<LanePool::State> {
     ++quick_running;
     return *std::find(quick_ones.begin(), quick_ones.end(), nullptr) = quick_waiting.pop();
   }
-  /// Its job runs no more, or on a thread that is left behind.
+  /// Its job has ended, or runs on an abandoned thread.
   void release(LaneQueue& queue, bool is_quick) noexcept {
     const auto found = std::find(quick_ones.begin(), quick_ones.end(), &queue);
     if (found != quick_ones.end()) {
@@ -217,7 +218,7 @@ struct LanePool::State : std::enable_shared_from_this<LanePool::State> {
     queue.is_quick = is_quick;
     list(queue);  // behind those that wait longer
   }
-  /// Those that were quick until now and take long are in nobody's way any more.
+  /// Moves formerly quick lanes with long jobs out of the quick queue.
   void set_slow_ones_apart(MonotonicTime now) noexcept {
     for (LaneQueue*& one : quick_ones) {
       if (one == nullptr || now - one->began <= patience) continue;
@@ -235,15 +236,15 @@ struct LanePool::State : std::enable_shared_from_this<LanePool::State> {
       set_slow_ones_apart(worker.now);
       gets_on = quick_waiting.is_empty();
     }
-    LaneQueue* queue = take(last == nullptr || !comes);  // who comes takes the next, rather than that all are busy
+    LaneQueue* queue = take(last == nullptr || !comes);  // leaves the next job to a coming thread
     if (std::exchange(worker.has_come, false)) {
-      comes = false;  // only now: a loop is to see that somebody comes, or runs what is quick
+      comes = false;  // only now, so that a loop always sees a coming thread or a running quick job
       take_sent();
       if (queue == nullptr) queue = take(true);
     }
     if (queue == nullptr) return nullptr;
     worker.calls = !is_for_one_lane() && (may_take_slow() || may_take_quick() || sleeping == 0);
-    worker.tells_at_once = !queue->is_quick || is_for_one_lane();
+    worker.reports_at_once = !queue->is_quick || is_for_one_lane();
     queue->began = worker.now;
     LaneJob& job = *queue->waiting.pop();
     worker.queue = std::move(job.queue_);
@@ -253,12 +254,12 @@ struct LanePool::State : std::enable_shared_from_this<LanePool::State> {
 
   // ---- one of the pool's threads
 
-  /// False: it was left behind.
+  /// False: the thread was abandoned.
   bool run_job(Worker& worker, LaneJob& job) noexcept {
     worker.took = Duration{0};
     if (!job.begin(worker.now)) return true;  // given up, or cancelled, while it waited
     if (worker.calls) wake_one(true);
-    if (worker.tells_at_once) worker.tell();
+    if (worker.reports_at_once) worker.tell();
     begun.fetch_add(1, std::memory_order_relaxed);
     job.run();
     if (!job.end()) {
@@ -272,7 +273,7 @@ struct LanePool::State : std::enable_shared_from_this<LanePool::State> {
     worker.ended();
     return true;
   }
-  /// Sleeps until it is woken. False: enough do so.
+  /// Sleeps until woken. False: enough threads sleep already.
   bool rest(Worker& worker) noexcept {
     unsigned others = sleeping.load(), place = 0;
     do {
@@ -298,7 +299,7 @@ struct LanePool::State : std::enable_shared_from_this<LanePool::State> {
       worker.tell();
     } while (!quit.load(std::memory_order_acquire) && rest(worker));
     const std::lock_guard lock(mutex);
-    if (worker.queue != nullptr) release(*worker.queue, true);  // the pool drops what waits behind its last job
+    if (worker.queue != nullptr) release(*worker.queue, true);  // the pool drops the jobs that wait after the last one
     --threads;
     ended.notify_all();
   }
@@ -307,7 +308,7 @@ struct LanePool::State : std::enable_shared_from_this<LanePool::State> {
 LanePool::LanePool(std::size_t most_slow, Duration quick) : state_(std::make_shared<State>(most_slow, quick)) {}
 
 LanePool::~LanePool() {
-  constexpr Duration patience_at_end = std::chrono::seconds{1};  // nothing holds them but the end of what they just do
+  constexpr Duration patience_at_end = std::chrono::seconds{1};  // they only have to finish their present step
   State& state = *state_;
   state.quit.store(true, std::memory_order_release);
   for (std::size_t left = threads(); left > 0; --left)  // wherever they sleep
@@ -331,7 +332,7 @@ void LanePool::push(std::shared_ptr<LaneJob> job, std::shared_ptr<LaneQueue> que
 }
 
 void LanePool::wake() noexcept {
-  if (state_->sent != nullptr && state_->quick_running == 0) state_->wake_one(false);  // else who runs one looks
+  if (state_->sent != nullptr && state_->quick_running == 0) state_->wake_one(false);  // else its thread looks
 }
 
 bool LanePool::begin_watch() noexcept {
@@ -362,10 +363,10 @@ bool LanePool::start(const void* runtime, const std::optional<cpu_set_t>& proces
 
 bool LanePool::has_thread() const noexcept { return threads() > 0; }
 std::size_t LanePool::threads() const noexcept { return count_of(state_->threads); }
-std::size_t LanePool::left_behind() const noexcept { return count_of(state_->behind); }
+std::size_t LanePool::abandoned_threads() const noexcept { return count_of(state_->behind); }
 bool LanePool::is_for_one_lane() const noexcept { return state_->is_for_one_lane(); }
 
-void LanePool::leave_behind(LaneQueue& queue) noexcept {
+void LanePool::abandon_thread(LaneQueue& queue) noexcept {
   State& state = *state_;
   {
     const std::lock_guard lock(state.mutex);

@@ -1,11 +1,11 @@
-// The threads that run the jobs of lanes: one for a lane of its own, or a pool for many lanes.
+// The threads that run the jobs of lanes: one thread for a single lane, or a pool for many lanes.
 //
-// Most devices answer in microseconds, some hang. A lane whose last job took no longer than 1 ms is quick: quick lanes
-// share one queue, of which one thread takes the jobs as they come, and four when they do not get on. Each job of
-// another lane has a thread for itself; so has one of a quick lane as soon as it takes longer. Whoever takes a job
-// makes sure that one more thread sleeps, which the loop sends (`wake`).
+// Most devices answer in microseconds, some hang. A lane whose last job took at most 1 ms is quick: quick lanes share
+// one queue, served by one thread, or by up to four if one is too slow. Each job of another lane has its own thread; so
+// does a job of a quick lane that takes longer. A thread that takes a job makes sure that another thread sleeps, which
+// the loop can wake (`wake`).
 //
-// Of each lane at most one job runs, in order, whoever runs it.
+// At most one job of each lane runs, in order, on any thread.
 #pragma once
 
 #include <sched.h>
@@ -25,17 +25,17 @@ namespace rtdata::detail {
 
 class Wake;
 
-/// How a thread tells a loop that jobs have ended. Shared with threads, which may be left behind.
+/// How a thread notifies a loop of ended jobs. Shared with threads, which may be abandoned.
 struct LaneListener {
   PriorityMutex mutex;
   std::condition_variable_any job_ended;
-  Wake* loop_wake = nullptr;  // guarded by the mutex; null once the loop does not listen any more
+  Wake* loop_wake = nullptr;  // protected by the mutex; null when the loop no longer listens
   std::atomic<bool> is_waited_for{false};
-  /// Jobs that have finished, counted after they have, and before the loop is told. Those whose end the loop has seen
-  /// by other ways are in it too.
+  /// Number of finished jobs, increased after a job and before the loop is notified. Includes jobs whose end the loop
+  /// has noticed otherwise.
   std::atomic<std::size_t> finished{0};
 
-  /// `is_so` may become true by the end of a job.
+  /// Waits until `is_so` returns true, which the end of a job may cause.
   template <class Predicate>
   void wait(Duration at_most, const Predicate& is_so) {
     std::unique_lock lock(mutex);
@@ -68,52 +68,51 @@ class Chain {
   Linked* last_ = nullptr;
 };
 
-/// The jobs of one lane, or of the lanes of several loops to one bus. Shared with its jobs; all but `behind` is guarded
-/// by the pool's mutex.
+/// The jobs of one lane, or of the lanes of several loops to one bus. Shared with its jobs; the pool's mutex protects
+/// all but `behind`.
 struct LaneQueue {
-  Chain<LaneJob, &LaneJob::next_> waiting;  // behind the one that runs, or for a thread; kept alive by themselves
+  Chain<LaneJob, &LaneJob::next_> waiting;  // waiting jobs; they keep themselves alive
   bool is_listed = false;                   // one of them runs, or the queue waits for a thread
   bool is_quick = false;                    // so was its last job
   MonotonicTime began{};                    // the one that runs
   LaneQueue* next = nullptr;                // that waits for a thread
-  std::atomic<std::ptrdiff_t> behind{0};    // threads that hang; below 0: one comes back just when it is left behind
+  std::atomic<std::ptrdiff_t> behind{0};    // hanging threads; below 0: one returned just when it was abandoned
 };
 
-/// Owner: shared by those who have lanes on it; its threads end with the last of them. Thread: any.
+/// Owner: shared by the owners of its lanes; its threads end with the last of them. Thread: any.
 class LanePool {
  public:
   /// Lanes whose last job took longer are not quick.
   static constexpr Duration usual_quick = std::chrono::milliseconds{1};
   static constexpr std::size_t most_quick = 4;  ///< jobs of quick lanes at once
 
-  /// So many jobs of other lanes at once. 0: it is for one lane, with one thread.
+  /// `most_slow`: maximum number of running jobs of other lanes. 0: for one lane, with one thread.
   explicit LanePool(std::size_t most_slow, Duration quick = usual_quick);
   LanePool(const LanePool&) = delete;
   LanePool& operator=(const LanePool&) = delete;
   ~LanePool();
 
-  /// Behind all that were pushed before, whichever loop did so. Waits for nobody and allocates nothing. It is run after
-  /// the next `wake`, if not before.
+  /// Adds a job after all earlier ones of any loop. Does not wait or allocate. It runs after the next `wake`, or
+  /// earlier.
   void push(std::shared_ptr<LaneJob> job, std::shared_ptr<LaneQueue> queue,
             std::shared_ptr<LaneListener> listener) noexcept;
-  /// Makes sure that a thread looks at the jobs that were pushed. Waits for nobody.
+  /// Makes sure that a thread processes pushed jobs. Does not wait.
   void wake() noexcept;
-  /// `help` looks whether quick lanes get on from here on. False: there is nothing to look after. Both are for one
-  /// loop.
+  /// Starts a watch: `help` then checks the progress of quick lanes. False: nothing to watch. Both are for one loop.
   bool begin_watch() noexcept;
-  /// Another thread looks if they do not.
+  /// Wakes another thread if they make no progress.
   void help() noexcept;
-  /// So many other lanes have a job that runs as may have.
+  /// True if the maximum number of other lanes runs jobs.
   bool is_full() const noexcept;
-  /// Makes sure that there is a thread. False: the system gives none.
+  /// Makes sure that there is a thread. False: the system refuses to create one.
   bool start(const void* runtime, const std::optional<cpu_set_t>& processors) noexcept;
   bool has_thread() const noexcept;
-  /// Of a thread that hangs in a job of this queue, which was taken from it.
-  void leave_behind(LaneQueue& queue) noexcept;
-  /// Threads that hang, of all its lanes.
-  std::size_t left_behind() const noexcept;
+  /// Abandons a thread that hangs in a job of this queue; the job was taken from it.
+  void abandon_thread(LaneQueue& queue) noexcept;
+  /// The number of hanging threads of all its lanes.
+  std::size_t abandoned_threads() const noexcept;
   bool is_for_one_lane() const noexcept;
-  /// So many threads, for tests; without those that hang.
+  /// The number of threads without hanging ones, for tests.
   std::size_t threads() const noexcept;
 
  private:

@@ -12,7 +12,7 @@
 namespace rtdata::detail {
 namespace {
 
-constexpr std::size_t most_pooled_left_behind = 64;  // then a lane may leave only its first behind
+constexpr std::size_t most_pooled_abandoned = 64;  // beyond this, a lane may abandon only one thread
 
 LaneClock*& virtual_clock() noexcept {
   static thread_local LaneClock* clock = nullptr;
@@ -25,11 +25,11 @@ LaneThread::LaneThread(std::shared_ptr<LanePool> pool)
     : pool_(pool != nullptr ? std::move(pool) : std::make_shared<LanePool>(std::size_t{0})) {}
 
 bool LaneThread::is_stuck() const noexcept {
-  const std::size_t own = left_behind();
-  return own >= Lane::most_left_behind || (own > 0 && pool_->left_behind() >= most_pooled_left_behind);
+  const std::size_t own = abandoned_threads();
+  return own >= Lane::most_abandoned || (own > 0 && pool_->abandoned_threads() >= most_pooled_abandoned);
 }
 
-std::size_t LaneThread::left_behind() const noexcept {
+std::size_t LaneThread::abandoned_threads() const noexcept {
   return static_cast<std::size_t>(std::max<std::ptrdiff_t>(queue_->behind.load(std::memory_order_acquire), 0));
 }
 

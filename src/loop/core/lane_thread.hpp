@@ -1,4 +1,4 @@
-// What runs the jobs of a lane: a thread of its own, that of a bus, or one of the loop's pool.
+// Runs the jobs of a lane: its own thread, the thread of a bus, or the loop's pool.
 #pragma once
 
 #include <sched.h>
@@ -12,10 +12,10 @@
 
 namespace rtdata::detail {
 
-/// Owner: shared by the lanes that use it, and by the bus if it has one. Thread: those of the lanes' loops.
+/// Owner: shared by the lanes that use it, and by the bus if there is one. Thread: those of the lanes' loops.
 class LaneThread {
  public:
-  /// Null: a thread of its own, which may serve several loops. Else one of these, for the lane of one loop.
+  /// Null: its own thread, which may serve several loops. Otherwise a thread of the pool, for the lane of one loop.
   explicit LaneThread(std::shared_ptr<LanePool> pool = nullptr);
 
   const std::shared_ptr<LanePool>& pool() const noexcept { return pool_; }
@@ -23,19 +23,20 @@ class LaneThread {
   void push(std::shared_ptr<LaneJob> job, std::shared_ptr<LaneListener> listener) noexcept {
     pool_->push(std::move(job), queue_, std::move(listener));
   }
-  /// Makes sure that there is a thread. False: too many were left behind, or the system gives none.
+  /// Makes sure that there is a thread. False: too many are abandoned, or the system refuses to create one.
   bool start(const void* runtime, const std::optional<cpu_set_t>& processors) noexcept {
     return !is_stuck() && pool_->start(runtime, processors);
   }
   bool has_thread() const noexcept { return pool_->has_thread(); }
-  /// As many threads as may be are left behind.
+  /// True if the maximum number of threads is abandoned.
   bool is_stuck() const noexcept;
-  /// Of a thread that hangs in a job which was taken from it (LaneJob::take_away): the next start makes a fresh one.
-  void leave_behind() noexcept { pool_->leave_behind(*queue_); }
-  /// Threads that hang still in jobs of this lane.
-  std::size_t left_behind() const noexcept;
+  /// Abandons a thread that hangs in a job which was taken from it (LaneJob::withdraw): the next start makes a new
+  /// one.
+  void abandon_thread() noexcept { pool_->abandon_thread(*queue_); }
+  /// The number of threads that still hang in jobs of this lane.
+  std::size_t abandoned_threads() const noexcept;
 
-  /// In virtual time, where the job runs on the loop that submits it: when the last one will be done.
+  /// In virtual time, where jobs run on the submitting loop: when the last job will be done.
   MonotonicTime free_from{};
 
  private:
@@ -43,10 +44,10 @@ class LaneThread {
   const std::shared_ptr<LaneQueue> queue_ = std::make_shared<LaneQueue>();
 };
 
-/// The time on a lane: the machine's, or on a manual loop that which has passed for the job.
+/// The time on a lane: real time, or on a manual loop the virtual time of the job.
 class LaneClock {
  public:
-  /// In virtual time: from here until it is destroyed, this thread is a lane on which it is `now`.
+  /// In virtual time: until it is destroyed, this thread acts as a lane at time `now`.
   explicit LaneClock(MonotonicTime now) noexcept;
   LaneClock(const LaneClock&) = delete;
   LaneClock& operator=(const LaneClock&) = delete;

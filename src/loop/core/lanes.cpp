@@ -24,7 +24,7 @@ Lane& Lanes::of(const std::string& key, Duration give_up_after, const std::share
   for (auto& [name, lane] : by_key_) {
     if (name != key) continue;
     if (thread == nullptr || lane->uses(*thread)) return *lane;
-    if (lane->is_deserted()) return *(lane = make());  // of a bus of this name that was closed
+    if (lane->is_deserted()) return *(lane = make());  // left from a closed bus of this name
   }
   by_key_.emplace_back(key, make());
   return *by_key_.back().second;
@@ -55,16 +55,16 @@ void Lanes::count(Lane& lane, int more) noexcept {
 void Lanes::collect() {
   if (collecting_) return;
   collecting_ = true;
-  // Threads end jobs about in the order of the list: what is behind the last that has finished is not looked at. One
-  // that has finished and is not counted yet may be taken for another that is; the latter is found when the former is
-  // counted, after which the thread tells again.
+  // Threads end jobs roughly in the order of the list, so the search stops after the counted number of finished jobs. A
+  // job that is finished but not counted yet may be taken for a counted one; the other is found when the first is
+  // counted, because the thread then notifies again.
   std::size_t left = listener_->finished.load(std::memory_order_relaxed);
   if (left > 0) left = listener_->finished.exchange(0, std::memory_order_acquire);
   for (std::size_t i = 0; i < listed_.size() && left > 0; ++i) {
     if (listed_[i] != nullptr) {
       const LaneJob* const first = listed_[i]->first_.get();
       listed_[i]->collect();
-      if (listed_[i] == nullptr || listed_[i]->first_.get() != first) --left;  // of several, one: it looks on
+      if (listed_[i] == nullptr || listed_[i]->first_.get() != first) --left;  // one of several jobs: search on
     }
     if (listed_[i] == nullptr || listed_[i]->first_ != nullptr) continue;
     listed_[i]->is_listed_ = false;
@@ -75,7 +75,7 @@ void Lanes::collect() {
   wake_threads();
   if (pooled_ > 1 || !watch_.is_listed()) return;
   loop_.deadlines.remove(watch_);
-  if (!loop_.deadlines.is_firing()) loop_.deadlines.arm();  // else the loop would wake up for it
+  if (!loop_.deadlines.is_firing()) loop_.deadlines.arm();  // otherwise the loop would wake up for it
 }
 
 void Lanes::hand_over(const std::shared_ptr<LanePool>& pool) {
@@ -99,7 +99,7 @@ void Lanes::watch_pool() noexcept {
 
 void Lanes::Watch::fire(MonotonicTime) {
   lanes.loop_.deadlines.remove(*this);
-  lanes.collect();  // what has ended before a job that takes long, and was not told of
+  lanes.collect();  // jobs that ended before a long one, without notification
   lanes.pool_->help();
   lanes.watch_pool();
 }

@@ -1,5 +1,5 @@
-// The lanes of a loop: those that it made, found by key, and those of other owners; the pool of threads of the former;
-// and collecting the finished jobs of all.
+// The lanes of a loop: lanes that it made, found by key, with their thread pool; lanes of other owners; and the
+// collection of all finished jobs.
 #pragma once
 
 #include <sched.h>
@@ -26,15 +26,15 @@ class LoopCore;
 /// Thread: the loop's.
 class Lanes {
  public:
-  static constexpr std::size_t most_slow = 64;  ///< jobs at once, without those of lanes that were quick before
+  static constexpr std::size_t most_slow = 64;  ///< running jobs, not counting lanes that were quick before
 
   explicit Lanes(LoopCore& loop);
   Lanes(const Lanes&) = delete;
   Lanes& operator=(const Lanes&) = delete;
   ~Lanes();
 
-  /// One for each key (a physical device), made when first asked for. The limit is that of jobs that are submitted
-  /// without one. `thread`: of a bus, which other loops use too; null: of the pool.
+  /// The lane for a key (a physical device), made at the first call. The limit is for jobs submitted without one.
+  /// `thread`: of a bus, shared with other loops; null: of the pool.
   Lane& of(const std::string& key, Duration give_up_after, const std::shared_ptr<LaneThread>& thread = nullptr);
   /// Ends the finished jobs of all lanes.
   void collect();
@@ -44,13 +44,13 @@ class Lanes {
   // ---- of each lane
   void add();
   void remove(Lane& lane) noexcept;
-  /// So many more of its jobs are outstanding.
+  /// Changes the number of outstanding jobs.
   void count(Lane& lane, int more) noexcept;
-  /// Something was pushed: a thread of the pool is woken, now or once for all that is due together.
+  /// Wakes a thread of the pool for a pushed job, now or once for all deadlines that are due together.
   void hand_over(const std::shared_ptr<LanePool>& pool);
-  /// Those that have been handed something since the last time. After deadlines have fired, and before waiting.
+  /// Wakes pools with new jobs since the last call. Called after deadlines have fired, and before waiting.
   void wake_threads() noexcept;
-  /// Waits until the jobs of lanes have made it so, and calls `while_waiting` meanwhile.
+  /// Waits until jobs of lanes make the predicate true, and calls `while_waiting` meanwhile.
   template <class Predicate>
   void wait(Duration at_most, const Predicate& is_so) {
     constexpr Duration step = std::chrono::milliseconds{10};
@@ -69,12 +69,13 @@ class Lanes {
   const std::shared_ptr<LaneListener>& shared_listener() const noexcept { return listener_; }
 
   Duration scripted_duration{0};  ///< of each job on a manual loop
-  /// Called now and then while the loop waits for a lane on purpose: it does not hang. With its owner, who removes it.
+  /// Called regularly while the loop waits for a lane intentionally, to show that it does not hang. Stored with the
+  /// owner, who removes it.
   std::vector<std::pair<const void*, std::function<void()>>> while_waiting = {};
   std::optional<cpu_set_t> processors = {};  ///< for their threads, when the loop's own thread is bound to fewer
 
  private:
-  /// While several jobs of the pool are outstanding: looks whether one takes long.
+  /// Checks for long jobs while several jobs of the pool are outstanding.
   struct Watch final : Deadline {
     explicit Watch(Lanes& lanes_) : lanes(lanes_) {}
     void fire(MonotonicTime now) override;
@@ -85,7 +86,7 @@ class Lanes {
   LoopCore& loop_;
   std::vector<std::pair<std::string, std::unique_ptr<Lane>>> by_key_;
   std::size_t count_ = 0;      // of all lanes
-  std::vector<Lane*> listed_;  // with outstanding jobs, or seen to have none since; null: removed while collecting
+  std::vector<Lane*> listed_;  // lanes with outstanding jobs; null: removed while collecting
   bool collecting_ = false;
   std::shared_ptr<LanePool> pool_;
   std::size_t pooled_ = 0;                          // outstanding jobs of lanes of the pool

@@ -1,4 +1,4 @@
-// Set by one thread, waited for by others.
+// A flag that one thread sets and others wait for.
 #pragma once
 
 #include <algorithm>
@@ -25,10 +25,10 @@ class Latch {
     const std::lock_guard lock(mutex_);
     return is_set_;
   }
-  /// Waits until it is set, for `at_most`. Returns whether it is.
+  /// Waits until it is set, at most `at_most`. Returns true if it is set.
   bool wait(Duration at_most) const noexcept {
     std::unique_lock lock(mutex_);
-    constexpr Duration longest = std::chrono::hours{24 * 365};  // now and it are not to overflow
+    constexpr Duration longest = std::chrono::hours{24 * 365};  // must not overflow when added to the present time
     return signal_.wait_for(lock, std::min(at_most, longest), [this] { return is_set_; });
   }
 

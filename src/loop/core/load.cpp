@@ -20,7 +20,7 @@ std::string counted(std::size_t count) { return std::to_string(count) + (count =
 
 std::string rounded(Duration duration) { return detail::rounded_time(static_cast<double>(duration.count())); }
 
-/// The most that comes due within `window`, of reads that repeat every `period`, the longer one.
+/// The largest sum of reads due within `window`, for reads that repeat every `period` (longer than `window`).
 Duration worst_of(Reads reads, Duration period, Duration window) {
   std::sort(reads.begin(), reads.end());
   const std::size_t count = reads.size();

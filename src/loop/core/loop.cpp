@@ -34,7 +34,7 @@ Loop::Loop(Runtime& runtime, Config config)
 Loop::~Loop() {
   core_->check_may_end();
   core_->begin_ending();
-  if (own_runtime_ != nullptr) own_runtime_->core().reports.on_log.reset();  // as for on_error
+  if (own_runtime_ != nullptr) own_runtime_->core().reports.on_log.reset();  // like on_error
 }
 
 void Loop::run() { core_->run(); }

@@ -44,7 +44,7 @@ LoopCore::~LoopCore() {
 
 void LoopCore::close_nodes() noexcept {
   is_ending_ = true;
-  on_error.reset();  // what it refers to may be gone already, as objects made after the loop are
+  on_error.reset();  // it may refer to destroyed objects that were made after the loop
   nodes.close_all();
 }
 
@@ -57,7 +57,7 @@ MonotonicTime LoopCore::now() noexcept {
 // ---- the steps of a turn
 
 void LoopCore::run_due() {
-  if (deadlines.is_firing()) return;  // a callback of a deadline asks for it
+  if (deadlines.is_firing()) return;  // called from a callback of a deadline
   schedule_.begin_waiting();
   if (config.spin.count() > 0) deadlines.spin();
   deadlines.fire_due();
@@ -74,7 +74,7 @@ bool LoopCore::take_sent(MonotonicTime end) {
 }
 
 void LoopCore::take_news() {
-  if (is_manual() && !uv.wake().is_sent()) return;  // to look is enough for one that does not sleep
+  if (is_manual() && !uv.wake().is_sent()) return;  // a manual loop does not sleep, so checking is enough
   if (!uv.wake().take_news()) return;
   take_sent(end_of_budget());
   if (!is_attached() && is_stopping()) uv_stop(uv.loop());
@@ -100,7 +100,7 @@ void LoopCore::turn_ended() noexcept {
     deliveries.deliver(Deliveries::Budget::limited);
     call_own("loop", [&] { runtime.turn_done(); });  // sends what handlers have published
   }
-  if (is_manual()) return;  // it does not sleep: what is sent is looked for at every instant
+  if (is_manual()) return;  // a manual loop does not sleep: it checks for sent data at every instant
   if (!uv.wake().rest()) {
     uv.forbid_sleep();
   } else if (deliveries.is_empty() && !turn_is_open_) {
@@ -115,7 +115,7 @@ void LoopCore::clock_was_set() {
 
 MonotonicTime LoopCore::turn_start() noexcept {
   const MonotonicTime current = now();
-  // Before the loop runs, a turn may be long: what is made much later starts later.
+  // Before the loop runs, a turn may be long; objects made much later start later.
   if (!turn_is_open_ || current - turn_start_ > config.hold_limit) {
     turn_start_ = current;
     turn_is_open_ = true;
@@ -144,7 +144,7 @@ bool LoopCore::is_in_user_code() const noexcept {
 void LoopCore::report_exception(std::string_view name, const char* what) noexcept {
   try {
     runtime.report(this, name, {Errc::handler_threw, "a callback threw", "", what, "it goes on being called"});
-  } catch (...) {  // the report itself ran out of memory, or its handler threw: nothing is left to report it to
+  } catch (...) {  // the report failed: out of memory, or its handler threw; there is no other way to report
   }
 }
 
@@ -189,7 +189,7 @@ void LoopCore::dispose_later(Node& node) noexcept {
 void LoopCore::dispose_when_it_turns(Node& node) noexcept {
   post_disposal(node, {Errc::not_turning, "was closed late", "loop " + config.name,
                        "the loop did not turn when it was to be closed; it is closed now, by its loop",
-                       "look for what blocked in its sensors and handlers"});
+                       "find what blocked in its sensors and handlers"});
 }
 
 void LoopCore::post_disposal(Node& node, Error why) noexcept {

@@ -1,4 +1,4 @@
-// The core of a Loop: runs its members, one subject each, turn by turn, and knows which thread it runs on.
+// The core of a Loop: runs its members turn by turn, and knows its thread.
 #pragma once
 
 #include <atomic>
@@ -60,13 +60,13 @@ class LoopCore {
   Handler<ErrorReport> on_error;
 
   MonotonicTime now() noexcept;
-  /// The same to some 100 ns, for one after the other of thousands (cycle_clock.hpp).
+  /// The same within about 100 ns, for thousands of sensors in a row (cycle_clock.hpp).
   MonotonicTime quick_now() noexcept { return reads_kernel_clock_ ? cycle_clock_.now() : now(); }
   bool is_manual() const noexcept { return manual_ != nullptr; }
   ManualClock* manual_clock() noexcept { return manual_; }
-  /// Those of a manual loop and its tiers; null in real time.
+  /// The threads of a manual loop and its tiers; null in real time.
   VirtualThreads* virtual_threads() const noexcept { return threads_; }
-  /// Waits until the latch is set, for `at_most` of the loop's time. Returns whether it is.
+  /// Waits until the latch is set, at most `at_most` of the loop's time. Returns true if it is set.
   bool wait_for(const Latch& latch, Duration at_most) noexcept;
   bool is_attached() const noexcept { return uv.is_attached(); }
   Schedule& schedule() noexcept { return schedule_; }
@@ -79,12 +79,12 @@ class LoopCore {
   /// Any thread.
   void request_stop() noexcept;
   void forget_stop() noexcept { stop_requested_.store(false, std::memory_order_relaxed); }
-  /// Between the begin and the end of running. False of an attached loop, which never runs itself.
+  /// True while the loop runs. False for an attached loop, which never runs itself.
   bool is_running() const noexcept { return is_running_; }
-  /// Nothing waits for the loop yet, so that a sensor or sink may wait for its opening: it does not run, and on an
-  /// attached loop the host has not run a turn of it.
+  /// True during set-up, when a sensor or sink may wait for its opening: the loop does not run, and the host of an
+  /// attached loop has not run a turn.
   bool is_being_set_up() const noexcept { return !is_running_ && !host_has_run_; }
-  /// `run` does not return while there is a reference, as with uv_ref.
+  /// `run` does not return while there is a reference, like uv_ref.
   void ref() noexcept;
   void unref() noexcept;
 
@@ -92,13 +92,13 @@ class LoopCore {
   /// Fires all deadlines that are due now. Within a callback of a deadline: nothing.
   void run_due();
   void turn_ended() noexcept;
-  /// Other threads have sent something.
+  /// Called when other threads have sent data.
   void woken();
   void clock_was_set();
   void deliver_all() { deliveries.deliver(Deliveries::Budget::none); }
-  /// The instant at which schedules begin that are started in this turn.
+  /// The start time of schedules that are started in this turn.
   MonotonicTime turn_start() noexcept;
-  /// Makes sure that a turn comes in which waiting schedules begin: an attached loop does not know when it will be run.
+  /// Makes sure that there is a turn for waiting schedules to begin; an attached loop does not know when it will run.
   void wake_for_waiting() noexcept {
     if (is_attached()) uv.forbid_sleep();
   }
@@ -107,12 +107,12 @@ class LoopCore {
   void post(Callback<void()> function) { posts.add(std::move(function)); }
   enum class Begun { is_awaited, is_given_up };
   enum class Called { done, not_begun, not_ended };
-  /// Runs the function on the thread that the loop is bound to, and waits for it; what it throws is thrown here. A loop
-  /// that has not turned for 1 s, or does not within it, is not waited for: SetupError (not-turning), and the function
-  /// is never called. One that has begun is waited for. Thread: that of the main loop.
+  /// Runs the function on the loop's bound thread and waits for it; throws its exception. If the loop does not turn
+  /// within 1 s: SetupError (not-turning), and the function is never called. Once the function has begun, waits without
+  /// limit. Thread: that of the main loop.
   void call_there(Callback<void()> function) { call_there(std::move(function), Begun::is_awaited); }
-  /// The same, and returns what it returns. The function owns all that it uses, since one that has begun is not waited
-  /// for longer either: SetupError (not-turning), and what comes of it is not known.
+  /// The same, and returns its result. The function must own everything it uses, because the wait also ends after 1 s
+  /// if it has begun: SetupError (not-turning), and the result is unknown.
   template <class Function>
   auto ask_there(Function function) {
     auto answer = std::make_shared<std::optional<std::invoke_result_t<Function&>>>();
@@ -121,11 +121,11 @@ class LoopCore {
   }
   /// `not_begun`: it has not turned for `at_most`, and the function is never called.
   Called call_there_within(Duration at_most, Callback<void()> function, Begun begun);
-  /// Any thread: it turns. Meanwhile nobody knows since when it does not.
+  /// Any thread: notes that the loop turns.
   void note_turning() noexcept { stands_since_.store(never, std::memory_order_release); }
-  /// It is known that it does not.
+  /// True if the loop is known not to turn.
   bool is_standing() const noexcept { return stands_since_.load(std::memory_order_acquire) != never; }
-  /// Thread: that of the main loop, which has seen it.
+  /// Notes that the loop does not turn. Thread: that of the main loop.
   void note_standing(MonotonicTime since) noexcept {
     stands_since_.store(since.time_since_epoch().count(), std::memory_order_release);
   }
@@ -133,7 +133,7 @@ class LoopCore {
   // Threads
   /// A tier's loop belongs to its thread, also between two runs.
   void bind_to_this_thread() noexcept { bound_to_.store(std::this_thread::get_id(), std::memory_order_relaxed); }
-  /// Released: a thread that sees the loop unbound sees all that the tier's thread did.
+  /// With release order: a thread that sees the loop unbound sees all writes of the tier's thread.
   void unbind() noexcept { bound_to_.store(std::thread::id{}, std::memory_order_release); }
   bool is_bound_to_this_thread() const noexcept {
     return bound_to_.load(std::memory_order_acquire) == std::this_thread::get_id();
@@ -143,12 +143,12 @@ class LoopCore {
     return thread != std::thread::id{} && thread != std::this_thread::get_id();
   }
   void assert_thread() const noexcept;
-  /// SetupError (busy) on another thread than that which runs the loop. An attached loop does not know which that is.
+  /// SetupError (busy) on any other thread than the loop's. An attached loop does not know its thread.
   void check_thread(const char* what, std::string_view object) const {
     if (is_run_by_another_thread()) [[unlikely]]
       refuse_thread(what, object);
   }
-  /// Also true on a thread of one of the runtime's lanes: these go on while the loop does not run.
+  /// Also true on a thread of the runtime's lanes, which continue while the loop does not run.
   bool is_run_by_another_thread() const noexcept {
     const void* running = thread_.load(std::memory_order_relaxed);
     return running != nullptr ? running != this_thread() : lane_of() == &runtime;
@@ -161,8 +161,8 @@ class LoopCore {
     static thread_local const void* own = nullptr;
     return own;
   }
-  /// Brackets user code that belongs on a lane and runs on this thread: meanwhile the loop refuses every verb that only
-  /// its own thread may use.
+  /// Brackets lane code that runs on the loop's thread: meanwhile the loop refuses every function that only its own
+  /// thread may use.
   class OffLimits {
    public:
     explicit OffLimits(LoopCore& core) noexcept : core_(core), before_(core.thread_.exchange(this)) {}
@@ -176,7 +176,7 @@ class LoopCore {
   };
 
   // Calls of code that may throw
-  /// Calls user code: an exception is reported under the name and goes no further.
+  /// Calls user code: an exception is reported under the name and not passed on.
   template <class Function>
   void call_user(std::string_view name, Function&& function) noexcept {
     const Calling calling(runtime);
@@ -185,11 +185,10 @@ class LoopCore {
     } catch (const std::exception& e) {
       report_exception(name, e.what());
     } catch (...) {
-      report_exception(name, "an exception that is no std::exception");
+      report_exception(name, "an exception that is not a std::exception");
     }
   }
-  /// Calls code of this library, which throws when there is no memory. False: it threw, which is reported in the same
-  /// way.
+  /// Calls code of this library, which throws without memory. False: it threw, which is reported in the same way.
   template <class Function>
   bool call_own(std::string_view name, Function&& function) noexcept {
     bool has_ended = false;
@@ -200,7 +199,8 @@ class LoopCore {
     return has_ended;
   }
   void report_exception(std::string_view name, const char* what) noexcept;
-  /// Brackets user code that is called outside of deadlines and deliveries: in it the loop is not run, nor destroyed.
+  /// Brackets user code that is called outside deadlines and deliveries: meanwhile the loop must not be run or
+  /// destroyed.
   class Calling {
    public:
     explicit Calling(RuntimeCore& of) noexcept;
@@ -213,11 +213,11 @@ class LoopCore {
   };
   /// A callback of a deadline or a delivery is on the stack.
   bool is_in_callback() const noexcept { return deadlines.is_firing() || deliveries.is_delivering(); }
-  /// User code is on the stack, called by this loop or by an object on it, which goes on after it.
+  /// True if user code called by this loop or one of its objects is on the stack.
   bool is_in_user_code() const noexcept;
 
   // The end
-  /// Ends the program, having said why, when the loop may not be destroyed now.
+  /// Ends the program with a message if the loop must not be destroyed now.
   void check_may_end() const noexcept;
   bool is_ending() const noexcept { return is_ending_; }
   void begin_ending() noexcept { is_ending_ = true; }
@@ -225,13 +225,13 @@ class LoopCore {
   void check_not_ending(const char* what) const;
   /// Closes all objects on it. From here on errors do not reach the user's handler.
   void close_nodes() noexcept;
-  /// Closes, in the next turn, a handle that was closed on a thread where it may not be, and reports it.
+  /// Closes, in the next turn, a handle that was closed on a wrong thread, and reports it.
   void dispose_later(Node& node) noexcept;
-  /// The same of one whose loop does not turn.
+  /// The same for a handle whose loop does not turn.
   void dispose_when_it_turns(Node& node) noexcept;
 
  private:
-  /// Brackets the time in which this thread runs the loop. SetupError when it runs already.
+  /// Brackets running the loop on this thread. SetupError if it runs already.
   class Running {
    public:
     Running(LoopCore& core, const char* what);
@@ -244,22 +244,22 @@ class LoopCore {
   };
   struct CallThere;
   void call_there(Callback<void()> function, Begun begun);
-  /// Waits until it is done, or is given up since `at_most` has passed.
+  /// Waits until the call is done, or gives it up after `at_most`.
   Called wait_for(CallThere& call, Duration at_most, Begun begun);
-  /// What it is in, for people.
+  /// The running callback, for people.
   std::string where() const;
   void post_disposal(Node& node, Error why) noexcept;
   [[noreturn, gnu::cold]] void refuse_thread(const char* what, std::string_view object) const;
   bool is_stopping() const noexcept { return stop_requested_.load(std::memory_order_relaxed); }
-  /// Runs what other threads have sent: posted functions until `end`. True: some are left.
+  /// Processes data from other threads and runs posted functions until `end`. True: some are left.
   bool take_sent(MonotonicTime end);
   void take_news();
   MonotonicTime end_of_budget() noexcept { return later(now(), config.delivery_budget); }
-  /// One turn of libuv's, without waiting.
+  /// One turn of libuv, without waiting.
   void look_at_io();
   // In virtual time
   void begin_instant() noexcept;
-  /// The end of time: until another loop sends something. False: nothing ever happens.
+  /// Advances virtual time; the maximum means until another loop sends something. False: nothing will ever happen.
   bool advance_to(MonotonicTime target);
   bool has_running_tiers() const noexcept;
   void settle();
@@ -273,9 +273,9 @@ class LoopCore {
   std::size_t refs_ = 0;
   int turns_ = 0;  // of a manual loop at this instant
   std::atomic<bool> stop_requested_{false};
-  /// Another value on each thread; unlike std::this_thread::get_id without a call.
+  /// A different value on each thread; unlike std::this_thread::get_id without a function call.
   static const void* this_thread() noexcept {
-#ifdef __GLIBC__  // others may refuse to load a library with it later than at the start
+#ifdef __GLIBC__  // other systems may refuse to load a library with it after the start
     [[gnu::tls_model("initial-exec")]]
 #endif
     static thread_local char own;

@@ -1,4 +1,4 @@
-// The error of every place where the system gives no thread.
+// The error for a thread that the system refuses to create.
 #pragma once
 
 #include <string>

@@ -26,18 +26,19 @@ class Nodes {
   void link(Node& node) noexcept;
   void unlink(Node& node) noexcept;
   void close_all() noexcept;
-  /// A callback of the node begins; null: one that has no name.
+  /// Notes that a callback of the node begins; null: a callback without a name.
   void begins(const Node* node) noexcept {
     doing_.store(node, std::memory_order_release);
     if (threads_ != nullptr) [[unlikely]]
       preempt();
   }
-  /// Changes a name that `doing` may be reading.
+  /// Changes a name while `doing` may read it.
   void rename(std::string& name, std::string to) noexcept {
     const std::lock_guard lock(doing_mutex_);
     name.swap(to);
   }
-  /// What `doing` says as long as it lives: of what may hold the loop and is no callback, such as the making of a part.
+  /// Sets the text of `doing` while it lives, for work that may hold the loop but is not a callback, such as making a
+  /// part.
   class Doing {
    public:
     Doing(Nodes& nodes, std::string what) : nodes_(nodes) { nodes_.rename(nodes_.does_, std::move(what)); }
@@ -51,7 +52,7 @@ class Nodes {
   std::vector<CallbackStatus> callbacks() const;
 
   // Any thread
-  /// The name of the callback that began last; empty when that is not known.
+  /// The name of the last callback begun; empty if unknown.
   std::string doing() const;
   std::shared_ptr<CallbackSurvey> begin_survey();
 
@@ -67,7 +68,7 @@ class Nodes {
   std::vector<std::shared_ptr<CallbackSurvey>> surveys_;  // under way
   std::atomic<const Node*> doing_{nullptr};
   std::string does_;                   // see Doing; empty: nothing
-  mutable PriorityMutex doing_mutex_;  // a node that `doing` reads is not destroyed
+  mutable PriorityMutex doing_mutex_;  // prevents destroying a node that `doing` reads
 };
 
 }  // namespace rtdata::detail

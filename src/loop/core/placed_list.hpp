@@ -1,4 +1,4 @@
-// PlacedList: objects in the order in which they were added, each of which knows its place.
+// PlacedList: objects in order of adding; each knows its index.
 #pragma once
 
 #include <cstddef>
@@ -7,8 +7,8 @@
 
 namespace rtdata::detail {
 
-/// Removing one leaves a hole, and takes as long whether there are ten or ten thousand. `Place`: where an object keeps
-/// its place, which it may use for another list while it is not in this one.
+/// Removing an object leaves a hole and takes constant time. `Place`: the member that stores the index; an object
+/// outside this list may use it for another list.
 template <class T, std::uint32_t T::*Place>
 class PlacedList {
  public:
@@ -23,7 +23,7 @@ class PlacedList {
     entries_[place] = nullptr;
     ++holes_;
   }
-  /// Closes the holes, when they are many. Not during an iteration by places.
+  /// Closes the holes if there are many. Not during an iteration by index.
   void tidy() noexcept {
     if (2 * holes_ > entries_.size()) close_holes();
   }
@@ -45,7 +45,7 @@ class PlacedList {
   bool empty() const noexcept { return holes_ == entries_.size(); }
   /// Null: a hole.
   T* at(std::size_t place) const noexcept { return entries_[place]; }
-  /// The objects alone.
+  /// The objects without holes.
   std::vector<T*> all() const {
     std::vector<T*> all;
     all.reserve(entries_.size() - holes_);

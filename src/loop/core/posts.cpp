@@ -15,7 +15,7 @@ void Posts::add(Callback<void()> function) {
   if (!function) refuse_empty("cannot post", "loop " + loop_.config.name);
   {
     const std::lock_guard lock(mutex_);
-    if (!takes_more_) return;  // the function is destroyed when the lock is free again
+    if (!takes_more_) return;  // the function is destroyed after the lock is released
     waiting_.push_back(std::move(function));
     ++posted_;
     is_any_waiting_.store(true, std::memory_order_release);
@@ -63,9 +63,9 @@ bool Posts::run_taken(MonotonicTime begin, MonotonicTime end) {
     {
       Callback<void()> function = std::move(taken_[next_++]);
       loop_.call_user("posted function", function);
-    }  // what its captures do when they are destroyed counts for it
+    }  // the destructors of its captures count for it
     const MonotonicTime to = loop_.now();
-    if (loop_.blame.held_last() < from)  // else a callback that it called has been blamed
+    if (loop_.blame.held_last() < from)  // otherwise a callback that it called was blamed
       loop_.blame.time_callback(times, from, to, [] { return std::string("posted function"); });
     from = to;
     if (next_ < taken_.size() &&
@@ -76,7 +76,7 @@ bool Posts::run_taken(MonotonicTime begin, MonotonicTime end) {
 }
 
 bool Posts::run(MonotonicTime end) {
-  // Who adds one wakes the loop up afterwards.
+  // The thread that adds a function wakes the loop afterwards.
   if (next_ == taken_.size() && !is_any_waiting_.load(std::memory_order_acquire)) return false;
   const MonotonicTime begin = loop_.now();
   if (next_ < taken_.size() && !run_taken(begin, end)) {  // those that an earlier call has left

@@ -1,4 +1,4 @@
-// The functions given to Loop::post: queued by any thread, run by the loop's.
+// The functions passed to Loop::post: queued by any thread, run by the loop's thread.
 #pragma once
 
 #include <atomic>
@@ -23,12 +23,11 @@ class Posts {
   PostCounts counts() noexcept;
 
   // The loop's thread
-  /// Runs those that wait when it begins, but ends early when it is later than `end` or, time having passed, a deadline
-  /// is due. True: some are left; then the loop is woken for another call.
+  /// Runs the functions waiting at its start, but ends early after `end` or when a deadline is due. True: some are
+  /// left; the loop is woken for another call.
   bool run(MonotonicTime end);
   bool has_some() noexcept;
-  /// Runs all that were posted before it, deadlines or not, until it is later than `end`. Returns how many are left of
-  /// them.
+  /// Runs all functions posted before the call, without regard to deadlines, until `end`. Returns how many are left.
   std::uint64_t run_all(MonotonicTime end);
   /// Takes no more, and destroys those that wait.
   void drop() noexcept;

@@ -1,5 +1,5 @@
-// PriorityMutex: a mutex between threads of different priority. Its holder runs with the priority of the highest
-// that waits for it, so that a real-time tier never waits for a third thread (pthread_mutexattr_setprotocol(3)).
+// PriorityMutex: a mutex with priority inheritance. Its holder runs with the highest priority of the waiting threads,
+// so that a real-time tier never waits for a third thread (pthread_mutexattr_setprotocol(3)).
 #pragma once
 
 #include <pthread.h>

@@ -16,7 +16,7 @@
 
 namespace rtdata::detail {
 
-/// Shared with the loop, which may come to it, or be in it, when nobody waits any more.
+/// Shared with the loop, which may reach or run the call after the caller has stopped waiting.
 struct LoopCore::CallThere {
   enum class State { waits, runs, done, given_up };
   std::atomic<State> state{State::waits};
@@ -29,19 +29,19 @@ struct LoopCore::CallThere {
 
 LoopCore::Called LoopCore::wait_for(CallThere& call, Duration at_most, Begun begun) {
   using State = CallThere::State;
-  // Meanwhile the outputs of the loop that waits are held, which does not hang; not for ever.
+  // The waiting loop does not hang, so its outputs keep their values meanwhile, for a limited time.
   constexpr Duration between_beats = std::chrono::milliseconds{10};
   constexpr Duration longest_held = std::chrono::seconds{5};
-  constexpr Duration told_after = std::chrono::seconds{1};
+  constexpr Duration report_after = std::chrono::seconds{1};
   LoopCore* const waiting = runtime.main().own_loop;
   const bool holds = waiting != nullptr && !waiting->is_run_by_another_thread();
   const MonotonicTime began = now();
-  bool is_told = false;
+  bool is_reported = false;
   while (!wait_for(call.is_done, between_beats)) {
     const Duration waited = now() - began;
     if (holds && waited < longest_held) waiting->lanes.beat();
-    if (!runs_elsewhere()) take_sent(MonotonicTime::max());  // a tier that was given up has ended meanwhile
-    if (waited >= told_after && !std::exchange(is_told, true))
+    if (!runs_elsewhere()) take_sent(MonotonicTime::max());  // an abandoned tier has ended meanwhile
+    if (waited >= report_after && !std::exchange(is_reported, true))
       runtime.main().log(LogLevel::warning, "loop " + config.name, "is waited for: " + where() + " for 1 s");
     if (waited < at_most) continue;
     if (begun == Begun::is_awaited && call.state.load() != State::waits) continue;
@@ -83,16 +83,15 @@ void LoopCore::call_there(Callback<void()> function, Begun begun) {
   constexpr Duration patience = std::chrono::seconds{1};
   const Called called = call_there_within(patience, std::move(function), begun);
   if (called == Called::done) return;
-  throw SetupError({Errc::not_turning, "cannot be reached", "loop " + config.name,
-                    where() + " for " + to_string(patience),
-                    called == Called::not_begun
-                        ? "nothing was done; look for what blocks in its sensors and handlers"
-                        : "it has begun with what was asked for, and may still do it; look for what blocks there"});
+  throw SetupError(
+      {Errc::not_turning, "cannot be reached", "loop " + config.name, where() + " for " + to_string(patience),
+       called == Called::not_begun ? "nothing was done; find what blocks in its sensors and handlers"
+                                   : "it has begun to do that, and may still finish; find what blocks there"});
 }
 
 std::string LoopCore::where() const {
   const std::string at = nodes.doing();
-  return "it has not come out of " + (at.empty() ? "a callback" : at);
+  return "it has not returned from " + (at.empty() ? "a callback" : at);
 }
 
 void LoopCore::request_stop() noexcept {
@@ -136,7 +135,7 @@ void LoopCore::run() {
     if (slack >= 0) ::prctl(PR_SET_TIMERSLACK, static_cast<unsigned long>(config.timer_slack.count()));
     if (!is_stopping()) run_due();
     while (!is_stopping()) {
-      take_sent(end_of_budget());  // libuv does not look at them when nothing else keeps the loop alive
+      take_sent(end_of_budget());  // libuv ignores them if nothing else keeps the loop alive
       if (!is_stopping()) uv_run(uv.loop(), UV_RUN_DEFAULT);
       if (!posts.has_some()) break;
     }
@@ -170,7 +169,7 @@ void LoopCore::poll() {
     check_not_ending("cannot poll");
     if (is_in_user_code()) {
       throw SetupError({Errc::busy, "cannot poll", "loop " + config.name, "this is one of its callbacks",
-                        "return from the callback; what is due follows by itself"});
+                        "return from the callback; due work follows by itself"});
     }
     run_due();
     deliver_all();
@@ -198,13 +197,13 @@ void LoopCore::advance(Duration duration) {
   begin_instant();
   if (!is_stopping()) settle();
   for (bool is_there = false; !is_there && !is_stopping();) {
-    if (!has_running_tiers()) deadlines.leave_out_idle(target);  // of tiers, events may come before anything is due
+    if (!has_running_tiers()) deadlines.leave_out_idle(target);  // events from tiers may come before any deadline
     const std::optional<MonotonicTime> next = deadlines.next_due();
     const bool is_last = !next || *next > target;
     if (!advance_to(is_last ? target : *next)) break;
     is_there = is_last && now() >= target;
   }
-  // What tiers do at the very end, and what comes of it here; not for ever, when each time something does.
+  // Processes the tiers' work at the very end and its results here, for a limited number of rounds.
   constexpr int most_rounds = 100;
   for (int round = 0; round < most_rounds && has_running_tiers() && !is_stopping(); ++round) {
     threads_->wait_for_others();
@@ -228,7 +227,7 @@ bool LoopCore::wait_for(const Latch& latch, Duration at_most) noexcept {
 }
 
 bool LoopCore::advance_to(MonotonicTime target) {
-  // A chain at one instant (a timer of zero that starts itself) would stop the time for ever.
+  // A chain at one instant (a zero timer that restarts itself) would stop time for ever.
   constexpr int most_turns = 1000;
   constexpr Duration turn = std::chrono::microseconds{1};
   const MonotonicTime from = now();
@@ -245,10 +244,10 @@ bool LoopCore::advance_to(MonotonicTime target) {
 }
 
 void LoopCore::look_at_io() {
-  // In virtual time no timer of the kernel is set, and what was sent is seen without the descriptor: so there is
-  // nothing to ask the kernel for, which would be most of the cost of an instant.
+  // In virtual time there is no kernel timer, and sent data is found without the descriptor, so the expensive system
+  // call is skipped.
   if (manual_ != nullptr && !uv.is_lent()) return turn_ended();
-  ref();  // libuv looks at nothing when nothing keeps the loop alive, as a watch of a signal does not
+  ref();  // libuv processes nothing if nothing keeps the loop alive, and a signal watch does not
   uv_run(uv.loop(), UV_RUN_NOWAIT);
   unref();
 }

@@ -11,13 +11,14 @@
 namespace rtdata::detail {
 namespace {
 
-// Thousands of members do not fit the caches: what the next ones will use is fetched while the first ones run.
+// Thousands of members do not fit into the caches, so the memory of the next ones is prefetched while the first ones
+// run.
 constexpr std::size_t far_ahead = 16;
 constexpr std::size_t near_ahead = 8;
 
 constexpr Duration try_again_after = std::chrono::milliseconds{100};
 
-/// What lies around the member: the part of its object that a tick uses.
+/// The memory around the member, which a tick uses.
 void fetch(const RateMember* member) noexcept {
   if (member == nullptr) return;
   const auto* byte = reinterpret_cast<const char*>(member);
@@ -52,14 +53,14 @@ void RateGroup::leave_out_until(MonotonicTime at) noexcept {
 }
 
 void RateGroup::fire(MonotonicTime now) {
-  // What is late by a period or more is skipped: the latest tick that has come due is taken.
+  // Skips ticks that are late by a period or more: takes the latest due tick.
   const auto behind = (now - due) / period_;
   first_missed_ = due;
   firing_due_ = due + behind * period_;
   due = later(firing_due_, period_);
   loop_.deadlines.moved(*this);
   firing_ = true;
-  const std::size_t end = members_.places();  // what joins meanwhile is first due later
+  const std::size_t end = members_.places();  // members that join meanwhile are first due later
   MonotonicTime from = now;
   for (position_ = 0; position_ < end;) {
     RateMember* member = members_.at(position_++);
@@ -76,11 +77,11 @@ void RateGroup::fire(MonotonicTime now) {
     loop_.schedule().ticking_ = member;
     try {
       member->tick(tick);
-    } catch (...) {  // no memory, not even for a report: the others have their ticks all the same
+    } catch (...) {  // no memory, even for a report; the other members still get their ticks
       loop_.call_own("loop", [] { throw; });
     }
     const MonotonicTime to = std::max(from, loop_.quick_now());
-    // A member that removed itself may be gone.
+    // A member that removed itself may be destroyed.
     if (members_.at(position_ - 1) == member &&
         loop_.blame.time_callback(member->times, from, to, [&] { return member->blame_name(); })) [[unlikely]] {
       if (members_.at(position_ - 1) == member) member->held(to - from);
@@ -109,17 +110,17 @@ void Schedule::begin_waiting() noexcept {
     if (member == nullptr) continue;
     try {
       place(*member);
-    } catch (const std::bad_alloc&) {  // it waits for the next turn
+    } catch (const std::bad_alloc&) {  // it stays waiting for the next turn
     } catch (const std::exception& e) {
       report(*member, e.what());
     } catch (...) {
-      report(*member, "an exception that is no std::exception");
+      report(*member, "an exception that is not a std::exception");
     }
     member->is_waiting_ = member->group_ == nullptr;
     if (!member->is_waiting_) waiting_.remove_at(i);
   }
   waiting_.close_holes();
-  // So that a turn comes, also when nothing else brings one.
+  // Makes sure that there is a next turn.
   if (!waiting_.empty()) loop_.runtime.reports.flush_at(later(loop_.now(), try_again_after));
 }
 
@@ -134,7 +135,7 @@ void Schedule::place(RateMember& member) {
   const Duration period = member.period_;
   const Duration grid = loop_.config.phase_grid;
   Duration first = std::max(loop_.turn_start(), member.not_before()).time_since_epoch();
-  // The kernel's own ticks lie on whole milliseconds: they would take the processor from what spins until then.
+  // The kernel's own ticks are at whole milliseconds and would interrupt a busy-waiting loop.
   const Duration beside = loop_.config.spin.count() > 0 ? grid / 3 : Duration{0};
   if (grid.count() > 0 && first <= Duration::max() - grid)
     first = (first - beside + grid - Duration{1}) / grid * grid + beside;
@@ -148,7 +149,7 @@ void Schedule::place(RateMember& member) {
     if (at->second->firing_due_ < first_due) group = at->second.get();
   }
   if (group == nullptr) {
-    // A group that has had this tick already cannot have it again for the newcomer.
+    // A group that has already had this tick cannot repeat it for a new member.
     auto made = std::make_unique<RateGroup>(loop_, period);
     made->members_.reserve(1);
     const auto at = groups_.emplace(key, std::move(made));

@@ -1,4 +1,4 @@
-// The schedule of a loop: rate groups. All that has the same period and phase shares one deadline.
+// The schedule of a loop: rate groups. Members with the same period and phase share one deadline.
 #pragma once
 
 #include <map>
@@ -15,11 +15,11 @@
 namespace rtdata::detail {
 
 class RateGroup;
-/// By period and phase; several of one only while one of them has had a tick that the other has not.
+/// By period and phase; there are two groups with the same key only while one has had a tick that the other has not.
 using RateGroups = std::multimap<std::pair<Duration, Duration>, std::unique_ptr<RateGroup>>;
 
-/// What is called at a rate. `tick` may remove or add any member, itself included. A member that adds itself again in
-/// its own tick has the next one a period after the new start, since it has just had one.
+/// An object that is called at a rate. `tick` may remove or add any member, including itself. A member that adds itself
+/// again in its own tick gets the next one a period after the new start.
 class RateMember {
  public:
   /// `tick.missed`: ticks of this member's schedule skipped just before; `tick.index` is not set.
@@ -27,28 +27,29 @@ class RateMember {
   /// For blame: "sensor chamber".
   virtual std::string blame_name() const = 0;
 
-  /// Its tick held the loop longer than the loop's limit, which has been reported. May remove or add any member.
+  /// Called after its tick held the loop longer than the loop's limit, which was reported. May remove or add any
+  /// member.
   virtual void held(Duration) {}
 
-  /// Its next schedule does not begin earlier, though the turn did.
+  /// The earliest start of its next schedule, even if the turn began earlier.
   virtual MonotonicTime not_before() const noexcept { return {}; }
-  /// Of its first tick, as wanted: after the start, or, if negative, within the first period.
+  /// The wanted phase of its first tick: after the start or, if negative, within the first period.
   virtual Duration wanted_phase() const noexcept { return Duration{0}; }
   /// Its schedule has begun: `first_due()` is known.
   virtual void schedule_began() {}
 
   bool is_scheduled() const noexcept { return group_ != nullptr || is_waiting_; }
   MonotonicTime first_due() const noexcept { return first_due_; }
-  /// The first tick that has not been dealt with.
+  /// The first tick not yet fired or counted.
   MonotonicTime next_due() const noexcept;
 
-  /// As things are, `tick` would do nothing: in virtual time, until something else is due, it is not called.
+  /// True if `tick` would do nothing now: in virtual time it is not called until something else is due.
   virtual bool is_idle() const noexcept { return false; }
 
-  /// Asks the processor for memory that `tick` will use besides the member's own: called some members ahead of it.
+  /// Prefetches further memory that `tick` will use; called some members ahead.
   virtual void prefetch() const noexcept {}
   Duration period() const noexcept { return period_; }
-  /// Within its period, as it is placed or will be; nothing while it is not scheduled.
+  /// The phase within its period; empty while it is not scheduled.
   std::optional<Duration> phase() const noexcept {
     if (group_ != nullptr) return first_due_.time_since_epoch() % period_;
     return is_waiting_ ? std::optional(first_phase() % period_) : std::nullopt;
@@ -63,7 +64,7 @@ class RateMember {
  private:
   friend class RateGroup;
   friend class Schedule;
-  /// One before the start is that within the first period: no tick was due before a schedule began.
+  /// A negative phase is moved into the first period: no tick is due before the schedule begins.
   Duration first_phase() const noexcept {
     const Duration wanted = wanted_phase();
     if (wanted.count() >= 0) return wanted;
@@ -78,7 +79,7 @@ class RateMember {
   CallbackTimes times;
 
  private:
-  std::uint32_t place_ = 0;  // among the members of its group, or of those that wait
+  std::uint32_t place_ = 0;  // index in its group, or in the list of waiting members
   bool is_waiting_ = false;
   using Members = PlacedList<RateMember, &RateMember::place_>;
 };
@@ -88,9 +89,9 @@ class RateGroup final : public Deadline {
   RateGroup(LoopCore& loop, Duration period) : loop_(loop), period_(period) {}
   void fire(MonotonicTime now) override;
   Duration period() const noexcept { return period_; }
-  bool is_idle() const noexcept override;  // when all members are
+  bool is_idle() const noexcept override;  // true if all members are idle
   void leave_out_until(MonotonicTime at) noexcept override;
-  /// Of this member: the group's first tick not dealt with, unless the group is past it in the tick under way.
+  /// The member's next tick: the group's first unfired tick, unless the member has already had the running one.
   MonotonicTime next_due_of(const RateMember& member) const noexcept;
 
  private:
@@ -108,11 +109,11 @@ class RateGroup final : public Deadline {
 class Schedule {
  public:
   explicit Schedule(LoopCore& loop) : loop_(loop) {}
-  /// First due at the start of this turn (rounded up to the phase grid) plus phase. Added while the loop does not turn,
-  /// it begins when the loop does, so that setting up takes no ticks from anybody.
+  /// Adds a member; first due at the start of this turn (rounded up to the phase grid) plus phase. If the loop does not
+  /// turn yet, the schedule begins when it does, so that set-up causes no missed ticks.
   void add(RateMember& member);
   void remove(RateMember& member) noexcept;
-  /// Begins the schedules that wait for the loop to turn. Those for which there is no memory wait for the next turn.
+  /// Begins the schedules that wait for the loop to turn. Without memory a schedule waits for the next turn.
   void begin_waiting() noexcept;
 
  private:

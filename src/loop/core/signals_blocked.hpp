@@ -1,4 +1,4 @@
-// Signals are the main thread's: threads made while one of these lives take none.
+// Blocks signals in threads made while it lives, so that only the main thread gets them.
 #pragma once
 
 #include <pthread.h>

@@ -16,7 +16,7 @@
 
 namespace rtdata::detail {
 
-// libuv uses it until the close callbacks have run, which is after the loop's end when the uv_loop_t is the host's.
+// libuv uses it until the close callbacks have run; for a host's uv_loop_t this is after the loop's end.
 struct UvHandles::Memory {
   LoopCore* core = nullptr;
   int timer_fd = -1;
@@ -57,8 +57,8 @@ uv_handle_t* base(UvHandle& handle) noexcept {
   throw SetupError({make_error_code(Errc::io_failed), what, "libuv", uv_strerror(status), ""});
 }
 
-/// Where uv_loop_init gets an epoll, but no pipe for signals, libuv aborts the process. So this opens as many
-/// descriptors first: libuv 1.44 takes 4, later versions also rings of io_uring.
+/// libuv aborts the process if uv_loop_init gets an epoll descriptor but no pipe for signals. So this first checks that
+/// enough descriptors are free: libuv 1.44 uses 4, later versions also io_uring rings.
 void require_descriptors() {
   int taken[8];
   int count = 0, failure = 0;
@@ -93,7 +93,7 @@ UvHandles::UvHandles(LoopCore& core, uv_loop_t* host) : loop_(host != nullptr ? 
   make_memory(core);
   uv_poll_start(&memory_->timer, UV_READABLE, [](uv_poll_t* handle, int, int) {
     auto* memory = static_cast<Memory*>(handle->data);
-    // The loop turns from here on, and takes in `check` what is sent meanwhile: no sender has to write.
+    // From here on the loop turns and checks for sent data itself, so senders need not write to the descriptor.
     Wake& wake = memory->wake;
     if (!wake.is_sent() && wake.take_news()) wake.send();  // sent between the two
     memory->core->run_due();

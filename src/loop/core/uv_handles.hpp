@@ -11,10 +11,10 @@ namespace rtdata::detail {
 
 class LoopCore;
 
-/// They call `run_due`, `woken`, `turn_ended` and `clock_was_set` of the loop, on its thread.
+/// The handles call `run_due`, `woken`, `turn_ended` and `clock_was_set` of the loop, on its thread.
 class UvHandles {
  public:
-  /// On `host`; null: on a uv_loop_t of its own. SetupError.
+  /// Uses `host`; null: its own uv_loop_t. SetupError.
   UvHandles(LoopCore& core, uv_loop_t* host);
   UvHandles(const UvHandles&) = delete;
   UvHandles& operator=(const UvHandles&) = delete;
@@ -26,16 +26,16 @@ class UvHandles {
     is_lent_ = true;
     return loop_;
   }
-  /// Others may have handles on it.
+  /// True if others may have handles on it.
   bool is_lent() const noexcept { return is_lent_ || is_attached(); }
   bool is_attached() const noexcept { return loop_ != &own_loop_; }
   Wake& wake() noexcept;
 
-  /// The timer expires at this instant of CLOCK_MONOTONIC; 0: never.
+  /// Arms the timer for this time of CLOCK_MONOTONIC; 0: never.
   void arm(MonotonicTime due) noexcept;
-  /// From here on `clock_was_set` is called. Without it, where the kernel does not tell, or no descriptor is left.
+  /// Calls `clock_was_set` from now on. Does nothing if the kernel does not notify or no descriptor is free.
   void watch_clock();
-  /// Until `allow_sleep`, polls of libuv return at once.
+  /// libuv does not wait until `allow_sleep`.
   void forbid_sleep() noexcept;
   void allow_sleep() noexcept;
   /// libuv's run goes on until `unref`.

@@ -77,7 +77,7 @@ void VirtualThreads::hand_over(Thread& from) noexcept {
 }
 
 VirtualThreads::Thread* VirtualThreads::choose_next() noexcept {
-  // Loops that send to each other for ever at one instant would keep time from going on.
+  // Limits loops that send to each other at one instant, which would stop time.
   constexpr unsigned most_choices = 10'000;
   constexpr Duration turn = std::chrono::microseconds{1};
   for (;;) {
@@ -107,7 +107,7 @@ VirtualThreads::Thread* VirtualThreads::choose_next() noexcept {
       continue;
     }
     if (seed_ != 0) return runnable_[static_cast<std::size_t>(random_() % runnable_.size())];
-    // One after the other, so that each gets its turn.
+    // Round robin, so that each gets its turn.
     const auto index = [&](Thread* thread) {
       return static_cast<std::size_t>(std::find(threads_.begin(), threads_.end(), thread) - threads_.begin());
     };

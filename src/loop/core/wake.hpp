@@ -10,9 +10,9 @@
 
 namespace rtdata::detail {
 
-/// An eventfd that a sender writes to only when the loop sleeps, or is about to: a loop that turns checks the flag
-/// itself. It replaces uv_async_t, with which (in libuv 1.44) the loop spins until the sender has left its call: for
-/// ever, when the sender waits for the processor that a real-time loop spins on.
+/// An eventfd to which a sender writes only if the loop sleeps or is about to; a turning loop checks the flag itself.
+/// It replaces uv_async_t: in libuv 1.44 the loop spins until the sender has left its call, which is for ever if the
+/// sender waits for the processor of a spinning real-time loop.
 class Wake {
  public:
   Wake() = default;
@@ -22,7 +22,7 @@ class Wake {
     if (fd_ >= 0) ::close(fd_);
   }
 
-  /// False: errno says why.
+  /// False: see errno.
   bool open() noexcept {
     fd_ = ::eventfd(0, EFD_NONBLOCK | EFD_CLOEXEC);
     return fd_ >= 0;
@@ -38,20 +38,20 @@ class Wake {
     errno = before;
   }
 
-  /// Something was sent that the loop has not taken. Any thread.
+  /// True if something was sent that the loop has not taken. Any thread.
   bool is_sent() const noexcept { return state_.load(std::memory_order_acquire) == has_news; }
 
   // ---- the loop's thread
 
-  /// When `fd` is readable.
+  /// Call it when `fd` is readable.
   void answer() noexcept {
     std::uint64_t sent = 0;
     [[maybe_unused]] const auto read = ::read(fd_, &sent, sizeof sent);
   }
-  /// From here on the loop turns. True: something was sent. Acquires: the loop sees all that senders wrote before
+  /// The loop turns from here on. True: something was sent. Acquire order: the loop sees all writes of senders before
   /// `send`.
   bool take_news() noexcept { return state_.exchange(turns, std::memory_order_acq_rel) == has_news; }
-  /// From here on the loop may sleep. False: something was sent, and the loop has to take it before.
+  /// The loop may sleep from here on. False: something was sent, which the loop must take first.
   bool rest() noexcept {
     State expected = turns;
     return state_.compare_exchange_strong(expected, sleeps, std::memory_order_acq_rel) || expected == sleeps;

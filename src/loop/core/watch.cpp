@@ -10,7 +10,7 @@ namespace rtdata {
 namespace detail {
 namespace {
 
-/// A libuv handle on the heap, freed when libuv has closed it; the node it served may be long gone.
+/// A libuv handle on the heap, freed when libuv has closed it; its node may be destroyed earlier.
 template <class UvHandle, class Owner>
 struct UvBox {
   UvHandle handle{};
@@ -99,7 +99,7 @@ class SignalWatchNode final : public Node {
           if (auto* owner = static_cast<Box*>(handle->data)->owner) owner->call();
         },
         number);
-    uv_unref(reinterpret_cast<uv_handle_t*>(&box_->handle));  // waiting for a signal is no work to be done
+    uv_unref(reinterpret_cast<uv_handle_t*>(&box_->handle));  // waiting for a signal must not keep the loop running
   }
   int failed() const noexcept { return failed_; }
   bool report_times(CallbackStatus& status) const override {

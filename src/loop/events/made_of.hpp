@@ -1,4 +1,4 @@
-// What makes its events of those of other topics: recordings keep the account of these, too.
+// Origins whose events are made from other topics: recordings also store the accounts of these topics.
 #pragma once
 
 #include <string>
@@ -8,8 +8,8 @@ namespace rtdata::detail {
 
 class OriginCore;
 
-/// Says so of an origin that is claimed; the sinks and the main loop hear it. Loop's thread. Throws; may be called
-/// again.
+/// Sets the source topics of a claimed origin and notifies the sinks and the main loop. Loop's thread. Throws; may be
+/// called again.
 void set_made_of(OriginCore& origin, std::vector<std::string> topics);
 
 }  // namespace rtdata::detail

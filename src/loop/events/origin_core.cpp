@@ -19,7 +19,7 @@ void OriginCore::begin_segment(MonotonicTime first_due, Duration period) noexcep
   first_due_ = first_due;
   period_ = period;
   scheduled_before_ = counts.scheduled;
-  topic.tell_taps_of_change(*this);
+  topic.notify_taps(*this);
 }
 
 void OriginCore::miss_while_away(MonotonicTime until) noexcept {
@@ -71,7 +71,7 @@ void OriginCore::mirror(const SensorCounts& sent, std::uint64_t last_sequence, c
   scheduled_before_ = sent.scheduled - under_way.scheduled;
   gap_is_open_ = gap != nullptr;
   if (gap_is_open_) gaps_->gap = *gap;
-  topic.tell_taps_of_change(*this);
+  topic.notify_taps(*this);
 }
 
 void OriginCore::mirror(const Outages& ended, Time absent_since) noexcept {
@@ -93,7 +93,7 @@ void OriginCore::end_segment(MonotonicTime end) noexcept {
   first_due_ = std::max(end, later(last_due(), Duration{1}));
   period_ = Duration{0};
   for (Listener* listener : topic.runtime().listeners) listener->on_segment(*this, ended);
-  topic.tell_taps_of_change(*this);
+  topic.notify_taps(*this);
 }
 
 void OriginCore::count_lateness(MonotonicTime due) noexcept {
@@ -127,9 +127,9 @@ void OriginCore::extend_gap(Gap::Kind kind, std::string_view reason, MonotonicTi
   const Time from = topic.runtime().event_time(first), to = topic.runtime().event_time(last);
   if (gaps_ == nullptr) {
     gaps_.reset(new (std::nothrow) Gaps);
-    if (gaps_ == nullptr) {  // no memory to join it with the next ones: it stands for itself
+    if (gaps_ == nullptr) {  // no memory to join it with the next ones: report it alone
       report({kind, reason, from, to, count});
-      return topic.tell_taps_of_change(*this);
+      return topic.notify_taps(*this);
     }
   }
   Gaps& now = *gaps_;
@@ -153,7 +153,7 @@ void OriginCore::extend_gap(Gap::Kind kind, std::string_view reason, MonotonicTi
   now.last_kind = kind;
   now.last_reason = reason;
   now.is_interrupted = false;
-  topic.tell_taps_of_change(*this);
+  topic.notify_taps(*this);
 }
 
 void OriginCore::begin_absence(Gap::Kind kind, std::string_view reason, MonotonicTime from) noexcept {

@@ -1,4 +1,4 @@
-// What the runtime knows of sensors and feeds.
+// The runtime's interface of sensors and feeds.
 #pragma once
 
 #include <optional>
@@ -12,7 +12,7 @@ namespace rtdata::detail {
 
 class OriginCore;
 
-/// A sensor or feed, as the runtime knows it.
+/// A sensor or feed in the runtime's list.
 class SensorEntry : public Node {
  public:
   using Node::Node;
@@ -22,12 +22,12 @@ class SensorEntry : public Node {
   virtual bool is_active() const noexcept = 0;
   virtual Health health() const noexcept = 0;
   virtual std::string_view reason() const noexcept = 0;
-  /// Ends the schedule at `end`, up to which all is counted; a read under way may finish and be published.
+  /// Ends the schedule at `end`, with all ticks counted; a running read may finish and be published.
   virtual void stop_schedule(MonotonicTime end) = 0;
   virtual bool is_reading() const noexcept = 0;
-  /// A read on the stack, if there is one, is in flight in the account from now on.
+  /// Counts a read on the stack, if there is one, as in flight in the account.
   virtual void count_read_begun() noexcept {}
-  /// Nothing when there is nothing to read: the program feeds it.
+  /// Empty for a feed, which is not read.
   virtual std::optional<SensorLoad> load() const { return {}; }
 
   std::uint32_t place = 0;  ///< in the runtime's list

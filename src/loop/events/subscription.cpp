@@ -60,7 +60,7 @@ bool SubscriptionNode::report_times(CallbackStatus& status) const {
 void SubscriptionNode::report_exception(const char* what) noexcept {
   try {
     runtime_->report(loop(), name, {Errc::handler_threw, "a handler threw", "", what, "it goes on being called"});
-  } catch (...) {  // the report itself failed: nothing is left to tell it to
+  } catch (...) {  // the report itself failed
   }
 }
 
@@ -100,7 +100,7 @@ Result<std::shared_ptr<const void>> make_field_map(const TopicCore& topic, const
 
 void attach(LoopCore& loop, SubscriptionNode& node, TopicCore* only) {
   RuntimeCore& runtime = loop.runtime;
-  runtime.receive();  // published before: not for the new one
+  runtime.receive();  // earlier events are not for the new subscription
   if (only != nullptr) {
     const auto hub_of = [](RuntimeCore& core) { return core.hub != nullptr ? core.hub : &core; };
     if (&only->runtime() != &runtime &&
@@ -121,7 +121,7 @@ void attach(LoopCore& loop, SubscriptionNode& node, TopicCore* only) {
     throw SetupError({Errc::bad_name, "cannot subscribe", "\"" + node.pattern() + "\"", "not a topic or pattern",
                       "levels are joined by /, + stands for one level, # at the end for all below"});
   }
-  std::vector<Error> refused;  // reported at the end, since a report may run user code
+  std::vector<Error> refused;  // reported at the end, because a report may run user code
   for (const auto& topic : runtime.topics()) {
     if (!topic_matches(node.pattern(), topic->name)) continue;
     if (auto linked = topic->link(node); !linked) {

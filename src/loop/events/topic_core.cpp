@@ -14,12 +14,11 @@
 namespace rtdata::detail {
 namespace {
 
-// Events for which a handler takes a few nanoseconds share a look at the clock; one that takes some microseconds is
-// timed alone. The aim is for the events of a group in one handler: with many handlers the look costs each of them no
-// more.
+// Events with a very fast handler share one clock reading; a handler of some microseconds is timed for each event. The
+// aim applies to the events of a group in one handler.
 constexpr std::uint64_t most_in_group = 128;
 constexpr Duration group_aim = std::chrono::microseconds{5};
-// What takes longer than the aim once was interrupted, as a rule; beyond this it is taken for slow at once.
+// A single handler longer than the aim was usually interrupted; beyond this limit it counts as slow at once.
 constexpr Duration slow_at_once = 20 * group_aim;
 
 // So that there is always a time after the last event's.
@@ -67,7 +66,7 @@ void TopicCore::publish(OriginCore& origin, Time time, void* payload) {
   go_on(origin, time, origin.sequence + 1, payload);
 }
 
-void TopicCore::give_again(OriginCore& origin, Time time, std::uint64_t sequence, const void* payload) {
+void TopicCore::republish(OriginCore& origin, Time time, std::uint64_t sequence, const void* payload) {
   go_on(origin, time, sequence, const_cast<void*>(payload));
 }
 
@@ -171,7 +170,7 @@ void TopicCore::find_way(OriginCore& origin) noexcept {
 }
 
 bool TopicCore::move_payload(const OriginCore& origin, std::byte* to, void* payload) {
-  // The payload's constructor is the user's: it may publish here, stop its sensor, and throw.
+  // The payload's constructor is user code: it may publish here, stop its sensor, and throw.
   if (moving_ != nullptr) {  // the place is being filled
     ++dropped_;
     return false;
@@ -299,7 +298,7 @@ MonotonicTime TopicCore::deliver_group(LoopCore& loop, MonotonicTime begin, Mono
         slowest = node;
       }
       from = to;
-      if (!node->is_open()) retire(links_[i]);  // a report of its time may have made others
+      if (!node->is_open()) retire(links_[i]);  // a report of its time may have added links
     }
     delivering_ = nullptr;
   }
@@ -331,12 +330,12 @@ void TopicCore::drop_slots(std::uint64_t last) noexcept {
     tail_ = last;
     return;
   }
-  // Destructors are the user's, and may publish: a slot is free when its payload is gone.
+  // Destructors are user code and may publish; a slot is free after its payload is destroyed.
   for (; tail_ != last; ++tail_) type.destroy(slot(tail_) + payload_offset);
 }
 
 void TopicCore::abandon() noexcept {
-  const LoopCore::Calling user_code(runtime_);  // destructors, in which nothing is to be delivered
+  const LoopCore::Calling user_code(runtime_);  // destructors run user code; nothing must be delivered meanwhile
   drop_slots(head_);
 }
 

@@ -1,4 +1,4 @@
-// What lies behind a topic: its taps (sinks), its ring, its links (subscriptions).
+// The implementation of a topic: its taps (sinks), its ring, its links (subscriptions).
 #pragma once
 
 #include <cstddef>
@@ -17,18 +17,17 @@ class LoopCore;
 class OriginCore;
 class RuntimeCore;
 
-/// A sink's attachment to a topic. Takes its copy when an event is published.
+/// A sink's attachment to a topic. Copies each event when it is published.
 class Tap {
  public:
   virtual void offer(OriginCore& origin, Time time, std::uint64_t sequence, const void* payload) = 0;
-  /// `count` more, up to this number, were published on another loop and did not get here: the ring between was full.
+  /// `count` events up to this sequence were published on another loop but lost, because the ring in between was full.
   virtual void miss(OriginCore& origin, std::uint64_t count, std::uint64_t last_sequence) = 0;
-  /// To be called before anything of this origin comes: what it needs is set aside, and nothing else asks for memory.
-  /// Throws; may be called again.
+  /// Call it before the first event of this origin: it allocates everything needed. Throws; may be called again.
   virtual void expect(OriginCore& origin) = 0;
-  /// Something has become of a tick, or of the schedule, that no event tells of.
+  /// Notes a change of the account without an event: of a tick or the schedule.
   virtual void note_change(OriginCore& origin) noexcept = 0;
-  /// False: it needs the accounts of the topic's origins alone. Those of other loops come without the events.
+  /// False: it only needs the accounts of the topic's origins, so other loops send no events.
   virtual bool takes_events() const noexcept { return true; }
 
  protected:
@@ -46,21 +45,21 @@ class TopicCore final : public DeliveryQueue {
   const PayloadType type;
   const std::size_t payload_offset;  ///< from an event's start
 
-  /// Gives the event its sequence and a time after the origin's last, copies it to every tap and into the ring.
-  /// `payload` is moved from when its type is not trivially copyable.
+  /// Gives the event its sequence and a time after the origin's last event, and copies it to every tap and into the
+  /// ring. Moves from `payload` if its type is not trivially copyable.
   void publish(OriginCore& origin, Time time, void* payload);
 
-  /// The same with the time and sequence that it was recorded with: both above those of the origin's last event. Of
-  /// payloads with a description.
-  void give_again(OriginCore& origin, Time time, std::uint64_t sequence, const void* payload);
+  /// The same with a recorded time and sequence, both above those of the origin's last event. For payloads with a
+  /// description.
+  void republish(OriginCore& origin, Time time, std::uint64_t sequence, const void* payload);
 
-  /// One published on another loop, as its bridge brings it.
+  /// An event from another loop, as brought by its bridge.
   struct Arrival {
     Time time;
     std::uint64_t sequence;
     // the payload
   };
-  /// Arrivals of one origin that lie one `stride` after the other.
+  /// Receives arrivals of one origin, `stride` bytes apart.
   void receive(OriginCore& mirror, const Arrival* first, std::size_t count, std::size_t stride);
   /// See Tap::miss.
   void miss(OriginCore& mirror, std::uint64_t count, std::uint64_t last_sequence);
@@ -76,10 +75,10 @@ class TopicCore final : public DeliveryQueue {
     std::erase(taps_, &tap);
     followers_changed();
   }
-  void tell_taps_of_change(OriginCore& origin) noexcept {
+  void notify_taps(OriginCore& origin) noexcept {
     for (std::size_t i = 0; i < taps_.size(); ++i) taps_[i]->note_change(origin);
   }
-  // Channels to and from the topic of this name on other loops.
+  // Channels to and from the same topic on other loops.
   void add_channel_out(Channel& channel) {
     channels_out_.push_back(&channel);
     followers_changed();
@@ -93,19 +92,18 @@ class TopicCore final : public DeliveryQueue {
     std::erase(channels_in_, &channel);
     followers_changed();
   }
-  /// To be called when its subscribers or sinks may have changed. Announces to other loops whether this one wants
-  /// theirs.
+  /// Call it when subscribers or sinks may have changed. Tells other loops if this one wants their events.
   void followers_changed() noexcept;
-  /// To be called when the origin's passage over a channel is made.
+  /// Call it when the origin's passage over a channel was made.
   void find_way(OriginCore& origin) noexcept;
-  /// The last event, of payloads that come only when something has changed. None: there was none yet.
+  /// The last event, for topics that publish only changes. Empty: none yet.
   std::optional<EventView> last_change() const;
-  /// Queued deliveries of this origin will not happen.
+  /// Cancels queued deliveries of this origin.
   void cancel(const OriginCore& origin) noexcept;
-  /// To every link.
+  /// Delivers to every link.
   MonotonicTime deliver_group(LoopCore& loop, MonotonicTime begin, MonotonicTime time_limit) override;
   RuntimeCore& runtime() const noexcept { return runtime_; }
-  /// The loop is gone: what is queued is cancelled.
+  /// The loop is destroyed: cancels everything queued.
   void abandon() noexcept;
 
   const SubscriptionNode* first_subscriber() const noexcept { return links_.empty() ? nullptr : links_.front().node; }
@@ -114,7 +112,7 @@ class TopicCore final : public DeliveryQueue {
   std::vector<OriginCore*>& origins() noexcept { return origins_; }
   const std::vector<OriginCore*>& origins() const noexcept { return origins_; }
 
-  std::string cut_off_from;  ///< a loop that publishes it, too, of which nothing gets here; empty once reported
+  std::string cut_off_from;  ///< another loop that publishes it, but whose events do not arrive; empty once reported
   OriginCore* program_origin = nullptr;  ///< of the program's own events, once there is one
 
  private:
@@ -130,13 +128,13 @@ class TopicCore final : public DeliveryQueue {
   void go_on(OriginCore& origin, Time time, std::uint64_t sequence, void* payload);
   void hand_out(OriginCore& origin, Time time, std::uint64_t sequence, void* payload);
   void enqueue(const OriginCore& origin, Time time, std::uint64_t sequence, void* payload);
-  /// False: dropped, since one is being moved.
+  /// False: dropped, because another payload is being moved.
   bool move_payload(const OriginCore& origin, std::byte* to, void* payload);
   void make_ring(std::size_t capacity);
   std::byte* slot(std::uint64_t position) const noexcept { return slots_ + (position & mask_) * stride_; }
   SubscriptionCounts counts_of(const Link& link) const noexcept;
   void retire(Link& link) noexcept;
-  /// To what the slowest handler took for its events of a group.
+  /// Adapts the group size to the slowest handler.
   void adapt_group(Duration longest, const SubscriptionNode* slowest, bool is_complete) noexcept;
   /// Destroys what is queued up to this position.
   void drop_slots(std::uint64_t last) noexcept;
@@ -144,14 +142,14 @@ class TopicCore final : public DeliveryQueue {
   RuntimeCore& runtime_;
   const bool is_short_;  // bytes to copy, and few
   enum class Followers : std::uint8_t { none, handlers, one_channel, several };
-  Followers followers_ = Followers::none;  // what events go to; several: sinks, or more than one of these
+  Followers followers_ = Followers::none;  // where events go; several: sinks, or more than one of these
   std::vector<Tap*> taps_;
   std::vector<Channel*> channels_out_;
   std::vector<Channel*> channels_in_;
   std::vector<Link> links_;
   std::vector<OriginCore*> origins_;
   void keep_change(const OriginCore& origin, Time time, std::uint64_t sequence, const void* payload) noexcept;
-  std::unique_ptr<std::byte[]> change_;  // as in a slot, the last; null: of payloads that do not come as changes
+  std::unique_ptr<std::byte[]> change_;  // the last event, like a slot; null: the topic publishes not only changes
   bool has_change_ = false;
   std::byte* slots_ = nullptr;
   std::vector<std::uint8_t> is_cancelled_;  // by slot; holds for events before `cancelled_until_`
@@ -164,7 +162,7 @@ class TopicCore final : public DeliveryQueue {
   const SubscriptionNode* delivering_ = nullptr;
   bool needs_sweep_ = false;
   bool is_moving_cancelled_ = false;
-  const OriginCore* moving_ = nullptr;  // whose payload is being moved into the ring
+  const OriginCore* moving_ = nullptr;  // the origin whose payload is being moved into the ring
   SubscriptionCounts retired_;
 };
 

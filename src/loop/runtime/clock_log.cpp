@@ -13,7 +13,7 @@ namespace rtdata::detail {
 
 namespace {
 
-/// Both clocks at one instant: read again when the processor was taken away in between, which would look like a step.
+/// Both clocks at one instant; reads again if the thread was interrupted in between, which would look like a step.
 std::pair<MonotonicTime, Time> both_times(Clock& clock) noexcept {
   constexpr Duration close_enough = std::chrono::microseconds{100};
   std::pair<MonotonicTime, Time> best;
@@ -54,7 +54,7 @@ namespace {
 
 constexpr std::size_t most_clock_sources = 16;
 constexpr Duration clock_look_interval = std::chrono::seconds{1};
-constexpr Duration least_between_pairs = std::chrono::seconds{10};  // of one source, so that a recording is not flooded
+constexpr Duration least_between_pairs = std::chrono::seconds{10};  // of one source, to limit the recording's size
 constexpr Duration most_between_pairs = std::chrono::minutes{10};
 
 bool is_step(Duration moved) noexcept {
@@ -79,7 +79,7 @@ bool ClockLog::look(const char* occasion) {
                                              : both_times(*clock_);
   const Duration offset = difference(both.first.time_since_epoch(), both.second.time_since_epoch());
   const bool was_set = is_step(difference(last_offset_, offset));
-  // Nearly always, and in virtual time at every instant: before anything else is asked for.
+  // The usual case, checked first.
   if (!was_set && occasion == nullptr && span_between(system_.latest.monotonic, both.first) < clock_look_interval)
     return false;
   ClockPair pair = read(both, occasion);
@@ -88,7 +88,7 @@ bool ClockLog::look(const char* occasion) {
                  "the time of day was set by " + to_string(difference(last_offset_, offset)) +
                      "; recorded times go on without a jump, the step is recorded");
     last_offset_ = offset;
-    // A clock that was right until now (a leap second, a machine that slept): where it stood just before.
+    // The clock was right until now (a leap second, a suspended machine): records its last value before the step.
     if (system_.latest.accuracy && system_.latest.monotonic > system_.recorded.monotonic)
       record(system_, system_.latest);
     if (occasion == nullptr) pair.occasion = "step";

@@ -1,4 +1,4 @@
-// The clock of a run: the monotonic line that events are timed on, and the record of the time of day against it.
+// The clock of a run: the monotonic time of events, and the recorded time of day against it.
 #pragma once
 
 #include <algorithm>
@@ -23,7 +23,7 @@ class ClockLog {
   Clock& clock() noexcept { return *clock_; }
   /// A manual loop brings its own.
   void use_manual_clock() { use(manual_clock_); }
-  /// Puts times on the line of another run's clock: a tier's on that of its main loop.
+  /// Uses the time of another run's clock: a tier uses that of its main loop.
   void share_line(const ClockLog& of) noexcept;
 
   Time time_of(MonotonicTime at) const noexcept { return later(Time{offset_}, at.time_since_epoch()); }
@@ -32,26 +32,25 @@ class ClockLog {
   }
   const ClockPair& start() const noexcept { return start_; }
 
-  /// Records the time of day when it was set (moved against the monotonic line by more than 1 ms), when its accuracy is
-  /// another, once in a while as long as that is known, or always when an occasion is given. Returns whether it did.
+  /// Records the time of day if it was set (moved by more than 1 ms against the monotonic clock), if its accuracy
+  /// changed, regularly while the accuracy is known, or always if an occasion is given. Returns true if it recorded.
   bool look(const char* occasion = nullptr);
   /// See Runtime::note_wall_clock.
   Result<void> note_wall_clock(ClockPair pair);
-  /// The time of day now. Two offsets that differ by less than 1 ms count as one: that is the noise of reading two
-  /// clocks.
+  /// The time of day now. Offsets that differ by less than 1 ms count as equal, because reading two clocks is inexact.
   ClockPair read(const char* occasion) noexcept;
   ClockPair read(const std::pair<MonotonicTime, Time>& both, const char* occasion) noexcept;
-  /// For a runtime that gives a recorded run again: what it has for a time of day tells nothing, and no pair of it is
-  /// recorded. Whoever gives the run again hands the pairs of the recording to the recorders.
+  /// For the runtime of a replay: its time of day is meaningless, so no pairs are recorded. The replay passes the
+  /// recorded pairs to the recorders.
   void repeat_run() noexcept { repeated_until_ = Time::min(); }
   bool is_repeated() const noexcept { return repeated_until_.has_value(); }
-  /// Of a run that is given again: up to here. Faster than it was recorded, it is ahead of the clock.
+  /// For a replay: sets the time reached. A fast replay is ahead of the clock.
   void is_repeated_until(Time time) noexcept {
     if (repeated_until_ && time > *repeated_until_) repeated_until_ = time;
   }
-  /// When a run ends that ends now.
+  /// The end time of a run that ends now.
   Time end(MonotonicTime now) const noexcept { return std::max(time_of(now), repeated_until_.value_or(Time::min())); }
-  /// For a recording that begins now: the pair now, and the last ones of other sources.
+  /// The pairs for a recording that begins now: the present pair, and the last ones of other sources.
   std::vector<ClockPair> pairs();
 
  private:
@@ -59,7 +58,7 @@ class ClockLog {
   struct Source {
     ClockPair recorded, latest;
     std::optional<Duration> best;  ///< accuracy, since one is known
-    /// Whether a pair says what the recorded one does not.
+    /// True if a pair has new information.
     bool is_news(const ClockPair& pair) const noexcept;
   };
   void use(Clock& clock);

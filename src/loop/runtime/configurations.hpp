@@ -1,4 +1,4 @@
-// The configuration of a run as it stands: its text, and the parts that were added, changed or removed since.
+// The present configuration of a run: its text, and the parts added, changed or removed since.
 #pragma once
 
 #include <map>
@@ -17,30 +17,30 @@ class Configurations {
  public:
   Configurations(RuntimeCore& runtime, std::string text) : runtime_(runtime), state_{std::move(text), {}} {}
 
-  /// From now on this is the text of all. The recordings keep it, as they keep the next.
+  /// Replaces the whole text. Recordings store this and the following changes.
   void replace(std::string text);
-  /// From now on there is this part ("sensor chamber"), of this item.
+  /// Adds a part ("sensor chamber") with its item.
   void add(std::string object, std::string text);
   void remove(std::string object);
-  /// From now on the samples of this sensor are processed so; empty: not at all. Of a tier, the main loop keeps it.
+  /// Sets the processing of a sensor; empty: none. For a sensor on a tier, the main loop stores it.
   void set_process(const std::string& sensor, std::string text);
 
-  /// The text of all, and the changes since that still hold, in the order of their times: for a recording that begins.
+  /// The whole text, and the valid changes since in order of time, for a recording that begins.
   const std::string& whole() const noexcept { return state_.whole; }
   std::vector<ConfigurationChange> changes() const;
-  /// How sensors are processed now, by their names.
+  /// The present processing of sensors, by name.
   const std::map<std::string, ConfigurationChange>& processes() const noexcept { return processes_; }
 
   struct Entry {
     ConfigurationChange change;
-    bool is_of_text;  ///< the text of all has a part of that name
+    bool is_of_text;  ///< the whole text has a part of that name
   };
   struct State {
     std::string whole;
     std::map<std::string, Entry> changes;  ///< by object: so many as there are parts
   };
   const State& state() const noexcept { return state_; }
-  /// It is again as it was; the recordings keep the text, and each of those changes.
+  /// Restores an earlier state; recordings store the text and each of its changes.
   void restore(State state);
 
  private:

@@ -1,4 +1,4 @@
-// Orderly shutdown: stop the schedules, let reads under way finish, deliver, then close the sinks.
+// Orderly shutdown: stops the schedules, lets running reads finish, delivers, then closes the sinks.
 #include <algorithm>
 #include <memory>
 #include <utility>
@@ -23,7 +23,7 @@ class Drain : public std::enable_shared_from_this<Drain> {
         deadline_(detail::later(loop.now(), deadline)),
         done_(std::move(done)) {}
 
-  /// Not from within a callback of a deadline or a delivery, whose tick is not fully counted.
+  /// Not within a callback of a deadline or a delivery, whose tick is not fully counted.
   void begin() {
     if (loop_.core().is_in_callback()) {
       loop_.post([self = shared_from_this()] { self->begin(); });
@@ -37,7 +37,7 @@ class Drain : public std::enable_shared_from_this<Drain> {
   }
 
  private:
-  /// What was posted before the end belongs to the run, also when `stop` came between. Storing needs time, too.
+  /// Functions posted before the end belong to the run, even after `stop`. Leaves time for storing.
   void run_posted() {
     const Duration left = std::max(detail::span_between(loop_.now(), deadline_), Duration{0});
     const std::uint64_t count = loop_.core().posts.run_all(detail::later(loop_.now(), left / 2));
@@ -46,7 +46,7 @@ class Drain : public std::enable_shared_from_this<Drain> {
                     {Errc::timed_out, std::to_string(count) + " posted functions did not run before the end", "",
                      "they took too long, or there were too many", "post less, or close with a later deadline"});
   }
-  /// Of those that there are now. A device that is closed may close or destroy any of them.
+  /// For the present sensors. Closing a device may close or destroy any of them.
   template <class Function>
   void for_each_sensor(const Function& function) {
     const auto sensors = runtime_.sensors.all();
@@ -62,15 +62,15 @@ class Drain : public std::enable_shared_from_this<Drain> {
     return list;
   }
 
-  /// Tiers first: what they still send is recorded by this loop's sinks.
+  /// Tiers first, because this loop's sinks record what they still send.
   void drain_tiers() {
     if (runtime_.tiers.empty()) return wait_for_reads();
-    // The sinks need time too, and a tier that gives up on a read still has to say so.
+    // Leaves time for the sinks, and for a tier to report a read that it gives up.
     const Duration share = std::max(detail::span_between(loop_.now(), deadline_), Duration{0}) / 2;
     timer_ = Timer(loop_, share, [self = shared_from_this()] { self->give_up_tiers(); });
     draining_ = runtime_.tiers;
     for (detail::TierCore* tier : copy(runtime_.tiers)) {
-      if (!is_there(tier)) {  // draining a stopped tier runs handlers here, which may destroy another
+      if (!is_there(tier)) {  // draining a stopped tier runs handlers here, which may destroy another tier
         std::erase(draining_, tier);
         continue;
       }
@@ -97,7 +97,7 @@ class Drain : public std::enable_shared_from_this<Drain> {
   void give_up_tiers() {
     const auto self = shared_from_this();
     runtime_.receive();
-    std::vector<std::pair<std::string, Error>> errors;  // reported at the end: a report may run user code
+    std::vector<std::pair<std::string, Error>> errors;  // reported at the end, because a report may run user code
     for (detail::TierCore* tier : copy(draining_)) {
       if (!is_there(tier)) continue;
       if (!tier->is_running()) {  // it was stopped meanwhile: it is drained here
@@ -107,14 +107,14 @@ class Drain : public std::enable_shared_from_this<Drain> {
       tier->give_up();
       runtime_.unknown_end += (runtime_.unknown_end.empty() ? "" : "; ") + tier->unknown();
       errors.push_back({"tier " + tier->config.name,
-                        {Errc::timed_out, "did not stop in time", "", "it has not come out of " + tier->where(),
-                         "look at what blocks there"}});
+                        {Errc::timed_out, "did not stop in time", "", "it has not returned from " + tier->where(),
+                         "check what blocks there"}});
     }
     for (const auto& [name, error] : errors) runtime_.report(&loop_.core(), name, error);
     tiers_done();
   }
 
-  /// As a timer calls it: when there is no memory, it is tried again.
+  /// Called by a timer; without memory it tries again.
   void go_on_waiting() {
     try {
       wait_for_reads();
@@ -192,7 +192,7 @@ std::uint64_t Loop::close(Duration deadline) {
     throw SetupError({Errc::busy, "cannot close", "loop " + config().name, "this is one of its callbacks",
                       "use drain(deadline, done), or close it after run() has returned"});
   }
-  // Shared: when stop() ends the wait, the drain goes on without it.
+  // Shared, because the drain continues if stop() ends the wait.
   struct State {
     bool is_done = false;
     bool is_running = false;
@@ -220,7 +220,7 @@ std::uint64_t Loop::close(Duration deadline) {
   std::uint64_t queued = 0;
   for (const detail::Recorder* recorder : core_->runtime.recorders) {
     const SinkStatus status = recorder->status();
-    if (!status.backlog) queued += status.counts.queued;  // else it waits where it is safe
+    if (!status.backlog) queued += status.counts.queued;  // otherwise its events are safe in the recording
   }
   return queued;
 }

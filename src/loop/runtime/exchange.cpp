@@ -14,7 +14,7 @@ namespace rtdata::detail {
 
 std::string Exchange::catch_up(Duration at_most) {
   if (standstill_) return standstill_->unknown;
-  constexpr Duration turn = std::chrono::milliseconds{1};  // of one tier: one that hangs takes no other's time
+  constexpr Duration turn = std::chrono::milliseconds{1};  // time for each tier
   LoopCore& loop = *runtime_.own_loop;
   const MonotonicTime end = later(loop.now(), at_most);
   const auto left = [&] { return std::max(end - loop.now(), Duration{0}); };
@@ -22,9 +22,9 @@ std::string Exchange::catch_up(Duration at_most) {
   for (TierCore* tier : runtime_.tiers) tier->ask_account();
   std::vector<TierCore*> silent;
   do {
-    for (TierCore* tier : runtime_.tiers) tier->hear_out(std::min(left(), turn));
+    for (TierCore* tier : runtime_.tiers) tier->wait_for_account(std::min(left(), turn));
     silent = runtime_.tiers;
-    std::erase_if(silent, [](TierCore* tier) { return tier->is_heard_out(); });
+    std::erase_if(silent, [](TierCore* tier) { return tier->has_whole_account(); });
   } while (!silent.empty() && left() > Duration{0});
   std::string unknown;
   for (TierCore* tier : silent) tier->add_unknown(unknown);

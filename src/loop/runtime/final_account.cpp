@@ -55,12 +55,12 @@ void publish_final_account(LoopCore& loop) noexcept try {
   };
   const std::vector<SensorStatus> open = runtime.face.sensors();
   for (const SensorStatus& sensor : open) add(sensor.name, sensor.topic, sensor.counts);
-  // What those have published that were removed before the end is to arrive, too.
+  // Includes sensors removed before the end.
   for (const SensorStatus& sensor : closed_sensors(runtime, open)) add(sensor.name, sensor.topic, sensor.counts);
   TopicCore& topic = runtime.topic(account_topic, payload_type<FinalCounts>());
   for (const FinalCounts& account : accounts) publish_from_program(topic, &account);
   loop.deliver_all();
-} catch (...) {  // no memory; or the program uses the name for another topic
+} catch (...) {  // no memory, or the program uses the name for another topic
 }
 
 }  // namespace rtdata::detail

@@ -23,7 +23,7 @@ OriginCore& Names::claim(std::string_view name, TopicCore& topic, OriginCore::Su
     origin->adopt(state);
     origin->is_claimed = true;
     origin->supply = supply;
-    topic.expect(*origin);  // a writer's code may run
+    topic.expect(*origin);  // may run code of a writer
     for (Bridge* bridge : runtime_.outbound) bridge->sending.open(*origin);
   } catch (...) {  // out of memory: nothing was published
     if (origin != nullptr) {
@@ -87,7 +87,7 @@ Names::Published Names::published(std::string_view name) const {
 void Names::release(OriginCore& origin) noexcept {
   origin.is_claimed = false;
   origin.made_of.clear();
-  for (Bridge* bridge : runtime_.outbound) bridge->sending.tell_soon();
+  for (Bridge* bridge : runtime_.outbound) bridge->sending.send_soon();
   Names& all = runtime_.main().names;
   const std::lock_guard lock(all.mutex_);
   all.claims_.find(origin.name)->second.is_there = false;
@@ -103,7 +103,7 @@ void Names::release_all() noexcept {
     try {
       claim.left = std::make_unique<OriginCore::State>(origin.state());
       claim.is_there = false;
-    } catch (...) {  // no memory: no sensor has this name any more
+    } catch (...) {  // no memory: the name is lost
       claim.is_there = true;
     }
   }

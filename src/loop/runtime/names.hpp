@@ -1,4 +1,4 @@
-// The names of sensors and feeds of a run: which loop each belongs to.
+// The names of sensors and feeds of a run, with their loops.
 #pragma once
 
 #include <functional>
@@ -14,22 +14,22 @@ namespace rtdata::detail {
 
 class RuntimeCore;
 
-/// Each runtime has one; that of the main loop keeps the names of all loops, under a lock that is taken at set-up only.
-/// A name belongs to the loop that claimed it first, until the end of the run; to a tier that has ended: to one of the
-/// same name that is made again. Thread: the loop's.
+/// Each runtime has one; the main loop's has the names of all loops, under a lock that is only taken during set-up. A
+/// name belongs to the loop that claimed it first, until the end of the run; if a tier ends, to a new tier of the same
+/// name. Thread: the loop's.
 class Names {
  public:
   explicit Names(RuntimeCore& runtime) noexcept : runtime_(runtime) {}
 
-  /// Claims the origin for one sensor or feed of this loop, which goes on where the last one of the name has ended.
-  /// SetupError (bad-name, busy): the name is taken, or was on another loop, on another topic, or of another kind.
+  /// Claims the origin for a sensor or feed of this loop, which continues after the last one of the name. SetupError
+  /// (bad-name, busy): the name is taken, or was on another loop or topic, or of another kind.
   OriginCore& claim(std::string_view name, TopicCore& topic, OriginCore::Supply supply);
   void release(OriginCore& origin) noexcept;
-  /// Of a tier that ends.
+  /// Releases the names of a tier that ends.
   void release_all() noexcept;
 
   struct Published {
-    std::string topic = {};  ///< empty: nothing of this name was in this run
+    std::string topic = {};  ///< empty: not used in this run
     std::string tier = {};   ///< empty: on the main loop
   };
   Published published(std::string_view name) const;
@@ -40,7 +40,7 @@ class Names {
     bool is_there = false;                         // a sensor or feed
     std::unique_ptr<OriginCore::State> left = {};  // by a tier that has ended
   };
-  /// Notes that this loop has the name. Returns where it goes on.
+  /// Notes that this loop has the name. Returns the state to continue from.
   OriginCore::State take(std::string_view name, const TopicCore& topic, OriginCore::Supply supply);
 
   RuntimeCore& runtime_;

@@ -1,4 +1,4 @@
-// Rate limiting of repeated reports: when there are too many alike, some are held back, and reported later as one.
+// Rate limiting of repeated reports: too many equal reports are held back and reported later as one.
 #pragma once
 
 #include <algorithm>
@@ -13,7 +13,7 @@
 
 namespace rtdata::detail {
 
-/// Several that are alike, as one.
+/// Several equal reports, joined into one.
 template <class What>
 struct Joined {
   What what;  // the last of them
@@ -27,7 +27,7 @@ class Repeats {
   /// `apart`: the shortest time between two reports of the same key; those in between are joined.
   explicit Repeats(Duration apart) : apart_(apart) {}
 
-  /// The report to make now, joined with those alike that were held back; nothing: this one is held back too.
+  /// The report to make now, joined with held-back ones; empty: this one is held back too.
   std::optional<Joined<What>> take(const std::string& key, What what, MonotonicTime now) {
     auto found = entries_.find(key);
     if (found == entries_.end()) {
@@ -44,9 +44,9 @@ class Repeats {
     held_until_ = due(entry);
     return std::nullopt;
   }
-  /// When the one that was held back last may be reported.
+  /// When the report held back last may be made.
   MonotonicTime held_until() const noexcept { return held_until_; }
-  /// Those held back that may be reported now. In no order.
+  /// Held-back reports that may be made now, in no order.
   std::vector<Joined<What>> take_due(MonotonicTime now) {
     std::vector<Joined<What>> taken;
     for (auto& [key, entry] : entries_) {
@@ -54,7 +54,7 @@ class Repeats {
     }
     return taken;
   }
-  /// All that are held back; the limits begin anew.
+  /// All held-back reports; resets the limits.
   std::vector<Joined<What>> take_all() {
     std::vector<Joined<What>> all;
     for (auto& [key, entry] : entries_) {
@@ -63,7 +63,7 @@ class Repeats {
     entries_.clear();
     return all;
   }
-  /// When the first of all that are held back may be reported. Looks at all.
+  /// When the first held-back report may be made. Searches all.
   std::optional<MonotonicTime> next_due() const {
     std::optional<MonotonicTime> next;
     for (const auto& [key, entry] : entries_) {

@@ -18,7 +18,7 @@ namespace rtdata::detail {
 
 namespace {
 
-/// Says, without asking for memory, that there is none to make a report with.
+/// Writes, without allocating, that there is no memory for a report.
 void write_out_of_memory() noexcept {
   static constexpr char line[] = "rtdata: error: out of memory: a report is lost\n";
   [[maybe_unused]] const auto written = ::write(STDERR_FILENO, line, sizeof line - 1);
@@ -69,7 +69,7 @@ void Reports::write(const Joined<LogLine>& joined) noexcept try {
     const LoopCore::Calling user_code(runtime_);
     try {
       return on_log({level, runtime_.event_time(runtime_.clock().monotonic()), object, text, error_id});
-    } catch (...) {  // it would be reported to the log
+    } catch (...) {  // it would be reported to the log itself
       note = " (and the handler of log records threw)";
     }
   } else if (level < LogLevel::warning) {
@@ -82,7 +82,7 @@ void Reports::write(const Joined<LogLine>& joined) noexcept try {
 }
 
 void Reports::report_all_kept() {
-  while (!kept_.empty()) {  // a report may bring others
+  while (!kept_.empty()) {  // a report may cause further ones
     const Kept kept = std::move(kept_.front());
     kept_.erase(kept_.begin());
     if (kept.listener == nullptr) {
@@ -137,7 +137,7 @@ void Reports::health_changed(std::string_view kind, std::string_view name, Healt
   publish_from_program(runtime_.topic(health_topic, payload_type<HealthChange>()), &change);
 } catch (const std::bad_alloc&) {
   write_out_of_memory();
-} catch (...) {  // the program uses the name for another topic; health() of the object has the change all the same
+} catch (...) {  // the program uses the name for another topic; health() of the object still has the change
 }
 
 void Reports::flush(Repeated which) noexcept try {
@@ -146,7 +146,7 @@ void Reports::flush(Repeated which) noexcept try {
   const auto errors = is_all ? errors_.take_all() : errors_.take_due(now);
   const auto lines = is_all ? lines_.take_all() : lines_.take_due(now);
   for (const auto& change : is_all ? changes_.take_all() : changes_.take_due(now)) write(change);
-  // Before user code runs, which may close the loop. Not at once, since there may be thousands.
+  // Before user code runs, which may close the loop. Later, because there may be thousands.
   for (const auto next : {errors_.next_due(), lines_.next_due(), changes_.next_due()}) {
     if (next) flush_at(std::max(*next, later(now, std::chrono::milliseconds{250})));
   }
@@ -173,7 +173,7 @@ void Reports::write(LoopCore* loop, const Joined<ObjectError>& joined) noexcept 
   if (loop == nullptr) loop = runtime_.own_loop;
   if (loop != nullptr && loop->on_error) {
     const LoopCore::Calling user_code(runtime_);
-    try {  // an error met in it goes to the log, rather than round in a circle
+    try {  // an error in the handler goes to the log, to avoid a circle
       loop->on_error({object, error, joined.count});
     } catch (...) {
       log(LogLevel::error, object, error.text() + " (and the handler of errors threw)", error.id());

@@ -1,4 +1,4 @@
-// The reports of a runtime: log lines, errors met at run time and changes of health, the repeats of each joined.
+// The reports of a runtime: log lines, run-time errors and changes of health, with repeats joined.
 #pragma once
 
 #include <atomic>
@@ -38,20 +38,20 @@ class Reports {
     return found != places.end() ? found->second : std::string();
   }
 
-  /// Throws nothing, also when the program's handler does. Equal lines of one object are joined when there are many.
+  /// Never throws, even if the program's handler does. Many equal lines of one object are joined.
   void log(LogLevel level, std::string_view object, std::string_view text, std::string_view error_id = {}) noexcept;
-  /// An error met at run time: to the loop's `on_error` or the log, and into the recordings. Repeats of the same error
-  /// of the same object within a second are joined, or within a minute when it had 16 of them.
+  /// Reports a run-time error to the loop's `on_error` or the log, and to the recordings. Repeats of the same error of
+  /// the same object within a second are joined; after 16 of them, within a minute.
   void report(LoopCore* loop, std::string_view object, const Error& error);
-  /// A change of health: to the recordings, and to the topic `$rtdata/health`.
+  /// Reports a change of health to the recordings and the topic `$rtdata/health`.
   void health_changed(std::string_view kind, std::string_view name, Health health, std::string_view reason) noexcept;
 
-  /// A report may run user code, which may close or destroy anything. Code that iterates keeps the report, and its
-  /// caller makes it afterwards by `report_kept`.
+  /// A report may run user code, which may close or destroy anything. Code that iterates uses `keep`, and its caller
+  /// then calls `report_kept`.
   void keep(LoopCore* loop, std::string object, Error error) {
     kept_.push_back({nullptr, loop, std::move(object), std::move(error)});
   }
-  /// The same of a call of the listener's `on_refusal`, if it still listens then.
+  /// The same for a call of the listener's `on_refusal`, if it still listens then.
   void keep_refusal(Listener& listener, Error error) { kept_.push_back({&listener, nullptr, {}, std::move(error)}); }
   void report_kept() {
     if (!kept_.empty()) [[unlikely]]
@@ -59,12 +59,12 @@ class Reports {
   }
 
   enum class Repeated { due, all };
-  /// Reports what was held back to be joined, as far as it is time, or all of it.
+  /// Reports held-back repeats that are due, or all of them.
   void flush(Repeated which) noexcept;
   /// `flush` of those due is called at this instant, or earlier.
   void flush_at(MonotonicTime due) noexcept;
 
-  /// On a tier: the main loop calls the function. More than 1000 that it has not taken yet are dropped, counted and
+  /// On a tier: the main loop will call the function. If more than 1000 wait, further ones are dropped, counted and
   /// logged.
   void post_to_main(Callback<void()> function);
 
@@ -74,7 +74,7 @@ class Reports {
 
  private:
   struct Kept {
-    Listener* listener;  // whose refusal it is; null: a report
+    Listener* listener;  // listener of a refusal; null: a report
     LoopCore* loop;
     std::string object;
     Error error;

@@ -44,7 +44,7 @@ RuntimeCore::~RuntimeCore() {
          own_loop != nullptr ? "loop " + own_loop->config.name + " still uses it" : "this is one of its callbacks",
          "let it outlive its loop, and return from its callbacks first"});
   }
-  // Handles hold pointers into topics and origins; the loops, which close them, are gone by now.
+  // Handles have pointers to topics and origins; the loops, which close the handles, were destroyed before.
 }
 
 const std::string& RuntimeCore::run_uuid() {
@@ -115,7 +115,7 @@ TopicCore& RuntimeCore::find_or_make_topic(std::string_view name, PayloadType ty
 
 OriginCore* RuntimeCore::find_origin(std::string_view name) noexcept {
   const auto found = origins_.find(name);
-  // Elements of a set are const for the sake of their key, the name, which is const in itself.
+  // Elements of a set are const to protect the key; here the key, the name, is itself const.
   return found == origins_.end() ? nullptr : const_cast<OriginCore*>(&*found);
 }
 
@@ -136,7 +136,7 @@ OriginCore& RuntimeCore::program_origin(TopicCore& topic) {
   if (topic.program_origin == nullptr) {
     const std::string of_tier = hub != nullptr ? "@" + own_loop->config.name : "";
     topic.program_origin = &names.claim("program:" + topic.name + of_tier, topic, OriginCore::Supply::feed);
-    topic.program_origin->counts.lost_is_known = true;  // there is nothing before it that could lose any
+    topic.program_origin->counts.lost_is_known = true;  // nothing before it can lose events
   }
   return *topic.program_origin;
 }

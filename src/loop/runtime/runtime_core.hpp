@@ -1,4 +1,4 @@
-// The core of a Runtime: the topics, origins and parts of one loop, and its members, one subject each.
+// The core of a Runtime: the topics, origins and other objects of one loop.
 #pragma once
 
 #include <cstdint>
@@ -40,18 +40,18 @@ struct ByName {
   bool operator()(const auto& a, const auto& b) const noexcept { return name(a) == name(b); }
 };
 
-/// How a payload reads in errors: the name of its description, or that of its C++ type.
+/// The name of a payload in errors: of its description or its C++ type.
 std::string payload_name(const PayloadType& type);
-/// Of a payload that is not trivially copyable.
+/// The error for a payload that is not trivially copyable.
 Error cannot_cross(const TopicCore& topic);
 
-/// A sink as it ended.
+/// A closed sink with its final status.
 struct ClosedSink : SinkStatus {
-  std::string recording = {};  ///< the file of the one that it went through; empty: none
-  /// Of its own file, empty for none, when another configuration took its place; else the one of its name has it.
+  std::string recording = {};  ///< the file of its recording (`through`); empty: none
+  /// Its own file (empty: none), set if a new configuration replaced it; otherwise the sink of its name has the path.
   std::optional<std::string> path = {};
   bool is_recording = false;
-  std::shared_ptr<const RunReport> recorded = {};  ///< what its recording says of its run; null: that was not closed
+  std::shared_ptr<const RunReport> recorded = {};  ///< its recording's report of the run; null: not closed
 };
 
 class RuntimeCore {
@@ -69,7 +69,7 @@ class RuntimeCore {
   Names names{*this};
   Exchange exchange{*this};
 
-  /// Of this run, made when it is first asked for.
+  /// The uuid of this run, made at the first call.
   const std::string& run_uuid();
   Clock& clock() noexcept { return clock_log.clock(); }
   bool has_injected_clock() const noexcept { return config.clock != nullptr; }
@@ -113,7 +113,7 @@ class RuntimeCore {
   std::vector<Recorder*> recorders;  ///< those of the listeners that are sinks
   void attach(Recorder& recorder) {
     recorders.reserve(recorders.size() + 1);
-    closed_sinks.reserve(closed_sinks.size() + recorders.size() + 1);  // its end finds a place
+    closed_sinks.reserve(closed_sinks.size() + recorders.size() + 1);  // so that closing it does not allocate
     listeners.push_back(&recorder);
     recorders.push_back(&recorder);
   }
@@ -121,38 +121,38 @@ class RuntimeCore {
     std::erase(listeners, &recorder);
     std::erase(recorders, &recorder);
   }
-  std::vector<ClosedSink> closed_sinks;  ///< as they ended
-  std::string unknown_end;               ///< what those that the last drain closed do not know of tiers; empty: all is
+  std::vector<ClosedSink> closed_sinks;  ///< with their final status
+  std::string unknown_end;               ///< tier data missing from the final accounts written by the last drain
 
   // Its loop
   LoopCore* own_loop = nullptr;  ///< while it has one
   unsigned calling = 0;          ///< calls of user code on the stack, see LoopCore::Calling
   void attach(LoopCore& loop);
-  /// The loop ends: its topics cancel what is queued, and the log gets the reports that were kept for it.
+  /// The loop ends: its topics cancel queued events, and the log gets the kept reports.
   void forget(LoopCore& loop) noexcept;
 
-  // Tiers. Each has a runtime core of its own; a thread touches only that of its loop. What a tier publishes comes to
-  // the others through bridges.
+  // Tiers. Each has its own runtime core; a thread only uses that of its loop. Bridges bring a tier's events to the
+  // others.
   RuntimeCore* hub = nullptr;     ///< of the main loop; null: this is it
   std::vector<TierCore*> tiers;   ///< the main loop's
   std::vector<Bridge*> outbound;  ///< from this loop
   std::vector<Bridge*> inbound;   ///< to this loop
   /// That of the main loop.
   RuntimeCore& main() noexcept { return hub != nullptr ? *hub : *this; }
-  /// The main loop's: starts those that were never started. SetupError.
+  /// Main loop only: starts tiers that were never started. SetupError.
   void start_tiers();
-  /// The same; reports the error, and does not try it again in each turn.
+  /// The same, but reports the error and does not try again in each turn.
   void start_tiers_in_turn() noexcept;
   /// The tier that still uses the loop, for people; empty: none.
   std::string user_of_loop() const;
-  /// Takes what other loops sent before the call. May report, as the next does.
+  /// Takes data that other loops sent before the call. May report, as the next function.
   void receive() {
     receive_all();
     report_kept();
   }
   /// The same; the caller calls `report_kept` later.
   void receive_all();
-  /// The other loops get what was published here up to now.
+  /// Sends everything published so far to the other loops.
   void send_now() noexcept;
   /// The end of a turn of the loop: sends accounts to the other loops.
   void turn_done();

@@ -1,5 +1,4 @@
-// A bridge: takes what is published on one loop to another, through a ring of copies. One for each ordered pair of
-// loops.
+// A bridge: copies events from one loop to another through a ring. There is one for each ordered pair of loops.
 //
 //   1. The sending side announces each topic of its loop, and each origin of whose name its loop is (a short
 //      lock; no event is on its way yet).
@@ -31,7 +30,7 @@ class Bridge {
   LoopCore& to() const noexcept { return to_; }
 
   // On either thread, while none of the loops turns
-  /// The receiving side takes all records that are in the ring.
+  /// The receiving side takes all records in the ring.
   void hand_over();
   /// Sends the accounts that the sending loop has not sent yet, and lets the receiving side take all of it.
   void finish();

@@ -18,11 +18,11 @@ BridgeReceiver::~BridgeReceiver() {
 // ---- announcements
 
 void BridgeReceiver::hear(const Announcement& announcement) {
-  if (announcement.passage == nullptr) return hear_topic(announcement);
-  hear_origin(announcement);
+  if (announcement.passage == nullptr) return receive_topic(announcement);
+  receive_origin(announcement);
 }
 
-void BridgeReceiver::hear_topic(const Announcement& announcement) {
+void BridgeReceiver::receive_topic(const Announcement& announcement) {
   RuntimeCore& here = to_.runtime;
   try {
     TopicCore& topic = here.find_or_make_topic(announcement.name, announcement.type);
@@ -39,7 +39,7 @@ void BridgeReceiver::hear_topic(const Announcement& announcement) {
   }
 }
 
-void BridgeReceiver::hear_origin(const Announcement& announcement) {
+void BridgeReceiver::receive_origin(const Announcement& announcement) {
   Passage& passage = *announcement.passage;
   if (TopicCore* const topic = passage.channel->receiving.mirror; topic != nullptr) {
     OriginCore& origin = to_.runtime.find_or_make_origin(announcement.name, *topic);

@@ -12,7 +12,7 @@ namespace rtdata::detail {
 struct Announcement;
 class LoopCore;
 
-/// Thread: the receiving loop's. It runs no user code: what there is to report is kept.
+/// Thread: the receiving loop's. It runs no user code and keeps reports for later.
 class BridgeReceiver {
  public:
   BridgeReceiver(LoopCore& from, LoopCore& to, ByteRing& ring) noexcept : from_(from), to_(to), ring_(ring) {}
@@ -21,20 +21,20 @@ class BridgeReceiver {
   ~BridgeReceiver();
 
   void hear(const Announcement& announcement);
-  /// Takes what was sent before the call.
+  /// Takes data sent before the call.
   void receive();
-  /// Takes what was sent before `BridgeSender::send_all_accounts` returned this position.
+  /// Takes data sent before `BridgeSender::send_all_accounts` returned this position.
   void receive_up_to(std::size_t position);
   /// The position up to which it has received.
   std::size_t received() const noexcept { return ring_.seen(); }
   void add_statuses(std::vector<SensorStatus>& all) const;
 
  private:
-  void hear_topic(const Announcement& announcement);
-  void hear_origin(const Announcement& announcement);
-  /// Of what was looked at, up to the first record of a passage that is not open. False: there is one.
+  void receive_topic(const Announcement& announcement);
+  void receive_origin(const Announcement& announcement);
+  /// Takes the records seen, up to the first one of a passage that is not open. False: there is one.
   bool take_seen();
-  /// The front of the ring, and those alike behind it.
+  /// Takes the first event and following ones of the same sensor.
   void take_events(const EventRecord& first, Passage& passage);
   void take_record(const BridgeRecord& record, Passage& passage);
   void take_entry(const std::variant<Gap, Segment>& entry, OriginCore& mirror);
@@ -45,7 +45,7 @@ class BridgeReceiver {
   LoopCore& to_;
   ByteRing& ring_;
   std::vector<Channel*> channels_;  // that were heard of
-  std::vector<Passage*> open_;      // by number; null: not open, so that what follows of it waits in the ring
+  std::vector<Passage*> open_;      // by number; null: not open, so its records wait in the ring
 };
 
 }  // namespace rtdata::detail

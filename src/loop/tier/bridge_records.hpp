@@ -1,4 +1,4 @@
-// What goes over a bridge: the records in its ring.
+// The records in the ring of a bridge.
 #pragma once
 
 #include <cstdint>
@@ -12,7 +12,7 @@ namespace rtdata::detail {
 
 struct Passage;
 
-/// What each record in the ring begins with.
+/// The head of each record.
 struct BridgeRecord {
   enum class Sort : std::uint32_t { event, gap, segment, account, drops };
   BridgeRecord() = default;
@@ -38,7 +38,7 @@ struct SegmentRecord : BridgeRecord {
   Segment segment;
 };
 
-/// The account of an origin as its loop has it at one instant, and how its sensor does.
+/// The account of an origin at one instant, and the health of its sensor.
 struct OriginSnapshot {
   SensorCounts counts;
   std::uint64_t sequence;
@@ -58,7 +58,7 @@ struct AccountRecord : BridgeRecord {
   OriginSnapshot account;
 };
 
-/// Events of an origin that found no room, since the bridge was made.
+/// Events of an origin dropped because the ring was full, since the bridge was made.
 struct Drops {
   std::uint64_t dropped;
   std::uint64_t last_sequence;  // of the last one
@@ -68,7 +68,7 @@ struct DropsRecord : BridgeRecord {
   Drops drops;
 };
 
-/// An ended gap or segment. The recording does not balance without it, so one that finds no room in the ring waits.
+/// An ended gap or segment. If the ring is full it waits, because the recording does not balance without it.
 struct LedgerEntry {
   Passage* passage;
   std::variant<Gap, Segment> entry;

@@ -93,7 +93,7 @@ void BridgeSender::open(OriginCore& origin) {
     passage = &passages_.emplace_back(number, origin, *channel, channel->record_bytes);
     announce({&bridge_, channel, passage, origin.name, {}, origin.made_of});
   }
-  tell_soon();  // it has a schedule before it has events
+  send_soon();  // it has a schedule before it has events
   origin.topic.find_way(origin);
 }
 

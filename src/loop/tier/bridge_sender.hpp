@@ -17,7 +17,7 @@ struct Announcement;
 class Bridge;
 class LoopCore;
 
-/// Thread: the sending loop's. It runs no user code: what there is to report is kept.
+/// Thread: the sending loop's. It runs no user code and keeps reports for later.
 class BridgeSender final : public Listener {
  public:
   BridgeSender(Bridge& bridge, LoopCore& from, LoopCore& to, ByteRing& ring);
@@ -34,25 +34,24 @@ class BridgeSender final : public Listener {
 
   /// This loop has claimed the name: announces that it publishes under it. std::bad_alloc.
   void open(OriginCore& origin);
-  /// How the sensors do goes with the end of this turn.
-  void tell_soon() noexcept { next_accounts_ = {}; }
+  /// Sends the sensors' state at the end of this turn.
+  void send_soon() noexcept { next_accounts_ = {}; }
 
-  /// What was sent can be taken by the other side, which is woken for it.
+  /// Makes sent data visible to the other side and wakes it.
   void wake() noexcept;
   /// The end of a turn: sends accounts, and wakes the other side.
   void turn_done();
-  /// Sends how all the sensors do, now. Returns how much is left for want of room: what is there has to be received
-  /// first.
+  /// Sends the state of all sensors now. Returns how many are left because the ring is full.
   std::size_t send_accounts();
   struct AccountsSent {
     std::size_t left;      // as `send_accounts` returns it
-    std::size_t position;  // up to which the other side has to take for it, and no more
+    std::size_t position;  // the ring position up to which the other side must take data
   };
-  /// All there is to say of the sensors up to now, gaps under way too.
+  /// Sends the complete accounts of all sensors, including current gaps.
   AccountsSent send_all_accounts();
   /// False: there is no room for the count of drops.
   bool send_drops(Passage& passage, ByteRing::Room room) noexcept;
-  /// The other side is woken before the end of the turn when much waits: both work at the same time then.
+  /// Wakes the other side before the end of the turn if much waits, so that both work at the same time.
   void make_known(std::size_t before) noexcept {
     if (ring_.completes_burst(before)) wake();
   }
@@ -63,7 +62,7 @@ class BridgeSender final : public Listener {
   Channel* channel_of(const TopicCore& topic) noexcept;
   /// Null: it has none.
   Passage* passage_of(const OriginCore& origin) noexcept;
-  /// `room`: all for gaps, segments and last accounts, which have to find some when events have filled the ring.
+  /// `room`: all for gaps, segments and last accounts, which need space even if events have filled the ring.
   template <class RecordType>
   RecordType* reserve(Sort sort, const Passage& passage, ByteRing::Room room) noexcept;
   /// False: there is no room for it.
@@ -85,7 +84,7 @@ class BridgeSender final : public Listener {
   std::unordered_map<const TopicCore*, Channel*> channel_by_topic_;
   std::deque<Passage> passages_;
   bool has_announced_ = false;  // since the other side was woken
-  /// Accounts are sent some time after something happened, and not while nothing does.
+  /// Accounts are sent some time after a change, and not without changes.
   struct Reminder final : Deadline {
     explicit Reminder(BridgeSender& sender_) : sender(sender_) {}
     void fire(MonotonicTime) override;

@@ -17,7 +17,7 @@ namespace rtdata::detail {
 
 class ByteRing {
  public:
-  /// `bytes` is rounded up to a power of two. An eighth of that is kept for records that have to find room.
+  /// `bytes` is rounded up to a power of two. An eighth is reserved for essential records.
   explicit ByteRing(std::size_t bytes)
       : mask_(std::bit_ceil(bytes) - 1),
         kept_((mask_ + 1) / 8),
@@ -37,8 +37,7 @@ class ByteRing {
   std::byte* reserve(std::size_t bytes, Room room) noexcept {
     return find_room(bytes, room == Room::usual ? kept_ : 0) ? at_ : nullptr;
   }
-  /// Null, too, when the room has to be looked for, which `reserve` does, or when this completes a burst, which should
-  /// be published first.
+  /// Null also if finding space needs `reserve`, or if this completes a burst, which should be published first.
   std::byte* reserve_at_hand(std::size_t bytes) noexcept {
     return straight_to_ - at_ >= static_cast<std::ptrdiff_t>(bytes) ? at_ : nullptr;
   }
@@ -47,7 +46,7 @@ class ByteRing {
   static void fetch_for_reading(const std::byte* record) noexcept { __builtin_prefetch(record + fetched_ahead, 0); }
   /// The record reserved last, of as many bytes, is complete.
   void commit(std::size_t bytes) noexcept { at_ += bytes; }
-  /// What was committed can be seen by the reader. Seldom, since each time costs both sides a line of cache.
+  /// Makes committed records visible to the reader. Use it seldom, because each call costs both sides a cache line.
   void publish() noexcept {
     published_ = head();
     published_head_.store(published_, std::memory_order_release);
@@ -56,7 +55,7 @@ class ByteRing {
   bool has_unpublished() const noexcept { return head() != published_; }
   /// Whether the unpublished records and `bytes` more are enough to publish and wake the reader for.
   bool completes_burst(std::size_t bytes) const noexcept { return head() + bytes - published_ > burst_; }
-  /// A record of more may find no room although the ring is empty.
+  /// A longer record may not fit even into an empty ring.
   std::size_t longest_record() const noexcept { return (mask_ + 1 - kept_) / 2; }
 
   // ---- the reader
@@ -90,7 +89,7 @@ class ByteRing {
   static std::ptrdiff_t apart(std::size_t a, std::size_t b) noexcept { return static_cast<std::ptrdiff_t>(a - b); }
   static bool is_beyond(std::size_t a, std::size_t b) noexcept { return apart(a, b) > 0; }
   std::size_t head() const noexcept { return lap_ + static_cast<std::size_t>(at_ - memory_); }
-  /// Looks how far the reader is, and goes on at the beginning when the end is too near. False when there is no room.
+  /// Reads the reader's position, and continues at the beginning if the end is too near. False: no space.
   bool find_room(std::size_t bytes, std::size_t kept) noexcept {
     const std::size_t size = mask_ + 1;
     const std::size_t to_end = lap_ + size - head();

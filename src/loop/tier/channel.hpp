@@ -17,7 +17,7 @@ namespace rtdata::detail {
 
 class BridgeSender;
 
-/// What is compared to see whether an account says anything new.
+/// A summary to detect changes of an account.
 struct AccountSummary {
   std::uint64_t grown = 0;  // sum of counts, each of which only grows
   Duration period{0};
@@ -71,7 +71,7 @@ class Channel {
   }
   void send(Passage& passage, Time time, std::uint64_t sequence, const void* payload) {
     if (!is_wanted_.load(std::memory_order_relaxed)) return;
-    // What most events are is done here, without a call.
+    // The usual case is handled inline.
     const Passage::Sending& of = passage.sending;
     std::byte* room = of.drops.dropped == of.reported_dropped ? sending.ring.reserve_at_hand(bytes_at_hand_) : nullptr;
     if (room == nullptr) return look_for_room(passage, time, sequence, payload);
@@ -81,7 +81,7 @@ class Channel {
 
   // On the receiving loop
   void set_wanted(bool is_wanted) noexcept {
-    // Not without need: the sender looks at it for each event.
+    // Writes only on a change, because the sender reads it for each event.
     if (is_wanted_.load(std::memory_order_relaxed) != is_wanted) is_wanted_.store(is_wanted, std::memory_order_relaxed);
   }
 

@@ -95,7 +95,7 @@ TierCore::TierCore(Loop& main_, Tier::Config config_)
 }
 
 void TierCore::make_bridges() {
-  // What the others have said of each other comes before what is said to the new one.
+  // Processes announcements of the others before the new tier gets any.
   main.core().runtime.receive_all();
   for (TierCore* tier : main.core().runtime.tiers) tier->runtime.core().receive_all();
   const auto connect = [&](LoopCore& other) {
@@ -107,7 +107,7 @@ void TierCore::make_bridges() {
 }
 
 TierCore::~TierCore() {
-  // Bridges to other tiers are taken down while none of the two sides turns.
+  // Removes bridges to other tiers while neither side turns.
   const auto tiers = main.core().runtime.tiers;
   std::vector<TierCore*> interrupted;
   for (TierCore* tier : tiers) {
@@ -179,7 +179,7 @@ void TierCore::start() {
 
 void TierCore::run() {
   while (!quit_.load(std::memory_order_acquire))
-    loop.run();  // a callback may have stopped it: a tier ends with its main loop
+    loop.run();  // a callback may have stopped the loop, but a tier ends with its main loop
 }
 
 void TierCore::check_may_end() noexcept {
@@ -234,7 +234,7 @@ void TierCore::join() noexcept {
   *unknown_ = {};  // it can be asked here
   const auto waits = [](const auto& drain) { return static_cast<bool>(drain->done); };
   if (std::none_of(drains_.begin(), drains_.end(), waits)) return;
-  main.core().call_own("tier " + config.name, [&] {  // no memory: the drain finds it stopped when its time is up
+  main.core().call_own("tier " + config.name, [&] {  // no memory: the drain notices it at its deadline
     main.post([this, &hub = main.core().runtime] {
       if (std::find(hub.tiers.begin(), hub.tiers.end(), this) != hub.tiers.end()) finish_drains();
     });
@@ -244,7 +244,7 @@ void TierCore::join() noexcept {
 void TierCore::call(Callback<void()> function) {
   if (!loop.core().runs_elsewhere()) return function();
   main.core().check_thread("cannot call",
-                           "tier " + config.name);  // a Writer that waited could hold what the tier waits for
+                           "tier " + config.name);  // a waiting Writer could hold something that the tier waits for
   loop.core().call_there(std::move(function));
 }
 
@@ -328,22 +328,22 @@ void TierCore::ask_account() {
   }
 }
 
-void TierCore::hear_out(Duration at_most) {
+void TierCore::wait_for_account(Duration at_most) {
   BridgeReceiver& receiving = bridge_to_main().receiving;
   if (!main.core().wait_for(answer_->is_there, at_most)) return;
   receiving.receive_up_to(answer_->sent.position);
-  if (is_heard_out()) return;
+  if (has_whole_account()) return;
   receiving.receive();
   ask_account();
 }
 
-bool TierCore::is_heard_out() noexcept {
+bool TierCore::has_whole_account() noexcept {
   return answer_->is_there.is_set() && answer_->sent.left == 0 &&
          bridge_to_main().receiving.received() == answer_->sent.position;
 }
 
 void TierCore::add_unknown(std::string& to) {
-  // By the latest of its ticks and events that is known on the main loop.
+  // The latest of its ticks and events known on the main loop.
   Time last = Time::min();
   for (const SensorStatus& sensor : main.runtime().sensors()) {
     const OriginCore* origin = sensor.loop == config.name ? main.core().runtime.find_origin(sensor.name) : nullptr;
@@ -351,7 +351,7 @@ void TierCore::add_unknown(std::string& to) {
     last = std::max(last, origin->last_time);
     if (origin->has_segment()) last = std::max(last, origin->segment(main.now()).end);
   }
-  to += (to.empty() ? "tier " : "; tier ") + config.name + " did not come out of " + where() +
+  to += (to.empty() ? "tier " : "; tier ") + config.name + " did not return from " + where() +
         ": what its sensors did after " + (last == Time::min() ? "its start" : to_iso8601(last)) + " is not known";
 }
 
@@ -382,11 +382,11 @@ bool TierCore::look_at_turning(Duration limit) {
   if (is_stuck_) return false;
   if (now - asked_at_ > limit) {
     is_stuck_ = true;
-    loop.core().note_standing(asked_at_);  // nobody waits for it any more
+    loop.core().note_standing(asked_at_);  // it is no longer waited for
     if (answered_.load(std::memory_order_acquire) == asked_) loop.core().note_turning();
     const Error error{Errc::not_turning, "does not turn", "",
-                      "it has not come out of " + where() + " for more than " + to_string(limit),
-                      "look for what blocks in its sensors and handlers, and for what else takes its processor"};
+                      "it has not returned from " + where() + " for more than " + to_string(limit),
+                      "find what blocks in its sensors and handlers, and what else uses its processor"};
     hub.health_changed("tier", config.name, Health::faulted, error.what + ": " + error.why);
     hub.report(&main.core(), name, error);  // as above
     return false;

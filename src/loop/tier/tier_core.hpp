@@ -1,4 +1,4 @@
-// What lies behind a Tier: a thread that runs a loop.
+// The implementation of a Tier: a thread that runs a loop.
 #pragma once
 
 #include <atomic>
@@ -25,60 +25,60 @@ class TierCore {
   TierCore& operator=(const TierCore&) = delete;
 
   void start();
-  /// The main loop turns: starts it, unless it runs.
+  /// Starts it when the main loop turns, unless it runs.
   void start_first() {
     if (!was_started_) start();
   }
   /// Asks the thread to end, and waits for it.
   void stop() noexcept;
-  /// The same, but waits no longer than this: false when the callback under way has not returned.
+  /// The same, but waits at most this long; false: the running callback has not returned.
   bool stop_within(Duration at_most) noexcept;
   /// The callback that it is in, for people: "sensor chamber".
   std::string where();
   bool is_running() noexcept;
   /// It runs, and this is its thread.
   bool is_on_its_thread() noexcept { return loop.core().is_bound_to_this_thread(); }
-  /// It is stopped where waiting is not possible: on its thread, or in a call of a sink's Writer.
+  /// True where waiting is not possible: on its thread, or in a call of a sink's Writer.
   bool may_only_ask() noexcept;
-  /// Ends the program, having said why, when the tier may not be destroyed now.
+  /// Ends the program with a message if the tier must not be destroyed now.
   void check_may_end() noexcept;
   /// While it runs.
   pthread_t native_thread() noexcept { return thread_.native_handle(); }
   void call(Callback<void()> function);
-  /// Drains its loop, on its thread; then `done` is called on the main loop. At once when it does not run; when it is
-  /// stopped or destroyed before, in the next turn.
+  /// Drains its loop on its thread, then calls `done` on the main loop: at once if it does not run; in the next turn if
+  /// it is stopped or destroyed meanwhile.
   void drain(Duration deadline, Callback<void()> done);
-  /// Unless it runs: ends the drains that it did not come to, here.
+  /// If it does not run: ends its pending drains here.
   void finish_drains();
 
   // On the main loop, one after the other
-  /// Asks the tier to tell how all its sensors do.
+  /// Asks the tier for the accounts of all its sensors.
   void ask_account();
-  /// Waits for the answer, and takes what the tier has sent up to the instant of that answer. Asks it again when
-  /// there was no room for all it had to tell, or when more was taken already.
-  void hear_out(Duration at_most);
-  /// All that it has sent up to the instant of its answer was taken, and nothing after it.
-  bool is_heard_out() noexcept;
-  /// Adds what is not known of it, since it does not answer: "tier fast did not come out of sensor a: what its sensors
-  /// did after ... is not known". Texts of several are joined.
+  /// Waits for the answer, and takes all data of the tier up to the instant of the answer. Asks again if the ring had
+  /// no space for everything, or if later data was taken already.
+  void wait_for_account(Duration at_most);
+  /// True if exactly the data up to the instant of its answer was taken.
+  bool has_whole_account() noexcept;
+  /// Adds a text about missing data if it does not answer: "tier fast did not come out of sensor a: what its sensors
+  /// did after ... is not known". Joins the texts of several tiers.
   void add_unknown(std::string& to);
 
-  /// A drain no longer waits for it: what it did is not known until it has come out after all, or was stopped.
+  /// A drain no longer waits for it: its data is missing until its callback returns or it is stopped.
   void give_up();
   bool is_known() const noexcept { return unknown_->text.empty(); }
-  /// See `add_unknown`, as of `give_up`.
+  /// The text of `add_unknown` at `give_up`.
   const std::string& unknown() const noexcept { return unknown_->text; }
 
-  // On the main loop, what Runtime says of it: while it runs, what it said when it was drained last.
+  // For Runtime, on the main loop; while it runs, the state of its last drain.
   bool balances() {
     if (!is_running()) return runtime.balances();
     return is_known() && was_balanced_.load(std::memory_order_acquire);
   }
   bool has_loss() { return is_running() ? had_loss_.load(std::memory_order_acquire) : runtime.has_loss(); }
 
-  /// Whether it has answered within the limit; asks again when it has. On the main loop.
+  /// True if it has answered within the limit; then asks again. On the main loop.
   bool look_at_turning(Duration limit);
-  /// As of the last look, and it has not answered since.
+  /// True if it was stuck at the last check and has not answered since.
   bool is_stuck() const noexcept { return is_stuck_ && answered_.load(std::memory_order_acquire) != asked_; }
 
   const Tier::Config config;
@@ -102,7 +102,7 @@ class TierCore {
   void make_bridges();
   Bridge& bridge_to_main() noexcept;
   void go_on(const std::shared_ptr<Drain>& drain);
-  /// On its thread; what waits for it goes on on the main loop.
+  /// Called on its thread; notifies the waiting main loop.
   void send_last_accounts();
   static void end(Drain& drain);
   void run();

@@ -1,4 +1,4 @@
-// What the thread of a tier is given: its name, processors, locked memory, policy, and a processor that stays awake.
+// Sets up the thread of a tier: name, processors, locked memory, policy, and a processor that stays awake.
 #include <alloca.h>
 #include <fcntl.h>
 #include <pthread.h>
@@ -58,8 +58,8 @@ void TierCore::set_up_thread() {
   }
   const bool is_real_time = config.policy != SchedulingPolicy::other;
   if (is_real_time) {
-    // What is there stays, what is touched later stays from then on. Without MCL_ONFAULT each new thread would get its
-    // whole stack at once, which holds up every other thread.
+    // Locks present pages, and later ones when they are first used. Without MCL_ONFAULT each new thread would get its
+    // whole stack at once, which delays all other threads.
     if (config.lock_memory && ::mlockall(MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT) != 0) {
       warn({Errc::not_permitted, "cannot lock memory", "mlockall", std::strerror(errno),
             "set `memlock unlimited` in /etc/security/limits.conf or `LimitMEMLOCK=infinity` in the systemd unit; it "

@@ -1,4 +1,4 @@
-// Whether loops on other threads turn, asked by one loop that follows what they say only when something changes.
+// Checks that loops on other threads turn, for a loop that uses topics of theirs which publish only changes.
 #pragma once
 
 #include <algorithm>
@@ -11,10 +11,10 @@
 
 namespace rtdata::detail {
 
-/// Owner: who follows; thread: its loop's. The loops that it is given must be there at that time.
+/// Owner: the follower; thread: its loop's. The loops passed to it must exist at that time.
 class TurnWatch {
  public:
-  /// Asks each again that has answered. Returns the first that has not for `limit`; null: all turn.
+  /// Asks each loop again that has answered. Returns the first that has not answered for `limit`; null: all turn.
   const LoopCore* look(const std::vector<LoopCore*>& loops, MonotonicTime now, Duration limit) {
     const LoopCore* hanging = nullptr;
     std::erase_if(asked_,

@@ -28,7 +28,7 @@ std::string shown(std::string_view text) {
   return shown + (text.size() > 40 ? "...\"" : "\"");
 }
 
-/// What is wrong with how the converter is named; empty: nothing.
+/// The mistake in the converter's name; empty: none.
 std::string_view mistake_in_place(const AnalogConfig& config) {
   if (config.file.empty() && config.device.empty()) return "it has neither `file` nor `device`";
   if (!config.file.empty() && !config.device.empty()) return "it has both `file` and `device`";
@@ -72,7 +72,7 @@ class AnalogDevice final : public detail::LaneDevice {
   Error given_up_error() const override {
     return {Errc::timed_out, cannot_read, config_.file.empty() ? config_.device : config_.file,
             "no answer within " + to_string(config_.timeout),
-            "look at the converter and its bus; `timeout` sets how long to wait"};
+            "check the converter and its bus; `timeout` sets how long to wait"};
   }
 
   detail::Sampled decode(detail::Transaction& transaction, detail::SamplePort& port) override {
@@ -84,7 +84,7 @@ class AnalogDevice final : public detail::LaneDevice {
     AnalogReading reading{convert(config_, *adc), *adc};
     if (!std::isfinite(reading.value)) {
       return port.unreadable({Errc::out_of_range, cannot_read, config_.file,
-                              "converted, " + std::to_string(*adc) + " is no finite number",
+                              "converted, " + std::to_string(*adc) + " is not a finite number",
                               "check `scale` and the voltages"});
     }
     port.publish(&reading);
@@ -95,7 +95,7 @@ class AnalogDevice final : public detail::LaneDevice {
   AnalogConfig config_;
 };
 
-/// What is wrong between parameters that are right by themselves; empty: nothing.
+/// The mistake in the combination of parameters; empty: none.
 const char* mistake_in_range(const AnalogConfig& config) {
   const double span = span_voltage_of_value(config);
   const bool has_width = config.conversion == AnalogConversion::standard ? span != 0
@@ -161,7 +161,7 @@ Result<std::int64_t> parse_adc(const AnalogConfig& config, std::string_view text
   std::int64_t adc = 0;
   const auto [end, status] = std::from_chars(number.data(), number.data() + number.size(), adc);
   if (status == std::errc::invalid_argument || end != number.data() + number.size()) {
-    return failure(Errc::not_a_number, shown(number) + " is no whole number", no_adc);
+    return failure(Errc::not_a_number, shown(number) + " is not a whole number", no_adc);
   }
   const std::int64_t count = std::int64_t{1} << config.quantization_bits;
   const std::int64_t least = config.signed_adc ? -count / 2 : 0;

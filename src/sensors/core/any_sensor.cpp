@@ -1,4 +1,4 @@
-// The verbs of every sensor's handle.
+// The functions of every sensor's handle.
 #include <utility>
 #include <vector>
 
@@ -18,8 +18,8 @@ template <class Returned, class Function>
       });
 }
 
-/// Calls with the node on its loop's thread: a tier's may be another one than this. `otherwise`: when it is closed. The
-/// function owns what it uses.
+/// Calls the function with the node on its loop's thread, which may be another one for a tier. `otherwise`: the result
+/// if it is closed. The function must own everything it uses.
 template <class Returned, class Function>
 Returned with(detail::Node* node, Returned otherwise, Function function) {
   if (node == nullptr || !node->is_open()) return otherwise;
@@ -29,13 +29,13 @@ Returned with(detail::Node* node, Returned otherwise, Function function) {
   return there(source, std::move(otherwise), std::move(function));
 }
 
-/// Of a sensor whose loop does not turn: what the main loop knows of it last.
+/// The last status known to the main loop, for a sensor whose loop does not turn.
 SensorStatus last_known(const detail::Node& node) {
   const auto& source = static_cast<const detail::SourceNode&>(node);
   detail::LoopCore& loop = *source.loop();
   SensorStatus known;
   known.health = Health::faulted;
-  known.reason = "its loop does not turn, and nothing is known of it";
+  known.reason = "its loop does not turn, and its state is not known";
   for (const auto* bridge : loop.runtime.main().inbound) {
     std::vector<SensorStatus> all;
     bridge->receiving.add_statuses(all);
@@ -45,7 +45,7 @@ SensorStatus last_known(const detail::Node& node) {
   return known;
 }
 
-/// For what cannot be refused: `from` the status, when its loop does not turn.
+/// For calls that cannot be refused: uses `from` the last status if the loop does not turn.
 template <class Returned, class Function, class From>
 Returned ask(detail::Node* node, Returned otherwise, const Function& function, const From& from) {
   try {
@@ -55,7 +55,7 @@ Returned ask(detail::Node* node, Returned otherwise, const Function& function, c
   }
 }
 
-/// For what is refused where the loop may not be used.
+/// For calls that are refused if the loop must not be used.
 template <class Function>
 bool change(detail::Node* node, const char* what, Function function) {
   return with(node, false, [what, function = std::move(function)](detail::SourceNode& source) mutable {

@@ -37,7 +37,7 @@ namespace {
 
 using detail::feed;
 
-/// What has another size is no payload of this feed: unreadable.
+/// A payload of another size is unreadable.
 bool has_size(detail::Node* node, std::span<const std::byte> payload) {
   detail::FeedNode* to = feed(node);
   if (to == nullptr || payload.size() == to->payload_size()) return to != nullptr;

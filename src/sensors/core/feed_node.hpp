@@ -1,4 +1,4 @@
-// A sensor without a schedule: what its source brings is handed to it.
+// A sensor without a schedule, which gets its samples from its source.
 #pragma once
 
 #include <string>
@@ -86,11 +86,11 @@ class FeedNode : public SourceNode {
   }
 
  private:
-  /// Apart, so that the usual way needs no call.
+  /// Separate, so that the usual path needs no call.
   [[gnu::noinline]] void publish_after_failure(void* payload, Time time) {
     origin_.end_absence(loop()->now());
     if (take_sample(payload, time) == Fate::unusable) return complain_of_input(unusable_error());
-    set_health(Health::ok, nullptr);  // last: told of it, the program may close this feed
+    set_health(Health::ok, nullptr);  // last, because a handler may close this feed
   }
   bool is_running_ = true;
 };

@@ -1,4 +1,4 @@
-// What a read hands over: samples, of which each is counted and published.
+// Counts and publishes the samples of a read.
 #include <utility>
 
 #include "sensors/core/sensor_node.hpp"

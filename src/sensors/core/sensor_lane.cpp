@@ -1,4 +1,4 @@
-// The side of a sensor whose device may block: it is opened, read and closed on its lane.
+// The lane side of a sensor whose device may block: opening, reading and closing on the lane.
 #include <algorithm>
 #include <utility>
 
@@ -11,7 +11,7 @@ namespace {
 
 constexpr std::string_view still_reading = "still reading";
 
-/// Closes what a transaction holds, after the transaction itself when that is under way.
+/// Closes the device of a transaction, after the transaction itself if it is running.
 class Closing final : public LaneJob {
  public:
   explicit Closing(std::shared_ptr<Transaction> transaction) noexcept : transaction_(std::move(transaction)) {}
@@ -166,7 +166,7 @@ void SensorNode::tick_in_flight(const Tick& tick) {
   LaneSide& side = *lane_side();
   if (side.opening != nullptr) return origin_.fail_tick(settings().fault, tick.due);
   if (side.transaction == nullptr || !side.transaction->is_resumed_) return origin_.miss(1, still_reading, tick.due);
-  // A device that converts for as long as its period would have each second tick missed: the last one waits for it.
+  // If a conversion takes as long as the period, every second tick would be missed, so the last tick waits.
   miss_kept_tick();
   side.kept = tick.due;
   origin_.keep_tick(tick.due);

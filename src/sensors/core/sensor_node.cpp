@@ -106,7 +106,7 @@ void SensorNode::count_read_begun() noexcept {
   origin_.begin_read();
 }
 
-/// A read on the loop that is counted as begun. As late as its row says, since the account and the rows are compared.
+/// For a read on the loop, counted as begun. Uses the row's time, because the account and the rows are compared.
 bool SensorNode::is_late(const SamplePort& port) noexcept {
   return port.tick_->lateness() + port.pushed_ > port.late_after_;
 }
@@ -122,7 +122,7 @@ void SensorNode::end_schedule(EndOf what) {
       origin_.fail_read(stopped, port_->tick_->due);
     }
   }
-  // Ticks that came due and are overdue by more than the tolerance were missed; one that is due just now has not begun.
+  // Due ticks that are overdue by more than the tolerance were missed; a tick that is just due has not begun.
   const MonotonicTime now = loop()->now();
   MonotonicTime next = next_due();
   if (span_between(next, now) > origin_.late_after) {
@@ -145,7 +145,7 @@ void SensorNode::stop_schedule(MonotonicTime end) {
 void SensorNode::stop() {
   if (!is_open()) return;
   Call call(*this);  // the device's close() may do so to this
-  origin_.be_away(Duration{0});
+  origin_.set_absence_period(Duration{0});
   cancel_opening();
   cancel_transaction();
   count_unread();
@@ -156,7 +156,7 @@ void SensorNode::stop() {
   if (std::exchange(device_is_open_, false)) close_device(*loop());
 }
 
-/// What a device that measures by itself took in a fault that the end of the schedule finds.
+/// Counts samples that a device with a FIFO took during a fault at the end of the schedule.
 void SensorNode::count_unread() noexcept {
   LaneSide* const side = lane_side();
   if (side == nullptr || side->device == nullptr) return;
@@ -254,9 +254,9 @@ Error SensorNode::thrown(const char* what) const noexcept {
     } catch (const std::exception& e) {
       return {Errc::handler_threw, what, object_name(), e.what(), ""};
     } catch (...) {
-      return {Errc::handler_threw, what, object_name(), "an exception that is no std::exception", ""};
+      return {Errc::handler_threw, what, object_name(), "an exception that is not a std::exception", ""};
     }
-  } catch (...) {  // no memory, not even for an error: texts that need none
+  } catch (...) {  // no memory even for an error: uses texts that need none
     return {Errc::handler_threw, "cannot read", "", "no memory", ""};
   }
 }

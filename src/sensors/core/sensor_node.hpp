@@ -11,7 +11,7 @@
 
 namespace rtdata::detail {
 
-/// Why a read that a stop ended is failed.
+/// The reason of a read that failed because of a stop.
 inline constexpr std::string_view stopped = "stopped";
 
 class SensorNode final : public SourceNode, public RateMember {
@@ -67,17 +67,17 @@ class SensorNode final : public SourceNode, public RateMember {
  private:
   void on_close() noexcept override;
   void drop_callbacks() noexcept override;
-  /// Opens the device again, or reads it again, when its time has come. False: the tick at which it may not is counted.
+  /// Opens or reads a failed device again if its time has come. False: not yet; the tick was counted.
   bool make_ready(const Tick& tick);
   Result<void> open_device() noexcept;
   /// `on`: the loop, also when the sensor is closed already.
   void close_device(LoopCore& on) noexcept;
-  /// What start() does once it is known whether the device is open.
+  /// Completes start() with the result of the opening.
   void started(const Result<void>& opened);
   void set_settings(const SensorConfig& config);
   /// The error of the exception that is being handled.
   Error thrown(const char* what) const noexcept;
-  /// What `make` gives, or an error that there is no memory for it.
+  /// Returns the result of `make`, or an error if there is no memory.
   template <class Make>
   Error told(const Make& make) const noexcept {
     try {
@@ -89,7 +89,7 @@ class SensorNode final : public SourceNode, public RateMember {
   void begin_schedule();
   void change_period(Duration period);
   enum class EndOf { activity, rate };
-  /// Counts what the schedule still owes, the read under way too, and takes it off the loop.
+  /// Counts the remaining ticks of the schedule and the running read, and removes it from the loop.
   void end_schedule(EndOf what);
   void read_inline(const Tick& tick);
 
@@ -98,51 +98,51 @@ class SensorNode final : public SourceNode, public RateMember {
   /// Waits until the opening that start() has begun is done, but no longer than the device's limit.
   void wait_for_start();
   bool is_starting() const noexcept;
-  /// Gives the lane an opening, or opens at once what needs none. Errors: neither is possible.
+  /// Submits an opening to the lane, or continues at once if none is needed. Errors: neither is possible.
   Result<void> submit_opening();
   void tick_on_lane(const Tick& tick);
   /// A tick that came while another was in flight.
   void tick_in_flight(const Tick& tick);
   void take_transaction(Transaction& transaction, LaneJob::Outcome outcome);
-  /// Begins the tick that was kept, late.
+  /// Begins the kept tick, late.
   void begin_kept_tick();
-  /// It is not begun any more: counted as missed.
+  /// Counts the kept tick as missed.
   void miss_kept_tick() noexcept;
   void find_lane();
   /// Runs the transaction again after the pause that the device needs.
   void resume_after(Transaction& transaction, Duration pause) noexcept;
   /// Reads for the tick that is in flight.
   void submit_read();
-  /// Of a device whose reads are too short for a lane: runs the transaction here.
+  /// Runs the transaction on the loop, for a device with short reads.
   void read_on_loop();
   Error cannot_submit() const;
-  /// The read, or the opening, that the lane was given for a tick has failed.
+  /// Handles a failed read or opening of a tick on the lane.
   void fail_in_flight(const Error& error);
-  /// The device is closed on its lane, after what is under way there.
+  /// Closes the device on its lane, after the running job.
   void close_on_lane() noexcept;
   void cancel_opening() noexcept;
-  /// Whether a read that was told to be well, or not, is to be counted as failed.
+  /// True if the read returned an error and gave no usable sample.
   static bool has_failed(Sampled sampled, const SamplePort& port) noexcept {
     return (sampled == Sampled::failed || port.error_) && !port.is_usable_;
   }
-  /// Afterwards, of one that has not failed.
+  /// Counts a read that has not failed.
   void took(Sampled sampled, const SamplePort& port);
   void recovered();
-  /// A read on the loop, or the opening before it, has failed.
+  /// Handles a failed read on the loop, or a failed opening before it.
   void fail(const SamplePort& port, const Error& error, const Tick& tick);
   void count_failed(const SamplePort& port, const Error& error, const Tick& tick) noexcept;
   void failed(const Error& error, MonotonicTime now);
-  /// Whether a read has failed only because its processing found no sample usable: opening the device again is no help.
+  /// True if a read has failed only because processing found no usable sample; opening the device again would not help.
   bool is_unusable(Sampled sampled) const noexcept { return is_unusable_ && sampled != Sampled::failed; }
-  /// Reports that what was read is unusable though the device answered: the sensor is degraded, the device stays open.
+  /// Reports an unusable reading although the device answered: the sensor is degraded, the device stays open.
   void complain(const Error& error);
   void cancel_transaction() noexcept;
   void count_unread() noexcept;
 
-  /// A device that is read on a lane.
+  /// The state of a device that is read on a lane.
   struct LaneSide {
     LaneSide(SensorNode& node, std::unique_ptr<LaneDevice> device_) : device(std::move(device_)), resume(node) {}
-    /// When a transaction goes on for which the device needed time.
+    /// The deadline for continuing a transaction after a pause of the device.
     struct Resume final : Deadline {
       explicit Resume(SensorNode& node_) : node(node_) {}
       void fire(MonotonicTime now) override;
@@ -152,14 +152,14 @@ class SensorNode final : public SourceNode, public RateMember {
     Lane* lane = nullptr;                      // the loop's; found when the device is opened
     std::shared_ptr<Transaction> opening;      // under way
     bool is_for_start = false;                 // of the opening: begun by start(), not by a tick
-    std::optional<Error>* refusal = nullptr;   // where start() wants the error of the opening; null: it is reported
+    std::optional<Error>* refusal = nullptr;   // where to store the error of the opening for start(); null: report it
     std::shared_ptr<Transaction> transaction;  // under way, or for the next read
     MonotonicTime due{};                       // of the tick in flight
     Duration late_after{0};                    // of the schedule of that tick
     Resume resume;
     std::optional<MonotonicTime> kept;  // the tick that came while the device was converting, or was read
   };
-  /// What a sensor read on the loop, with the usual settings, does not need until it fails.
+  /// State that a sensor on the loop with default settings needs only after a failure.
   struct Extra final : OnDemand {
     std::unique_ptr<LaneSide> lane_side;  // null: read on the loop
     Duration phase{0};

@@ -1,4 +1,4 @@
-// What scheduled sensors and feeds share: an origin, health, errors.
+// The common part of scheduled sensors and feeds: an origin, health, errors.
 #pragma once
 
 #include <memory>
@@ -39,8 +39,8 @@ class SourceNode : public SensorEntry {
   ~SourceNode() override;
   virtual std::string object_name() const { return "sensor " + origin_.name; }
   using Fate = Processor::Fate;
-  /// A sample that came: counts it as received and as what becomes of it, and publishes it, processed, if that is to
-  /// be. Moving its payload may throw: then it is published, and dropped for those who subscribe.
+  /// Takes a sample: counts it as received and by its result, and publishes it, processed, unless it is held back.
+  /// Moving its payload may throw: then it counts as published, and as dropped for subscribers.
   Fate take_sample(void* payload, Time time) {
     ++origin_.counts.received;
     if (processor_ != nullptr) [[unlikely]] {
@@ -63,8 +63,8 @@ class SourceNode : public SensorEntry {
   void drop_callbacks() noexcept override {
     if (on_demand_ != nullptr) on_demand_->on_error.reset();
   }
-  /// What most sensors never need; made at its first use, since there may be thousands of them. A derived class may
-  /// have more of it.
+  /// State that most sensors never need; made at its first use, because there may be thousands of sensors. A derived
+  /// class may add to it.
   struct OnDemand {
     OnDemand() = default;
     OnDemand(const OnDemand&) = delete;

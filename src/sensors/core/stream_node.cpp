@@ -104,10 +104,10 @@ void StreamNode::look_for_silence() {
 
 void StreamNode::succeed() {
   came();
-  be_well();
+  set_healthy();
 }
 
-void StreamNode::be_well() {
+void StreamNode::set_healthy() {
   backoff_.reset();
   if (health() != Health::ok) set_health(Health::ok, nullptr);
 }

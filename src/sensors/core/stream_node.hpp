@@ -1,4 +1,4 @@
-// What sends by itself over a connection that comes and goes: when it is opened again, silence, and the gaps of both.
+// The base of sensors with a connection: reconnecting, silence, and the gaps of both.
 #pragma once
 
 #include <string_view>
@@ -29,22 +29,22 @@ class StreamNode : public SourceNode {
   };
   StreamNode(LoopCore& loop, const FeedConfig& feed, PayloadType type, Waits waits);
 
-  /// Tries to connect: `opened` or `lose` follows, now or later.
+  /// Tries to connect; `opened` or `lose` is called now or later.
   virtual void open_stream() = 0;
   /// Ends the connection, or the attempt.
   virtual void close_stream() noexcept = 0;
   /// The error to report when nothing has come for `silence`.
   virtual Error silence_error() const = 0;
-  /// It has been told.
+  /// Called after the silence was reported.
   virtual void fell_silent() {}
 
-  /// It runs from here on; `open_stream` is the caller's to call.
+  /// Starts running; the caller then calls `open_stream`.
   void begin() noexcept;
   void end() noexcept;
-  /// There is a connection. Where it may be silent, the time without one has ended; elsewhere the first sample ends it.
+  /// The connection is open. Without `silence` this ends the gap; with `silence` the first sample ends it.
   void opened();
-  /// There is none, since then: faulted, and tried again later. Where it may not be silent, nothing has come since the
-  /// last sample; elsewhere a connection that brought bytes, and no sample, counts as none.
+  /// There is no connection since `since`: faulted, tried again later. With `silence` the gap begins at the last
+  /// sample; without, a connection with bytes but no sample counts as none.
   void lose(const Error& error, MonotonicTime since);
   /// A sample came just now, or some.
   void heard();
@@ -53,10 +53,10 @@ class StreamNode : public SourceNode {
   /// A sample that could be used.
   void succeed();
   /// No sample, and it is well.
-  void be_well();
-  /// A sample that came and was decoded. False: its processing found it unusable, which is reported.
+  void set_healthy();
+  /// Takes a decoded sample. False: its processing found it unusable, which is reported.
   bool take_or_fail(void* payload, Time time);
-  /// One that came and could not be.
+  /// Takes a sample that could not be decoded.
   void fail(const Error& error);
   /// Tells of the error; degraded because of it.
   void degrade(const Error& error);
@@ -66,7 +66,7 @@ class StreamNode : public SourceNode {
 
  private:
   void look_for_silence();
-  /// A sample, whatever becomes of it: nothing is absent any more.
+  /// Notes a received sample, which ends an absence.
   void came() noexcept;
 
   const Waits waits_;

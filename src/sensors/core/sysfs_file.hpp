@@ -16,9 +16,9 @@
 
 namespace rtdata::detail {
 
-/// Owns the descriptor. Below /sys it stays open between reads, as sysfs answers each read at 0 anew. So does a regular
-/// file of this machine's disks and memory, as long as the path names it, which each read looks at. Anything else is
-/// opened for each read.
+/// Owns the descriptor. Below /sys it stays open between reads, because sysfs gives a new value for each read at 0. A
+/// regular file on local disks or in memory also stays open while the path names it, which each read checks. Anything
+/// else is opened for each read.
 class SysfsFile {
  public:
   static constexpr std::size_t most = 128;
@@ -27,8 +27,8 @@ class SysfsFile {
   SysfsFile& operator=(const SysfsFile&) = delete;
   ~SysfsFile() { close(); }
 
-  /// Blocks as long as the kernel does. Afterwards `error_number` is 0 and `text` the content, at most `most` bytes of
-  /// it; or `error_number` says what went wrong.
+  /// Blocks as long as the kernel does. Afterwards `error_number` is 0 and `text` has at most `most` bytes of the
+  /// content; or `error_number` is the errno.
   void read() noexcept;
   int error_number() const noexcept { return error_number_; }
   std::string_view text() const noexcept { return {buffer_.data(), size_}; }
@@ -51,7 +51,7 @@ class SysfsFile {
   std::array<char, most> buffer_;
 };
 
-/// What a read on a lane costs the loop, to hand it over and to decode it: some ten times what was measured
+/// The cost of a read on a lane for the loop (submitting and decoding): about ten times the measured value
 /// (docs/tiers.md).
 inline constexpr Duration lane_read_on_loop = std::chrono::microseconds{50};
 
@@ -64,8 +64,7 @@ class ReadFile final : public Transaction {
   SysfsFile file;
 };
 
-/// Finds the file, which may take reading others, and whether it may be read; without opening it, as only a read needs
-/// it.
+/// Finds the file, possibly by reading others, and checks that it may be read, without opening it.
 class FindFile final : public Transaction {
  public:
   using Find = std::function<Result<std::string>()>;

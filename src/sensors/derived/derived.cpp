@@ -20,16 +20,16 @@ std::vector<DerivedField> fields_of(const DerivedConfig& config) {
   return config.fields;
 }
 
-/// Why the configuration cannot work, its expressions apart; empty: it can.
+/// Why the configuration is invalid, apart from its expressions; empty: it is valid.
 std::string refusal_of(const DerivedConfig& config) {
   if (config.expression.empty() == config.fields.empty())
     return config.fields.empty() ? "it has no `expression`, and no `fields`"
                                  : "give `expression` or `fields`, not both";
   if (!config.unit.empty() && config.expression.empty())
     return "`unit` is that of `expression`; each of `fields` has one";
-  if (!is_topic_name(config.on)) return "\"" + config.on + "\" is no topic";
+  if (!is_topic_name(config.on)) return "\"" + config.on + "\" is not a topic";
   for (const std::string& topic : config.with)
-    if (!is_topic_name(topic)) return "\"" + topic + "\" is no topic";
+    if (!is_topic_name(topic)) return "\"" + topic + "\" is not a topic";
   for (std::size_t i = 0; i < config.with.size(); ++i)
     if (config.with[i] == config.on || std::find(config.with.begin(), config.with.begin() + std::ptrdiff_t(i),
                                                  config.with[i]) != config.with.begin() + std::ptrdiff_t(i))
@@ -82,7 +82,7 @@ class DerivedNode final : public FeedNode {
   }
 
  private:
-  /// What the topics `with` have, of those that bring an event only when something changes.
+  /// Takes the last events of topics `with` that publish only changes.
   void recall() {
     sources_.recall(loop()->face, [this](std::size_t from, const EventView& event) {
       if (from != 0) take(from, event);
@@ -108,7 +108,7 @@ class DerivedNode final : public FeedNode {
     if (const ExpressionSources::Source* const lacking = sources_.lacking(time, age_)) {
       if (lacking->missing != nullptr)
         return fail({Errc::not_found, cannot_derive, object_name(), ExpressionSources::why(*lacking, age_),
-                     "look at its fields, and at the expression"});
+                     "check its fields, and the expression"});
       // Told once, and again when it is another topic that is missing.
       if (health() == Health::faulted && absent_ == lacking) return;
       absent_ = lacking;
@@ -125,7 +125,7 @@ class DerivedNode final : public FeedNode {
     }
     if (failed != nullptr) {
       fail({Errc::bad_data, cannot_derive, object_name() + ", field " + failed->leaf->path, failed->expression.why(),
-            "guard the expression, as in `x != 0 ? 1 / x : 0`, or look at what is measured"});
+            "guard the expression, as in `x != 0 ? 1 / x : 0`, or check what is measured"});
       return;
     }
     publish(payload_.data(), time);

@@ -43,7 +43,7 @@ class LimitNode final : public FeedNode {
         config_(config),
         watch_(config.settings()),
         silence_(loop, [this] { look_for_silence(); }),
-        held_(loop, [this] { tell_held(); }) {
+        held_(loop, [this] { report_held(); }) {
     set_numbered();  // it makes its events itself
   }
 
@@ -68,12 +68,11 @@ class LimitNode final : public FeedNode {
     FeedNode::stop();
     const Time now = loop()->runtime.event_time(loop()->now());
     if (is_ending_) {
-      // The end of the run, or of this limit, which another may replace, is no change of the value; `join` may hold
-      // some back.
+      // The end of the run or of this limit is not a change of the value; publishes changes held back by `join`.
       if (waiting_ > 0) tell(now);
       return;
     }
-    // What follows the alarm has its last event until the next, and nobody watches any more.
+    // Publishes `unknown`, because followers of the alarm would keep its last event although nobody watches.
     if (watch_.take_unknown() || !has_published_) tell(now);
   }
   void stop_schedule(MonotonicTime end) override {
@@ -119,13 +118,13 @@ class LimitNode final : public FeedNode {
     const bool has_changed = value ? watch_.take(*value, event.time()) : watch_.take_unknown();
     if (field_ == nullptr) {
       if (has_changed || !has_published_) tell(event.time());
-      fail({Errc::not_found, cannot_watch, object_name(), no_such_number(config_), "look at the fields of the topic"});
+      fail({Errc::not_found, cannot_watch, object_name(), no_such_number(config_), "check the fields of the topic"});
       return;
     }
     consider(has_changed, event.time());
   }
 
-  /// Publishes what has changed, or joins it with what comes while `join` lasts.
+  /// Publishes a change, or joins it with others during `join`.
   void consider(bool has_changed, Time time) {
     if (has_changed) ++waiting_;
     if (waiting_ == 0 && has_published_) return;
@@ -139,7 +138,7 @@ class LimitNode final : public FeedNode {
     worst_ = is_over ? severity(alarm) : std::max(worst_, severity(alarm));
     tell(time);
   }
-  void tell_held() {
+  void report_held() {
     if (!is_running() || waiting_ == 0) return;
     Call call(*this);
     worst_ = severity(watch_.state().alarm);
@@ -168,7 +167,7 @@ class LimitNode final : public FeedNode {
     if (waiting_ > 0 || !has_published_) tell(loop()->runtime.event_time(loop()->now()));
     if (!is_open()) return;
     fault({Errc::timed_out, cannot_watch, object_name(),
-           "the topic \"" + config_.on + "\" has brought nothing for " + to_string(config_.silence),
+           "the topic \"" + config_.on + "\" has had no event for " + to_string(config_.silence),
            "it goes on with the next event of that topic; a longer `silence` bridges longer pauses"});
   }
 
@@ -202,7 +201,7 @@ void check_config(const LimitConfig& config, const ConfigItem& item, Problems& p
   if (const auto good = check_limits(config.settings()); !good)
     problems.add(item.problem("bad-value", good.error().why + "; " + good.error().advice));
   if (!is_topic_name(config.on))
-    problems.add(item_at(item, "on").problem("bad-value", "\"" + config.on + "\" is no topic"));
+    problems.add(item_at(item, "on").problem("bad-value", "\"" + config.on + "\" is not a topic"));
 }
 
 void check_limit_field(const LimitConfig& config,
@@ -225,7 +224,7 @@ void check_limit_field(const LimitConfig& config,
 LimitSensor::LimitSensor(Loop& loop, FeedConfig feed, LimitConfig config) {
   if (!is_topic_name(config.on))
     throw SetupError(
-        {Errc::bad_argument, cannot_watch, "sensor " + feed.name, "\"" + config.on + "\" is no topic", ""});
+        {Errc::bad_argument, cannot_watch, "sensor " + feed.name, "\"" + config.on + "\" is not a topic", ""});
   auto* const node = new detail::LimitNode(loop, feed, config);
   *this = LimitSensor(node);
   node->subscribe(loop);

@@ -30,11 +30,11 @@ const ConfigItem& when_item(const ConfigItem& item) {
   return at != nullptr ? *at : item;
 }
 
-/// Why the topics cannot be; empty: they can.
+/// Why the topics are invalid; empty: they are valid.
 std::string refusal_of(const TriggerConfig& config) {
   const std::vector<std::string> topics = detail::topics_of(config.on, config.with);
   for (auto topic = topics.begin(); topic != topics.end(); ++topic) {
-    if (!is_topic_name(*topic)) return "\"" + *topic + "\" is no topic";
+    if (!is_topic_name(*topic)) return "\"" + *topic + "\" is not a topic";
     if (std::find(topics.begin(), topic, *topic) != topic) return "the topic \"" + *topic + "\" is there twice";
   }
   return "";
@@ -131,7 +131,7 @@ class TriggerNode final : public FeedNode {
     sources_.put(from, event,
                  [this](std::size_t name, std::optional<double> value) { set_or_unknown(when_, name, value); });
   }
-  /// What the topics `with` have, of those that bring an event only when something changes.
+  /// Takes the last events of topics `with` that publish only changes.
   void recall() {
     sources_.recall(loop()->face, [this](std::size_t from, const EventView& event) {
       if (from != 0) put(from, event);
@@ -195,7 +195,7 @@ class TriggerNode final : public FeedNode {
     if ((trouble & condition) != 0) troubles_ &= ~unsigned{condition};
     troubles_ |= trouble;
     complain({code, cannot_pass, object_name(), why(),
-              trouble == short_ring ? "give it more `events`" : "nothing is passed on meanwhile"},
+              trouble == short_ring ? "give it more `events`" : "no event is passed on until then"},
              Health::degraded);
   }
   void clear(Trouble trouble) {
@@ -204,7 +204,7 @@ class TriggerNode final : public FeedNode {
     if (troubles_ == 0 && is_open()) set_health(Health::ok, nullptr);
   }
 
-  /// What is not to be published, and is too old.
+  /// Removes events that are too old and will not be published.
   void forget_before(Time now) {
     const std::uint64_t before = ring_.begin();
     while (ring_.begin() != ring_.end() && ring_.begin() >= released_ && ring_.oldest() < now &&
@@ -299,7 +299,7 @@ TriggerSensor::TriggerSensor(Loop& loop, FeedConfig feed, TriggerConfig config) 
   if (!feed.process.empty()) refuse(Errc::bad_argument, processes_elsewhere);
   const detail::TopicCore* const topic = loop.core().runtime.find_topic(config.on);
   if (topic == nullptr)
-    refuse(Errc::not_found, "there is no topic \"" + config.on + "\" yet", "make what publishes it first");
+    refuse(Errc::not_found, "there is no topic \"" + config.on + "\" yet", "make the part that publishes it first");
   if (topic->type.description == nullptr)
     refuse(Errc::bad_description, "what the topic \"" + config.on + "\" carries has no description");
   const std::uint64_t memory = std::min<std::uint64_t>(

@@ -58,7 +58,7 @@ std::string vertical_mistake(const VerticalConfig& config) {
   if (config.barometer.empty() && config.accelerometer.empty())
     return "give a topic as `barometer`, `accelerometer`, or both";
   for (const std::string* const topic : {&config.barometer, &config.accelerometer})
-    if (!topic->empty() && !is_topic_name(*topic)) return "\"" + *topic + "\" is no topic";
+    if (!topic->empty() && !is_topic_name(*topic)) return "\"" + *topic + "\" is not a topic";
   return "";
 }
 
@@ -117,8 +117,8 @@ class VerticalNode final : public FeedNode {
     publish(&motion, event.time());
   }
 
-  /// False: it is in a unit that is not known, which is told. A payload without the field, such as of an import whose
-  /// column was empty, brings none of it, which is told once: the other sensor goes on.
+  /// False: the unit is unknown, which is reported. A payload without the field, such as from an import with an empty
+  /// column, gives no value, which is reported once; the other sensor continues.
   bool read(Field& field, const std::string& topic, const std::string& path, bool is_acceleration,
             const EventView& event, double& value) {
     const bool is_new = field.description != event.description().serial();
@@ -133,7 +133,7 @@ class VerticalNode final : public FeedNode {
     }
     const Error error{Errc::not_found, cannot_estimate, object_name(),
                       vertical_refusal(event.description(), topic, path, is_acceleration),
-                      "look at the fields of the topic; a derived topic converts units"};
+                      "check the fields of the topic; a derived topic converts units"};
     if (field.leaf != nullptr) {
       fail(error);
       return false;

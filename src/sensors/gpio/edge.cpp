@@ -51,14 +51,14 @@ class EdgeNode final : public StreamNode {
     before_ = count_;
     accounted_ = {};
     opened();
-    be_well();  // though still
+    set_healthy();  // though still
   }
   void close_stream() noexcept override {
     settle_accounts();
     edges_.close();
   }
 
-  /// What the line counts beside the edges that it hands over.
+  /// Takes over the counts of the line besides its edges.
   void settle_accounts() noexcept {
     if (!edges_.is_open()) return;
     const GpioEdgeCounts now = edges_.counts();
@@ -87,7 +87,7 @@ class EdgeNode final : public StreamNode {
   Error silence_error() const override {
     return {Errc::timed_out, "nothing comes", "line " + config_.input.line.text,
             "no edge for " + to_string(config_.silence),
-            "look at what drives the line; `silence` sets how long it may be still"};
+            "check what drives the line; `silence` sets how long it may be still"};
   }
   void on_close() noexcept override {
     StreamNode::on_close();

@@ -21,7 +21,7 @@ const GpioLevel* twice(const std::vector<GpioLevel>& lines) {
   return nullptr;
 }
 
-/// The lines of one opening. On the lane, until it is left behind.
+/// The lines of one opening. On the lane, until it is abandoned.
 struct Session {
   Session(const LevelsConfig& config_, std::string consumer_, std::shared_ptr<GpioBackend> backend_)
       : config(config_), consumer(std::move(consumer_)), backend(std::move(backend_)) {}
@@ -66,7 +66,7 @@ class ReadLevels final : public detail::Transaction {
   }
   void transact() noexcept override {
     result = Result<void>();
-    if (session_->lines.empty()) result = session_->open();  // the one before it was left behind
+    if (session_->lines.empty()) result = session_->open();  // the one before it was abandoned
     for (std::size_t i = 0; result && i < session_->lines.size(); ++i) {
       const Result<bool> level = session_->lines[i].read();
       if (!level) result = level.error();
@@ -107,7 +107,7 @@ class LevelsDevice final : public detail::LaneDevice {
   ReadTime read_time() const override { return rtdata::read_time(config_); }
   Error given_up_error() const override {
     return {Errc::timed_out, "cannot read the GPIO lines", consumer_, "no answer within " + to_string(config_.timeout),
-            "look at the chip and its bus; `timeout` sets how long to wait"};
+            "check the chip and its bus; `timeout` sets how long to wait"};
   }
 
  private:

@@ -124,10 +124,10 @@ class GpsNode final : public StreamNode {
       take_lines(before);
     } else if (got == 0) {
       lose({Errc::disconnected, "lost gpsd", server(), "it has closed the connection",
-            "it is connected to again when it is back"},
+            "the program connects to it again when it is back"},
            loop()->now());
     } else if (error_number != EAGAIN && error_number != EINTR) {
-      lose(system_error(error_number, "lost gpsd", server(), "it is connected to again when it is back"),
+      lose(system_error(error_number, "lost gpsd", server(), "the program connects to it again when it is back"),
            loop()->now());
     }
   }
@@ -237,11 +237,11 @@ class GpsNode final : public StreamNode {
     if (!is_open() || !is_running()) return;
     if (!is_several_) {
       succeed();
-      tell_several();
+      report_several();
     }
   }
-  /// Two receivers in one series of data, which may not be meant.
-  void tell_several() {
+  /// Reports that two receivers are mixed in one series of data.
+  void report_several() {
     if (!config_.device.empty() || !is_open()) return;
     std::vector<std::string> names;
     for (const Receiver& one : receivers_) {
@@ -271,37 +271,38 @@ class GpsNode final : public StreamNode {
       case GpsTimeCheck::Verdict::open:
         return;
       case GpsTimeCheck::Verdict::other_clock:
-        return refuse_time(both("is kept right to " + to_string(*system.accuracy)),
-                           "the clock is believed; look at the receiver with `gpsmon`, and at what keeps the clock");
-      case GpsTimeCheck::Verdict::other_age:
         return refuse_time(
-            both("nobody keeps right") + "; this program was made in " + std::to_string(int{this_release.date.year()}),
-            "it may count weeks from another beginning, as after 1024 of them: a newer firmware knows; "
-            "or let NTP keep the clock");
+            both("is synchronised to " + to_string(*system.accuracy)),
+            "the clock is trusted; check the receiver with `gpsmon`, and the synchronisation of the clock");
+      case GpsTimeCheck::Verdict::other_age:
+        return refuse_time(both("nothing synchronises") + "; this program was made in " +
+                               std::to_string(int{this_release.date.year()}),
+                           "its count of weeks may have started again, as after 1024 weeks: update its firmware; or "
+                           "let NTP set the clock");
       case GpsTimeCheck::Verdict::good:
         break;
     }
-    // One that steps by more than leap seconds explain was wrong before, or is now: nobody knows which.
+    // A larger step than leap seconds means that the time was wrong before or is wrong now.
     constexpr Duration most_step = std::chrono::seconds{20};
     const Duration ahead = difference(at_.time_since_epoch(), time.time_since_epoch());
     const Duration step = difference(time_line_.value_or(ahead), ahead);
-    if (is_step_told_ || step > most_step || step < -most_step) {
-      if (!std::exchange(is_step_told_, true)) {
+    if (is_step_reported_ || step > most_step || step < -most_step) {
+      if (!std::exchange(is_step_reported_, true)) {
         report({Errc::bad_data, "the receiver's time of day is not used", server(), "it stepped by " + to_string(step),
-                "recordings keep the line that it gave before"});
+                "recordings keep its earlier time of day"});
       }
       return;
     }
     if (!time_line_) time_line_ = ahead;
-    if (!system.accuracy && !std::exchange(is_time_told_, true))
-      runtime.log(LogLevel::warning, object_name(), "its time of day is used: " + both("nobody keeps right"));
+    if (!system.accuracy && !std::exchange(is_time_reported_, true))
+      runtime.log(LogLevel::warning, object_name(), "its time of day is used: " + both("nothing synchronises"));
     const auto noted = runtime.clock_log.note_wall_clock(
         {.monotonic = at_, .realtime = time, .source = "gps", .accuracy = accuracy});
-    if (!noted && !std::exchange(is_time_refusal_told_, true)) report(noted.error());
+    if (!noted && !std::exchange(is_time_refusal_reported_, true)) report(noted.error());
   }
   /// Once: it comes with each report.
   void refuse_time(std::string why, const char* advice) {
-    if (std::exchange(is_time_refusal_told_, true)) return;
+    if (std::exchange(is_time_refusal_reported_, true)) return;
     report({Errc::bad_data, "the receiver's time of day is not used", server(), std::move(why), advice});
   }
 
@@ -311,7 +312,7 @@ class GpsNode final : public StreamNode {
       return no_receiver();
     return {Errc::timed_out, "nothing comes", config_.device.empty() ? joined(devices_) : config_.device,
             "gpsd has reported no fix for " + to_string(config_.silence),
-            "look at the receiver with `gpsmon`; `silence` sets how long it may be silent"};
+            "check the receiver with `gpsmon`; `silence` sets how long it may be silent"};
   }
   /// gpsd answers at once, so that a connection whose other end is gone without a word is noticed.
   void fell_silent() override {
@@ -331,7 +332,7 @@ class GpsNode final : public StreamNode {
   }
   Error no_sign_of_life() const {
     return {Errc::timed_out, "lost gpsd", server(), "it gives no sign of life",
-            "it is connected to again; look whether its machine and the network are up"};
+            "the program connects to it again; check whether its machine and the network are up"};
   }
 
   void on_close() noexcept override {
@@ -355,9 +356,9 @@ class GpsNode final : public StreamNode {
   std::vector<std::string> devices_;   // that gpsd has, as it said last
   bool is_several_ = false;            // there are several receivers, which has been told
   std::optional<Duration> time_line_;  // the time of day that was used first, less the monotonic time
-  bool is_step_told_ = false;
-  bool is_time_told_ = false;  // that it is used while nobody keeps the clock right
-  bool is_time_refusal_told_ = false;
+  bool is_step_reported_ = false;
+  bool is_time_reported_ = false;  // that it is used while nobody keeps the clock right
+  bool is_time_refusal_reported_ = false;
 };
 
 }  // namespace detail

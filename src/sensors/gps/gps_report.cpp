@@ -10,8 +10,7 @@
 namespace rtdata::detail {
 namespace {
 
-// libgps has a parser for this, gps_unpack. It believes what is no value: docs/gps.md has the lines and what it made of
-// them.
+// libgps has a parser, gps_unpack, but it accepts invalid values: docs/gps.md has examples.
 
 /// The numbers of a fix that are taken as they are.
 struct NumberKey {
@@ -76,7 +75,7 @@ class ReportHandler {
     if (target_ == Target::satellite_used) {
       if (is_true) ++used_;
     } else if (target_ != Target::nothing) {
-      refuse(Errc::not_a_number, "it is no number");
+      refuse(Errc::not_a_number, "it is not a number");
     }
     return depth_ != 0;
   }
@@ -106,12 +105,12 @@ class ReportHandler {
   bool end_array() { return end_object(); }
   bool key(string_t& name);
   bool parse_error(std::size_t position, const std::string&, const nlohmann::detail::exception&) {
-    error_ = unusable(Errc::bad_data, "", "it is no JSON from byte " + std::to_string(position) + " on");
+    error_ = unusable(Errc::bad_data, "", "it is not JSON from byte " + std::to_string(position) + " on");
     return false;
   }
 
   Result<void> end();
-  Error take_error() { return error_ ? std::move(*error_) : unusable(Errc::bad_data, "", "it is no JSON object"); }
+  Error take_error() { return error_ ? std::move(*error_) : unusable(Errc::bad_data, "", "it is not a JSON object"); }
 
  private:
   enum class Target {
@@ -152,7 +151,7 @@ class ReportHandler {
   List list_ = List::other, next_list_ = List::other;
   bool has_list_ = false;  // of satellites
   std::size_t listed_ = 0, used_ = 0;
-  std::optional<std::uint16_t> all_told_, used_told_;
+  std::optional<std::uint16_t> all_reported_, used_reported_;
   std::optional<std::uint8_t> mode_;
   std::optional<double> altitude_;
   std::optional<Error> error_;
@@ -214,10 +213,10 @@ bool ReportHandler::take(double number) {
       put_natural(report_.fix.status, number);
       break;
     case Target::satellites_all:
-      put_natural(all_told_, number);
+      put_natural(all_reported_, number);
       break;
     case Target::satellites_used:
-      put_natural(used_told_, number);
+      put_natural(used_reported_, number);
       break;
     case Target::activated:
       report_.is_deactivated = number == 0;
@@ -226,7 +225,7 @@ bool ReportHandler::take(double number) {
     case Target::device:
     case Target::time:
     case Target::message:
-      refuse(Errc::bad_data, "it is no text");
+      refuse(Errc::bad_data, "it is not text");
       break;
     default:
       break;
@@ -251,7 +250,7 @@ bool ReportHandler::string(string_t& text) {
       } else if (is_leap_second(text)) {  // there is no number for it
         report_.fix.gps_time.reset();
       } else {
-        refuse(Errc::bad_data, shown(text) + " is no time");
+        refuse(Errc::bad_data, shown(text) + " is not a time");
       }
       break;
     case Target::message:
@@ -264,7 +263,7 @@ bool ReportHandler::string(string_t& text) {
     case Target::nothing:
       break;
     default:
-      refuse(Errc::not_a_number, shown(text) + " is no number");
+      refuse(Errc::not_a_number, shown(text) + " is not a number");
       break;
   }
   return depth_ != 0;
@@ -284,8 +283,8 @@ Result<void> ReportHandler::end() {
     const auto counted = [&](std::size_t count) -> std::optional<std::uint16_t> {
       return has_list_ ? std::optional(static_cast<std::uint16_t>(std::min<std::size_t>(count, 0xffff))) : std::nullopt;
     };
-    report_.visible = all_told_ ? all_told_ : counted(listed_);
-    report_.used = used_told_ ? used_told_ : counted(used_);
+    report_.visible = all_reported_ ? all_reported_ : counted(listed_);
+    report_.used = used_reported_ ? used_reported_ : counted(used_);
   }
   return {};
 }

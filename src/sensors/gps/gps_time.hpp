@@ -1,4 +1,4 @@
-// Whether the time of a receiver may be taken for the time of day.
+// Decides if the time of a receiver may be used as the time of day.
 #pragma once
 
 #include <array>
@@ -10,16 +10,16 @@
 
 namespace rtdata::detail {
 
-/// When this version was made: set with each release, beside its version and CHANGELOG.md. A receiver that says an
-/// earlier date counts its weeks wrongly. No __DATE__, by which no two builds would be alike.
+/// The date of this release, set with each release beside its version and CHANGELOG.md. A receiver with an earlier date
+/// counts its weeks wrongly. Not __DATE__, because builds must be reproducible.
 struct Release {
   const char* version;
   std::chrono::year_month_day date;
 };
 inline constexpr Release this_release{"0.1.0", std::chrono::year{2026} / 11 / 27};
 
-/// One receiver's. Times in their logs jump both ways: by leap seconds that it has not heard of, by the 1024 weeks
-/// after which GPS counts anew, by whatever it believes before it has heard a satellite.
+/// The check of one receiver. Its time may jump in both directions: by unknown leap seconds, by 1024 weeks (the GPS
+/// week rollover), and arbitrarily before it has received a satellite.
 class GpsTimeCheck {
  public:
   enum class Verdict {
@@ -28,14 +28,14 @@ class GpsTimeCheck {
     other_clock,  ///< the computer's clock is kept right, and differs by more than both admit
     other_age,    ///< from before the release, or ten years after it
   };
-  /// What the program's clock says now, and how far that may be from UTC; no accuracy: nobody keeps it right.
+  /// The program's clock now, and its largest error; no accuracy: the clock is not synchronised.
   struct SystemTime {
     Time time{};
     std::optional<Duration> accuracy = {};
   };
-  /// Of each report of a fix with a time: it came at that instant, at most `delay` after the fix; the time is right to
-  /// within `accuracy`. Reports agree that are as far apart in arrival as in time: what was held back and comes at once
-  /// does not.
+  /// Call it for each report of a fix with a time. It arrived at `at`, at most `delay` after the fix; its time is
+  /// accurate within `accuracy`. Reports agree if their arrivals are as far apart as their times; delayed reports that
+  /// arrive together do not agree.
   Verdict look_at(MonotonicTime at, Time time, Duration delay, Duration accuracy, const SystemTime& system) noexcept;
   /// As if nothing had come.
   void reset() noexcept { agreeing_ = 0; }

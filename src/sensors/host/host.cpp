@@ -65,7 +65,7 @@ class ProcFile {
   std::vector<char> buffer_;
 };
 
-/// A text that came and is not as expected is unreadable; a counter that is not there has failed.
+/// An unexpected text is unreadable; a missing counter is a failure.
 template <class T>
 Reading<T> sorted_out(Reading<T> reading) {
   if (Error* error = reading.error(); error != nullptr && error->code == Errc::bad_data)
@@ -111,7 +111,7 @@ struct CpuDevice {
   }
 };
 
-/// What is read of /sys for one value.
+/// The files of /sys for one value.
 struct SysFiles {
   std::string value;
   std::string fault = {};  ///< says whether the value is worth anything; empty: there is none
@@ -184,14 +184,14 @@ class SysDevice final : public detail::LaneDevice {
   ReadTime read_time() const override { return rtdata::read_time(config_); }
   Error given_up_error() const override {
     return {Errc::timed_out, cannot_read, files_.value, "no answer within " + to_string(config_.timeout),
-            "look at the chip; `timeout` sets how long to wait"};
+            "check the chip; `timeout` sets how long to wait"};
   }
   detail::Sampled decode(detail::Transaction& transaction, detail::SamplePort& port) override {
     const auto& read = static_cast<ReadFiles&>(transaction);
     // A sensor that is broken may have a value all the same, or an error of that.
     if (read.fault != nullptr && flag_in(*read.fault).value_or(false)) {
-      return port.fail({Errc::bad_data, cannot_read, read.fault->path(), "the chip tells of a fault of its sensor",
-                        "look at the sensor and its wires"});
+      return port.fail({Errc::bad_data, cannot_read, read.fault->path(), "the chip reports a fault of its sensor",
+                        "check the sensor and its wires"});
     }
     const detail::SysfsFile& file = read.value;
     if (file.error_number() != 0)
@@ -210,13 +210,13 @@ class SysDevice final : public detail::LaneDevice {
 
  private:
   static std::optional<bool> alarm_in(const ReadFiles& read) {
-    bool is_told = !read.alarms.empty();
+    bool is_reported = !read.alarms.empty();
     for (const auto& alarm : read.alarms) {
       const std::optional<bool> flag = flag_in(*alarm);
       if (flag.value_or(false)) return true;
-      is_told = is_told && flag;
+      is_reported = is_reported && flag;
     }
-    return is_told ? std::optional(false) : std::nullopt;
+    return is_reported ? std::optional(false) : std::nullopt;
   }
 
   FindFiles::Find find_;
@@ -251,7 +251,7 @@ std::vector<HostSensorInfo> thermal_zones(const std::string& root) {
   return found;
 }
 
-/// How hwmon calls inputs of a quantity, and its units (Documentation/hwmon/sysfs-interface.rst).
+/// hwmon's names and units of a quantity's inputs (Documentation/hwmon/sysfs-interface.rst).
 struct HwmonKind {
   HostQuantity quantity;
   const char* prefix;
@@ -312,14 +312,14 @@ Reading<HostProcess> process_times(std::string_view schedstat) {
 
 constexpr const char* no_device = "it does not say which device";
 
-/// All there is to know of a quantity.
+/// The properties of a quantity.
 struct Quantity {
   HostQuantity what;
   const std::shared_ptr<const Description>& (*description)();
   detail::Node* (*make)(const Quantity& self, Loop& loop, SensorConfig sensor, const HostConfig& config);
   const char* proc_file;  // read inline; null: it is a file of /sys, and read on a lane
   Duration on_loop;       // for how long a read of the former may hold the loop
-  /// The latter, or the folder in which it is looked for.
+  /// The file of /sys, or the folder in which to search it.
   std::string (*sys_file)(const HostConfig& config) = nullptr;
   const char* device_advice = nullptr;  // null: it needs no device
 };
@@ -396,7 +396,7 @@ const Quantity& quantity(HostQuantity what) {
   return *std::find_if(std::begin(all), std::end(all), [what](const Quantity& one) { return one.what == what; });
 }
 
-/// What to do about a device that is missing; null: it is not.
+/// Advice for a missing device; null: it is not missing.
 const char* advice_on_missing_device(const HostConfig& config) {
   return config.device.empty() ? quantity(config.quantity).device_advice : nullptr;
 }

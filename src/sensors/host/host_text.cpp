@@ -43,7 +43,7 @@ class Words {
 
 Error bad(const char* file) {
   return {Errc::bad_data, "cannot read this computer's counters", file, "its text is not as expected",
-          "tell us which kernel this is"};
+          "report to the project which kernel this is"};
 }
 Error missing(const char* file, std::string_view device) {
   return {Errc::not_found, "cannot read this computer's counters", file,

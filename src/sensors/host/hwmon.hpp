@@ -1,5 +1,5 @@
-// What chips of the kernel's hwmon measure (Documentation/hwmon/sysfs-interface.rst), found by the chip's name and the
-// label of the input. All of it blocks for as long as listing directories takes.
+// Inputs of the kernel's hwmon chips (Documentation/hwmon/sysfs-interface.rst), found by the chip's name and the
+// input's label. All functions block while they list directories.
 #pragma once
 
 #include <string>
@@ -20,9 +20,9 @@ struct HwmonInput {
 
 /// Those that begin with `prefix`, such as "temp", in the order of their numbers.
 std::vector<HwmonInput> hwmon_inputs(const std::string& root, std::string_view prefix);
-/// The one that is called `device`: CHIP/INPUT, or CHIP, whose only one it is. CHIP is the chip's name, that of its
-/// device ("1-0048"), or its folder ("hwmon0"); INPUT its label or its file's name ("temp1"). Empty: the only one.
-/// Errors: not-found, bad-argument (several), with what there is.
+/// The input named `device`: CHIP/INPUT, or CHIP if it has only one. CHIP is the chip's name, its device ("1-0048") or
+/// its folder ("hwmon0"); INPUT is its label or file name ("temp1"). Empty: the only one. Errors: not-found,
+/// bad-argument (several), with a list.
 Result<HwmonInput> find_hwmon(const std::string& root, std::string_view prefix, const std::string& device);
 
 }  // namespace rtdata::detail

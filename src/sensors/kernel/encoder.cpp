@@ -84,7 +84,7 @@ Result<void> enable(const std::string& file) {
   return error;
 }
 
-/// What it counts, as the configuration says. One that cannot be chosen has no such file, or one that lists others.
+/// Sets the counter's function from the configuration. A driver may not support it, or list other functions.
 Result<void> choose_function(const std::string& in, const std::string& function) {
   const std::string file = in + "/function";
   if (function.empty() || text_of(file) == function) return {};
@@ -96,11 +96,11 @@ Result<void> choose_function(const std::string& in, const std::string& function)
     available += (available.empty() ? "" : ", ") + line;
   }
   if (!found) {
-    return Error{Errc::bad_argument, "cannot set what is counted", file,
+    return Error{Errc::bad_argument, "cannot set the signals to count", file,
                  "the driver has no function \"" + function + "\"" + (available.empty() ? "" : "; it has " + available),
                  "set `function` to one of the driver's"};
   }
-  auto written = detail::write_kernel_file(file, function, "cannot set what is counted");
+  auto written = detail::write_kernel_file(file, function, "cannot set the signals to count");
   if (written) return {};
   Error error = std::move(written).error();
   error.advice = "run as a user that may write the file, or add a udev rule (docs/iio.md)";
@@ -185,7 +185,7 @@ class EncoderDevice final : public detail::LaneDevice {
   ReadTime read_time() const override { return rtdata::read_time(config_); }
   Error given_up_error() const override {
     return {Errc::timed_out, cannot_read_counter, found_.folder, "no answer within " + to_string(config_.timeout),
-            "look at the counter; `timeout` sets how long to wait"};
+            "check the counter; `timeout` sets how long to wait"};
   }
 
   detail::Sampled decode(detail::Transaction& transaction, detail::SamplePort& port) override {
@@ -193,8 +193,8 @@ class EncoderDevice final : public detail::LaneDevice {
     for (const detail::SysfsFile* file : {&read.count, static_cast<const detail::SysfsFile*>(read.direction.get())}) {
       if (file == nullptr || file->error_number() == 0) continue;
       if (file->error_number() == ENODEV)
-        return port.fail({Errc::disconnected, cannot_read_counter, found_.folder, "the device has gone away",
-                          "it is looked for again"});
+        return port.fail({Errc::disconnected, cannot_read_counter, found_.folder, "the device has disappeared",
+                          "the program searches for it again"});
       return port.fail(system_error(file->error_number(), cannot_read_counter, file->path(), counter_advice));
     }
     EncoderReading reading;
@@ -211,7 +211,7 @@ class EncoderDevice final : public detail::LaneDevice {
       return port.fail({Errc::out_of_range, cannot_read_counter, found_.folder,
                         "its count " + std::to_string(raw) + " is above the ceiling of when it was opened, " +
                             std::to_string(*found_.ceiling),
-                        "somebody has set another ceiling: it is opened again"});
+                        "another program has set another ceiling: it is opened again"});
     }
     const std::int64_t before = found_.tracker.count();
     if (!found_.tracker.take(raw)) {
@@ -299,7 +299,8 @@ EncoderSensor::EncoderSensor(Loop& loop, SensorConfig sensor, EncoderConfig conf
     throw SetupError({Errc::bad_argument, "cannot use this counter", "sensor " + sensor.name, why, advice});
   };
   if (!std::isfinite(config.per_count) || config.per_count == 0) refuse("per_count is 0 or no number", "such as 1");
-  if (config.per != "s" && config.per != "min" && config.per != "h") refuse("`per` is no unit of time", "s, min or h");
+  if (config.per != "s" && config.per != "min" && config.per != "h")
+    refuse("`per` is not a unit of time", "s, min or h");
   if (config.bits > 63) refuse("`bits` is more than 63", "such as 16");
   auto type = detail::described_type(encoder_description(config).or_throw());
   *this = EncoderSensor(detail::make_sensor(loop, std::move(sensor), std::move(type),

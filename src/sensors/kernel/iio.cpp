@@ -31,7 +31,8 @@ std::string mistake_in(const std::string& channel, std::string& nearest) {
   nearest = nearest_name(channel.substr(0, end), known);
   if (!nearest.empty()) nearest += channel.substr(end);
   if (iio_quantity(nearest) == nullptr) nearest.clear();
-  return "\"" + channel + "\" is no channel: a type of the kernel's, and an index or axis, such as voltage0 or accel_x";
+  return "\"" + channel +
+         "\" is not a channel: a type of the kernel's, and an index or axis, such as voltage0 or accel_x";
 }
 
 void check_channels(const std::vector<std::string>& channels, const ConfigItem& item, Problems& problems) {
@@ -142,7 +143,7 @@ class IioPolled final : public detail::LaneDevice {
   Error given_up_error() const override {
     return {Errc::timed_out, cannot_read_iio, plan_.device.empty() ? config_.device : plan_.device,
             "no answer within " + to_string(config_.timeout),
-            "look at the chip and its bus; `timeout` sets how long to wait"};
+            "check the chip and its bus; `timeout` sets how long to wait"};
   }
 
   detail::Sampled decode(detail::Transaction& transaction, detail::SamplePort& port) override {
@@ -156,7 +157,7 @@ class IioPolled final : public detail::LaneDevice {
         double code = 0;
         if (detail::read_number(rest.substr(0, end), code) != std::errc{} || !std::isfinite(code)) {
           return port.unreadable({Errc::not_a_number, cannot_read_iio, read.files[i]->path(),
-                                  "\"" + std::string(rest.substr(0, 40)) + "\" is no number", ""});
+                                  "\"" + std::string(rest.substr(0, 40)) + "\" is not a number", ""});
         }
         rest = detail::trimmed(rest.substr(end));
         values_[position++] = (code + plan_.conversions[i].offset) * plan_.conversions[i].scale;
@@ -175,10 +176,11 @@ class IioPolled final : public detail::LaneDevice {
                                              : "end that, or take the data from the buffer: type \"iio_buffer\""};
     }
     if (file.error_number() == ENODEV) {
-      return {Errc::disconnected, cannot_read_iio, plan_.device, "the device has gone away", "it is looked for again"};
+      return {Errc::disconnected, cannot_read_iio, plan_.device, "the device has disappeared",
+              "the program searches for it again"};
     }
     return system_error(file.error_number(), cannot_read_iio, file.path(),
-                        "look at the chip and its wires; `dmesg` may say more");
+                        "check the chip and its wires; `dmesg` may say more");
   }
 
   const IioConfig config_;

@@ -19,14 +19,13 @@ namespace {
 constexpr const char* cannot_open = "cannot use the IIO buffer";
 // Published in one turn, so that they stay below the capacity of a topic's ring.
 constexpr std::size_t most_at_once = 512;
-// Kernels up to at least 6.1 do not wake who waits for a device that is taken away.
+// Kernels up to at least 6.1 do not wake a reader when a device is removed.
 constexpr Duration look_again = std::chrono::milliseconds{500};
-// A driver may give the first scan a time from before it was turned on, since it counts back from its interrupt.
+// A driver may give the first scan a time before the buffer was enabled, because it counts back from its interrupt.
 constexpr Duration most_before = std::chrono::seconds{1};
 constexpr Duration most_ahead = std::chrono::milliseconds{10};
 
-/// Opens the device on its lane. What is opened belongs to whoever comes last: the sensor, or this, when the sensor
-/// does not want it any more.
+/// Opens the device on its lane. The sensor owns the result, or this job if the sensor no longer wants it.
 class IioOpening final : public LaneJob {
  public:
   IioOpening(IioBufferConfig config, std::function<void(IioOpening&, Outcome)> done)
@@ -174,7 +173,7 @@ class IioBufferNode final : public StreamNode {
   }
   Error given_up_error() const {
     return {Errc::timed_out, cannot_open, config_.device, "no answer within " + to_string(config_.timeout),
-            "look at the chip and its bus; `timeout` sets how long to wait"};
+            "check the chip and its bus; `timeout` sets how long to wait"};
   }
 
   void on_opened(IioOpening& job, LaneJob::Outcome outcome) {
@@ -219,7 +218,7 @@ class IioBufferNode final : public StreamNode {
     if (capture != nullptr) unclosed_.push_back(std::move(capture));
     close_the_rest();
   }
-  /// Turns off on the lane what is on, which can take long. What a lane that is stuck does not take waits.
+  /// Disables open captures on the lane, which may take long. If the lane is stuck, they wait.
   void close_the_rest() noexcept {
     try {
       while (!unclosed_.empty()) {
@@ -247,7 +246,7 @@ class IioBufferNode final : public StreamNode {
       ++origin_.counts.received;
       ++origin_.counts.unreadable;
       return lose({Errc::bad_data, "lost the IIO device", config_.device,
-                   std::to_string(*got) + " bytes are no whole scans of " + std::to_string(size), ""},
+                   std::to_string(*got) + " bytes are not whole scans of " + std::to_string(size), ""},
                   loop()->now());
     }
     heard();
@@ -261,7 +260,7 @@ class IioBufferNode final : public StreamNode {
     Call call(*this);
     if (capture_ != nullptr) take_scans();
   }
-  /// What came in one read, or as much of it as may be published at once.
+  /// Publishes the scans of one read, as many as allowed at once.
   void take_scans() {
     const IioLayout& layout = capture_->layout();
     const std::size_t size = layout.size();
@@ -284,8 +283,8 @@ class IioBufferNode final : public StreamNode {
     } else {
       was_full_ = is_full_;
     }
-    if (missing_ > 0 || is_dropped) return tell_missing(is_dropped);
-    if (is_odd) return tell_odd_time();
+    if (missing_ > 0 || is_dropped) return report_missing(is_dropped);
+    if (is_odd) return report_odd_time();
     succeed();
   }
 
@@ -316,15 +315,14 @@ class IioBufferNode final : public StreamNode {
     origin_.end_absence(time);
     return was_full;
   }
-  void tell_missing(bool is_dropped) {
+  void report_missing(bool is_dropped) {
     const std::string many = missing_ > 0 ? "about " + std::to_string(missing_) + " by their times"
                                           : std::string("how many is not known");
-    degrade(
-        {Errc::backlog, "scans are missing", config_.device,
-         is_dropped ? "the buffer was full: " + many : many + ": trigger or driver left them out",
-         is_dropped ? "make `length` longer, or find out what held the loop" : "lower its rate, or look at its bus"});
+    degrade({Errc::backlog, "scans are missing", config_.device,
+             is_dropped ? "the buffer was full: " + many : many + ": trigger or driver left them out",
+             is_dropped ? "make `length` longer, or find out what held the loop" : "lower its rate, or check its bus"});
   }
-  void tell_odd_time() {
+  void report_odd_time() {
     degrade({Errc::bad_data, "the times of scans are not used", config_.device,
              has_clock_ ? "by its clock, one is " + to_string(odd_) + " from when it came"
                         : "it has the clock " + capture_->clock(),
@@ -340,7 +338,7 @@ class IioBufferNode final : public StreamNode {
 
   Error silence_error() const override {
     return {Errc::timed_out, "nothing comes", config_.device, "no scan for " + to_string(config_.silence),
-            "look whether its trigger fires; `silence` sets how long it may be silent"};
+            "check whether its trigger fires; `silence` sets how long it may be silent"};
   }
   void on_close() noexcept override {
     StreamNode::on_close();
@@ -364,7 +362,7 @@ class IioBufferNode final : public StreamNode {
   std::size_t at_ = 0, end_ = 0;    // of the scans in it that are not published yet
   std::vector<double> values_;      // of one scan: the payload
   Duration interval_{0};            // between two scans; 0: not known
-  Duration ahead_{0};               // of the time of day before the monotonic line, at the last read
+  Duration ahead_{0};               // of the time of day before the monotonic clock, at the last read
   MonotonicTime turned_on_{};       // no time is earlier
   MonotonicTime last_{};            // of the last scan
   MonotonicTime last_published_{};  // the same, as it was published

@@ -149,12 +149,12 @@ class PpsNode final : public StreamNode {
                                                 .realtime = time - from_second(time),
                                                 .source = name_of(config_.device),
                                                 .accuracy = config_.accuracy});
-        if (!noted && !std::exchange(is_told_, true)) report(noted.error());
+        if (!noted && !std::exchange(is_reported_, true)) report(noted.error());
         break;
       }
       case PpsTimeCheck::Verdict::not_a_second:
-        if (std::exchange(is_told_, true)) break;
-        report({Errc::bad_data, "the pulses are no source of the time of day", file_.path(),
+        if (std::exchange(is_reported_, true)) break;
+        report({Errc::bad_data, "the pulses cannot give the time of day", file_.path(),
                 "by the machine's clock, they come " + to_string(from_second(time)) + " from the whole second",
                 "set `edge` to the other, or `accuracy` to 0 for pulses that do not begin seconds"});
         break;
@@ -166,7 +166,7 @@ class PpsNode final : public StreamNode {
 
   Error silence_error() const override {
     return {Errc::timed_out, "nothing comes", file_.path(), "no pulse for " + to_string(config_.silence),
-            "receivers give none before they have a fix; look at the wire"};
+            "receivers give none before they have a fix; check the wire"};
   }
   void on_close() noexcept override {
     StreamNode::on_close();
@@ -181,7 +181,7 @@ class PpsNode final : public StreamNode {
   std::optional<MonotonicTime> last_;  // pulse, if its instant is known
   std::optional<Duration> expected_;   // from one to the next
   PpsTimeCheck check_;
-  bool is_told_ = false;  // why it is no source of the time
+  bool is_reported_ = false;  // why it is no source of the time
 };
 
 }  // namespace detail

@@ -26,7 +26,7 @@ Result<PpsStamp> parse_pps(std::string_view text) {
   if (!is_stamp) {
     return Error{
         Errc::bad_data, "cannot read the pulses", "",
-        all.empty() ? "its driver does not see this edge" : "\"" + std::string(all.substr(0, 40)) + "\" is no time",
+        all.empty() ? "its driver does not see this edge" : "\"" + std::string(all.substr(0, 40)) + "\" is not a time",
         all.empty() ? "set `edge` to the other" : "check `device`"};
   }
   return PpsStamp{Time{std::chrono::seconds{seconds} + Duration{nanoseconds}}, static_cast<std::uint32_t>(count)};

@@ -1,4 +1,4 @@
-// Pulses per second as the kernel writes them, and whether they tell the time of day. Pure.
+// The kernel's format of pulses per second, and the check for use as a time source. Pure functions.
 #pragma once
 
 #include <cstdint>
@@ -18,7 +18,7 @@ struct PpsStamp {
 /// "1700000000.123456789#42". Errors: bad-data.
 Result<PpsStamp> parse_pps(std::string_view text);
 
-/// Of a time, how far it is from the nearest whole second.
+/// How far a time is from the nearest whole second.
 Duration from_second(Time time) noexcept;
 
 /// One source's. Tells which second a pulse begins.
@@ -30,7 +30,7 @@ class PpsTimeCheck {
     unkept_clock,  ///< nobody knows which second it is
     not_a_second,  ///< the pulses do not begin seconds, by a clock that is kept better than that
   };
-  /// Of each pulse: its instant, by the machine's clock too, and how far that may be from UTC.
+  /// Call it for each pulse: its monotonic time, its time of day, and the largest error of that clock.
   Verdict look_at(MonotonicTime at, Time time, std::optional<Duration> clock_accuracy, Duration accuracy) noexcept;
   /// As if there had been none.
   void reset() noexcept { in_a_row_ = 0; }

@@ -31,29 +31,29 @@ Result<double> parse_w1(std::string_view text) {
     return Error{code, unreadable_w1, "", std::move(why), advice};
   };
   if (detail::trimmed(text).empty())  // what the driver gives when nobody answers
-    return refused(Errc::disconnected, "it does not answer", "look at its wires and its pull-up resistor");
+    return refused(Errc::disconnected, "it does not answer", "check its wires and its pull-up resistor");
   const auto bytes = scratchpad(text);
   const std::size_t equals = text.rfind("t=");
   std::int64_t thousandths = 0;
   if (!bytes || equals == std::string_view::npos ||
       detail::read_number(detail::trimmed(text.substr(equals + 2)), thousandths) != std::errc{}) {
-    return refused(Errc::bad_data, "this is no text of w1_therm", "check `device`");
+    return refused(Errc::bad_data, "this is not text of w1_therm", "check `device`");
   }
   const std::string_view first = text.substr(0, text.find('\n'));
   if (!detail::trimmed(first).ends_with(" YES")) {
-    return refused(Errc::bad_data, "its checksum is wrong", "look at the wires: long ones need a stronger pull-up");
+    return refused(Errc::bad_data, "its checksum is wrong", "check the wires: long ones need a stronger pull-up");
   }
   if (std::all_of(bytes->begin(), bytes->end(), [](unsigned byte) { return byte == 0; }))
     return refused(Errc::bad_data, "all bits are 0", "the data line may be shorted to ground");
   constexpr std::int64_t power_on = 85000;
   if (thousandths == power_on && (*bytes)[6] == 0x0c) {
-    return refused(Errc::bad_data, "85 degrees is what it shows before it has measured",
-                   "it has lost its supply: look at its wires");
+    return refused(Errc::bad_data, "85 degrees is its value before the first measurement",
+                   "it has lost its supply: check its wires");
   }
   if (thousandths < -55000 || thousandths > 125000) {
     return refused(Errc::out_of_range,
-                   std::to_string(thousandths) + "/1000 degrees is outside of what it measures, -55 to 125 degrees",
-                   "look at its wires");
+                   std::to_string(thousandths) + "/1000 degrees is outside its range, -55 to 125 degrees",
+                   "check its wires");
   }
   return static_cast<double>(thousandths) * 1e-3;
 }

@@ -76,7 +76,7 @@ Result<std::shared_ptr<const Description>> Modbus::describe(const Config& config
     if (field.address + width_of(field) > most_addresses)
       return refused(field, "it goes beyond address 65535", "set another `address`");
     if (!std::isfinite(field.scale) || field.scale == 0 || !std::isfinite(field.offset))
-      return refused(field, "its scale is 0, or it is no number", "set `scale`");
+      return refused(field, "its scale is 0, or it is not a number", "set `scale`");
     if (may_be_absent(field) && !can_be_raw(field.type, *field.no_value))
       return refused(field, "registers of type " + std::string(name_of(field.type)) + " never hold its `no_value`",
                      "set the raw number, before `scale` and `offset`");
@@ -174,8 +174,8 @@ Result<double> Modbus::decode(const ModbusField& field, std::span<const std::uin
   const double raw = number_of(field.type, bits_of(words, order));
   const double number = raw * field.scale + field.offset;
   if (!std::isfinite(number))
-    return Error{Errc::not_a_number, "cannot use a value", "field " + field.name, "it is no number",
-                 "check `address`, `type` and `word_order`; `no_value` names the raw number that stands for none"};
+    return Error{Errc::not_a_number, "cannot use a value", "field " + field.name, "it is not a number",
+                 "check `address`, `type` and `word_order`; `no_value` names the raw number that means \"no value\""};
   return number;
 }
 

@@ -113,7 +113,7 @@ class MqttNode final : public StreamNode {
     refused_ = std::move(refused);
     opened();
     if (refused_.empty()) {
-      be_well();
+      set_healthy();
     } else {
       degrade(refusal(refused_));
     }
@@ -139,7 +139,7 @@ class MqttNode final : public StreamNode {
   bool is_holding() const noexcept { return is_holding_; }
   static Error refusal(const std::string& what) {
     return {Errc::not_permitted, "the broker refuses a subscription", what, "it says so in its answer",
-            "look at its access control and at `topics`"};
+            "check its access control and `topics`"};
   }
 
  private:
@@ -217,11 +217,11 @@ class MqttNode final : public StreamNode {
   }
   Error not_stored() const {
     return {Errc::busy, "messages wait at the broker", connection_->server(),
-            "sink " + config_.stored_by + " has not stored those that came", "look why; they come again"};
+            "sink " + config_.stored_by + " has not stored those that came", "find out why; they come again"};
   }
   Error silence_error() const override {
     return {Errc::timed_out, "nothing comes", connection_->server(), "no message in " + to_string(config_.silence),
-            "look at what sends; `silence` sets how long it may be silent"};
+            "check what sends; `silence` sets how long it may be silent"};
   }
   void on_close() noexcept override {
     StreamNode::on_close();
@@ -284,7 +284,7 @@ bool Subscribing::may_read() const { return node_ == nullptr || !node_->is_holdi
 
 namespace {
 
-/// Why it cannot be subscribed to; empty: it can.
+/// Why the filter is invalid; empty: it is valid.
 std::string obstacle_of_filter(const std::string& filter) {
   constexpr std::string_view share = "$share/";
   std::string rest = filter;

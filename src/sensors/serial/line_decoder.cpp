@@ -100,8 +100,7 @@ std::errc parse_number(Kind kind, std::string_view text, std::byte* to, double s
   }
 }
 
-/// What could begin a number of CSV ("12.", "-1e", "na", "INF"), so that no line with one in its first column is taken
-/// for a comment.
+/// True if the text may begin a CSV number ("12.", "-1e", "na", "INF"), so that such a line is not taken as a comment.
 bool begins_a_number(std::string_view text) noexcept {
   if (!text.empty() && (text.front() == '+' || text.front() == '-')) text.remove_prefix(1);
   const std::string lower = detail::lower_case(text);
@@ -187,7 +186,7 @@ LineDecoder::LineDecoder(const SerialConfig& config, AroundLine around)
   if (config.sequence_field.empty()) return;
   sequence_ = description_->find(config.sequence_field);
   if (sequence_ == nullptr || !is_integer_kind(sequence_->kind)) {
-    throw SetupError(refused("sequence_field", "\"" + config.sequence_field + "\" is no integer among the fields",
+    throw SetupError(refused("sequence_field", "\"" + config.sequence_field + "\" is not an integer among the fields",
                              "name one of `fields` whose type is an integer"));
   }
   if (sequence_->optional != nullptr) {
@@ -210,7 +209,7 @@ Result<void> LineDecoder::decode(std::string_view line) {
   return error;
 }
 
-/// What is probably meant by a line that is not as it was expected.
+/// Advice for an unexpected line.
 std::string LineDecoder::advice_on(std::string_view line) const {
   const auto columns_by = [&](char separator) {
     return static_cast<std::size_t>(std::count(line.begin(), line.end(), separator)) + 1;
@@ -276,7 +275,7 @@ Result<void> LineDecoder::put_value(std::size_t index, const Leaf& leaf_of_it, s
     case Kind::boolean: {
       bool flag = false;
       if (!read_boolean(text, flag)) {
-        return failure(Errc::bad_data, index, shown(text) + " is none of true, false, 1 and 0");
+        return failure(Errc::bad_data, index, shown(text) + " is not true, false, 1 or 0");
       }
       *to = static_cast<std::byte>(flag);
       return {};
@@ -391,12 +390,12 @@ class LineDecoder::JsonHandler {
     error_ = why.id == number_overflow
                  ? Error{Errc::out_of_range, decoder_.bad_line_, "", shown(token) + " does not fit into a double", ""}
                  : Error{Errc::bad_data, decoder_.bad_line_, "",
-                         "it is no JSON from byte " + std::to_string(position) + " on", check_fields};
+                         "it is not JSON from byte " + std::to_string(position) + " on", check_fields};
     return false;
   }
   Error take_error() {
     return error_ ? std::move(*error_)
-                  : Error{Errc::bad_data, decoder_.bad_line_, "", "it is no JSON object", check_fields};
+                  : Error{Errc::bad_data, decoder_.bad_line_, "", "it is not a JSON object", check_fields};
   }
 
  private:
@@ -477,7 +476,7 @@ std::optional<std::uint64_t> LineDecoder::steps_between(std::uint64_t from, std:
   return forward;
 }
 
-LineDecoder::Step LineDecoder::step() noexcept {
+LineDecoder::NumberComparison LineDecoder::step() noexcept {
   if (sequence_ == nullptr) return {};
   before_ = std::exchange(last_, number());
   if (!before_) return {};

@@ -11,7 +11,7 @@
 
 namespace rtdata::detail {
 
-/// What is not in the lines themselves: fields with one of these keys are `give`n. And what a line is called.
+/// Fields with one of these keys are not in the lines and are set with `give`. Also the name of a line in messages.
 struct AroundLine {
   std::vector<std::string> given = {};
   std::string what = "line";
@@ -24,7 +24,7 @@ class LineDecoder {
   explicit LineDecoder(const SerialConfig& config, AroundLine around = {});
 
   const std::shared_ptr<const Description>& description() const noexcept { return description_; }
-  /// Whether there is nothing to be decoded in the line: it is empty or a comment.
+  /// True if the line is empty or a comment.
   bool is_skipped(std::string_view line) const noexcept;
   /// Afterwards `payload` is the line's. Errors: bad-data, not-a-number, out-of-range, does-not-fit; no allocation when
   /// good.
@@ -33,17 +33,16 @@ class LineDecoder {
   Result<void> give(std::string_view key, std::string_view text);
   std::byte* payload() noexcept { return reinterpret_cast<std::byte*>(payload_.data()); }
 
-  /// What the line's number says against the last one's.
-  struct Step {
+  /// The comparison of the line's number with the last one.
+  struct NumberComparison {
     bool is_repeated = false;
     bool goes_back = false;  // as after a restart of the device
     std::uint64_t lost = 0;
   };
   bool has_sequence() const noexcept { return sequence_ != nullptr; }
   /// To be called for each good line.
-  Step step() noexcept;
-  /// Before `step`: whether this line's number goes on from that before the last one, rather than from the last: the
-  /// last one's was wrong, then.
+  NumberComparison step() noexcept;
+  /// Call before `step`: true if this number follows the one before the last, so the last number was wrong.
   bool takes_back() const noexcept;
   /// The last line's number does not count.
   void drop_last() noexcept { last_ = before_; }
@@ -65,7 +64,7 @@ class LineDecoder {
   Result<Column> next_column(std::size_t index, std::string_view& rest);
   Error failure(Errc code, std::size_t index, std::string why) const;
   std::uint64_t number() const noexcept;
-  /// How far it is from one number to the other; nothing: that goes back.
+  /// The distance between two numbers; empty: it goes back.
   std::optional<std::uint64_t> steps_between(std::uint64_t from, std::uint64_t to) const noexcept;
   bool is_given(std::size_t index) const noexcept { return is_given_[index]; }
 

@@ -41,7 +41,7 @@ struct NmeaFixes::Columns {
   Error bad(std::size_t i, const std::string& why) const {
     return failure(Errc::bad_data, name, "\"" + std::string(at(i).substr(0, 20)) + "\" " + why);
   }
-  /// A field that cannot be read costs itself only: it is as if it were empty, and told.
+  /// An unreadable field counts as empty and is reported; other fields are not affected.
   mutable std::optional<Error> odd = {};
   std::nullopt_t refuse(std::size_t i, const std::string& why) const {
     if (!odd) odd = bad(i, why);
@@ -51,7 +51,7 @@ struct NmeaFixes::Columns {
     const std::string_view word = at(i);
     if (word.empty()) return std::nullopt;
     double value = 0;
-    if (read_number(word, value) != std::errc{} || !std::isfinite(value)) return refuse(i, "is no number");
+    if (read_number(word, value) != std::errc{} || !std::isfinite(value)) return refuse(i, "is not a number");
     return value;
   }
   std::optional<unsigned> whole(std::size_t i, unsigned most) const {
@@ -86,12 +86,12 @@ struct NmeaFixes::Columns {
     if (word.empty()) return std::optional<std::int64_t>();
     const bool is_time = word.size() >= 6 &&
                          std::all_of(word.begin(), word.begin() + 6, [](char c) { return c >= '0' && c <= '9'; });
-    if (!is_time || (word.size() > 6 && word[6] != '.')) return bad(i, "is no time");
+    if (!is_time || (word.size() > 6 && word[6] != '.')) return bad(i, "is not a time");
     const auto pair = [&](std::size_t at_) { return (word[at_] - '0') * 10 + (word[at_ + 1] - '0'); };
-    if (pair(0) > 23 || pair(2) > 59 || pair(4) > 60) return bad(i, "is no time");
+    if (pair(0) > 23 || pair(2) > 59 || pair(4) > 60) return bad(i, "is not a time");
     std::int64_t fraction = 0, unit = second;
     for (std::size_t j = 7; j < word.size(); ++j) {
-      if (word[j] < '0' || word[j] > '9') return bad(i, "is no time");
+      if (word[j] < '0' || word[j] > '9') return bad(i, "is not a time");
       unit /= 10;
       fraction += unit * (word[j] - '0');
     }
@@ -102,14 +102,14 @@ struct NmeaFixes::Columns {
     const std::string_view word = at(i);
     if (word.empty()) return std::nullopt;
     if (word.size() != 6 || !std::all_of(word.begin(), word.end(), [](char c) { return c >= '0' && c <= '9'; }))
-      return refuse(i, "is no date");
+      return refuse(i, "is not a date");
     const auto pair = [&](std::size_t at_) {
       return static_cast<unsigned>((word[at_] - '0') * 10 + (word[at_ + 1] - '0'));
     };
     const int year = static_cast<int>(pair(4)) + (pair(4) >= 80 ? 1900 : 2000);
     const std::chrono::year_month_day day{std::chrono::year(year), std::chrono::month(pair(2)),
                                           std::chrono::day(pair(0))};
-    if (!day.ok()) return refuse(i, "is no date");
+    if (!day.ok()) return refuse(i, "is not a date");
     return std::chrono::sys_days(day).time_since_epoch().count() * day_length;
   }
 };
@@ -143,7 +143,7 @@ Result<void> NmeaFixes::read_gga(const Columns& columns, Draft& draft) const {
   draft.fix.satellites_used.reset();
   if (used) draft.fix.satellites_used = static_cast<std::uint16_t>(*used);
   if (!quality)
-    return columns.has_position(2) ? columns.bad(6, "is no quality of a fix") : Result<void>();  // it says nothing
+    return columns.has_position(2) ? columns.bad(6, "is not a quality of a fix") : Result<void>();  // it says nothing
   if (*quality == 0) {  // what stands for the position is none
     draft.is_void = true;
     return {};
@@ -176,7 +176,7 @@ Result<void> NmeaFixes::read_rmc(const Columns& columns, Draft& draft) const {
     draft.is_void = true;
     return {};
   }
-  if (status != "A") return columns.bad(2, "is no status of a fix");
+  if (status != "A") return columns.bad(2, "is not a status of a fix");
   const auto position = columns.position(3);
   if (position && (!draft.fix.lat || !draft.fix.lon)) {  // GGA may have more digits
     draft.fix.lat = position->first;
@@ -207,7 +207,7 @@ Result<void> NmeaFixes::read_gsa(const Columns& columns, Draft& draft) const {
   return {};
 }
 
-/// What another talker says of the same instant: GLGGA beside GPGGA.
+/// Handles another talker's sentence for the same instant: GLGGA beside GPGGA.
 Result<void> NmeaFixes::read_other_talker(const Columns& columns, Sentence sentence, Draft& draft) const {
   Draft other;
   const bool is_gga = sentence == Sentence::gga;
@@ -288,7 +288,7 @@ void NmeaFixes::publish_now(const Publish& publish) {
 void NmeaFixes::finish(const Publish& publish) {
   if (!is_begun_) return;
   is_begun_ = false;
-  // One sentence that is missing or broken does not change what the last one is.
+  // A single missing or broken sentence does not change the learned last sentence.
   constexpr unsigned enough = 3;
   if (!is_without_time_ && (!ends_with_ || published_ || ++without_end_ == enough)) {
     ends_with_ = last_;
@@ -299,7 +299,7 @@ void NmeaFixes::finish(const Publish& publish) {
 
 Result<void> NmeaFixes::take(std::string_view line, Time time, const Publish& publish) {
   const auto bad = [&](const char* why) { return failure(Errc::bad_data, line, why); };
-  if (line.size() < 4 || (line[0] != '$' && line[0] != '!')) return bad("this is no sentence of NMEA");
+  if (line.size() < 4 || (line[0] != '$' && line[0] != '!')) return bad("this is not a sentence of NMEA");
   const std::size_t star = line.size() - 3;
   if (line[star] != '*') return bad("it has no checksum");
   const int high = hex_digit(line[star + 1]), low = hex_digit(line[star + 2]);
@@ -317,7 +317,7 @@ Result<void> NmeaFixes::take(std::string_view line, Time time, const Publish& pu
   const bool is_standard = name.size() == 5 && name[0] != 'P';  // "P": a maker's own
   const std::string_view kind = is_standard ? name.substr(2) : std::string_view();
   if (kind == "GSV") return take_gsv(columns);
-  Step step;
+  SentencePosition step;
   if (kind == "GGA") {
     step.sentence = Sentence::gga;
   } else if (kind == "RMC") {

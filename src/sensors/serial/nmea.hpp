@@ -19,19 +19,18 @@ namespace rtdata::detail {
 /// Joins the sentences of one instant, which a receiver sends one after the other, to one fix.
 ///
 /// GGA and RMC carry the time: one whose time differs from the current fix's, or of a type that the fix already has,
-/// begins a new fix; not one of another talker (GL beside GP) with the same time. VTG and GSA carry no time and
-/// belong to the current fix; before the first GGA or RMC they are a fix of their own. A fix is complete with the
-/// sentence that ended the fixes before it, or else when the next one begins. What comes for it later all the same,
-/// since the receiver has changed its order, makes it be published once more when the next one begins. GSV gives the
-/// number of satellites in view, which all later fixes have.
+/// begins a new fix; not one of another talker (GL beside GP) with the same time. VTG and GSA carry no time and belong
+/// to the current fix; before the first GGA or RMC they are a fix of their own. A fix is complete with the sentence
+/// that ended the earlier fixes, or else when the next fix begins. If further sentences follow because the receiver has
+/// changed its order, the fix is published again when the next one begins. GSV gives the number of satellites in view,
+/// which all later fixes have.
 class NmeaFixes {
  public:
   explicit NmeaFixes(std::string_view device);
 
   using Publish = std::function<void(const GpsFix& fix, Time time)>;
-  /// Takes a line without its line end, which was read at `time`. Errors: bad-data (no sentence, a wrong checksum or
-  /// time, quality or status), then nothing of the line is used; another field that cannot be read, which costs
-  /// itself only.
+  /// Takes a line without its line end, read at `time`. Errors: bad-data (not a sentence, or a wrong checksum, time,
+  /// quality or status), then the line is not used; or another unreadable field, then the rest of the line is used.
   Result<void> take(std::string_view line, Time time, const Publish& publish);
   /// Publishes the current fix, complete or not: called before the serial line is closed.
   void finish(const Publish& publish);
@@ -44,10 +43,10 @@ class NmeaFixes {
  private:
   enum class Sentence : std::uint8_t { gga, rmc, vtg, gsa, count };
   /// The position of a sentence in its fix: its type, and its number among those of that type, from 1.
-  struct Step {
+  struct SentencePosition {
     Sentence sentence = Sentence::gga;
     unsigned number = 0;
-    bool operator==(const Step&) const = default;
+    bool operator==(const SentencePosition&) const = default;
   };
   struct Columns;
   struct Draft;
@@ -83,11 +82,11 @@ class NmeaFixes {
   Draft draft_;
   std::array<unsigned, static_cast<std::size_t>(Sentence::count)> seen_{};                // in this fix, of each kind
   std::array<std::array<char, 2>, static_cast<std::size_t>(Sentence::count)> talkers_{};  // of the first of each
-  std::optional<Step> ends_with_;    // the last sentence of the fix before
-  unsigned without_end_ = 0;         // fixes in a row that had no such sentence
-  std::optional<GpsFix> published_;  // the current fix, as it was published
-  Step last_{};                      // sentence of this fix
-  Time time_{};                      // at which that was read
+  std::optional<SentencePosition> ends_with_;  // the last sentence of the fix before
+  unsigned without_end_ = 0;                   // fixes in a row that had no such sentence
+  std::optional<GpsFix> published_;            // the current fix, as it was published
+  SentencePosition last_{};                    // sentence of this fix
+  Time time_{};                                // at which that was read
   bool is_begun_ = false;
   bool is_without_time_ = false;  // this fix: it was begun by a sentence that carries none
   std::array<Visible, 8> visible_{};

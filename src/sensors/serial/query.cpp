@@ -42,7 +42,7 @@ std::optional<Mistake> mistake_in_request(const Query::Config& config) {
     return Mistake{"request_hex", "there is a `request` too", "remove one of them"};
   const auto bytes = bytes_of_hex(config.request_hex);
   if (!bytes || (config.request.empty() && bytes->empty()))
-    return Mistake{"request_hex", "these are no bytes", "two hexadecimal digits each, such as \"02 4d 0d\""};
+    return Mistake{"request_hex", "these are not bytes", "two hexadecimal digits each, such as \"02 4d 0d\""};
   return std::nullopt;
 }
 
@@ -105,7 +105,7 @@ Reading<DescribedValue> Query::read(SerialDevice& line) {
   };
   const std::string_view text = without_end(*answer);
   if (text == without_end(request_))
-    return Unreadable{line.error(Errc::bad_data, "cannot use an answer", "it sends back what was asked",
+    return Unreadable{line.error(Errc::bad_data, "cannot use an answer", "it echoes the request",
                                  "switch its echo off, or that of the adapter, or set `skip_lines` to 1")};
   detail::LineDecoder& decoder = decoding_->decoder;
   if (auto done = decoder.decode(text); !done) {

@@ -25,7 +25,7 @@ namespace {
 
 // Read at once, and so per turn of the loop; the most lines that this can be stay below the capacity of a topic's ring.
 constexpr std::size_t most_read = 1024;
-// So many bytes without the end of a line are none of a device that sends lines at this speed.
+// This many bytes without a line end mean that the device sends no lines at this speed.
 constexpr std::size_t least_unended = 4096;
 // A device that was silent for so long after the opening was not in the middle of a line.
 constexpr Duration silence_before_a_line = std::chrono::milliseconds{100};
@@ -77,14 +77,14 @@ class SerialLineNode final : public StreamNode {
     if (is_open()) {
       let_go();
       finish_fix();
-      tell_unended();
+      report_unended();
     }
     StreamNode::stop();
   }
   void stop_schedule(MonotonicTime end) override {
     let_go();
     finish_fix();
-    tell_unended();
+    report_unended();
     StreamNode::stop_schedule(end);
   }
   std::optional<SensorLoad> load() const override {
@@ -107,7 +107,7 @@ class SerialLineNode final : public StreamNode {
     line_.clear();
     is_overlong_ = false;
     unended_ = 0;
-    is_unended_told_ = false;
+    is_unended_reported_ = false;
     opened();
     is_first_ = config_.first_line == FirstLine::discard;
     if (is_first_) quiet_.start(silence_before_a_line);
@@ -116,9 +116,8 @@ class SerialLineNode final : public StreamNode {
     watch_ = FdWatch(loop()->face, fd_, FdWatch::readable, object_name(),
                      [this](const FdEvent& event) { on_ready(event); });
   }
-  /// What has waited since before the start, which only happens where another program has had the line open: nobody
-  /// knows since when, and it is not what is measured now. A line that is plugged in later has nothing of before.
-  /// True: the last of it is no end of a line.
+  /// Drops old input from before the start, which exists only if another program had the line open; its age is unknown.
+  /// True: the dropped input does not end with a line end.
   bool drop_waiting(int fd) {
     std::array<char, most_read> bytes;
     std::size_t dropped = 0;
@@ -170,7 +169,7 @@ class SerialLineNode final : public StreamNode {
       constexpr const char* what = "lost the serial line";
       constexpr const char* advice = "check the plug and the cable; it is opened again when it is back";
       lose(got == 0 || error_number == EIO || error_number == EAGAIN
-               ? Error{Errc::disconnected, what, config_.device, "the device has gone away", advice}
+               ? Error{Errc::disconnected, what, config_.device, "the device has disappeared", advice}
                : system_error(error_number, what, config_.device, advice),
            loop()->now());
     }
@@ -184,7 +183,7 @@ class SerialLineNode final : public StreamNode {
       unended_ += line_.size() - from;
     } else {
       unended_ = line_.size() - last_end - 1;
-      is_unended_told_ = false;
+      is_unended_reported_ = false;
     }
     // A callback may stop the sensor, and start it again.
     const auto is_same = [this, opening = openings_] { return fd_ >= 0 && openings_ == opening; };
@@ -207,12 +206,12 @@ class SerialLineNode final : public StreamNode {
     if (line_.size() > config_.max_line) {
       line_.clear();
       if (!is_first_ && !std::exchange(is_overlong_, true)) {
-        is_unended_told_ = lines_to_skip_ == 0;
+        is_unended_reported_ = lines_to_skip_ == 0;
         fail_overlong();
         if (!is_same()) return;
       }
     }
-    if (unended_ > std::max(config_.max_line, least_unended) && !std::exchange(is_unended_told_, true)) {
+    if (unended_ > std::max(config_.max_line, least_unended) && !std::exchange(is_unended_reported_, true)) {
       fail_unended();
     }
   }
@@ -220,15 +219,15 @@ class SerialLineNode final : public StreamNode {
     fail_line({Errc::bad_data, "no end of a line", config_.device, std::to_string(unended_) + " bytes came without one",
                "check `baud_rate`, and that the device ends its lines"});
   }
-  /// At the end: bytes came, and never a line of which anything could be made.
-  void tell_unended() {
+  /// Reports at the end that bytes came but never a usable line.
+  void report_unended() {
     if (!is_running() || unended_ == 0 || !is_beginning_ || origin_.counts.received != 0) return;
-    if (!std::exchange(is_unended_told_, true)) fail_unended();
+    if (!std::exchange(is_unended_reported_, true)) fail_unended();
   }
 
   Error silence_error() const override {
     return {Errc::timed_out, "nothing comes", config_.device, "it has been silent for " + to_string(config_.silence),
-            "look at the device; `silence` sets how long it may be silent"};
+            "check the device; `silence` sets how long it may be silent"};
   }
 
   void take_line(std::string_view line) {
@@ -247,8 +246,8 @@ class SerialLineNode final : public StreamNode {
       decoder_->takes_back() ? refuse_held() : let_go();
       if (fd_ < 0 || openings_ != opening) return;
     }
-    const LineDecoder::Step step = decoder_->step();
-    // Of the numbers that are left out, those of lines which came and could not be used are not lost.
+    const LineDecoder::NumberComparison step = decoder_->step();
+    // Left-out numbers of lines that came but could not be used are not lost.
     const std::uint64_t unusable = std::exchange(unusable_lines_, 0);
     const std::uint64_t lost = step.lost - std::min(step.lost, unusable);
     if (lost != 0 || step.goes_back) return hold(lost, unusable);
@@ -287,7 +286,7 @@ class SerialLineNode final : public StreamNode {
     unusable_lines_ += held_.unusable;
     fail_line({Errc::bad_data, "cannot use a line", config_.device,
                "its number makes a jump that the next line takes back",
-               "a digit was lost or changed on the way: look at the wires, and at who else writes to the line"});
+               "a digit was lost or changed on the way: check the wires, and which other device writes to the line"});
   }
 
   void take_sentence(std::string_view line) {
@@ -298,13 +297,13 @@ class SerialLineNode final : public StreamNode {
       line.remove_prefix(end + 1);
     }
     if (line.empty()) return;
-    // What stands before the sentence, such as a maker's own bytes, makes no line of its own.
+    // Bytes before the sentence, such as a manufacturer's own data, are skipped.
     const std::size_t begin = line.rfind('$');
     const bool has_more = line.front() != '!' && begin != 0 && begin != std::string_view::npos;
     const unsigned opening = openings_;
     if (has_more) {
-      fail_line({Errc::bad_data, "cannot use what stands before a sentence", config_.device,
-                 std::to_string(begin) + " bytes that are no sentence of NMEA", "let the receiver send NMEA only"});
+      fail_line({Errc::bad_data, "cannot use the bytes before a sentence", config_.device,
+                 std::to_string(begin) + " bytes outside of an NMEA sentence", "let the receiver send NMEA only"});
       if (fd_ < 0 || openings_ != opening) return;
       line.remove_prefix(begin);
     }
@@ -328,7 +327,7 @@ class SerialLineNode final : public StreamNode {
     return a.gps_time == b.gps_time && a.lat == b.lat && a.lon == b.lon && a.alt_msl == b.alt_msl &&
            a.speed == b.speed && a.track == b.track && a.mode == b.mode && a.satellites_used == b.satellites_used;
   }
-  /// What has come of the last fix, when no more will.
+  /// Publishes the last fix when no more sentences will come.
   void finish_fix() {
     if (fixes_ != nullptr && is_running()) fixes_->finish(publish_fix_);
   }
@@ -370,8 +369,8 @@ class SerialLineNode final : public StreamNode {
   std::string line_;  // the bytes of the lines that are not complete, never more than max_line + most_read
   Time time_{};       // of the last read
   unsigned openings_ = 0;
-  std::size_t unended_ = 0;       // bytes since the last end of a line
-  bool is_unended_told_ = false;  // that there are too many
+  std::size_t unended_ = 0;           // bytes since the last end of a line
+  bool is_unended_reported_ = false;  // that there are too many
   unsigned lines_to_skip_ = 0;
   std::uint64_t unusable_lines_ = 0;  // since the last good one
   bool is_first_ = true;              // nothing but the rest of a line may have come yet

@@ -16,7 +16,7 @@
 namespace rtdata {
 namespace {
 
-/// Why nothing can be written to it; empty: it can.
+/// Why the descriptor cannot be written; empty: it can.
 const char* obstacle(int descriptor) {
   const int flags = ::fcntl(descriptor, F_GETFL);
   return flags < 0 ? "it is not open" : (flags & O_ACCMODE) == O_RDONLY ? "it is open for reading only" : "";
@@ -29,7 +29,7 @@ class ConsoleWriter final : public Writer {
       : where_("descriptor " + std::to_string(config.descriptor)), time_(config.time) {
     if (const std::string why = obstacle(config.descriptor); !why.empty())
       throw SetupError({Errc::bad_argument, "cannot print", where_, why, descriptor_advice});
-    // A copy: a lane that is left behind must not write into what has this number by then.
+    // A copy: an abandoned lane must not write into what has this number by then.
     fd_ = ::fcntl(config.descriptor, F_DUPFD_CLOEXEC, 3);
     if (fd_ < 0) throw SetupError(system_error(errno, "cannot print", where_));
   }
@@ -56,7 +56,7 @@ class ConsoleWriter final : public Writer {
     pollfd ready{fd_, POLLOUT, 0};
     const int count = ::poll(&ready, 1, patience);
     if (count == 0)
-      return Error{Errc::timed_out, "cannot print", where_, "nobody reads it", "events wait in the queue"};
+      return Error{Errc::timed_out, "cannot print", where_, "its reader does not read", "events wait in the queue"};
     if (count < 0 && errno == EINTR) return {};
     // A pipe that is ready takes this much without blocking.
     const ssize_t written = ::write(fd_, text_.data() + done_, std::min<std::size_t>(text_.size() - done_, PIPE_BUF));
@@ -66,7 +66,7 @@ class ConsoleWriter final : public Writer {
     }
     const int reason = errno;
     if (reason == EINTR || reason == EAGAIN) return {};
-    if (reason == EPIPE) return Error{Errc::closed, "printing has ended", where_, "its reader has gone", ""};
+    if (reason == EPIPE) return Error{Errc::closed, "printing has ended", where_, "its reader has closed it", ""};
     return system_error(reason, "cannot print", where_);
   }
 

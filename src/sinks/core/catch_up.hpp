@@ -1,4 +1,4 @@
-// When a backlog is gone at the pace of the last seconds. Loop's thread.
+// Estimates when a backlog is empty, at the speed of the last seconds. Loop's thread.
 #pragma once
 
 #include <array>
@@ -13,14 +13,14 @@ namespace rtdata::detail {
 
 class CatchUp {
  public:
-  /// So many events wait now. As often as it likes.
+  /// Notes the number of waiting events; may be called at any rate.
   void note(MonotonicTime now, std::uint64_t waits) noexcept {
     if (count_ > 0 && span_between(looks_[(count_ - 1) % looks_.size()].at, now) < step) return;
     looks_[count_++ % looks_.size()] = {now, waits};
   }
-  /// Sending failed: what was before says nothing of what comes.
+  /// Restarts the estimate after a failure of sending.
   void restart() noexcept { count_ = 0; }
-  /// None: it does not become less, or that is not known yet.
+  /// Empty: the backlog does not shrink, or this is not known yet.
   std::optional<Duration> at(MonotonicTime now, std::uint64_t waits) const noexcept {
     if (waits == 0) return Duration{0};
     for (std::size_t i = count_ > looks_.size() ? count_ - looks_.size() : 0; i < count_; ++i) {

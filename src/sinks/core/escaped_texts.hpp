@@ -1,4 +1,4 @@
-// Texts of payloads that were no UTF-8, as a writer counts and tells them. Lane's thread.
+// Counts and reports a writer's texts that are not UTF-8. Lane's thread.
 #pragma once
 
 #include <cstdint>
@@ -15,7 +15,7 @@ namespace rtdata::detail {
 
 class EscapedTexts {
  public:
-  /// What becomes of them.
+  /// How they are stored, for the warning.
   explicit EscapedTexts(const char* fate = "its wrong bytes are written as \\xHH") : fate_(fate) {}
   void begin_batch() { in_batch_.clear(); }
   void add(std::uint32_t slot) { ++in_batch_[slot]; }
@@ -34,8 +34,8 @@ class EscapedTexts {
       if (!known_.insert(slot).second) continue;
       const SlotInfo& info = batch.slot(slot);
       if (!warning_) {
-        warning_ = Error{Errc::bad_data, "a text is no UTF-8", "topic " + info.topic + ", origin " + info.origin, fate_,
-                         "let the device send UTF-8; of a serial line, check `baud_rate`"};
+        warning_ = Error{Errc::bad_data, "a text is not UTF-8", "topic " + info.topic + ", origin " + info.origin,
+                         fate_, "let the device send UTF-8; of a serial line, check `baud_rate`"};
       } else {
         warning_->where += "; topic " + info.topic + ", origin " + info.origin;
       }

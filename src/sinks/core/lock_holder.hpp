@@ -30,8 +30,7 @@ inline std::string lock_holder(const struct stat& file) {
   return "another process";
 }
 
-/// The process that has locked (flock) this open file, when it is another one than this; empty: none has. Locks
-/// nothing.
+/// Another process that has locked (flock) this open file; empty: none. Locks nothing.
 inline Result<std::string> other_lock_holder(int fd, const std::string& path) {
   struct stat about {};
   if (::fstat(fd, &about) != 0) return system_error(errno, "cannot look at the file", path, "");

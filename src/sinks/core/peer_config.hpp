@@ -1,4 +1,4 @@
-// What the senders that connect to a host have in common: what their settings may be.
+// Common checks of the settings of senders.
 #pragma once
 
 #include <memory>

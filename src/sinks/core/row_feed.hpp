@@ -1,4 +1,4 @@
-// What a sink with `through` is fed with: the rows that are committed in a recording and that it has not stored yet.
+// The row source of a sink with `through`: committed rows of a recording that the sink has not stored yet.
 #pragma once
 
 #include <atomic>
@@ -19,7 +19,7 @@ struct RowFeedConfig {
   std::string sink;                 ///< its name: that of its position
   std::vector<std::string> topics;  ///< patterns
   From from = From::now;
-  /// The times that it gets: as they are recorded, or UTC as far as it is known when they are read.
+  /// The times of its rows: as recorded, or UTC as known when they are read.
   enum class Times { recorded, utc } times = Times::recorded;
   std::size_t rows = 0;  ///< put into the queue at a time, about
 };
@@ -38,18 +38,18 @@ struct FeedCounts {
 class RowFeed {
  public:
   virtual ~RowFeed() = default;
-  /// Before all other calls, and before the writer is opened: what "now" is does not depend on whether the peer is
-  /// there. Again while it is away: looks at what waits.
+  /// Called before all other calls and before the writer is opened, so that "now" does not depend on the peer. Called
+  /// again while the peer is away, to update the backlog.
   virtual Result<void> attach() = 0;
-  /// With no batch under way: puts the next rows into the queue. False: there are none.
+  /// Puts the next rows into the queue; no batch may be in progress. False: there are none.
   virtual Result<bool> fill(SinkQueue& queue) = 0;
-  /// Of the rows of the last `fill`, in order, the first `rows` need not come again.
+  /// The first `rows` rows of the last `fill` are done and need not come again.
   virtual void settled(std::size_t rows) noexcept = 0;
   /// One of them was refused. The same may be said again.
   virtual void refused(const SlotInfo& slot, std::uint64_t sequence, const Error& why) = 0;
   /// The recording has committed something: counts it. While the lane is idle.
   virtual void note_committed() = 0;
-  /// Of what was put into the queue nothing more is settled: it is given again.
+  /// Unsettled rows of the queue will be supplied again.
   virtual void forget() noexcept = 0;
   virtual FeedCounts counts() const noexcept = 0;
   /// The file of the recording.
@@ -57,7 +57,7 @@ class RowFeed {
   /// To be called on the recording's lane once that is closed and has its last account. What it returns goes to the
   /// log.
   virtual void at_end(std::function<std::string()> call) = 0;
-  /// What the user should hear of although nothing failed. Asked after each turn of work.
+  /// Remarks for the user although nothing failed. Called after each job.
   virtual std::vector<std::string> take_remarks() = 0;
 };
 

@@ -132,7 +132,7 @@ SinkAccount::Enqueued SinkAccount::enqueue(Part part, Time at, MonotonicTime unt
   std::size_t all = 0;
   for (const auto& tap : taps_) all += tap->topic().origins().size();
   account.origins.reserve(is_last ? all : std::min(all, origins_at_once));
-  notes.tell_lost(at);
+  notes.report_lost(at);
   if (part != Part::next) next_topic_ = next_origin_ = 0;
   bool has_more = false;
   for (std::size_t looked_at = 0; next_topic_ < taps_.size(); ++next_topic_, next_origin_ = 0) {

@@ -1,4 +1,4 @@
-// What a sink records of the runtime: the events of its topics, and the accounts of their origins. Loop's thread.
+// Takes the events of a sink's topics and the accounts of their origins. Loop's thread.
 #pragma once
 
 #include <cstddef>
@@ -23,16 +23,16 @@ class SinkAccount {
   Result<void> add_topic(TopicCore& topic, SinkNode& sink);
   /// Counts its events as refused from now on.
   void refuse_topic(TopicCore& topic, SinkNode& sink) { add_tap(topic, sink, SinkTap::Takes::none); }
-  /// Keeps the accounts of the topics that the origin, if it is of a topic taken here, is made of; and of those that
-  /// these are made of. No rows of them. Of a recording only.
+  /// Also stores the accounts of the source topics of a taken origin, and of their sources, without rows. Only for
+  /// recordings.
   void follow(OriginCore& origin, SinkNode& sink);
-  /// The same of all that there are now. All that tiers have counted so far was taken.
+  /// The same for all present origins. The data of tiers so far must have been taken.
   void follow_all(SinkNode& sink);
   /// A topic has been made that is not taken: it may be one of them.
   void follow_new(TopicCore& topic, SinkNode& sink);
   /// One of them is counted on another loop already, and `follow_all` is to be called. Asked once.
   bool is_follow_due() noexcept { return std::exchange(is_follow_due_, false); }
-  /// The writer has been opened at set-up: what was counted so far goes to where it keeps counts.
+  /// After the writer was opened at set-up: moves the counts to the writer's memory.
   void move_counts(LoopCore& loop) noexcept;
   /// A recording has begun, or ended.
   void look_at_runs() {
@@ -46,17 +46,17 @@ class SinkAccount {
 
   void add(OriginCore& origin, const Gap& gap);
   void add(OriginCore& origin, const Segment& segment);
-  /// There is a schedule, whose ticks change it although nothing comes.
+  /// True if there is a schedule, whose ticks change the account even without events.
   bool goes_on_by_itself() const noexcept;
   SinkNotes notes;  ///< what else is to be recorded
 
-  /// A part of it, or all, of the origins that changed since the last one.
+  /// A part of the account, or all, for origins that changed since the last one.
   enum class Part { first, next, last };  // the last one is of all origins, in one go
   struct Enqueued {
     bool is_something = false;  ///< there was something to account for, and the queue has it
     bool has_more = false;      ///< another part follows
   };
-  /// Whether `enqueue` may be called: not while the queue holds too many parts. There is always room for the last one.
+  /// True if `enqueue` may be called: not while the queue holds too many parts. There is always space for the last one.
   bool has_room() const noexcept { return queue_->has_account(); }
   /// Puts a part of the account into the queue. `at`: now; `until`: ticks are counted up to then; `unknown`: which
   /// counts the account lacks, and why, or empty.

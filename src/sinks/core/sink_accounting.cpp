@@ -16,7 +16,7 @@ bool SinkNode::is_account_worth_it() const noexcept {
   constexpr std::uint64_t events_an_origin = 50;  // so that accounts of many do not outweigh what they account for
   const StorePace& pace = queue_->pace();
   const std::uint64_t slots = queue_->slot_count();
-  return pace.account_time.count() == 0 || !account_.notes.is_empty() || slots != slots_told_ ||
+  return pace.account_time.count() == 0 || !account_.notes.is_empty() || slots != reported_slots_ ||
          span_between(account_at_, loop()->now()) >= pace.account_time ||
          queue_->rows_since_account() >= std::max(pace.account_events, events_an_origin * slots);
 }
@@ -68,19 +68,19 @@ bool SinkNode::begin_account() {
   is_account_due_ = !account_.has_room();
   if (is_account_due_) return false;
   account_at_ = loop()->now();
-  slots_told_ = queue_->slot_count();
+  reported_slots_ = queue_->slot_count();
   return enqueue_account(SinkAccount::Part::first);
 }
 
 bool SinkNode::enqueue_account(SinkAccount::Part part) noexcept try {
   if (!queue_->keeps_account()) {  // of a sink that is fed, the recording has it
-    is_last_told_ = part == SinkAccount::Part::last;
+    is_last_reported_ = part == SinkAccount::Part::last;
     return false;
   }
   is_account_due_ = part != SinkAccount::Part::last;
   if (part == SinkAccount::Part::next) set_account_timer();  // if there is no memory for it now
   if (had_no_memory_) {
-    unknown_ += std::string(unknown_.empty() ? "" : "; ") + "there was no memory for some of what was told of it";
+    unknown_ += std::string(unknown_.empty() ? "" : "; ") + "there was no memory for some of its reports";
     loop()->runtime.keep_report(
         loop(), object_name(),
         {Errc::io_failed, "not kept", config_.name, "there was no memory for some of its account",
@@ -91,10 +91,10 @@ bool SinkNode::enqueue_account(SinkAccount::Part part) noexcept try {
   const auto enqueued = account_.enqueue(part, now, loop()->deadlines.handled_until(), unknown_);
   is_account_due_ = false;
   had_no_news_ = part == SinkAccount::Part::first && !enqueued.is_something && !enqueued.has_more;
-  rows_told_ = queue_->rows_since_account();
+  reported_rows_ = queue_->rows_since_account();
   is_between_parts_ = enqueued.has_more;
   set_account_timer();
-  if (part == SinkAccount::Part::last) is_last_told_ = true;
+  if (part == SinkAccount::Part::last) is_last_reported_ = true;
   return enqueued.is_something;
 } catch (...) {  // no memory: nothing has changed
   return false;

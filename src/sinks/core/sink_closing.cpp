@@ -1,4 +1,4 @@
-// How a sink ends: drained by its loop, or closed by its owner.
+// The end of a sink: drained by its loop, or closed by its owner.
 #include <algorithm>
 
 #include "data/saturating.hpp"
@@ -22,8 +22,8 @@ void SinkNode::begin_closing(MonotonicTime deadline) {
   if (life_ != Life::attached) return;
   runtime.reports.flush(Reports::Repeated::all);
   if (life_ != Life::attached) return;  // a user's handler has closed this sink
-  // What was published, by tiers too, and what is known to have been published is to be the same: nothing of the user's
-  // runs between here and the last account. Storing needs time, too.
+  // The published events, including those of tiers, must match the last account, so no user code runs between here and
+  // the account. Storing needs time, too.
   std::string unknown = runtime.exchange.unknown();
   note([&] {
     if (unknown.empty())
@@ -31,7 +31,7 @@ void SinkNode::begin_closing(MonotonicTime deadline) {
     if (!unknown.empty()) unknown_ += (unknown_.empty() ? "" : "; ") + unknown;
   });
   life_ = Life::closing;
-  tell_of_run();
+  report_run();
   account_.end();
   note([&] {
     if (!account_.notes.has_end() && !runtime.clock_log.is_repeated())
@@ -60,7 +60,7 @@ void SinkNode::finish_drain() {
   drained_.clear();
   deadline_.stop();
   const std::uint64_t lost = leave();
-  for (auto& tell_end : done) tell_end(lost);
+  for (auto& report_end : done) report_end(lost);
 }
 
 std::uint64_t SinkNode::leave() noexcept {
@@ -102,8 +102,8 @@ std::uint64_t SinkNode::leave() noexcept {
                      {Errc::timed_out, "lost " + std::to_string(lost) + " events", config_.name,
                       "they could not be stored before the deadline" + why,
                       queue_->sender() != nullptr
-                          ? "look at the peer; with `through` events wait in a recording"
-                          : "look at the storage; of a recording, the next start writes down what was lost"});
+                          ? "check the peer; with `through` events wait in a recording"
+                          : "check the storage; of a recording, the next start writes down what was lost"});
     } else if (!is_closed && !is_fed()) {
       runtime.report(loop(), object_name(),
                      {Errc::timed_out, "not closed", config_.name, "there was no time or no memory for its end" + why,
@@ -138,12 +138,12 @@ void SinkNode::on_close() noexcept {
   loop()->runtime.detach(*this);
   if (is_scheduled()) loop()->schedule().remove(*this);
   job_->sink = nullptr;
-  if (is_at_work()) lane_->leave_behind();
+  if (is_at_work()) lane_->abandon_thread();
   lane_ = nullptr;
   for (Timer* timer : {&work_timer_, &account_timer_, &deadline_, &follow_}) timer->close();
   auto done = std::move(drained_);
   drained_.clear();
-  for (auto& tell_end : done) tell_end(lost);
+  for (auto& report_end : done) report_end(lost);
 }
 
 void SinkNode::pause_before_storing(Duration duration) {

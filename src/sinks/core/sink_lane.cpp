@@ -1,4 +1,4 @@
-// What a sink's lane does: gathers batches from the queue, hands them to the writer, and counts what became of them.
+// The work of a sink's lane: gathers batches from the queue, passes them to the writer, and counts the results.
 #include <algorithm>
 #include <limits>
 #include <new>
@@ -9,7 +9,7 @@
 namespace rtdata::detail {
 namespace {
 
-/// For the only thread that writes it: no locked instruction for each of thousands.
+/// For the only writing thread: avoids a locked instruction for each of thousands of counters.
 void add(std::atomic<std::uint64_t>& sum, std::uint64_t count) noexcept {
   sum.store(sum.load(std::memory_order_relaxed) + count, std::memory_order_relaxed);
 }
@@ -25,7 +25,7 @@ void SinkQueue::pause(Duration duration) {
 }
 
 ChunkHeader* SinkQueue::next_queued(std::uint64_t before) {
-  // What the loop queues during the look could hide one that it queued before that: they come later.
+  // Chunks queued during the search could hide an earlier one, so they are left for later.
   before = std::min(before, last_ticket_.load(std::memory_order_acquire) + 1);
   for (;;) {
     ChunkHeader* next = nullptr;
@@ -55,7 +55,7 @@ bool SinkQueue::gather() {
   AccountBox& box = accounts_[account_cursor_];
   const std::uint64_t after = box.after_ticket.load(std::memory_order_acquire);
   const std::uint64_t before = after != 0 ? after : std::numeric_limits<std::uint64_t>::max();
-  // What waits already is stored together, in transactions that stay short.
+  // Stores everything that waits together, in short transactions.
   const std::size_t window_rows = sender_ != nullptr ? sending_.window * sending_.parcel_rows : 0;
   const std::size_t enough_rows = pace_.bytes == 0 ? std::max(config_.batch_rows, window_rows) : 1;
   bool has_all = false;                     // all before the account has been gathered, or was taken back by the loop
@@ -139,7 +139,7 @@ Result<void> SinkQueue::call_writer(Call&& call) {
     } catch (const std::exception& e) {
       result = Error{Errc::handler_threw, "the writer threw", "", e.what(), ""};
     } catch (...) {
-      result = Error{Errc::handler_threw, "the writer threw", "", "an exception that is no std::exception", ""};
+      result = Error{Errc::handler_threw, "the writer threw", "", "an exception that is not a std::exception", ""};
     }
   } catch (...) {
     result = no_memory();

@@ -65,7 +65,7 @@ void SinkNode::attach() {
   for (const auto& [sensor, change] : runtime.configurations.processes()) account_.notes.add(change);
   loop()->schedule().add(*this);
   life_ = Life::attached;
-  tell_of_run();
+  report_run();
   for (const auto& [topic, why] : refused) {
     account_.refuse_topic(*topic, *this);
     fault_for_good(why.text());
@@ -86,7 +86,7 @@ std::string SinkNode::run_of(const TopicCore& topic) const {
   return runtime.run_uuid();
 }
 
-void SinkNode::tell_of_run() noexcept {
+void SinkNode::report_run() noexcept {
   if (!queue_->is_recording()) return;
   for (Recorder* const recorder : loop()->runtime.recorders) {
     SinkNode* const sink = recorder->as_sink();
@@ -109,7 +109,7 @@ Result<void> SinkNode::on_topic(TopicCore& topic) {
   } catch (const std::exception& e) {
     taken = threw(e.what());
   } catch (...) {
-    taken = threw("an exception that is no std::exception");
+    taken = threw("an exception that is not a std::exception");
   }
   if (!taken) {
     account_.refuse_topic(topic, *this);
@@ -127,7 +127,7 @@ void SinkNode::on_made_of(OriginCore& origin) {
 void SinkNode::on_refusal(const Error& error) {
   Call call(*this);
   report(error, 1);
-  tell_health();
+  report_health();
 }
 
 bool SinkNode::wants(std::string_view topic) const noexcept {
@@ -212,8 +212,8 @@ bool SinkNode::is_idle() const noexcept {
   const StorePace& pace = queue_->pace();
   if (pace.sync_time.count() > 0 && unsynced_since_) return false;
   if (!queue_->keeps_account()) return true;
-  return account_.notes.is_empty() && queue_->slot_count() == slots_told_ &&
-         queue_->rows_since_account() == rows_told_ && had_no_news_ && !account_.goes_on_by_itself();
+  return account_.notes.is_empty() && queue_->slot_count() == reported_slots_ &&
+         queue_->rows_since_account() == reported_rows_ && had_no_news_ && !account_.goes_on_by_itself();
 }
 
 bool SinkNode::report_times(CallbackStatus& status) const {
@@ -236,9 +236,9 @@ void SinkNode::set_reason(const Error& error) noexcept {
   note([&] { reason_ = loop()->runtime.hide(error.text()); });
 }
 
-void SinkNode::tell_health() {
-  if (!is_open() || health_ == told_health_) return;
-  told_health_ = health_;
+void SinkNode::report_health() {
+  if (!is_open() || health_ == published_health_) return;
+  published_health_ = health_;
   loop()->runtime.health_changed("sink", config_.name, health_, reason_);
 }
 

@@ -59,25 +59,25 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
 
   // ---- called by the taps
   enum class Hand { rows, rows_and_account };
-  /// Hands over to the lane what is queued, now or as soon as it is free.
+  /// Passes the queue to the lane, now or when the lane is free.
   void hand_over(Hand what);
-  /// Hands over what is queued; `done` is called when that survives a power cut.
+  /// Stores the queue; calls `done` when it survives a power failure.
   void sync(Callback<void()> done);
-  /// Puts the lane to work, unless it is or waits for a retry.
+  /// Starts the lane, unless it works already or waits for a retry.
   void start_work();
-  /// An origin that no account has yet: the next account comes soon, as after a changed schedule, so that a kill in the
-  /// first second leaves them too.
+  /// Makes the next account soon, for a new origin or a changed schedule, so that a kill in the first second does not
+  /// lose them.
   void account_is_due();
-  /// The run of the events of a topic, for who gets them elsewhere: that of the first recording that takes it, else the
-  /// program's. Of a recording, and of what goes through one: empty.
+  /// The run of a topic's events for peers: that of the first recording that takes it, otherwise the program's. Empty
+  /// for a recording and for a sink with `through`.
   std::string run_of(const TopicCore& topic) const;
 
   Handler<ErrorReport> on_error_;
   const std::string& name() const noexcept override { return config_.name; }
   SinkCounts counts() const noexcept override { return last_ ? last_->counts : queue_->counts(); }
   Health health() const noexcept { return health_; }
-  /// Its peer has something to answer; or it tries again later, and meanwhile its queue fills. What waits in a
-  /// recording is safe there.
+  /// True if it waits for its peer's answer, or for a retry while its queue fills. Events in a recording are safe and
+  /// do not count.
   bool needs_real_time() const noexcept {
     if (work_ == Work::sending) return !is_fed() || !transfer_->is_waiting();
     return is_attached() && is_waiting() && !is_fed();
@@ -101,7 +101,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
     waiting,             // for the retry after an error
     waiting_for_thread,  // the same, after the system gave none
   };
-  /// A turn of work. Shared with the lane's thread, which may be left behind with it.
+  /// A job of the lane. Shared with the lane's thread, which may be abandoned with it.
   class Job final : public LaneJob {
    public:
     explicit Job(std::shared_ptr<SinkQueue> queue) : queue_(std::move(queue)) {}
@@ -133,9 +133,9 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
     return queue_->is_recording() && is_attached() && !is_closing() && wants(topic);
   }
   /// This recording has begun, or ended: tells the other sinks.
-  void tell_of_run() noexcept;
+  void report_run() noexcept;
 
-  /// Calls a function that needs memory for a report: when there is none, the account says that it does not know.
+  /// Calls a function that needs memory for a report; without memory the account is marked as incomplete.
   template <class Function>
   void note(Function&& function) noexcept {
     try {
@@ -149,17 +149,17 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   /// What will not get better: the first reason stays.
   void fault_for_good(const std::string& reason) noexcept;
   void set_reason(const Error& error) noexcept;
-  void tell_health();
+  void report_health();
   void report(const Error& error, std::uint64_t count) noexcept;
 
   // ---- the account: sink_accounting.cpp
   /// Storing an account costs some pages however little it says: while nothing but counts go on, one is made now and
   /// then.
   bool is_account_worth_it() const noexcept;
-  /// Hands over the account of what changed since the last one, or its first part; the others follow. False: nothing
-  /// was handed over.
+  /// Queues the account of all changes since the last one, or its first part; the others follow. False: nothing was
+  /// queued.
   bool begin_account();
-  /// Hands over a part of the account, or all. False: there is nothing to report; or no memory, then it is due again.
+  /// Queues a part of the account, or all. False: nothing to report, or no memory; then it is due again.
   bool enqueue_account(SinkAccount::Part part) noexcept;
   void account_timer_fired();
   void follow_timer_fired();
@@ -177,7 +177,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   void stop_waiting();
   void work_timer_fired();
   void work_done(LaneJob::Outcome outcome);
-  /// Takes the state that follows from what was stored, and goes on storing. Calls no code of the user's.
+  /// Updates the state after a job and continues storing. Calls no user code.
   void go_on_after(const SinkTurnResult& turn);
   /// Reports and logs the result. Handlers may do anything to this sink, its closing included.
   void report_result(const SinkTurnResult& turn, Health before);
@@ -203,7 +203,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   void rows_came();
   void note_backlog() noexcept;
   /// Of a recording: tells those that go through it.
-  void tell_followers();
+  void notify_followers();
   void give_up();
   /// Of a recording that closes: nothing more is committed until the last account. Of one that others still go
   /// through, this is not yet due.
@@ -249,18 +249,18 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   bool is_between_parts_ = false;          // of an account
   std::optional<MonotonicTime> early_at_;  // when the account of new origins is due
   bool is_account_due_ = false;
-  bool is_last_told_ = false;     // the final account of the run was handed over
-  MonotonicTime account_at_{};    // when the latest account was begun
-  MonotonicTime next_early_{};    // an early account is made no sooner
-  std::uint64_t slots_told_ = 0;  // the number of slots in the latest account
-  bool had_no_news_ = false;      // there was nothing to say in it
-  std::uint64_t rows_told_ = 0;   // of those since the account before it, which are in it
-  std::string unknown_;           // what the latest account cannot know
-  bool had_no_memory_ = false;    // an entry of the next account could not be allocated
+  bool is_last_reported_ = false;     // the final account of the run was handed over
+  MonotonicTime account_at_{};        // when the latest account was begun
+  MonotonicTime next_early_{};        // an early account is made no sooner
+  std::uint64_t reported_slots_ = 0;  // the number of slots in the latest account
+  bool had_no_news_ = false;          // there was nothing to say in it
+  std::uint64_t reported_rows_ = 0;   // of those since the account before it, which are in it
+  std::string unknown_;               // what the latest account cannot know
+  bool had_no_memory_ = false;        // an entry of the next account could not be allocated
 
   // health
   Health health_ = Health::ok;
-  Health told_health_ = Health::ok;  // as last published
+  Health published_health_ = Health::ok;  // as last published
   std::string reason_;
   std::string fault_;                    // why it stays faulted: it wants a topic that it cannot take
   bool error_already_reported_ = false;  // the last error is the same as the one before it

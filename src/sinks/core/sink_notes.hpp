@@ -1,4 +1,4 @@
-// What a recording holds besides events and counts, between two accounts. Loop's thread.
+// Data for a recording besides events and counts, between two accounts. Loop's thread.
 #pragma once
 
 #include <algorithm>
@@ -11,8 +11,8 @@
 
 namespace rtdata::detail {
 
-/// Bounded, however long storage stalls: then gaps of one origin become one, and errors alike are counted. What finds
-/// no place any more is counted in an error of its own.
+/// Bounded, even if storage stalls: then gaps of one origin are joined, and equal errors are counted. Data that does
+/// not fit is counted in a separate error.
 class SinkNotes {
  public:
   static constexpr std::size_t most_segments = 16384;
@@ -100,14 +100,14 @@ class SinkNotes {
   }
   bool has_end() const noexcept { return !clock_.empty() && std::string_view(clock_.back().occasion) == "end"; }
 
-  /// Adds to the errors what found no place, as `move_into` must not: it throws when there is no memory.
-  void tell_lost(Time at) {
-    tell_lost(at, lost_segments_, "stretches of schedule");
-    tell_lost(at, lost_errors_, "errors");
-    tell_lost(at, lost_clock_pairs_, "pairs of clocks");
-    tell_lost(at, lost_health_changes_, "changes of health");
-    tell_lost(at, lost_configurations_, "changes of the configuration");
-    tell_lost(at, lost_made_of_, "topics of which others are made");
+  /// Adds an error for data that did not fit; throws without memory, so `move_into` must not do this.
+  void report_lost(Time at) {
+    report_lost(at, lost_segments_, "stretches of schedule");
+    report_lost(at, lost_errors_, "errors");
+    report_lost(at, lost_clock_pairs_, "pairs of clocks");
+    report_lost(at, lost_health_changes_, "changes of health");
+    report_lost(at, lost_configurations_, "changes of the configuration");
+    report_lost(at, lost_made_of_, "topics of which others are made");
   }
   void move_into(Account& account) noexcept {
     move(gaps_, account.gaps);
@@ -122,10 +122,10 @@ class SinkNotes {
 
  private:
   static constexpr std::uint32_t no_gap = ~std::uint32_t{0};
-  void tell_lost(Time at, std::uint64_t& count, const char* what) {
+  void report_lost(Time at, std::uint64_t& count, const char* what) {
     if (count == 0) return;
     const Error error{Errc::io_failed, "not kept", what, "too many came while nothing could be stored",
-                      "look at the storage"};
+                      "check the storage"};
     errors_.push_back({at, "sink", std::string(error.id()), error.text(), count, at});
     count = 0;
   }

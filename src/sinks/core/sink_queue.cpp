@@ -41,7 +41,7 @@ SinkQueue::SinkQueue(const SinkConfig& config, std::unique_ptr<Writer> writer)
   void* memory = ::mmap(nullptr, memory_bytes_, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1,
                         0);
   if (memory == MAP_FAILED) {
-    throw SetupError(system_error(errno, "cannot set aside the queue", config.name, "make `queue_bytes` smaller"));
+    throw SetupError(system_error(errno, "cannot allocate the queue", config.name, "make `queue_bytes` smaller"));
   }
   memory_ = static_cast<std::byte*>(memory);
   for (std::size_t i = 0; i < chunks_.size(); ++i) chunks_[i].data = memory_ + i * chunk_bytes;
@@ -60,7 +60,7 @@ std::uint32_t SinkQueue::add_slot(SlotInfo info) {
   if (index == most_slots)
     throw SetupError({Errc::bad_argument, "too many origins", config_.name,
                       "a sink takes at most " + std::to_string(most_slots), ""});
-  const Place at = place_of(index);
+  const SlotLocation at = location_of(index);
   if (at.offset == 0) {
     auto slots = std::make_unique<Slot[]>(first_block << at.block);
     stored_blocks_[at.block].store(new SlotStored[first_block << at.block], std::memory_order_release);
@@ -80,7 +80,7 @@ std::uint32_t SinkQueue::add_slot(SlotInfo info) {
 
 void SinkQueue::note_set_up_error(const char* call) noexcept {
   if (set_up_error_) return;
-  const char* what = "an exception that is no std::exception";
+  const char* what = "an exception that is not a std::exception";
   try {
     try {
       throw;

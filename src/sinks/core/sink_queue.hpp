@@ -1,5 +1,5 @@
-// The queue between a loop and a sink's lane: chunks of records in memory set aside at the start, and accounts. Shared
-// by both, since a lane that hangs in its storage may be left behind.
+// The queue between a loop and a sink's lane: chunks of records in memory allocated at the start, and accounts. Shared
+// by both, because a hanging lane may be abandoned.
 #pragma once
 
 #include <array>
@@ -140,13 +140,12 @@ class SinkQueue {
   bool hand_over();
   /// Some wait for that.
   bool has_rows() const noexcept { return full_chunks_ != 0 || (filling_ != nullptr && filling_->rows != 0); }
-  /// As much as makes a batch, or half of the queue, waits to be handed over.
+  /// True if a full batch, or half of the queue, is waiting.
   bool is_batch_due() const noexcept { return rows_since_handover_ >= due_rows_ || full_chunks_ >= due_chunks_; }
   const StorePace& pace() const noexcept { return pace_; }
   /// Handed over since the last account was.
   std::uint64_t rows_since_account() const noexcept { return rows_since_account_; }
-  /// Whether `next_account` may be filled. Otherwise all but one are on their way; that one is kept for the end, when
-  /// what there is to tell cannot wait.
+  /// True if `next_account` may be filled. Otherwise all but one are queued; that one is reserved for the end.
   bool has_account() const noexcept;
   /// None is on its way: all that were handed over are stored.
   bool has_stored_accounts() const noexcept {
@@ -161,17 +160,17 @@ class SinkQueue {
   /// Its number.
   std::uint32_t add_slot(SlotInfo info);
   Slot& slot(std::uint32_t index) const noexcept {
-    const Place at = place_of(index);
+    const SlotLocation at = location_of(index);
     return blocks_[at.block].load(std::memory_order_acquire)[at.offset];
   }
   SlotStored& stored(std::uint32_t index) const noexcept {
-    const Place at = place_of(index);
+    const SlotLocation at = location_of(index);
     return stored_blocks_[at.block].load(std::memory_order_acquire)[at.offset];
   }
   std::uint32_t slot_count() const noexcept { return slot_count_.load(std::memory_order_acquire); }
   /// A snapshot between two batches; while the lane ends batches faster than this can count, an approximate one.
   SinkCounts counts() const noexcept;
-  /// What was dropped of each topic that lost some. What is queued waits, or is lost too.
+  /// The drops of each topic with losses. Queued events count as waiting, or as lost too.
   enum class Queued { waits, lost };
   std::vector<TopicDrops> dropped_by_topic(Queued queued) const;
   bool is_idle() const noexcept;
@@ -190,7 +189,7 @@ class SinkQueue {
   std::optional<Error> take_set_up_error() noexcept { return std::exchange(set_up_error_, std::nullopt); }
   /// From here on the counts of the loop lie here, not with the writer, which may be closed.
   void keep_own_counts() noexcept;
-  /// Whatever the lane still does: no batch is begun or counted after this returns.
+  /// After this returns, the lane begins and counts no more batches.
   void abandon();
   /// Null: the writer is none.
   Sender* sender() const noexcept { return sender_; }
@@ -201,7 +200,7 @@ class SinkQueue {
   }
   const RowFeed* feed() const noexcept { return feed_.get(); }
   void note_committed() { feed_->note_committed(); }
-  /// Nothing more is sent: what was in the queue waits in the recording, if a limit has not deleted it.
+  /// Nothing more is sent: queued rows wait in the recording, unless a limit has deleted them.
   void end_feed() {
     feed_->note_committed();
     feed_->forget();
@@ -215,7 +214,7 @@ class SinkQueue {
   std::unique_ptr<RowFeed> make_feed(const RowFeedConfig& config) {
     return recording_ != nullptr ? recording_->feed(config) : nullptr;
   }
-  /// Of a sink that is fed by a recording: about as many as fit into half of the queue, and make some parcels.
+  /// For a sink with `through`: the number of rows that fit into half of the queue and make some parcels.
   std::size_t rows_at_once() const noexcept {
     return std::max(config_.batch_rows, sender_ != nullptr ? 2 * sending_.window * sending_.parcel_rows : 0);
   }
@@ -224,7 +223,7 @@ class SinkQueue {
 
   // ---- loop, while the lane is idle and the batch is sent: sink_sending.cpp
   const std::vector<Parcel>& parcels() const noexcept { return parcels_; }
-  /// The next rows, in order, from `first` up to and without `last` of that parcel, are with the peer but for these.
+  /// The peer has the next rows, from `first` up to, but not including, `last` of that parcel, except the refused ones.
   void settle(std::size_t parcel, std::size_t first, std::size_t last, std::span<const RefusedRow> refused) noexcept;
   /// All parcels are settled.
   void end_sending() noexcept;
@@ -244,11 +243,11 @@ class SinkQueue {
   static constexpr std::size_t first_block = 8;
   static constexpr std::size_t most_blocks = 17;
   static constexpr std::size_t most_slots = first_block * ((std::size_t{1} << most_blocks) - 1);
-  struct Place {
+  struct SlotLocation {
     std::size_t block;
     std::size_t offset;
   };
-  static Place place_of(std::uint32_t index) noexcept {
+  static SlotLocation location_of(std::uint32_t index) noexcept {
     const std::size_t block = std::bit_width(index / first_block + 1) - 1;
     return {block, index - first_block * ((std::size_t{1} << block) - 1)};
   }

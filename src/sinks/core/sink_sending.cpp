@@ -1,4 +1,4 @@
-// What becomes of a batch that is sent: parcels, made on the lane, and what was answered to them, counted on the loop.
+// Sending a batch: makes parcels on the lane, and counts their answers on the loop.
 #include <algorithm>
 #include <utility>
 

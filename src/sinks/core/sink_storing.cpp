@@ -1,4 +1,4 @@
-// How a sink's lane is put to work: opened, given what is queued, tried again after a failure.
+// Control of a sink's lane: opening, storing the queue, retrying after a failure.
 #include <algorithm>
 #include <iterator>
 
@@ -75,9 +75,9 @@ Duration SinkNode::to_utc() noexcept {
 void SinkNode::start_work() {
   if (work_ != Work::idle || !is_attached() || life_ == Life::closed) return;
   if (!is_to_open_ && !unsynced_since_) unsynced_since_ = loop()->now();
-  if (is_closing() && !is_last_told_ && is_end_due()) {
+  if (is_closing() && !is_last_reported_ && is_end_due()) {
     enqueue_account(SinkAccount::Part::last);
-    if (!is_last_told_) return retry_later(Work::waiting);
+    if (!is_last_reported_) return retry_later(Work::waiting);
   }
   job_->turn.task = next_task();
   if (job_->turn.task == SinkTurn::Task::store_and_sync) {
@@ -103,13 +103,13 @@ void SinkNode::start_work() {
 void SinkNode::wait_for_opening() {
   is_setting_up_ = true;
   const MonotonicTime begin = loop()->now();
-  bool is_told = false;
+  bool is_reported = false;
   while (work_ == Work::opening) {
     lane_->wait(loop()->is_manual() ? Duration::max() : tiers_wait_at_most);
     loop()->call_own("loop",
                      [&] { loop()->runtime.receive(); });  // what tiers publish meanwhile must not fill their rings
-    if (work_ != Work::opening || is_told || span_between(begin, loop()->now()) < long_opening) continue;
-    is_told = true;
+    if (work_ != Work::opening || is_reported || span_between(begin, loop()->now()) < long_opening) continue;
+    is_reported = true;
     note([&] { loop()->runtime.log(LogLevel::info, object_name(), "opening, which takes long"); });
   }
   is_setting_up_ = false;
@@ -137,10 +137,10 @@ void SinkNode::work_timer_fired() {
       health_ = Health::degraded;
       note([&] { reason_ = opening_reason; });
     }
-    return tell_health();
+    return report_health();
   }
   if (std::exchange(work_, Work::idle) == Work::waiting_for_thread) report(no_thread(), 1);
-  tell_health();
+  report_health();
   if (is_open()) start_work();
 }
 
@@ -182,9 +182,9 @@ void SinkNode::work_done(LaneJob::Outcome outcome) {
     const bool is_full = is_to_open_ && !turn.result && turn.result.error().code == Errc::storage_full;
     is_readable_ = is_readable_ || turn.has_opened() || is_full;
     if (is_open() && turn.has_ended) leave_followers("the recording that it goes through has ended");
-    if (is_open() && (turn.result || is_full)) tell_followers();
+    if (is_open() && (turn.result || is_full)) notify_followers();
   }
-  tell_health();                         // at the end, since this sink may take the event itself
+  report_health();                       // at the end, since this sink may take the event itself
   for (Callback<void()>& done : synced)  // they may do anything to this sink
     if (is_open()) loop()->call_own(object_name(), [&] { done(); });
 }

@@ -57,7 +57,7 @@ SinkTap::SinkTap(SinkNode& sink, std::shared_ptr<SinkQueue> queue, TopicCore& to
 }
 
 void SinkTap::offer(OriginCore& origin, Time time, std::uint64_t sequence, const void* payload) {
-  Place& place = places_[origin.index];
+  OriginSlot& place = places_[origin.index];
   const std::uint64_t course = course_of(origin.counts);
   if (takes_ == Takes::account) [[unlikely]] {
     if (std::exchange(place.course, course) != course)
@@ -88,7 +88,7 @@ void SinkTap::offer(OriginCore& origin, Time time, std::uint64_t sequence, const
 
 void SinkTap::miss(OriginCore& origin, std::uint64_t count, std::uint64_t last_sequence) {
   if (takes_ == Takes::account) return;
-  Place& place = places_[origin.index];
+  OriginSlot& place = places_[origin.index];
   place.live->offered += count;
   queue_->slot(place.slot).dropped_newest += count;
   if (place.first_sequence == 0) place.first_sequence = last_sequence - count + 1;
@@ -128,7 +128,7 @@ void SinkTap::look_at_run() {
 void SinkTap::move_counts() noexcept {
   for (const OriginCore* origin : topic_.origins()) {
     if (!knows(*origin)) continue;
-    Place& place = places_[origin->index];
+    OriginSlot& place = places_[origin->index];
     place.live = queue_->slot(place.slot).live;
     keep(*origin, Now::between_events);
   }
@@ -166,7 +166,7 @@ void SinkTap::note_closed(OriginCore& origin, const Gap& gap, std::uint64_t acco
 void SinkTap::note_ended(const OriginCore& origin, const Segment& segment) noexcept { ended_[origin.index] = segment; }
 
 OriginAccount SinkTap::account_of(const OriginCore& origin, MonotonicTime until) const noexcept {
-  const Place& place = places_[origin.index];
+  const OriginSlot& place = places_[origin.index];
   const Slot& slot = queue_->slot(place.slot);
   OriginAccount now{place.slot,
                     origin.counts,

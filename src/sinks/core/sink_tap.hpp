@@ -1,4 +1,4 @@
-// Where a sink takes the events of one topic: each is copied into its queue when it is published.
+// Takes the events of one topic for a sink: copies each event into the queue when it is published.
 #pragma once
 
 #include <cstdint>
@@ -16,8 +16,8 @@ class SinkNode;
 
 class SinkTap final : public Tap {
  public:
-  /// A sink that wants a topic and cannot take it counts each of its events as dropped: refused. Of a topic of which
-  /// others are made it keeps the account, in which what was published counts as filtered.
+  /// none: the sink cannot take the topic and counts each event as refused. account: only the account of a source topic
+  /// is stored; its published events count as filtered.
   enum class Takes { all, none, account };
   /// `number`: of the topic within the sink.
   SinkTap(SinkNode& sink, std::shared_ptr<SinkQueue> queue, TopicCore& topic, std::uint32_t number, Takes takes);
@@ -43,7 +43,7 @@ class SinkTap final : public Tap {
   std::uint32_t slot_of(const OriginCore& origin) const noexcept { return places_[origin.index].slot; }
   /// The origin's account as it is now, with the segment under way as if it ended at `until`.
   OriginAccount account_of(const OriginCore& origin, MonotonicTime until) const noexcept;
-  /// Whether anything of it came, or may come, here.
+  /// True if the origin has or may have events here.
   bool knows(const OriginCore& origin) const noexcept {
     return origin.index < places_.size() && places_[origin.index].live != nullptr;
   }
@@ -54,7 +54,7 @@ class SinkTap final : public Tap {
 
  private:
   /// What is touched for each event of an origin.
-  struct Place {
+  struct OriginSlot {
     LiveCounts* live = nullptr;  // null: it has no slot yet
     SlotStored* stored = nullptr;
     std::uint64_t first_sequence = 0;
@@ -84,7 +84,7 @@ class SinkTap final : public Tap {
   const Takes takes_;
   const std::size_t payload_bytes_;
   const std::size_t record_bytes_;
-  std::vector<Place> places_;             // by the origin's index within the topic, as the next
+  std::vector<OriginSlot> places_;        // by the origin's index within the topic, as the next
   std::vector<OriginAccount> accounted_;  // as last handed over
   std::vector<Before> before_;            // of those that were there
   std::vector<Closed> closed_;

@@ -1,4 +1,4 @@
-// How a sink goes through a recording: it is fed with what is committed there, and keeps its position in it.
+// A sink with `through`: reads committed rows of a recording and keeps its position there.
 #include <algorithm>
 #include <string>
 #include <utility>
@@ -32,7 +32,7 @@ void SinkNode::follow_recording() {
   auto feed = recording_->queue_->make_feed(
       {config_.name, config_.topics, config_.from,
        queue_->sender() != nullptr ? RowFeedConfig::Times::utc : RowFeedConfig::Times::recorded, rows});
-  if (feed == nullptr) refuse("it is no recording", "name a sqlite sink");
+  if (feed == nullptr) refuse("it is not a recording", "name a sqlite sink");
   take_over(feed->path());
   queue_->feed_from(std::move(feed));
   recording_->followers_.push_back(this);
@@ -67,7 +67,7 @@ void SinkNode::leave_followers(const char* why) noexcept {
     if (!follower->is_open() || follower->is_closing()) continue;
     follower->health_ = Health::faulted;
     follower->note([&] { follower->fault_for_good(why); });
-    follower->tell_health();
+    follower->report_health();
   }
 }
 
@@ -99,13 +99,13 @@ void SinkNode::rows_came() {
   if (!is_at_work()) note([&] { queue_->note_committed(); });
 }
 
-/// It closes, and its peer is away. What the recording has still to commit counts as waiting, too.
+/// Called when it closes and its peer is away. Rows that the recording has still to commit also count as waiting.
 void SinkNode::give_up() {
   if (recording_ == nullptr || recording_->life_ != Life::closing || recording_->has_all_rows_) return finish_drain();
   has_given_up_ = true;
 }
 
-void SinkNode::tell_followers() {
+void SinkNode::notify_followers() {
   const std::vector<SinkNode*> followers = followers_;
   for (SinkNode* follower : followers) {
     if (std::find(followers_.begin(), followers_.end(), follower) != followers_.end()) follower->rows_came();
@@ -128,7 +128,7 @@ void SinkNode::rows_settled(std::size_t parcel, std::size_t first, std::size_t l
   if (health_ == Health::ok || !fault_.empty() || transfer_->is_waiting()) return;
   health_ = Health::ok;
   reason_.clear();
-  tell_health();
+  report_health();
 }
 
 void SinkNode::all_settled() {
@@ -141,7 +141,7 @@ void SinkNode::all_settled() {
   is_due_ = is_due_ || is_fed();  // more may have been committed
   go_on_after(turn);
   report_result(turn, before);
-  tell_health();
+  report_health();
 }
 
 void SinkNode::sender_threw(const Error& error) {
@@ -155,7 +155,7 @@ void SinkNode::sending_failed(const Error& error) {
   health_ = Health::faulted;
   set_reason(error);
   report(error, 1);
-  tell_health();
+  report_health();
   // What waits in a recording is safe there: closing does not wait for a peer that does not answer.
   if (is_open() && life_ == Life::closing && is_fed()) give_up();
 }

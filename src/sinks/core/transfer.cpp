@@ -285,7 +285,7 @@ void Transfer::send(std::size_t parcel) {
   const auto error = call_sender(
       "send", [&] { sender_.send(parcels_[parcel], Answer(weak_from_this(), parcel, transmission)); });
   sending_now_ = 0;
-  // What it did with the parcel before it threw, nobody knows.
+  // After an exception the state of the parcel is unknown.
   if (error && awaited(parcel, transmission) != nullptr) return give_up(*error);
   report(error);
   if (std::exchange(is_left_unanswered_, false)) left_unanswered(parcel, transmission);
@@ -318,7 +318,7 @@ void Transfer::timer_fired() {
   if (const auto deadline = next_deadline(); deadline && *deadline <= now) {
     const auto self = shared_from_this();
     give_up({Errc::timed_out, "cannot send", config_.name, "no answer for " + to_string(sending_.timeout),
-             "look at the peer and the network; everything is sent again"});
+             "check the peer and the network; everything is sent again"});
     if (owner_ == nullptr) return;
   }
   go_on();

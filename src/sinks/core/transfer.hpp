@@ -1,5 +1,4 @@
-// The parcels of a batch on their way to the peer: several at a time, each until it is answered, settled in order.
-// Loop's thread.
+// Sends the parcels of a batch: several in flight at a time, settled in order. Loop's thread.
 #pragma once
 
 #include <cstdint>
@@ -19,7 +18,7 @@ class LoopCore;
 
 class Transfer : public std::enable_shared_from_this<Transfer> {
  public:
-  /// What the sink hears. Each call may end the transfer, but not destroy it.
+  /// The sink's interface. A call may end the transfer, but not destroy it.
   class Owner {
    public:
     /// Of the parcels in order, the next rows: from `first` up to and without `last`.
@@ -28,7 +27,7 @@ class Transfer : public std::enable_shared_from_this<Transfer> {
     virtual void all_settled() = 0;
     /// Nothing is sent for a while.
     virtual void sending_failed(const Error& error) = 0;
-    /// Although what it was called for is answered: nothing waits for that.
+    /// Reports an exception although no parcel depends on it.
     virtual void sender_threw(const Error& error) = 0;
 
    protected:
@@ -72,8 +71,8 @@ class Transfer : public std::enable_shared_from_this<Transfer> {
   /// Sends what may be sent, and settles what is answered.
   void go_on();
   void send_some();
-  /// How many parcels are to be settled before this one is sent: of one with final accounts all that have anything
-  /// else, since one of several on their way may overtake another; of any other none.
+  /// How many parcels must be settled before this one is sent: for a parcel with final accounts all others, because
+  /// parcels in flight may overtake each other; otherwise none.
   std::size_t due_before(std::size_t parcel) const noexcept;
   void send(std::size_t parcel);
   void settle_some();
@@ -82,7 +81,7 @@ class Transfer : public std::enable_shared_from_this<Transfer> {
   void give_up(const Error& why);
   void timer_fired();
   void set_timer();
-  /// Of those that are under way, the first.
+  /// The first parcel under way.
   std::optional<MonotonicTime> next_deadline() noexcept;
   bool begin_sender();
   /// An answer was destroyed that nobody gave.

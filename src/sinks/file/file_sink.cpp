@@ -60,7 +60,7 @@ std::uint64_t next_run(const std::filesystem::path& path) {
     const std::string there = entry->path().filename().string();
     if (!there.starts_with(begin)) continue;
     for (std::size_t at = there.find(behind, begin.size()); at != std::string::npos; at = there.find(behind, at + 1)) {
-      std::uint32_t number = 0;  // one that is larger is none of ours
+      std::uint32_t number = 0;  // one that is larger is not one of ours
       std::from_chars(there.data() + at + behind.size(), there.data() + there.size(), number);
       last = std::max<std::uint64_t>(last, number);
       if (topic == std::string::npos) break;
@@ -78,7 +78,7 @@ std::string path_of_run(const std::string& pattern) {
   return replaced(path, run_mark, std::to_string(next_run(path)));
 }
 
-/// Whether no file system of Linux takes the path. The disk is not asked: it may not answer, and the loop would wait.
+/// True if the path is too long for every Linux file system. Does not access the disk, which might hold the loop.
 bool is_too_long(std::string_view path) noexcept {
   if (path.size() >= PATH_MAX) return true;
   while (!path.empty()) {
@@ -134,8 +134,8 @@ class FileWriter final : public RecordingWriter {
     return {};
   }
 
-  /// Opens the files of all topics that there are, so that one which cannot be opened is reported at the start. After
-  /// that, a topic's file is opened for its next event, and what is wrong with it costs no other topic anything.
+  /// Opens the files of all present topics, so that errors are reported at the start. Later, a topic's file is opened
+  /// for its next event, and its errors do not affect other topics.
   Result<void> open() override {
     if (is_opened_) return {};
     if (path_.empty()) path_ = path_of_run(config_.path);
@@ -164,17 +164,17 @@ class FileWriter final : public RecordingWriter {
         case OutputFile::Gone::no:
           continue;
         case OutputFile::Gone::deleted:
-          return Error{Errc::not_found, "the file was deleted", file.path(),
-                       "what had been written into it is gone with it", "a new one is made"};
+          return Error{Errc::not_found, "the file was deleted", file.path(), "the data written into it is lost with it",
+                       "a new one is made"};
         case OutputFile::Gone::unmounted:
           return Error{Errc::not_found, "the disk of the file was taken away", file.path(),
                        "it is mounted there no longer", "mount it again: events wait in memory until then"};
         case OutputFile::Gone::moved:
           return Error{Errc::not_found, "the file was moved", file.path(),
-                       "what had been written into it is where it was moved to", "a new one is made"};
+                       "the data written into it is in the moved file", "a new one is made"};
         case OutputFile::Gone::cut_off:
           return Error{Errc::damaged, "the file was cut off", file.path(),
-                       "it is shorter than what was written into it: the rest is gone, if nobody has copied it",
+                       "it is shorter than the data written into it: the rest is lost, if there is no copy",
                        "it goes on at its end; `rotate` divides files without a loss"};
       }
     }
@@ -224,7 +224,7 @@ class FileWriter final : public RecordingWriter {
                    "the file grows on, and it is tried again with each event"};
     }
     std::optional<Error> warning = escaped_.take_warning();
-    if (!is_closed_ || escaped_.total() <= 1 || std::exchange(has_told_total_, true)) return warning;
+    if (!is_closed_ || escaped_.total() <= 1 || std::exchange(has_reported_total_, true)) return warning;
     if (!warning) warning = Error{Errc::bad_data, "", config_.path, "their wrong bytes are written as \\xHH", ""};
     warning->what = std::to_string(escaped_.total()) + " texts were no UTF-8";
     return warning;
@@ -247,7 +247,7 @@ class FileWriter final : public RecordingWriter {
     std::string header;
   };
 
-  /// What was found at the ends of the files since the last call.
+  /// Reports repairs at the ends of files since the last call.
   Error take_repairs() {
     std::string all;
     for (const std::string& repair : repairs_) all += (all.empty() ? "" : "; ") + repair;
@@ -274,7 +274,7 @@ class FileWriter final : public RecordingWriter {
     return done;
   }
 
-  /// Sees to it that the topic has an open file, which begins with this header.
+  /// Makes sure that the topic has an open file with this header.
   Result<void> prepare(std::uint32_t number, const std::string& path, const std::string& header) {
     if (by_topic_.size() <= number) by_topic_.resize(number + 1, none);
     if (by_topic_[number] == none) {
@@ -323,7 +323,7 @@ class FileWriter final : public RecordingWriter {
   std::map<std::uint32_t, Error> untaken_;  // topics whose files are there and another's
   EscapedTexts escaped_;
   bool is_closed_ = false;
-  bool has_told_total_ = false;
+  bool has_reported_total_ = false;
 };
 
 std::string codec_name(const FileConfig& config, const CodecRegistry& formats) {

@@ -46,7 +46,7 @@ bool is_of_format(const Codec& codec, std::vector<std::byte> begin) {
 }
 
 Error no_such_format(const std::string& path, const Codec& codec) {
-  return {Errc::damaged, "cannot append to", path, "what it holds is no " + std::string(codec.name()),
+  return {Errc::damaged, "cannot append to", path, "its content is not a valid " + std::string(codec.name()),
           "check `format`, or choose another path"};
 }
 
@@ -91,7 +91,7 @@ Error cannot_open(int reason, const std::string& path) {
 }
 
 Error no_regular_file(const std::string& path) {
-  return {Errc::bad_argument, "cannot record into", path, "it is no regular file", "give the path of a file"};
+  return {Errc::bad_argument, "cannot record into", path, "it is not a regular file", "give the path of a file"};
 }
 
 Error held(const std::string& path, const std::string& holder) {
@@ -146,7 +146,7 @@ Error OutputFile::failed(int errno_value, const char* what) const { return syste
 
 Result<void> OutputFile::open(const std::string& path, mode_t permissions) {
   if (fd_ >= 0) return {};
-  // Of a symbolic link, the file gets another name, not the link.
+  // If the path is a symbolic link, its target gets the other name, not the link.
   std::error_code no_link;
   path_ = std::filesystem::is_symlink(path, no_link) ? std::filesystem::canonical(path, no_link).string() : path;
   if (no_link) path_ = path;

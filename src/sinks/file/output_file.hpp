@@ -1,4 +1,4 @@
-// One file that is appended to, a batch at a time.
+// One output file, appended to in batches.
 #pragma once
 
 #include <sys/types.h>
@@ -25,22 +25,22 @@ class OutputFile {
   /// Opens, locks and looks at the end. Nothing when it is open.
   /// `permissions`: of a file that is made, less the umask.
   Result<void> open(const std::string& path, mode_t permissions);
-  /// Sees to half an event at the end; `what`: how, empty when there was none. Once per opening, before `begin`.
+  /// Repairs half an event at the end; `what`: a description, empty if there was none. Once per opening, before
+  /// `begin`.
   Result<void> repair(Codec& codec, std::string& what);
-  /// Compares the header of a file with content, or sees to it that the first batch begins with it.
+  /// Compares the header of an existing file, or makes the first batch begin with it.
   Result<void> begin(const std::string& header);
-  /// Whether a file of this path, if there is one, can go on with this header. Opens it for reading only.
+  /// Checks that an existing file of this path can be continued with this header. Opens it for reading only.
   static Result<void> check_header(const std::string& path, const std::string& header);
-  /// Whether what is in a file of this path, if there is one, can be added to in this format: it is no database, and of
-  /// a format of bytes its beginning is one of such. Opens it for reading only, and not a database that is open.
+  /// Checks that an existing file of this path can be continued in this format: it is not a database, and for a binary
+  /// format its beginning is valid. Opens it for reading only, and does not open a database in use.
   static Result<void> check_content(const std::string& path, const Codec& codec);
-  /// Whether a file of this path can be opened and locked now, but for what this process itself has locked. Makes and
-  /// changes nothing.
+  /// Checks that a file of this path can be opened and locked now, ignoring locks of this process. Creates and changes
+  /// nothing.
   static Result<void> check_openable(const std::string& path);
   bool is_open() const noexcept { return fd_ >= 0; }
   bool has_begun() const noexcept { return has_begun_; }
-  /// Whether what is in it was written before this object wrote any of it: by an earlier run, and more than this
-  /// header.
+  /// True if an earlier run wrote more than this header into it.
   bool holds_earlier_run(const std::string& header) const;
   const std::string& path() const noexcept { return path_; }
 
@@ -55,13 +55,13 @@ class OutputFile {
   bool has_events(std::uint64_t size) const noexcept { return size > header_.size(); }
   /// The event that begins at this place in the buffer is in the file neither as a whole nor in part.
   bool is_new(std::size_t from) const noexcept { return passed_ + from >= done_ && passed_ + buffer.size() > done_; }
-  /// Gives the file this name and goes on with a new one under its own; nothing waits in the buffer. There is a file of
-  /// the path at each moment, unless the file system cannot exchange names. After an error all is as before.
+  /// Renames the file and starts a new one under its own name; the buffer must be empty. The path always has a file,
+  /// unless the file system cannot exchange names. After an error nothing has changed.
   Result<void> go_on_as_new(const std::string& name_of_old);
   /// When it was changed last.
   std::int64_t changed_at() const noexcept;
   Result<void> sync();
-  /// `unmounted`: what it is on is mounted there no longer. `cut_off`: it is shorter than it was.
+  /// `unmounted`: its disk is no longer mounted. `cut_off`: the file is shorter than before.
   enum class Gone { no, deleted, moved, unmounted, cut_off };
   /// A file that is no longer where it was, or as it was, is closed.
   Gone close_if_gone();

@@ -28,7 +28,7 @@ Parts parts_of(const std::string& path) {
   return {whole.parent_path(), whole.stem().string(), whole.extension().string()};
 }
 
-/// The number in "run-00000001.csv"; 0: it is none of ours.
+/// The number in "run-00000001.csv"; 0: it is not one of ours.
 std::uint64_t number_in(const std::string& name, const Parts& parts) {
   const std::string start = parts.stem + "-";
   if (name.size() < start.size() + least_digits + parts.extension.size() || !name.starts_with(start) ||

@@ -1,4 +1,4 @@
-// When a file is full or its time is over, it gets a number and a new one takes its place.
+// Rotation: at its size or time limit, a file is renamed to a number and a new one starts.
 #pragma once
 
 #include <cstdint>
@@ -12,21 +12,20 @@
 
 namespace rtdata::detail {
 
-/// "run.csv" is always the file that is written; those before it are "run-00000001.csv" and so on, which sort in the
-/// order of their events, before it. Thread: the sink's.
+/// "run.csv" is always the current file; earlier files are "run-00000001.csv" and so on, which sort before it in the
+/// order of their events. Thread: the sink's.
 class Rotation {
  public:
   /// SetupError, bad-argument: settings that say nothing.
   explicit Rotation(const FileConfig& config);
 
   bool is_on() const noexcept { return config_.rotate.is_on(); }
-  /// The event that has just been encoded, from this place in the file's buffer on, goes into a new file if it does not
-  /// belong into this one. Errors: of writing what is before it.
-  /// `index` counts the files of the sink.
+  /// Moves the event just encoded, from this index in the file's buffer on, to a new file if a limit is reached.
+  /// Errors: of writing the data before it. `index` counts the files of the sink.
   Result<void> see_to(OutputFile& file, std::size_t index, std::size_t from, Time time);
   /// Gives a file that an earlier run wrote the next number, and goes on with a new one.
   static Result<void> set_aside(OutputFile& file);
-  /// What went wrong and is tried again with the next event, or was left: once, until it goes well.
+  /// A failure that is tried again with the next event; reported once, until it succeeds.
   std::string take_trouble() { return std::exchange(trouble_, {}); }
 
   /// The name that a file gets.

@@ -29,7 +29,7 @@ class CurlMulti {
   /// All transfers have been removed.
   ~CurlMulti();
 
-  /// What each transfer needs to be used here.
+  /// Prepares a transfer for use here.
   void prepare(CURL* easy);
   /// Starts it; false when it cannot be.
   bool add(CURL* easy);

@@ -39,7 +39,7 @@ std::uint64_t mixed(std::uint64_t x) noexcept {
 
 std::uint64_t mixed(std::uint64_t x, std::string_view text) noexcept { return mixed(fnv1a(text, x) ^ text.size()); }
 
-/// As CURLOPT_RESOLVE wants it; empty when it is none of IPv4 or IPv6.
+/// As CURLOPT_RESOLVE wants it; empty when it is neither IPv4 nor IPv6.
 std::string text_of(const HostLookup::Address& address) {
   char text[INET6_ADDRSTRLEN] = "";
   if (address.socket.ss_family == AF_INET) {
@@ -401,7 +401,7 @@ void HttpSender::transferred(CURL* easy, CURLcode result) {
     }
     if (judgement.verdict == HttpVerdict::elsewhere) {
       judgement.verdict = HttpVerdict::faulted;
-      judgement.why.advice = "the server sends the request round and round: ask who runs it";
+      judgement.why.advice = "the server redirects the request in a circle: ask its operator";
     }
     request.redirects = 0;
     return take(request, std::move(judgement));
@@ -437,7 +437,7 @@ void HttpSender::count_cut_answer(const Request& request) {
   loop_->core().runtime.log(
       LogLevel::warning, "sink " + config_.sink.name,
       url_.origin + " says that it has taken a request, and cut its answer off " + std::to_string(most_cut_answers) +
-          " times: the events count as delivered. Look into its log, or set `cut_answer`; how many there are is told "
+          " times: the events count as delivered. See its log, or set `cut_answer`; how many there are is told "
           "at the end");
 }
 
@@ -540,14 +540,14 @@ Error HttpSender::where_it_stands(const Request& request) const {
   } else if (!has_connected(request)) {
     error.where = first;
     error.why = "there was no connection" + limit;
-    error.advice = "is the machine on, and does the network reach it? A firewall may swallow what is sent";
+    error.advice = "is the machine on, and does the network reach it? A firewall may drop the packets";
   } else if (url_.is_encrypted() &&
              (curl_easy_getinfo(request.easy, CURLINFO_APPCONNECT_TIME_T, &encrypted) != CURLE_OK || encrypted == 0)) {
     error.why = "the connection was not encrypted" + limit;
     error.advice = "does the server speak TLS at this port?";
   } else {
     error.why = "there was no answer" + limit;
-    error.advice = "the server takes connections and does not answer: look into its log; is `timeout` long enough?";
+    error.advice = "the server accepts connections but does not answer: see its log; is `timeout` long enough?";
   }
   return error;
 }
@@ -578,7 +578,7 @@ void HttpSender::end() {
   }
   deadline_.close();
   lookup_ = nullptr;
-  if (gzip_lane_ != nullptr) gzip_lane_->leave_behind();
+  if (gzip_lane_ != nullptr) gzip_lane_->abandon_thread();
   gzip_lane_ = nullptr;
   requests_.clear();
   multi_ = nullptr;

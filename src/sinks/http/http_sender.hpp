@@ -1,4 +1,4 @@
-// Parcels as requests of HTTP: many under way, in halves where the peer refuses a part.
+// Sends parcels as HTTP requests: several in flight; sends halves if the peer refuses a part.
 #pragma once
 
 #include <array>
@@ -19,7 +19,7 @@
 
 namespace rtdata::detail {
 
-/// What a request is known by, however often it is sent.
+/// The key of a request, equal for each attempt.
 using HttpKey = std::array<std::uint64_t, 2>;
 /// Of these rows of the parcel: of their runs, origins and sequences.
 HttpKey key_of(const Parcel& parcel, std::size_t first, std::size_t last);
@@ -46,7 +46,7 @@ class HttpSender final : public Sender {
     std::size_t last = 0;  // without it
   };
   using Refusals = std::vector<std::pair<std::size_t, Error>>;
-  /// What is left of a parcel.
+  /// The rest of a parcel.
   struct Rest {
     std::vector<Range> ranges;  // the last is sent next
     Refusals refused;           // of what was sent

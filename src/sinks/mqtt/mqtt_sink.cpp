@@ -83,7 +83,7 @@ class Publishing final : public detail::MqttConnection {
   }
 
  private:
-  /// What is done of a parcel, so that only the rest of it is sent again.
+  /// The progress of a parcel, so that only the rest is sent again.
   struct Progress {
     const SlotInfo* info = nullptr;  // of its first row
     std::uint64_t sequence = 0;      // the same
@@ -171,13 +171,13 @@ class Publishing final : public detail::MqttConnection {
             status != MOSQ_ERR_MALFORMED_UTF8)
           return status;
         one.progress.refuse(row, {Errc::bad_data, "cannot be sent by MQTT", topic_of(one.parcel->rows()[row]),
-                                  client_->reason(status), "look at the topic and the size of the event"});
+                                  client_->reason(status), "check the topic and the size of the event"});
       }
     }
     return MOSQ_ERR_SUCCESS;
   }
 
-  /// What the library has told, once it has returned.
+  /// Processes the library's notifications after it has returned.
   void take() override {
     const auto client = client_;
     bool is_short_of_room = false, is_unheard = false;
@@ -200,7 +200,7 @@ class Publishing final : public detail::MqttConnection {
         if (!of->forbidden)
           of->forbidden = refusal("permit it in its access control, or leave the topic out of `topics`; events wait");
       } else if (is_refusal(reason)) {
-        of->progress.refuse(ended.row, refusal("look at the topic and what the broker's log says"));
+        of->progress.refuse(ended.row, refusal("check the topic and what the broker's log says"));
       } else if (reason >= 0x80) {
         is_short_of_room = true;
         why = reason;
@@ -210,8 +210,8 @@ class Publishing final : public detail::MqttConnection {
         losses_ = 0;
         if (reason == MQTT_RC_NO_MATCHING_SUBSCRIBERS && !config_.retain) {
           ++of->progress.unheard;
-          of->progress.refuse(ended.row, {Errc::disconnected, "the broker has thrown the event away",
-                                          topic_of(of->parcel->rows()[ended.row]), "nobody was subscribed",
+          of->progress.refuse(ended.row, {Errc::disconnected, "the broker has discarded the event",
+                                          topic_of(of->parcel->rows()[ended.row]), "there was no subscriber",
                                           "subscribe with a session that lasts, or set `wait_for_subscriber` or "
                                           "`retain`"});
         } else {
@@ -221,7 +221,7 @@ class Publishing final : public detail::MqttConnection {
     }
     client->published.clear();
     if (is_short_of_room) return fail(Errc::busy, "the broker takes no more", mosquitto_reason_string(why));
-    if (is_unheard) return fail(Errc::busy, "nobody is subscribed", "events wait until somebody is");
+    if (is_unheard) return fail(Errc::busy, "there is no subscriber", "events wait until there is one");
     for (bool is_any = true; is_any && client_ == client;) {
       const auto done = std::find_if(under_way_.begin(), under_way_.end(),
                                      [](const UnderWay& one) { return one.is_done(); });
@@ -357,13 +357,13 @@ MqttConfig named(MqttConfig config) {
   return config;
 }
 
-/// Whether it can know that nobody is subscribed; empty: it can.
+/// Why missing subscribers cannot be detected; empty: they can.
 std::string obstacle_of_waiting(const MqttConfig& config) {
   if (!config.wait_for_subscriber) return {};
   if (config.qos == 0) return "with qos 0 the broker says nothing of an event: set qos 1";
   // It says so in its first answer, of which the library tells nothing.
-  if (config.qos == 2) return "with qos 2 it is not known that nobody is subscribed: set qos 1";
-  return config.version == MqttVersion::v311 ? "only version 5 of MQTT tells that nobody is subscribed" : "";
+  if (config.qos == 2) return "with qos 2 the broker does not report that there is no subscriber: set qos 1";
+  return config.version == MqttVersion::v311 ? "only version 5 of MQTT reports that there is no subscriber" : "";
 }
 
 /// Of a topic with marks.

@@ -29,7 +29,7 @@ constexpr char ack = 0x06, nak = 0x15;
 constexpr Duration short_life = std::chrono::seconds{1};  // of a connection; the next one has to last before it is used
 constexpr Duration probation = std::chrono::milliseconds{500};
 
-/// What is under way on the loop: shared, since an answer may end the sink while one of its functions runs.
+/// The connection on the loop. Shared, because an answer may end the sink while one of its functions runs.
 class Connection : public std::enable_shared_from_this<Connection> {
  public:
   Connection(Loop& loop, const TcpConfig& config, std::shared_ptr<const TlsContext> tls)
@@ -101,8 +101,8 @@ class Connection : public std::enable_shared_from_this<Connection> {
       if (got < 0 && errno == EAGAIN) break;
       if (got < 0) return fail(stream_.failure(errno));
       if (got == 0)
-        return fail(
-            {Errc::disconnected, "lost the connection", peer(), "the peer has closed it", "it is connected to again"});
+        return fail({Errc::disconnected, "lost the connection", peer(), "the peer has closed it",
+                     "the program connects to it again"});
       if (is_confirmed()) take({bytes, static_cast<std::size_t>(got)});  // else what the peer says means nothing
     }
   }
@@ -187,7 +187,7 @@ class Connection : public std::enable_shared_from_this<Connection> {
   void garbage(const std::string& got) {
     if (under_way_.empty()) has_trouble_ = true;  // it is told with the next parcel
     fail({Errc::bad_data, "cannot understand the peer", peer(), "it acknowledges " + got,
-          "`acknowledge` and cannot_make_tcp the peer answers must agree: docs/sending.md"});
+          "`acknowledge` must fit the answers of the peer: docs/sending.md"});
   }
 
   void acknowledge_first() {

@@ -118,7 +118,7 @@ class Datagrams : public std::enable_shared_from_this<Datagrams> {
   void open(const std::vector<HostLookup::Address>& addresses) {
     const int error_number = connect_to(addresses);
     if (error_number == 0) return send_some();
-    fail(system_error(error_number, "cannot send", peer(), "look at the network and its routes"));
+    fail(system_error(error_number, "cannot send", peer(), "check the network and its routes"));
   }
 
   /// The name has these addresses now.
@@ -184,26 +184,26 @@ class Datagrams : public std::enable_shared_from_this<Datagrams> {
       if (error_number == EINTR) continue;
       if (error_number == EAGAIN || error_number == ENOBUFS) return wait_for_room();
       if (error_number == ECONNREFUSED) {
-        nobody_listens();  // of one before, which is told once; this one was not sent
+        report_no_receiver();  // of one before, which is told once; this one was not sent
       } else if (error_number == EMSGSIZE) {
         answer_.refuse(next_++, {Errc::does_not_fit, "cannot send", peer(), "it is too long for a datagram there",
                                  "send less in one event, or by tcp"});
       } else {
         close();
-        return fail(system_error(error_number, "cannot send", peer(), "look at the network and its routes"));
+        return fail(system_error(error_number, "cannot send", peer(), "check the network and its routes"));
       }
     }
     int error_number = 0;
     socklen_t size = sizeof error_number;
     if (::getsockopt(fd_, SOL_SOCKET, SO_ERROR, &error_number, &size) == 0 && error_number == ECONNREFUSED)
-      nobody_listens();
+      report_no_receiver();
     parcel_ = nullptr;
     Answer answer = std::move(answer_);
     answer.acknowledge();
   }
-  void nobody_listens() {
+  void report_no_receiver() {
     answer_.refuse(next_ > 0 ? next_ - 1 : 0,
-                   {Errc::disconnected, "nobody receives it", peer(), "no program there listens at this port",
+                   {Errc::disconnected, "no program receives it", peer(), "no program there listens at this port",
                     "start the receiver; sending goes on"});
   }
   void wait_for_room() {

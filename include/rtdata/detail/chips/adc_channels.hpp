@@ -1,7 +1,7 @@
-/// The channels of converters whose user chooses them: what is common to their drivers (ads1x15.hpp, mcp3x08.hpp).
+/// Selectable channels of converters: the common part of their drivers (ads1x15.hpp, mcp3x08.hpp).
 ///
-/// A channel is an input ("0": against ground; "0-1": input 0 less input 1) with a name, which is that of its field in
-/// the events: "ain0" and "ain0_ain1" unless it is given.
+/// A channel is an input ("0": against ground; "0-1": input 0 minus input 1) with a name for its field in the events.
+/// Default names: "ain0" and "ain0_ain1".
 ///
 /// Values; any thread.
 #pragma once
@@ -44,8 +44,8 @@ std::vector<Channel> chosen_or_all(std::vector<Channel> channels, const Inputs& 
   return channels;
 }
 
-/// The description of a record "adc", a double a channel, in V. Errors: bad-description (too many channels, a name that
-/// is none or is there twice).
+/// The description of a record "adc", a double a channel, in V. Errors: bad-description (too many channels, an invalid
+/// or duplicate name).
 template <class Channel>
 Result<std::shared_ptr<const Description>> describe_channels(const std::vector<Channel>& channels,
                                                              DescriptionBuilder::Presence presence) {
@@ -60,7 +60,7 @@ Result<std::shared_ptr<const Description>> describe_channels(const std::vector<C
   return made;
 }
 
-/// The place of the input among those that a converter has, or what is wrong with channel number `at`.
+/// The index of the input in the converter's list, or the error of channel number `at`.
 template <class Inputs>
 Result<std::size_t> find_input(const Inputs& inputs, std::string_view input, std::size_t at) {
   std::string all;

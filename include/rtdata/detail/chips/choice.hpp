@@ -1,4 +1,4 @@
-/// For drivers: a setting that a chip has for some numbers only, such as its rates.
+/// For drivers: a setting for which a chip allows only some numbers, such as rates.
 #pragma once
 
 #include <algorithm>
@@ -8,7 +8,7 @@
 
 namespace rtdata::detail {
 
-/// Where the number is among those that the chip has, which are the bits that choose it; none: it has not got it.
+/// The index of `number` in the chip's list, which is also its code in the register. Empty: the chip does not have it.
 template <class T, std::size_t N>
 std::optional<unsigned> place_of(const std::array<T, N>& all, T one) noexcept {
   const auto found = std::find(all.begin(), all.end(), one);

@@ -1,4 +1,4 @@
-/// ParameterInfo: what a component can be configured with, at run time; for listings, documentation and editors.
+/// ParameterInfo: the parameters of a component at run time, for listings, documentation and editors.
 ///
 /// Made by `parameters_of<Config>()` (read.hpp) from the declaration; see parameter.hpp. Values; any thread.
 #pragma once
@@ -72,15 +72,15 @@ struct ParameterInfo {
 /// A draft-07 JSON Schema of an object with these parameters and no others, as JSON text.
 std::string schema(const std::vector<ParameterInfo>& parameters, std::string_view title, std::string_view doc);
 
-/// What a page says of a type beside its parameters. Making one needs nothing of it.
+/// The documentation of a type besides its parameters. Only pages and listings use it.
 struct TypePage {
   std::string bus = {};                       ///< of a driver: the type of its bus
   std::vector<std::string> other_buses = {};  ///< of a driver that has a choice: the other types
-  std::string notes = {};                     ///< Markdown: how it is wired, where it may be on its bus, its limits
-  std::string aliases = {};  ///< words, parted by blanks, by which people look for it, beside those of its description
-  /// What its events hold, with the defaults of its parameters; null: that is not known without them.
+  std::string notes = {};                     ///< Markdown: wiring, addresses, limits
+  std::string aliases = {};                   ///< further search words, separated by blanks
+  /// The description of its events with default parameters; null: not known without the parameters.
   std::shared_ptr<const Description> (*publishes)() = nullptr;
-  bool depends_on_parameters = false;  ///< what its events hold
+  bool depends_on_parameters = false;  ///< the description of its events depends on the parameters
 };
 
 /// A type in a registry, by its name in the file.
@@ -94,7 +94,7 @@ struct TypeInfo {
   std::string schema(std::string_view key = "type") const;
 };
 
-/// Where a type speaks of a word; by how much of it is about that, the closest first.
+/// Where the documentation of a type contains a search word, best match first.
 enum class WordIn {
   nothing,
   notes,        ///< in the notes or the meaning of a parameter: "sht31" of sht
@@ -106,14 +106,14 @@ struct WordFound {
   std::string key = {};  ///< of the parameter whose choice it is
   std::string choice = {};
 };
-/// What a type has to do with a word that is the name of a chip or what people usually call such a thing. Case, "-" and
-/// "_" do not matter: "MPU-6050" is "mpu6050".
+/// Searches the documentation of a type for a word, such as the name of a chip or a common name. Case, "-" and "_" are
+/// ignored: "MPU-6050" is "mpu6050".
 WordFound find_word(const TypeInfo& type, std::string_view word);
-/// The places in `types` of those that have most to do with it; empty: none has.
+/// The indexes in `types` of the best matches; empty: no match.
 std::vector<std::size_t> types_for_word(const std::vector<TypeInfo>& types, std::string_view word);
 
-/// The schema of an item of any of these types, which asks for the parameters of the one that it names. `by_default`:
-/// the type of an item that names none; empty: each has to.
+/// The schema of an item of any of these types, with the parameters of the type that it names. `by_default`: the type
+/// of an item without a type; empty: the type is required.
 std::string schema(const std::vector<TypeInfo>& types, std::string_view key = "type", std::string_view by_default = "");
 
 }  // namespace rtdata

@@ -1,7 +1,7 @@
 /// TypeRegistry: makes objects by the "type" that a configuration item names.
 ///
-/// A registry is an object, not a global: a program fills one and hands it on. `Product` is what its factories make,
-/// `Context` what they are given beside the configuration.
+/// A registry is an object, not a global: a program fills one and passes it on. `Product` is the result of its
+/// factories, `Context` their arguments besides the configuration.
 ///
 ///     TypeRegistry<std::unique_ptr<Pump>, Loop&> pumps("pump");
 ///     pumps.add<GearPumpConfig>(
@@ -10,11 +10,10 @@
 ///     pumps.check(item, problems);            // every mistake of the item, nothing is made
 ///     auto pump = pumps.create(item, loop);   // throws ConfigError with every mistake
 ///
-/// The registry of all kinds of parts that a configuration knows is `Registry` (config/registry.hpp), which is made of
-/// these.
+/// `Registry` (config/registry.hpp) holds one for each kind of part.
 ///
-/// Owner: the program; it need not outlive what it made. Filled by one thread, then read by any.
-/// Errors: adding a type twice throws SetupError (bad_argument). An error of a factory gets the item's place in front.
+/// Owner: the program; the objects that it made may outlive it. Filled by one thread, then read by any. Errors: adding
+/// a type twice throws SetupError (bad_argument). An error of a factory gets the item's place in front.
 #pragma once
 
 #include <cstddef>
@@ -30,24 +29,25 @@
 
 namespace rtdata {
 
-/// What an item was read into: a Config, or several that share the keys of one object.
+/// The Config that an item was read into, or several Configs that share the keys of one object.
 using ConfigObjects = std::vector<std::shared_ptr<void>>;
 
-/// What all registries share.
+/// The common part of all registries.
 class TypeRegistryBase {
  public:
   /// All types, in the order they were added; the common parameters come first in each.
   std::vector<TypeInfo> types() const;
   /// Nothing when there is no such type.
   std::optional<TypeInfo> find(std::string_view type) const;
-  /// A type that this program lacks, as it was built without a library, is named with the reason, where somebody asks
-  /// for it. `why`: "this program was built without libmodbus". It may be added all the same, with another meaning.
+  /// Registers the name of a type that this program was built without; messages then give the reason. `why`: "this
+  /// program was built without libmodbus". A type of that name may still be added.
   void leave_out(std::string type, std::string why);
-  /// Why a type is left out; null: it is not known as one that is.
+  /// The reason why a type is left out; null: it is not registered as left out.
   const std::string* why_left_out(std::string_view type) const noexcept;
-  /// The type of items that do not say theirs; it may be added later. Without a call of this, each item says it.
+  /// Sets the type of items without a "type" key; the type may be added later. Without a default, each item needs the
+  /// key.
   void set_default(std::string type) { default_ = std::move(type); }
-  /// As the item says, or the default. Empty: neither.
+  /// The type of the item, or the default. Empty: neither.
   std::string type_named_by(const ConfigItem& item) const;
   /// The JSON Schema (draft-07) of an item of any type.
   std::string schema() const { return rtdata::schema(types(), "type", default_); }
@@ -65,7 +65,7 @@ class TypeRegistryBase {
   TypeRegistryBase& operator=(TypeRegistryBase&&) = default;
 
   void add_type(std::string type, std::string doc, std::vector<config_detail::TableOf> configs, TypePage page);
-  /// Which type the item names; `none`, with a problem, when it names none of these.
+  /// The index of the item's type; `none`, with a problem, if it is not registered.
   std::size_t type_of(const ConfigItem& item, Problems& problems) const;
   /// Reads the item as the type it names, which is `type`; `none`, with every problem, when it has mistakes.
   std::size_t read(const ConfigItem& item, ConfigObjects& configs, Problems& problems) const;
@@ -79,7 +79,7 @@ class TypeRegistryBase {
     TypePage page;
   };
   TypeInfo info_of(const Type& type) const;
-  /// "type" and the common keys: known, but not the Config's.
+  /// "type" and the common keys: allowed, but not part of the Config.
   std::vector<std::string> other_keys() const;
 
   std::string what_;
@@ -92,9 +92,9 @@ class TypeRegistryBase {
 template <class Product, class... Context>
 class TypeRegistry : public TypeRegistryBase {
  public:
-  /// `what`: what a type is one of, in messages ("sensor"). `common`: parameters that items of every type have beside
-  /// those of its Config, and that the caller reads itself: `parameters_of<Common>()` here, and
-  /// `read_config(item, common, problems, UnknownKeys::ignore)` there.
+  /// `what`: the kind, for messages ("sensor"). `common`: parameters that items of every type have besides those of its
+  /// Config, `parameters_of<Common>()`; the caller reads them itself with `read_config(item, common, problems,
+  /// UnknownKeys::ignore)`.
   explicit TypeRegistry(std::string what, std::vector<ParameterInfo> common = {})
       : TypeRegistryBase(std::move(what), std::move(common)) {}
 
@@ -116,7 +116,7 @@ class TypeRegistry : public TypeRegistryBase {
     factories_.push_back(std::move(factory));
   }
 
-  /// Makes what the item says. Throws ConfigError when it has mistakes, and SetupError what the factory threw.
+  /// Makes the object of an item. Throws ConfigError if the item has mistakes, and the SetupError of the factory.
   Product create(const ConfigItem& item, Context... context) const {
     Problems problems;
     ConfigObjects configs;

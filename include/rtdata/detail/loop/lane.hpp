@@ -1,25 +1,24 @@
 /// Lane: a loop's way to worker threads for blocking work: one for each sink and each physical device.
 ///
-/// Jobs run one after the other, in order. Each has a limit, which counts from when it runs. One that outlives it is
-/// given up: its thread is left behind, the waiting jobs go on with another, and its `done` is called with `given_up`.
-/// With `most_left_behind` threads left behind the lane takes no job until one of them has returned. Lanes run
-/// transactions, drivers and storage, never a user's callbacks.
+/// Jobs run one after the other, in order. Each job has a time limit, which starts when it runs. A job beyond its limit
+/// is given up: its thread is abandoned, the waiting jobs continue on another thread, and `done` is called with
+/// `given_up`. With `most_abandoned` abandoned threads the lane takes no job until one of them has returned. Lanes
+/// run transactions, drivers and storage, never a user's callbacks.
 ///
-/// The lanes of a loop's devices share a pool of threads: at most four for all that answer quickly, and one for each
-/// that does not, or hangs (docs/loop-and-time.md, "Lanes"). Jobs that are submitted while
-/// deadlines fire are handed over together when these are done.
+/// The lanes of a loop's devices share a pool of threads: at most four for all devices that answer quickly, and one for
+/// each device that is slow or hangs (docs/loop-and-time.md, "Lanes"). Jobs that are submitted while deadlines fire are
+/// passed to the threads together, after the last deadline.
 ///
-/// A bus has one thread whatever loops use it: each loop has a lane of its own to it (`LaneThread`), jobs run in the
-/// order in which they were submitted, and `done` of each is called on the loop that it came from. A lane that an
-/// object makes for itself has a thread of its own.
+/// A bus has one thread for all loops: each loop has its own lane to it (`LaneThread`), jobs run in the order of
+/// submission, and `done` is called on the loop that submitted the job. A lane made by an object for itself has its own
+/// thread.
 ///
-/// On a manual loop, a job has no thread: it runs at once, or just before it is done if the seed says so. Its `done` is
-/// called after the scripted virtual duration, what the job itself has spent (`lane_sleep`), and what the seed adds;
-/// given up after the limit, when that is shorter.
+/// On a manual loop, a job has no thread: it runs at once, or, with some seeds, just before `done`. `done` is called
+/// after the virtual duration of the job: the scripted time, plus its `lane_sleep` calls, plus a delay from the seed. A
+/// job with a longer duration than its limit is given up at the limit.
 ///
 /// Owner: the loop's `Lanes`, which find it by key, or the object that made it. The loop collects the finished jobs of
-/// both.
-/// Thread: the loop's; `LaneJob::run` alone is called on the lane's.
+/// both. Thread: the loop's; only `LaneJob::run` is called on the lane's thread.
 #pragma once
 
 #include <atomic>
@@ -60,15 +59,15 @@ class LaneJob {
   friend class LanePool;
   friend struct LaneQueue;
   enum State : int { idle, queued, running, finished, taken_away };
-  /// On the lane's thread. False: it does not want to be run any more.
+  /// On the lane's thread. False: the job must not run any more.
   bool begin(MonotonicTime now) noexcept;
   /// On the lane's thread. False: it was given up.
   bool end() noexcept;
   /// Takes it from the thread, unless it has finished. Returns what it was before.
-  State take_away() noexcept;
+  State withdraw() noexcept;
 
   std::atomic<int> state_{idle};
-  std::atomic<std::int64_t> began_{0};  // ns of the monotonic line; before, when it was submitted
+  std::atomic<std::int64_t> began_{0};  // ns of the monotonic clock; before, when it was submitted
   Duration limit_{0};
   std::shared_ptr<LaneJob> next_outstanding_;  // of the lane
   // On its way to a thread:
@@ -80,7 +79,7 @@ class LaneJob {
 
 class Lane {
  public:
-  static constexpr std::size_t most_left_behind = 4;
+  static constexpr std::size_t most_abandoned = 4;
   /// `thread`: of a bus, or of the loop's pool; null: it has one of its own.
   Lane(LoopCore& loop, std::string name, Duration give_up_after, std::shared_ptr<LaneThread> thread = nullptr);
   /// Waits for the running job for at most its limit; jobs that wait are cancelled.
@@ -89,15 +88,15 @@ class Lane {
   /// False when no thread is left to run it. The job must not be submitted already.
   bool submit(std::shared_ptr<LaneJob> job) { return submit(std::move(job), give_up_after_); }
   bool submit(std::shared_ptr<LaneJob> job, Duration give_up_after);
-  /// Threads that have been left behind and have not come back.
-  std::size_t left_behind() const noexcept;
-  /// As many threads as may be are left behind: nothing runs until one of them comes back.
+  /// The number of abandoned threads that have not returned.
+  std::size_t abandoned_threads() const noexcept;
+  /// True if the maximum number of threads is abandoned: no job runs until one of them returns.
   bool is_stuck() const noexcept;
-  /// The system gives no thread.
+  /// True if the system refuses to create a thread.
   bool lacks_thread() const noexcept;
-  /// Whether this is the thread that it uses.
+  /// True if it uses this thread.
   bool uses(const LaneThread& thread) const noexcept { return thread_.get() == &thread; }
-  /// It shares its thread with no other lane, and it has nothing to do.
+  /// True if no other lane shares its thread and it has no jobs.
   bool is_deserted() const noexcept { return thread_.use_count() == 1 && first_ == nullptr; }
   /// Gives up the first job that has not finished, however long it has run.
   void give_up();
@@ -106,16 +105,16 @@ class Lane {
   /// Blocks until the first job has finished, but no longer than this, and calls its `done`. For closing only. On a
   /// manual loop, virtual time passes instead.
   void wait(Duration at_most);
-  /// Leaves the thread behind with the job that it runs, and starts no new one.
-  void leave_behind() noexcept;
+  /// Abandons the thread with its running job and starts no new one.
+  void abandon_thread() noexcept;
 
  private:
   friend class Lanes;
   struct Watchdog;
   struct Delayed;
-  /// False when there can be none: too many were left behind, or the system gives no more threads.
+  /// False if there is no new thread: too many are abandoned, or the system refuses to create one.
   bool start_thread() noexcept;
-  /// Runs what was submitted, if deadlines fire when they are done.
+  /// Passes submitted jobs to the thread; while deadlines fire, after the last one.
   void hand_over();
   void check_limit();
   void watch_until(MonotonicTime due);
@@ -137,12 +136,12 @@ class Lane {
   Health health_ = Health::ok;
   const bool is_shared_;  // with other loops
   const bool is_pooled_;
-  bool is_left_behind_ = false;
+  bool is_thread_abandoned_ = false;
   std::shared_ptr<LaneThread> thread_;
-  bool is_listed_ = false;          // among those that the loop collects from
+  bool is_listed_ = false;          // the loop collects its finished jobs
   std::shared_ptr<LaneJob> first_;  // outstanding, in order of submission
   LaneJob* last_ = nullptr;
-  Duration shortest_;  // limit of all that were submitted
+  Duration shortest_;  // shortest limit of all submitted jobs
   std::unique_ptr<Watchdog> watchdog_;
   std::unique_ptr<Delayed> delayed_;
   std::shared_ptr<bool> is_alive_ = std::make_shared<bool>(true);  // for calls during which `done` may destroy the lane

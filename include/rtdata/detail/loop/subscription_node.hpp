@@ -1,4 +1,4 @@
-/// What lies behind topics and subscriptions: not for use by programs, here for the templates of topic.hpp.
+/// The implementation of topics and subscriptions. Not for use by programs; the templates of topic.hpp need it.
 #pragma once
 
 #include <cstddef>
@@ -61,11 +61,11 @@ PayloadType payload_type() {
   return type;
 }
 
-/// How a payload is handed over for publishing: copied bytes from where they are, anything else from a value to move.
+/// The parameter type for publishing a payload: a reference if its bytes are copied, a value to move otherwise.
 template <class T>
 using PublishedAs = std::conditional_t<std::is_trivially_copyable_v<T>, const T&, T>;
 
-/// Events that lie one behind the other in a ring, as a subscription is given them.
+/// A run of consecutive events in a ring, as delivered to a subscription.
 struct EventRun {
   const TopicCore& topic;
   std::byte* slots;
@@ -80,13 +80,13 @@ struct EventRun {
 class SubscriptionNode : public Node {
  public:
   SubscriptionNode(LoopCore& loop, std::string_view pattern);
-  /// Calls the handler with events of the run until it is closed; returns how many were looked at.
+  /// Calls the handler with the events of the run until it is closed; returns the number of events processed.
   struct Delivered {
     std::uint64_t seen = 0;
     std::uint64_t cancelled = 0;  ///< of these, not delivered
   };
   virtual Delivered deliver(const EventRun& run, const void* field_map) = 0;
-  /// Whether it takes this topic; with a map of fields where the layouts differ. Errors: description-differs.
+  /// Checks that it can take this topic; returns a map of fields if the layouts differ. Errors: description-differs.
   virtual Result<std::shared_ptr<const void>> accept(const TopicCore& topic) = 0;
 
   const std::string& pattern() const noexcept { return pattern_; }
@@ -116,14 +116,14 @@ class SubscriptionNode : public Node {
       } catch (const std::exception& e) {
         report_exception(e.what());
       } catch (...) {
-        report_exception("an exception that is no std::exception");
+        report_exception("an exception that is not a std::exception");
       }
     }
     return result;
   }
 
  private:
-  /// With each topic that it may be linked to.
+  /// Calls the function with each topic that it may be linked to.
   template <class Function>
   void for_each_topic(const Function& function) const;
 
