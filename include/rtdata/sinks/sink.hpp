@@ -229,6 +229,9 @@ class Sink : public Handle {
   /// Takes nothing from here on, and stores what is queued while the loop turns, for `close_deadline` at most; then
   /// `done` is called with the number of events that were lost, and the sink may be closed, not from within it.
   void finish(Callback<void(std::uint64_t lost)> done);
+  /// Of one that finishes: a sink of this name that is made before its end opens nothing until then, and queues what
+  /// comes. They have one file.
+  void end_before(const std::string& successor);
 };
 
 }  // namespace rtdata
