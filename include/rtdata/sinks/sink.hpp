@@ -219,6 +219,8 @@ class Sink : public Handle {
   SinkCounts counts() const noexcept;
   Health health() const noexcept;
   SinkStatus status() const;
+  /// Why it could not store when it tried last; none: it could, or that is not known yet.
+  std::error_code obstacle() const noexcept;
   /// Errors of this sink; without a handler they go to the loop's.
   void on_error(Callback<void(const ErrorReport&)> handler);
   /// Hands over what is queued now, without waiting for the batch to fill.

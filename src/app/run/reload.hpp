@@ -54,10 +54,9 @@ class Reload {
   std::shared_ptr<const NextPlan> read_again() const;
   /// `why`: what asked for it, for messages. A recording that the change closes stores first what it has, while the
   /// loop turns; one that cannot, as on a full disk, would lose it: then nothing is changed.
+  /// One whose disk does not answer is left instead, if nothing writes its file afterwards.
   /// One that comes while another is applied waits for it; of several that wait, the last one is applied.
-  /// `given_up`: sinks that the change closes, by name: it goes on without what they cannot store.
-  void apply(std::shared_ptr<const NextPlan> read, const std::string& why, Told told,
-             std::set<std::string> given_up = {});
+  void apply(std::shared_ptr<const NextPlan> read, const std::string& why, Told told);
   /// Events of sinks that were closed before they could store them.
   std::uint64_t not_stored() const noexcept { return system_.lost_in_changes(); }
   /// The run is over: what is under way stays as it is. Returns the parts that a change has not made, or not again.
@@ -69,7 +68,6 @@ class Reload {
     std::shared_ptr<const NextPlan> read;
     std::string why;
     Told told;
-    std::set<std::string> given_up = {};
     std::unique_ptr<StepwiseChange> steps = {};
     bool is_waiting = false;
     bool is_looking = false;                  // whether files that it begins can be written
@@ -88,10 +86,10 @@ class Reload {
   void add(Change& change, LogLevel level, const std::string& text, std::string_view id = {});
   /// False: it is refused, and concluded.
   bool may_be_applied(Change& change);
-  /// Why these sinks cannot be given up; empty: they can.
-  std::string obstacle_to_give_up(const Change& change) const;
-  /// The sinks that the change closes, by name. `recordings_alone`: without those that send over a network.
-  std::set<std::string> closing_sinks(const Change& change, bool recordings_alone) const;
+  /// That it closes.
+  std::vector<const PartPlan*> closing_sinks(const Change& change) const;
+  /// Of a sink that does not store what it has: nobody can mend that, such as a full disk, and none gets its file.
+  bool may_be_left(const Change& change, const PartPlan& sink) const;
   void begin(const std::shared_ptr<Change>& change);
   /// Whether the files that it begins can be written: asked on the lane, while closing sinks store what they have.
   void look_at_new_files(const std::shared_ptr<Change>& change);

@@ -309,6 +309,10 @@ SinkStatus Sink::status() const {
   const auto* s = detail::sink(node());
   return s != nullptr ? s->status() : SinkStatus{};
 }
+std::error_code Sink::obstacle() const noexcept {
+  const auto* s = detail::sink(node());
+  return s != nullptr ? s->obstacle() : std::error_code{};
+}
 void Sink::on_error(Callback<void(const ErrorReport&)> handler) {
   auto* const s = detail::sink(node());
   if (s == nullptr) return;

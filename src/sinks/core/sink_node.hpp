@@ -78,6 +78,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   const std::string& name() const noexcept override { return config_.name; }
   SinkCounts counts() const noexcept override { return last_ ? last_->counts : queue_->counts(); }
   Health health() const noexcept { return health_; }
+  std::error_code obstacle() const noexcept { return obstacle_; }
   /// Its peer has something to answer; or it tries again later, and meanwhile its queue fills. What waits in a
   /// recording is safe there.
   bool needs_real_time() const noexcept {
@@ -268,6 +269,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   Health health_ = Health::ok;
   Health told_health_ = Health::ok;  // as last published
   std::string reason_;
+  std::error_code obstacle_;             // of the last try
   std::string fault_;                    // why it stays faulted: it wants a topic that it cannot take
   bool error_already_reported_ = false;  // the last error is the same as the one before it
 

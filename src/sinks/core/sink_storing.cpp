@@ -191,6 +191,7 @@ void SinkNode::work_done(LaneJob::Outcome outcome) {
 
 void SinkNode::go_on_after(const SinkTurnResult& turn) {
   if (!turn.topic_fault.empty()) fault_for_good(turn.topic_fault);
+  obstacle_ = turn.result ? std::error_code{} : turn.result.error().code;
   if (!turn.result) {
     catch_up_.restart();
     health_ = Health::faulted;
