@@ -199,4 +199,99 @@ TEST_CASE("US-26 a recording that this user may not read: each command says so, 
   }
 }
 
+// In this process, where a wild access ends the tests.
+TEST_CASE("US-26 whatever bytes of a recording are changed, it is read or refused") {
+  const Folder folder;
+  const std::string good = record(folder, "good.db"), changed = folder.path() + "/changed.db";
+  std::ifstream file(good, std::ios::binary);
+  const std::string bytes((std::istreambuf_iterator<char>(file)), {});
+  const std::size_t pages = bytes.size() / 4096;
+  REQUIRE(pages > 20);
+  const char* const seeds = std::getenv("RTDATA_TEST_SEEDS");
+  unsigned count = rtdata::test::sanitized ? 100 : 500, first = 1;
+  if (seeds != nullptr) std::istringstream(seeds) >> first >> count;
+  std::array<unsigned, 3> met{};  // statuses
+  for (unsigned seed = first; seed < first + count; ++seed) {
+    CAPTURE(seed);
+    std::mt19937_64 random(seed);
+    const auto below = [&](std::size_t limit) { return static_cast<std::size_t>(random() % limit); };
+    std::string now = bytes;
+    for (std::size_t left = 1 + below(4); left > 0; --left) {
+      // The header of the file; that of a page, with its list of cells; or where rows and their lengths are.
+      const std::size_t page = below(pages) * 4096;
+      const std::size_t at = std::array{below(100), page + below(64), page + below(4096)}[below(3)];
+      const std::size_t size = 1 + below(4);
+      for (std::size_t i = at; i < std::min(at + size, now.size()); ++i)
+        now[i] = below(2) == 0 ? '\xff' : static_cast<char>(random());
+    }
+    std::ofstream(changed, std::ios::binary | std::ios::trunc) << now;
+    const auto check = [&](const char* command, int status, const std::string& error) {
+      CHECK_MESSAGE((status >= 0 && status <= 2), command);
+      if (status == 2) CHECK_MESSAGE(error.starts_with("rtdata: "), command << ": " << error);
+      ++met[static_cast<std::size_t>(std::clamp(status, 0, 2))];
+    };
+    for (const auto show_as : {app::ShowAs::text, app::ShowAs::json}) {
+      std::ostringstream out, err;
+      check("verify", app::verify({.database = changed, .show_as = show_as}, out, err), err.str());
+    }
+    std::ostringstream out, err;
+    check("info", app::info({.database = changed, .gaps = app::InfoOptions::Gaps::listed}, out, err), err.str());
+    for (const char* step : {"", "1 s"}) {
+      std::ostringstream rows, wrong;
+      app::ExportOptions options{.database = changed, .format = "jsonl", .step = step};
+      check("export", app::export_recording(options, rows, wrong), wrong.str());
+    }
+  }
+  for (const unsigned of_status : met) CHECK(of_status > 0);
+}
+
+TEST_CASE("a file of a gigabyte, where a small one belongs, is an error that says so") {
+  const Folder folder;
+  write_configurations(folder);
+  record(folder, "good.db");
+  sparse(folder, "big");
+  sparse(folder, "big.db");
+  std::filesystem::copy_file(folder.path() + "/good.db", folder.path() + "/longer.db");
+  sparse(folder, "longer.db");
+  const auto says = [&](const Words& words, int status, const std::string& text) {
+    const Bounded command(folder, words);
+    CHECK_MESSAGE(command.status == status, words[0] << ": " << command.said);
+    CHECK_MESSAGE(has(command.said, text), words[0] << ": " << command.said);
+  };
+  // Configurations, and what stands beside them.
+  says({"check", "big"}, 2, "the file is larger than 64 MiB");
+  says({"run", "big"}, 2, "the file is larger than 64 MiB");
+  folder.write("secret.json", R"({"sinks": [{"type": "mqtt", "host": "127.0.0.1", "user": "me",
+    "password": {"file": "big"}}]})");
+  says({"check", "secret.json"}, 2, "it is larger than 64 KiB");
+  folder.write("tls.json", R"({"sinks": [{"type": "tcp", "host": "127.0.0.1", "port": 1, "tls": {"ca_file": "big"}}]})");
+  says({"check", "tls.json"}, 2, "big");
+  // Tables and recordings.
+  says({"import", "big", "--time", "t", "--into", "made.db"}, 1, "the row is longer than 1 MiB");
+  CHECK_FALSE(folder.has("made.db"));
+  for (const Words& words : readers("big.db"))
+    if (words[0] != "forward") says(words, 2, "big.db");
+  for (const Words& words : readers("longer.db"))
+    if (words[0] != "forward") CHECK_MESSAGE(Bounded(folder, words).status <= 2, words[0]);
+  // What sinks are to go on with.
+  for (const auto& [format, why] :
+       {std::pair{"jsonl", "its last megabytes have no line end"}, std::pair{"csv", "its last megabytes have no line end"},
+        std::pair{"cbor", "what it holds is no cbor"}}) {
+    sparse(folder, std::string("out.") + format);
+    folder.write("out.json", R"({"sensors": [{"name": "l", "type": "host", "quantity": "load", "rate": "50 Hz"}],
+      "sinks": [{"type": "file", "topics": ["l"], "close_deadline": "100 ms", "format": ")" +
+                                 std::string(format) + R"(", "path": "out.)" + format + R"("}]})");
+    const Bounded run(folder, {"run", "out.json", "--for", "300ms"});
+    CHECK_MESSAGE(run.status != 0, run.said);
+    CHECK_MESSAGE(has(run.said, why), run.said);
+    CHECK(std::filesystem::file_size(folder.path() + "/out." + format) == 1u << 30);
+    std::filesystem::remove(folder.path() + "/out." + format);
+  }
+  // Texts within them.
+  folder.write("deep.json", std::string(1'000'000, '['));
+  says({"check", "deep.json"}, 2, "more than 64 levels of nesting");
+  folder.write("long.json", R"({"name": ")" + std::string(10'000'000, 'x') + "\"}");
+  says({"check", "long.json"}, 2, "long.json:1");
+}
+
 TEST_SUITE_END();
