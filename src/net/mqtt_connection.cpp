@@ -41,7 +41,8 @@ static void on_message(mosquitto*, void* client, const mosquitto_message* messag
   if (to.arrived == to.messages.size()) to.messages.emplace_back();
   MqttClient::Message& copy = to.messages[to.arrived++];
   copy.topic = message->topic;
-  const auto length = static_cast<std::size_t>(std::max(message->payloadlen, 0));
+  const std::size_t length = std::min(static_cast<std::size_t>(std::max(message->payloadlen, 0)),
+                                      to.longest_message + 1);
   copy.payload.assign(length != 0 ? static_cast<const char*>(message->payload) : "", length);
   copy.is_retained = message->retain;
 }
@@ -152,9 +153,10 @@ int connect_client(MqttClient& client, const MqttBroker& broker, const MqttOptio
   mosquitto_int_option(handle, MOSQ_OPT_TCP_NODELAY, 1);
   // As for programs with threads, the library then queues its packets, and writes them when it is told to only.
   mosquitto_threaded_set(handle, true);
+  client.longest_message = options.longest_message.value_or(0);
   client.inlet = std::make_unique<MqttInlet>(
       MqttInlet::Config{.expected = {.is_v5 = is_v5, .takes_messages = options.longest_message.has_value()},
-                        .longest_message = options.longest_message.value_or(0),
+                        .longest_message = client.longest_message,
                         .is_encrypted = broker.tls.has_value()});
   int done = MOSQ_ERR_SUCCESS;
   if (!broker.user.empty()) done = mosquitto_username_pw_set(handle, broker.user.c_str(), or_null(broker.password));

@@ -34,7 +34,8 @@ struct MqttClient {
   std::optional<std::vector<int>> granted;     // the answer to a subscription, for each of its filters
   std::vector<Message> messages;               // that came; the first `arrived` of them, the others keep their memory
   std::size_t arrived = 0;
-  std::string trouble;  // what the library says of it
+  std::size_t longest_message = 0;  // of a longer one, one byte more is kept
+  std::string trouble;              // what the library says of it
   bool is_encrypted = false;
   bool verifies = false;  // the broker's certificate
   long distrust = 0;      // what is wrong with that: X509_V_ERR_...

@@ -9,6 +9,7 @@
 
 #include "app/process.hpp"
 #include "app/runtime_folder.hpp"
+#include "app/stick.hpp"
 #include "has.hpp"
 #include "paths.hpp"
 #include "recording/database.hpp"
@@ -196,6 +197,7 @@ TEST_SUITE("app") {
       folder.write("rig.json", text("200 Hz", R"({"type": "discard"})"));
       run.signal(SIGHUP);
       REQUIRE(run.wait_for("nothing was changed: it would close run.db, which cannot store what it has now"));
+      REQUIRE(run.wait_for("mend what keeps it from that"));
     }
     run.signal(SIGHUP);
     REQUIRE(run.wait_for("sink run.db: removed"));
@@ -205,43 +207,65 @@ TEST_SUITE("app") {
     CHECK(has(run.out, "ledger balances"));
   }
 
-  TEST_CASE(
-      "US-5 a recording that is stuck is given up by a command: the run goes on elsewhere, and says what is lost") {
-    const rtdata::test::RuntimeFolder runtime;
-    const Folder folder;
-    const std::string program = built("rtdata");
-    const auto text = [](const char* file, const char* close_deadline) {
-      return R"({"sensors": [{"name": "l", "type": "host", "quantity": "load", "rate": "50 Hz"}], "sinks": [
-        {"type": "sqlite", "name": "db", "path": ")" +
-             std::string(file) + R"(", "close_deadline": ")" + close_deadline + R"("}]})";
-    };
-    folder.write("rig.json", text("first.db", "500 ms"));
-    Process run(folder, program, {"run", "rig.json"});
-    REQUIRE(run.wait_for("running rig"));
-    const auto reload = [&](const std::vector<std::string>& words, int status) {
-      return reloaded(folder, program, words, status);
-    };
-    CHECK(has(reload({"give-up", "db"}, 1), "sink db cannot be given up: the change does not close it"));
-    CHECK(has(reload({"give-up"}, 1), "it is written `reload [give-up SINK ...]`"));
-    {
-      auto other = rtdata::sqlite::Database::open(folder.path() + "/first.db", rtdata::sqlite::Database::Mode::write);
-      other.execute("BEGIN IMMEDIATE");
-      folder.write("rig.json", text("second.db", "30 s"));
-      CHECK(has(reload({}, 1), "`rtdata ctl reload give-up db`"));
-      CHECK(has(reload({"give-up", "db"}, 0), "sink db: restarted (path, close_deadline)"));
+  TEST_CASE("US-5 a reload leaves a disk that does not answer: the run goes on elsewhere, and says what is lost") {
+    for (const bool is_hanging : {false, true}) {
+      CAPTURE(is_hanging);
+      const rtdata::test::RuntimeFolder runtime;
+      const Folder folder;
+      const rtdata::test::Stick stick(folder);
+      if (!stick) {
+        MESSAGE(rtdata::test::why_no_stick);
+        return;
+      }
+      const std::string program = built("rtdata");
+      const auto text = [](const char* file, const char* batch_time) {
+        return R"({"sensors": [{"name": "l", "type": "host", "quantity": "load", "rate": "50 Hz"}], "sinks": [
+        {"type": "sqlite", "name": "db", "close_deadline": "500 ms", "path": ")" +
+               std::string(file) + R"(", "batch_time": ")" + batch_time + R"("}]})";
+      };
+      folder.write("rig.json", text("stick/first.db", "50 ms"));
+      Process run(folder, program, {"run", "rig.json"});
+      REQUIRE(run.wait_for("running rig"));
+      const struct Thaw {
+        const rtdata::test::Stick& stick;
+        ~Thaw() { stick.thaw(); }  // or the run cannot be ended
+      } at_the_end{stick};
+      REQUIRE((is_hanging ? stick.freeze() : stick.pull()));
+      const auto reload = [&](int status) { return reloaded(folder, program, {}, status); };
+      // On the same file nothing is won.
+      folder.write("rig.json", text("stick/first.db", "100 ms"));
+      const std::string refused = reload(1);
+      CHECK_MESSAGE(has(refused, "nothing was changed: it would close db, which cannot store what it has now"),
+                    refused);
+      CHECK(has(refused, "if the disk does not answer, give it a file on another one"));
+
+      folder.write("rig.json", text("second.db", "50 ms"));
+      const std::string said = reload(0);
+      CHECK_MESSAGE(has(said,
+                        "sink db is left, since its disk does not answer: what it has not stored in 500 ms, its "
+                        "`close_deadline`, is lost, and counted"),
+                    said);
+      CHECK(has(said, "sink db: restarted (path)"));
       REQUIRE(run.wait_for("sink db: lost "));
+      REQUIRE((!is_hanging || stick.thaw()));  // the thread that is left behind comes back
+      run.signal(SIGTERM);
+      CHECK(run.end() == 1);  // not all is stored
+      CHECK_FALSE(has(run.out, "not_balanced"));
+      Process second(folder, program, {"verify", "second.db"});
+      CHECK(second.end() == 0);
+      CHECK(has(second.out, "balanced"));
     }
-    run.signal(SIGTERM);
-    CHECK(run.end() == 1);  // not all is stored
-    CHECK_FALSE(has(run.out, "not_balanced"));
-    Process second(folder, program, {"verify", "second.db"});
-    CHECK(second.end() == 0);
-    CHECK(has(second.out, "balanced"));
   }
 
-  TEST_CASE("US-5 US-32 a stuck recording is given up though a sender goes through it, and what waits in it is told") {
+  TEST_CASE(
+      "US-5 US-32 a disk that does not answer is left though a sender goes through it; what waits there is told") {
     const rtdata::test::RuntimeFolder runtime;
     const Folder folder;
+    rtdata::test::Stick stick(folder);
+    if (!stick) {
+      MESSAGE(rtdata::test::why_no_stick);
+      return;
+    }
     const std::string program = built("rtdata");
     const auto text = [](const char* file) {
       return R"({"name": "rig", "sensors": [{"name": "a", "type": "host", "quantity": "load", "rate": "100 Hz"}], "sinks": [
@@ -255,38 +279,32 @@ TEST_SUITE("app") {
         events += backlog.events;
       return events;
     };
-    folder.write("rig.json", text("first.db"));
+    folder.write("rig.json", text("stick/first.db"));
     Process run(folder, program, {"run", "rig.json"});
     REQUIRE(run.wait_for("running rig"));
-    const auto reload = [&](const std::vector<std::string>& words, int status) {
-      return reloaded(folder, program, words, status);
-    };
+    const auto reload = [&] { return reloaded(folder, program, {}, 0); };
     for (int i = 0; i < 6000; ++i) {  // until something waits for the peer that is not there
       std::this_thread::sleep_for(std::chrono::milliseconds{10});
-      if (const auto opened = rtdata::Recording::open(folder.path() + "/first.db"); opened && opened->topics())
+      if (const auto opened = rtdata::Recording::open(folder.path() + "/stick/first.db"); opened && opened->topics())
         if (const auto all = opened->backlogs(); all && !all->empty() && all->front().events > 10) break;
     }
-    std::string told;
-    {
-      auto other = rtdata::sqlite::Database::open(folder.path() + "/first.db", rtdata::sqlite::Database::Mode::write);
-      other.execute("BEGIN IMMEDIATE");
-      folder.write("rig.json", text("second.db"));
-      CHECK(has(reload({}, 1), "`rtdata ctl reload give-up db`"));
-      told = reload({"give-up", "db"}, 0);
-      REQUIRE(run.wait_for("sink db: lost "));
-    }
+    REQUIRE(stick.pull());
+    folder.write("rig.json", text("second.db"));
+    std::string told = reload();
+    REQUIRE(run.wait_for("sink db: lost "));
     INFO(told);
+    CHECK(has(told, "sink db is left, since its disk does not answer"));
     CHECK(has(told, "sink db: restarted (path)"));
     CHECK(has(told, "sink far: restarted"));
     const auto stays_in = [](const std::string& file) {
       return "what waits for sinks in " + file + " stays there: `rtdata info " + file +
              "` tells it, and `rtdata forward " + file + " FILE` sends it, with a FILE that has these sinks";
     };
-    CHECK(has(told, stays_in("first.db")));
+    CHECK(has(told, stays_in("stick/first.db")));
 
     // And from a disk that is well: what the recording stores when it closes waits, too, and `info` tells it.
     folder.write("rig.json", text("third.db"));
-    told = reload({}, 0);
+    told = reload();
     CHECK(has(told, stays_in("second.db")));
     Process info(folder, program, {"info", "second.db"});
     CHECK(info.end() == 0);
@@ -296,7 +314,7 @@ TEST_SUITE("app") {
     Process check(folder, program, {"check", "rig.json", "--against", "old.json"});
     CHECK(check.end() == 2);  // there is none yet
     folder.write("old.json", text("third.db"));
-    told = reload({}, 0);
+    told = reload();
     CHECK(has(told, stays_in("third.db")));
     Process compared(folder, program, {"check", "rig.json", "--against", "old.json"});
     CHECK(compared.end() == 0);
@@ -304,7 +322,7 @@ TEST_SUITE("app") {
     run.signal(SIGTERM);
     CHECK(run.end() == 1);  // not all is stored
     // The table has the file that each had.
-    for (const char* file : {"first.db", "second.db", "third.db"}) {
+    for (const char* file : {"stick/first.db", "second.db", "third.db"}) {
       const std::string& out = run.out;
       std::size_t rows = 0;
       for (std::size_t at = out.find("\ndb "); at != std::string::npos; at = out.find("\ndb ", at + 1)) {

@@ -1,15 +1,13 @@
 // A disk that is taken away while it is recorded onto: a small ext4 in a file, mounted, and shut down or unmounted.
 #include <doctest/doctest.h>
-#include <fcntl.h>
-#include <sys/ioctl.h>
 #include <sys/mount.h>
-#include <unistd.h>
 
 #include <map>
 #include <nlohmann/json.hpp>
 
 #include "app/control/control_socket.hpp"
 #include "app/runtime_folder.hpp"
+#include "app/stick.hpp"
 #include "has.hpp"
 #include "paths.hpp"
 
@@ -18,6 +16,7 @@ using rtdata::app::running_instances;
 using rtdata::test::Folder;
 using rtdata::test::Process;
 using rtdata::test::RuntimeFolder;
+using rtdata::test::Stick;
 
 namespace {
 
@@ -30,43 +29,6 @@ std::size_t count_of(const std::string& text, const std::string& part) {
   for (std::size_t at = text.find(part); at != std::string::npos; at = text.find(part, at + part.size())) ++count;
   return count;
 }
-
-/// `stick` in the folder.
-class Stick {
- public:
-  explicit Stick(const Folder& folder) : folder_(folder) {
-    folder.write("image", "");
-    std::filesystem::resize_file(folder.path() + "/image", 128 << 20);
-    std::filesystem::create_directory(path());
-    is_made_ = call("mkfs.ext4 -q -F image") && mount();
-  }
-  Stick(const Stick&) = delete;
-  ~Stick() {
-    if (is_made_) ::umount2(path().c_str(), MNT_DETACH);
-  }
-  explicit operator bool() const { return is_made_; }
-  std::string path() const { return folder_.path() + "/stick"; }
-  bool mount() { return call("mount -o loop image stick"); }
-  /// Pulled out: what was not written is lost, and whatever is asked of it from then on fails with EIO.
-  bool pull() const {
-    constexpr unsigned long shutdown = _IOR('X', 125, std::uint32_t);  // EXT4_IOC_SHUTDOWN
-    std::uint32_t without_writing = 2;
-    const int fd = ::open(path().c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
-    const bool is_done = ::ioctl(fd, shutdown, &without_writing) == 0;
-    ::close(fd);
-    return is_done;
-  }
-  /// As `umount -l`: gone from its folder; who has files open may go on with them.
-  bool detach() const { return ::umount2(path().c_str(), MNT_DETACH) == 0; }
-
- private:
-  bool call(const std::string& command) const {
-    Process process(folder_, "/bin/sh", {"-c", command + " 2>&1"});
-    return process.end() == 0;
-  }
-  const Folder& folder_;
-  bool is_made_ = false;
-};
 
 /// How many events each sink has stored.
 std::map<std::string, std::uint64_t> stored(ControlClient& client) {
@@ -89,7 +51,7 @@ TEST_SUITE("app") {
       const Folder folder;
       Stick stick(folder);
       if (!stick) {
-        MESSAGE("skipped: mounting a file system in a file needs root, mkfs.ext4 and a loop device");
+        MESSAGE(rtdata::test::why_no_stick);
         return;
       }
       folder.write("bench.json", R"({ "loop": {"hold_limit": "1 min"},

@@ -6,9 +6,11 @@
 #include <doctest/doctest.h>
 
 #include <algorithm>
+#include <condition_variable>
 #include <fstream>
 #include <iterator>
 #include <memory>
+#include <mutex>
 
 #include "app/process.hpp"
 #include "config/test_types.hpp"
@@ -59,6 +61,54 @@ struct LampConfig {
 struct Lamp {
   bool is_on = false;
   Subscription subscription;
+};
+
+/// A file that is closed when it may be.
+struct SlowFile {
+  std::mutex mutex;
+  std::condition_variable changed;
+  bool may_close = false;
+  std::vector<std::string> happened;
+  std::vector<std::uint64_t> sequences;  // in the order in which they were stored
+  void note(const std::string& what) {
+    const std::lock_guard lock(mutex);
+    happened.push_back(what);
+  }
+};
+struct SlowConfig {
+  std::string path = "one";
+  std::string label;
+  SinkConfig sink = {};
+  friend constexpr auto parameters(type_tag<SlowConfig>) {
+    return parameter_list(parameter("path", &SlowConfig::path, "its file"),
+                          parameter("label", &SlowConfig::label, "what it is called here"),
+                          include_member(&SlowConfig::sink));
+  }
+};
+class SlowWriter final : public Writer {
+ public:
+  SlowWriter(std::shared_ptr<SlowFile> file, std::string label) : file_(std::move(file)), label_(std::move(label)) {}
+  Result<void> open() override {
+    if (!std::exchange(is_open_, true)) file_->note("open " + label_);
+    return {};
+  }
+  Result<void> write(Batch& batch) override {
+    const std::lock_guard lock(file_->mutex);
+    for (const Record& record : batch) file_->sequences.push_back(record.header.sequence);
+    return {};
+  }
+  Result<void> close() override {
+    file_->note("closing " + label_);
+    std::unique_lock lock(file_->mutex);
+    file_->changed.wait(lock, [&] { return file_->may_close; });
+    file_->happened.push_back("closed " + label_);
+    return {};
+  }
+
+ private:
+  const std::shared_ptr<SlowFile> file_;
+  const std::string label_;
+  bool is_open_ = false;
 };
 
 Registry registry() {
@@ -577,6 +627,62 @@ TEST_SUITE("config") {
       while (const RecordedRow* row = rows.next().or_throw()) CHECK(row->header().sequence == next_sequence++);
     }
     CHECK(next_sequence > 290);
+  }
+
+  // With threads: in virtual time closing takes none.
+  TEST_CASE("US-5 a sink that is made anew on its file waits for the end of the one before, and the loop does not") {
+    const auto file = std::make_shared<SlowFile>();
+    Registry types = registry();
+    types.add_sink<SlowConfig>(
+        "slow", "is closed when it may be", [](const SlowConfig& config) { return config.path; },
+        [file](Loop& loop, const SlowConfig& config) {
+          return Sink(loop, config.sink, std::make_unique<SlowWriter>(file, config.label));
+        });
+    const auto plan_of = [&](const std::string& label) {
+      return plan_system(types,
+                         parse_config(R"({"sensors": [)" + counter + R"(], "sinks": [{"type": "slow", "name": "s",
+        "batch_time": "10 ms", "label": ")" +
+                                          label + "\"}]}",
+                                      "f.json"));
+    };
+    const SystemPlan plan = plan_of("first"), next = plan_of("second");
+    std::uint64_t last = 0;
+    {
+      Loop loop(plan.loop_config());
+      System system(loop, types, plan);
+      const Subscription events = loop.subscribe("a", [&](const EventView& event) { last = event.sequence(); });
+      std::optional<StepwiseChange> change;
+      Timer later;
+      Ticker steps(loop, 10ms, [&](const Tick& tick) {
+        if (tick.index < 10) return;
+        if (!change) change.emplace(system, next);
+        if (change->is_applied() || change->step(1ms)) return;
+        const SinkStatus status = system.sink("s").status();
+        CHECK(status.health == Health::degraded);
+        CHECK(status.reason == "waits until the sink that had its file has ended; events wait in the queue");
+        // While the loop turns.
+        later = Timer(loop, 100ms, [&] {
+          CHECK(system.sink("s").counts().queued > 0);
+          {
+            const std::lock_guard lock(file->mutex);
+            file->may_close = true;
+          }
+          file->changed.notify_all();
+          system.sink("s").sync([&] {
+            CHECK(system.sink("s").health() == Health::ok);
+            loop.stop();
+          });
+        });
+      });
+      loop.run();
+      CHECK(loop.close(10s) == 0);
+      CHECK(system.lost_in_changes() == 0);
+    }
+    CHECK(file->happened == std::vector<std::string>{"open first", "closing first", "closed first", "open second",
+                                                     "closing second", "closed second"});
+    REQUIRE(last > 20);
+    CHECK(file->sequences.size() >= last);
+    for (std::size_t i = 0; i < file->sequences.size(); ++i) CHECK(file->sequences[i] == i + 1);
   }
 
   // With threads: in virtual time no tier publishes while a step runs.

@@ -219,6 +219,8 @@ class Sink : public Handle {
   SinkCounts counts() const noexcept;
   Health health() const noexcept;
   SinkStatus status() const;
+  /// The reason why the last attempt to store failed; none if it did not fail, or there was no attempt yet.
+  std::error_code obstacle() const noexcept;
   /// Sets the handler for errors of this sink. Default: the loop's handler.
   void on_error(Callback<void(const ErrorReport&)> handler);
   /// Stores the queue now, without waiting for the batch to fill.
@@ -229,6 +231,9 @@ class Sink : public Handle {
   /// Takes no more events, and stores the queue while the loop turns, for `close_deadline` at most; then calls `done`
   /// with the number of lost events. Close the sink after that, but not inside `done`.
   void finish(Callback<void(std::uint64_t lost)> done);
+  /// Of one that finishes: a sink of this name that is made before its end opens nothing until then, and queues what
+  /// comes. They have one file.
+  void end_before(const std::string& successor);
 };
 
 }  // namespace rtdata

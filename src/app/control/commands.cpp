@@ -130,11 +130,7 @@ const std::vector<Verb>& verbs() {
        control},
       {"ack", 1, 1, {"ack LIMIT", "acknowledge the alarm of a limit"}, acknowledge},
       {"note", 1, 1000, {"note TEXT", "write a remark into the recordings"}, note},
-      {"reload",
-       0,
-       0,
-       {"reload [give-up SINK ...]", "read the configuration again, and apply what has changed"},
-       nullptr},
+      {"reload", 0, 0, {"reload", "read the configuration again, and apply what has changed"}, nullptr},
   };
   return all;
 }

@@ -24,6 +24,7 @@ namespace rtdata::app {
 namespace {
 
 constexpr Duration pause = std::chrono::milliseconds{20};
+constexpr std::size_t longest_answer = std::size_t{256} << 20;
 constexpr int most_after_end = 8;  // lines of a client that has closed its side, answered without a pause
 constexpr Duration client_patience = std::chrono::seconds{5};
 
@@ -433,6 +434,9 @@ Result<std::optional<std::string>> ControlClient::receive(Duration at_most) {
                      "try again when it has fewer clients"};
       }
       if (size > 0) rest_.append(buffer, static_cast<std::size_t>(size));
+      if (rest_.size() > longest_answer)
+        return Error{Errc::bad_data, "no answer", "instance", "what it sends has no end of a line in 256 MiB",
+                     "see what listens there"};
     }
   }
 }

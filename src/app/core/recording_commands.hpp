@@ -9,9 +9,19 @@
 
 #include "app/core/show_as.hpp"
 #include "rtdata/config/registry.hpp"
+#include "rtdata/data/error.hpp"
 #include "rtdata/recording/replay.hpp"
 
 namespace rtdata::app {
+
+/// The status of each command after an error: 2 when the recording cannot be read, 1 after any other.
+inline int status_after(const Error& error) {
+  const bool is_of_file = error.what == "cannot read the recording" || error.what == "cannot use the recording";
+  return is_of_file || error.code == Errc::damaged || error.code == Errc::not_a_recording ||
+                 error.code == Errc::newer_version
+             ? 2
+             : 1;
+}
 
 struct VerifyOptions {
   std::string database;

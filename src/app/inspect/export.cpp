@@ -122,12 +122,7 @@ class Progress {
 }  // namespace
 
 int export_recording(const ExportOptions& options, std::ostream& out, std::ostream& err) try {
-  auto opened = Recording::open(options.database);
-  if (!opened) {
-    err << "rtdata: " << opened.error().text() << "\n";
-    return 2;
-  }
-  const Recording& recording = *opened;
+  const Recording recording = Recording::open(options.database).or_throw();
   const auto from = parse_time(options.from), until = parse_time(options.until);
   if (from && until && *from > *until)
     throw SetupError({Errc::bad_argument, "cannot export", "--from " + options.from + " --until " + options.until,
@@ -174,7 +169,7 @@ int export_recording(const ExportOptions& options, std::ostream& out, std::ostre
   return status;
 } catch (const SetupError& error) {
   err << "rtdata: " << error.what() << "\n";
-  return error.error().code == make_error_code(Errc::damaged) ? 2 : 1;
+  return status_after(error.error());
 }
 
 }  // namespace rtdata::app

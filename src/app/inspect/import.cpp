@@ -3,7 +3,6 @@
 #include <cctype>
 #include <cmath>
 #include <filesystem>
-#include <fstream>
 #include <memory>
 #include <optional>
 #include <ostream>
@@ -41,10 +40,10 @@ std::string shown_separator(char separator) { return separator == '\t' ? "tab" :
 
 /// The option for the probable separator, if the given one is wrong. Empty: unknown.
 std::string separator_advice(const ImportOptions& options, char said) {
-  std::ifstream in(options.file, std::ios::binary);
+  ImportRows table(options.file, said);
   std::string head, row;
-  std::getline(in, head);
-  std::getline(in, row);
+  table.next_line(head);
+  table.next_line(row);
   const auto count = [](const std::string& text, char c) { return std::count(text.begin(), text.end(), c); };
   char best = said;
   for (const char one : {',', ';', '\t', '|'})

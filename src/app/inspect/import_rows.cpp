@@ -1,24 +1,28 @@
 #include "app/inspect/import_rows.hpp"
 
 #include <algorithm>
-#include <istream>
 #include <utility>
 
 #include "app/inspect/import_time.hpp"
 #include "data/utf8.hpp"
 
 namespace rtdata::app {
-namespace {
 
-constexpr std::size_t longest_row = std::size_t{1} << 20;
-
-}  // namespace
+bool ImportRows::next_line(std::string& line) {
+  in_.getline(buffer_.data(), static_cast<std::streamsize>(buffer_.size()));
+  const auto got = static_cast<std::size_t>(in_.gcount());
+  if (got == 0) return false;
+  const bool is_cut = in_.fail() && !in_.eof();
+  if (is_cut) in_.clear();
+  line.assign(buffer_.data(), is_cut || in_.eof() ? got : got - 1);  // without its end
+  return true;
+}
 
 Result<bool> ImportRows::next(std::vector<detail::CsvCell>& cells) {
   std::string row, line;
   bool is_quoted = false;  // the row continues on the next line, because this one ends within quotes
   line_ = next_line_;
-  while (std::getline(in_, line)) {
+  while (next_line(line)) {
     ++next_line_;
     row += line;
     row += '\n';

@@ -161,8 +161,6 @@ struct Content {
   UtcLine line{{}};  // of the run that is shown
 };
 
-constexpr const char* no_such_run = "cannot show the run";
-
 /// Throws SetupError.
 Content read(const Recording& recording, std::optional<std::int64_t> wanted, InfoOptions::Gaps gaps) {
   Content content;
@@ -176,8 +174,8 @@ Content read(const Recording& recording, std::optional<std::int64_t> wanted, Inf
     content.line = content.lines.back();
   }
   if (!content.shown && wanted)
-    throw SetupError({Errc::not_found, no_such_run, recording.path(), "there is no run " + std::to_string(*wanted),
-                      "`rtdata info` without --run lists them"});
+    throw SetupError({Errc::not_found, "cannot show the run", recording.path(),
+                      "there is no run " + std::to_string(*wanted), "`rtdata info` without --run lists them"});
   if (!content.shown) return content;
   const std::int64_t run = content.shown->run;
   content.summaries = summary(recording, run).or_throw();
@@ -395,7 +393,7 @@ int info(const InfoOptions& options, std::ostream& out, std::ostream& err) try {
   return 0;
 } catch (const SetupError& error) {
   err << "rtdata: " << error.what() << "\n";
-  return error.error().what == no_such_run ? 1 : 2;
+  return status_after(error.error());
 }
 
 }  // namespace rtdata::app

@@ -9,6 +9,7 @@
 
 #include "app/core/amounts.hpp"
 #include "app/core/configuration_commands.hpp"
+#include "app/core/recording_commands.hpp"
 #include "app/core/terminal_text.hpp"
 #include "app/run/left_backlogs.hpp"
 #include "app/run/stop_signals.hpp"
@@ -86,12 +87,7 @@ class Forward {
   explicit Forward(const ForwardOptions& options) : options_(options) {}
 
   int run(const Registry& registry) {
-    auto opened = Recording::open(options_.database);
-    if (!opened) {
-      std::cerr << "rtdata: " << opened.error().text() << "\n";
-      return exit_configuration;
-    }
-    std::optional<Recording> database(std::move(*opened));
+    std::optional<Recording> database(Recording::open(options_.database).or_throw());
     // Other parts, such as devices and folders, need not exist on this machine.
     const ConfigDocument whole = load_config(options_.file);
     std::vector<std::string> senders;
@@ -220,6 +216,11 @@ class Forward {
 
 }  // namespace
 
-int forward(const Registry& registry, const ForwardOptions& options) { return Forward(options).run(registry); }
+int forward(const Registry& registry, const ForwardOptions& options) try {
+  return Forward(options).run(registry);
+} catch (const SetupError& error) {
+  std::cerr << "rtdata: " << error.what() << std::endl;
+  return status_after(error.error());
+}
 
 }  // namespace rtdata::app

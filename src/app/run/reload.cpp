@@ -84,10 +84,7 @@ bool Reload::may_be_applied(Change& change) {
   if (!run_.has_guard && !next.of_kind("output").empty()) return refused(std::string(no_guard));
   change.steps = std::make_unique<StepwiseChange>(system_, next);
   const PlanChange& parts = change.steps->changes();
-  if (parts.refused() == 0) {
-    const std::string obstacle = obstacle_to_give_up(change);
-    return obstacle.empty() || refused(obstacle);
-  }
+  if (parts.refused() == 0) return true;
   for (const PartChange& part : parts.all)
     if (part.fate == Fate::refused) add(change, LogLevel::error, part.text());
   return refused("a restart of the program applies the refused changes");
@@ -134,31 +131,23 @@ void Reload::look_at_new_files(const std::shared_ptr<Change>& change) {
   if (!change->is_looking) change->obstacles = std::move(not_known);
 }
 
-std::string Reload::obstacle_to_give_up(const Change& change) const {
-  const std::set<std::string> closing = closing_sinks(change, false);
-  for (const std::string& name : change.given_up) {
-    if (!closing.contains(name)) return "sink " + name + " cannot be given up: the change does not close it";
-    std::string path;
-    for (const PartPlan* plan : system_.parts().plans()) {
-      if (plan->stores && plan->name == name) path = plan->stores->path;
-    }
-    for (const PartPlan& plan : change.read->plan.parts)
-      if (plan.stores && !path.empty() && plan.stores->path == path)
-        return "sink " + name + " cannot be given up: " + plan.object() + " would write the same file; give it another";
-  }
-  return "";
-}
-
-std::set<std::string> Reload::closing_sinks(const Change& change, bool recordings_alone) const {
-  std::set<std::string> names;
+std::vector<const PartPlan*> Reload::closing_sinks(const Change& change) const {
+  std::vector<const PartPlan*> sinks;
   std::set<std::string> ending;
   for (const PartChange& part : change.steps->changes().all)
     if (part.fate == Fate::restarted || part.fate == Fate::removed) ending.insert(part.object);
-  if (ending.empty()) return names;
+  if (ending.empty()) return sinks;
   for (const PartPlan* plan : system_.parts().plans())
-    if (plan->stores && ending.contains(plan->object()) && (!recordings_alone || !plan->stores->is_sender))
-      names.insert(plan->name);
-  return names;
+    if (plan->stores && ending.contains(plan->object())) sinks.push_back(plan);
+  return sinks;
+}
+
+bool Reload::may_be_left(const Change& change, const PartPlan& sink) const {
+  const std::error_code obstacle = system_.sink(sink.name).obstacle();
+  if (obstacle == Errc::storage_full || obstacle == Errc::busy) return false;
+  return std::none_of(change.read->plan.parts.begin(), change.read->plan.parts.end(), [&](const PartPlan& next) {
+    return next.stores && !next.stores->path.empty() && next.stores->path == sink.stores->path;
+  });
 }
 
 void Reload::then(const Weak& change, void (Reload::*step)(const std::shared_ptr<Change>&)) {
@@ -167,9 +156,8 @@ void Reload::then(const Weak& change, void (Reload::*step)(const std::shared_ptr
   });
 }
 
-void Reload::apply(std::shared_ptr<const NextPlan> read, const std::string& why, Told told,
-                   std::set<std::string> given_up) {
-  const auto change = std::make_shared<Change>(Change{std::move(read), why, std::move(told), std::move(given_up)});
+void Reload::apply(std::shared_ptr<const NextPlan> read, const std::string& why, Told told) {
+  const auto change = std::make_shared<Change>(Change{std::move(read), why, std::move(told)});
   // A device or a disk delayed the reading: the file has been read again since then.
   if (change->read->number < newest_)
     return refuse(*change, "the file was read again since, and is applied as it was then");
@@ -193,8 +181,8 @@ void Reload::begin(const std::shared_ptr<Change>& change) {
   if (!may_be_applied(*change)) return;
   under_way_ = change;
   change->left = recordings_left(system_.parts().plans(), change->read->plan);
-  std::set<std::string> sinks = closing_sinks(*change, false);
-  for (const std::string& name : change->given_up) sinks.erase(name);
+  std::set<std::string> sinks;
+  for (const PartPlan* sink : closing_sinks(*change)) sinks.insert(sink->name);
   change->waits_for = sinks;
   const Weak weak = change;
   change->is_waiting = true;
@@ -238,14 +226,24 @@ void Reload::stop_waiting(const std::shared_ptr<Change>& change) {
     for (std::size_t i = 0; i + 1 < change->obstacles.size(); ++i) add(*change, LogLevel::error, change->obstacles[i]);
     return refuse(*change, change->obstacles.back());
   }
-  std::set<std::string> all = closing_sinks(*change, true);
-  std::erase_if(all, [&](const std::string& name) { return !change->waits_for.contains(name); });
-  if (all.empty()) return go_on(change);
-  const std::string stuck = detail::listed(all, " ");
-  refuse(*change, "it would close " + stuck +
-                      ", which cannot store its queue now, and would lose it; mend the cause, or give it up: `rtdata "
-                      "ctl reload give-up " +
-                      stuck + "` counts and reports what is lost");
+  std::set<std::string> stuck;
+  std::vector<const PartPlan*> left;
+  for (const PartPlan* sink : closing_sinks(*change)) {
+    if (sink->stores->is_sender || !change->waits_for.contains(sink->name)) continue;
+    if (may_be_left(*change, *sink))
+      left.push_back(sink);
+    else
+      stuck.insert(sink->name);
+  }
+  if (!stuck.empty())
+    return refuse(*change, "it would close " + detail::listed(stuck) +
+                               ", which cannot store its queue now, and would lose it; mend the cause, or, if the disk "
+                               "does not answer, give it a file on another one");
+  for (const PartPlan* sink : left)
+    add(*change, LogLevel::warning,
+        sink->object() + " is left, since its disk does not answer: what it has not stored in " +
+            to_string(sink->stores->close_deadline) + ", its `close_deadline`, is lost, and counted");
+  go_on(change);
 }
 
 void Reload::go_on(const std::shared_ptr<Change>& change) {

@@ -53,11 +53,10 @@ class Reload {
   /// Reads and checks the file again. Any thread except the loop's, so that the loop does not wait.
   std::shared_ptr<const NextPlan> read_again() const;
   /// `why`: the cause, for messages. A recording that the change closes first stores its queue, while the loop turns;
-  /// if it cannot, for example on a full disk, nothing is changed, because the queue would be lost. A reload that comes
-  /// while another is applied waits for it; of several waiting ones, the last is applied. `given_up`: names of sinks
-  /// that the change closes even if they cannot store their queue.
-  void apply(std::shared_ptr<const NextPlan> read, const std::string& why, Told told,
-             std::set<std::string> given_up = {});
+  /// if it cannot, for example on a full disk, nothing is changed, because the queue would be lost. If its disk does not
+  /// answer, and nothing writes its file afterwards, it is left instead. A reload that comes while another is applied
+  /// waits for it; of several waiting ones, the last is applied.
+  void apply(std::shared_ptr<const NextPlan> read, const std::string& why, Told told);
   /// Events that closed sinks could not store.
   std::uint64_t not_stored() const noexcept { return system_.lost_in_changes(); }
   /// The run ends: a running change stops as it is. Returns the parts that changes could not make.
@@ -69,7 +68,6 @@ class Reload {
     std::shared_ptr<const NextPlan> read;
     std::string why;
     Told told;
-    std::set<std::string> given_up = {};
     std::unique_ptr<StepwiseChange> steps = {};
     bool is_waiting = false;
     bool is_looking = false;                  // the check of new files is running
@@ -88,10 +86,10 @@ class Reload {
   void add(Change& change, LogLevel level, const std::string& text, std::string_view id = {});
   /// False: it is refused and finished.
   bool may_be_applied(Change& change);
-  /// Why these sinks' queues must not be given up; empty: they may.
-  std::string obstacle_to_give_up(const Change& change) const;
-  /// The sinks that the change closes, by name. `recordings_alone`: without network sinks.
-  std::set<std::string> closing_sinks(const Change& change, bool recordings_alone) const;
+  /// The sinks that the change closes.
+  std::vector<const PartPlan*> closing_sinks(const Change& change) const;
+  /// True if a sink that cannot store its queue may be left: nobody can mend its disk, and no other sink gets its file.
+  bool may_be_left(const Change& change, const PartPlan& sink) const;
   void begin(const std::shared_ptr<Change>& change);
   /// Checks on the lane that new files can be written, while closing sinks store their queue.
   void look_at_new_files(const std::shared_ptr<Change>& change);

@@ -6,7 +6,6 @@
 #include <algorithm>
 #include <atomic>
 #include <iostream>
-#include <memory>
 #include <optional>
 #include <set>
 #include <vector>
@@ -289,11 +288,7 @@ int replay(const Registry& registry, const ReplayOptions& options) {
     return ReplayRun(registry, options).execute();
   } catch (const SetupError& error) {
     std::cerr << "rtdata: " << error.what() << std::endl;
-    const std::error_code code = error.error().code;
-    const bool is_unreadable = code == make_error_code(Errc::damaged) ||
-                               code == make_error_code(Errc::not_a_recording) ||
-                               code == make_error_code(Errc::newer_version);
-    return is_unreadable ? exit_configuration : exit_other;
+    return status_after(error.error());
   }
 }
 

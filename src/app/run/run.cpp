@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <cstdlib>
 #include <future>
-#include <iostream>
 #include <set>
 #include <utility>
 
@@ -202,12 +201,10 @@ class Run {
     auto outcome = std::make_shared<std::promise<CommandOutcome>>();
     auto told = outcome->get_future();
     loop.post([&reload, &desk, next = reload.read_again(), outcome, words, by] {
-      reload.apply(next, "reload",
-                   [&desk, outcome, words, by](const CommandOutcome& came) {
-                     desk.keep(words, by, came);
-                     outcome->set_value(came);
-                   },
-                   {words.begin() + static_cast<std::ptrdiff_t>(std::min<std::size_t>(words.size(), 2)), words.end()});
+      reload.apply(next, "reload", [&desk, outcome, words, by](const CommandOutcome& came) {
+        desk.keep(words, by, came);
+        outcome->set_value(came);
+      });
     });
     if (told.wait_for(answer_patience) == std::future_status::ready) return told.get();
     return {false,
@@ -265,7 +262,7 @@ class Run {
       const std::vector<std::string> words = command_words(line);
       if (words.empty()) return status.answer(client, line);
       const std::string by = control->peer_of(client);
-      if (words[0] == "reload" && (words.size() == 1 || (words.size() > 2 && words[1] == "give-up")))
+      if (words[0] == "reload" && words.size() == 1)
         return [&, words, by] { return command_answer(reload_for(loop, reload, desk, words, by)); };
       if (is_closing_) return [] { return command_answer({false, "it ends already"}); };
       auto outcome = std::make_shared<std::promise<CommandOutcome>>();

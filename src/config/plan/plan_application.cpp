@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <filesystem>
-#include <iterator>
 #include <utility>
 
 #include "config/plan/neighbours.hpp"
@@ -296,10 +295,15 @@ void PlanApplication::make_one() {
 void PlanApplication::make(const PartPlan& plan) {
   if (plan.stores) {  // waits for the old sink, which still stores to the same file
     auto& sinks = system_.finishing_->sinks;
-    for (auto one = sinks.begin(); one != sinks.end();) {
-      const bool is_there = exclude_each_other((*one)->plan, plan);
-      const std::unique_ptr<Parts::Part> part = is_there ? std::move(*one) : nullptr;
-      one = is_there ? sinks.erase(one) : std::next(one);
+    for (std::size_t i = 0; i < sinks.size();) {
+      if (!exclude_each_other(sinks[i]->plan, plan)) {
+        ++i;
+      } else if (may_wait_) {
+        sinks[i++]->object.as<Sink>()->end_before(plan.name);
+      } else {
+        const std::unique_ptr<Parts::Part> part = std::move(sinks[i]);
+        sinks.erase(sinks.begin() + static_cast<std::ptrdiff_t>(i));
+      }
     }
   }
   auto part = std::make_unique<Parts::Part>(Parts::Part{plan, {}});

@@ -131,7 +131,7 @@ class LimitNode final : public FeedNode {
     const LimitLevel alarm = watch_.state().alarm;
     const Duration passed = has_published_ ? span_between(published_, time) : config_.join;
     const bool is_over = passed >= config_.join;
-    if (!is_over && severity(alarm) <= worst_ && !are_opposite(alarm, told_)) {
+    if (!is_over && severity(alarm) <= worst_ && !are_opposite(alarm, published_)) {
       if (!held_.is_running()) held_.start(config_.join - passed);
       return;
     }
@@ -151,7 +151,7 @@ class LimitNode final : public FeedNode {
                 state.value, state.limit, waiting_ > 1 ? waiting_ - 1 : 0};
     held_.stop();
     waiting_ = 0;
-    told_ = state.alarm;
+    published_ = state.alarm;
     published_ = time;
     has_published_ = true;
     publish(&alarm, time);
@@ -189,7 +189,7 @@ class LimitNode final : public FeedNode {
   const Leaf* field_ = nullptr;
   std::uint32_t waiting_ = 0;             // changes that were not published
   int worst_ = 0;                         // of what was published since `join` began
-  LimitLevel told_ = LimitLevel::normal;  // the alarm that was published last
+  LimitLevel published_ = LimitLevel::normal;  // the alarm that was published last
   bool has_published_ = false;
   bool is_ending_ = false;  // it is closed, or the run's schedules have ended
   Time published_{};

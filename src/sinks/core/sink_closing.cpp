@@ -53,6 +53,30 @@ void SinkNode::begin_closing(MonotonicTime deadline) {
   if (life_ == Life::closing) start_work();
 }
 
+void SinkNode::wait_for_predecessors() {
+  for (Recorder* const recorder : loop()->runtime.recorders) {
+    SinkNode* const sink = recorder->as_sink();
+    if (sink == nullptr ||
+        std::find(sink->comes_before_.begin(), sink->comes_before_.end(), config_.name) == sink->comes_before_.end())
+      continue;
+    predecessors_.push_back(sink);
+    sink->successors_.push_back(this);
+  }
+  if (predecessors_.empty()) return;
+  work_ = Work::held;
+  health_ = Health::degraded;
+  reason_ = "waits until the sink that had its file has ended; events wait in the queue";
+}
+
+void SinkNode::release_successors() noexcept {
+  for (SinkNode* const sink : std::exchange(successors_, {})) {
+    std::erase(sink->predecessors_, this);
+    if (!sink->predecessors_.empty()) continue;
+    sink->work_ = Work::idle;
+    sink->start_work();
+  }
+}
+
 void SinkNode::finish_drain() {
   if (drained_.empty()) return;
   Call call(*this);
@@ -111,11 +135,15 @@ std::uint64_t SinkNode::leave() noexcept {
     }
   });
   runtime.reports.flush(Reports::Repeated::all);  // of closing; there may be no later turn to report them
+  release_successors();
   return lost;
 }
 
 void SinkNode::on_close() noexcept {
   std::uint64_t lost = 0;
+  for (std::size_t left = predecessors_.size(); is_attached() && left > 0 && !predecessors_.empty(); --left)
+    predecessors_.back()->close();  // one that is being closed already stays there
+  for (SinkNode* const sink : predecessors_) std::erase(sink->successors_, this);
   leave_recording();  // nobody waits for another here
   if (is_attached()) {
     const MonotonicTime end = later(loop()->now(), config_.close_deadline);

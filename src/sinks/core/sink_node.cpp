@@ -45,6 +45,7 @@ void SinkNode::attach() {
     }
   }
   job_->sink = this;
+  wait_for_predecessors();
   if (!config_.through.empty()) return follow_recording();
   // Events that tiers published before this are not recorded: takes them from the rings first, and waits for each tier
   // for a limited time only.
@@ -308,6 +309,10 @@ SinkStatus Sink::status() const {
   const auto* s = detail::sink(node());
   return s != nullptr ? s->status() : SinkStatus{};
 }
+std::error_code Sink::obstacle() const noexcept {
+  const auto* s = detail::sink(node());
+  return s != nullptr ? s->obstacle() : std::error_code{};
+}
 void Sink::on_error(Callback<void(const ErrorReport&)> handler) {
   auto* const s = detail::sink(node());
   if (s == nullptr) return;
@@ -331,6 +336,12 @@ void Sink::finish(Callback<void(std::uint64_t)> done) {
   if (s == nullptr) return done(0);
   s->loop()->check_thread("cannot finish", s->name());
   s->finish(std::move(done));
+}
+void Sink::end_before(const std::string& successor) {
+  auto* const s = detail::sink(node());
+  if (s == nullptr) return;
+  s->loop()->check_thread("cannot use", s->name());
+  s->end_before(successor);
 }
 
 }  // namespace rtdata

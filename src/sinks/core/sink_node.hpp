@@ -48,6 +48,8 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   void finish(Callback<void(std::uint64_t)> done) {
     drain(later(loop()->now(), config_.close_deadline), std::move(done));
   }
+  /// Those of this name that are made from here on are `held` until it has ended.
+  void end_before(const std::string& successor) { comes_before_.push_back(successor); }
   bool wants(std::string_view topic) const noexcept override;
   SinkNode* as_sink() noexcept override { return this; }
 
@@ -76,6 +78,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   const std::string& name() const noexcept override { return config_.name; }
   SinkCounts counts() const noexcept override { return last_ ? last_->counts : queue_->counts(); }
   Health health() const noexcept { return health_; }
+  std::error_code obstacle() const noexcept { return obstacle_; }
   /// True if it waits for its peer's answer, or for a retry while its queue fills. Events in a recording are safe and
   /// do not count.
   bool needs_real_time() const noexcept {
@@ -100,6 +103,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
     sending,             // nothing: the loop sends what it has encoded
     waiting,             // for the retry after an error
     waiting_for_thread,  // the same, after the system gave none
+    held,                // until those have ended that have what it is to open
   };
   /// A job of the lane. Shared with the lane's thread, which may be abandoned with it.
   class Job final : public LaneJob {
@@ -210,6 +214,9 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   bool is_end_due() const noexcept { return followers_.empty(); }
 
   // ---- closing: sink_closing.cpp
+  /// Those that are to end before it opens anything.
+  void wait_for_predecessors();
+  void release_successors() noexcept;
   /// Takes no event from here on, and hands over what is left.
   void begin_closing(MonotonicTime deadline);
   void finish_drain();
@@ -262,6 +269,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   Health health_ = Health::ok;
   Health published_health_ = Health::ok;  // as last published
   std::string reason_;
+  std::error_code obstacle_;             // of the last try
   std::string fault_;                    // why it stays faulted: it wants a topic that it cannot take
   bool error_already_reported_ = false;  // the last error is the same as the one before it
 
@@ -279,6 +287,9 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   CatchUp catch_up_;                  // with what waits in its recording
 
   // the end
+  std::vector<std::string> comes_before_;               // names
+  std::vector<SinkNode*> successors_;                   // that are held until it has ended
+  std::vector<SinkNode*> predecessors_;                 // that hold this one
   std::vector<Callback<void(std::uint64_t)>> drained_;  // called at the end of a drain
   std::optional<SinkStatus> last_;                      // once it has left the runtime
 };

@@ -25,7 +25,7 @@ void SinkNode::hand_over(Hand what) {
     has_rows = queue_->hand_over();
   }
   const bool has_account = what == Hand::rows_and_account;
-  if (is_waiting()) {
+  if (is_waiting() || work_ == Work::held) {
     is_account_due_ = is_account_due_ || has_account;
   } else if ((has_account && begin_account()) || has_rows) {
     start_work();
@@ -191,6 +191,7 @@ void SinkNode::work_done(LaneJob::Outcome outcome) {
 
 void SinkNode::go_on_after(const SinkTurnResult& turn) {
   if (!turn.topic_fault.empty()) fault_for_good(turn.topic_fault);
+  obstacle_ = turn.result ? std::error_code{} : turn.result.error().code;
   if (!turn.result) {
     catch_up_.restart();
     health_ = Health::faulted;
