@@ -126,7 +126,7 @@ class StepCursor final : public RowCursor {
     for (const Leaf& leaf : topic_.description->leaves())
       if (is_number(leaf.kind)) leaves_.push_back(&leaf);
     for (std::size_t first = 0; first == 0 || first < leaves_.size(); first += leaves_at_once) {
-      std::string sql = "SELECT t.run, " + step_sql() + ", t.origin, count(*)";
+      std::string sql = "SELECT t.run, " + step_sql() + ", t.origin, count(*), min(t.sequence), max(t.sequence)";
       for (std::size_t i = first; i < std::min(first + leaves_at_once, leaves_.size()); ++i)
         sql += columns(*leaves_[i]);
       sql += " FROM " + sqlite::quoted(topic_.table) + " t WHERE " + row_conditions(selection_) +
@@ -155,6 +155,8 @@ class StepCursor final : public RowCursor {
     const sqlite::Statement& first = statements_.front();
     const std::string_view origin = first.text(2);
     std::byte* const payload = set_event(row, origin, ++sequences_[std::string(origin)], out_);
+    set_sequences(row, static_cast<std::uint64_t>(first.integer(first_column)),
+                  static_cast<std::uint64_t>(first.integer(first_column + 1)));
     std::fill(payload, payload + out_.description->size(), std::byte{0});
     const Leaf* to = out_.description->leaves().data();
     const auto put = [&](const Value& value) { write(*to++, payload, value).or_throw(); };
@@ -181,7 +183,8 @@ class StepCursor final : public RowCursor {
 
  private:
   static constexpr std::size_t leaves_at_once = 390;  // a query has at most 2000 columns
-  static constexpr int columns_before = 4, least_column = 1, most_column = 2, mean_column = 3, odd_column = 4,
+  static constexpr int first_column = 4;              // the first sequence, and the last
+  static constexpr int columns_before = 6, least_column = 1, most_column = 2, mean_column = 3, odd_column = 4,
                        columns_each = 5;
 
   std::string step_sql() const {

@@ -34,6 +34,11 @@ struct RowCursor {
     if (row.payload_.size() != topic.description->size()) row.payload_.resize(topic.description->size());
     return row.payload_.data();
   }
+  /// Of a step.
+  static void set_sequences(RecordedRow& row, std::uint64_t first, std::uint64_t last) {
+    row.first_sequence_ = first;
+    row.last_sequence_ = last;
+  }
   static void set_gap(RecordedRow& row, const RecordedGap& gap, const RecordedTopic& topic) {
     set_origin(row, gap.origin, 0);
     row.topic_ = &topic;
@@ -44,7 +49,7 @@ struct RowCursor {
   static void set_origin(RecordedRow& row, std::string_view origin, std::uint64_t sequence) {
     if (row.origin_ != origin) row.origin_.assign(origin);
     row.header_.origin = row.origin_;
-    row.header_.sequence = sequence;
+    row.header_.sequence = row.first_sequence_ = row.last_sequence_ = sequence;
   }
 };
 

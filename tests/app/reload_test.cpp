@@ -196,8 +196,8 @@ TEST_SUITE("app") {
       REQUIRE(run.wait_for("rig.json is applied"));
       folder.write("rig.json", text("200 Hz", R"({"type": "discard"})"));
       run.signal(SIGHUP);
-      REQUIRE(run.wait_for("nothing was changed: it would close run.db, which cannot store what it has now"));
-      REQUIRE(run.wait_for("mend what keeps it from that"));
+      REQUIRE(run.wait_for("nothing was changed: it would close run.db, which cannot store its queue now"));
+      REQUIRE(run.wait_for("mend the cause"));
     }
     run.signal(SIGHUP);
     REQUIRE(run.wait_for("sink run.db: removed"));
@@ -235,7 +235,7 @@ TEST_SUITE("app") {
       // On the same file nothing is won.
       folder.write("rig.json", text("stick/first.db", "100 ms"));
       const std::string refused = reload(1);
-      CHECK_MESSAGE(has(refused, "nothing was changed: it would close db, which cannot store what it has now"),
+      CHECK_MESSAGE(has(refused, "nothing was changed: it would close db, which cannot store its queue now"),
                     refused);
       CHECK(has(refused, "if the disk does not answer, give it a file on another one"));
 

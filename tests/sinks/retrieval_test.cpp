@@ -339,6 +339,8 @@ TEST_CASE("FW-5 steps: count, least, largest and mean of each number, of each or
   CHECK(row->header().time == start);
   CHECK(row->header().origin == "a");
   CHECK(row->header().sequence == 1);
+  CHECK(row->first_sequence() == 1);
+  CHECK(row->last_sequence() == 2);
   CHECK(row->topic().topic == "t");
   CHECK(count_in(*row, "events") == 2);
   CHECK(count_in(*row, "count.count") == 2);
@@ -361,6 +363,8 @@ TEST_CASE("FW-5 steps: count, least, largest and mean of each number, of each or
   row = steps.next().or_throw();
   CHECK(row->header().origin == "b");
   CHECK(row->header().sequence == 2);
+  CHECK(row->first_sequence() == 2);
+  CHECK(row->last_sequence() == 2);
   CHECK(row->header().time == start + 1s);
   row = steps.next().or_throw();
   CHECK(row->header().time == start + 5s);

@@ -60,6 +60,7 @@ Action prepare_doctor(CLI::App& command);
 Action prepare_verify(CLI::App& command);
 Action prepare_info(CLI::App& command);
 Action prepare_export(CLI::App& command);
+Action prepare_plot(CLI::App& command);
 Action prepare_import(CLI::App& command);
 Action prepare_replay(CLI::App& command);
 Action prepare_forward(CLI::App& command);

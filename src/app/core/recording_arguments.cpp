@@ -23,6 +23,16 @@ CLI::Validator at_least(std::int64_t least) {
   return CLI::Validator(check, "");
 }
 
+/// Which part of a run.
+void add_part(CLI::App& command, PartOptions& part) {
+  command.add_option("--run", part.run, "Which run; default: the last")->type_name("NUMBER");
+  command.add_option("--from", part.from, "First time, in UTC as 2026-03-01T12:00:00Z; default: all of the run")
+      ->type_name("TIME");
+  command.add_option("--until,--to", part.until, "First time that is left out")->type_name("TIME");
+  command.add_option("--last", part.last, "So long before the end, such as 10s, instead of --from")
+      ->type_name("DURATION");
+}
+
 }  // namespace
 
 Action prepare_verify(CLI::App& command) {
@@ -90,6 +100,24 @@ Action prepare_export(CLI::App& command) {
       options->progress = Export::Progress::shown;
     const WrappedOutput errors(std::cerr, STDERR_FILENO);
     return export_recording(*options, std::cout, std::cerr);
+  };
+}
+
+Action prepare_plot(CLI::App& command) {
+  const auto options = std::make_shared<PlotOptions>();
+  command.add_option("DB", options->database, "The recording")->required();
+  command.add_option("FIELD", options->fields, "TOPIC.FIELD, or TOPIC for all its numbers; each has a panel");
+  add_part(command, options->part);
+  command.add_option("--origin", options->origin, "Only events of this sensor")->type_name("NAME");
+  command.footer(
+      "examples:\n  rtdata plot bench.db host/process.time_slices\n  rtdata plot bench.db host/cpu host/load.minutes_1 "
+      "--last "
+      "10s\n"
+      "Each dot or column has all from the least to the most of its time. A letter below\n"
+      "a curve is something that is not there; its line says when and why.");
+  return [options](const Registry&) {
+    const WrappedOutput errors(std::cerr, STDERR_FILENO);
+    return plot(*options, std::cout, std::cerr);
   };
 }
 

@@ -6,6 +6,7 @@
 #include <iosfwd>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "app/core/show_as.hpp"
 #include "rtdata/config/registry.hpp"
@@ -65,6 +66,24 @@ struct ExportOptions {
 };
 /// 0; 1 if the export is not possible, or there is no such run, topic or origin; 2 unreadable.
 int export_recording(const ExportOptions& options, std::ostream& out, std::ostream& err);
+
+/// Which part of one run. Times are UTC, as ISO 8601 or ns.
+struct PartOptions {
+  std::optional<std::int64_t> run = {};  // the last one unless given
+  std::string from = {};                 // first time taken; empty: from the start
+  std::string until = {};                // first time not taken; empty: to the end
+  std::string last = {};                 // a duration before the end, instead of `from`
+};
+
+struct PlotOptions {
+  std::string database;
+  std::vector<std::string> fields;  // TOPIC.FIELD, or TOPIC: all its numbers
+  std::optional<std::string> origin = {};
+  PartOptions part = {};
+};
+/// For the terminal of standard output, else for one of 80 x 24. 0; 1 when it cannot be plotted so, or there is no such
+/// run, topic or field; 2 unreadable.
+int plot(const PlotOptions& options, std::ostream& out, std::ostream& err);
 
 struct ImportOptions {
   std::string file;             // CSV with column names in the first row, and units as in "speed [m/s]"

@@ -1,54 +1,17 @@
 #include "rtdata/recording/export.hpp"
 
-#include <time.h>
-
 #include <algorithm>
-#include <array>
 #include <chrono>
-#include <ctime>
 #include <ostream>
 #include <set>
 #include <utility>
 
 #include "app/core/recording_commands.hpp"
-#include "data/number_text.hpp"
+#include "app/inspect/recorded_range.hpp"
 #include "rtdata/loop/topic.hpp"
 
 namespace rtdata::app {
 namespace {
-
-/// "+01:00", this machine's time zone at that local time.
-std::string zone_at(Time time) {
-  const auto seconds = static_cast<std::time_t>(to_nanoseconds(time) / 1'000'000'000);
-  std::tm here{};
-  std::array<char, 8> text{};
-  if (::localtime_r(&seconds, &here) == nullptr || std::strftime(text.data(), text.size(), "%z", &here) != 5)
-    return "+00:00";
-  return std::string(text.data(), 3) + ":" + std::string(text.data() + 3, 2);
-}
-
-/// ISO 8601 or ns since the epoch; none: an empty text. Throws SetupError.
-std::optional<Time> parse_time(const std::string& text) {
-  if (text.empty()) return std::nullopt;
-  std::int64_t ns = 0;
-  if (detail::read_number(text, ns) == std::errc{}) return from_nanoseconds(ns);
-  auto time = parse_iso8601(text);
-  if (const auto utc = parse_iso8601(text + "Z"); !time && utc)
-    throw SetupError({Errc::bad_argument, "not a time", "\"" + text + "\"", "its time zone is missing",
-                      "write \"" + text + "Z\" for UTC, or \"" + text + zone_at(*utc) + "\", as this machine's is"});
-  return time.or_throw();
-}
-
-std::string list_of(const std::set<std::string>& names) {
-  constexpr std::size_t most = 10;
-  std::string text;
-  std::size_t count = 0;
-  for (const std::string& name : names) {
-    if (count++ == most) return text + ", ...";
-    text += (text.empty() ? "" : ", ") + name;
-  }
-  return text.empty() ? "nothing" : text;
-}
 
 /// Throws SetupError if the recording has no such run, topic or origin at any time.
 void find(const Recording& recording, const RowFilter& filter) {

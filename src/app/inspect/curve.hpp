@@ -1,0 +1,53 @@
+// A field over time, reduced to steps: what pictures of recordings and of running instances are made of.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <variant>
+#include <vector>
+
+#include "rtdata/data/description.hpp"
+#include "rtdata/data/time.hpp"
+
+namespace rtdata::app {
+
+/// As it was recorded, so that integers beyond 2^53 stay apart. All of one curve hold the same type.
+using Number = std::variant<std::int64_t, std::uint64_t, double>;
+
+/// What the events of one step have in one field. A step without events is none.
+struct CurveStep {
+  Time begin{};               ///< UTC, a multiple of the step
+  std::uint64_t events = 0;   ///< all of them
+  std::uint64_t numbers = 0;  ///< those that have a number: not absent, not NaN
+  Number least, most;         ///< of these; may be infinite
+  double mean = 0;            ///< of these
+};
+
+/// A stretch in which something is not there.
+struct CurveGap {
+  Time first{}, last{};    ///< UTC, both in it
+  std::uint64_t lost = 0;  ///< ticks or events; 0: how many is not known
+  std::string reason;      ///< "missed: loop held"
+};
+
+struct Curve {
+  std::string name;              ///< "room/climate.temperature"
+  std::string unit;              ///< UCUM; empty: none
+  std::string source;            ///< topic and origin: curves of one source have the same gaps
+  Kind kind = Kind::f64;         ///< of the field
+  std::vector<CurveStep> steps;  ///< in order of time
+  std::vector<CurveGap> gaps;
+  std::string verdict;  ///< "all there", "12 lost"
+  bool has_loss = false;
+};
+
+/// Curves over one stretch of time.
+struct Plot {
+  std::string title;     ///< what it is of: "bench.db, run 3"
+  Time from{}, until{};  ///< UTC; `until` is not in it
+  Duration step{1};      ///< of all curves, above 0
+  std::vector<Curve> curves;
+  std::vector<std::string> notes;  ///< sentences below it
+};
+
+}  // namespace rtdata::app

@@ -1,0 +1,29 @@
+// A plot as lines of text: braille, or ASCII where the terminal has no UTF-8.
+#pragma once
+
+#include <cstddef>
+#include <string>
+#include <vector>
+
+#include "app/inspect/curve.hpp"
+
+namespace rtdata::app {
+
+struct PlotStyle {
+  std::size_t columns = 80, rows = 24;  ///< of the terminal
+  enum class Characters { ascii, braille };
+  Characters characters = Characters::braille;
+  enum class Colours { none, some };
+  Colours colours = Colours::none;
+};
+
+/// The shortest step of two digits of which a picture in that style has room for all that lie in this time.
+Duration step_for(Time from, Time until, const PlotStyle& style);
+
+/// A panel for each curve above one axis of time. Of each step the picture shows all from the least to the most;
+/// neighbours are joined, unless something between them is not there. What is not there has a letter below the curve,
+/// and each letter a line with the reason. As many lines as the terminal has, more where the curves need them; none is
+/// wider than it, but for words that are.
+std::vector<std::string> picture_of(const Plot& plot, const PlotStyle& style);
+
+}  // namespace rtdata::app

@@ -1,0 +1,101 @@
+#include "app/inspect/recorded_range.hpp"
+
+#include <time.h>
+
+#include <algorithm>
+#include <array>
+#include <charconv>
+#include <chrono>
+#include <ctime>
+#include <utility>
+
+namespace rtdata::app {
+namespace {
+
+/// "+01:00", this machine's at that time of its own.
+std::string zone_at(Time time) {
+  const auto seconds = static_cast<std::time_t>(to_nanoseconds(time) / 1'000'000'000);
+  std::tm here{};
+  std::array<char, 8> text{};
+  if (::localtime_r(&seconds, &here) == nullptr || std::strftime(text.data(), text.size(), "%z", &here) != 5)
+    return "+00:00";
+  return std::string(text.data(), 3) + ":" + std::string(text.data() + 3, 2);
+}
+
+/// Behind the last row and the last account of a run that was not closed.
+Time end_of(const Recording& recording, const RunInfo& run, const UtcLine& line) {
+  const Time accounted = run.ended.value_or(run.started);
+  Time end = line.utc(accounted);
+  if (run.state != RunState::recording) return end;
+  // The account is a second old at most: few rows came after it.
+  constexpr Duration step = std::chrono::milliseconds{10};
+  auto steps = recording.steps({.run = run.run, .from = end, .times = RowFilter::Times::utc}, step).or_throw();
+  while (const RecordedRow* row = steps.next().or_throw()) end = std::max(end, row->header().time + step);
+  return end;
+}
+
+}  // namespace
+
+std::optional<Time> parse_time(const std::string& text) {
+  if (text.empty()) return std::nullopt;
+  std::int64_t ns = 0;
+  if (const auto [end, status] = std::from_chars(text.data(), text.data() + text.size(), ns);
+      status == std::errc{} && end == text.data() + text.size())
+    return from_nanoseconds(ns);
+  auto time = parse_iso8601(text);
+  if (const auto utc = parse_iso8601(text + "Z"); !time && utc)
+    throw SetupError({Errc::bad_argument, "not a time", "\"" + text + "\"", "its time zone is missing",
+                      "write \"" + text + "Z\" for UTC, or \"" + text + zone_at(*utc) + "\", as this machine's is"});
+  return time.or_throw();
+}
+
+std::string list_of(const std::set<std::string>& names) {
+  constexpr std::size_t most = 10;
+  std::string text;
+  std::size_t count = 0;
+  for (const std::string& name : names) {
+    if (count++ == most) return text + ", ...";
+    text += (text.empty() ? "" : ", ") + name;
+  }
+  return text.empty() ? "nothing" : text;
+}
+
+RecordedRange range_of(const Recording& recording, const PartOptions& options, const char* command) {
+  const auto refuse = [&](Errc id, std::string where, std::string why, std::string advice) {
+    throw SetupError({id, command, std::move(where), std::move(why), std::move(advice)});
+  };
+  auto runs = recording.runs().or_throw();
+  if (runs.empty()) refuse(Errc::not_found, recording.path(), "no run was recorded yet", "");
+  const auto chosen = std::find_if(runs.begin(), runs.end(),
+                                   [&](const RunInfo& run) { return !options.run || run.run == *options.run; });
+  std::set<std::string> numbers;
+  for (const RunInfo& run : runs) numbers.insert(std::to_string(run.run));
+  if (chosen == runs.end())
+    refuse(Errc::not_found, recording.path(),
+           "there is no run " + std::to_string(*options.run) + "; its runs are " + list_of(numbers), "");
+  RecordedRange range;
+  range.run = options.run ? *chosen : runs.back();
+  range.line = recording.utc_line(range.run.run).or_throw();
+  const Time start = range.line.utc(range.run.started), end = end_of(recording, range.run, range.line);
+  const auto from = parse_time(options.from), until = parse_time(options.until);
+  range.until = until.value_or(end + Duration{1});
+  range.from = from.value_or(std::min(start, range.until));
+  if (!options.last.empty()) {
+    const Duration last = parse_duration(options.last).or_throw();
+    if (from) refuse(Errc::bad_argument, "--last " + options.last, "--from says where it begins, too", "leave out one");
+    if (last <= Duration{0}) refuse(Errc::bad_argument, "--last " + options.last, "it is not above 0", "such as 10s");
+    const Duration all = range.until - std::min(start, range.until);
+    range.from = range.until - std::min(last, std::max(all, Duration{1}));
+  }
+  if (range.until <= range.from)
+    refuse(Errc::bad_argument, to_iso8601(range.from) + " to " + to_iso8601(range.until), "it ends before it begins",
+           "the run is from " + to_iso8601(start) + " to " + to_iso8601(end));
+  constexpr Duration longest = std::chrono::hours{100 * 365 * 24};  // of 292 years that 64 bits of ns have
+  if (range.from < range.until - longest)
+    refuse(Errc::bad_argument, to_iso8601(range.from) + " to " + to_iso8601(range.until), "it is longer than 100 years",
+           "the run is from " + to_iso8601(start) + " to " + to_iso8601(end));
+  range.is_whole = range.from <= start && range.until > end;
+  return range;
+}
+
+}  // namespace rtdata::app

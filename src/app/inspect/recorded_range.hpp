@@ -1,0 +1,30 @@
+// Which run of a recording, and which part of it: what command lines say of that.
+#pragma once
+
+#include <optional>
+#include <set>
+#include <string>
+
+#include "app/core/recording_commands.hpp"
+#include "rtdata/recording/recording.hpp"
+
+namespace rtdata::app {
+
+/// ISO 8601, or ns since the epoch; none: an empty text. Throws SetupError.
+std::optional<Time> parse_time(const std::string& text);
+
+/// "room/climate, room/door": of many the first. "nothing": of none.
+std::string list_of(const std::set<std::string>& names);
+
+struct RecordedRange {
+  RunInfo run;
+  UtcLine line{{}};  ///< of that run
+  Time from{}, until{};
+  bool is_whole = true;  ///< all of the run
+};
+
+/// The end of a run that is being recorded, or was not closed, is behind its last row. `command`: "cannot plot". Throws
+/// SetupError: there is no such run, what is wrong with a time.
+RecordedRange range_of(const Recording& recording, const PartOptions& options, const char* command);
+
+}  // namespace rtdata::app
