@@ -222,10 +222,10 @@ class OutputTypeOf final : public OutputType {
 /// The parameter that names the bus of a driver, which may be of several types.
 template <class BusOf>
 constexpr auto names_bus() {
-  if constexpr (requires { BusOf::types; }) {
-    return std::apply([](auto... types) { return names_part("bus", types...); }, BusOf::types);
-  } else {
+  if constexpr (requires { BusOf::type; }) {  // an I2cBus has that, and the types of its base
     return names_part("bus", BusOf::type);
+  } else {
+    return std::apply([](auto... types) { return names_part("bus", types...); }, BusOf::types);
   }
 }
 /// Reports a driver's error about its settings at their place in the file.
@@ -308,23 +308,26 @@ class Registry {
   /// A driver. Its parameters are those of all sensors, `bus`, the place on the bus, and those of D::Config. A driver
   /// may declare `static constexpr std::string_view notes`: Markdown about wiring, addresses and limits, for `rtdata
   /// types`; and `static constexpr std::string_view aliases`: further search words (its description and models are
-  /// search words already). Three functions let `check` warn of settings that lose data and estimate the growth of
-  /// files: `static double sample_rate(const Config&)`, samples a second that the device takes by itself; `static
-  /// std::size_t fifo_samples(const Config&)`, how many samples its FIFO holds; `static Duration reading_time(const
-  /// Config&)`, the minimum duration of a reading.
+  /// search words already). `chips` and `samples` describe its chips for `rtdata scan` and tests (chip.hpp). Three
+  /// functions let `check` warn of settings that lose data and estimate the growth of files: `static double
+  /// sample_rate(const Config&)`, samples a second that the device takes by itself; `static std::size_t
+  /// fifo_samples(const Config&)`, how many samples its FIFO holds; `static Duration reading_time(const Config&)`, the
+  /// minimum duration of a reading.
   template <Driver D>
   void add_driver(const std::string& type, std::string doc) {
     using C = DriverConfig<D>;
     using BusOf = typename D::Device::Bus;
     TypePage page;
-    if constexpr (requires { BusOf::types; }) {
+    if constexpr (requires { BusOf::type; }) {
+      page.bus = std::string(BusOf::type);
+    } else {
       page.bus = std::string(BusOf::types[0]);
       page.other_buses.assign(BusOf::types.begin() + 1, BusOf::types.end());
-    } else {
-      page.bus = std::string(BusOf::type);
     }
     if constexpr (requires { std::string(D::notes); }) page.notes = config_detail::trimmed_notes(D::notes);
     if constexpr (requires { std::string(D::aliases); }) page.aliases = std::string(D::aliases);
+    if constexpr (requires { D::chips; }) page.chips = D::chips;
+    if constexpr (requires { D::samples; }) page.samples = D::samples;
     if constexpr (requires(const typename D::Config& own) { D::describe(own); }) {
       page.depends_on_parameters = true;
       page.publishes = []() -> std::shared_ptr<const Description> {

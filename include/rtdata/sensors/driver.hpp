@@ -41,7 +41,9 @@
 /// A driver without open() is opened with one reading that is discarded, so that a missing chip is detected at the
 /// start and `required` works. A driver with several samples at a time needs an open() for that.
 ///
-/// `registry.add_driver<Lm75>()` makes a driver available in configurations.
+/// `registry.add_driver<Lm75>()` makes a driver available in configurations. A driver describes its chips (chip.hpp) with
+/// `static constexpr KnownChip chips[]`, by which `rtdata scan` finds them, and `static constexpr ChipSample
+/// samples[]`, by which tests try it.
 ///
 /// State that a driver must keep between openings, such as a tare, is its `Memory`: it is copied with `Memory memory()
 /// const` after each completed read, and into a new driver object with `void remember(const Memory&)`. For a chip that
@@ -71,6 +73,7 @@
 
 #include "rtdata/detail/sensors/transaction.hpp"
 #include "rtdata/io/bus.hpp"
+#include "rtdata/io/chip.hpp"
 #include "rtdata/sensors/sensor.hpp"
 
 namespace rtdata {

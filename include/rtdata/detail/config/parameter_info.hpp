@@ -6,6 +6,7 @@
 #include <cstddef>
 #include <memory>
 #include <optional>
+#include <span>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -13,6 +14,7 @@
 #include "rtdata/data/config_item.hpp"
 #include "rtdata/data/description.hpp"
 #include "rtdata/data/parameter.hpp"
+#include "rtdata/io/chip.hpp"
 
 namespace rtdata {
 
@@ -80,7 +82,9 @@ struct TypePage {
   std::string aliases = {};                   ///< further search words, separated by blanks
   /// The description of its events with default parameters; null: not known without the parameters.
   std::shared_ptr<const Description> (*publishes)() = nullptr;
-  bool depends_on_parameters = false;  ///< the description of its events depends on the parameters
+  bool depends_on_parameters = false;        ///< the description of its events depends on the parameters
+  std::span<const KnownChip> chips = {};     ///< that it can be set to
+  std::span<const ChipSample> samples = {};  ///< chips that work, for tests
 };
 
 /// A type in a registry, by its name in the file.
