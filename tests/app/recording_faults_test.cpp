@@ -140,9 +140,10 @@ TEST_CASE("US-26 a recording that cannot be read: each command says why, with st
   sqlite::Database::open(copy("table.db"), sqlite::Database::Mode::write).execute("DROP TABLE rtdata_gap");
   sqlite::Database::open(copy("newer.db"), sqlite::Database::Mode::write).execute("PRAGMA user_version = 99");
   // Lengths that nothing has: of an array, of a text, of a record within a record.
-  for (const auto& [name, field] : {std::pair{"array.db", R"({"name": "value", "type": "double", "array": 4294967295})"},
-                                    std::pair{"long.db", R"({"name": "value", "type": "text", "capacity": 4294967295})"},
-                                    std::pair{"nested.db", R"({"name": "value", "type": "record", "array": 65536,
+  for (const auto& [name, field] :
+       {std::pair{"array.db", R"({"name": "value", "type": "double", "array": 4294967295})"},
+        std::pair{"long.db", R"({"name": "value", "type": "text", "capacity": 4294967295})"},
+        std::pair{"nested.db", R"({"name": "value", "type": "record", "array": 65536,
       "fields": [{"name": "x", "type": "double", "array": 65536}]})"}}) {
     auto database = sqlite::Database::open(copy(name), sqlite::Database::Mode::write);
     auto update = database.prepare("UPDATE rtdata_topic SET description = ? WHERE topic = 'room'");
@@ -264,7 +265,8 @@ TEST_CASE("a file of a gigabyte, where a small one belongs, is an error that say
   folder.write("secret.json", R"({"sinks": [{"type": "mqtt", "host": "127.0.0.1", "user": "me",
     "password": {"file": "big"}}]})");
   says({"check", "secret.json"}, 2, "it is larger than 64 KiB");
-  folder.write("tls.json", R"({"sinks": [{"type": "tcp", "host": "127.0.0.1", "port": 1, "tls": {"ca_file": "big"}}]})");
+  folder.write("tls.json",
+               R"({"sinks": [{"type": "tcp", "host": "127.0.0.1", "port": 1, "tls": {"ca_file": "big"}}]})");
   says({"check", "tls.json"}, 2, "big");
   // Tables and recordings.
   says({"import", "big", "--time", "t", "--into", "made.db"}, 1, "the row is longer than 1 MiB");
@@ -275,8 +277,8 @@ TEST_CASE("a file of a gigabyte, where a small one belongs, is an error that say
     if (words[0] != "forward") CHECK_MESSAGE(Bounded(folder, words).status <= 2, words[0]);
   // What sinks are to go on with.
   for (const auto& [format, why] :
-       {std::pair{"jsonl", "its last megabytes have no line end"}, std::pair{"csv", "its last megabytes have no line end"},
-        std::pair{"cbor", "what it holds is no cbor"}}) {
+       {std::pair{"jsonl", "its last megabytes have no line end"},
+        std::pair{"csv", "its last megabytes have no line end"}, std::pair{"cbor", "what it holds is no cbor"}}) {
     sparse(folder, std::string("out.") + format);
     folder.write("out.json", R"({"sensors": [{"name": "l", "type": "host", "quantity": "load", "rate": "50 Hz"}],
       "sinks": [{"type": "file", "topics": ["l"], "close_deadline": "100 ms", "format": ")" +

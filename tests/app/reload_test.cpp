@@ -235,8 +235,7 @@ TEST_SUITE("app") {
       // On the same file nothing is won.
       folder.write("rig.json", text("stick/first.db", "100 ms"));
       const std::string refused = reload(1);
-      CHECK_MESSAGE(has(refused, "nothing was changed: it would close db, which cannot store its queue now"),
-                    refused);
+      CHECK_MESSAGE(has(refused, "nothing was changed: it would close db, which cannot store its queue now"), refused);
       CHECK(has(refused, "if the disk does not answer, give it a file on another one"));
 
       folder.write("rig.json", text("second.db", "50 ms"));

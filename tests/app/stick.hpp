@@ -15,8 +15,8 @@
 
 namespace rtdata::test {
 
-inline constexpr const char* why_no_stick =
-    "skipped: mounting a file system in a file needs root, mkfs.ext4 and a loop device";
+inline constexpr const char*
+    why_no_stick = "skipped: mounting a file system in a file needs root, mkfs.ext4 and a loop device";
 
 /// `stick` in the folder.
 class Stick {

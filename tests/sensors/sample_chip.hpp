@@ -49,7 +49,8 @@ class SampleChip {
         fifos_[first] = bytes;
         continue;
       }
-      if (first + bytes.size() > memory_.size()) throw std::invalid_argument("too many bytes from " + std::string(one.at));
+      if (first + bytes.size() > memory_.size())
+        throw std::invalid_argument("too many bytes from " + std::string(one.at));
       std::copy(bytes.begin(), bytes.end(), memory_.begin() + static_cast<std::ptrdiff_t>(first));
       if (one.fixed != 0) fixed_[first] = {one.fixed, static_cast<std::uint8_t>(bytes[0] & one.fixed)};
     }

@@ -451,8 +451,8 @@ class Barometer {
         continue;
       }
       if (!std::has_single_bit(count) || count < model.least_oversampling || count > model.most_oversampling)
-        all[i].mistake = std::to_string(count) + " is not one of " + list + ", which the " + std::string(model.chip.name) +
-                         " has";
+        all[i].mistake = std::to_string(count) + " is not one of " + list + ", which the " +
+                         std::string(model.chip.name) + " has";
     }
     return all;
   }

@@ -32,10 +32,10 @@ struct ChipIdentity {
 
 /// A chip that a driver can be set to.
 struct KnownChip {
-  std::string_view name;                        ///< "BMP280", as messages have it
-  std::string_view model = {};                  ///< of the parameter `model`; empty: the driver has none, or its default
-  std::array<std::uint8_t, 8> addresses = {};   ///< on I2C, those at which it mostly is; 0: no more
-  std::optional<ChipIdentity> identity = {};    ///< none: nothing but its address tells of it
+  std::string_view name;                       ///< "BMP280", as messages have it
+  std::string_view model = {};                 ///< the value of the parameter `model`; empty: its default, or none
+  std::array<std::uint8_t, 8> addresses = {};  ///< on I2C, those at which it mostly is; 0: no more
+  std::optional<ChipIdentity> identity = {};   ///< none: nothing but its address tells of it
   constexpr bool is_at(unsigned address) const noexcept {
     for (const std::uint8_t one : addresses)
       if (one != 0 && one == address) return true;
@@ -77,9 +77,9 @@ struct ChipValue {
 struct ChipSample {
   std::string_view members = {};  ///< of the sensor's item in a configuration, beside its place: R"("model": "bme280")"
   ChipWires wires = ChipWires::registers;
-  std::array<ChipBytes, 8> bytes = {};           ///< none: the sample is of the configuration only
-  std::array<ChipValue, 4> values = {};          ///< of every event
-  bool has_proof = false;                        ///< by identity, checksum or settings: zeros and ones are no values
+  std::array<ChipBytes, 8> bytes = {};             ///< none: the sample is of the configuration only
+  std::array<ChipValue, 4> values = {};            ///< of every event
+  bool has_proof = false;                          ///< by identity, checksum or settings: zeros and ones are no values
   const RegisterAddressing* addressing = nullptr;  ///< of a driver that says it (registers.hpp); null: the usual one
 };
 

@@ -41,8 +41,8 @@
 /// A driver without open() is opened with one reading that is discarded, so that a missing chip is detected at the
 /// start and `required` works. A driver with several samples at a time needs an open() for that.
 ///
-/// `registry.add_driver<Lm75>()` makes a driver available in configurations. A driver describes its chips (chip.hpp) with
-/// `static constexpr KnownChip chips[]`, by which `rtdata scan` finds them, and `static constexpr ChipSample
+/// `registry.add_driver<Lm75>()` makes a driver available in configurations. A driver describes its chips (chip.hpp)
+/// with `static constexpr KnownChip chips[]`, by which `rtdata scan` finds them, and `static constexpr ChipSample
 /// samples[]`, by which tests try it.
 ///
 /// State that a driver must keep between openings, such as a tare, is its `Memory`: it is copied with `Memory memory()

@@ -53,9 +53,9 @@ class Reload {
   /// Reads and checks the file again. Any thread except the loop's, so that the loop does not wait.
   std::shared_ptr<const NextPlan> read_again() const;
   /// `why`: the cause, for messages. A recording that the change closes first stores its queue, while the loop turns;
-  /// if it cannot, for example on a full disk, nothing is changed, because the queue would be lost. If its disk does not
-  /// answer, and nothing writes its file afterwards, it is left instead. A reload that comes while another is applied
-  /// waits for it; of several waiting ones, the last is applied.
+  /// if it cannot, for example on a full disk, nothing is changed, because the queue would be lost. If its disk does
+  /// not answer, and nothing writes its file afterwards, it is left instead. A reload that comes while another is
+  /// applied waits for it; of several waiting ones, the last is applied.
   void apply(std::shared_ptr<const NextPlan> read, const std::string& why, Told told);
   /// Events that closed sinks could not store.
   std::uint64_t not_stored() const noexcept { return system_.lost_in_changes(); }

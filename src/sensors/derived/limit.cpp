@@ -187,8 +187,8 @@ class LimitNode final : public FeedNode {
   MonotonicTime heard_{};
   std::uint64_t description_ = 0;  // of which the field is; 0: none yet
   const Leaf* field_ = nullptr;
-  std::uint32_t waiting_ = 0;             // changes that were not published
-  int worst_ = 0;                         // of what was published since `join` began
+  std::uint32_t waiting_ = 0;                  // changes that were not published
+  int worst_ = 0;                              // of what was published since `join` began
   LimitLevel published_ = LimitLevel::normal;  // the alarm that was published last
   bool has_published_ = false;
   bool is_ending_ = false;  // it is closed, or the run's schedules have ended
