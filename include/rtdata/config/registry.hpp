@@ -222,10 +222,10 @@ class OutputTypeOf final : public OutputType {
 /// The parameter that names the bus of a driver, which may be of several types.
 template <class BusOf>
 constexpr auto names_bus() {
-  if constexpr (requires { BusOf::types; }) {
-    return std::apply([](auto... types) { return names_part("bus", types...); }, BusOf::types);
-  } else {
+  if constexpr (requires { BusOf::type; }) {  // an I2cBus has that, and the types of its base
     return names_part("bus", BusOf::type);
+  } else {
+    return std::apply([](auto... types) { return names_part("bus", types...); }, BusOf::types);
   }
 }
 /// Reports what a driver says of its settings where they are written.
@@ -317,11 +317,11 @@ class Registry {
     using C = DriverConfig<D>;
     using BusOf = typename D::Device::Bus;
     TypePage page;
-    if constexpr (requires { BusOf::types; }) {
+    if constexpr (requires { BusOf::type; }) {
+      page.bus = std::string(BusOf::type);
+    } else {
       page.bus = std::string(BusOf::types[0]);
       page.other_buses.assign(BusOf::types.begin() + 1, BusOf::types.end());
-    } else {
-      page.bus = std::string(BusOf::type);
     }
     if constexpr (requires { std::string(D::notes); }) page.notes = config_detail::trimmed_notes(D::notes);
     if constexpr (requires { std::string(D::aliases); }) page.aliases = std::string(D::aliases);
