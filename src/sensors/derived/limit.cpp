@@ -131,7 +131,7 @@ class LimitNode final : public FeedNode {
     const LimitLevel alarm = watch_.state().alarm;
     const Duration passed = has_published_ ? span_between(published_, time) : config_.join;
     const bool is_over = passed >= config_.join;
-    if (!is_over && severity(alarm) <= worst_ && !are_opposite(alarm, published_)) {
+    if (!is_over && severity(alarm) <= worst_ && !are_opposite(alarm, published_alarm_)) {
       if (!held_.is_running()) held_.start(config_.join - passed);
       return;
     }
@@ -151,7 +151,7 @@ class LimitNode final : public FeedNode {
                 state.value, state.limit, waiting_ > 1 ? waiting_ - 1 : 0};
     held_.stop();
     waiting_ = 0;
-    published_ = state.alarm;
+    published_alarm_ = state.alarm;
     published_ = time;
     has_published_ = true;
     publish(&alarm, time);
@@ -187,9 +187,9 @@ class LimitNode final : public FeedNode {
   MonotonicTime heard_{};
   std::uint64_t description_ = 0;  // of which the field is; 0: none yet
   const Leaf* field_ = nullptr;
-  std::uint32_t waiting_ = 0;                  // changes that were not published
-  int worst_ = 0;                              // of what was published since `join` began
-  LimitLevel published_ = LimitLevel::normal;  // the alarm that was published last
+  std::uint32_t waiting_ = 0;                        // changes that were not published
+  int worst_ = 0;                                    // of what was published since `join` began
+  LimitLevel published_alarm_ = LimitLevel::normal;  // the alarm that was published last
   bool has_published_ = false;
   bool is_ending_ = false;  // it is closed, or the run's schedules have ended
   Time published_{};
