@@ -14,6 +14,8 @@ struct Light {
 /// ROHM BH1750FVI, data sheet of 2014: one measurement for each tick. All calls are on the bus's lane.
 class Bh1750 {
  public:
+  static constexpr std::string_view type = "bh1750";
+  static constexpr std::string_view description = "illuminance by a BH1750 on I2C";
   struct Config {
     double window = 1;  ///< what the glass in front of it lets through
     friend constexpr auto parameters(rtdata::type_tag<Config>) {
@@ -24,6 +26,10 @@ class Bh1750 {
   using Value = Light;
   using Device = rtdata::I2cDevice;
   static constexpr Device::Place place{0x23};
+  static constexpr rtdata::KnownChip chips[] = {{.name = "BH1750", .addresses = {0x23, 0x5c}}};  // for `rtdata scan`
+  // For tests of all drivers: the data sheet's example.
+  static constexpr rtdata::ChipSample samples[] = {
+      {.wires = rtdata::ChipWires::answers, .bytes = {{{"20", "83 90"}}}, .values = {{{"illuminance", 28066.7}}}}};
   explicit Bh1750(const Config& config) : config_(config) {}
 
   rtdata::Result<void> start(Device& chip) {
@@ -52,7 +58,7 @@ int main() {
         wires->chip(0x23).set(0x20, {0x83, 0x90});  // the data sheet's example: 28067 lx
         return rtdata::I2cBus(name, wires, config);
       });
-  registry.add_driver<Bh1750>("bh1750", "illuminance by a BH1750 on I2C");
+  registry.add_driver<Bh1750>();
   rtdata::Loop loop{rtdata::Loop::Manual{}};  // virtual time: an hour in no time
   rtdata::System system(loop, registry, rtdata::parse_config(R"({"buses": {"i2c1": {"type": "i2c", "device": "none"}},
       "sensors": [{"name": "window", "type": "bh1750", "bus": "i2c1", "rate": "1 Hz"}]})"));

@@ -13,12 +13,14 @@
 #include "app/core/terminal_text.hpp"
 #include "app/machine/doctor.hpp"
 #include "app/machine/scan.hpp"
+#include "app/machine/scanner.hpp"
 #include "app/process.hpp"
 #include "app/run/starter.hpp"
 #include "io/enabling.hpp"
 #include "paths.hpp"
 #include "rtdata/app/standard.hpp"
 #include "rtdata/io/i2c.hpp"
+#include "rtdata/testing/fake_i2c.hpp"
 
 using namespace rtdata;
 using namespace rtdata::app;
@@ -224,6 +226,91 @@ TEST_SUITE("app") {
     INFO(plan.report());
     CHECK(plan.good());
     CHECK(document["sensors"].size() == 15);
+  }
+
+  TEST_CASE("FW-2 scan knows the chips of all drivers by their identity, with lines that check takes") {
+    const Registry registry = standard_registry();
+    std::size_t known = 0;
+    for (const TypeInfo& type : registry.sensors().types()) {
+      for (const KnownChip& one : type.page.chips) {
+        for (const unsigned address : one.addresses) {
+          if (address == 0) continue;
+          CAPTURE(type.name);
+          CAPTURE(one.name);
+          CAPTURE(address);
+          CHECK(mistake_in(address).empty());
+          const auto wires = std::make_shared<FakeI2c>();
+          FakeI2cChip& chip = wires->chip(address);
+          if (one.identity) chip.set(one.identity->number, {one.identity->value});
+          const I2cBus bus("i2c1", wires);
+          I2cDevice device = bus.device({address});
+          const LikelyChip likely = likely_chip(device, registry);
+          const bool is_sure = one.identity && one.identity->value != 0xff;
+          CHECK(likely.what.starts_with("perhaps ") == !is_sure);
+          CHECK(likely.what.find(one.name) != std::string::npos);
+          bool is_driven = false;
+          for (const LikelyChip::Driver& driver : likely.drivers) {
+            is_driven = is_driven || (driver.type == type.name && driver.model == one.model);
+            const std::string model = driver.model.empty() ? "" : R"(, "model": ")" + driver.model + "\"";
+            const std::string
+                text = R"({"buses": {"b": {"type": "i2c", "device": "/dev/i2c-1"}}, "sensors": [{"name": "s",
+                "rate": "1 Hz", "bus": "b", "type": ")" +
+                       driver.type + R"(", "address": )" + std::to_string(address) + model + "}]}";
+            const SystemPlan plan = plan_system(registry, parse_config(text));
+            CHECK_MESSAGE(plan.good(), plan.report());
+          }
+          CHECK(is_driven);
+          if (!is_sure) continue;
+          ++known;
+          chip.set(one.identity->number, {static_cast<std::uint8_t>(one.identity->value ^ one.identity->mask)});
+          CHECK(likely_chip(device, registry).what.find(one.name) == std::string::npos);
+        }
+      }
+    }
+    CHECK(known == 37);
+  }
+
+  TEST_CASE("FW-2 scan names the chips that an address may have, without an identity and without a driver") {
+    const Registry registry = standard_registry();
+    struct Case {
+      unsigned address;
+      std::uint8_t number, value;  // of a register
+      const char* what;
+      std::size_t drivers;
+    };
+    for (const Case& one : {
+             Case{0x76, 0xd0, 0x58, "BMP280", 1},
+             {0x76, 0x00, 0x60, "BMP390", 1},
+             {0x77, 0xd0, 0x00, "perhaps MS5611", 1},
+             {0x69, 0x75, 0x71, "MPU-9250", 1},
+             {0x68, 0x75, 0x00, "perhaps a clock (DS3231, DS1307)", 0},
+             {0x6a, 0x0f, 0x6c, "LSM6DSO or LSM6DSOX", 2},
+             {0x6b, 0x0f, 0x68, "LSM9DS1", 1},
+             {0x1c, 0x0f, 0x3d, "LIS3MDL or LSM9DS1's magnetometer", 2},
+             {0x1e, 0x0a, 0x48, "HMC5883L", 1},
+             {0x0d, 0x0d, 0xff, "perhaps QMC5883L", 1},
+             {0x53, 0x00, 0xe5, "ADXL345 or ADXL375", 2},
+             {0x29, 0x00, 0xa0, "BNO055", 1},
+             {0x29, 0x00, 0x00, "perhaps VL53L0X, TSL2591", 0},
+             {0x2a, 0x1f, 0x0f, "NAU7802", 1},
+             {0x2a, 0x1f, 0xff, "perhaps NAU7802", 1},
+             {0x23, 0x00, 0x00, "perhaps a port expander (PCF8574, MCP23017), BH1750", 0},
+             {0x40, 0x00, 0x00, "perhaps INA219, INA226, HDC1080, PCA9685", 2},
+             {0x44, 0x00, 0x00, "perhaps SHT3x, SHT4x, INA219, INA226", 4},
+             {0x48, 0x00, 0x00, "perhaps LM75, TMP75, ADS1115, ADS1015, TMP102", 2},
+             {0x4f, 0x00, 0x00, "perhaps LM75, TMP75", 1},
+             {0x50, 0x00, 0x00, "perhaps an EEPROM (24Cxx)", 0},
+             {0x12, 0x00, 0x00, "a chip that is not known here", 0},
+         }) {
+      CAPTURE(one.address);
+      const auto wires = std::make_shared<FakeI2c>();
+      wires->chip(one.address).set(one.number, {one.value});
+      const I2cBus bus("i2c1", wires);
+      I2cDevice device = bus.device({one.address});
+      const LikelyChip likely = likely_chip(device, registry);
+      CHECK(likely.what == one.what);
+      CHECK(likely.drivers.size() == one.drivers);
+    }
   }
 
   TEST_CASE("FW-2 scan of a machine that has nothing says what to switch on") {

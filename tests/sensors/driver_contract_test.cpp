@@ -1,27 +1,32 @@
 // What every driver that configurations know keeps, whatever its chip does: all of them are tried over buses made of
-// memory, made of a configuration, in virtual time. A new driver is tried without a line here; with one in `good_chips`
-// its values are looked at, too.
+// memory, made of a configuration, in virtual time, with the samples that they state (chip.hpp). A new driver is tried
+// without a line here.
 #include <doctest/doctest.h>
 
+#include <algorithm>
 #include <cerrno>
 #include <cmath>
 #include <cstdlib>
+#include <limits>
 #include <memory>
 #include <optional>
 #include <random>
 #include <sstream>
+#include <type_traits>
+#include <variant>
 
 #include "app/core/standard_drivers.hpp"
+#include "app/inspect/types_markdown.hpp"
+#include "app/machine/scanner.hpp"
 #include "rtdata/app/standard.hpp"
-#include "rtdata/chips/sht.hpp"
 #include "rtdata/config/change.hpp"
 #include "rtdata/config/system.hpp"
 #include "rtdata/detail/loop/lane.hpp"
+#include "rtdata/io/spi.hpp"
 #include "rtdata/testing/fake_i2c.hpp"
-#include "rtdata/testing/fake_spi.hpp"
 #include "sanitized.hpp"
 #include "sensors/fixture.hpp"
-#include "sensors/spi_bridge.hpp"
+#include "sensors/sample_chip.hpp"
 
 using namespace rtdata;
 using namespace rtdata::literals;
@@ -31,7 +36,7 @@ namespace {
 // ---- what the chip does
 
 enum class Chip {
-  good,     // what good_chips says; for one that is not there, random
+  good,     // what its sample says
   absent,   // I2C: no acknowledgement; SPI: ones
   zeros,    // of all that is read
   ones,     //
@@ -47,13 +52,16 @@ struct Wires {
   Duration takes{0};  // each transfer
   std::uint64_t transfers = 0;
   std::mt19937_64 random{1};
-  FakeI2c i2c;  // how the chip behaves when it is good
-  FakeSpi spi;
-  bool has_good_chip = false;
+  std::optional<SampleChip> good;  // how the chip behaves then
+  std::vector<unsigned> places;    // at which it answers
 
-  /// `good` fills what is read.
+  /// `absent`: what comes of a transfer without the chip. `with_good`: carries it out; `fill`: what is read.
   template <class Good, class Fill>
-  int transfer(bool acknowledges, Good good, Fill fill) {
+  int transfer(unsigned place, int absent, Good with_good, Fill fill) {
+    if (std::find(places.begin(), places.end(), place) == places.end()) {
+      fill([] { return 0xff; });
+      return absent;
+    }
     ++transfers;
     detail::lane_sleep(takes);
     switch (chip) {
@@ -61,28 +69,27 @@ struct Wires {
         break;
       case Chip::absent:
         fill([] { return 0xff; });
-        return acknowledges ? ENXIO : 0;
+        return absent;
       case Chip::zeros:
         fill([] { return 0; });
         return 0;
       case Chip::ones:
         fill([] { return 0xff; });
         return 0;
-      case Chip::failing:
-        if (random() % 100 >= failing_percent) break;
-        if (has_good_chip) good();
-        return error;
       case Chip::random:
         fill([this] { return static_cast<int>(random() & 0xff); });
         return 0;
+      case Chip::failing:
+        if (random() % 100 >= failing_percent) break;
+        with_good();
+        return error;
     }
-    if (has_good_chip) return good();
-    fill([this] { return static_cast<int>(random() & 0xff); });
+    with_good();
     return 0;
   }
 };
 
-constexpr unsigned neighbour_address = 0x11, neighbour_select = 77;
+constexpr unsigned neighbour_address = 0x11, neighbour_select = 77, tried_select = 3;
 constexpr std::uint8_t neighbours_byte = 0x5a;
 
 class I2cWires final : public I2cTransport {
@@ -96,8 +103,11 @@ class I2cWires final : public I2cTransport {
       fill([] { return neighbours_byte; });
       return 0;
     }
-    return wires_->transfer(
-        true, [&] { return wires_->i2c.transfer(address, write, read); }, fill);
+    const auto with_good = [&] {
+      wires_->good->take(write);
+      wires_->good->give(read);
+    };
+    return wires_->transfer(address, ENXIO, with_good, fill);
   }
 
  private:
@@ -116,8 +126,13 @@ class SpiWires final : public SpiTransport {
       fill([] { return neighbours_byte; });
       return 0;
     }
-    return wires_->transfer(
-        false, [&] { return wires_->spi.transfer(place, segments); }, fill);
+    const auto with_good = [&] {
+      for (const SpiSegment& segment : segments) {
+        wires_->good->take(segment.write);
+        wires_->good->give(segment.read);
+      }
+    };
+    return wires_->transfer(place.chip_select, 0, with_good, fill);
   }
 
  private:
@@ -131,9 +146,17 @@ struct Number {
   RTDATA_FIELDS(Number, (number, ""))
 };
 
+struct KnownEcho {
+  static constexpr KnownChip chips[] = {{.name = "ECHO1", .addresses = {0x0a}}};
+  static constexpr ChipSample samples[] = {{.members = R"("factor": 2)",
+                                            .wires = ChipWires::answers,
+                                            .bytes = {{{"", "5a"}}},
+                                            .values = {{{"number", 180}}},
+                                            .has_proof = true}};
+};
 /// A chip from which one byte is read, which is always the same.
 template <class DeviceOnBus>
-class Echo {
+class Echo : public KnownEcho {
  public:
   struct Config {
     double factor = 1;
@@ -144,6 +167,7 @@ class Echo {
   using Value = Number;
   using Device = DeviceOnBus;
   static constexpr std::string_view notes = "\n- The address that one likes.\n";
+  static constexpr typename Device::Place place{0x0a};
   explicit Echo(const Config& config) : factor_(config.factor) {}
   Reading<Number> read(Device& chip) {
     std::array<std::uint8_t, 1> byte{};
@@ -157,6 +181,36 @@ class Echo {
   double factor_;
 };
 
+/// A user's own chip: all that scan, types and these tests know of it.
+class OwnChip {
+ public:
+  static constexpr std::string_view type = "own-chip";
+  static constexpr std::string_view description = "a number of an OWN1 on I2C";
+  struct Config {
+    friend constexpr auto parameters(type_tag<Config>) { return parameter_list(); }
+  };
+  using Value = Number;
+  using Device = I2cDevice;
+  static constexpr Device::Place place{0x30};
+  static constexpr KnownChip chips[] = {{.name = "OWN1", .addresses = {0x30, 0x31}, .identity = {{0x07, 0x42}}}};
+  static constexpr ChipSample samples[] = {
+      {.bytes = {{{"01", "12"}, {"07", "42"}}}, .values = {{{"number", 18}}}, .has_proof = true}};
+  explicit OwnChip(const Config&) {}
+
+  Result<void> open(Device& chip) {
+    const Result<std::uint8_t> found = chip.read_register(chips[0].identity->number);
+    if (!found) return found.error();
+    if (!chips[0].identity->is_of(*found))
+      return chip.error(Errc::bad_data, "cannot use the OWN1", "it is another", "");
+    return {};
+  }
+  Result<Number> read(Device& chip) {
+    const Result<std::uint8_t> number = chip.read_register(0x01);
+    if (!number) return number.error();
+    return Number{static_cast<double>(*number)};
+  }
+};
+
 // ---- buses and chips
 
 /// A kind of bus that drivers are on.
@@ -164,11 +218,13 @@ struct FakeBus {
   std::string_view type;
   std::string item, place, neighbour;  // in JSON
   bool tells_absence;                  // of a chip whose driver cannot tell it from one
+  SampleChip::On on;
   void (*add)(Registry&, std::shared_ptr<Wires>);
 };
 const FakeBus fake_buses[] = {
-    {"i2c", R"({"type": "i2c", "device": "none"})", R"("address": "0x23")",
+    {"i2c", R"({"type": "i2c", "device": "none"})", "",
      R"({"name": "neighbour", "type": "own-on-i2c", "bus": "b", "rate": "100 Hz", "address": "0x11"})", true,
+     SampleChip::On::i2c,
      [](Registry& registry, std::shared_ptr<Wires> wires) {
        registry.add_bus<I2cConfig>("i2c", "made of memory",
                                    [wires](Runtime&, const std::string& name, const I2cConfig& config) {
@@ -177,9 +233,11 @@ const FakeBus fake_buses[] = {
        app::add_register_drivers(registry);
        app::add_i2c_drivers(registry);
        registry.add_driver<Echo<I2cDevice>>("own-on-i2c", "a user's on I2C");
+       registry.add_driver<OwnChip>();
      }},
     {"spi", R"({"type": "spi", "device": "none"})", R"("chip_select": 3)",
      R"({"name": "neighbour", "type": "own-on-spi", "bus": "b", "rate": "100 Hz", "chip_select": 77})", false,
+     SampleChip::On::spi,
      [](Registry& registry, std::shared_ptr<Wires> wires) {
        registry.add_bus<SpiConfig>("spi", "made of memory",
                                    [wires](Runtime&, const std::string& name, const SpiConfig& config) {
@@ -191,142 +249,52 @@ const FakeBus fake_buses[] = {
      }},
 };
 
-const FakeBus* bus_of(const std::string& type) {
+const FakeBus* bus_of(std::string_view type) {
   for (const FakeBus& bus : fake_buses)
     if (bus.type == type) return &bus;
   return nullptr;
 }
 
-bool is_near(const EventView& event, std::string_view path, double wanted) {
-  const Value value = event.value(path).or_throw();
-  return std::abs(std::get<double>(value) - wanted) < 1e-3 * std::abs(wanted);
-}
-
-/// What a chip is like that works, at the place where its driver looks for it.
-struct GoodChip {
-  std::string_view type;
-  std::string members;  // of its item in a configuration, beside bus and rate
-  void (*put)(Wires&);
-  bool (*is_right)(const EventView& event);
-  bool has_proof;             // by an identity or a checksum: neither zeros nor ones are taken for values
-  std::string_view bus = "";  // where its driver is on several kinds; empty: the first
+/// A driver with one of its samples, on one of the kinds of bus that it is on.
+struct Tried {
+  TypeInfo type;
+  const FakeBus* bus;
+  const ChipSample* sample;
+  std::string text() const { return type.name + " on " + std::string(bus->type) + " " + std::string(sample->members); }
 };
 
-void put_bytes(FakeI2cChip& chip, std::uint8_t first, std::initializer_list<int> words) {
-  for (const int word : words) {
-    chip.set(first, {static_cast<std::uint8_t>(word & 0xff), static_cast<std::uint8_t>(word >> 8 & 0xff)});
-    first = static_cast<std::uint8_t>(first + 2);
+/// All that are on a bus that there is a fake of.
+std::vector<Tried> drivers() {
+  std::vector<Tried> all;
+  for (const FakeBus& bus : fake_buses) {
+    Registry registry;
+    bus.add(registry, std::make_shared<Wires>());
+    for (const TypeInfo& type : registry.sensors().types()) {
+      for (const ChipSample& sample : type.page.samples) {
+        const bool is_on_i2c_only = sample.addressing != nullptr && !sample.addressing->without_spi.empty();
+        if (bus.on == SampleChip::On::i2c || !is_on_i2c_only) all.push_back({type, &bus, &sample});
+      }
+    }
   }
+  return all;
 }
 
-/// A FIFO with two samples at each look: level, and 1 g upwards.
-void put_imu(Wires& wires) {
-  FakeI2cChip& chip = wires.i2c.chip(0x68);
-  chip.set(0x75, {0x68});
-  const auto at_count = std::make_shared<unsigned>(0), at_byte = std::make_shared<unsigned>(0);
-  chip.on_read(0x72, [at_count] { return static_cast<std::uint8_t>((*at_count)++ % 2 == 0 ? 0 : 28); });
-  chip.on_read(0x74, [at_byte] { return static_cast<std::uint8_t>((*at_byte)++ % 14 == 4 ? 0x08 : 0); });
-  chip.on_write(0x6a, [=](std::uint16_t) { *at_byte = *at_count = 0; });
+double number_of(const Value& value) {
+  return std::visit(
+      [](const auto& one) -> double {
+        if constexpr (std::is_arithmetic_v<std::remove_cvref_t<decltype(one)>>) return static_cast<double>(one);
+        return std::numeric_limits<double>::quiet_NaN();
+      },
+      value);
 }
 
-/// A LIS3MDL in a field of 1 gauss along X, which has a new sample at each look.
-void put_magnetometer(Wires& wires) {
-  FakeI2cChip& chip = wires.i2c.chip(0x1c);
-  chip.set(0x0f, {0x3d});
-  const auto registers = std::make_shared<std::array<std::uint8_t, 0x30>>();
-  const auto at = std::make_shared<std::size_t>(0);
-  (*registers)[0x27] = 0x08;
-  (*registers)[0x28] = 0xba, (*registers)[0x29] = 0x1a;
-  for (std::uint8_t number = 0x20; number <= 0x24; ++number)
-    chip.on_write(number, [=](std::uint16_t value) { (*registers)[number] = static_cast<std::uint8_t>(value); });
-  chip.on_read(0xa0, [=] { return (*registers)[0x20 + (*at)++ % 16]; });
-}
-
-/// A BMP280: its data sheet's example.
-void put_barometer(Wires& wires) {
-  FakeI2cChip& chip = wires.i2c.chip(0x76);
-  chip.set(0xd0, {0x58});
-  put_bytes(chip, 0x88, {27504, 26435, -1000, 36477, -10685, 3024, 2855, 140, -7, 15500, -14600, 6000});
-  chip.set(0xf7, {0x65, 0x5a, 0xc0, 0x7e, 0xed, 0x00});
-}
-bool has_right_air(const EventView& event) {
-  return is_near(event, "pressure", 100653.27) && is_near(event, "temperature", 25.08);
-}
-
-const GoodChip good_chips[] = {
-    {"own-on-i2c", R"("address": "0x23")",
-     [](Wires& wires) { wires.i2c.chip(0x23).on_read(0, [] { return neighbours_byte; }); },
-     [](const EventView& event) { return is_near(event, "number", neighbours_byte); }, true},
-    {"own-on-spi", R"("chip_select": 3)",
-     [](Wires& wires) {
-       wires.spi.on_transfer(3, [](auto, std::span<std::uint8_t> read) { std::fill(read.begin(), read.end(), 0x5a); });
-     },
-     [](const EventView& event) { return is_near(event, "number", neighbours_byte); }, true},
-    {"barometer", "", put_barometer, has_right_air, true},
-    {"barometer", R"("chip_select": 3)",
-     [](Wires& wires) {
-       put_barometer(wires);
-       bridge(wires.spi, 3, wires.i2c, 0x76, {}, 0x80);
-     },
-     has_right_air, true, "spi"},
-    {"imu", R"("model": "mpu6500", "chip_select": 3)",
-     [](Wires& wires) {
-       put_imu(wires);
-       wires.i2c.chip(0x68).set(0x75, {0x70});
-       bridge(wires.spi, 3, wires.i2c, 0x68, {});
-     },
-     [](const EventView& event) { return is_near(event, "acceleration_z", 9.80665); }, true, "spi"},
-    {"magnetometer", R"("chip_select": 3)",
-     [](Wires& wires) {
-       put_magnetometer(wires);
-       bridge(wires.spi, 3, wires.i2c, 0x1c, {.i2c_burst_bit = 0x80, .spi_burst_bit = 0x40});
-     },
-     [](const EventView& event) { return is_near(event, "magnetic_field_x", 1e-4); }, true, "spi"},
-    {"imu", "", put_imu, [](const EventView& event) { return is_near(event, "acceleration_z", 9.80665); }, true},
-    {"magnetometer", "", put_magnetometer,
-     [](const EventView& event) { return is_near(event, "magnetic_field_x", 1e-4); }, true},
-    {"lm75", "",
-     [](Wires& wires) {
-       FakeI2cChip& chip = wires.i2c.chip(0x48);
-       chip.set_width(FakeI2cChip::Width::words);
-       chip.set_word(0, 0x1900);
-     },
-     [](const EventView& event) { return is_near(event, "temperature", 25); }, false},
-    {"sht", "",
-     [](Wires& wires) {
-       const std::array<std::uint8_t, 2> word{0x66, 0x66};
-       const std::array<std::uint8_t, 2> status{0x80, 0x10};
-       wires.i2c.chip(0x44).set(0xf4, {status[0], status[1], Sht::checksum(status)});
-       wires.i2c.chip(0x44).set(0x25, {0x66, 0x66, Sht::checksum(word), 0x66, 0x66, Sht::checksum(word)});
-       wires.i2c.chip(0x44).on_write(0x24, [](std::uint16_t) {});
-     },
-     [](const EventView& event) { return is_near(event, "temperature", 25) && is_near(event, "humidity", 40); }, true},
-    {"ina", "",
-     [](Wires& wires) {
-       FakeI2cChip& chip = wires.i2c.chip(0x40);
-       chip.set_width(FakeI2cChip::Width::words);
-       chip.set_word(1, 0x1f40);
-       chip.set_word(2, 4000 << 3 | 2);  // converted
-     },
-     [](const EventView& event) { return is_near(event, "voltage", 16) && is_near(event, "current", 0.8); }, true},
-    {"mcp3x08", "",
-     [](Wires& wires) {
-       wires.spi.on_transfer(0, [](auto, std::span<std::uint8_t> read) {
-         if (read.size() == 3) std::copy_n(std::array<std::uint8_t, 3>{0, 0x08, 0}.begin(), 3, read.begin());
-       });
-     },
-     [](const EventView& event) { return is_near(event, "ain7", 1.65); }, false},
-};
-
-/// A driver is tried on each kind of bus that it is on: `page.bus` is the one.
-bool is_on_other_bus(const TypeInfo& type) {
-  const auto& others = type.page.other_buses;
-  return std::find(others.begin(), others.end(), type.page.bus) != others.end();
-}
-const GoodChip* good_chip(const TypeInfo& type) {
-  for (const GoodChip& chip : good_chips)
-    if (chip.type == type.name && chip.bus == (is_on_other_bus(type) ? type.page.bus : "")) return &chip;
-  return nullptr;
+bool is_right(const ChipSample& sample, const EventView& event) {
+  for (const ChipValue& wanted : sample.values) {
+    if (wanted.field.empty()) continue;
+    const double number = number_of(event.value(wanted.field).or_throw());
+    if (!(std::abs(number - wanted.value) < 1e-3 * std::abs(wanted.value))) return false;
+  }
+  return true;
 }
 
 // ---- one driver on its bus, with a neighbour
@@ -336,14 +304,15 @@ enum class Values { good_ones, any };
 
 class Rig {
  public:
-  explicit Rig(const TypeInfo& type, std::uint64_t seed = 0)
-      : type_(type), bus_(*bus_of(type.page.bus)), good_(good_chip(type)), loop(Loop::Manual{.seed = seed}) {
+  explicit Rig(const Tried& tried, std::uint64_t seed = 0)
+      : type_(tried.type), bus_(*tried.bus), sample_(*tried.sample), loop(Loop::Manual{.seed = seed}) {
     began_ = loop.now();
     wires->random.seed(seed + 1);
-    if (good_ != nullptr) {
-      good_->put(*wires);
-      wires->has_good_chip = true;
-    }
+    wires->good.emplace(sample_, bus_.on);
+    if (bus_.on == SampleChip::On::spi) wires->places.push_back(tried_select);
+    for (const KnownChip& chip : type_.page.chips)
+      if (bus_.on == SampleChip::On::i2c)
+        wires->places.insert(wires->places.end(), chip.addresses.begin(), chip.addresses.end());
     be_quiet(loop);
     loop.on_error([this](const ErrorReport& report) {
       ++errors;
@@ -358,8 +327,9 @@ class Rig {
            (is_there ? ", " + item("s", members) : "") + "]}";
   }
   std::string item(const std::string& name, const std::string& members = R"("rate": "5 Hz")") const {
-    const std::string members_of_chip(good_ != nullptr ? good_->members : is_on_other_bus(type_) ? bus_.place : "");
-    const std::string own = members_of_chip.empty() ? "" : members_of_chip + ", ";
+    std::string own;
+    for (const std::string_view more : {std::string_view(bus_.place), sample_.members})
+      if (!more.empty()) own.append(more).append(", ");
     return R"({"name": ")" + name + R"(", "topic": "t", "bus": "b", "type": ")" + type_.name + R"(", )" + own +
            R"("retry_first": "20 ms", "retry_longest": "80 ms", )" + members + "}";
   }
@@ -368,8 +338,7 @@ class Rig {
 
   AnySensor& sensor() { return system->sensor("s"); }
   AnySensor& neighbour() { return system->sensor("neighbour"); }
-  bool has_good_chip() const { return good_ != nullptr; }
-  bool has_proof() const { return good_ != nullptr && good_->has_proof; }
+  bool has_proof() const { return sample_.has_proof; }
   bool tells_absence() const { return bus_.tells_absence || has_proof(); }
 
   /// A stretch of time, after which everything is accounted for.
@@ -383,7 +352,6 @@ class Rig {
     wires->chip = Chip::good;
     wires->takes = Duration{0};
     pass(3s);
-    if (!has_good_chip()) return;
     const std::uint64_t before = events;
     values = Values::good_ones;
     pass(2s);
@@ -408,12 +376,12 @@ class Rig {
       const Value value = event.value(leaf);
       if (const double* number = std::get_if<double>(&value)) CHECK_MESSAGE(std::isfinite(*number), leaf.path);
     }
-    if (values == Values::good_ones && good_ != nullptr) CHECK(good_->is_right(event));
+    if (values == Values::good_ones) CHECK(is_right(sample_, event));
   }
 
   const TypeInfo& type_;
   const FakeBus& bus_;
-  const GoodChip* good_;
+  const ChipSample& sample_;
   Time last_{};
   MonotonicTime began_{};
 
@@ -435,20 +403,6 @@ class Rig {
 /// terminals and sockets (serial_port_test.cpp, modbus_test.cpp, sensor_contract_test.cpp).
 constexpr std::string_view buses_of_requests[] = {"serial", "modbus"};
 
-/// All that are on a bus that there is a fake of.
-std::vector<TypeInfo> drivers() {
-  std::vector<TypeInfo> all;
-  for (const FakeBus& bus : fake_buses) {
-    Registry registry;
-    bus.add(registry, std::make_shared<Wires>());
-    for (TypeInfo& type : registry.sensors().types()) {
-      type.page.bus = bus.type;
-      all.push_back(std::move(type));
-    }
-  }
-  return all;
-}
-
 constexpr int errnos[] = {EIO,    ENXIO,  EREMOTEIO, ETIMEDOUT, EAGAIN, EBUSY, EOPNOTSUPP,
                           ENODEV, EINVAL, ENOENT,    EACCES,    EPERM,  EBADF, ENOMEM};
 
@@ -456,21 +410,41 @@ constexpr int errnos[] = {EIO,    ENXIO,  EREMOTEIO, ETIMEDOUT, EAGAIN, EBUSY, E
 
 TEST_SUITE("sensors") {
   TEST_CASE("driver contract: all drivers of the program are tried, and say what their page needs") {
-    std::vector<std::string> tried;
-    for (const TypeInfo& type : drivers()) tried.push_back(type.name);
+    const std::vector<Tried> all = drivers();
+    const auto is_tried = [&all](const std::string& type, const std::string& bus) {
+      return std::any_of(all.begin(), all.end(),
+                         [&](const Tried& one) { return one.type.name == type && one.bus->type == bus; });
+    };
     for (const TypeInfo& type : standard_registry().sensors().types()) {
       if (type.page.bus.empty()) continue;
       CAPTURE(type.name);
-      CAPTURE(type.page.bus);
       CHECK_FALSE(type.doc.empty());
       CHECK_FALSE(type.page.notes.empty());
       const auto published = type.page.publishes();
       CHECK((type.page.depends_on_parameters || published != nullptr));
       if (published != nullptr) CHECK(published->leaves().size() >= 1);
-      const auto& requests = buses_of_requests;
-      if (std::find(std::begin(requests), std::end(requests), type.page.bus) != std::end(requests)) continue;
-      CHECK_MESSAGE(bus_of(type.page.bus) != nullptr, "fake_buses lacks a bus of type " << type.page.bus);
-      CHECK(std::find(tried.begin(), tried.end(), type.name) != tried.end());
+      std::vector<std::string> buses = type.page.other_buses;
+      buses.push_back(type.page.bus);
+      for (const std::string& bus : buses) {
+        CAPTURE(bus);
+        const auto& requests = buses_of_requests;
+        if (std::find(std::begin(requests), std::end(requests), bus) != std::end(requests)) continue;
+        CHECK_MESSAGE(bus_of(bus) != nullptr, "fake_buses lacks a bus of type " << bus);
+        CHECK_MESSAGE(is_tried(type.name, bus), "it states no sample (chip.hpp) for this bus");
+      }
+      for (const ChipSample& sample : type.page.samples) {
+        CHECK(sample.values[0].field.empty() == sample.bytes[0].bytes.empty());
+        CHECK((!sample.bytes[0].bytes.empty() || type.page.bus == "modbus"));
+      }
+      // Its chips are the choices of `model`, or it has none.
+      std::vector<std::string> models, choices;
+      for (const KnownChip& chip : type.page.chips) {
+        CHECK_FALSE(chip.name.empty());
+        if (!chip.model.empty()) models.emplace_back(chip.model);
+      }
+      for (const ParameterInfo& parameter : type.parameters)
+        if (parameter.key == "model") choices = parameter.type.choices;
+      if (!models.empty()) CHECK(models == choices);
     }
     const Registry own = [] {
       Registry registry;
@@ -481,11 +455,40 @@ TEST_SUITE("sensors") {
     CHECK(own.sensors().find("echo")->page.publishes()->leaves()[0].path == "number");
   }
 
+  TEST_CASE("US-12 a driver of one's own, one class and one line, is tried, found by scan, and has its page") {
+    const std::vector<Tried> all = drivers();
+    const auto tried = std::find_if(all.begin(), all.end(),
+                                    [](const Tried& one) { return one.type.name == "own-chip"; });
+    REQUIRE(tried != all.end());
+    Rig rig(*tried);
+    rig.wires->chip = Chip::good;
+    rig.run();
+    rig.expect_good();
+    CHECK(rig.events >= 20);
+
+    auto wires = std::make_shared<FakeI2c>();
+    const I2cBus bus("i2c1", wires);
+    I2cDevice chip = bus.device({0x31});
+    wires->chip(0x31).set(0x07, {0x42});
+    app::LikelyChip likely = app::likely_chip(chip, rig.registry);
+    CHECK(likely.what == "OWN1");
+    REQUIRE(likely.drivers.size() == 1);
+    CHECK(likely.drivers[0].type == "own-chip");
+    CHECK(likely.drivers[0].model.empty());
+    wires->chip(0x31).set(0x07, {0x43});
+    likely = app::likely_chip(chip, rig.registry);
+    CHECK(likely.what == "a chip that is not known here");
+    CHECK(likely.drivers.empty());
+
+    const std::string page = app::markdown_of(tried->type);
+    CHECK(page.find("| OWN1 |  | `0x30`, `0x31` | register `0x07` is `0x42` |\n") != std::string::npos);
+    CHECK(page.find("in hexadecimal: `01`: `12`; `07`: `42`. That is `number` 18.\n") != std::string::npos);
+  }
+
   TEST_CASE("US-27 driver contract: absent at the start, plugged in, unplugged, plugged in again") {
-    for (const TypeInfo& type : drivers()) {
-      CAPTURE(type.name);
-      CAPTURE(type.page.bus);
-      Rig rig(type);
+    for (const Tried& tried : drivers()) {
+      CAPTURE(tried.text());
+      Rig rig(tried);
       rig.values = Values::any;
       rig.run();
       if (rig.tells_absence()) {
@@ -512,29 +515,26 @@ TEST_SUITE("sensors") {
   }
 
   TEST_CASE("US-27 driver contract: a required device that is absent ends the set-up, and nothing is left behind") {
-    for (const TypeInfo& type : drivers()) {
-      CAPTURE(type.name);
-      CAPTURE(type.page.bus);
-      Rig rig(type);
+    for (const Tried& tried : drivers()) {
+      CAPTURE(tried.text());
+      Rig rig(tried);
       const std::string text = rig.text(R"("rate": "5 Hz", "required": true)");
       if (rig.tells_absence()) {
         CHECK_THROWS_AS(rig.run(text), SetupError);
         CHECK_FALSE(rig.system);
       }
       rig.wires->chip = Chip::good;
-      if (!rig.has_good_chip()) continue;
       rig.run(text);
       rig.expect_good();
     }
   }
 
   TEST_CASE("US-27 driver contract: a transfer that fails gives no value, whatever the bytes and the error") {
-    for (const TypeInfo& type : drivers()) {
-      CAPTURE(type.name);
-      CAPTURE(type.page.bus);
+    for (const Tried& tried : drivers()) {
+      CAPTURE(tried.text());
       for (const int error : std::span(errnos).first(rtdata::test::sanitized ? 3 : std::size(errnos))) {
         CAPTURE(error);
-        Rig rig(type);
+        Rig rig(tried);
         rig.wires->chip = Chip::good;
         rig.run();
         rig.expect_good();
@@ -549,13 +549,11 @@ TEST_SUITE("sensors") {
   }
 
   TEST_CASE("US-27 driver contract: transfers that fail at random cost their readings, and make no value wrong") {
-    for (const TypeInfo& type : drivers()) {
-      CAPTURE(type.name);
-      CAPTURE(type.page.bus);
+    for (const Tried& tried : drivers()) {
+      CAPTURE(tried.text());
       for (std::uint64_t seed = 1; seed <= 10; seed += rtdata::test::sanitized ? 4 : 1) {
         CAPTURE(seed);
-        Rig rig(type, seed);
-        if (!rig.has_good_chip()) break;
+        Rig rig(tried, seed);
         rig.wires->chip = Chip::failing;
         rig.wires->failing_percent = static_cast<unsigned>(2 * seed);
         rig.run();
@@ -567,9 +565,8 @@ TEST_SUITE("sensors") {
   }
 
   TEST_CASE("US-27 driver contract: zeros, ones and random bytes are unreadable, or values; never a crash") {
-    for (const TypeInfo& type : drivers()) {
-      CAPTURE(type.name);
-      CAPTURE(type.page.bus);
+    for (const Tried& tried : drivers()) {
+      CAPTURE(tried.text());
       for (const Chip chip : {Chip::zeros, Chip::ones, Chip::random}) {
         for (const bool from_the_start : {true, false}) {
           for (std::uint64_t seed = 0; seed < (chip != Chip::random      ? 1u
@@ -579,7 +576,7 @@ TEST_SUITE("sensors") {
             CAPTURE(static_cast<int>(chip));
             CAPTURE(from_the_start);
             CAPTURE(seed);
-            Rig rig(type, seed);
+            Rig rig(tried, seed);
             rig.wires->chip = from_the_start ? chip : Chip::good;
             rig.values = Values::any;
             rig.run();
@@ -604,10 +601,9 @@ TEST_SUITE("sensors") {
   }
 
   TEST_CASE("NFR-1 driver contract: a transfer that hangs is given up, and others on the bus go on") {
-    for (const TypeInfo& type : drivers()) {
-      CAPTURE(type.name);
-      CAPTURE(type.page.bus);
-      Rig rig(type);
+    for (const Tried& tried : drivers()) {
+      CAPTURE(tried.text());
+      Rig rig(tried);
       rig.wires->chip = Chip::good;
       rig.run();
       rig.expect_good();
@@ -625,12 +621,11 @@ TEST_SUITE("sensors") {
 
   TEST_CASE(
       "driver contract: stop, start, another rate, another configuration; no event and no transfer after a stop") {
-    for (const TypeInfo& type : drivers()) {
-      CAPTURE(type.name);
-      CAPTURE(type.page.bus);
+    for (const Tried& tried : drivers()) {
+      CAPTURE(tried.text());
       for (std::uint64_t seed = 0; seed < 10; ++seed) {
         CAPTURE(seed);
-        Rig rig(type, seed);
+        Rig rig(tried, seed);
         rig.wires->chip = Chip::good;
         rig.run();
         rig.expect_good();
@@ -669,13 +664,12 @@ TEST_SUITE("sensors") {
   }
 
   TEST_CASE("US-12 driver contract: two sensors at one place are a mistake of the configuration") {
-    for (const TypeInfo& type : drivers()) {
-      CAPTURE(type.name);
-      CAPTURE(type.page.bus);
-      Rig rig(type);
+    for (const Tried& tried : drivers()) {
+      CAPTURE(tried.text());
+      Rig rig(tried);
       rig.wires->chip = Chip::good;
-      const std::string two = R"({"buses": {"b": )" + bus_of(type.page.bus)->item + R"(}, "sensors": [)" +
-                              rig.item("s") + ", " + rig.item("again") + "]}";
+      const std::string two = R"({"buses": {"b": )" + tried.bus->item + R"(}, "sensors": [)" + rig.item("s") + ", " +
+                              rig.item("again") + "]}";
       const SystemPlan plan = plan_system(rig.registry, parse_config(two, "rig.json"));
       CHECK(plan.problems.text().find("already; give each") != std::string::npos);
       CHECK_THROWS_AS(rig.run(two), ConfigError);
@@ -689,12 +683,11 @@ TEST_SUITE("sensors") {
     const char* const wanted = std::getenv("RTDATA_TEST_SEEDS");  // "FIRST COUNT", to look for more
     std::uint64_t first = 1, count = 5;
     if (wanted != nullptr) std::istringstream(wanted) >> first >> count;
-    for (const TypeInfo& type : drivers()) {
-      CAPTURE(type.name);
-      CAPTURE(type.page.bus);
+    for (const Tried& tried : drivers()) {
+      CAPTURE(tried.text());
       for (std::uint64_t seed = first; seed < first + count; ++seed) {
         CAPTURE(seed);
-        Rig rig(type, seed);
+        Rig rig(tried, seed);
         rig.run();
         std::mt19937_64 random(seed);
         constexpr Chip without_garbage[] = {Chip::good, Chip::good, Chip::absent, Chip::failing};

@@ -24,8 +24,10 @@ using Bytes = std::vector<std::uint8_t>;
 struct FakeMagnetometer {
   FakeMagnetometer(FakeI2cChip& chip, const magnetometer_models::Model& model_, Duration period_)
       : model(model_), period(period_) {
-    for (std::size_t i = 0; i < model.identity.size(); ++i)
-      chip.set(static_cast<std::uint8_t>(model.identity_register + i), {static_cast<std::uint8_t>(model.identity[i])});
+    const ChipIdentity identity = model.chip.identity.value();
+    chip.set(identity.number, {identity.value});
+    for (std::size_t i = 0; i < model.more_identity.size(); ++i)
+      chip.set(static_cast<std::uint8_t>(identity.number + 1 + i), {static_cast<std::uint8_t>(model.more_identity[i])});
     for (unsigned number = 0; number < 0x80; ++number) {
       chip.on_write(static_cast<std::uint8_t>(number), [this, number](std::uint16_t value) {
         registers[number] = static_cast<std::uint8_t>(value);
@@ -241,7 +243,7 @@ TEST_SUITE("sensors") {
       bench.loop.advance(1s);
       CHECK(bench.readings.size() <= before + 1);
       CHECK(bench.told("the field is beyond the range of"));
-      bench.chip.set(bench.fake.model.identity_register, {0x12});
+      bench.chip.set(bench.fake.model.chip.identity->number, {0x12});
       compass.stop();
       compass.start();
       bench.loop.advance(1s);

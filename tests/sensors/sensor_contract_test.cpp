@@ -6,8 +6,10 @@
 
 #include <functional>
 #include <memory>
+#include <optional>
 
-#include "rtdata/chips/mhz19.hpp"
+#include "rtdata/app/standard.hpp"
+#include "rtdata/config/system.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/sensors/analog.hpp"
 #include "rtdata/sensors/counter.hpp"
@@ -22,12 +24,12 @@
 #include "rtdata/sensors/mqtt.hpp"
 #endif
 #include "rtdata/sensors/pps.hpp"
-#include "rtdata/sensors/query.hpp"
 #include "rtdata/sensors/serial_line.hpp"
 #include "rtdata/sensors/w1.hpp"
 #include "sensors/fake_gpsd.hpp"
 #include "sensors/fixture.hpp"
 #include "sensors/pty.hpp"
+#include "sensors/sample_chip.hpp"
 #include "sensors/termios2.hpp"
 
 using namespace rtdata;
@@ -54,6 +56,8 @@ class Fake {
   virtual bool can_be_required() const { return true; }
   /// Whether it is absent, a sensor knows only when connecting, on its lane, has failed.
   virtual bool is_known_later() const { return false; }
+  /// Before the loop that it has made sensors on is destroyed.
+  virtual void loop_ends() {}
   ScratchDirectory directory;
 };
 
@@ -184,50 +188,56 @@ class FakeNmea final : public Fake {
   unsigned count_ = 0;
 };
 
-/// What answers requests on a serial line.
-class FakeAnswerer : public Fake {
+/// A device that answers requests on a serial line, by the sample of its driver (chip.hpp).
+class FakeAnswerer final : public Fake {
  public:
-  explicit FakeAnswerer(std::string good)
-      : pty_(directory.file("tty")),
-        good_(std::move(good)),
-        port_("line", {.device = pty_.path(), .answer_timeout = 100ms, .timeout = 1s}) {}
+  FakeAnswerer(const Registry& registry, const TypeInfo& type)
+      : registry_(registry),
+        type_(type.name),
+        members_(type.page.samples[0].members),
+        request_(text_of(type.page.samples[0].bytes[0].at)),
+        answer_(text_of(type.page.samples[0].bytes[0].bytes)),
+        pty_(directory.file("tty")) {}
+  const char* kind() const override { return type_.c_str(); }
   void plug_in() override { pty_.plug_in(); }
-  void unplug() override { pty_.unplug(); }
+  void unplug() override {
+    pty_.unplug();
+    asked_.clear();
+  }
   void set(Content content) override { content_ = content; }
   void speak() override {
-    char request[64];
-    if (pty_.master() < 0 || ::read(pty_.master(), request, sizeof request) <= 0) return;
-    std::string answer = good_;
+    char bytes[64];
+    const ssize_t count = pty_.master() < 0 ? 0 : ::read(pty_.master(), bytes, sizeof bytes);
+    if (count > 0) asked_.append(bytes, static_cast<std::size_t>(count));
+    if (!asked_.ends_with(request_)) return;
+    asked_.clear();
+    std::string answer = answer_;
     if (content_ == Content::corrupt) answer[0] = '?';
     pty_.send(answer);
   }
-
- protected:
-  SerialPort& port() { return port_; }
+  AnySensor make(Loop& loop, bool is_required) override {
+    system_.emplace(loop, registry_,
+                    parse_config(R"({"buses": {"line": {"type": "serial", "answer_timeout": "100 ms", "timeout": "1 s",
+            "device": ")" + pty_.path() +
+                                 R"("}}, "sensors": [{"name": "s", "topic": "t", "bus": "line", "rate": "500 Hz",
+            "retry_first": "2 ms", "retry_longest": "4 ms", "type": ")" +
+                                 type_ + R"(", "required": )" + (is_required ? "true" : "false") +
+                                 (members_.empty() ? "" : ", ") + members_ + "}]}"));
+    return std::move(system_->sensor("s"));
+  }
+  void loop_ends() override { system_.reset(); }
 
  private:
+  static std::string text_of(std::string_view hexadecimal) {
+    const std::vector<std::uint8_t> bytes = bytes_of(hexadecimal);
+    return {bytes.begin(), bytes.end()};
+  }
+  const Registry& registry_;
+  const std::string type_, members_, request_, answer_;
   Pty pty_;
-  std::string good_;
+  std::string asked_;
   Content content_ = Content::good;
-  SerialPort port_;
-};
-
-class FakeMeter final : public FakeAnswerer {
- public:
-  FakeMeter() : FakeAnswerer("1.5\r\n") {}
-  const char* kind() const override { return "query"; }
-  AnySensor make(Loop& loop, bool is_required) override {
-    return DriverSensor<Query>(loop, common(is_required), port(), {}, {.request = "?\n", .fields = {{.name = "v"}}});
-  }
-};
-
-class FakeMhZ19 final : public FakeAnswerer {
- public:
-  FakeMhZ19() : FakeAnswerer(std::string("\xff\x86\x02\x60\x47\0\0\0\xd1", 9)) {}
-  const char* kind() const override { return "mhz19"; }
-  AnySensor make(Loop& loop, bool is_required) override {
-    return DriverSensor<MhZ19>(loop, common(is_required), port());
-  }
+  std::optional<System> system_;
 };
 
 class FakeBarometer final : public FakeFile {
@@ -510,8 +520,9 @@ std::vector<std::unique_ptr<Fake>> every_kind() {
   if (terminals_can_be_set_up()) {
     kinds.push_back(std::make_unique<FakeLine>());
     kinds.push_back(std::make_unique<FakeNmea>());
-    kinds.push_back(std::make_unique<FakeMeter>());
-    kinds.push_back(std::make_unique<FakeMhZ19>());
+    static const Registry registry = standard_registry();
+    for (const TypeInfo& type : registry.sensors().types())
+      if (type.page.bus == "serial") kinds.push_back(std::make_unique<FakeAnswerer>(registry, type));
   }
   kinds.push_back(std::make_unique<FakeEdges>());
   kinds.push_back(std::make_unique<FakePulses>());
@@ -525,6 +536,7 @@ struct Stage {
     loop.on_error([](const ErrorReport&) {});
     heard = loop.subscribe("#", [this](const EventView&) { ++events; });
   }
+  ~Stage() { fake.loop_ends(); }
   /// Runs until it is so; a failed check after 10 s.
   void until(const std::function<bool()>& is_so) {
     Timer limit(loop, 60s, [&] { loop.stop(); });

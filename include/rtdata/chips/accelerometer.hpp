@@ -58,11 +58,9 @@ inline constexpr InertialWrite setting_up[] = {{.number = 0x2d},
                                                {.number = 0x31, .value = 0x08, .by_acceleration = 1},
                                                {.number = 0x2d, .value = 0x08, .pause = 12ms}};
 inline constexpr InertialWrite sleeping[] = {{.number = 0x2d}};
-constexpr InertialModel adxl(std::string_view name, std::span<const InertialChoice> ranges,
+constexpr InertialModel adxl(std::string_view name, std::string_view model, std::span<const InertialChoice> ranges,
                              InertialSelfTest self_test) {
-  return {.name = name,
-          .identity_register = 0x00,
-          .identity = 0xe5,
+  return {.chip = {.name = name, .model = model, .addresses = {0x53, 0x1d}, .identity = {{0x00, 0xe5}}},
           .rates = rates,
           .accelerations = ranges,
           .angles = {},
@@ -91,8 +89,8 @@ inline constexpr InertialSelfTest adxl345_self_test{.acceleration_register = 0x3
                                                                 {0.2 * standard_gravity, 3.72 * standard_gravity},
                                                                 {0.3 * standard_gravity, 5.0 * standard_gravity}}}};
 
-inline constexpr InertialModel all[] = {adxl("ADXL345", adxl345_ranges, adxl345_self_test),
-                                        adxl("ADXL375", adxl375_ranges, {})};
+inline constexpr InertialModel all[] = {adxl("ADXL345", "adxl345", adxl345_ranges, adxl345_self_test),
+                                        adxl("ADXL375", "adxl375", adxl375_ranges, {})};
 
 }  // namespace accelerometer_models
 
@@ -142,6 +140,14 @@ class Accelerometer : public InertialDriver<AccelerometerConfig, AccelerometerRe
 - A read on a bus of 400 kHz takes 0.25 ms a sample.
 )";
   static constexpr RegisterPlace place{0x53};
+  static constexpr auto chips = chips_of(accelerometer_models::all);
+  // Two samples in the FIFO, of 256 counts a g.
+  static constexpr ChipSample samples[] = {{.bytes = {{{"00", "e5"}, {"32", "80 ff 40 00 00 01"}, {"39", "02"}}},
+                                            .values = {{{"acceleration_x", -0.5 * standard_gravity},
+                                                        {"acceleration_y", 0.25 * standard_gravity},
+                                                        {"acceleration_z", standard_gravity}}},
+                                            .has_proof = true,
+                                            .addressing = &accelerometer_models::all[0].addressing}};
 
   using InertialDriver::InertialDriver;
   /// `bytes`: the registers 0x32 to 0x37.

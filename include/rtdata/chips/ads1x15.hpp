@@ -96,6 +96,11 @@ class Ads1x15 {
   using Value = OptionalVoltages;
   using Device = I2cDevice;
   static constexpr I2cDevice::Place place{0x48};
+  static constexpr KnownChip chips[] = {{.name = "ADS1115, ADS1015", .addresses = {0x48, 0x49, 0x4a, 0x4b}}};
+  static constexpr ChipSample samples[] = {{.wires = ChipWires::word_registers,
+                                            .bytes = {{{"00", "40 00"}, {"01", "80 00", 0x80}}},
+                                            .values = {{{"ain0", 2.048}, {"ain3", 2.048}}},
+                                            .has_proof = true}};
 
   static Result<void> check(const Config& config) {
     const auto refused = [](std::string where, const auto& value, std::string advice) {

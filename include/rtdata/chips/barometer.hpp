@@ -237,6 +237,22 @@ struct Ms5611Prom {
 };
 
 class Barometer {
+  /// Chips whose registers and compensation are alike.
+  enum class Family { bmp2, bmp3, ms5 };
+  struct Model {
+    KnownChip chip;
+    Family family;
+    bool has_humidity;
+    unsigned least_oversampling, most_oversampling;  // and the powers of 2 between
+    unsigned usual_pressure, usual_temperature;
+  };
+  static constexpr Model models[] = {
+      {{"BMP280", "bmp280", {0x76, 0x77}, {{0xd0, 0x58}}}, Family::bmp2, false, 1, 16, 1, 1},
+      {{"BME280", "bme280", {0x76, 0x77}, {{0xd0, 0x60}}}, Family::bmp2, true, 1, 16, 1, 1},
+      {{"BMP388", "bmp388", {0x76, 0x77}, {{0x00, 0x50}}}, Family::bmp3, false, 1, 32, 1, 1},
+      {{"BMP390", "bmp390", {0x76, 0x77}, {{0x00, 0x60}}}, Family::bmp3, false, 1, 32, 1, 1},
+      {{"MS5611", "ms5611", {0x76, 0x77}}, Family::ms5, false, 256, 4096, 4096, 1024}};
+
  public:
   static constexpr std::string_view type = "barometer";
   static constexpr std::string_view aliases = "altimeter gy-68 gy-91";
@@ -306,6 +322,14 @@ class Barometer {
     return {};
   }
   static constexpr RegisterPlace place{0x76};
+  static constexpr auto chips = chips_of(models);
+  // A BMP280: its data sheet's example, with trimming parameters and codes of temperature and pressure.
+  static constexpr ChipSample samples[] = {
+      {.bytes = {{{"d0", "58"},
+                  {"88", "70 6b 43 67 18 fc  7d 8e 43 d6 d0 0b 27 0b 8c 00 f9 ff 8c 3c f8 c6 70 17"},
+                  {"f7", "65 5a c0 7e ed 00"}}},
+       .values = {{{"pressure", 100653.27}, {"temperature", 25.08}}},
+       .has_proof = true}};
 
   /// SetupError (bad-argument): an oversampling that the chip does not have.
   explicit Barometer(const Config& config) : config_(config) {
@@ -397,21 +421,6 @@ class Barometer {
   }
 
  private:
-  /// Chips whose registers and compensation are alike.
-  enum class Family { bmp2, bmp3, ms5 };
-  struct Model {
-    std::string_view name;
-    Family family;
-    std::uint8_t identity_register, identity;  // an MS5611 has none
-    bool has_humidity;
-    unsigned least_oversampling, most_oversampling;  // and the powers of 2 between
-    unsigned usual_pressure, usual_temperature;
-  };
-  static constexpr Model models[] = {{"BMP280", Family::bmp2, 0xd0, 0x58, false, 1, 16, 1, 1},
-                                     {"BME280", Family::bmp2, 0xd0, 0x60, true, 1, 16, 1, 1},
-                                     {"BMP388", Family::bmp3, 0x00, 0x50, false, 1, 32, 1, 1},
-                                     {"BMP390", Family::bmp3, 0x00, 0x60, false, 1, 32, 1, 1},
-                                     {"MS5611", Family::ms5, 0, 0, false, 256, 4096, 4096, 1024}};
   static constexpr const char* what = "cannot read the barometer";
   static constexpr std::uint8_t reset_command = 0xb6;
   static constexpr std::uint8_t bmp2_humidity_register = 0xf2, bmp2_control_register = 0xf4, forced = 1;
@@ -437,12 +446,12 @@ class Barometer {
       const bool is_of_humidity = i == 2;
       if (is_of_humidity && !model.has_humidity) {
         if (config.humidity_oversampling)
-          all[i].mistake = "the " + std::string(model.name) +
+          all[i].mistake = "the " + std::string(model.chip.name) +
                            " measures no humidity; leave it out, or set another `model`";
         continue;
       }
       if (!std::has_single_bit(count) || count < model.least_oversampling || count > model.most_oversampling)
-        all[i].mistake = std::to_string(count) + " is none of " + list + ", which the " + std::string(model.name) +
+        all[i].mistake = std::to_string(count) + " is none of " + list + ", which the " + std::string(model.chip.name) +
                          " has";
     }
     return all;
@@ -452,9 +461,10 @@ class Barometer {
   /// Which of the chips with an identity is there, in words for an error; what the register had when it is none.
   static std::string seems_to_be(RegisterDevice& chip) {
     for (const Model& other : models) {
-      if (other.family == Family::ms5) continue;
-      const Result<std::uint8_t> found = chip.read_register(other.identity_register);
-      if (found && *found == other.identity) return "it seems to be a " + std::string(other.name) + ": set `model`";
+      if (!other.chip.identity) continue;
+      const Result<std::uint8_t> found = chip.read_register(other.chip.identity->number);
+      if (found && other.chip.identity->is_of(*found))
+        return "it seems to be a " + std::string(other.chip.name) + ": set `model`";
     }
     const Result<std::uint8_t> found = chip.read_register(0xd0);
     if (found && *found == 0x55) return "it seems to be a BMP180, which has no driver here";
@@ -464,13 +474,14 @@ class Barometer {
 
   template <class Trimming>
   Result<void> open_bosch(RegisterDevice& chip, std::uint8_t reset_register, Trimming& trimming) {
-    const Result<std::uint8_t> found = chip.read_register(model().identity_register);
+    const ChipIdentity identity = model().chip.identity.value_or(ChipIdentity{});
+    const Result<std::uint8_t> found = chip.read_register(identity.number);
     if (!found) return found.error();
-    const std::string name(model().name);
-    if (*found != model().identity) {
+    const std::string name(model().chip.name);
+    if (!identity.is_of(*found)) {
       return chip.error(Errc::bad_data, "cannot use the chip as a " + name,
                         "its identity is " + to_string(I2cAddress(*found)) + ", that of a " + name + " is " +
-                            to_string(I2cAddress(model().identity)),
+                            to_string(I2cAddress(identity.value)),
                         seems_to_be(chip));
     }
     if (auto done = chip.write_register(reset_register, reset_command); !done) return done;

@@ -91,15 +91,30 @@ class Bno055 {
   using Value = OrientationReading;
   using Device = I2cDevice;
   static constexpr I2cDevice::Place place{0x28};
+  static constexpr KnownChip chips[] = {{.name = "BNO055", .addresses = {0x28, 0x29}, .identity = {{0x00, 0xa0}}}};
+  // A quarter turn to the right, 1 g downwards.
+  static constexpr ChipSample samples[] = {
+      {.bytes = {{{"00", "a0"},
+                  {"08", "c8 00 00 00 d5 03  40 01 60 ff 10 00  84 03 3e fe 00 00"},
+                  {"1a", "86 05 00 00 a6 ff  41 2d 00 00 00 00 bf d2"},
+                  {"34", "fb e6 0f"},
+                  {"39", "05"}}},
+       .values = {{{"quaternion_w", 0.70710678},
+                   {"heading", 1.5711111},
+                   {"acceleration_z", 9.81},
+                   {"magnetic_field_x", 20e-6}}},
+       .has_proof = true}};
   explicit Bno055(const Config& config) : config_(config) {}
   static Duration bus_time(const Config&) { return to_configuration + from_configuration; }
 
   Result<void> open(I2cDevice& chip) {
-    const Result<std::uint8_t> found = chip.read_register(0x00);
+    constexpr ChipIdentity identity = *chips[0].identity;
+    const Result<std::uint8_t> found = chip.read_register(identity.number);
     if (!found) return found.error();
-    if (*found != identity) {
+    if (!identity.is_of(*found)) {
       return chip.error(Errc::bad_data, "cannot use the chip as a BNO055",
-                        "its identity is " + to_string(I2cAddress(*found)) + ", that of a BNO055 is 0xa0",
+                        "its identity is " + to_string(I2cAddress(*found)) + ", that of a BNO055 is " +
+                            to_string(I2cAddress(identity.value)),
                         "look at which chip is at this address; a BNO055 needs 0.7 s after it was switched on");
     }
     const Result<std::uint8_t> tested = chip.read_register(0x36);
@@ -192,7 +207,7 @@ class Bno055 {
 
  private:
   static constexpr const char* what = "cannot read the BNO055";
-  static constexpr std::uint8_t identity = 0xa0, mode_register = 0x3d;
+  static constexpr std::uint8_t mode_register = 0x3d;
   static constexpr std::uint8_t units = 0x06;  // m/s2, rad/s, rad, degrees Celsius; Windows orientation
   static constexpr auto to_configuration = std::chrono::milliseconds{19},
                         from_configuration = std::chrono::milliseconds{7};

@@ -146,12 +146,11 @@ constexpr InertialSelfTest mpu_self_test(double acceleration_range,
           .angle_range = 250,
           .limits_of = limits_of};
 }
-constexpr InertialModel mpu(std::string_view name, std::uint8_t identity, std::size_t fifo_bytes,
-                            std::span<const InertialWrite> setting_up, InertialSelfTest self_test,
-                            double counts_per_degree, double degrees_at_zero, std::string_view without_spi = {}) {
-  return {.name = name,
-          .identity_register = 0x75,
-          .identity = identity,
+constexpr InertialModel mpu(std::string_view name, std::string_view model, std::uint8_t identity,
+                            std::size_t fifo_bytes, std::span<const InertialWrite> setting_up,
+                            InertialSelfTest self_test, double counts_per_degree, double degrees_at_zero,
+                            std::string_view without_spi = {}) {
+  return {.chip = {.name = name, .model = model, .addresses = {0x68, 0x69}, .identity = {{0x75, identity}}},
           .rates = mpu_rates,
           .accelerations = mpu_accelerations,
           .angles = mpu_angles,
@@ -219,11 +218,9 @@ constexpr InertialSelfTest lsm6_self_test(double least_acceleration) {
           .limits = {{acceleration, acceleration, acceleration, angle, angle, angle}}};
 }
 /// Angular velocity and acceleration as words of 16 bits, one after the other.
-constexpr InertialModel lsm6ds3(std::string_view name, std::uint8_t identity, std::size_t fifo_bytes,
-                                std::uint32_t count_mask, double counts_per_degree) {
-  return {.name = name,
-          .identity_register = 0x0f,
-          .identity = identity,
+constexpr InertialModel lsm6ds3(std::string_view name, std::string_view model, std::uint8_t identity,
+                                std::size_t fifo_bytes, std::uint32_t count_mask, double counts_per_degree) {
+  return {.chip = {.name = name, .model = model, .addresses = {0x6a, 0x6b}, .identity = {{0x0f, identity}}},
           .rates = lsm6_rates,
           .accelerations = lsm6_accelerations,
           .angles = lsm6_angles,
@@ -251,10 +248,8 @@ constexpr InertialModel lsm6ds3(std::string_view name, std::uint8_t identity, st
           .self_test = lsm6_self_test(0.09)};
 }
 /// Words of 6 bytes, with a tag before each.
-constexpr InertialModel lsm6dso(std::string_view name) {
-  return {.name = name,
-          .identity_register = 0x0f,
-          .identity = 0x6c,
+constexpr InertialModel lsm6dso(std::string_view name, std::string_view model) {
+  return {.chip = {.name = name, .model = model, .addresses = {0x6a, 0x6b}, .identity = {{0x0f, 0x6c}}},
           .rates = lsm6_rates,
           .accelerations = lsm6_accelerations,
           .angles = lsm6_angles,
@@ -296,55 +291,55 @@ inline constexpr InertialWrite lsm9ds1_setting_up[] = {
     {.number = 0x20, .by_rate = 1 << 5, .by_acceleration = 1 << 3, .pause = 80ms},
     {.number = 0x23, .value = 0x02, .on_spi = 0x04}};  // no I2C
 inline constexpr InertialWrite lsm9ds1_sleeping[] = {{.number = 0x10}, {.number = 0x20}};
-inline constexpr InertialModel lsm9ds1{.name = "LSM9DS1",
-                                       .identity_register = 0x0f,
-                                       .identity = 0x68,
-                                       .rates = lsm9ds1_rates,
-                                       .accelerations = lsm9ds1_accelerations,
-                                       .angles = lsm9ds1_angles,
-                                       .filters = {},
-                                       .setting_up = lsm9ds1_setting_up,
-                                       .sleeping = lsm9ds1_sleeping,
-                                       .fifo = {.off = {.number = 0x2e},
-                                                .on = {.number = 0x2e, .value = 0xc0},
-                                                .status = 0x2f,
-                                                .count_mask = 0x3f,
-                                                .over_mask = 0x40,
-                                                .count_bytes = 12,
-                                                .capacity = 32 * 12,
-                                                .keeps_whole_samples = true,
-                                                .data = 0x18,
-                                                .second_data = 0x28,
-                                                .to_discard = 1},
-                                       .sample_bytes = 12,
-                                       .acceleration_at = 6,
-                                       .angle_at = 0,
-                                       .temperature_register = 0x15,
-                                       .counts_per_degree = 16,
-                                       .degrees_at_zero = 25,
-                                       .self_test = {.acceleration_register = 0x24,
-                                                     .acceleration_on = 0x01,
-                                                     .angle_register = 0x24,
-                                                     .angle_on = 0x04,
-                                                     .acceleration_output = 0x28,
-                                                     .angle_output = 0x18,
-                                                     .acceleration_range = 2,
-                                                     .angle_range = 2000,
-                                                     .limits = {{{g(0.07), g(1.5)},
-                                                                 {g(0.07), g(1.5)},
-                                                                 {g(0.07), g(1.5)},
-                                                                 {degrees(150), degrees(1000)},
-                                                                 {degrees(150), degrees(1000)},
-                                                                 {degrees(150), degrees(1000)}}}}};
+inline constexpr InertialModel lsm9ds1{
+    .chip = {.name = "LSM9DS1", .model = "lsm9ds1", .addresses = {0x6a, 0x6b}, .identity = {{0x0f, 0x68}}},
+    .rates = lsm9ds1_rates,
+    .accelerations = lsm9ds1_accelerations,
+    .angles = lsm9ds1_angles,
+    .filters = {},
+    .setting_up = lsm9ds1_setting_up,
+    .sleeping = lsm9ds1_sleeping,
+    .fifo = {.off = {.number = 0x2e},
+             .on = {.number = 0x2e, .value = 0xc0},
+             .status = 0x2f,
+             .count_mask = 0x3f,
+             .over_mask = 0x40,
+             .count_bytes = 12,
+             .capacity = 32 * 12,
+             .keeps_whole_samples = true,
+             .data = 0x18,
+             .second_data = 0x28,
+             .to_discard = 1},
+    .sample_bytes = 12,
+    .acceleration_at = 6,
+    .angle_at = 0,
+    .temperature_register = 0x15,
+    .counts_per_degree = 16,
+    .degrees_at_zero = 25,
+    .self_test = {.acceleration_register = 0x24,
+                  .acceleration_on = 0x01,
+                  .angle_register = 0x24,
+                  .angle_on = 0x04,
+                  .acceleration_output = 0x28,
+                  .angle_output = 0x18,
+                  .acceleration_range = 2,
+                  .angle_range = 2000,
+                  .limits = {{{g(0.07), g(1.5)},
+                              {g(0.07), g(1.5)},
+                              {g(0.07), g(1.5)},
+                              {degrees(150), degrees(1000)},
+                              {degrees(150), degrees(1000)},
+                              {degrees(150), degrees(1000)}}}}};
 
 inline constexpr InertialModel all[] = {
-    mpu("MPU-6050", 0x68, 1024, mpu6050_setting_up, mpu_self_test(8, mpu6050_limits), 340, 36.53, "MPU-6050"),
-    mpu("MPU-6500", 0x70, 512, mpu6500_setting_up, mpu_self_test(2, mpu6500_limits), 333.87, 21),
-    mpu("MPU-9250", 0x71, 512, mpu9250_setting_up, mpu_self_test(2, mpu6500_limits), 333.87, 21),
-    lsm6ds3("LSM6DS3", 0x69, 8192, 0x0fff, 16),
-    lsm6ds3("LSM6DS3TR-C", 0x6a, 4096, 0x07ff, 256),
-    lsm6dso("LSM6DSO"),
-    lsm6dso("LSM6DSOX"),
+    mpu("MPU-6050", "mpu6050", 0x68, 1024, mpu6050_setting_up, mpu_self_test(8, mpu6050_limits), 340, 36.53,
+        "MPU-6050"),
+    mpu("MPU-6500", "mpu6500", 0x70, 512, mpu6500_setting_up, mpu_self_test(2, mpu6500_limits), 333.87, 21),
+    mpu("MPU-9250", "mpu9250", 0x71, 512, mpu9250_setting_up, mpu_self_test(2, mpu6500_limits), 333.87, 21),
+    lsm6ds3("LSM6DS3", "lsm6ds3", 0x69, 8192, 0x0fff, 16),
+    lsm6ds3("LSM6DS3TR-C", "lsm6ds3trc", 0x6a, 4096, 0x07ff, 256),
+    lsm6dso("LSM6DSO", "lsm6dso"),
+    lsm6dso("LSM6DSOX", "lsm6dsox"),
     lsm9ds1};
 
 }  // namespace imu_models
@@ -412,6 +407,22 @@ class Imu : public InertialDriver<ImuConfig, ImuReading> {
 - A read on a bus of 400 kHz takes 0.3 to 0.45 ms a sample: 1000 samples a second need a third of it or more.
 )";
   static constexpr RegisterPlace place{0x68};
+  static constexpr auto chips = chips_of(imu_models::all);
+  // Two samples in the FIFO: 1 g upwards, the temperature of the code 0, 8 degrees a second around X.
+  static constexpr ChipSample samples[] = {
+      {.bytes = {{{"75", "68"}, {"72", "00 1c"}, {"74", "00 00 00 00 08 00 00 00 00 83 00 00 00 00", 0, true}}},
+       .values = {{{"acceleration_z", standard_gravity},
+                   {"temperature", 36.53},
+                   {"angular_velocity_x", 8 * radians_a_degree}}},
+       .has_proof = true,
+       .addressing = &imu_models::all[0].addressing},
+      {.members = R"("model": "mpu6500")",
+       .bytes = {{{"75", "70"}, {"72", "00 1c"}, {"74", "00 00 00 00 08 00 00 00 00 83 00 00 00 00", 0, true}}},
+       .values = {{{"acceleration_z", standard_gravity},
+                   {"temperature", 21},
+                   {"angular_velocity_x", 8 * radians_a_degree}}},
+       .has_proof = true,
+       .addressing = &imu_models::all[1].addressing}};
 
   using InertialDriver::InertialDriver;
   /// `bytes`: a sample as the FIFO has it.

@@ -65,6 +65,14 @@ class Ina {
   using Value = PowerReading;
   using Device = I2cDevice;
   static constexpr I2cDevice::Place place{0x40};
+  static constexpr KnownChip chips[] = {
+      {.name = "INA219", .model = "ina219", .addresses = {0x40, 0x41, 0x42, 0x43, 0x44, 0x45, 0x46, 0x47}},
+      {.name = "INA226", .model = "ina226", .addresses = {0x40, 0x41, 0x42, 0x43, 0x44, 0x45, 0x46, 0x47}}};
+  // 80 mV at the shunt, 16 V, and a new measurement.
+  static constexpr ChipSample samples[] = {{.wires = ChipWires::word_registers,
+                                            .bytes = {{{"01", "1f 40"}, {"02", "7d 02"}}},
+                                            .values = {{{"voltage", 16}, {"current", 0.8}, {"power", 12.8}}},
+                                            .has_proof = true}};
 
   static Result<void> check(const Config& config) {
     if (config.shunt_resistance > 0 && std::isfinite(config.shunt_resistance)) return {};

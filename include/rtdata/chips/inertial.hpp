@@ -101,8 +101,8 @@ struct InertialSelfTest {
 };
 
 struct InertialModel {
-  std::string_view name;
-  std::uint8_t identity_register, identity;
+  KnownChip chip;
+  ChipIdentity identity() const noexcept { return chip.identity.value_or(ChipIdentity{}); }
   std::span<const InertialChoice> rates, accelerations, angles, filters;  ///< empty: it has no such setting
   std::span<const InertialWrite> setting_up, sleeping;
   InertialFifo fifo;
@@ -149,16 +149,16 @@ class InertialChip {
       if (!wanted || find(choices, *wanted) != nullptr) return;
       std::string list;
       for (const InertialChoice& one : choices) list += (list.empty() ? "" : ", ") + text_of(one.number);
-      mistakes.push_back({key, choices.empty() ? "the " + std::string(model.name) + " has no such setting"
+      mistakes.push_back({key, choices.empty() ? "the " + std::string(model.chip.name) + " has no such setting"
                                                : text_of(*wanted) + " is none of " + list + ", which the " +
-                                                     std::string(model.name) + " has"});
+                                                     std::string(model.chip.name) + " has"});
     };
     check("sample_rate", model.rates, settings.rate);
     check("acceleration_range", model.accelerations, settings.acceleration);
     check("angular_range", model.angles, settings.angle);
     check("bandwidth", model.filters, settings.filter);
     if (settings.self_test && model.self_test.acceleration_on == 0)
-      mistakes.push_back({"self_test", "there are no limits for that of the " + std::string(model.name)});
+      mistakes.push_back({"self_test", "there are no limits for that of the " + std::string(model.chip.name)});
     return mistakes;
   }
   static void check(const InertialModel& model, const InertialSettings& settings, const ConfigItem& item,
@@ -206,9 +206,9 @@ class InertialChip {
   /// Identity, self-test, settings; it measures then.
   Result<void> open(RegisterDevice& chip) {
     is_on_spi_ = chip.is_on_spi();
-    const Result<std::uint8_t> found = chip.read_register(model_.identity_register);
+    const Result<std::uint8_t> found = chip.read_register(model_.identity().number);
     if (!found) return found.error();
-    if (*found != model_.identity) return another_chip(chip, *found);
+    if (!model_.identity().is_of(*found)) return another_chip(chip, *found);
     if (is_tested_) {
       if (auto passed = test(chip); !passed) return passed;
     }
@@ -396,15 +396,15 @@ class InertialChip {
   Error another_chip(RegisterDevice& chip, std::uint8_t found) const {
     std::string advice = "look at which chip is at this address, and at `model`";
     for (const InertialModel& other : all_) {
-      const Result<std::uint8_t> its = chip.read_register(other.identity_register);
-      if (!its || *its != other.identity) continue;
-      advice = "it seems to be an " + std::string(other.name) + ": set `model`";
+      const Result<std::uint8_t> its = chip.read_register(other.identity().number);
+      if (!its || !other.identity().is_of(*its)) continue;
+      advice = "it seems to be an " + std::string(other.chip.name) + ": set `model`";
       break;
     }
-    const std::string name(model_.name);
+    const std::string name(model_.chip.name);
     return chip.error(Errc::bad_data, "cannot use the chip as an " + name,
                       "its identity is " + to_string(I2cAddress(found)) + ", that of an " + name + " is " +
-                          to_string(I2cAddress(model_.identity)),
+                          to_string(I2cAddress(model_.identity().value)),
                       std::move(advice));
   }
 
@@ -651,7 +651,7 @@ class InertialChip {
       const auto [least, most] = (*limits)[i];
       if (by >= least && by <= most) continue;
       const char* unit = i < 3 ? " m/s2" : " rad/s";
-      return chip.error(Errc::out_of_range, "the self-test of the " + std::string(model_.name) + " failed",
+      return chip.error(Errc::out_of_range, "the self-test of the " + std::string(model_.chip.name) + " failed",
                         std::string(i < 3 ? "its acceleration " : "its angular velocity ") + "xyz"[i % 3] +
                             " changes by " + text_of(by) + unit + ", not by " + text_of(least) + " to " + text_of(most),
                         "hold it still while it starts; else the chip is damaged");

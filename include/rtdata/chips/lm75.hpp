@@ -43,6 +43,10 @@ class Lm75 {
   using Value = TemperatureReading;
   using Device = I2cDevice;
   static constexpr I2cDevice::Place place{0x48};
+  static constexpr KnownChip chips[] = {
+      {.name = "LM75, TMP75", .addresses = {0x48, 0x49, 0x4a, 0x4b, 0x4c, 0x4d, 0x4e, 0x4f}}};
+  static constexpr ChipSample samples[] = {
+      {.wires = ChipWires::word_registers, .bytes = {{{"00", "19 00"}}}, .values = {{{"temperature", 25}}}}};
   explicit Lm75(const Config&) {}
 
   Reading<TemperatureReading> read(I2cDevice& chip) {

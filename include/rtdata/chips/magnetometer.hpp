@@ -82,9 +82,8 @@ struct Bit {
   std::uint8_t mask = 0;  ///< 0: the chip has no such bit
 };
 struct Model {
-  std::string_view name;
-  std::uint8_t identity_register;
-  std::string_view identity;  ///< bytes from this register on
+  KnownChip chip;
+  std::string_view more_identity = {};  ///< bytes after that of the chip's identity
   std::span<const SampleRate> rates;
   std::span<const FieldRange> ranges;
   double usual_range;  ///< gauss
@@ -113,10 +112,9 @@ inline constexpr Setting lis3mdl_setting_up[] = {{.number = 0x21, .value = 0x04,
                                                  {.number = 0x23, .value = 0x0c, .read_at = 3},
                                                  {.number = 0x24, .value = 0x40, .read_at = 4},
                                                  {.number = 0x22, .value = 0x00, .read_at = 2}};
-constexpr Model lis3mdl(std::string_view name, std::span<const FieldRange> ranges, int temperature_at) {
-  return {.name = name,
-          .identity_register = 0x0f,
-          .identity = "\x3d",
+constexpr Model lis3mdl(std::string_view name, std::string_view model, std::span<const FieldRange> ranges,
+                        int temperature_at) {
+  return {.chip = {.name = name, .model = model, .addresses = {0x1c, 0x1e}, .identity = {{0x0f, 0x3d}}},
           .rates = lis3mdl_rates,
           .ranges = ranges,
           .usual_range = 4,
@@ -155,50 +153,46 @@ inline constexpr Setting qmc5883l_setting_up[] = {
     {.number = 0x0b, .value = 0x01},
     {.number = 0x09, .value = 0x01, .by_rate = 1 << 2, .by_range = 1 << 4, .read_at = 3}};
 
-inline constexpr Model all[] = {lis3mdl("LIS3MDL", lis3mdl_ranges, 14),
-                                lis3mdl("LSM9DS1's magnetometer", lsm9ds1_ranges, -1),
-                                {.name = "AK8963",
-                                 .identity_register = 0x00,
-                                 .identity = "\x48",
-                                 .rates = ak8963_rates,
-                                 .ranges = ak8963_ranges,
-                                 .usual_range = 49.12,
-                                 .setting_up = ak8963_setting_up,
-                                 .sleeping = {.number = 0x0a},
-                                 .pieces = {{{0x02, 9}, {0, 0}}},
-                                 .is_new = {0, 0x01},
-                                 .is_over = {7, 0x08},
-                                 .axes = {1, 3, 5},
-                                 .addressing = {.without_spi = "AK8963"},
-                                 .adjustment_register = 0x10},
-                                {.name = "HMC5883L",
-                                 .identity_register = 0x0a,
-                                 .identity = "H43",
-                                 .rates = hmc5883l_rates,
-                                 .ranges = hmc5883l_ranges,
-                                 .usual_range = 1.3,
-                                 .setting_up = hmc5883l_setting_up,
-                                 .sleeping = {.number = 0x02, .value = 0x02},
-                                 .pieces = {{{0x00, 9}, {0, 0}}},
-                                 .is_new = {},
-                                 .is_over = {},
-                                 .axes = {3, 7, 5},
-                                 .is_big_endian = true,
-                                 .ends = {-4096, 4096},
-                                 .addressing = {.without_spi = "HMC5883L"}},
-                                {.name = "QMC5883L",
-                                 .identity_register = 0x0d,
-                                 .identity = "\xff",
-                                 .rates = qmc5883l_rates,
-                                 .ranges = qmc5883l_ranges,
-                                 .usual_range = 2,
-                                 .setting_up = qmc5883l_setting_up,
-                                 .sleeping = {.number = 0x09},
-                                 .pieces = {{{0x06, 5}, {0x00, 6}}},
-                                 .is_new = {0, 0x01},
-                                 .is_over = {0, 0x02},
-                                 .axes = {5, 7, 9},
-                                 .addressing = {.without_spi = "QMC5883L"}}};
+inline constexpr Model all[] = {
+    lis3mdl("LIS3MDL", "lis3mdl", lis3mdl_ranges, 14),
+    lis3mdl("LSM9DS1's magnetometer", "lsm9ds1", lsm9ds1_ranges, -1),
+    {.chip = {.name = "AK8963", .model = "ak8963", .addresses = {0x0c}, .identity = {{0x00, 0x48}}},
+     .rates = ak8963_rates,
+     .ranges = ak8963_ranges,
+     .usual_range = 49.12,
+     .setting_up = ak8963_setting_up,
+     .sleeping = {.number = 0x0a},
+     .pieces = {{{0x02, 9}, {0, 0}}},
+     .is_new = {0, 0x01},
+     .is_over = {7, 0x08},
+     .axes = {1, 3, 5},
+     .addressing = {.without_spi = "AK8963"},
+     .adjustment_register = 0x10},
+    {.chip = {.name = "HMC5883L", .model = "hmc5883l", .addresses = {0x1e}, .identity = {{0x0a, 'H'}}},
+     .more_identity = "43",
+     .rates = hmc5883l_rates,
+     .ranges = hmc5883l_ranges,
+     .usual_range = 1.3,
+     .setting_up = hmc5883l_setting_up,
+     .sleeping = {.number = 0x02, .value = 0x02},
+     .pieces = {{{0x00, 9}, {0, 0}}},
+     .is_new = {},
+     .is_over = {},
+     .axes = {3, 7, 5},
+     .is_big_endian = true,
+     .ends = {-4096, 4096},
+     .addressing = {.without_spi = "HMC5883L"}},
+    {.chip = {.name = "QMC5883L", .model = "qmc5883l", .addresses = {0x0d}, .identity = {{0x0d, 0xff}}},
+     .rates = qmc5883l_rates,
+     .ranges = qmc5883l_ranges,
+     .usual_range = 2,
+     .setting_up = qmc5883l_setting_up,
+     .sleeping = {.number = 0x09},
+     .pieces = {{{0x06, 5}, {0x00, 6}}},
+     .is_new = {0, 0x01},
+     .is_over = {0, 0x02},
+     .axes = {5, 7, 9},
+     .addressing = {.without_spi = "QMC5883L"}}};
 
 }  // namespace magnetometer_models
 
@@ -248,12 +242,19 @@ class Magnetometer {
   using Device = RegisterDevice;
   static RegisterAddressing addressing(const Config& config) { return config.chip().addressing; }
   static constexpr RegisterPlace place{0x1c};
+  static constexpr auto chips = chips_of(magnetometer_models::all);
+  // A new sample: 1 gauss along X, the temperature of the code 0.
+  static constexpr ChipSample samples[] = {{.bytes = {{{"0f", "3d"}, {"27", "08 ba 1a 00 00 00 00 00 00"}}},
+                                            .values = {{{"magnetic_field_x", 1e-4}, {"temperature", 25}}},
+                                            .has_proof = true,
+                                            .addressing = &magnetometer_models::all[0].addressing}};
 
   static Result<void> check(const Config& config) {
     const Model& model = config.chip();
     const auto refused = [&](const char* key, double number, const std::string& good) -> Result<void> {
       return Error{Errc::bad_argument, "cannot use the magnetometer so", key,
-                   text_of(number) + " is none of " + good + ", which the " + std::string(model.name) + " has", ""};
+                   text_of(number) + " is none of " + good + ", which the " + std::string(model.chip.name) + " has",
+                   ""};
     };
     if (find_rate(config) == nullptr) {
       std::string good;
@@ -283,10 +284,11 @@ class Magnetometer {
   /// Identity, what was adjusted in the factory, settings, which are read back.
   Result<void> open(RegisterDevice& chip) {
     std::array<std::uint8_t, 3> found{};
-    const auto identity = std::span(found).first(model_.identity.size());
-    if (auto done = chip.read_registers(model_.identity_register, identity); !done) return done;
+    const ChipIdentity first = model_.chip.identity.value_or(ChipIdentity{});
+    const auto identity = std::span(found).first(1 + model_.more_identity.size());
+    if (auto done = chip.read_registers(first.number, identity); !done) return done;
     for (std::size_t i = 0; i < identity.size(); ++i) {
-      const auto wanted = static_cast<std::uint8_t>(model_.identity[i]);
+      const std::uint8_t wanted = i == 0 ? first.value : static_cast<std::uint8_t>(model_.more_identity[i - 1]);
       if (identity[i] == wanted) continue;
       return chip.error(Errc::bad_data, "cannot use the chip as " + name(),
                         "its identity is " + to_string(I2cAddress(identity[i])) + ", that of " + name() + " is " +
@@ -388,7 +390,7 @@ class Magnetometer {
     if (text.back() == '.') text.pop_back();
     return text;
   }
-  std::string name() const { return "the " + std::string(model_.name); }
+  std::string name() const { return "the " + std::string(model_.chip.name); }
   /// How long it may bring nothing: three of its periods, and a second.
   Duration patience() const { return Duration{std::llround(3e9 / rate_->hertz)} + Duration{std::chrono::seconds{1}}; }
   std::uint8_t value_of(const Setting& setting) const noexcept {

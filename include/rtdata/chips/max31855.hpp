@@ -44,6 +44,11 @@ class Max31855 {
   using Value = ThermocoupleReading;
   using Device = SpiDevice;
   static constexpr SpiPlace place{};
+  static constexpr KnownChip chips[] = {{.name = "MAX31855"}};
+  static constexpr ChipSample samples[] = {{.wires = ChipWires::answers,
+                                            .bytes = {{{"", "06 4c 19 00"}}},
+                                            .values = {{{"temperature", 100.75}, {"cold_junction", 25}}},
+                                            .has_proof = true}};
   explicit Max31855(const Config&) {}
 
   Reading<ThermocoupleReading> read(SpiDevice& chip) {

@@ -74,6 +74,12 @@ class Max31856 {
   using Value = ThermocoupleReading;
   using Device = SpiDevice;
   static constexpr SpiPlace place{.mode = 1};
+  static constexpr KnownChip chips[] = {{.name = "MAX31856"}};
+  // A measurement that has ended; both temperatures; no fault.
+  static constexpr ChipSample samples[] = {{.wires = ChipWires::registers_with_write_bit,
+                                            .bytes = {{{"00", "00", 0x40}, {"0a", "19 00 06 4f 00 00"}}},
+                                            .values = {{{"temperature", 100.9375}, {"cold_junction", 25}}},
+                                            .has_proof = true}};
 
   static Result<void> check(const Config& config) {
     for (const unsigned good : {1u, 2u, 4u, 8u, 16u})

@@ -81,6 +81,11 @@ class Mcp3x08 {
   using Value = Voltages;
   using Device = SpiDevice;
   static constexpr SpiPlace place{};
+  static constexpr KnownChip chips[] = {{.name = "MCP3008", .model = "mcp3008"},
+                                        {.name = "MCP3208", .model = "mcp3208"}};
+  // The null bit, and half of the range.
+  static constexpr ChipSample samples[] = {
+      {.wires = ChipWires::answers, .bytes = {{{"", "00 08 00"}}}, .values = {{{"ain0", 1.65}, {"ain7", 1.65}}}}};
 
   static Result<void> check(const Config& config) {
     for (std::size_t i = 0; i < config.channels.size(); ++i)

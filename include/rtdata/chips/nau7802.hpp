@@ -82,6 +82,12 @@ class Nau7802 {
   using Value = BridgeReading;
   using Device = I2cDevice;
   static constexpr I2cDevice::Place place{0x2a};
+  static constexpr KnownChip chips[] = {{.name = "NAU7802", .addresses = {0x2a}, .identity = {{0x1f, 0x0f, 0x0f}}}};
+  // Powered up, a sample ready; calibrated; half of the range.
+  static constexpr ChipSample samples[] = {
+      {.bytes = {{{"00", "28", 0x28}, {"02", "00", 0x0c}, {"12", "40 00 00"}, {"1f", "0f"}}},
+       .values = {{{"value", 1.953125}, {"raw", 0x400000}}},
+       .has_proof = true}};
 
   static Result<void> check(const Config& config) {
     const auto refused = [](const char* where, const std::string& value, const char* advice) {
@@ -103,11 +109,13 @@ class Nau7802 {
 
   Result<void> open(I2cDevice& chip) {
     using namespace std::chrono_literals;
-    const Result<std::uint8_t> revision = chip.read_register(revision_register);
+    constexpr ChipIdentity identity = *chips[0].identity;
+    const Result<std::uint8_t> revision = chip.read_register(identity.number);
     if (!revision) return revision.error();
-    if ((*revision & 0x0f) != 0x0f)
+    if (!identity.is_of(*revision))
       return chip.error(Errc::bad_data, "cannot use the chip as a NAU7802",
-                        "its revision code is " + to_string(I2cAddress(*revision)) + ", that of a NAU7802 is 0x0f",
+                        "its revision code is " + to_string(I2cAddress(*revision)) + ", that of a NAU7802 is " +
+                            to_string(I2cAddress(identity.value)),
                         "look at which chip is at this address");
     if (auto done = chip.write_register(power_register, reset); !done) return done;
     if (auto done = chip.write_register(power_register, digital_on); !done) return done;
@@ -232,7 +240,7 @@ class Nau7802 {
 
   static constexpr std::uint8_t power_register = 0x00, gain_register = 0x01, rate_register = 0x02;
   static constexpr std::uint8_t data_register = 0x12;
-  static constexpr std::uint8_t chopper_register = 0x15, capacitor_register = 0x1c, revision_register = 0x1f;
+  static constexpr std::uint8_t chopper_register = 0x15, capacitor_register = 0x1c;
   // Power: supply from inside, sample ready, cycling, powered up, analog on, digital on, reset.
   static constexpr std::uint8_t running = 0x9e, sample_ready = 0x20, powered_up = 0x08;
   static constexpr std::uint8_t digital_on = 0x02, reset = 0x01;

@@ -60,6 +60,12 @@ class Sht {
   using Value = HumidityReading;
   using Device = I2cDevice;
   static constexpr I2cDevice::Place place{0x44};
+  static constexpr KnownChip chips[] = {{.name = "SHT3x", .model = "sht3x", .addresses = {0x44, 0x45}},
+                                        {.name = "SHT4x", .model = "sht4x", .addresses = {0x44, 0x45, 0x46}}};
+  static constexpr ChipSample samples[] = {{.wires = ChipWires::answers,
+                                            .bytes = {{{"f3 2d", "80 10 e1"}, {"24 00", "66 66 93 66 66 93"}}},
+                                            .values = {{{"temperature", 25}, {"humidity", 40}}},
+                                            .has_proof = true}};
   explicit Sht(const Config& config) : config_(config) {}
 
   Result<void> open(I2cDevice& chip) {

@@ -308,10 +308,11 @@ class Registry {
   /// A driver: its parameters are those of all sensors, `bus`, where it is there, and those of D::Config. A driver may
   /// say `static constexpr std::string_view notes`, Markdown: its wiring, addresses, limits, for `rtdata types`,
   /// and `static constexpr std::string_view aliases`, words by which people look for it (its description and models are
-  /// such words already). So that `check` warns of settings that lose data and knows how files grow, it may say how
-  /// many samples a second the device takes by itself (`static double sample_rate(const Config&)`), how many it keeps
-  /// until they are read (`static std::size_t fifo_samples(const Config&)`), and how long a reading takes at least
-  /// (`static Duration reading_time(const Config&)`).
+  /// such words already). `chips` and `samples` say by what `rtdata scan` and tests know its chips (chip.hpp). So that
+  /// `check` warns of settings that lose data and knows how files grow, it may say how many samples a second the device
+  /// takes by itself (`static double sample_rate(const Config&)`), how many it keeps until they are read (`static
+  /// std::size_t fifo_samples(const Config&)`), and how long a reading takes at least (`static Duration
+  /// reading_time(const Config&)`).
   template <Driver D>
   void add_driver(const std::string& type, std::string doc) {
     using C = DriverConfig<D>;
@@ -325,6 +326,8 @@ class Registry {
     }
     if constexpr (requires { std::string(D::notes); }) page.notes = config_detail::trimmed_notes(D::notes);
     if constexpr (requires { std::string(D::aliases); }) page.aliases = std::string(D::aliases);
+    if constexpr (requires { D::chips; }) page.chips = D::chips;
+    if constexpr (requires { D::samples; }) page.samples = D::samples;
     if constexpr (requires(const typename D::Config& own) { D::describe(own); }) {
       page.depends_on_parameters = true;
       page.publishes = []() -> std::shared_ptr<const Description> {

@@ -41,7 +41,9 @@
 /// A driver without open() is opened by one reading that is thrown away, so that a chip that is absent is known at the
 /// start, and `required` means something. One that brings several samples at a time needs an open() for that.
 ///
-/// Configurations know a driver by `registry.add_driver<Lm75>()`.
+/// Configurations know a driver by `registry.add_driver<Lm75>()`. What it states of its chips (chip.hpp) goes with it:
+/// `static constexpr KnownChip chips[]`, by which `rtdata scan` finds them, and `static constexpr ChipSample
+/// samples[]`, by which tests try it.
 ///
 /// What a driver must not forget between openings, such as a tare, is its `Memory`: copied out with `Memory memory()
 /// const` after each read that ends, and into a fresh driver with `void remember(const Memory&)`. A chip that measures
@@ -70,6 +72,7 @@
 
 #include "rtdata/detail/sensors/transaction.hpp"
 #include "rtdata/io/bus.hpp"
+#include "rtdata/io/chip.hpp"
 #include "rtdata/sensors/sensor.hpp"
 
 namespace rtdata {

@@ -97,6 +97,7 @@ class Modbus {
   };
   using Value = DescribedValue;
   using Device = ModbusDevice;
+  static constexpr ChipSample samples[] = {{.members = R"("fields": [{"name": "x", "address": 0}])"}};
   static Result<std::shared_ptr<const Description>> describe(const Config& config);
 
   /// SetupError (bad-argument, bad-description): a configuration that cannot work.

@@ -66,6 +66,11 @@ class Query {
   };
   using Value = DescribedValue;
   using Device = SerialDevice;
+  static constexpr ChipSample samples[] = {{.members = R"("request": "?\n", "fields": [{"name": "v"}])",
+                                            .wires = ChipWires::answers,
+                                            .bytes = {{{"3f 0a", "31 2e 35 0d 0a"}}},
+                                            .values = {{{"v", 1.5}}},
+                                            .has_proof = true}};
   static Result<std::shared_ptr<const Description>> describe(const Config& config) {
     return line_description(config.fields);
   }

@@ -4,6 +4,8 @@
 #include <cctype>
 
 #include "data/listed.hpp"
+#include "rtdata/data/value.hpp"
+#include "rtdata/io/registers.hpp"
 
 namespace rtdata::app {
 namespace {
@@ -73,6 +75,44 @@ void add_rows(const Parameters& parameters, const std::string& prefix, std::stri
   }
 }
 
+/// Where `rtdata scan` looks for the chips of a driver; empty: nowhere.
+std::string chips_table(std::span<const KnownChip> chips) {
+  std::string rows;
+  for (const KnownChip& chip : chips) {
+    std::string addresses;
+    for (const std::uint8_t address : chip.addresses)
+      if (address != 0) addresses += (addresses.empty() ? "" : ", ") + code(to_string(I2cAddress(address)));
+    if (addresses.empty()) continue;
+    rows += "| " + in_cell(std::string(chip.name)) + " | " + code(std::string(chip.model)) + " | " + addresses + " | ";
+    if (const auto& identity = chip.identity) {
+      rows += "register " + code(to_string(I2cAddress(identity->number))) + " is " +
+              code(to_string(I2cAddress(identity->value))) +
+              (identity->mask == 0xff ? "" : " in the bits " + code(to_string(I2cAddress(identity->mask))));
+    } else {
+      rows += "its address only";
+    }
+    rows += " |\n";
+  }
+  return rows.empty() ? rows
+                      : "\n| chip | `model` | `rtdata scan` looks at | knows it by |\n|---|---|---|---|\n" + rows;
+}
+
+/// What the chip gives in tests, and what that means.
+std::string sample_text(const ChipSample& sample) {
+  std::string given, values;
+  for (const ChipBytes& one : sample.bytes) {
+    if (one.bytes.empty()) continue;
+    given += (given.empty() ? "" : "; ") + code(std::string(one.at)) + (one.at.empty() ? "" : ": ") +
+             code(std::string(one.bytes));
+  }
+  for (const ChipValue& one : sample.values)
+    if (!one.field.empty())
+      values += (values.empty() ? "" : ", ") + code(std::string(one.field)) + " " + to_string(Value(one.value));
+  if (given.empty()) return given;
+  return "\nIn its tests " + (sample.members.empty() ? "" : "with " + code(std::string(sample.members)) + " ") +
+         "the chip gives, in hexadecimal: " + given + ". That is " + values + ".\n";
+}
+
 std::string sentence(std::string phrase) {
   if (phrase.empty()) return phrase;
   phrase[0] = static_cast<char>(std::toupper(static_cast<unsigned char>(phrase[0])));
@@ -90,6 +130,7 @@ std::vector<PublishedField> published_fields(const Description& description) {
 std::string markdown_of(const TypeInfo& type) {
   std::string text = "## `" + type.name + "`\n\n" + sentence(type.doc) + "\n";
   if (!type.page.notes.empty()) text += "\n" + type.page.notes + (type.page.notes.ends_with('\n') ? "" : "\n");
+  text += chips_table(type.page.chips);
   std::string rows;
   add_rows(type.parameters, "", rows);
   if (!rows.empty()) {
@@ -102,6 +143,7 @@ std::string markdown_of(const TypeInfo& type) {
     for (const PublishedField& field : published_fields(*description))
       text += "| " + code(field.name) + " | " + in_cell(field.type) + " | " + in_cell(field.unit) + " |\n";
   }
+  for (const ChipSample& sample : type.page.samples) text += sample_text(sample);
   return text;
 }
 

@@ -14,8 +14,8 @@ struct PublishedField {
 };
 std::vector<PublishedField> published_fields(const Description& description);
 
-/// "## `lm75`", what it is, its notes, a table of the parameters that not every type of its kind has, and one of the
-/// fields of its events where these are known.
+/// "## `lm75`", what it is, its notes, tables of its chips, of the parameters that not every type of its kind has, and
+/// of the fields of its events where these are known, and the samples of its chips.
 std::string markdown_of(const TypeInfo& type);
 /// All types: those of each kind under a heading, sensors on buses under one for each type of bus.
 std::string markdown_of(const Registry& registry);

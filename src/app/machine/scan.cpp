@@ -30,7 +30,7 @@ void Scanner::line(FoundDevice& device, const char* list, const std::string& tex
   } else {
     document = "{\"buses\": {" + bus + "}, \"" + list + "\": [" + text + "]}";
   }
-  if (plan_system(registry_, parse_config(document)).good()) device.lines.push_back({list, text});
+  if (plan_system(registry, parse_config(document)).good()) device.lines.push_back({list, text});
 }
 
 std::string Scanner::text(const std::string& file) const {

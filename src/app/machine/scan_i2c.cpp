@@ -1,13 +1,13 @@
-// I2C adapters, and which chip is likely at an address, by that and, where it has one, its identity.
+// I2C adapters, and the chips at their addresses: those that a driver states, and others that are often there.
 #include <unistd.h>
 
 #include <algorithm>
 #include <array>
 #include <cstdint>
 #include <cstdlib>
-#include <optional>
-#include <span>
+#include <string>
 #include <string_view>
+#include <vector>
 
 #include "app/machine/scanner.hpp"
 #include "io/enabling.hpp"
@@ -16,88 +16,41 @@
 namespace rtdata::app {
 namespace {
 
-/// A sensor of a configuration that reads the chip; those that this program lacks are left out.
-struct Driven {
-  std::string_view type, members = "";  ///< in JSON
-};
-
-/// Chips with an identity in a register, from their data sheets.
-struct Identity {
-  std::array<std::uint8_t, 2> addresses;
-  std::uint8_t register_number, value;
-  std::string_view chip;
-  std::array<Driven, 2> drivers = {};
-};
-constexpr Identity identities[] = {
-    {{0x76, 0x77}, 0xd0, 0x58, "BMP280", {{{"barometer", R"("model": "bmp280")"}}}},
-    {{0x76, 0x77}, 0xd0, 0x60, "BME280", {{{"barometer", R"("model": "bme280")"}}}},
-    {{0x76, 0x77}, 0x00, 0x50, "BMP388", {{{"barometer", R"("model": "bmp388")"}}}},
-    {{0x76, 0x77}, 0x00, 0x60, "BMP390", {{{"barometer", R"("model": "bmp390")"}}}},
-    {{0x68, 0x69}, 0x75, 0x68, "MPU-6050", {{{"imu", R"("model": "mpu6050")"}}}},
-    {{0x68, 0x69}, 0x75, 0x70, "MPU-6500", {{{"imu", R"("model": "mpu6500")"}}}},
-    {{0x68, 0x69}, 0x75, 0x71, "MPU-9250", {{{"imu", R"("model": "mpu9250")"}}}},
-    {{0x6a, 0x6b}, 0x0f, 0x6c, "LSM6DSO or LSM6DSOX", {{{"imu", R"("model": "lsm6dso")"}}}},
-    {{0x6a, 0x6b}, 0x0f, 0x69, "LSM6DS3", {{{"imu", R"("model": "lsm6ds3")"}}}},
-    {{0x6a, 0x6b}, 0x0f, 0x6a, "LSM6DS3TR-C", {{{"imu", R"("model": "lsm6ds3trc")"}}}},
-    {{0x6a, 0x6b}, 0x0f, 0x68, "LSM9DS1, accelerometer and gyroscope", {{{"imu", R"("model": "lsm9ds1")"}}}},
-    {{0x1c, 0x1e},
-     0x0f,
-     0x3d,
-     "LIS3MDL, or the magnetometer of an LSM9DS1",
-     {{{"magnetometer", R"("model": "lis3mdl")"}, {"magnetometer", R"("model": "lsm9ds1")"}}}},
-    {{0x1e, 0x1e}, 0x0a, 0x48, "HMC5883L", {{{"magnetometer", R"("model": "hmc5883l")"}}}},
-    {{0x0c, 0x0c}, 0x00, 0x48, "AK8963", {{{"magnetometer", R"("model": "ak8963")"}}}},
-    {{0x1d, 0x53}, 0x00, 0xe5, "ADXL345 or ADXL375", {{{"accelerometer", R"("model": "adxl345")"}}}},
-    {{0x28, 0x29}, 0x00, 0xa0, "BNO055", {{{"bno055"}}}},
-};
-
-/// Chips that are often at an address and say nothing of themselves.
+/// Chips without a driver here, at addresses at which they often are.
 struct Usual {
   std::uint8_t first, last;
-  std::string_view chips;
-  std::array<Driven, 3> drivers = {};
+  std::string_view chip;
 };
 constexpr Usual usual[] = {
-    {0x0d, 0x0d, "QMC5883L", {{{"magnetometer", R"("model": "qmc5883l")"}}}},
-    {0x20, 0x22, "a port expander (PCF8574, MCP23017)"},
-    {0x23, 0x23, "BH1750, or a port expander", {{{"bh1750"}}}},
-    {0x24, 0x27, "a port expander (PCF8574, MCP23017), or a display behind one"},
-    {0x29, 0x29, "VL53L0X, TSL2591"},
-    {0x2a, 0x2a, "NAU7802", {{{"nau7802"}}}},
-    {0x38, 0x38, "AHT20, or a PCF8574A"},
+    {0x20, 0x27, "a port expander (PCF8574, MCP23017)"},
+    {0x23, 0x23, "BH1750"},
+    {0x24, 0x27, "a display behind a port expander"},
+    {0x29, 0x29, "VL53L0X"},
+    {0x29, 0x29, "TSL2591"},
+    {0x38, 0x38, "AHT20"},
+    {0x38, 0x38, "a port expander (PCF8574A)"},
     {0x3c, 0x3d, "a display (SSD1306)"},
-    {0x40,
-     0x43,
-     "INA219, INA226, HDC1080, PCA9685",
-     {{{"ina", R"("model": "ina219")"}, {"ina", R"("model": "ina226")"}}}},
-    {0x44, 0x45, "SHT3x, SHT4x, INA219", {{{"sht", R"("model": "sht3x")"}, {"sht", R"("model": "sht4x")"}}}},
-    {0x46, 0x47, "INA219, INA226", {{{"ina", R"("model": "ina219")"}, {"ina", R"("model": "ina226")"}}}},
-    {0x48, 0x4b, "ADS1115, ADS1015, LM75, TMP102", {{{"lm75"}, {"ads1x15"}}}},
-    {0x4c, 0x4f, "LM75, TMP75", {{{"lm75"}}}},
+    {0x40, 0x43, "HDC1080"},
+    {0x40, 0x43, "PCA9685"},
+    {0x48, 0x4b, "TMP102"},
     {0x50, 0x57, "an EEPROM (24Cxx)"},
-    {0x5c, 0x5c, "BH1750, LPS25H", {{{"bh1750"}}}},
-    {0x60, 0x60, "MCP4725, MPL3115A2"},
-    {0x68, 0x69, "a clock (DS3231, DS1307), MPU-6050"},
+    {0x5c, 0x5c, "BH1750"},
+    {0x5c, 0x5c, "LPS25H"},
+    {0x60, 0x60, "MCP4725"},
+    {0x60, 0x60, "MPL3115A2"},
+    {0x68, 0x69, "a clock (DS3231, DS1307)"},
     {0x70, 0x71, "a multiplexer (TCA9548A)"},
-    {0x76, 0x77, "MS5611", {{{"barometer", R"("model": "ms5611")"}}}},
 };
 
-/// What answers at an address.
-struct Likely {
-  std::string what;
-  std::span<const Driven> drivers;
-};
-
-Likely likely_chip(I2cDevice& chip) {
-  const unsigned address = chip.address().number;
-  for (const Identity& known : identities) {
-    if (std::find(known.addresses.begin(), known.addresses.end(), address) == known.addresses.end()) continue;
-    const Result<std::uint8_t> found = chip.read_register(known.register_number);
-    if (found && *found == known.value) return {std::string(known.chip), known.drivers};
-  }
-  for (const Usual& known : usual)
-    if (known.first <= address && address <= known.last) return {"perhaps " + std::string(known.chips), known.drivers};
-  return {"a chip that is not known here", {}};
+/// How sure it is that a chip is the one that a driver knows.
+enum class Match { no, perhaps, yes };
+Match match_of(const KnownChip& known, I2cDevice& chip) {
+  if (!known.is_at(chip.address().number)) return Match::no;
+  if (!known.identity) return Match::perhaps;
+  const Result<std::uint8_t> found = chip.read_register(known.identity->number);
+  if (!found || !known.identity->is_of(*found)) return Match::no;
+  constexpr std::uint8_t nothing = 0xff;  // what a register that a chip does not have mostly reads as
+  return *found == nothing ? Match::perhaps : Match::yes;
 }
 
 /// Adds the chips that answer. Addresses with a kernel driver are in the list already, and are not probed.
@@ -120,16 +73,14 @@ void probe(Scanner& scanner, const std::string& adapter, const std::string& bus_
       return;
     }
     const std::string text = to_string(I2cAddress(address));
-    const Likely likely = likely_chip(chip);
+    const LikelyChip likely = likely_chip(chip, scanner.registry);
     scanner.add({"i2c", path, "address " + text + ": " + likely.what});
-    for (const Driven& one : likely.drivers) {
-      if (one.type.empty()) continue;
-      const std::string type(one.type), members(one.members);
-      scanner.sensor(scanner.scan.devices.back(), type, type,
+    for (const LikelyChip::Driver& driver : likely.drivers)
+      scanner.sensor(scanner.scan.devices.back(), driver.type, driver.type,
                      R"("bus": )" + json_text(bus_name) + R"(, "address": )" + json_text(text) +
-                         (members.empty() ? "" : ", ") + members + R"(, "rate": "1 Hz")",
+                         (driver.model.empty() ? "" : R"(, "model": )" + json_text(driver.model)) +
+                         R"(, "rate": "1 Hz")",
                      bus_line);
-    }
   }
 }
 
@@ -154,6 +105,32 @@ void i2c_adapter(Scanner& scanner, const std::string& adapter) {
 }
 
 }  // namespace
+
+LikelyChip likely_chip(I2cDevice& chip, const Registry& registry) {
+  LikelyChip sure, perhaps;
+  std::vector<std::string_view> named;  // a driver of the user's own may be for a chip that is in the table
+  const auto name = [&](LikelyChip& likely, std::string_view between, std::string_view name_of_chip) {
+    if (std::find(named.begin(), named.end(), name_of_chip) != named.end()) return;
+    named.push_back(name_of_chip);
+    likely.what.append(likely.what.empty() ? "" : between).append(name_of_chip);
+  };
+  const std::vector<TypeInfo> types = registry.sensors().types();
+  for (const TypeInfo& type : types) {
+    for (const KnownChip& known : type.page.chips) {
+      const Match match = match_of(known, chip);
+      if (match == Match::no) continue;
+      LikelyChip& likely = match == Match::yes ? sure : perhaps;
+      name(likely, match == Match::yes ? " or " : ", ", known.name);
+      likely.drivers.push_back({type.name, std::string(known.model)});
+    }
+  }
+  if (!sure.what.empty()) return sure;
+  const unsigned address = chip.address().number;
+  for (const Usual& one : usual)
+    if (one.first <= address && address <= one.last) name(perhaps, ", ", one.chip);
+  perhaps.what = perhaps.what.empty() ? "a chip that is not known here" : "perhaps " + perhaps.what;
+  return perhaps;
+}
 
 void scan_i2c(Scanner& scanner) {
   std::size_t count = 0;

@@ -6,16 +6,18 @@
 #include <string>
 
 #include "app/machine/scan.hpp"
+#include "rtdata/io/i2c.hpp"
 
 namespace rtdata::app {
 
 /// Collects what the parts find.
 class Scanner {
  public:
-  Scanner(const MachineFiles& files_, const Registry& registry, Probing probing_)
-      : files(files_), probing(probing_), registry_(registry) {}
+  Scanner(const MachineFiles& files_, const Registry& registry_, Probing probing_)
+      : files(files_), registry(registry_), probing(probing_) {}
 
   const MachineFiles& files;
+  const Registry& registry;
   const Probing probing;
   Scan scan;
 
@@ -35,9 +37,19 @@ class Scanner {
   std::string text(const std::string& file) const;
 
  private:
-  const Registry& registry_;
   std::set<std::string> names_;
 };
+
+/// What answers at an address of an I2C bus, and the sensors of a configuration that read it.
+struct LikelyChip {
+  struct Driver {
+    std::string type, model;  ///< no model: the driver has none, or its default
+  };
+  std::string what;  ///< "BMP280", "perhaps INA219, INA226"
+  std::vector<Driver> drivers = {};
+};
+/// Looks for it among the chips of all drivers, by its identity and address, and among others that are often there.
+LikelyChip likely_chip(I2cDevice& chip, const Registry& registry);
 
 /// As a JSON string.
 std::string json_text(const std::string& text);

@@ -6,6 +6,7 @@
 #include <cstddef>
 #include <memory>
 #include <optional>
+#include <span>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -13,6 +14,7 @@
 #include "rtdata/data/config_item.hpp"
 #include "rtdata/data/description.hpp"
 #include "rtdata/data/parameter.hpp"
+#include "rtdata/io/chip.hpp"
 
 namespace rtdata {
 
@@ -80,7 +82,9 @@ struct TypePage {
   std::string aliases = {};  ///< words, parted by blanks, by which people look for it, beside those of its description
   /// What its events hold, with the defaults of its parameters; null: that is not known without them.
   std::shared_ptr<const Description> (*publishes)() = nullptr;
-  bool depends_on_parameters = false;  ///< what its events hold
+  bool depends_on_parameters = false;        ///< what its events hold
+  std::span<const KnownChip> chips = {};     ///< that it can be set to
+  std::span<const ChipSample> samples = {};  ///< chips that work, for tests
 };
 
 /// A type in a registry, by its name in the file.
