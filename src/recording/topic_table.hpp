@@ -2,12 +2,14 @@
 #pragma once
 
 #include <cstdint>
+#include <memory>
 #include <span>
 #include <string>
 #include <vector>
 
 #include "recording/account_sums.hpp"
 #include "recording/database.hpp"
+#include "recording/step_tables.hpp"
 #include "recording/utc_line.hpp"
 #include "rtdata/data/description.hpp"
 #include "rtdata/sinks/sink.hpp"
@@ -18,14 +20,19 @@ namespace rtdata::sqlite {
 /// Whether a table can have a column for each of its values. Errors: bad-description.
 Result<void> check_columns(std::string_view topic, const Description& description);
 
+/// In the order of the table's columns, which is another one than theirs when a later run has added some.
+std::vector<const Leaf*> leaves_in_order(const Database& database, std::string_view table,
+                                         const Description& description);
+
 class TopicTable {
  public:
   /// Within a transaction. Finds the table that this description fits; one whose fields are the first part of it gets
   /// the further columns; otherwise a new table is made. Errors: those of the database, bad-name.
   /// Texts that are no UTF-8 are counted in `no_utf8`, which outlives the table. What changes in rtdata_topic goes into
-  /// `sums`. The view of a new table is left in `views`, to be made within the same transaction.
+  /// `sums`. The view of a new table is left in `views`, to be made within the same transaction. `steps`: null when
+  /// none are to be recorded.
   static TopicTable prepare(Database& database, const SlotInfo& slot, std::int64_t run, detail::EscapedTexts& no_utf8,
-                            AccountSums& sums, NewUtcViews& views);
+                            AccountSums& sums, NewUtcViews& views, OpenSteps* steps);
 
   /// Inserts the record, at the latest with `flush`: its payload must live until then.
   void insert(const Record& record);
@@ -61,6 +68,7 @@ class TopicTable {
   Insert one_;
   Insert many_;
   std::vector<Record> pending_;
+  std::unique_ptr<StepTables> steps_;  // null: there are none
   std::int64_t last_rowid_ = 0;
 };
 

@@ -81,6 +81,8 @@ struct LedgerEntry {
   std::uint64_t pruned = 0;
   std::int64_t rows_up_to = 0;            ///< rows after this rowid came after the account
   std::vector<std::string> made_of = {};  ///< topics of whose events its own are made
+  /// The sequence from which on all rows are in recorded steps of a second, and of a minute; 0: none are.
+  std::uint64_t seconds_from = 0, minutes_from = 0;
   std::uint64_t dropped() const noexcept { return dropped_newest + dropped_oldest + dropped_refused + dropped_unsaved; }
 };
 
@@ -358,7 +360,8 @@ class Recording {
   /// "events", and for each number and bool of the topic a record of `count`, `min`, `max` and `mean`, of the values
   /// that are there and not NaN (the last three absent when there are none): `min` and `max` in the number's own kind,
   /// of a bool as u8, `mean` a double. Steps without events have no row: with `Gaps::in_place` the gaps tell why. Reads
-  /// each event once. Errors: bad-name, bad-argument (a step below 1 ns).
+  /// each event once, or the steps that were recorded of them: of whole seconds or minutes of recorded time, `from` and
+  /// `until` as well. Errors: bad-name, bad-argument (a step below 1 ns).
   Result<Rows> steps(const RowFilter& filter, Duration step) const;
 
   /// For the other parts of this library.

@@ -46,6 +46,7 @@ struct SqliteConfig {
   /// no limit, otherwise at least `least_max_bytes`.
   std::uint64_t max_bytes = 0;
   Duration max_age{0};               ///< rows older than this are deleted, and counted as pruned; 0: no limit
+  bool steps = true;                 ///< records each second and minute of a topic, reduced, beside its rows
   std::string permissions = "0640";  ///< of a file that is made, less the umask; one that is there keeps its own
   SinkConfig sink = {};              ///< what every sink has; its name is the path unless given
 
