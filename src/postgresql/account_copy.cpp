@@ -180,8 +180,9 @@ bool RunCopy::read_table(std::size_t table, const Positions& positions) {
       is_source = !takes(of) && sources_.contains(of);
       if (!takes(of) && !is_source) continue;
     }
-    std::map<int, std::int64_t> replaced;  // by column
-    if (is_ledger && is_source) {          // none of its rows is there: as in a recording that does not take it
+    std::map<int, std::int64_t> replaced;                                                  // by column
+    if (is_ledger) replaced[at.at("seconds_from")] = replaced[at.at("minutes_from")] = 0;  // steps do not go along
+    if (is_ledger && is_source) {  // none of its rows is there: as in a recording that does not take it
       replaced[at.at("filtered")] = query.integer(at.at("filtered")) + query.integer(at.at("published"));
       for (const char* column : {"published", "offered", "stored", "dropped_newest", "dropped_oldest",
                                  "dropped_refused", "dropped_unsaved", "first_sequence", "last_sequence", "pruned"})

@@ -7,6 +7,7 @@
 
 #include "recording/deleted_runs.hpp"
 #include "recording/schema.hpp"
+#include "recording/step.hpp"
 
 namespace rtdata::sqlite {
 namespace {
@@ -60,13 +61,13 @@ bool Pruner::is_beyond(const Table& table, const Limit& limit) const {
 
 void Pruner::find_tables(Database& database, std::int64_t now) {
   find_lines(database, now);
-  auto count = database.integer("SELECT count(*) FROM rtdata_topic");
+  auto count = database.integer("SELECT count(*) FROM sqlite_schema WHERE type = 'table'");
   if (!count_pruned_) {
     count_pruned_ = database.prepare(
         "UPDATE rtdata_ledger SET pruned = pruned + ?4 WHERE run = ?1 AND topic = ?2 AND origin = ?3 RETURNING *");
     ledger_before_ = database.prepare("SELECT * FROM rtdata_ledger WHERE run = ?1 AND topic = ?2 AND origin = ?3");
   }
-  if (static_cast<std::int64_t>(tables_.size()) != count) {
+  if (found_tables_ != count) {
     tables_.clear();
     auto query = database.prepare("SELECT topic, table_name FROM rtdata_topic");
     while (query.step()) {
@@ -89,12 +90,21 @@ void Pruner::find_tables(Database& database, std::int64_t now) {
                name + " ORDER BY _rowid_ LIMIT ?1)"},
           {&table.ends[0], ends + "AND _rowid_ >= ? ORDER BY _rowid_ LIMIT 1"},
           {&table.ends[1], ends + "AND _rowid_ < ? ORDER BY _rowid_ DESC LIMIT 1"},
-          {&table.count, "SELECT run, origin, count(*) FROM " + name + " WHERE _rowid_ <= ? GROUP BY run, origin"},
+          {&table.count, "SELECT run, origin, count(*), max(time), max(sequence) FROM " + name +
+                             " WHERE _rowid_ <= ? GROUP BY run, origin"},
           {&table.remove, "DELETE FROM " + name + " WHERE _rowid_ <= ?"},
       };
       for (const auto& [statement, sql] : all) *statement = database.prepare(sql);
+      for (const StepLength& length : step_lengths) {
+        const std::string steps = step_table(table.name, length);
+        if (!has_table(database, steps)) continue;
+        table.remove_steps.push_back(
+            database.prepare("DELETE FROM " + rtdata::sqlite::quoted(steps) +
+                             " WHERE run = ? AND origin = ? AND time <= ? AND last_sequence <= ?"));
+      }
       tables_.push_back(std::move(table));
     }
+    found_tables_ = count;
   }
   for (Table& table : tables_) look_at(table);
 }
@@ -149,6 +159,10 @@ std::int64_t Pruner::delete_rows(const Work& on, Table& table, std::int64_t row,
       statement->bind(1, table.count.integer(0)).bind(2, table.topic).bind(3, origin);
     count_pruned_.bind(4, table.count.integer(2));
     on.sums.replace(ledger_before_, count_pruned_);
+    for (Statement& steps : table.remove_steps) {
+      steps.bind(1, table.count.integer(0)).bind(2, std::string_view(origin));
+      steps.bind(3, table.count.integer(3)).bind(4, table.count.integer(4)).run();
+    }
     deleted += table.count.integer(2);
   }
   table.count.reset();

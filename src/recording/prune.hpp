@@ -48,6 +48,7 @@ class Pruner {
   /// Finalizes the statements, before the database is closed and after a rolled-back transaction.
   void close() noexcept {
     tables_.clear();
+    found_tables_ = -1;
     deleted_.clear();
     share_.close();
     may_have_runs_ = true;
@@ -64,8 +65,9 @@ class Pruner {
     Statement up_to;  // row number of the last of its first rows that are all of a run and before a time
     /// Row number of the end of a transaction: of the first at a row or behind it, of the last before it.
     Statement ends[2];
-    Statement count;   // rows up to a row number, by run and origin
-    Statement remove;  // up to a row number
+    Statement count;                      // rows up to a row number, by run and origin; their last sequence and time
+    Statement remove;                     // up to a row number
+    std::vector<Statement> remove_steps;  // of a run and an origin, up to a time and a sequence: of each table of steps
     std::int64_t first_rowid = 0;
     std::int64_t first_time = 0;  // on the line of the present run
     std::int64_t first_run = 0;
@@ -117,6 +119,7 @@ class Pruner {
   Duration max_age_{0};
   AccountShare share_;
   std::vector<Table> tables_;
+  std::int64_t found_tables_ = -1;  // that the file had
   std::vector<Deleted> deleted_;
   std::map<std::int64_t, Line> lines_;  // by run
   std::int64_t run_ = 0;

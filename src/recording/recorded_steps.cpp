@@ -1,4 +1,5 @@
-// Reduces a topic's rows to steps: count, minimum, maximum and mean of each number.
+// Reduces a topic's rows to steps: count, minimum, maximum and mean of each number. Recorded steps of a second or a minute
+// are read instead of the rows where they add up to the steps that are asked for.
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -7,13 +8,12 @@
 
 #include "data/lower_case.hpp"
 #include "recording/rows_merge.hpp"
+#include "recording/step.hpp"
 
 namespace rtdata::detail {
 namespace {
 
-bool is_number(Kind kind) noexcept {
-  return kind != Kind::text && kind != Kind::character && kind != Kind::enumeration && kind != Kind::record;
-}
+using sqlite::is_number;
 
 bool is_float(Kind kind) noexcept { return kind == Kind::f64 || kind == Kind::f32; }
 
@@ -125,13 +125,10 @@ class StepCursor final : public RowCursor {
     out_.description = description_of_steps(*topic_.description);
     for (const Leaf& leaf : topic_.description->leaves())
       if (is_number(leaf.kind)) leaves_.push_back(&leaf);
+    const sqlite::StepLength* const recorded = recorded_steps();
     for (std::size_t first = 0; first == 0 || first < leaves_.size(); first += leaves_at_once) {
-      std::string sql = "SELECT t.run, " + step_sql() + ", t.origin, count(*), min(t.sequence), max(t.sequence)";
-      for (std::size_t i = first; i < std::min(first + leaves_at_once, leaves_.size()); ++i)
-        sql += columns(*leaves_[i]);
-      sql += " FROM " + sqlite::quoted(topic_.table) + " t WHERE " + row_conditions(selection_) +
-             " GROUP BY 1, 2, 3 ORDER BY 1, 2, 3";
-      statements_.push_back(file_->prepare(sql));
+      const std::string from = recorded != nullptr ? of_recorded(*recorded) : of_rows(first);
+      statements_.push_back(file_->prepare(from + " GROUP BY 1, 2, 3 ORDER BY 1, 2, 3"));
       bind(statements_.back());
     }
   }
@@ -169,7 +166,8 @@ class StepCursor final : public RowCursor {
       } else if (is_float(leaves_[i]->kind)) {
         put(of.real(column + least_column));
         put(of.real(column + most_column));
-        put(mean(*leaves_[i], of, column));
+        // The sum was rounded.
+        put(std::clamp(mean(*leaves_[i], of, column), of.real(column + least_column), of.real(column + most_column)));
       } else {
         const bool is_unsigned = leaves_[i]->kind == Kind::u64;
         for (const int one : {least_column, most_column}) {
@@ -187,33 +185,125 @@ class StepCursor final : public RowCursor {
   static constexpr int columns_before = 6, least_column = 1, most_column = 2, mean_column = 3, odd_column = 4,
                        columns_each = 5;
 
+  /// The longest that the steps asked for are made of; null: there are none.
+  const sqlite::StepLength* recorded_steps() const {
+    const RowFilter& filter = selection_.filter;
+    if (steps_.times == RowFilter::Times::utc || filter.every > 1 || leaves_.size() > sqlite::most_step_fields)
+      return nullptr;
+    for (auto length = sqlite::step_lengths.rbegin(); length != sqlite::step_lengths.rend(); ++length) {
+      const auto begins_one = [&](const std::optional<Time>& at) {
+        return !at || to_nanoseconds(*at) % length->nanoseconds == 0;
+      };
+      if (steps_.step % length->nanoseconds != 0 || !begins_one(filter.from) || !begins_one(filter.until)) continue;
+      if (sqlite::has_table(file_->database, sqlite::step_table(topic_.table, *length))) return &*length;
+    }
+    return nullptr;
+  }
+
+  std::string of_rows(std::size_t first) const {
+    std::string sql = "SELECT t.run, " + step_sql() + ", t.origin, count(*), min(t.sequence), max(t.sequence)";
+    for (std::size_t i = first; i < std::min(first + leaves_at_once, leaves_.size()); ++i) sql += columns(*leaves_[i]);
+    return sql + " FROM " + sqlite::quoted(topic_.table) + " t WHERE " + row_conditions(selection_);
+  }
+
+  /// The same of recorded steps, and of those rows that are in none.
+  std::string of_recorded(const sqlite::StepLength& length) {
+    std::string sql = "SELECT t.run, " + step_sql() + ", t.origin, sum(t.events), min(t.first), max(t.last)";
+    std::string recorded =
+        "SELECT t.run, t.time, t.origin, t.events, t.first_sequence AS first, t.last_sequence AS last";
+    std::string rows = "SELECT t.run, t.time, t.origin, 1, t.sequence, t.sequence";
+    for (std::size_t i = 0; i < leaves_.size(); ++i) {
+      const OfLeaf of(*leaves_[i]);
+      const auto figure = [&](const char* name) { return "t." + sqlite::quoted(leaves_[i]->path + name); };
+      const auto column = [n = std::to_string(i)](const char* name) { return "t." + (name + n); };
+      const auto as = [n = std::to_string(i)](const char* name) {
+        return std::string(" AS ") + name + n + (name == std::string_view("odd") ? "" : ", ");
+      };
+      recorded += ", " + figure(".count") + as("n") + of.in_order(figure(".min")) + as("low") +
+                  of.in_order(figure(".max")) + as("high") + figure(".sum") + as("total") + "0" + as("odd");
+      rows += ", " + of.number() + " IS NOT NULL" + as("n") + of.ordered() + as("low") + of.ordered() + as("high") +
+              of.number() + as("total") + of.odd() + as("odd");
+      // A sum that is none makes the mean none.
+      sql += ", total(" + column("n") + "), min(" + column("low") + "), max(" + column("high") + "), iif(count(" +
+             column("total") + ") = count(nullif(" + column("n") + ", 0)), total(" + column("total") + ") / sum(" +
+             column("n") + "), NULL), " + (is_float(leaves_[i]->kind) ? "0" : "total(" + column("odd") + ")");
+    }
+    recorded += " FROM " + sqlite::quoted(sqlite::step_table(topic_.table, length)) + " t WHERE " +
+                row_conditions(selection_);
+    if (has_others(length)) {
+      recorded += " UNION ALL " + rows + " FROM " + sqlite::quoted(topic_.table) + " t WHERE " +
+                  row_conditions(selection_) +
+                  " AND NOT EXISTS(SELECT 1 FROM rtdata_ledger l WHERE l.run = t.run AND l.topic = :topic AND l.origin "
+                  "= t.origin AND l." +
+                  std::string(length.from) + " BETWEEN 1 AND t.sequence)";
+    }
+    return sql + " FROM (" + recorded + ") t";
+  }
+
+  /// Whether there may be rows that are in no step. They are the first of an origin, or all of it.
+  bool has_others(const sqlite::StepLength& length) const {
+    const std::string from = "t." + std::string(length.from);
+    auto statement = file_->prepare(
+        "SELECT EXISTS(SELECT 1 FROM rtdata_ledger t JOIN rtdata_run r ON r.run = t.run WHERE t.topic = :topic AND "
+        "ifnull(t.run = :run, 1) AND ifnull(t.origin = :origin, 1) AND (t.stored > t.pruned OR r.state = 'recording') "
+        "AND NOT (" +
+        from + " <> 0 AND t.first_sequence <> 0 AND t.pruned >= " + from + " - t.first_sequence))");
+    const auto index = [&](const char* name) { return sqlite3_bind_parameter_index(statement.raw(), name); };
+    const RowFilter& filter = selection_.filter;
+    statement.bind(index(":topic"), std::string_view(topic_.topic));
+    if (filter.run) statement.bind(index(":run"), *filter.run);
+    if (filter.origin) statement.bind(index(":origin"), std::string_view(*filter.origin));
+    statement.step();
+    return statement.integer(0) != 0;
+  }
+
   std::string step_sql() const {
     if (steps_.times == RowFilter::Times::utc) return "rtdata_step(:steps, t.run, t.time)";
     const std::string step = std::to_string(steps_.step);
     return "t.time / " + step + " - (t.time % " + step + " < 0)";
   }
 
+  /// SQL of a field in a row.
+  class OfLeaf {
+   public:
+    explicit OfLeaf(const Leaf& leaf) : leaf_(leaf), column_("t." + sqlite::quoted(leaf.path)) {}
+    /// NULL when there is none.
+    std::string number() const {
+      if (leaf_.kind == Kind::u64) return signed_or(column_, " + 18446744073709551616.0", "");
+      return is_float(leaf_.kind) && leaf_.optional != nullptr ? "nullif(" + column_ + ", 'NaN')" : column_;
+    }
+    /// What the least and the largest are found by.
+    std::string ordered() const { return leaf_.kind == Kind::u64 ? in_order(column_) : number(); }
+    std::string in_order(const std::string& of) const {
+      if (leaf_.kind != Kind::u64) return of;
+      return signed_or(of, " + 9223372036854775807 + 1", " - 9223372036854775807 - 1");  // `turned`
+    }
+    /// Whether it is no number, where the largest does not tell.
+    std::string odd() const {
+      return is_float(leaf_.kind) ? "0" : "typeof(" + column_ + ") NOT IN ('integer', 'null')";
+    }
+
+   private:
+    static std::string signed_or(const std::string& of, const char* negative, const char* other) {
+      return "iif(" + of + " < 0, " + of + negative + ", " + of + other + ")";
+    }
+    const Leaf& leaf_;
+    const std::string column_;
+  };
+
   /// How many values of a field there are, the least, the largest, the mean, and whether one is none.
   static std::string columns(const Leaf& leaf) {
-    const std::string column = "t." + sqlite::quoted(leaf.path);
-    std::string number = column, in_order = column, odd = "total(typeof(" + column + ") NOT IN ('integer', 'null'))";
-    if (is_float(leaf.kind)) {
-      if (leaf.optional != nullptr) number = in_order = "nullif(" + column + ", 'NaN')";
-      odd = "0";  // the largest is one
-    } else if (leaf.kind == Kind::u64) {
-      const auto with = [&](const char* low, const char* high) {
-        return "iif(" + column + " < 0, " + column + low + ", " + column + high + ")";
-      };
-      number = with(" + 18446744073709551616.0", "");
-      in_order = with(" + 9223372036854775807 + 1", " - 9223372036854775807 - 1");  // `turned`
-    }
-    return ", count(" + number + "), min(" + in_order + "), max(" + in_order + "), avg(" + number + "), " + odd;
+    const OfLeaf of(leaf);
+    return ", count(" + of.number() + "), min(" + of.ordered() + "), max(" + of.ordered() + "), avg(" + of.number() +
+           "), " + (is_float(leaf.kind) ? "0" : "total(" + of.odd() + ")");
   }
 
   void bind(sqlite::Statement& statement) {
     bind_conditions(statement, selection_);
     const int steps = sqlite3_bind_parameter_index(statement.raw(), ":steps");
     if (steps != 0) sqlite3_bind_pointer(statement.raw(), steps, &steps_, Steps::pointer_type, nullptr);
+    const int topic = sqlite3_bind_parameter_index(statement.raw(), ":topic");
+    if (topic != 0) statement.bind(topic, std::string_view(topic_.topic));
   }
 
   std::pair<const sqlite::Statement&, int> place_of(std::size_t leaf) const {

@@ -231,7 +231,9 @@ Result<std::vector<LedgerEntry>> Recording::ledger(std::int64_t run) const {
       "repeated,"
       " filtered, lost, offered, stored, dropped_newest, dropped_oldest, dropped_refused, dropped_unsaved, "
       "first_sequence,"
-      " last_sequence, pruned, rows_up_to, carried, unreadable, one_a_read, lateness, first_lines, made_of FROM "
+      " last_sequence, pruned, rows_up_to, carried, unreadable, one_a_read, lateness, first_lines, made_of, "
+      "seconds_from, "
+      "minutes_from FROM "
       "rtdata_ledger WHERE run = ? ORDER BY topic, origin",
       run, [](const Statement& row) {
         LedgerEntry entry;
@@ -254,7 +256,9 @@ Result<std::vector<LedgerEntry>> Recording::ledger(std::int64_t run) const {
         sensor.is_one_a_read = row.integer(column++) != 0;
         sensor.lateness = count_of(row, column++);
         sensor.first_lines = count_of(row, column++);
-        const std::string made_of = string_of(row, column);
+        const std::string made_of = string_of(row, column++);
+        entry.seconds_from = count_of(row, column++);
+        entry.minutes_from = count_of(row, column);
         for (std::size_t at = 0; at < made_of.size();) {
           const std::size_t end = std::min(made_of.find(' ', at), made_of.size());
           if (end != at) entry.made_of.push_back(made_of.substr(at, end - at));

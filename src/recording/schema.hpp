@@ -11,6 +11,15 @@
 // double REAL, NaN as NULL where the field is not optional and as the text 'NaN' where it is; text TEXT, or a BLOB
 // where it is no UTF-8 or has zero bytes; char TEXT of one character (INTEGER where it is no printable ASCII);
 // enum TEXT by name, INTEGER where the number has no name; absent NULL.
+//
+// Beside it, once it has steps (step.hpp), the tables "TABLE~1s" and "TABLE~1min" (`step_table`; `tables_of_topic`
+// gives all), columns:
+//   run, time (of the step's beginning), origin, events, first_sequence, last_sequence, "checksum~", then of each field
+//   that is a number "PATH.count", "PATH.min", "PATH.max", "PATH.sum", "PATH.last", in the order of the topic's table.
+// Key: (run, origin, time). A row of them is that of the rows of the origin from first_sequence to last_sequence that
+// are stored, all of one second or minute; the ledger says from which sequence on all rows of an origin have one. NaN
+// is not counted; all five are NULL without a number; the sum is a double, NULL where infinities of both signs are in
+// it. "checksum~" is the hash of its own row, without run and checksum.
 #pragma once
 
 namespace rtdata::sqlite {
@@ -77,6 +86,8 @@ CREATE TABLE IF NOT EXISTS rtdata_ledger(
   lateness INTEGER NOT NULL DEFAULT 0,         -- of what was published, time minus when its read was due, summed mod 2^64
   first_lines INTEGER,                         -- thrown away, since a port was opened in their middle; NULL: none
   made_of TEXT,                                -- the topics of whose events its own are made, with spaces between
+  seconds_from INTEGER NOT NULL DEFAULT 0,     -- the sequence from which on all rows are in steps of 1 s; 0: none
+  minutes_from INTEGER NOT NULL DEFAULT 0,     -- the same of 1 min
   PRIMARY KEY(run, topic, origin)) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS rtdata_gap(
   run INTEGER NOT NULL, topic TEXT NOT NULL, origin TEXT NOT NULL,

@@ -123,6 +123,7 @@ Result<void> SqliteWriter::add_topic(std::uint32_t, std::string_view topic, cons
 
 std::optional<Error> SqliteWriter::take_warning() {
   if (warning_) return std::exchange(warning_, std::nullopt);
+  if (auto warning = open_steps_.take_warning()) return warning;
   const std::string sinks = positions_->take_losing();
   if (sinks.empty()) return no_utf8_.take_warning();
   return Error{Errc::storage_full, "events are deleted before they are sent", config_.path,
@@ -250,8 +251,8 @@ TopicTable* SqliteWriter::table_of(const Record& record) {
   auto sums_before = sums_.changes();
   std::unique_ptr<TopicTable> table;
   try {
-    table = std::make_unique<TopicTable>(
-        TopicTable::prepare(database_, *record.info, run_, no_utf8_, sums_, new_views_));
+    table = std::make_unique<TopicTable>(TopicTable::prepare(database_, *record.info, run_, no_utf8_, sums_, new_views_,
+                                                             config_.steps ? &open_steps_ : nullptr));
   } catch (const SetupError& error) {
     // An error of SQLite itself (another object has the name) is permanent; other errors may pass.
     Error why = error.error();
@@ -271,6 +272,7 @@ TopicTable* SqliteWriter::table_of(const Record& record) {
 
 void SqliteWriter::committed() {
   positions_->committed();
+  open_steps_.committed();
   const std::vector<Pruner::Deleted> deleted = pruner_.take_deleted();
   if (has_feeds_.load(std::memory_order_relaxed)) {
     for (const Pruner::Deleted& rows : deleted) positions_->set_deleted_to(rows.table, rows.topic, rows.up_to);
@@ -283,6 +285,7 @@ void SqliteWriter::committed() {
 void SqliteWriter::rolled_back() {
   new_views_.clear();
   positions_->rolled_back();
+  open_steps_.rolled_back();
   sums_.clear();
 }
 

@@ -118,6 +118,7 @@ class SqliteWriter final : public RecordingWriter {
   std::int64_t run_ = 0;  // 0: none has begun
   std::vector<std::string> remarks_;
   detail::EscapedTexts no_utf8_{"it is kept as it is, as a BLOB"};
+  OpenSteps open_steps_;
   TopicTables tables_;
   NewUtcViews new_views_;
   std::map<std::uint32_t, Error> untaken_;  // topics whose tables cannot be made

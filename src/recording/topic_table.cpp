@@ -74,19 +74,6 @@ void add_columns(Database& database, const std::string& name, const Description&
   }
 }
 
-/// In the order of the table's columns, which is another one when a later run has added some.
-std::vector<const Leaf*> leaves_in_order(const Database& database, const std::string& name,
-                                         const Description& description) {
-  auto columns = columns_of(database, name);
-  std::vector<const Leaf*> leaves;
-  for (const std::string& column : columns) {
-    for (const Leaf& leaf : description.leaves()) {
-      if (leaf.path == column) leaves.push_back(&leaf);
-    }
-  }
-  return leaves;
-}
-
 /// Binds a value and hashes the form in which SQLite returns it.
 void bind_value(sqlite3_stmt* statement, int index, const Leaf& leaf, const Value& value, RowHash& hash) {
   struct Binder {
@@ -155,8 +142,20 @@ Result<void> check_columns(std::string_view topic, const Description& descriptio
                "a table has at most " + std::to_string(most_columns) + " columns: split it"};
 }
 
+std::vector<const Leaf*> leaves_in_order(const Database& database, std::string_view table,
+                                         const Description& description) {
+  auto columns = columns_of(database, table);
+  std::vector<const Leaf*> leaves;
+  for (const std::string& column : columns) {
+    for (const Leaf& leaf : description.leaves()) {
+      if (leaf.path == column) leaves.push_back(&leaf);
+    }
+  }
+  return leaves;
+}
+
 TopicTable TopicTable::prepare(Database& database, const SlotInfo& slot, std::int64_t run,
-                               detail::EscapedTexts& no_utf8, AccountSums& sums, NewUtcViews& views) {
+                               detail::EscapedTexts& no_utf8, AccountSums& sums, NewUtcViews& views, OpenSteps* steps) {
   const Description& description = *slot.description;
   check_columns(slot.topic, description).or_throw();
   auto known = database.prepare(
@@ -206,6 +205,9 @@ TopicTable TopicTable::prepare(Database& database, const SlotInfo& slot, std::in
   table.topic_ = slot.topic;
   table.run_ = run;
   auto order = leaves_in_order(database, name, description);
+  if (!widen.empty()) StepTables::add_columns(database, name, order);
+  if (steps != nullptr && StepTables::has_steps(order))
+    table.steps_ = std::make_unique<StepTables>(database, sums, *steps, name, run, order);
   // After any failure the batch is rolled back and repeated, so OR ROLLBACK saves SQLite a journal for each statement.
   // The order of the table's columns avoids moving values twice.
   std::string into = "INSERT OR ROLLBACK INTO " + quoted(name) + "(run, time, origin, sequence";
@@ -332,6 +334,7 @@ void TopicTable::insert(const Record& record) {
     run(many_);
   }
   pending_.push_back(record);
+  if (steps_ != nullptr) steps_->add(record);
 }
 
 void TopicTable::flush() {
@@ -347,6 +350,7 @@ void TopicTable::flush() {
   }
   pending_.clear();
   sum_ = 0;
+  if (steps_ != nullptr) steps_->flush();
 }
 
 }  // namespace rtdata::sqlite

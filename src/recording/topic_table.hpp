@@ -2,12 +2,14 @@
 #pragma once
 
 #include <cstdint>
+#include <memory>
 #include <span>
 #include <string>
 #include <vector>
 
 #include "recording/account_sums.hpp"
 #include "recording/database.hpp"
+#include "recording/step_tables.hpp"
 #include "recording/utc_line.hpp"
 #include "rtdata/data/description.hpp"
 #include "rtdata/sinks/sink.hpp"
@@ -18,14 +20,18 @@ namespace rtdata::sqlite {
 /// Checks that a table can have a column for each value. Errors: bad-description.
 Result<void> check_columns(std::string_view topic, const Description& description);
 
+/// In the order of the table's columns, which is another one than theirs when a later run has added some.
+std::vector<const Leaf*> leaves_in_order(const Database& database, std::string_view table,
+                                         const Description& description);
+
 class TopicTable {
  public:
   /// Within a transaction: finds the table for this description. A table with only the first fields gets the missing
   /// columns; otherwise makes a new table. Errors: those of the database, bad-name. `no_utf8` counts texts that are not
   /// UTF-8 and must outlive the table. `sums` gets changes of rtdata_topic. Adds the view of a new table to `views`,
-  /// which must be made in the same transaction.
+  /// which must be made in the same transaction. `steps`: null if none are recorded.
   static TopicTable prepare(Database& database, const SlotInfo& slot, std::int64_t run, detail::EscapedTexts& no_utf8,
-                            AccountSums& sums, NewUtcViews& views);
+                            AccountSums& sums, NewUtcViews& views, OpenSteps* steps);
 
   /// Inserts the record, at the latest with `flush`: its payload must live until then.
   void insert(const Record& record);
@@ -61,6 +67,7 @@ class TopicTable {
   Insert one_;
   Insert many_;
   std::vector<Record> pending_;
+  std::unique_ptr<StepTables> steps_;  // null: there are none
   std::int64_t last_rowid_ = 0;
 };
 

@@ -15,6 +15,7 @@
 #include "recording/recording_lock.hpp"
 #include "recording/utc_line.hpp"
 #include "recording/verify_run.hpp"
+#include "recording/verify_steps.hpp"
 #include "recording/verify_sums.hpp"
 
 namespace rtdata {
@@ -114,6 +115,7 @@ void scan_rows(const RecordingFile& file, const RecordedTopic& topic, RunsRows& 
   auto statement = file.prepare("SELECT t._rowid_, t.* FROM " + sqlite::quoted(topic.table) + " t ORDER BY t._rowid_");
   OriginRows* current = nullptr;
   ValueSums sums(topic.table);
+  StepCheck steps(file, topic, runs, problems);
   std::map<std::int64_t, std::uint64_t> strays;  // rows of runs that are not there
   std::unordered_map<std::string, OriginRows*> known;
   std::int64_t known_run = 0;
@@ -158,7 +160,9 @@ void scan_rows(const RecordingFile& file, const RecordedTopic& topic, RunsRows& 
       current = found;
     }
     current->add(statement.integer(0), statement.integer(2), sequence);
+    steps.add(statement.raw(), 1, *current);
   }
+  steps.end();
   if (sums.rest() != 0)
     problems.push_back(
         topic.topic + ": " + plural(sums.rest(), "row") +
@@ -261,6 +265,7 @@ VerifyReport verify_contents(const Recording& recording) {
       origin.may_begin_early = !is_account_known(info);
       if (is_ended && info.ended) origin.latest = to_nanoseconds(later(*info.ended, tolerance));
       origin.is_first_carried = entry.carried != 0;
+      origin.steps_from = {entry.seconds_from, entry.minutes_from};
       if (has_ticks && TickCheck::is_held(entry)) {
         const std::string key = origin_key(entry.topic, entry.origin);
         origin.ticks.emplace(entry, of_run.segments(key), of_run.gaps_in(key), of_run.line);

@@ -1,12 +1,14 @@
 // Parts of verify: scanning the rows, and comparing them with one run's account.
 #pragma once
 
+#include <array>
 #include <map>
 #include <optional>
 #include <string>
 #include <string_view>
 #include <unordered_map>
 
+#include "recording/step.hpp"
 #include "recording/verify_ticks.hpp"
 #include "rtdata/recording/verify.hpp"
 
@@ -31,7 +33,8 @@ struct OriginRows {
   std::int64_t earliest = INT64_MIN, latest = INT64_MAX;
   bool is_first_carried = false;  // its read was under way when the recording began
   bool may_begin_early = false;   // so may more of them have been, where a tier hung
-  std::uint64_t rows = 0;         // up to account_ends
+  std::array<std::uint64_t, sqlite::step_lengths.size()> steps_from{};  // as in the ledger
+  std::uint64_t rows = 0;                                               // up to account_ends
   std::uint64_t rows_after = 0;
   std::uint64_t first_sequence = 0, last_sequence = 0;
   std::int64_t last_time = INT64_MIN;

@@ -1,7 +1,9 @@
-// checksum: what the checksum of a row costs of all that storing it does. verify_rows: what verifying a row costs.
+// checksum: what the checksum of a row costs of all that storing it does. steps_stored: what a row costs with the steps
+// beside it, over one without. verify_rows: what verifying a row costs.
 #include <array>
 #include <chrono>
 #include <string>
+#include <vector>
 
 #include "harness.hpp"
 
@@ -40,6 +42,25 @@ double stored_row(const std::string& path) {
   });
   const std::int64_t begin = process_cpu_ns();
   loop.advance(10ms * (rows / rows_at_once));
+  const std::int64_t end = process_cpu_ns();
+  ticker.close();
+  loop.close();
+  return static_cast<double>(end - begin) / rows;
+}
+
+/// CPU time a row of eight sensors at `rate`, in virtual time, with all that a second's transaction writes beside them.
+double sensors_row(const std::string& path, rtdata::Rate rate, bool has_steps) {
+  rtdata::Loop loop{rtdata::Loop::Manual{}};
+  rtdata::SqliteSink sink(loop, {.path = path, .steps = has_steps});
+  std::vector<rtdata::Feed<Eight>> feeds;
+  for (const char* name : {"a", "b", "c", "d", "e", "f", "g", "h"})
+    feeds.emplace_back(loop, rtdata::FeedConfig{.name = name});
+  unsigned i = 0;
+  rtdata::Ticker ticker(loop, rate.period(), [&](const rtdata::Tick&) {
+    for (rtdata::Feed<Eight>& feed : feeds) feed.publish(reading(i++));
+  });
+  const std::int64_t begin = process_cpu_ns();
+  loop.advance(rate.period() * (rows / feeds.size()));
   const std::int64_t end = process_cpu_ns();
   ticker.close();
   loop.close();
@@ -124,6 +145,24 @@ void bench_verify(Report& report) {
         },
         9);
     for (Figure& figure : figures) report.add(figure);
+  }
+  if (report.wants("steps_stored")) {
+    using namespace rtdata::literals;
+    const auto pairs = [&](rtdata::Rate rate) {
+      const auto row = [&](bool has_steps) {
+        const Scratch file(folder, "steps.db");
+        return sensors_row(file.path(), rate, has_steps);
+      };
+      return measure_pair(
+          {.name = "steps_stored", .unit = "ns/row", .reach = 1.1}, [&] { return row(true); },
+          [&] { return row(false); }, 9);
+    };
+    report.add(pairs(1_kHz));
+    for (const rtdata::Rate rate : {100_Hz, 10_Hz}) {
+      const Figure slow = pairs(rate);
+      report.remark("at " + std::to_string(rate.hertz()) + " Hz: " + std::to_string(slow.value) + " against " +
+                    std::to_string(slow.limit) + " ns/row");
+    }
   }
   if (report.wants("verify_rows")) {
     const Scratch file(folder, "verify.db");

@@ -81,6 +81,8 @@ struct LedgerEntry {
   std::uint64_t pruned = 0;
   std::int64_t rows_up_to = 0;            ///< rows after this rowid are newer than the account
   std::vector<std::string> made_of = {};  ///< topics from which its events are made
+  /// The first sequence from which all rows are in recorded steps of a second, and of a minute; 0: none are.
+  std::uint64_t seconds_from = 0, minutes_from = 0;
   std::uint64_t dropped() const noexcept { return dropped_newest + dropped_oldest + dropped_refused + dropped_unsaved; }
 };
 
@@ -361,7 +363,8 @@ class Recording {
   /// has the field "events" and, for each number and bool of the topic, a record of `count`, `min`, `max` and `mean`
   /// over the values that are present and not NaN (the last three are absent if there are none): `min` and `max` in the
   /// number's own kind, for a bool as u8, `mean` a double. Steps without events have no row; with `Gaps::in_place` the
-  /// gaps show the reason. Reads each event once. Errors: bad-name, bad-argument (a step below 1 ns).
+  /// gaps show the reason. Reads each event once, or the recorded steps if `step`, `from` and `until` are whole seconds
+  /// or minutes of recorded time. Errors: bad-name, bad-argument (a step below 1 ns).
   Result<Rows> steps(const RowFilter& filter, Duration step) const;
 
   /// For the other parts of this library.

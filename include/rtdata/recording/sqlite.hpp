@@ -45,6 +45,7 @@ struct SqliteConfig {
   /// 0: no limit, otherwise at least `least_max_bytes`.
   std::uint64_t max_bytes = 0;
   Duration max_age{0};               ///< older rows are deleted and counted as pruned; 0: no limit
+  bool steps = true;                 ///< also records each second and minute of a topic, reduced, beside its rows
   std::string permissions = "0640";  ///< of a new file, minus the umask; an existing file keeps its own
   SinkConfig sink = {};              ///< common settings; default name: the path
 

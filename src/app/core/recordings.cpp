@@ -20,6 +20,8 @@ static constexpr auto parameters(type_tag<SqliteConfig>) {
                 unit("By")),
       parameter("max_age", &SqliteConfig::max_age, "rows older than this are deleted; 0 s: no limit",
                 range(std::chrono::seconds{0}, std::chrono::hours{24 * 36500})),
+      parameter("steps", &SqliteConfig::steps,
+                "beside the rows, each second and minute of a topic reduced to what a picture needs"),
       parameter("permissions", &SqliteConfig::permissions,
                 "permissions of a new file, in octal digits, minus the umask", TextIs::permissions),
       include_member(&SqliteConfig::sink));
