@@ -145,6 +145,10 @@ Action prepare_tail(CLI::App& command) {
       ->expected(0, 65);
   command.add_option("--step", options->step, "One line for each step of so long, such as 1s: least, most, mean")
       ->type_name("DURATION");
+  command
+      .add_option("--from", options->from,
+                  "Begin with what was recorded since then: -10min, or an instant such as 2026-03-01T12:00:00Z")
+      ->type_name("INSTANT");
   add_json(command, options->show_as, "Print the lines of JSON as they come: docs/subscribe.md");
   command.footer(
       "examples:\n  rtdata tail                        all events of the only instance, until Ctrl-C\n"
