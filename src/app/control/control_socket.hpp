@@ -39,7 +39,7 @@ class ControlSocket {
   /// Makes the text of the answer, without the line end, on the socket's own thread.
   using Work = std::function<std::string()>;
   /// Collects the data for the answer on the loop, quickly, and returns the rest as Work. `client` numbers the
-  /// connections from 1.
+  /// connections from 1. Empty Work: `take_over` was called.
   using Answer = std::function<Work(std::uint64_t client, std::string_view line)>;
   using Gone = std::function<void(std::uint64_t client)>;
   /// Opens the socket, and removes sockets of ended processes. SetupError if no folder can be used; the program can run
@@ -52,6 +52,9 @@ class ControlSocket {
   const std::string& path() const noexcept { return path_; }
   /// The client according to the kernel: "uid 1000, pid 4711"; "somebody" after the connection has ended.
   std::string peer_of(std::uint64_t client) noexcept;
+  /// To be called while it is answered: the connection as a descriptor of the caller's, which does not block. The socket
+  /// knows the client no more; what that has sent behind the line is left out. -1: there is no descriptor, and it stays.
+  int take_over(std::uint64_t client) noexcept;
 
  private:
   struct Client;
