@@ -16,7 +16,7 @@
 /// names used twice or not there, payloads that meet on one topic, and files written twice. It can be checked on
 /// another machine than the one that runs it. Relative paths are relative to the working directory.
 ///
-/// Keys of the file: $schema, name, notes, log, loop, tiers, and those of the registry's kinds of parts: buses, sinks,
+/// Keys of the file: $schema, name, notes, log, control, loop, tiers, and those of the registry's kinds of parts: buses, sinks,
 /// sensors. Ids of problems, beside those of problem.hpp: bad-name, cannot-record, cannot-resolve, cannot-write,
 /// description-differs, duplicate-name, duplicate-path, not-recorded, unknown-bus, unknown-sensor, unknown-sink,
 /// unknown-tier, unknown-topic, uses-itself, wrong-part; of warnings: in-memory, late-readings, loses-data,
@@ -72,6 +72,17 @@ struct LogSettings {
   friend void check_config(const LogSettings& settings, const ConfigItem& item, Problems& problems);
 };
 
+/// What others may ask of a running program (`rtdata top`, `rtdata ctl`, `rtdata tail`).
+struct ControlSettings {
+  unsigned readers = 32;  ///< of events, at a time; 0: nobody reads them
+
+  friend constexpr auto parameters(type_tag<ControlSettings>) {
+    return parameter_list(parameter("readers", &ControlSettings::readers,
+                                    "how many may read events at a time, such as `rtdata tail`; 0: none",
+                                    range(0, 1000)));
+  }
+};
+
 /// What a file says of the main loop, in `loop`.
 constexpr auto parameters(type_tag<Loop::Config>) {
   using namespace std::chrono_literals;
@@ -122,6 +133,7 @@ struct SystemSettings {
   std::string name = {};
   std::string notes = {};
   LogSettings log = {};
+  ControlSettings control = {};
   Loop::Config loop = {};
   std::map<std::string, TierSettings> tiers = {};
 
@@ -133,6 +145,7 @@ struct SystemSettings {
                   TextIs::name),
         parameter("notes", &SystemSettings::notes, "anything worth knowing, kept in recordings", TextIs::recorded),
         parameter("log", &SystemSettings::log, "the log file"),
+        parameter("control", &SystemSettings::control, "what others may ask of the running program"),
         parameter("loop", &SystemSettings::loop, "settings of the loop"),
         parameter("tiers", &SystemSettings::tiers,
                   "loops on threads of their own, by name; sensors name theirs as `tier`"));

@@ -189,6 +189,11 @@ std::string ControlSocket::peer_of(std::uint64_t number) noexcept {
   return "uid " + std::to_string(peer->uid) + ", pid " + std::to_string(peer->pid);
 }
 
+int ControlSocket::take_over(std::uint64_t number) noexcept {
+  Client* const client = find(number);
+  return client != nullptr ? ::fcntl(client->fd(), F_DUPFD_CLOEXEC, 0) : -1;
+}
+
 void ControlSocket::listen() {
   std::string why;
   for (const std::string& folder : folders()) {
@@ -308,7 +313,8 @@ bool ControlSocket::answer_next(Client& client) {
   client.is_answered = true;
   client.last_asked = loop_.now();
   uv_read_stop(client.stream());
-  return lane_.submit(std::make_shared<Job>(*this, client.number, answer_(client.number, line)));
+  Work work = answer_(client.number, line);
+  return work && lane_.submit(std::make_shared<Job>(*this, client.number, std::move(work)));
 }
 
 void ControlSocket::answered(std::uint64_t number, std::string text) {

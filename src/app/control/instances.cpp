@@ -68,6 +68,11 @@ Error instance_does_not_answer() {
           "see whether it is stopped, its loop is held, or the machine is busy"};
 }
 
+bool is_instance(const std::string& word) {
+  const std::vector<Found> instances = find_instances(word);
+  return std::any_of(instances.begin(), instances.end(), [&](const Found& one) { return one.matches(word); });
+}
+
 std::optional<FoundInstance> choose_instance(const std::string& wanted, const char* command, int& status) {
   status = exit_other;
   std::vector<Found> instances = find_instances(wanted);

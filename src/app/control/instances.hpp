@@ -30,6 +30,9 @@ struct FoundInstance {
 /// may not have sent yet. None: why was printed, and `status` is what the program is to exit with.
 std::optional<FoundInstance> choose_instance(const std::string& wanted, const char* command, int& status);
 
+/// Whether a running instance has this name or pid.
+bool is_instance(const std::string& word);
+
 Error instance_does_not_answer();
 
 }  // namespace rtdata::app

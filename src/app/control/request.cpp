@@ -20,21 +20,26 @@ std::string refusal_of(std::string_view line) {
   if (request.is_discarded() || !request.is_object()) return "a request is an object of JSON on one line";
   const auto what = request.find("request");
   if (what == request.end() || !what->is_string()) return "it has no \"request\"";
-  if (const Json version = request.value("version", Json(Status::newest)); version > Status::newest)
-    return "it is asked in version " + version.dump(-1, ' ', false, Json::error_handler_t::replace) +
-           " of the protocol, and knows up to " + std::to_string(Status::newest) +
-           ": use the program that it was started with";
+  if (std::string why = refusal_of_version(request); !why.empty()) return why;
   if (*what == "command") return "the \"words\" of a command are a list of texts, which is not empty";
   if (*what != "status")
-    return "there is no request \"" + what->get<std::string>() + "\"; there is \"status\" and \"command\"";
+    return "there is no request \"" + what->get<std::string>() + "\"; there are \"status\", \"command\" and \"subscribe\"";
   return {};
+}
+
+std::string refusal_of_version(const Json& request) {
+  const Json version = request.value("version", Json(Status::newest));
+  if (version <= Status::newest) return {};
+  return "it is asked in version " + version.dump(-1, ' ', false, Json::error_handler_t::replace) +
+         " of the protocol, and knows up to " + std::to_string(Status::newest) +
+         ": use the program that it was started with";
 }
 
 std::vector<std::string> command_words(std::string_view line) {
   const Json request = Json::parse(line, nullptr, false);
   std::vector<std::string> words;
   if (!request.is_object() || !request.contains("request") || request["request"] != "command") return words;
-  if (request.value("version", Json(Status::newest)) > Status::newest) return words;
+  if (!refusal_of_version(request).empty()) return words;
   const auto given = request.find("words");
   if (given == request.end() || !given->is_array()) return words;
   for (const Json& word : *given) {

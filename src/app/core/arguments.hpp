@@ -52,6 +52,7 @@ Action prepare_types(CLI::App& command);
 Action prepare_explain(CLI::App& command);
 Action prepare_top(CLI::App& command);
 Action prepare_ctl(CLI::App& command);
+Action prepare_tail(CLI::App& command);
 Action prepare_bench(CLI::App& command);
 Action prepare_scan(CLI::App& command);
 Action prepare_doctor(CLI::App& command);

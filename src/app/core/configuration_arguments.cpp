@@ -137,6 +137,25 @@ Action prepare_top(CLI::App& command) {
   };
 }
 
+Action prepare_tail(CLI::App& command) {
+  const auto options = std::make_shared<TailOptions>();
+  command
+      .add_option("WORDS", options->words,
+                  "[NAME|PID] [TOPIC ...]: an instance when several run, and topics or patterns such as room/#")
+      ->expected(0, 65);
+  command.add_option("--step", options->step, "One line for each step of so long, such as 1s: least, most, mean")
+      ->type_name("DURATION");
+  add_json(command, options->show_as, "Print the lines of JSON as they come: docs/subscribe.md");
+  command.footer(
+      "examples:\n  rtdata tail                        all events of the only instance, until Ctrl-C\n"
+      "  rtdata tail bench pressure/#       of these topics of the instance called bench\n"
+      "  rtdata tail --step 1s --json       for programs");
+  return [options](const Registry&) {
+    const WrappedOutput errors(std::cerr, STDERR_FILENO);
+    return tail(*options);
+  };
+}
+
 Action prepare_ctl(CLI::App& command) {
   const auto words = std::make_shared<std::vector<std::string>>();
   command.add_option("WORDS", *words, "[NAME|PID] COMMAND ...: an instance when several run, and a command")

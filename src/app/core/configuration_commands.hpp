@@ -3,6 +3,7 @@
 
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "app/core/show_as.hpp"
 #include "rtdata/config/registry.hpp"
@@ -69,6 +70,14 @@ int top(const TopOptions& options);
 int ctl(const std::vector<std::string>& words);
 /// The commands, a line each.
 std::string ctl_help();
+
+struct TailOptions {
+  std::vector<std::string> words;  ///< the first may be an instance, by name or pid; the others are topics or patterns
+  std::string step;                ///< a duration; empty: each event
+  ShowAs show_as = ShowAs::text;
+};
+/// Prints events as they come, a line each.
+int tail(const TailOptions& options);
 
 struct ScanOptions {
   std::string root;    ///< a copy of another machine's /proc, /sys, /etc, /dev; empty: this machine

@@ -54,6 +54,7 @@ constexpr Command commands[] = {
     {"init", "Write a starter file for this machine, ready to run", app::prepare_init},
     {"run", "Run a configuration; Ctrl-C ends it and stores what is queued", app::prepare_run},
     {"top", "Look at a running instance: rates, lateness, losses, sinks", app::prepare_top},
+    {"tail", "Print events of a running instance as they come", app::prepare_tail},
     {"ctl", "Command a running instance: rates, alarms, notes, reload", app::prepare_ctl},
     {"scan", "List the devices of this machine, with lines to paste", app::prepare_scan},
     {"doctor", "Say what of this machine costs timing or data, and what to do", app::prepare_doctor},

@@ -10,6 +10,7 @@
 #include "app/control/account.hpp"
 #include "app/control/commands.hpp"
 #include "app/control/control_socket.hpp"
+#include "app/control/readers.hpp"
 #include "app/control/request.hpp"
 #include "app/control/status_source.hpp"
 #include "app/core/configuration_commands.hpp"
@@ -113,9 +114,11 @@ class Run {
     System system(loop, registry_, plan);
     StatusSource status(loop, status_info(plan, system));
     status_ = &status;
+    Readers readers(loop, loop.core().runtime.run_uuid(), plan.settings.control.readers);
     Reload reload(loop, system, registry_, options_, console_,
                   {[this] { return is_closing_; },
                    [&](const SystemPlan& next) {
+                     readers.set_most(next.settings.control.readers);
                      note_sinks(next);
                      if (console_.leaves_stdout()) console_.close_view();
                      status.set(status_info(next, system));
@@ -130,7 +133,7 @@ class Run {
       console_.say(done ? LogLevel::info : LogLevel::warning, "command", text);
     });
     std::optional<ControlSocket> control;
-    open_control(control, loop, reload, status, desk);
+    open_control(control, loop, reload, status, readers, desk);
     tell_start(plan);
 
     console_.open_view();
@@ -260,9 +263,26 @@ class Run {
     ::_exit(exit_other);
   }
 
+  /// A reader's connection goes over to those; else why not.
+  static ControlSocket::Work serve_reader(ControlSocket& control, Readers& readers, std::uint64_t client,
+                                          std::string_view line) {
+    Result<StreamRequest> request = stream_request(line);
+    std::string why = request ? readers.refusal() : request.error().why;
+    if (why.empty()) {
+      const int fd = control.take_over(client);
+      if (fd >= 0) {
+        readers.add(fd, *std::move(request));
+        return {};
+      }
+      why = "the program has no descriptor left";
+    }
+    return [why = std::move(why)] { return answer_line("error", why); };
+  }
+
   void open_control(std::optional<ControlSocket>& control, Loop& loop, Reload& reload, StatusSource& status,
-                    CommandDesk& desk) {
+                    Readers& readers, CommandDesk& desk) {
     const auto answer = [&, this](std::uint64_t client, std::string_view line) -> ControlSocket::Work {
+      if (asks_for_events(line)) return serve_reader(*control, readers, client, line);
       const std::vector<std::string> words = command_words(line);
       if (words.empty()) return status.answer(client, line);
       const std::string by = control->peer_of(client);

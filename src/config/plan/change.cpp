@@ -32,12 +32,15 @@ std::vector<std::string> differing_keys(const ConfigItem& now, const ConfigItem&
 void compare_settings(const ConfigItem& now, const ConfigItem& next, std::vector<PartChange>& changes) {
   const auto compare_one = [&](const std::string& key) {
     const bool is_kept = key == "notes" || key == "$schema";
-    if (!is_kept && key != "name" && key != "loop" && key != "log") return;  // of parts
+    const bool is_live = key == "control";
+    if (!is_kept && !is_live && key != "name" && key != "loop" && key != "log") return;  // of parts
     const ConfigItem* const before = child_of(now, key);
     const ConfigItem* const after = child_of(next, key);
     if (before != nullptr && after != nullptr && *before == *after) return;
     if (is_kept) {
       changes.push_back({key, Fate::live, "kept with the text"});
+    } else if (is_live) {
+      changes.push_back({key, Fate::live, "from the next one on"});
     } else {
       changes.push_back({key, Fate::refused, "the program is started with it; start it again"});
     }

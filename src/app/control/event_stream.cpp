@@ -1,0 +1,371 @@
+#include "app/control/event_stream.hpp"
+
+#include <algorithm>
+#include <array>
+#include <charconv>
+#include <cmath>
+#include <nlohmann/json.hpp>
+#include <variant>
+
+#include "app/control/request.hpp"
+#include "app/control/status.hpp"
+#include "rtdata/loop/runtime.hpp"
+#include "rtdata/loop/topic.hpp"
+
+namespace rtdata::app {
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+constexpr Duration step_grace = std::chrono::milliseconds{100};  // events of other tiers and lanes come a little later
+constexpr Duration silence = std::chrono::seconds{1};
+constexpr Duration shortest_step = std::chrono::milliseconds{1}, longest_step = std::chrono::hours{24};
+
+std::string quoted(std::string_view text) { return Json(text).dump(-1, ' ', false, Json::error_handler_t::replace); }
+
+template <class Number>
+void append_number(std::string& text, Number number) {
+  if constexpr (std::is_floating_point_v<Number>) {
+    if (!std::isfinite(number)) {
+      text += std::isnan(number) ? "\"NaN\"" : number > 0 ? "\"Infinity\"" : "\"-Infinity\"";
+      return;
+    }
+  }
+  std::array<char, 32> digits;
+  text.append(digits.data(), std::to_chars(digits.data(), digits.data() + digits.size(), number).ptr);
+}
+
+bool is_number(Kind kind) noexcept {
+  return kind != Kind::text && kind != Kind::character && kind != Kind::enumeration && kind != Kind::record;
+}
+
+/// None: it is absent, or NaN.
+std::optional<double> number_of(const Leaf& leaf, const std::byte* payload) {
+  const Value value = read(leaf, payload);
+  if (const auto* const real = std::get_if<double>(&value))
+    return std::isnan(*real) ? std::nullopt : std::optional(*real);
+  if (const auto* const number = std::get_if<std::int64_t>(&value)) return static_cast<double>(*number);
+  if (const auto* const number = std::get_if<std::uint64_t>(&value)) return static_cast<double>(*number);
+  if (const auto* const flag = std::get_if<bool>(&value)) return *flag ? 1 : 0;
+  return std::nullopt;
+}
+
+Error refused(std::string why) { return {Errc::bad_argument, "cannot subscribe", "request", std::move(why), ""}; }
+
+Result<Duration> step_of(const Json& given) {
+  const auto wrong = [&](const std::string& why) { return refused("\"step\" " + given.dump() + ": " + why); };
+  if (!given.is_string()) return wrong("it is a text such as \"100 ms\"");
+  const Result<Duration> step = parse_duration(given.get<std::string>());
+  if (!step) return wrong(step.error().text());
+  if (*step < shortest_step || *step > longest_step)
+    return wrong("it is " + to_string(shortest_step) + " to " + to_string(longest_step));
+  return *step;
+}
+
+Result<std::vector<std::string>> topics_of(const Json& given) {
+  if (!given.is_array() || given.empty() || given.size() > StreamRequest::most_topics)
+    return refused("\"topics\" is a list of 1 to " + std::to_string(StreamRequest::most_topics) + " patterns");
+  std::vector<std::string> topics;
+  for (const Json& one : given) {
+    if (!one.is_string() || !is_topic_pattern(one.get_ref<const std::string&>()))
+      return refused(one.dump(-1, ' ', false, Json::error_handler_t::replace) +
+                     " is neither a topic nor a pattern, such as \"room/+\" or \"room/#\"");
+    topics.push_back(one.get<std::string>());
+  }
+  return topics;
+}
+
+}  // namespace
+
+// ---- requests
+
+bool StreamRequest::takes(std::string_view topic) const noexcept {
+  return topic == health_topic ||
+         std::any_of(topics.begin(), topics.end(), [&](const auto& one) { return topic_matches(one, topic); });
+}
+
+bool asks_for_events(std::string_view line) {
+  const Json request = Json::parse(line, nullptr, false);
+  if (!request.is_object()) return false;
+  const auto what = request.find("request");
+  return what != request.end() && *what == "subscribe";
+}
+
+Result<StreamRequest> stream_request(std::string_view line) {
+  StreamRequest request;
+  const Json given = Json::parse(line, nullptr, false);
+  if (!given.is_object()) return refused("a request is an object of JSON on one line");
+  if (std::string why = refusal_of_version(given); !why.empty()) return refused(std::move(why));
+  for (const auto& [key, value] : given.items()) {
+    if (key == "request" || key == "version") continue;
+    if (key == "topics") {
+      auto topics = topics_of(value);
+      if (!topics) return std::move(topics).error();
+      request.topics = *std::move(topics);
+    } else if (key == "step") {
+      const auto step = step_of(value);
+      if (!step) return step.error();
+      request.step = *step;
+    } else {
+      return refused("there is no \"" + key + "\"; there is \"topics\" and \"step\"");
+    }
+  }
+  return request;
+}
+
+// ---- origins, lines
+
+const StreamOrigin& StreamOrigins::of(const PackedEvent& event) {
+  const auto known = all_.find(event.key());
+  if (known != all_.end()) return known->second;
+  StreamOrigin made{all_.size(), std::string(event.topic()), quoted(event.topic()), quoted(event.origin())};
+  return all_.emplace(std::string(event.key()), std::move(made)).first->second;
+}
+
+std::string_view EventLine::text() {
+  if (line_.empty()) {
+    const EventHeader header = event_->header();
+    const EventView view(event_->topic(), header, *event_->description, {event_->payload(), event_->payload_bytes});
+    if (!codec_->encode(view, line_)) return {};
+  }
+  return {reinterpret_cast<const char*>(line_.data()), line_.size()};
+}
+
+// ---- steps
+
+void StepSums::begin(const PackedEvent& event, Time from, Time until) {
+  if (description_ != event.description) {
+    description_ = event.description;
+    leaves_.clear();
+    for (const Leaf& leaf : description_->leaves())
+      if (is_number(leaf.kind)) leaves_.push_back(&leaf);
+  }
+  numbers_.assign(leaves_.size(), {});
+  from_ = from;
+  until_ = until;
+  count_ = 0;
+  first_ = event.sequence;
+  add(event);
+}
+
+void StepSums::add(const PackedEvent& event) {
+  ++count_;
+  last_ = event.sequence;
+  for (std::size_t i = 0; i < leaves_.size(); ++i) {
+    const auto value = number_of(*leaves_[i], event.payload());
+    if (!value) continue;
+    Number& number = numbers_[i];
+    ++number.count;
+    number.least = number.count == 1 ? *value : std::min(number.least, *value);
+    number.most = number.count == 1 ? *value : std::max(number.most, *value);
+    number.mean += (*value - number.mean) / static_cast<double>(number.count);
+    number.last = *value;
+  }
+}
+
+void StepSums::add(const StepSums& later) {
+  until_ = later.until_;
+  last_ = later.last_;
+  count_ += later.count_;
+  for (std::size_t i = 0; i < numbers_.size(); ++i) {
+    const Number& from = later.numbers_[i];
+    Number& to = numbers_[i];
+    if (from.count == 0) continue;
+    to.least = to.count == 0 ? from.least : std::min(to.least, from.least);
+    to.most = to.count == 0 ? from.most : std::max(to.most, from.most);
+    to.count += from.count;
+    to.mean += (from.mean - to.mean) * (static_cast<double>(from.count) / static_cast<double>(to.count));
+    to.last = from.last;
+  }
+}
+
+void StepSums::append_to(std::string& text, const StreamOrigin& origin) const {
+  text.append("{\"topic\":").append(origin.quoted_topic).append(",\"time\":");
+  append_number(text, to_nanoseconds(from_));
+  text += ",\"until\":";
+  append_number(text, to_nanoseconds(until_));
+  text.append(",\"origin\":").append(origin.quoted_origin).append(",\"sequence\":[");
+  append_number(text, first_);
+  text += ',';
+  append_number(text, last_);
+  text += "],\"count\":";
+  append_number(text, count_);
+  text += ",\"data\":{";
+  for (std::size_t i = 0; i < leaves_.size(); ++i) {
+    const Number& number = numbers_[i];
+    text.append(i == 0 ? "\"" : ",\"").append(leaves_[i]->path).append("\":{\"count\":");
+    append_number(text, number.count);
+    if (number.count > 0) {
+      const auto add = [&](const char* key, double value) {
+        text += key;
+        append_number(text, value);
+      };
+      add(",\"least\":", number.least);
+      add(",\"most\":", number.most);
+      add(",\"mean\":", number.mean);
+      add(",\"last\":", number.last);
+    }
+    text += '}';
+  }
+  text += "}}\n";
+}
+
+// ---- the stream
+
+EventStream::EventStream(StreamRequest request, std::string_view run) : request_(std::move(request)) {
+  const Json told{{"subscribed", request_.topics}, {"version", Status::newest}, {"run", run}};
+  text_ = told.dump() + "\n";
+}
+
+EventStream::State& EventStream::state_of(const StreamOrigin& origin) {
+  if (origin.index >= states_.size()) states_.resize(origin.index + 1);
+  State& state = states_[origin.index];
+  if (!state.is_known) {
+    state.is_known = true;
+    state.is_taken = request_.takes(origin.topic);
+    state.origin = &origin;
+  }
+  return state;
+}
+
+void EventStream::take(const PackedEvent& event, const StreamOrigin& origin, EventLine& line) {
+  State& state = state_of(origin);
+  if (!state.is_taken || event.sequence <= state.last) return;
+  const bool is_event = event.description != nullptr;
+  const std::uint64_t before = event.sequence - (is_event ? 1 : 0);  // up to which all should have come
+  if (state.last != 0 && before > state.last) {
+    drop(origin, before - state.last);
+  } else if (!is_event) {
+    drop(origin, 1);  // at least
+  }
+  state.last = event.sequence;
+  if (!is_event) return;
+  if (request_.step > Duration{0} && origin.topic != health_topic) {
+    add_to_step(state, event);
+  } else if (is_behind_) {
+    drop(origin, 1);
+    hold(state, event);
+  } else {
+    tell_units(state, *event.description);
+    text_ += line.text();
+    has_new_lines_ = true;
+    look_whether_behind();
+  }
+}
+
+void EventStream::tell_units(State& state, const Description& description) {
+  if (std::exchange(state.has_units, true)) return;
+  if (!units_told_.insert(state.origin->quoted_topic).second) return;
+  Json units = Json::object();
+  for (const Leaf& leaf : description.leaves()) units[leaf.path] = leaf.unit;
+  text_ += "{\"units\":" + units.dump(-1, ' ', false, Json::error_handler_t::replace) +
+           ",\"of\":" + state.origin->quoted_topic + "}\n";
+}
+
+void EventStream::drop(const StreamOrigin& origin, std::uint64_t count) {
+  if (is_behind_) {
+    dropped_[origin.quoted_topic] += count;
+  } else {
+    tell_dropped(origin.quoted_topic, count);
+  }
+}
+
+void EventStream::tell_dropped(const std::string& quoted_topic, std::uint64_t count) {
+  text_ += "{\"dropped\":" + std::to_string(count) + ",\"of\":" + quoted_topic + "}\n";
+  has_new_lines_ = true;
+  look_whether_behind();
+}
+
+void EventStream::add_to_step(State& state, const PackedEvent& event) {
+  const std::int64_t length = request_.step.count();
+  const std::int64_t past = event.time % length;
+  const Time from = from_nanoseconds(event.time - (past < 0 ? past + length : past));
+  if (!state.step.is_empty() && (state.step.from() != from || state.step.description() != event.description))
+    give_step(state);
+  if (!state.step.is_empty()) return state.step.add(event);
+  state.step.begin(event, from, from + request_.step);
+  next_end_ = std::min(next_end_, state.step.until());
+}
+
+void EventStream::give_step(State& state) {
+  if (!is_behind_) {
+    tell_units(state, *state.step.description());
+    state.step.append_to(text_, *state.origin);
+    has_new_lines_ = true;
+    look_whether_behind();
+  } else {
+    drop(*state.origin, 1);
+    if (state.held.is_empty() || state.held.description() != state.step.description()) {
+      state.held = state.step;
+    } else {
+      state.held.add(state.step);
+    }
+  }
+  state.step.clear();
+}
+
+void EventStream::hold(State& state, const PackedEvent& event) {
+  const Time time = from_nanoseconds(event.time);
+  if (state.held.is_empty() || state.held.description() != event.description) {
+    state.held.begin(event, time, time + Duration{1});
+  } else {
+    state.held.add(event);
+    state.held.extend(time + Duration{1});
+  }
+}
+
+void EventStream::turn(Time now) {
+  if (now >= next_end_ + step_grace) {
+    next_end_ = Time::max();
+    for (State& state : states_) {
+      if (state.step.is_empty()) continue;
+      if (now >= state.step.until() + step_grace) {
+        give_step(state);
+      } else {
+        next_end_ = std::min(next_end_, state.step.until());
+      }
+    }
+  }
+  if (is_behind_ && text_.size() - sent_ <= most_bytes / 4) catch_up();
+  if (std::exchange(has_new_lines_, false)) last_line_ = now;
+  if (!is_behind_ && now - last_line_ >= silence) {
+    text_ += "{\"now\":" + std::to_string(to_nanoseconds(now)) + "}\n";
+    last_line_ = now;
+  }
+}
+
+void EventStream::catch_up() {
+  is_behind_ = false;
+  const auto dropped = std::exchange(dropped_, {});
+  for (const auto& [topic, count] : dropped) {
+    text_ += "{\"dropped\":" + std::to_string(count) + ",\"of\":" + topic + "}\n";
+  }
+  for (State& state : states_) {
+    if (state.held.is_empty()) continue;
+    tell_units(state, *state.held.description());
+    state.held.append_to(text_, *state.origin);
+    state.held.clear();
+  }
+  has_new_lines_ = true;
+  look_whether_behind();
+}
+
+void EventStream::end(std::string_view why) {
+  for (State& state : states_)
+    if (!state.step.is_empty()) give_step(state);
+  if (is_behind_) catch_up();
+  text_ += Json{{"ended", why}}.dump() + "\n";
+}
+
+void EventStream::sent(std::size_t bytes) {
+  sent_ += bytes;
+  if (sent_ == text_.size()) {
+    text_.clear();
+    sent_ = 0;
+  } else if (sent_ > most_bytes) {
+    text_.erase(0, sent_);
+    sent_ = 0;
+  }
+}
+
+}  // namespace rtdata::app

@@ -1,0 +1,146 @@
+// A stream of events as lines of JSON, for one reader: what docs/subscribe.md describes.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <map>
+#include <memory>
+#include <optional>
+#include <set>
+#include <string>
+#include <string_view>
+#include <unordered_map>
+#include <vector>
+
+#include "app/control/event_ring.hpp"
+#include "rtdata/data/codec.hpp"
+#include "rtdata/data/error.hpp"
+#include "rtdata/data/time.hpp"
+
+namespace rtdata::app {
+
+/// What a reader asks for.
+struct StreamRequest {
+  static constexpr std::size_t most_topics = 64;
+  std::vector<std::string> topics = {"#"};  ///< patterns
+  Duration step{0};                         ///< 0: each event
+
+  bool takes(std::string_view topic) const noexcept;
+};
+/// Whether a line of the control socket is a request for events.
+bool asks_for_events(std::string_view line);
+/// Errors: bad-argument, whose `why` answers the reader.
+Result<StreamRequest> stream_request(std::string_view line);
+
+/// One origin on one topic.
+struct StreamOrigin {
+  std::size_t index = 0;  ///< among all that the readers know
+  std::string topic;
+  std::string quoted_topic, quoted_origin;  ///< in JSON
+};
+class StreamOrigins {
+ public:
+  const StreamOrigin& of(const PackedEvent& event);
+
+ private:
+  struct Hash {
+    using is_transparent = void;
+    std::size_t operator()(std::string_view text) const noexcept { return std::hash<std::string_view>{}(text); }
+  };
+  std::unordered_map<std::string, StreamOrigin, Hash, std::equal_to<>> all_;
+};
+
+/// The line of one event, made when it is first wanted, for all streams.
+class EventLine {
+ public:
+  void set(const PackedEvent& event) noexcept {
+    event_ = &event;
+    line_.clear();
+  }
+  std::string_view text();
+
+ private:
+  const PackedEvent* event_ = nullptr;
+  const std::unique_ptr<Codec> codec_ = make_json_codec();
+  std::vector<std::byte> line_;
+};
+
+/// Events of one origin, summed up.
+class StepSums {
+ public:
+  bool is_empty() const noexcept { return count_ == 0; }
+  Time from() const noexcept { return from_; }
+  Time until() const noexcept { return until_; }
+  const Description* description() const noexcept { return description_; }
+  /// The first event of a step.
+  void begin(const PackedEvent& event, Time from, Time until);
+  void add(const PackedEvent& event);
+  /// A later step of the same fields becomes part of this one.
+  void add(const StepSums& later);
+  void extend(Time until) noexcept { until_ = until; }
+  void clear() noexcept { count_ = 0; }
+  void append_to(std::string& text, const StreamOrigin& origin) const;
+
+ private:
+  struct Number {
+    std::uint64_t count = 0;
+    double least = 0, most = 0, mean = 0, last = 0;
+  };
+  const Description* description_ = nullptr;
+  Time from_{}, until_{};
+  std::uint64_t count_ = 0, first_ = 0, last_ = 0;
+  std::vector<const Leaf*> leaves_;  // that are numbers
+  std::vector<Number> numbers_;
+};
+
+/// Turns events into the text that one reader is to get. What waits for it is bounded: behind `most_bytes`, events are
+/// counted and summed up until it has read most of that.
+///
+/// Owner and thread: the readers'. Who sends the text says what was sent.
+class EventStream {
+ public:
+  static constexpr std::size_t most_bytes = std::size_t{256} << 10;
+
+  EventStream(StreamRequest request, std::string_view run);
+  void take(const PackedEvent& event, const StreamOrigin& origin, EventLine& line);
+  /// After events came, and from time to time without any: steps that are over, what was left out, a sign of life.
+  void turn(Time now);
+  /// The last line.
+  void end(std::string_view why);
+
+  std::string_view text() const noexcept { return std::string_view(text_).substr(sent_); }
+  void sent(std::size_t bytes);
+
+ private:
+  struct State {
+    bool is_known = false;  // the two below
+    bool is_taken = false;
+    bool has_units = false;  // they were told
+    std::uint64_t last = 0;  // sequence that was given, summed up or told as dropped; 0: none
+    StepSums step;
+    StepSums held;  // of what is left out
+    const StreamOrigin* origin = nullptr;
+  };
+  State& state_of(const StreamOrigin& origin);
+  void tell_units(State& state, const Description& description);
+  void drop(const StreamOrigin& origin, std::uint64_t count);
+  void add_to_step(State& state, const PackedEvent& event);
+  void give_step(State& state);
+  void hold(State& state, const PackedEvent& event);
+  void tell_dropped(const std::string& quoted_topic, std::uint64_t count);
+  void catch_up();
+  void look_whether_behind() noexcept { is_behind_ = is_behind_ || text_.size() - sent_ > most_bytes; }
+
+  const StreamRequest request_;
+  std::vector<State> states_;         // by index of the origin
+  std::set<std::string> units_told_;  // quoted topics
+  std::string text_;
+  std::size_t sent_ = 0;
+  bool is_behind_ = false;
+  std::map<std::string, std::uint64_t> dropped_;  // by quoted topic, while it is behind
+  Time next_end_ = Time::max();                   // of a step
+  Time last_line_{};
+  bool has_new_lines_ = false;
+};
+
+}  // namespace rtdata::app

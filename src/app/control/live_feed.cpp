@@ -1,0 +1,55 @@
+#include "app/control/live_feed.hpp"
+
+#include <algorithm>
+#include <utility>
+
+namespace rtdata::app {
+namespace {
+
+/// Whether what matches `inner` matches `outer`, too.
+bool covers(std::string_view outer, std::string_view inner) {
+  if (outer == inner) return true;
+  return topic_matches(outer, inner) && (!inner.ends_with('#') || outer.ends_with('#'));
+}
+
+}  // namespace
+
+void LiveFeed::bring(const std::string& pattern) {
+  // A wider one is never given up for a narrower one: what it has queued would be lost.
+  const bool is_there = std::any_of(subscriptions_.begin(), subscriptions_.end(),
+                                    [&](const auto& one) { return covers(one.first, pattern); });
+  if (is_there) return;
+  Subscription subscription = loop_.subscribe(pattern, [this](const EventView& event) { take(event); });
+  subscription.set_name("readers");
+  subscriptions_.emplace(pattern, std::move(subscription));
+}
+
+void LiveFeed::end() {
+  subscriptions_.clear();
+  lost_.clear();
+  ring_->has_lost.store(false, std::memory_order_relaxed);
+}
+
+void LiveFeed::take(const EventView& event) {
+  if (!lost_.empty()) tell_lost();
+  // Of an origin that lost some, the loss is told before the next one.
+  if (lost_.empty() && ring_->put(event.topic(), event.header(), &event.description(), event.payload())) return;
+  std::string key = std::string(event.topic()) + '\0' + std::string(event.origin());
+  Lost& lost = lost_[std::move(key)];
+  lost.topic = event.topic();
+  lost.origin = event.origin();
+  lost.time = event.time();
+  lost.sequence = std::max(lost.sequence, event.sequence());
+  ring_->has_lost.store(true, std::memory_order_relaxed);
+}
+
+void LiveFeed::tell_lost() {
+  while (!lost_.empty()) {
+    const Lost& lost = lost_.begin()->second;
+    if (!ring_->put(lost.topic, {lost.time, lost.sequence, lost.origin}, nullptr, {})) return;
+    lost_.erase(lost_.begin());
+  }
+  ring_->has_lost.store(false, std::memory_order_relaxed);
+}
+
+}  // namespace rtdata::app

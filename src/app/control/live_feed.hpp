@@ -1,0 +1,51 @@
+// What is published now, as copies for the thread of the readers.
+#pragma once
+
+#include <atomic>
+#include <map>
+#include <memory>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "app/control/event_ring.hpp"
+#include "rtdata/loop/loop.hpp"
+#include "rtdata/loop/topic.hpp"
+
+namespace rtdata::app {
+
+/// The side of the main loop. While nobody reads it subscribes to nothing. An event costs this loop a copy, however many
+/// read it; one that finds no room is left out, and its number is told with the next of its origin, or when the readers
+/// ask.
+///
+/// Owner: the program; the ring is shared with the readers, who may be late. Thread: the loop's.
+class LiveFeed {
+ public:
+  struct Ring : EventRing {
+    std::atomic<bool> has_lost{false};  ///< something had no room, and is not told yet
+  };
+
+  explicit LiveFeed(Loop& loop) : loop_(loop) {}
+
+  /// From now on it brings these topics, too, until `end`.
+  void bring(const std::string& pattern);
+  void end();
+  /// Tells what had no room, as far as there is room now.
+  void tell_lost();
+  const std::shared_ptr<Ring>& ring() const noexcept { return ring_; }
+
+ private:
+  void take(const EventView& event);
+
+  Loop& loop_;
+  std::shared_ptr<Ring> ring_ = std::make_shared<Ring>();
+  std::map<std::string, Subscription> subscriptions_;  // by pattern
+  struct Lost {
+    std::string topic, origin;
+    Time time{};
+    std::uint64_t sequence = 0;  // of the last one
+  };
+  std::map<std::string, Lost, std::less<>> lost_;  // by topic and origin
+};
+
+}  // namespace rtdata::app

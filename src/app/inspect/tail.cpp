@@ -1,0 +1,74 @@
+#include <unistd.h>
+
+#include <iostream>
+#include <nlohmann/json.hpp>
+#include <string>
+#include <vector>
+
+#include "app/control/instances.hpp"
+#include "app/core/configuration_commands.hpp"
+#include "app/core/terminal_text.hpp"
+#include "app/inspect/event_printer.hpp"
+
+namespace rtdata::app {
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+constexpr Duration answer_limit = std::chrono::seconds{5};
+constexpr Duration longest_silence = std::chrono::seconds{10};  // an instance says something every second
+
+/// Prints what comes until the end of one of the two. The exit status.
+int follow(ControlClient& client, pid_t pid, ShowAs show_as) {
+  EventPrinter printer(columns_of(STDOUT_FILENO));
+  const auto fail = [&](const std::string& why) {
+    std::cout << std::flush;
+    std::cerr << "rtdata: pid " << pid << ": " << why << std::endl;
+    return exit_other;
+  };
+  while (std::cout.good()) {
+    auto line = client.receive(Duration{0});
+    if (line && !*line) {
+      std::cout << std::flush;
+      line = client.receive(longest_silence);
+    }
+    if (!line) return fail(line.error().text());
+    if (!*line) return fail(instance_does_not_answer().text());
+    const std::string& text = **line;
+    if (text.starts_with("{\"error\":")) return fail(Json::parse(text).at("error").get<std::string>());
+    if (show_as == ShowAs::json) {
+      std::cout << text << '\n';
+    } else {
+      std::cout << printer.text(text);
+    }
+    if (text.starts_with("{\"ended\":")) {
+      std::cout << std::flush;
+      std::cerr << "rtdata: pid " << pid << " has ended" << std::endl;
+      return exit_good;
+    }
+  }
+  return exit_good;  // nobody reads what it prints
+}
+
+}  // namespace
+
+int tail(const TailOptions& options) {
+  std::vector<std::string> topics = options.words;
+  std::string instance;
+  if (!topics.empty() && is_instance(topics.front())) {
+    instance = topics.front();
+    topics.erase(topics.begin());
+  }
+  int status = exit_good;
+  std::optional<FoundInstance> found = choose_instance(instance, "tail", status);
+  if (!found) return status;
+  // The status that was asked for comes first.
+  if (!found->answers) (void)found->client->receive(answer_limit);
+  Json request{{"request", "subscribe"}, {"version", Status::newest}};
+  if (!topics.empty()) request["topics"] = topics;
+  if (!options.step.empty()) request["step"] = options.step;
+  found->client->send(request.dump(-1, ' ', false, Json::error_handler_t::replace));
+  return follow(*found->client, found->instance.pid, options.show_as);
+}
+
+}  // namespace rtdata::app
