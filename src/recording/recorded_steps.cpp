@@ -1,5 +1,5 @@
-// Reduces a topic's rows to steps: count, minimum, maximum and mean of each number. Recorded steps of a second or a minute
-// are read instead of the rows where they add up to the steps that are asked for.
+// Reduces a topic's rows to steps: count, minimum, maximum and mean of each number. Recorded steps of a second or a
+// minute are read instead of the rows where they add up to the steps that are asked for.
 #include <algorithm>
 #include <cmath>
 #include <limits>

@@ -100,7 +100,8 @@ std::size_t check_same(const std::string& path, const std::string& of_rows, cons
     for (const Leaf& leaf : row->topic().description->leaves()) {
       const Value a = row->event().value(leaf.path).or_throw(), b = other->event().value(leaf.path).or_throw();
       bool is_same = a == b;
-      if (const double* x = std::get_if<double>(&a); x != nullptr && leaf.path.ends_with(".mean")) {  // rounded otherwise
+      // The mean of recorded steps is rounded differently.
+      if (const double* x = std::get_if<double>(&a); x != nullptr && leaf.path.ends_with(".mean")) {
         const double* const y = std::get_if<double>(&b);
         const auto limit = [&](const char* which) {
           const std::string name = leaf.path.substr(0, leaf.path.size() - 4) + which;
