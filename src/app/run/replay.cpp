@@ -269,7 +269,8 @@ class ReplayRun {
     const std::uint64_t lost = options_.is_virtual ? close_in_virtual_time(loop) : loop.close();
     replayed_ += counts.events;
     const bool has_dropped = report_drops(runtime, counts.dropped);
-    if (failed || counts.refused > 0 || is_stopped_ || lost > 0 || has_dropped) status_ = exit_other;
+    if (counts.refused > 0 || is_stopped_ || lost > 0 || has_dropped) status_ = std::max(status_, exit_other);
+    if (failed) status_ = std::max(status_, status_after(*failed));
   }
 
   const Registry& registry_;
