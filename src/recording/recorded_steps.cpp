@@ -209,8 +209,8 @@ class StepCursor final : public RowCursor {
   /// The same of recorded steps, and of those rows that are in none.
   std::string of_recorded(const sqlite::StepLength& length) {
     std::string sql = "SELECT t.run, " + step_sql() + ", t.origin, sum(t.events), min(t.first), max(t.last)";
-    std::string recorded =
-        "SELECT t.run, t.time, t.origin, t.events, t.first_sequence AS first, t.last_sequence AS last";
+    std::string
+        recorded = "SELECT t.run, t.time, t.origin, t.events, t.first_sequence AS first, t.last_sequence AS last";
     std::string rows = "SELECT t.run, t.time, t.origin, 1, t.sequence, t.sequence";
     for (std::size_t i = 0; i < leaves_.size(); ++i) {
       const OfLeaf of(*leaves_[i]);

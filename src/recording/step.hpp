@@ -24,8 +24,8 @@ struct StepLength {
   std::string_view text;
 };
 inline constexpr std::size_t seconds = 0, minutes = 1;
-inline constexpr std::array<StepLength, 2> step_lengths = {{{1'000'000'000, "~1s", "seconds_from", "1 s"},
-                                                            {60'000'000'000, "~1min", "minutes_from", "1 min"}}};
+inline constexpr std::array<StepLength, 2> step_lengths = {
+    {{1'000'000'000, "~1s", "seconds_from", "1 s"}, {60'000'000'000, "~1min", "minutes_from", "1 min"}}};
 
 /// Steps of an origin begin when so many events lie in one: of what comes more rarely they would take more room than
 /// its rows.

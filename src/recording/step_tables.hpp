@@ -94,7 +94,7 @@ class StepTables {
   bool are_doubles_ = true;  // all of them, and always there: most of all recordings
   std::array<Statement, step_lengths.size()> insert_;
   std::array<bool, step_lengths.size()> is_refused_{};  // there is something else of the table's name
-  std::vector<Changed> changed_;                         // by the transaction under way
+  std::vector<Changed> changed_;                        // by the transaction under way
   const SlotInfo* last_slot_ = nullptr;
   OpenSteps::Origin* last_origin_ = nullptr;
   Step whole_minute_;

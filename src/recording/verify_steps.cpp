@@ -58,9 +58,8 @@ void StepCheck::add(sqlite3_stmt* row, int first, const OriginRows& rows) {
   const std::int64_t time = sqlite3_column_int64(row, first + 1);
   const auto sequence = static_cast<std::uint64_t>(sqlite3_column_int64(row, first + 3));
   if (origin.first == 0) origin.first = sequence;
-  origin.made.go_to(time, fields_, [&](std::size_t length, const sqlite::Step& made) {
-    compare(origin, length, made);
-  });
+  origin.made.go_to(time, fields_,
+                    [&](std::size_t length, const sqlite::Step& made) { compare(origin, length, made); });
   sqlite::Step& step = origin.made.second;
   step.add_event(sequence);
   for (std::size_t i = 0; i < fields_.size(); ++i) {
@@ -139,9 +138,8 @@ void StepCheck::compare(Origin& origin, std::size_t length, const sqlite::Step& 
 
 void StepCheck::end_run() {
   for (auto& [name, origin] : origins_) {
-    origin.made.end(fields_, [&, of = &origin](std::size_t length, const sqlite::Step& made) {
-      compare(*of, length, made);
-    });
+    origin.made.end(fields_,
+                    [&, of = &origin](std::size_t length, const sqlite::Step& made) { compare(*of, length, made); });
     for (std::size_t length = 0; length < step_lengths.size(); ++length) {
       Stored& stored = origin.stored[length];
       for (; stored.has_row; advance(stored))

@@ -287,8 +287,8 @@ TEST_CASE("a file of a gigabyte, where a small one belongs, is an error that say
     if (words[0] != "forward") CHECK_MESSAGE(Bounded(folder, words).status <= 2, words[0]);
   // What sinks are to go on with.
   for (const auto& [format, why] :
-       {std::pair{"jsonl", "its last megabytes have no line end"},
-        std::pair{"csv", "cannot append to"}, std::pair{"cbor", "its content is not a valid cbor"}}) {
+       {std::pair{"jsonl", "its last megabytes have no line end"}, std::pair{"csv", "cannot append to"},
+        std::pair{"cbor", "its content is not a valid cbor"}}) {
     sparse(folder, std::string("out.") + format);
     folder.write("out.json", R"({"sensors": [{"name": "l", "type": "host", "quantity": "load", "rate": "50 Hz"}],
       "sinks": [{"type": "file", "topics": ["l"], "close_deadline": "100 ms", "format": ")" +

@@ -214,8 +214,8 @@ TEST_SUITE("sinks") {
         e.u64 = i == 4 ? ~std::uint64_t{0} : static_cast<std::uint64_t>(i);
         if (i % 2 == 0) e.maybe = i == 8 ? nan : 0.5 * i;
         e.numbers = {static_cast<float>(i == 5 ? infinite : 0), static_cast<float>(i == 5   ? infinite
-                                                                                     : i == 6 ? -infinite
-                                                                                              : 0)};
+                                                                                   : i == 6 ? -infinite
+                                                                                            : 0)};
         feed.publish(e, time += 1ms);
       }
       feed.publish(Everything{}, Time{1'800'000'061s});
@@ -258,7 +258,8 @@ TEST_SUITE("sinks") {
     {
       Loop loop{Loop::Manual{}};
       SqliteSink sink(loop, {.path = path});
-      Feed<Climate> burst(loop, {.name = "burst", .topic = "climate"}), other(loop, {.name = "other", .topic = "climate"});
+      Feed<Climate> burst(loop, {.name = "burst", .topic = "climate"}),
+          other(loop, {.name = "other", .topic = "climate"});
       int n = 0;
       Ticker ticker(loop, 2ms, [&](const Tick&) {
         ++n;
@@ -326,25 +327,31 @@ TEST_SUITE("sinks") {
       CAPTURE(text);
       CHECK(text.find(part) != std::string::npos);
     };
-    const std::string tenth = " WHERE time = (SELECT DISTINCT time FROM \"climate~1s\" ORDER BY time LIMIT 1 OFFSET 10)"
-                              " AND origin = 'hall'";
+    const std::string tenth =
+        " WHERE time = (SELECT DISTINCT time FROM \"climate~1s\" ORDER BY time LIMIT 1 OFFSET 10)"
+        " AND origin = 'hall'";
     const std::string last = " WHERE rowid = (SELECT max(rowid) FROM \"climate~1min\")";
     has(told("UPDATE \"climate~1s\" SET \"temperature.max\" = \"temperature.max\" + 1e-9" + tenth),
         "climate~1s: the step at ");
-    has(told("UPDATE \"climate~1s\" SET \"temperature.max\" = \"temperature.max\" + 1e-9" + tenth), "origin hall, is another");
-    for (const std::string& column : sqlite::columns_of(sqlite::Database::open(path, sqlite::Database::Mode::read), "climate~1min")) {
+    has(told("UPDATE \"climate~1s\" SET \"temperature.max\" = \"temperature.max\" + 1e-9" + tenth),
+        "origin hall, is another");
+    for (const std::string& column :
+         sqlite::columns_of(sqlite::Database::open(path, sqlite::Database::Mode::read), "climate~1min")) {
       if (column == "run" || column == "origin" || column == "time") continue;
-      has(told("UPDATE \"climate~1min\" SET \"" + column + "\" = \"" + column + "\" + 1" + last), "is another than its rows");
+      has(told("UPDATE \"climate~1min\" SET \"" + column + "\" = \"" + column + "\" + 1" + last),
+          "is another than its rows");
     }
     has(told("UPDATE \"climate~1s\" SET time = time + 1" + tenth), "is not there");
     has(told("UPDATE \"climate~1s\" SET time = time + 1" + tenth), "is there, and none of its rows is");
     has(told("UPDATE \"climate~1s\" SET run = 2" + tenth), "is not there");
-    has(told("UPDATE \"climate~1s\" SET run = 2" + tenth), "1 step of run 2, origin hall is there, and none of the rows is");
+    has(told("UPDATE \"climate~1s\" SET run = 2" + tenth),
+        "1 step of run 2, origin hall is there, and none of the rows is");
     has(told("UPDATE \"climate~1s\" SET origin = 'x'" + tenth), "1 step of run 1, origin x is there");
     has(told("DELETE FROM \"climate~1min\"" + last), "is not there");
     has(told("DELETE FROM \"slow~1min\""), "slow~1min: the step at");
     has(told("DROP TABLE \"slow~1min\""), "is not there");
-    has(told("UPDATE rtdata_ledger SET minutes_from = 0 WHERE topic = 'slow'"), "is there, before the origin has steps");
+    has(told("UPDATE rtdata_ledger SET minutes_from = 0 WHERE topic = 'slow'"),
+        "is there, before the origin has steps");
     has(told("UPDATE rtdata_ledger SET minutes_from = 1 WHERE topic = 'rare'"), "rare~1min: the step at");
     has(told("ALTER TABLE \"climate~1s\" ADD COLUMN more"), "climate~1s: the table has other columns");
     has(told("ALTER TABLE \"climate~1s\" RENAME COLUMN \"humidity.min\" TO \"x\""), "has other columns");
@@ -377,8 +384,9 @@ TEST_SUITE("sinks") {
     CHECK(count_of(path, "t~1s") == steps_of_rows(path, "t", "1000000000"));
     CHECK(count_of(path, "t~1min") == steps_of_rows(path, "t", "60000000000"));
     // Also one whose first rows are gone.
-    sql(path, "UPDATE \"t~1min\" SET \"temperature.min\" = -1 WHERE run = 2 AND origin = 'a' AND time = (SELECT "
-              "min(time) FROM \"t~1min\" WHERE run = 2 AND origin = 'a')");
+    sql(path,
+        "UPDATE \"t~1min\" SET \"temperature.min\" = -1 WHERE run = 2 AND origin = 'a' AND time = (SELECT "
+        "min(time) FROM \"t~1min\" WHERE run = 2 AND origin = 'a')");
     CHECK(problems_of(verified(path)).find("t~1min: the step at") != std::string::npos);
   }
 
