@@ -74,6 +74,7 @@ std::string ctl_help();
 struct TailOptions {
   std::vector<std::string> words;  ///< the first may be an instance, by name or pid; the others are topics or patterns
   std::string step;                ///< a duration; empty: each event
+  std::string from;                ///< an instant; empty: now
   ShowAs show_as = ShowAs::text;
 };
 /// Prints events as they come, a line each.

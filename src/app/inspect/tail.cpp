@@ -67,6 +67,7 @@ int tail(const TailOptions& options) {
   Json request{{"request", "subscribe"}, {"version", Status::newest}};
   if (!topics.empty()) request["topics"] = topics;
   if (!options.step.empty()) request["step"] = options.step;
+  if (!options.from.empty()) request["from"] = options.from;
   found->client->send(request.dump(-1, ' ', false, Json::error_handler_t::replace));
   return follow(*found->client, found->instance.pid, options.show_as);
 }
