@@ -281,11 +281,8 @@ Result<const RecordedRow*> Rows::next() try {
   detail::RowCursor* const cursor = merge.next();
   if (cursor == nullptr) return nullptr;
   if (!cursor->is_gap()) ++merge.given;
-  RecordedRow& row = merge.row;
-  row.run_ = cursor->run;
-  row.header_.time = from_nanoseconds(cursor->time);
-  cursor->give(row);
-  return &row;
+  cursor->put(merge.row);
+  return &merge.row;
 } catch (const SetupError& error) {
   return error.error();
 }

@@ -16,7 +16,13 @@ struct RowCursor {
   virtual ~RowCursor() = default;
   /// Goes to the next row, whose run and time are then set. False: there is none.
   virtual bool advance() = 0;
-  /// Makes `row` what is at hand; its run and time are set.
+  /// Makes `row` what is at hand.
+  void put(RecordedRow& row) {
+    row.run_ = run;
+    row.header_.time = from_nanoseconds(time);
+    give(row);
+  }
+  /// The same, of which run and time are set.
   virtual void give(RecordedRow& row) = 0;
   virtual bool is_gap() const noexcept { return false; }
 

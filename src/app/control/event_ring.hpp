@@ -50,6 +50,7 @@ struct PackedEvent {
 
   /// Topic and origin: what a sequence belongs to.
   std::string_view key() const noexcept { return {texts(), std::size_t{topic_bytes} + 1 + origin_bytes}; }
+  bool is_mark() const noexcept { return topic_bytes == 0; }  ///< see LiveFeed::mark
   std::string_view topic() const noexcept { return {texts(), topic_bytes}; }
   std::string_view origin() const noexcept { return {texts() + topic_bytes + 1, origin_bytes}; }
   const std::byte* payload() const noexcept {

@@ -9,6 +9,7 @@
 
 #include "app/control/request.hpp"
 #include "app/control/status.hpp"
+#include "rtdata/loop/gaps.hpp"
 #include "rtdata/loop/runtime.hpp"
 #include "rtdata/loop/topic.hpp"
 
@@ -20,6 +21,9 @@ using Json = nlohmann::ordered_json;
 constexpr Duration step_grace = std::chrono::milliseconds{100};  // events of other tiers and lanes come a little later
 constexpr Duration silence = std::chrono::seconds{1};
 constexpr Duration shortest_step = std::chrono::milliseconds{1}, longest_step = std::chrono::hours{24};
+
+/// When a step that ends then is over.
+Time later_by_grace(Time end) { return end > Time::max() - step_grace ? end : end + step_grace; }
 
 std::string quoted(std::string_view text) { return Json(text).dump(-1, ' ', false, Json::error_handler_t::replace); }
 
@@ -62,6 +66,27 @@ Result<Duration> step_of(const Json& given) {
   return *step;
 }
 
+/// "-10 min", an instant in ISO 8601, or ns since 1970 as events have them.
+Result<void> set_beginning(const Json& given, StreamRequest& request) {
+  if (given.is_number_integer()) {
+    request.from = from_nanoseconds(given.get<std::int64_t>());
+    return {};
+  }
+  const std::string text = given.is_string() ? given.get<std::string>() : "";
+  if (text.starts_with('-')) {
+    if (const auto ago = parse_duration(text.substr(1))) {
+      request.ago = *ago;
+      return {};
+    }
+  } else if (const auto from = parse_iso8601(text)) {
+    request.from = *from;
+    return {};
+  }
+  return refused("\"from\" " + given.dump(-1, ' ', false, Json::error_handler_t::replace) +
+                 ": it is an instant such as \"2026-03-01T12:00:00Z\", a time before now such as \"-10 min\", or ns "
+                 "since 1970");
+}
+
 Result<std::vector<std::string>> topics_of(const Json& given) {
   if (!given.is_array() || given.empty() || given.size() > StreamRequest::most_topics)
     return refused("\"topics\" is a list of 1 to " + std::to_string(StreamRequest::most_topics) + " patterns");
@@ -79,10 +104,11 @@ Result<std::vector<std::string>> topics_of(const Json& given) {
 
 // ---- requests
 
-bool StreamRequest::takes(std::string_view topic) const noexcept {
-  return topic == health_topic ||
-         std::any_of(topics.begin(), topics.end(), [&](const auto& one) { return topic_matches(one, topic); });
+bool StreamRequest::names(std::string_view topic) const noexcept {
+  return std::any_of(topics.begin(), topics.end(), [&](const auto& one) { return topic_matches(one, topic); });
 }
+
+bool StreamRequest::is_beside(std::string_view topic) noexcept { return topic == health_topic || topic == gap_topic; }
 
 bool asks_for_events(std::string_view line) {
   const Json request = Json::parse(line, nullptr, false);
@@ -106,10 +132,16 @@ Result<StreamRequest> stream_request(std::string_view line) {
       const auto step = step_of(value);
       if (!step) return step.error();
       request.step = *step;
+    } else if (key == "from") {
+      if (auto set = set_beginning(value, request); !set) return std::move(set).error();
+    } else if (key == "of" && value.is_string()) {
+      request.of = value.get<std::string>();
     } else {
-      return refused("there is no \"" + key + "\"; there is \"topics\" and \"step\"");
+      return refused("there is no \"" + key + "\" like this; there are \"topics\", \"step\", \"from\" and \"of\"");
     }
   }
+  if (!request.of.empty() && !request.wants_past())
+    return refused("\"of\" names the recording to read first: say \"from\" which instant");
   return request;
 }
 
@@ -133,13 +165,22 @@ std::string_view EventLine::text() {
 
 // ---- steps
 
+void StepSums::set(const Description* description) {
+  description_ = description;
+  leaves_.clear();
+  for (const Leaf& leaf : description->leaves())
+    if (is_number(leaf.kind)) leaves_.push_back(&leaf);
+}
+
+bool StepSums::goes_on_with(const Description* description) {
+  if (description == description_) return true;
+  if (!description_->same_meaning(*description)) return false;
+  set(description);
+  return true;
+}
+
 void StepSums::begin(const PackedEvent& event, Time from, Time until) {
-  if (description_ != event.description) {
-    description_ = event.description;
-    leaves_.clear();
-    for (const Leaf& leaf : description_->leaves())
-      if (is_number(leaf.kind)) leaves_.push_back(&leaf);
-  }
+  if (description_ != event.description) set(event.description);
   numbers_.assign(leaves_.size(), {});
   from_ = from;
   until_ = until;
@@ -212,9 +253,29 @@ void StepSums::append_to(std::string& text, const StreamOrigin& origin) const {
 
 // ---- the stream
 
-EventStream::EventStream(StreamRequest request, std::string_view run) : request_(std::move(request)) {
-  const Json told{{"subscribed", request_.topics}, {"version", Status::newest}, {"run", run}};
-  text_ = told.dump() + "\n";
+EventStream::EventStream(StreamRequest request, std::string_view run, std::string_view recording)
+    : request_(std::move(request)), is_live_(recording.empty()), run_(run) {
+  Json told{{"subscribed", request_.topics}, {"version", Status::newest}, {"run", run}};
+  if (!is_live_) {
+    told["from"] = to_nanoseconds(*request_.from);
+    told["of"] = recording;
+  }
+  text_ = told.dump(-1, ' ', false, Json::error_handler_t::replace) + "\n";
+}
+
+void EventStream::begin_run(std::string_view uuid) {
+  if (run_ == uuid) return;
+  run_ = uuid;
+  for (State& state : states_) {
+    if (!state.step.is_empty()) give_step(state);
+    state.last = 0;
+  }
+  text_ += Json{{"run", uuid}}.dump(-1, ' ', false, Json::error_handler_t::replace) + "\n";
+}
+
+void EventStream::go_live(Time now) {
+  is_live_ = true;
+  text_ += Json{{"live", to_nanoseconds(now)}}.dump() + "\n";
 }
 
 EventStream::State& EventStream::state_of(const StreamOrigin& origin) {
@@ -222,7 +283,7 @@ EventStream::State& EventStream::state_of(const StreamOrigin& origin) {
   State& state = states_[origin.index];
   if (!state.is_known) {
     state.is_known = true;
-    state.is_taken = request_.takes(origin.topic);
+    state.is_taken = takes(origin.topic);
     state.origin = &origin;
   }
   return state;
@@ -240,7 +301,7 @@ void EventStream::take(const PackedEvent& event, const StreamOrigin& origin, Eve
   }
   state.last = event.sequence;
   if (!is_event) return;
-  if (request_.step > Duration{0} && origin.topic != health_topic) {
+  if (request_.step > Duration{0} && !StreamRequest::is_beside(origin.topic)) {
     add_to_step(state, event);
   } else if (is_behind_) {
     drop(origin, 1);
@@ -280,7 +341,7 @@ void EventStream::add_to_step(State& state, const PackedEvent& event) {
   const std::int64_t length = request_.step.count();
   const std::int64_t past = event.time % length;
   const Time from = from_nanoseconds(event.time - (past < 0 ? past + length : past));
-  if (!state.step.is_empty() && (state.step.from() != from || state.step.description() != event.description))
+  if (!state.step.is_empty() && (state.step.from() != from || !state.step.goes_on_with(event.description)))
     give_step(state);
   if (!state.step.is_empty()) return state.step.add(event);
   state.step.begin(event, from, from + request_.step);
@@ -295,7 +356,7 @@ void EventStream::give_step(State& state) {
     look_whether_behind();
   } else {
     drop(*state.origin, 1);
-    if (state.held.is_empty() || state.held.description() != state.step.description()) {
+    if (state.held.is_empty() || !state.held.goes_on_with(state.step.description())) {
       state.held = state.step;
     } else {
       state.held.add(state.step);
@@ -306,7 +367,7 @@ void EventStream::give_step(State& state) {
 
 void EventStream::hold(State& state, const PackedEvent& event) {
   const Time time = from_nanoseconds(event.time);
-  if (state.held.is_empty() || state.held.description() != event.description) {
+  if (state.held.is_empty() || !state.held.goes_on_with(event.description)) {
     state.held.begin(event, time, time + Duration{1});
   } else {
     state.held.add(event);
@@ -315,11 +376,11 @@ void EventStream::hold(State& state, const PackedEvent& event) {
 }
 
 void EventStream::turn(Time now) {
-  if (now >= next_end_ + step_grace) {
+  if (is_live_ && now >= later_by_grace(next_end_)) {
     next_end_ = Time::max();
     for (State& state : states_) {
       if (state.step.is_empty()) continue;
-      if (now >= state.step.until() + step_grace) {
+      if (now >= later_by_grace(state.step.until())) {
         give_step(state);
       } else {
         next_end_ = std::min(next_end_, state.step.until());
@@ -350,11 +411,11 @@ void EventStream::catch_up() {
   look_whether_behind();
 }
 
-void EventStream::end(std::string_view why) {
+void EventStream::end(const char* key, std::string_view why) {
   for (State& state : states_)
     if (!state.step.is_empty()) give_step(state);
   if (is_behind_) catch_up();
-  text_ += Json{{"ended", why}}.dump() + "\n";
+  text_ += Json{{key, why}}.dump(-1, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 
 void EventStream::sent(std::size_t bytes) {

@@ -24,8 +24,15 @@ struct StreamRequest {
   static constexpr std::size_t most_topics = 64;
   std::vector<std::string> topics = {"#"};  ///< patterns
   Duration step{0};                         ///< 0: each event
+  std::optional<Time> from = {};            ///< none: now
+  std::optional<Duration> ago = {};         ///< the same, as so long before now
+  std::string of = {};  ///< the sink whose recording has what was before; empty: the first that fits
 
-  bool takes(std::string_view topic) const noexcept;
+  bool wants_past() const noexcept { return from || ago; }
+  /// Its patterns match the topic.
+  bool names(std::string_view topic) const noexcept;
+  /// Every reader gets these, too, as they come.
+  static bool is_beside(std::string_view topic) noexcept;
 };
 /// Whether a line of the control socket is a request for events.
 bool asks_for_events(std::string_view line);
@@ -71,6 +78,8 @@ class StepSums {
   bool is_empty() const noexcept { return count_ == 0; }
   Time from() const noexcept { return from_; }
   Time until() const noexcept { return until_; }
+  /// The events of this description are of the same fields: it goes on with them.
+  bool goes_on_with(const Description* description);
   const Description* description() const noexcept { return description_; }
   /// The first event of a step.
   void begin(const PackedEvent& event, Time from, Time until);
@@ -82,6 +91,7 @@ class StepSums {
   void append_to(std::string& text, const StreamOrigin& origin) const;
 
  private:
+  void set(const Description* description);
   struct Number {
     std::uint64_t count = 0;
     double least = 0, most = 0, mean = 0, last = 0;
@@ -101,12 +111,23 @@ class EventStream {
  public:
   static constexpr std::size_t most_bytes = std::size_t{256} << 10;
 
-  EventStream(StreamRequest request, std::string_view run);
+  /// `recording`: the sink that is read first; empty: it begins live.
+  EventStream(StreamRequest request, std::string_view run, std::string_view recording);
   void take(const PackedEvent& event, const StreamOrigin& origin, EventLine& line);
   /// After events came, and from time to time without any: steps that are over, what was left out, a sign of life.
   void turn(Time now);
-  /// The last line.
-  void end(std::string_view why);
+  /// What comes next is of this run, until the next call: sequences begin again.
+  void begin_run(std::string_view uuid);
+  /// What comes from now on comes live.
+  void go_live(Time now);
+  bool is_live() const noexcept { return is_live_; }
+  bool takes(std::string_view topic) const noexcept { return StreamRequest::is_beside(topic) || request_.names(topic); }
+  /// It comes live from the beginning, whatever is read from a recording.
+  bool takes_beside(std::string_view topic) const noexcept {
+    return StreamRequest::is_beside(topic) && !request_.names(topic);
+  }
+  /// The last line: {"KEY": why}.
+  void end(const char* key, std::string_view why);
 
   std::string_view text() const noexcept { return std::string_view(text_).substr(sent_); }
   void sent(std::size_t bytes);
@@ -136,7 +157,9 @@ class EventStream {
   std::set<std::string> units_told_;  // quoted topics
   std::string text_;
   std::size_t sent_ = 0;
+  bool is_live_ = true;
   bool is_behind_ = false;
+  std::string run_;
   std::map<std::string, std::uint64_t> dropped_;  // by quoted topic, while it is behind
   Time next_end_ = Time::max();                   // of a step
   Time last_line_{};

@@ -4,15 +4,11 @@
 #include <utility>
 
 namespace rtdata::app {
-namespace {
 
-/// Whether what matches `inner` matches `outer`, too.
-bool covers(std::string_view outer, std::string_view inner) {
+bool covers(std::string_view outer, std::string_view inner) noexcept {
   if (outer == inner) return true;
   return topic_matches(outer, inner) && (!inner.ends_with('#') || outer.ends_with('#'));
 }
-
-}  // namespace
 
 void LiveFeed::bring(const std::string& pattern) {
   // A wider one is never given up for a narrower one: what it has queued would be lost.
@@ -42,6 +38,8 @@ void LiveFeed::take(const EventView& event) {
   lost.sequence = std::max(lost.sequence, event.sequence());
   ring_->has_lost.store(true, std::memory_order_relaxed);
 }
+
+bool LiveFeed::mark(std::uint64_t number) { return ring_->put("", {Time{}, number, ""}, nullptr, {}); }
 
 void LiveFeed::tell_lost() {
   while (!lost_.empty()) {

@@ -14,6 +14,9 @@
 
 namespace rtdata::app {
 
+/// Whether topics that match the pattern `inner` all match `outer`, too.
+bool covers(std::string_view outer, std::string_view inner) noexcept;
+
 /// The side of the main loop. While nobody reads it subscribes to nothing. An event costs this loop a copy, however many
 /// read it; one that finds no room is left out, and its number is told with the next of its origin, or when the readers
 /// ask.
@@ -30,6 +33,8 @@ class LiveFeed {
   /// From now on it brings these topics, too, until `end`.
   void bring(const std::string& pattern);
   void end();
+  /// Puts a mark, in place of an event, behind what came up to now. False: there is no room.
+  bool mark(std::uint64_t number);
   /// Tells what had no room, as far as there is room now.
   void tell_lost();
   const std::shared_ptr<Ring>& ring() const noexcept { return ring_; }

@@ -3,10 +3,15 @@
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
+#include <deque>
 #include <future>
+#include <map>
 #include <memory>
 #include <string>
 #include <thread>
+#include <utility>
+#include <vector>
 
 #include "app/control/event_stream.hpp"
 #include "app/control/live_feed.hpp"
@@ -19,32 +24,55 @@ namespace rtdata::app {
 /// (nice 19). It makes the text and sends it; what it does not come to is dropped, counted and told to the reader. The
 /// loop pays for a copy of each event, whether one reads it or all; it never waits for the thread, nor that for it.
 ///
-/// Memory: a ring of 4 MiB, and about 256 KiB a reader.
+/// One that begins before now gets what its recording has, then what comes live, each event once: by origin and sequence.
+/// To go over, the thread asks for a mark between the events that come live. What was published before the mark had been
+/// offered to the recording by then; when that has stored it, all that is before the mark can be read. What comes behind
+/// the mark is kept meanwhile, and what of it has been read already is left out.
+///
+/// Memory: a ring of 4 MiB, and about 256 KiB a reader; 5 MiB while it reads what was before now.
 ///
 /// Owner: the program; gone before the loop's runtime is. Thread: the loop's.
 class Readers {
  public:
   /// `run`: what names the run to readers, a uuid. `most`: readers at a time.
-  Readers(Loop& loop, std::string run, std::size_t most);
+  Readers(Loop& loop, std::string run);
   Readers(const Readers&) = delete;
   Readers& operator=(const Readers&) = delete;
   /// Tells them that the run has ended.
   ~Readers();
 
-  /// From the next one on.
-  void set_most(std::size_t most) noexcept { most_ = most; }
-  /// Why one more is refused; empty: it is not.
-  std::string refusal() const;
+  /// A sink in whose file is what was before now.
+  struct Recording {
+    std::string sink, path;
+    std::vector<std::string> topics;  ///< patterns that it takes
+  };
+  struct Settings {
+    std::size_t most = 0;  ///< readers at a time
+    std::vector<Recording> recordings = {};
+  };
+  /// From the next reader on.
+  void set(Settings settings) { settings_ = std::move(settings); }
+  /// Why this one is refused; empty: it is not.
+  std::string refusal(const StreamRequest& request) const;
   /// From now on the connection, a descriptor that never blocks, is this object's.
   void add(int fd, StreamRequest request);
 
  private:
   struct Shared;
+  /// What sinks had been offered when a mark was put: of recordings, by name.
+  struct Mark {
+    std::uint64_t number = 0;
+    std::map<std::string, std::uint64_t> offered;
+  };
+  const Recording* recording_for(const StreamRequest& request) const;
   void look();
+  void put_marks();
 
   Loop& loop_;
-  std::size_t most_;
+  Settings settings_;
   LiveFeed feed_;
+  std::deque<Mark> marks_;  // whose events are not all stored
+  std::uint64_t marked_ = 0;
   std::shared_ptr<Shared> shared_;
   Ticker looking_;  // while there are readers
   std::thread thread_;

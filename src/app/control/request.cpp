@@ -23,7 +23,8 @@ std::string refusal_of(std::string_view line) {
   if (std::string why = refusal_of_version(request); !why.empty()) return why;
   if (*what == "command") return "the \"words\" of a command are a list of texts, which is not empty";
   if (*what != "status")
-    return "there is no request \"" + what->get<std::string>() + "\"; there are \"status\", \"command\" and \"subscribe\"";
+    return "there is no request \"" + what->get<std::string>() +
+           "\"; there are \"status\", \"command\" and \"subscribe\"";
   return {};
 }
 

@@ -7,6 +7,7 @@
 
 #include "app/core/table.hpp"
 #include "rtdata/data/time.hpp"
+#include "rtdata/loop/gaps.hpp"
 #include "rtdata/loop/runtime.hpp"
 
 namespace rtdata::app {
@@ -74,6 +75,12 @@ std::string EventPrinter::line_of(const Json& line) const {
     const std::string state = text_in(data, "state"), reason = text_in(data, "reason");
     return (state == "ok" ? "" : "! ") + text_in(data, "kind") + " " + text_in(data, "name") + " " + state +
            (reason.empty() ? "" : ": " + reason);
+  }
+  if (text_in(line, "topic") == gap_topic) {
+    const std::string count = data.contains("count") && data["count"] != 0 ? " " + data["count"].dump() : "";
+    const Duration length = from_nanoseconds(number_in(data, "last")) - from_nanoseconds(number_in(data, "first"));
+    return "! gap of " + text_in(data, "origin") + ":" + count + " " + text_in(data, "kind") + " in " +
+           to_string(std::chrono::floor<std::chrono::milliseconds>(length)) + ": " + text_in(data, "reason");
   }
   return event_text(line);
 }

@@ -1,5 +1,6 @@
 #include <unistd.h>
 
+#include <algorithm>
 #include <iostream>
 #include <nlohmann/json.hpp>
 #include <string>
@@ -9,6 +10,8 @@
 #include "app/core/configuration_commands.hpp"
 #include "app/core/terminal_text.hpp"
 #include "app/inspect/event_printer.hpp"
+#include "rtdata/data/problem.hpp"
+#include "rtdata/loop/topic.hpp"
 
 namespace rtdata::app {
 namespace {
@@ -50,6 +53,20 @@ int follow(ControlClient& client, pid_t pid, ShowAs show_as) {
   return exit_good;  // nobody reads what it prints
 }
 
+/// Who mistypes a topic would wait for ever.
+void tell_unknown(const std::vector<std::string>& topics, const Status& status) {
+  std::vector<std::string> names;
+  for (const Status::Account& topic : status.topics) names.push_back(topic.name);
+  for (const std::string& wanted : topics) {
+    if (wanted.starts_with('$') ||
+        std::any_of(names.begin(), names.end(), [&](const std::string& name) { return topic_matches(wanted, name); }))
+      continue;
+    const std::string nearest = nearest_name(wanted, names);
+    std::cerr << "rtdata: nothing is published on \"" << wanted << "\" now; it is waited for"
+              << (nearest.empty() ? "" : " (did you mean \"" + nearest + "\"?)") << std::endl;
+  }
+}
+
 }  // namespace
 
 int tail(const TailOptions& options) {
@@ -64,6 +81,10 @@ int tail(const TailOptions& options) {
   if (!found) return status;
   // The status that was asked for comes first.
   if (!found->answers) (void)found->client->receive(answer_limit);
+  if (!topics.empty()) {
+    const auto line = found->client->ask(status_request, answer_limit);
+    if (const auto now = line ? status_from(*line) : Result<Status>(line.error())) tell_unknown(topics, *now);
+  }
   Json request{{"request", "subscribe"}, {"version", Status::newest}};
   if (!topics.empty()) request["topics"] = topics;
   if (!options.step.empty()) request["step"] = options.step;

@@ -16,6 +16,7 @@
 #include "app/inspect/recorded_range.hpp"
 #include "rtdata/data/codec.hpp"
 #include "rtdata/data/problem.hpp"
+#include "rtdata/loop/gaps.hpp"
 #include "rtdata/loop/runtime.hpp"
 #include "rtdata/loop/topic.hpp"
 
@@ -23,8 +24,6 @@ namespace rtdata::app {
 namespace {
 
 using Json = nlohmann::ordered_json;
-
-constexpr const char* gap_topic = "$rtdata/gaps";
 
 std::string dumped(const Json& json) { return json.dump(-1, ' ', false, Json::error_handler_t::replace); }
 

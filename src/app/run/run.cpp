@@ -114,11 +114,12 @@ class Run {
     System system(loop, registry_, plan);
     StatusSource status(loop, status_info(plan, system));
     status_ = &status;
-    Readers readers(loop, loop.core().runtime.run_uuid(), plan.settings.control.readers);
+    Readers readers(loop, loop.core().runtime.run_uuid());
+    readers.set(reader_settings(plan));
     Reload reload(loop, system, registry_, options_, console_,
                   {[this] { return is_closing_; },
                    [&](const SystemPlan& next) {
-                     readers.set_most(next.settings.control.readers);
+                     readers.set(reader_settings(next));
                      note_sinks(next);
                      if (console_.leaves_stdout()) console_.close_view();
                      status.set(status_info(next, system));
@@ -263,11 +264,19 @@ class Run {
     ::_exit(exit_other);
   }
 
+  static Readers::Settings reader_settings(const SystemPlan& plan) {
+    Readers::Settings settings{plan.settings.control.readers};
+    for (const PartPlan& part : plan.parts)
+      if (part.stores && part.stores->is_recording)
+        settings.recordings.push_back({part.name, part.stores->path, part.stores->topics});
+    return settings;
+  }
+
   /// A reader's connection goes over to those; else why not.
   static ControlSocket::Work serve_reader(ControlSocket& control, Readers& readers, std::uint64_t client,
                                           std::string_view line) {
     Result<StreamRequest> request = stream_request(line);
-    std::string why = request ? readers.refusal() : request.error().why;
+    std::string why = request ? readers.refusal(*request) : request.error().why;
     if (why.empty()) {
       const int fd = control.take_over(client);
       if (fd >= 0) {

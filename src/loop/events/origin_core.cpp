@@ -4,8 +4,10 @@
 #include <new>
 #include <utility>
 
+#include "data/fitting.hpp"
 #include "loop/events/topic_core.hpp"
 #include "loop/runtime/runtime_core.hpp"
+#include "rtdata/loop/gaps.hpp"
 
 namespace rtdata::detail {
 
@@ -208,6 +210,24 @@ void OriginCore::divide_gaps() noexcept {
 
 void OriginCore::report(const Gap& gap) noexcept {
   for (Listener* listener : topic.runtime().listeners) listener->on_gap(*this, gap);
+  publish_gap(*this, gap);
+}
+
+void publish_gap(const OriginCore& origin, const Gap& gap) noexcept {
+  RuntimeCore& runtime = origin.topic.runtime();
+  TopicCore* const to = runtime.hub == nullptr ? runtime.find_topic(gap_topic) : nullptr;  // else the main loop does it
+  if (to == nullptr || to->type.type_key != payload_type<GapEvent>().type_key) return;
+  try {
+    const GapEvent event{fitting<200>(origin.name),
+                         fitting<200>(origin.topic.name),
+                         fitting<16>(name_of(gap.kind)),
+                         fitting<96>(gap.reason),
+                         to_nanoseconds(gap.first),
+                         to_nanoseconds(gap.last),
+                         gap.count};
+    publish_from_program(*to, &event);
+  } catch (...) {  // no memory: recordings have it
+  }
 }
 
 }  // namespace rtdata::detail

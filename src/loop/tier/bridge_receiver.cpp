@@ -6,6 +6,7 @@
 #include "loop/core/loop_core.hpp"
 #include "loop/events/made_of.hpp"
 #include "loop/runtime/runtime_core.hpp"
+#include "rtdata/loop/gaps.hpp"
 
 namespace rtdata::detail {
 
@@ -123,6 +124,7 @@ void BridgeReceiver::take_entry(const std::variant<Gap, Segment>& entry, OriginC
   if (const Gap* gap = std::get_if<Gap>(&entry)) {
     mirror.forget_gap();  // it was under way in an account
     for (Listener* listener : recorders) listener->on_gap(mirror, *gap);
+    publish_gap(mirror, *gap);
   } else {
     for (Listener* listener : recorders) listener->on_segment(mirror, std::get<Segment>(entry));
     mirror.forget_segment();  // its account, which comes later, knows no more of it than this

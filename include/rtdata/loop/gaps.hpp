@@ -1,0 +1,46 @@
+/// Gaps as events: what a sensor or feed did not bring, as soon as that is over.
+///
+///     auto s = loop.subscribe<rtdata::GapEvent>("$rtdata/gaps", [](const rtdata::Event<rtdata::GapEvent>& e) {
+///       alarm(e->origin, e->reason, e->count);
+///     });
+///
+/// One event for each gap that a recording has, of whatever tier; its time is when the gap was closed: with the next
+/// reading, or when the device was back. `#` does not match the topic. It is published once something has subscribed to
+/// it by its type, so that gaps of before are not told; recordings have all of them, in the table rtdata_gap.
+///
+/// A value. Thread: the main loop's.
+#pragma once
+
+#include <cstdint>
+
+#include "rtdata/data/describe.hpp"
+#include "rtdata/data/text.hpp"
+#include "rtdata/loop/ledger.hpp"
+
+namespace rtdata {
+
+namespace detail {
+class OriginCore;
+/// On the main loop, if anything is to have it.
+void publish_gap(const OriginCore& origin, const Gap& gap) noexcept;
+}  // namespace detail
+
+inline constexpr const char* gap_topic = "$rtdata/gaps";
+
+struct GapEvent {
+  text<200> origin;         ///< the sensor or feed
+  text<200> topic;          ///< that it publishes on
+  text<16> kind;            ///< as name_of(Gap::Kind)
+  text<96> reason;          ///< what is longer ends with "..."
+  std::int64_t first = 0;   ///< ns since 1970: when the first of its ticks was due; without a schedule, when it began
+  std::int64_t last = 0;    ///< the last of them; without a schedule, when it ended
+  std::uint64_t count = 0;  ///< as Gap::count
+  friend constexpr auto describe(type_tag<GapEvent>) {
+    return record("gap", field("origin", &GapEvent::origin, ""), field("topic", &GapEvent::topic, ""),
+                  field("kind", &GapEvent::kind, ""), field("reason", &GapEvent::reason, ""),
+                  field("first", &GapEvent::first, "ns"), field("last", &GapEvent::last, "ns"),
+                  field("count", &GapEvent::count, ""));
+  }
+};
+
+}  // namespace rtdata

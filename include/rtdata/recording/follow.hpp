@@ -1,0 +1,52 @@
+/// Follow: the rows of a recording in the order in which they were stored, some at a time, also while it is written.
+///
+///     auto rows = rtdata::RecordingFollower::open("run.db", {.topics = {"room/#"}, .from = launch}).or_throw();
+///     const auto print_row = [](const rtdata::RecordedRow& row) { print(row.run(), row.event()); };
+///     while (rows.read(100ms, print_row).or_throw()) {
+///     }
+///     // Later, what was stored since: rows.read(100ms, print_row)
+///
+/// Each call reads in a transaction of its own, which does not keep the writer from tidying up for longer than that.
+/// Within a call, rows come in order of run and time; each table goes on behind its last row, so that one that was
+/// stored late is not missed. A row that was deleted by a limit before it was read does not come: the next of its origin
+/// has a sequence that is further on.
+///
+/// Owner: the holder. Thread: one at a time. Times are as they were recorded. Errors: those of Recording; damaged, which
+/// names the row.
+#pragma once
+
+#include <functional>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "rtdata/data/time.hpp"
+#include "rtdata/recording/recording.hpp"
+
+namespace rtdata {
+
+class RecordingFollower {
+ public:
+  struct Config {
+    std::vector<std::string> topics = {"#"};  ///< patterns; topics of "$rtdata/" only when written out
+    Time from = Time::min();                  ///< the first time taken
+  };
+  static Result<RecordingFollower> open(const std::string& path, Config config);
+  RecordingFollower(RecordingFollower&&) noexcept;
+  RecordingFollower& operator=(RecordingFollower&&) noexcept;
+  ~RecordingFollower();
+
+  /// Calls `take` with the next rows, each valid for the call, for about so long, or until it says that it has enough.
+  /// True: there are more by now.
+  enum class Goes { on, enough };
+  Result<bool> read(Duration at_most, const std::function<Goes(const RecordedRow& row)>& take);
+  /// What it reads.
+  const Recording& recording() const noexcept;
+
+ private:
+  struct Core;
+  explicit RecordingFollower(std::unique_ptr<Core> core);
+  std::unique_ptr<Core> core_;
+};
+
+}  // namespace rtdata
