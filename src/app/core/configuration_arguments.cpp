@@ -140,8 +140,10 @@ Action prepare_top(CLI::App& command) {
 Action prepare_tail(CLI::App& command) {
   const auto options = std::make_shared<TailOptions>();
   command
-      .add_option("WORDS", options->words,
-                  "[NAME|PID] [TOPIC ...]: an instance when several run, and topics or patterns such as room/#")
+      .add_option(
+          "WORDS", options->words,
+          "[NAME|PID|DB] [TOPIC ...]: an instance when several run, or a recording, and topics or patterns such as "
+          "room/#")
       ->expected(0, 65);
   command.add_option("--step", options->step, "One line for each step of so long, such as 1s: least, most, mean")
       ->type_name("DURATION");
@@ -153,9 +155,16 @@ Action prepare_tail(CLI::App& command) {
   command.footer(
       "examples:\n  rtdata tail                        all events of the only instance, until Ctrl-C\n"
       "  rtdata tail bench pressure/#       of these topics of the instance called bench\n"
-      "  rtdata tail --step 1s --json       for programs");
-  return [options](const Registry&) {
+      "  rtdata tail --step 1s --json       for programs\n"
+      "  rtdata tail bench.db --last 1min   what was recorded, in UTC");
+#ifdef RTDATA_WITH_SQLITE
+  const auto of_recording = add_recorded_tail(command);
+#endif
+  return [=](const Registry&) {
     const WrappedOutput errors(std::cerr, STDERR_FILENO);
+#ifdef RTDATA_WITH_SQLITE
+    if (const std::optional<int> status = of_recording(*options)) return *status;
+#endif
     return tail(*options);
   };
 }

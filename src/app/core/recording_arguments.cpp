@@ -1,9 +1,12 @@
 // The options of the subcommands of recordings.
+#include <unistd.h>
+
 #include <iostream>
 #include <memory>
 #include <optional>
 #include <string>
 #include <utility>
+#include <vector>
 
 #include "app/core/arguments.hpp"
 #include "app/core/configuration_commands.hpp"
@@ -118,6 +121,41 @@ Action prepare_plot(CLI::App& command) {
   return [options](const Registry&) {
     const WrappedOutput errors(std::cerr, STDERR_FILENO);
     return plot(*options, std::cout, std::cerr);
+  };
+}
+
+std::function<std::optional<int>(const TailOptions&)> add_recorded_tail(CLI::App& command) {
+  const auto given = std::make_shared<RecordedTailOptions>();
+  PartOptions& part = given->part;
+  std::vector<const CLI::Option*> added{
+      command.add_option("--run", part.run, "Of a recording: which run; default: the last")->type_name("NUMBER"),
+      command.add_option("--until,--to", part.until, "Of a recording: first time that is left out")->type_name("TIME"),
+      command.add_option("--last", part.last, "Of a recording: so long before the end, instead of --from")
+          ->type_name("DURATION"),
+      command.add_option("--lines", given->lines, "Of a recording: so many of the newest, without --from and --last")
+          ->check(at_least(1))
+          ->capture_default_str()};
+  return [given, added](const TailOptions& options) -> std::optional<int> {
+    const auto& words = options.words;
+    // Names of instances have neither.
+    const bool is_recording = !words.empty() &&
+                              (words.front().ends_with(".db") || words.front().find('/') != std::string::npos) &&
+                              ::access(words.front().c_str(), F_OK) == 0;
+    if (!is_recording) {
+      for (const CLI::Option* option : added) {
+        if (option->count() == 0) continue;
+        std::cerr << "rtdata: " << option->get_name() << " is of recordings: rtdata tail DB" << std::endl;
+        return exit_other;
+      }
+      return std::nullopt;
+    }
+    given->database = words.front();
+    given->topics.assign(words.begin() + 1, words.end());
+    given->part.from = options.from;
+    given->step = options.step;
+    given->show_as = options.show_as;
+    given->columns = columns_of(STDOUT_FILENO);
+    return tail_recording(*given, std::cout, std::cerr);
   };
 }
 

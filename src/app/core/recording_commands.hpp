@@ -85,6 +85,18 @@ struct PlotOptions {
 /// run, topic or field; 2 unreadable.
 int plot(const PlotOptions& options, std::ostream& out, std::ostream& err);
 
+struct RecordedTailOptions {
+  std::string database;
+  std::vector<std::string> topics = {};  // names or patterns; none: all
+  PartOptions part = {};
+  std::size_t lines = 20;  // the newest, unless the part says from when
+  std::string step = {};   // reduced to steps of this length; empty: each event
+  ShowAs show_as = ShowAs::text;
+  std::size_t columns = 0;  // lines of text are cut to so many; 0: they are not
+};
+/// 0; 1 when it cannot be shown so, or there is no such run or topic; 2 unreadable.
+int tail_recording(const RecordedTailOptions& options, std::ostream& out, std::ostream& err);
+
 struct ImportOptions {
   std::string file;             // CSV with column names in the first row, and units as in "speed [m/s]"
   std::string time_column;      // its heading
