@@ -369,7 +369,7 @@ TEST_SUITE("app") {
         "22:13:21.000 ! sensor a faulted: gone?[2J\n");
     CHECK(
         printer.text(
-            R"({"topic":"$rtdata/gaps","time":1700000001000000000,"origin":"program:$rtdata/gaps","sequence":1,"data":{"origin":"a","topic":"room/a","kind":"missed","reason":"loop held","first":1700000000000000000,"last":1700000000250000000,"count":3}})") ==
+            R"({"topic":"$rtdata/gaps","time":1700000001000000000,"origin":"program:$rtdata/gaps","sequence":1,"data":{"name":"a","topic":"room/a","kind":"missed","reason":"loop held","first":1700000000000000000,"last":1700000000250000000,"count":3}})") ==
         "22:13:21.000 ! gap of a: 3 missed in 250 ms: loop held\n");
     CHECK(
         printer.text(

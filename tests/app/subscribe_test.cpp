@@ -279,7 +279,7 @@ TEST_SUITE("app") {
     while (!has_gap || !has_alarm) {
       const json line = reader.next("data");
       if (line["topic"] == "$rtdata/gaps") {
-        CHECK(line["data"]["origin"] == "a");
+        CHECK(line["data"]["name"] == "a");
         CHECK(line["data"]["topic"] == "count/a");
         CHECK(line["data"]["kind"] == "failed");
         CHECK(line["data"]["count"] >= 1);

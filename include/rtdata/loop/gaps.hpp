@@ -1,7 +1,7 @@
 /// Gaps as events: what a sensor or feed did not bring, as soon as that is over.
 ///
 ///     auto s = loop.subscribe<rtdata::GapEvent>("$rtdata/gaps", [](const rtdata::Event<rtdata::GapEvent>& e) {
-///       alarm(e->origin, e->reason, e->count);
+///       alarm(e->name, e->reason, e->count);
 ///     });
 ///
 /// One event for each gap that a recording has, of whatever tier; its time is when the gap was closed: with the next
@@ -28,7 +28,7 @@ void publish_gap(const OriginCore& origin, const Gap& gap) noexcept;
 inline constexpr const char* gap_topic = "$rtdata/gaps";
 
 struct GapEvent {
-  text<200> origin;         ///< the sensor or feed
+  text<200> name;           ///< of the sensor or feed: the origin of its events
   text<200> topic;          ///< that it publishes on
   text<16> kind;            ///< as name_of(Gap::Kind)
   text<96> reason;          ///< what is longer ends with "..."
@@ -36,7 +36,7 @@ struct GapEvent {
   std::int64_t last = 0;    ///< the last of them; without a schedule, when it ended
   std::uint64_t count = 0;  ///< as Gap::count
   friend constexpr auto describe(type_tag<GapEvent>) {
-    return record("gap", field("origin", &GapEvent::origin, ""), field("topic", &GapEvent::topic, ""),
+    return record("gap", field("name", &GapEvent::name, ""), field("topic", &GapEvent::topic, ""),
                   field("kind", &GapEvent::kind, ""), field("reason", &GapEvent::reason, ""),
                   field("first", &GapEvent::first, "ns"), field("last", &GapEvent::last, "ns"),
                   field("count", &GapEvent::count, ""));

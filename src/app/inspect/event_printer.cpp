@@ -79,7 +79,7 @@ std::string EventPrinter::line_of(const Json& line) const {
   if (text_in(line, "topic") == gap_topic) {
     const std::string count = data.contains("count") && data["count"] != 0 ? " " + data["count"].dump() : "";
     const Duration length = from_nanoseconds(number_in(data, "last")) - from_nanoseconds(number_in(data, "first"));
-    return "! gap of " + text_in(data, "origin") + ":" + count + " " + text_in(data, "kind") + " in " +
+    return "! gap of " + text_in(data, "name") + ":" + count + " " + text_in(data, "kind") + " in " +
            to_string(std::chrono::floor<std::chrono::milliseconds>(length)) + ": " + text_in(data, "reason");
   }
   return event_text(line);
