@@ -16,12 +16,12 @@
 /// names used twice or not there, payloads that meet on one topic, and files written twice. It can be checked on
 /// another machine than the one that runs it. Relative paths are relative to the working directory.
 ///
-/// Keys of the file: $schema, name, notes, log, control, loop, tiers, and those of the registry's kinds of parts: buses, sinks,
-/// sensors. Ids of problems, beside those of problem.hpp: bad-name, cannot-record, cannot-resolve, cannot-write,
-/// description-differs, duplicate-name, duplicate-path, not-recorded, unknown-bus, unknown-sensor, unknown-sink,
-/// unknown-tier, unknown-topic, uses-itself, wrong-part; of warnings: in-memory, late-readings, loses-data,
-/// matches-nothing, no-effect, no-sensors, no-sinks, overloaded-lane, overloaded-loop, plain-secret, sent-twice,
-/// unknown-placeholder, unknown-unit, unlikely-unit, unused-tier.
+/// Keys of the file: $schema, name, notes, log, control, loop, tiers, and those of the registry's kinds of parts:
+/// buses, sinks, sensors. Ids of problems, beside those of problem.hpp: bad-name, cannot-record, cannot-resolve,
+/// cannot-write, description-differs, duplicate-name, duplicate-path, not-recorded, unknown-bus, unknown-sensor,
+/// unknown-sink, unknown-tier, unknown-topic, uses-itself, wrong-part; of warnings: in-memory, late-readings,
+/// loses-data, matches-nothing, no-effect, no-sensors, no-sinks, overloaded-lane, overloaded-loop, plain-secret,
+/// sent-twice, unknown-placeholder, unknown-unit, unlikely-unit, unused-tier.
 ///
 /// Owner: the user; plan and registry as values, the registry must outlive a system made with it.
 /// Thread: plans any, systems the loop's.

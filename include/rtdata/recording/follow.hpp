@@ -8,11 +8,11 @@
 ///
 /// Each call reads in a transaction of its own, which does not keep the writer from tidying up for longer than that.
 /// Within a call, rows come in order of run and time; each table goes on behind its last row, so that one that was
-/// stored late is not missed. A row that was deleted by a limit before it was read does not come: the next of its origin
-/// has a sequence that is further on.
+/// stored late is not missed. A row that was deleted by a limit before it was read does not come: the next of its
+/// origin has a sequence that is further on.
 ///
-/// Owner: the holder. Thread: one at a time. Times are as they were recorded. Errors: those of Recording; damaged, which
-/// names the row.
+/// Owner: the holder. Thread: one at a time. Times are as they were recorded. Errors: those of Recording; damaged,
+/// which names the row.
 #pragma once
 
 #include <functional>

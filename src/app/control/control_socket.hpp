@@ -38,8 +38,8 @@ class ControlSocket {
 
   /// Makes the text that goes back, without the end of line, from what it was given; on a thread of the socket's own.
   using Work = std::function<std::string()>;
-  /// Takes from the loop what the answer needs, quickly; the rest is work. `client` numbers the connections from 1. Empty
-  /// work: `take_over` was called.
+  /// Takes from the loop what the answer needs, quickly; the rest is work. `client` numbers the connections from 1.
+  /// Empty work: `take_over` was called.
   using Answer = std::function<Work(std::uint64_t client, std::string_view line)>;
   using Gone = std::function<void(std::uint64_t client)>;
   /// Opens the socket, and removes those that dead processes left behind. SetupError when no folder can be used: the
@@ -52,8 +52,9 @@ class ControlSocket {
   const std::string& path() const noexcept { return path_; }
   /// Who is connected, as the kernel says: "uid 1000, pid 4711". "somebody" once the connection is gone.
   std::string peer_of(std::uint64_t client) noexcept;
-  /// To be called while it is answered: the connection as a descriptor of the caller's, which does not block. The socket
-  /// knows the client no more; what that has sent behind the line is left out. -1: there is no descriptor, and it stays.
+  /// To be called while it is answered: the connection as a descriptor of the caller's, which does not block. The
+  /// socket knows the client no more; what that has sent behind the line is left out. -1: there is no descriptor, and
+  /// it stays.
   int take_over(std::uint64_t client) noexcept;
 
  private:

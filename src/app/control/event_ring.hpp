@@ -1,4 +1,5 @@
-// Events as copies, one behind the other, and the ring in which they go from the main loop to the thread of the readers.
+// Events as copies, one behind the other, and the ring in which they go from the main loop to the thread of the
+// readers.
 #pragma once
 
 #include <atomic>
@@ -14,7 +15,8 @@
 
 namespace rtdata::app {
 
-/// The head of a copy. Behind it lie the topic, a zero byte, the origin, and from the next multiple of 8 on the payload.
+/// The head of a copy. Behind it lie the topic, a zero byte, the origin, and from the next multiple of 8 on the
+/// payload.
 struct PackedEvent {
   std::uint32_t bytes = 0;  ///< of all, a multiple of 8
   std::uint32_t payload_bytes = 0;

@@ -17,9 +17,9 @@ namespace rtdata::app {
 /// Whether topics that match the pattern `inner` all match `outer`, too.
 bool covers(std::string_view outer, std::string_view inner) noexcept;
 
-/// The side of the main loop. While nobody reads it subscribes to nothing. An event costs this loop a copy, however many
-/// read it; one that finds no room is left out, and its number is told with the next of its origin, or when the readers
-/// ask.
+/// The side of the main loop. While nobody reads it subscribes to nothing. An event costs this loop a copy, however
+/// many read it; one that finds no room is left out, and its number is told with the next of its origin, or when the
+/// readers ask.
 ///
 /// Owner: the program; the ring is shared with the readers, who may be late. Thread: the loop's.
 class LiveFeed {

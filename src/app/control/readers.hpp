@@ -1,5 +1,5 @@
-// Those who read events of a running instance through its control socket (docs/subscribe.md), and the thread that serves
-// them.
+// Those who read events of a running instance through its control socket (docs/subscribe.md), and the thread that
+// serves them.
 #pragma once
 
 #include <cstddef>
@@ -24,10 +24,10 @@ namespace rtdata::app {
 /// (nice 19). It makes the text and sends it; what it does not come to is dropped, counted and told to the reader. The
 /// loop pays for a copy of each event, whether one reads it or all; it never waits for the thread, nor that for it.
 ///
-/// One that begins before now gets what its recording has, then what comes live, each event once: by origin and sequence.
-/// To go over, the thread asks for a mark between the events that come live. What was published before the mark had been
-/// offered to the recording by then; when that has stored it, all that is before the mark can be read. What comes behind
-/// the mark is kept meanwhile, and what of it has been read already is left out.
+/// One that begins before now gets what its recording has, then what comes live, each event once: by origin and
+/// sequence. To go over, the thread asks for a mark between the events that come live. What was published before the
+/// mark had been offered to the recording by then; when that has stored it, all that is before the mark can be read.
+/// What comes behind the mark is kept meanwhile, and what of it has been read already is left out.
 ///
 /// Memory: a ring of 4 MiB, and about 256 KiB a reader; 5 MiB while it reads what was before now.
 ///
