@@ -331,7 +331,7 @@ void Download::copy_rows(const Run& run, const Topic& topic) {
     }
     if (!table) {
       sqlite::NewUtcViews views;
-      table.emplace(sqlite::TopicTable::prepare(database_, *slots.back(), run.run, no_utf8, sums_, views));
+      table.emplace(sqlite::TopicTable::prepare(database_, *slots.back(), run.run, no_utf8, sums_, views, nullptr));
       views.make(database_);
     }
     const auto sequence = load_big<std::uint64_t>(reply.text(0, 4).data());

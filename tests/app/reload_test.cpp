@@ -239,8 +239,9 @@ TEST_SUITE("app") {
 
       folder.write("rig.json", text("second.db", "50 ms"));
       run.signal(SIGHUP);
-      REQUIRE(run.wait_for("sink db is left, since its disk does not answer: what it has not stored in 500 ms, its "
-                           "`close_deadline`, is lost, and counted"));
+      REQUIRE(
+          run.wait_for("sink db is left, since its disk does not answer: what it has not stored in 500 ms, its "
+                       "`close_deadline`, is lost, and counted"));
       REQUIRE(run.wait_for("sink db: restarted (path"));
       REQUIRE(run.wait_for("sink db: lost "));
       REQUIRE((!is_hanging || stick.thaw()));  // the thread that is left behind comes back

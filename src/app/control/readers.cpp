@@ -38,6 +38,12 @@ constexpr std::size_t most_kept = std::size_t{4} << 20;
 /// What the loop and the thread both have: the one may be late with its end.
 struct Readers::Shared {
   struct Arrival {
+    Arrival() = default;
+    Arrival(const Arrival&) = delete;
+    Arrival& operator=(const Arrival&) = delete;
+    ~Arrival() {
+      if (fd >= 0) ::close(fd);
+    }
     int fd = -1;
     StreamRequest request = {};
     std::string sink = {};                  // whose recording is read first; empty: none
@@ -78,7 +84,9 @@ struct Readers::Shared {
 
 struct Readers::Shared::Connection {
   Connection(Arrival& arrival, const std::string& current_run)
-      : fd(arrival.fd), stream(std::move(arrival.request), current_run, arrival.sink), past(std::move(arrival.past)) {}
+      : fd(std::exchange(arrival.fd, -1)),
+        stream(std::move(arrival.request), current_run, arrival.sink),
+        past(std::move(arrival.past)) {}
   Connection(const Connection&) = delete;
   Connection& operator=(const Connection&) = delete;
   ~Connection() { ::close(fd); }
@@ -151,10 +159,7 @@ struct Readers::Shared::Reading final : detail::LaneJob {
 };
 
 Readers::Shared::~Shared() {
-  for (Arrival* one = arrivals.load(); one != nullptr;) {
-    ::close(one->fd);
-    delete std::exchange(one, one->next);
-  }
+  for (Arrival* one = arrivals.load(); one != nullptr;) delete std::exchange(one, one->next);
 }
 
 void Readers::Shared::serve() noexcept try {
@@ -169,7 +174,7 @@ void Readers::Shared::serve() noexcept try {
   });
   loop.run();
   end_all();
-  reading.leave_behind();          // a slice that is being read
+  reading.abandon_thread();          // a slice that is being read
 } catch (const std::exception&) {  // no memory, no descriptors
   is_broken.store(true);
   readers.store(0);
@@ -340,6 +345,8 @@ std::string Readers::refusal(const StreamRequest& request) const {
 }
 
 void Readers::add(int fd, StreamRequest request) {
+  auto arrival = std::make_unique<Shared::Arrival>();
+  arrival->fd = fd;
   if (!thread_.joinable()) {
     std::promise<void> ended;
     ended_ = ended.get_future();
@@ -351,7 +358,6 @@ void Readers::add(int fd, StreamRequest request) {
     } catch (const std::system_error&) {
       const std::string line = answer_line("error", "the system gives no thread for readers") + "\n";
       [[maybe_unused]] const ssize_t size = ::send(fd, line.data(), line.size(), MSG_DONTWAIT | MSG_NOSIGNAL);
-      ::close(fd);
       return;
     }
   }
@@ -359,8 +365,6 @@ void Readers::add(int fd, StreamRequest request) {
   feed_.bring(health_topic);
   (void)loop_.topic<GapEvent>(gap_topic);  // from now on gaps are published
   feed_.bring(gap_topic);
-  auto arrival = std::make_unique<Shared::Arrival>();
-  arrival->fd = fd;
 #ifdef RTDATA_WITH_SQLITE
   if (request.wants_past()) {
     const Recording& recording = *recording_for(request);
