@@ -351,43 +351,34 @@ TEST_SUITE("app") {
   TEST_CASE("NFR-5 lines for people name fields and units, steps, health, gaps, and what was left out") {
     EventPrinter printer(80);
     CHECK(printer.text(R"({"units":{"value":"Cel","inner.x":"m","n":"1"},"of":"room/a"})").empty());
-    CHECK(
-        printer.text(
-            R"({"topic":"room/a","time":1700000000123000000,"origin":"a","sequence":1,"data":{"value":21.25,
+    CHECK(printer.text(
+              R"({"topic":"room/a","time":1700000000123000000,"origin":"a","sequence":1,"data":{"value":21.25,
                 "n":3,"inner":{"x":1},"list":[1,2],"none":null}})") ==
-        "2023-11-14 UTC\n22:13:20.123 room/a value=21.25 Cel n=3 inner.x=1 m list[0]=1 list[1]=2 none=ab~\n");
-    CHECK(
-        printer.text(
-            R"({"topic":"room/a","time":1700000001000000000,"origin":"probe 2","sequence":1,
-                "data":{"value":"NaN"}})") ==
-        "22:13:21.000 room/a (probe 2) value=NaN Cel\n");
-    CHECK(
-        printer.text(
-            R"({"topic":"room/a","time":1700000001000000000,"until":1700000001100000000,"origin":"a",
+          "2023-11-14 UTC\n22:13:20.123 room/a value=21.25 Cel n=3 inner.x=1 m list[0]=1 list[1]=2 none=ab~\n");
+    CHECK(printer.text(
+              R"({"topic":"room/a","time":1700000001000000000,"origin":"probe 2","sequence":1,
+                "data":{"value":"NaN"}})") == "22:13:21.000 room/a (probe 2) value=NaN Cel\n");
+    CHECK(printer.text(
+              R"({"topic":"room/a","time":1700000001000000000,"until":1700000001100000000,"origin":"a",
                 "sequence":[1,9],"count":9,"data":{"value":{"count":9,"least":1,"most":3,"mean":2,"last":3},
-                "n":{"count":0}}})") ==
-        "22:13:21.000 room/a 9 events: value=2 (1 to 3) Cel n=absent\n");
-    CHECK(
-        printer.text(
-            R"({"topic":"$rtdata/health","time":1700000001000000000,"origin":"program:$rtdata/health",
+                "n":{"count":0}}})") == "22:13:21.000 room/a 9 events: value=2 (1 to 3) Cel n=absent\n");
+    CHECK(printer.text(
+              R"({"topic":"$rtdata/health","time":1700000001000000000,"origin":"program:$rtdata/health",
                 "sequence":1,"data":{"kind":"sensor","name":"a","state":"faulted","reason":"gone\u001b[2J"}})") ==
-        "22:13:21.000 ! sensor a faulted: gone?[2J\n");
-    CHECK(
-        printer.text(
-            R"({"topic":"$rtdata/gaps","time":1700000001000000000,"origin":"program:$rtdata/gaps","sequence":1,
+          "22:13:21.000 ! sensor a faulted: gone?[2J\n");
+    CHECK(printer.text(
+              R"({"topic":"$rtdata/gaps","time":1700000001000000000,"origin":"program:$rtdata/gaps","sequence":1,
                 "data":{"name":"a","topic":"room/a","kind":"missed","reason":"loop held",
                 "first":1700000000000000000,"last":1700000000250000000,"count":3}})") ==
-        "22:13:21.000 ! gap of a: 3 missed in 250 ms: loop held\n");
-    CHECK(
-        printer.text(
-            R"({"topic":"hot","time":1700000001000000000,"origin":"hot","sequence":1,"data":{"level":"high",
-                "alarm":"high","is_active":true}})") ==
-        "22:13:21.000 ! hot level=high alarm=high is_active=true\n");
+          "22:13:21.000 ! gap of a: 3 missed in 250 ms: loop held\n");
+    CHECK(printer.text(
+              R"({"topic":"hot","time":1700000001000000000,"origin":"hot","sequence":1,"data":{"level":"high",
+                "alarm":"high","is_active":true}})") == "22:13:21.000 ! hot level=high alarm=high is_active=true\n");
     CHECK(printer.text(R"({"dropped":12,"of":"room/a"})") ==
           "             ! 12 of room/a left out: too many to be read in time\n");
     for (const char* nothing : {"", "{", "[]", R"({"now":1})", R"({"subscribed":["#"],
-                "version":1})", R"({"run":"x"})",
-                                R"({"topic":1,"data":2})", R"({"units":3,"of":4})"})
+                "version":1})",
+                                R"({"run":"x"})", R"({"topic":1,"data":2})", R"({"units":3,"of":4})"})
       CHECK(printer.text(nothing).empty());
   }
 }

@@ -174,7 +174,7 @@ void Readers::Shared::serve() noexcept try {
   });
   loop.run();
   end_all();
-  reading.abandon_thread();          // a slice that is being read
+  reading.abandon_thread();        // a slice that is being read
 } catch (const std::exception&) {  // no memory, no descriptors
   is_broken.store(true);
   readers.store(0);
