@@ -24,13 +24,13 @@ using rtdata::test::has;
 
 namespace {
 
-struct Reading {
+struct RoomReading {
   double value = 0;
   text<40> remark;
   std::optional<std::int32_t> count{};
-  friend constexpr auto describe(type_tag<Reading>) {
-    return record("reading", field("value", &Reading::value, "Cel"), field("remark", &Reading::remark),
-                  field("count", &Reading::count));
+  friend constexpr auto describe(type_tag<RoomReading>) {
+    return record("reading", field("value", &RoomReading::value, "Cel"), field("remark", &RoomReading::remark),
+                  field("count", &RoomReading::count));
   }
 };
 
@@ -80,9 +80,9 @@ std::string why_refused(const std::string& request) {
 TEST_SUITE("app") {
   TEST_CASE("NFR-5 a stream gives each event as a line, with its units once, of the topics that match") {
     Fed fed(R"({"request":"subscribe","topics":["room/+"]})");
-    fed.give("room/a", at(0s), 7, Reading{21.5, "ok", 3});
-    fed.give("other", at(0s), 1, Reading{});
-    fed.give("room/a", at(1s), 8, Reading{22, "", std::nullopt});
+    fed.give("room/a", at(0s), 7, RoomReading{21.5, "ok", 3});
+    fed.give("other", at(0s), 1, RoomReading{});
+    fed.give("room/a", at(1s), 8, RoomReading{22, "", std::nullopt});
     const auto lines = fed.lines();
     REQUIRE(lines.size() == 4);
     CHECK(lines[0] == json::parse(R"({"subscribed":["room/+"],"version":1,"run":"0-0"})"));
@@ -95,8 +95,8 @@ TEST_SUITE("app") {
   TEST_CASE("NFR-5 a stream has NaN, infinity, and texts with quotes, umlauts and bytes that are no UTF-8") {
     Fed fed(R"({"request":"subscribe"})");
     constexpr double infinity = std::numeric_limits<double>::infinity();
-    fed.give("t", at(0s), 1, Reading{std::nan(""), "say \"hä\"\n", 1}, "Fühler \"1\"");
-    fed.give("t", at(1s), 2, Reading{-infinity, "\xff", 1}, "Fühler \"1\"");
+    fed.give("t", at(0s), 1, RoomReading{std::nan(""), "say \"hä\"\n", 1}, "Fühler \"1\"");
+    fed.give("t", at(1s), 2, RoomReading{-infinity, "\xff", 1}, "Fühler \"1\"");
     const auto lines = fed.lines();
     REQUIRE(lines.size() == 4);
     CHECK(lines[2]["origin"] == "Fühler \"1\"");
@@ -109,12 +109,12 @@ TEST_SUITE("app") {
   TEST_CASE("NFR-5 steps begin at multiples of their length, and have count, least, most, mean and last") {
     Fed fed(R"({"request":"subscribe","step":"100 ms"})");
     (void)fed.lines();
-    fed.give("t", at(20ms), 1, Reading{3, "", 5});
-    fed.give("t", at(40ms), 2, Reading{1, "", std::nullopt});
-    fed.give("t", at(60ms), 3, Reading{std::nan(""), "", std::nullopt});
-    fed.give("t", at(90ms), 4, Reading{2, "", std::nullopt});
+    fed.give("t", at(20ms), 1, RoomReading{3, "", 5});
+    fed.give("t", at(40ms), 2, RoomReading{1, "", std::nullopt});
+    fed.give("t", at(60ms), 3, RoomReading{std::nan(""), "", std::nullopt});
+    fed.give("t", at(90ms), 4, RoomReading{2, "", std::nullopt});
     CHECK(fed.lines().empty());
-    fed.give("t", at(110ms), 5, Reading{7, "", std::nullopt});
+    fed.give("t", at(110ms), 5, RoomReading{7, "", std::nullopt});
     auto lines = fed.lines();
     REQUIRE(lines.size() == 2);
     CHECK(has(lines[0].dump(), "units"));
@@ -148,11 +148,11 @@ TEST_SUITE("app") {
 
   TEST_CASE("NFR-5 a stream tells what was dropped before it, and gives no event twice") {
     Fed fed(R"({"request":"subscribe"})");
-    fed.give("t", at(1s), 3, Reading{});
+    fed.give("t", at(1s), 3, RoomReading{});
     (void)fed.lines();
-    fed.give("t", at(2s), 3, Reading{});
+    fed.give("t", at(2s), 3, RoomReading{});
     CHECK(fed.lines().empty());
-    fed.give("t", at(3s), 6, Reading{});
+    fed.give("t", at(3s), 6, RoomReading{});
     auto lines = fed.lines();
     REQUIRE(lines.size() == 2);
     CHECK(lines[0] == json::parse(R"({"dropped":2,"of":"t"})"));
@@ -161,7 +161,7 @@ TEST_SUITE("app") {
     lines = fed.lines();
     REQUIRE(lines.size() == 1);
     CHECK(lines[0] == json::parse(R"({"dropped":3,"of":"t"})"));
-    fed.give("t", at(5s), 10, Reading{});
+    fed.give("t", at(5s), 10, RoomReading{});
     CHECK(fed.lines().size() == 1);
   }
 
@@ -171,14 +171,14 @@ TEST_SUITE("app") {
     double sum = 0;
     for (; fed.stream.text().size() <= EventStream::most_bytes; sum += static_cast<double>(sequence)) {
       ++sequence;
-      fed.give("t", at(sequence * 1ms), sequence, Reading{static_cast<double>(sequence), "", 1});
+      fed.give("t", at(sequence * 1ms), sequence, RoomReading{static_cast<double>(sequence), "", 1});
     }
     const std::size_t full = fed.stream.text().size();
     const std::uint64_t left_out = 10'000, before = sequence;
     for (std::uint64_t i = 0; i < left_out; ++i) {
       ++sequence;
       sum += static_cast<double>(sequence);
-      fed.give("t", at(sequence * 1ms), sequence, Reading{static_cast<double>(sequence), "", 1});
+      fed.give("t", at(sequence * 1ms), sequence, RoomReading{static_cast<double>(sequence), "", 1});
       fed.stream.turn(at(sequence * 1ms));
     }
     CHECK(fed.stream.text().size() == full);
@@ -201,7 +201,7 @@ TEST_SUITE("app") {
     CHECK(lines[1]["sequence"] == json({before + 1, sequence}));
     count(lines);
     ++sequence;
-    fed.give("t", at(sequence * 1ms), sequence, Reading{static_cast<double>(sequence), "", 1});
+    fed.give("t", at(sequence * 1ms), sequence, RoomReading{static_cast<double>(sequence), "", 1});
     sum += static_cast<double>(sequence);
     lines = fed.lines();
     REQUIRE(lines.size() == 1);
@@ -215,7 +215,7 @@ TEST_SUITE("app") {
     std::uint64_t sequence = 0;
     const auto give = [&] {
       ++sequence;
-      fed.give("t", at(sequence * 5ms), sequence, Reading{static_cast<double>(sequence), "", 1});
+      fed.give("t", at(sequence * 5ms), sequence, RoomReading{static_cast<double>(sequence), "", 1});
     };
     while (fed.stream.text().size() <= EventStream::most_bytes) give();
     for (int i = 0; i < 1000; ++i) give();
@@ -265,8 +265,8 @@ TEST_SUITE("app") {
     Loop loop{Loop::Manual{}};
     LiveFeed feed(loop);
     feed.bring("t/#");
-    auto topic = loop.topic<Reading>("t/a");
-    auto other = loop.topic<Reading>("other");
+    auto topic = loop.topic<RoomReading>("t/a");
+    auto other = loop.topic<RoomReading>("other");
     std::uint64_t next = 1, lost = 0, seen = 0;
     const auto take = [&] {
       feed.ring()->take([&](const PackedEvent& event) {
@@ -276,7 +276,7 @@ TEST_SUITE("app") {
           lost += event.sequence - (next - 1);
         } else {
           REQUIRE(event.sequence == next);
-          Reading reading;
+          RoomReading reading;
           REQUIRE(event.payload_bytes == sizeof reading);
           std::memcpy(&reading, event.payload(), sizeof reading);
           CHECK(reading.value == static_cast<double>(event.sequence));
@@ -316,10 +316,10 @@ TEST_SUITE("app") {
     EventRing ring;
     constexpr std::uint64_t count = 200'000;
     std::thread puts([&] {
-      const Reading reading{1, "x", 1};
+      const RoomReading reading{1, "x", 1};
       for (std::uint64_t i = 1; i <= count;) {
         const std::size_t size = i % 13 == 0 ? 3 : sizeof reading;
-        if (ring.put("topic", {at(0s), i, "origin"}, description_of<Reading>().get(),
+        if (ring.put("topic", {at(0s), i, "origin"}, description_of<RoomReading>().get(),
                      std::as_bytes(std::span(&reading, 1)).first(size)))
           ++i;
         else
