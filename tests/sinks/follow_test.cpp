@@ -11,9 +11,9 @@ using namespace std::chrono_literals;
 
 namespace {
 
-struct Number {
+struct Counted {
   std::uint64_t number = 0;
-  RTDATA_FIELDS(Number, (number))
+  RTDATA_FIELDS(Counted, (number))
 };
 
 /// Of each topic, the numbers that came, in their order.
@@ -27,7 +27,7 @@ Came read_all(RecordingFollower& rows, std::uint64_t at_once = 1000) {
     has_more = rows.read(10s,
                          [&](const RecordedRow& row) {
                            REQUIRE(row.gap() == nullptr);
-                           const auto* number = row.event().as<Number>();
+                           const auto* number = row.event().as<Counted>();
                            REQUIRE(number != nullptr);
                            CHECK(number->number == row.header().sequence);
                            came[row.topic().topic].push_back(number->number);
@@ -54,7 +54,7 @@ TEST_CASE("FW-5 who follows a recording gets each row once, while it is written,
   const std::string path = folder / "run.db";
   Loop loop{Loop::Manual{}};
   SqliteSink sink(loop, {.path = path});
-  Feed<Number> a(loop, {.name = "a", .topic = "t/a"}), b(loop, {.name = "b", .topic = "t/b"});
+  Feed<Counted> a(loop, {.name = "a", .topic = "t/a"}), b(loop, {.name = "b", .topic = "t/b"});
   std::uint64_t count = 0;
   const auto publish = [&](std::uint64_t more, auto&... feeds) {
     for (std::uint64_t i = 0; i < more; ++i) {
@@ -74,7 +74,7 @@ TEST_CASE("FW-5 who follows a recording gets each row once, while it is written,
   CHECK(read_all(rows, 1) == Came{{"t/a", from_to(101, 150)}});
   CHECK(read_all(part).empty());
   count = 0;
-  Feed<Number> later(loop, {.name = "later"});
+  Feed<Counted> later(loop, {.name = "later"});
   publish(3, later);
   CHECK(read_all(rows) == Came{{"later", from_to(1, 3)}});
   CHECK(read_all(part) == Came{{"later", from_to(1, 3)}});
@@ -90,7 +90,7 @@ TEST_CASE("FW-5 who follows a recording from an instant gets what is not before 
   {
     Loop loop{Loop::Manual{}};
     SqliteSink sink(loop, {.path = path});
-    Feed<Number> feed(loop, {.name = "a"});
+    Feed<Counted> feed(loop, {.name = "a"});
     for (std::uint64_t i = 1; i <= 3000; ++i) {
       loop.advance(20ms);
       if (i == 1500) half = loop.time();
@@ -119,7 +119,7 @@ TEST_CASE("FW-5 who follows rows in several runs and tables gets them in order o
   for (int run = 0; run < 2; ++run) {
     Loop loop{Loop::Manual{}};
     SqliteSink sink(loop, {.path = path});
-    Feed<Number> a(loop, {.name = "a"}), b(loop, {.name = "b"});
+    Feed<Counted> a(loop, {.name = "a"}), b(loop, {.name = "b"});
     for (std::uint64_t i = 1; i <= 500; ++i) {
       loop.advance(1ms);
       a.publish({i});
