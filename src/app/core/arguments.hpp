@@ -60,6 +60,11 @@ Action prepare_doctor(CLI::App& command);
 // Commands for recordings.
 Action prepare_verify(CLI::App& command);
 Action prepare_info(CLI::App& command);
+Action prepare_runs(CLI::App& command);
+Action prepare_seal(CLI::App& command);
+Action prepare_rm(CLI::App& command);
+Action prepare_merge(CLI::App& command);
+Action prepare_compare(CLI::App& command);
 Action prepare_export(CLI::App& command);
 Action prepare_plot(CLI::App& command);
 struct TailOptions;

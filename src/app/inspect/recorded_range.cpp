@@ -9,6 +9,8 @@
 #include <ctime>
 #include <utility>
 
+#include "rtdata/recording/runs.hpp"
+
 namespace rtdata::app {
 namespace {
 
@@ -64,17 +66,10 @@ RecordedRange range_of(const Recording& recording, const PartOptions& options, c
   const auto refuse = [&](Errc id, std::string where, std::string why, std::string advice) {
     throw SetupError({id, command, std::move(where), std::move(why), std::move(advice)});
   };
-  auto runs = recording.runs().or_throw();
+  const auto runs = recording.runs().or_throw();
   if (runs.empty()) refuse(Errc::not_found, recording.path(), "no run was recorded yet", "");
-  const auto chosen = std::find_if(runs.begin(), runs.end(),
-                                   [&](const RunInfo& run) { return !options.run || run.run == *options.run; });
-  std::set<std::string> numbers;
-  for (const RunInfo& run : runs) numbers.insert(std::to_string(run.run));
-  if (chosen == runs.end())
-    refuse(Errc::not_found, recording.path(),
-           "there is no run " + std::to_string(*options.run) + "; its runs are " + list_of(numbers), "");
   RecordedRange range;
-  range.run = options.run ? *chosen : runs.back();
+  range.run = find_run(runs, options.run.value_or("-1"), recording.path()).or_throw();
   range.line = recording.utc_line(range.run.run).or_throw();
   const Time start = range.line.utc(range.run.started), end = end_of(recording, range.run, range.line);
   const auto from = parse_time(options.from), until = parse_time(options.until);

@@ -1,0 +1,56 @@
+// A recording that is changed after its runs, by another than its recorder.
+#pragma once
+
+#include <string>
+#include <utility>
+
+#include "recording/account_sums.hpp"
+#include "recording/database.hpp"
+#include "recording/recording_lock.hpp"
+
+namespace rtdata::sqlite {
+
+class ChangedFile {
+ public:
+  /// Opens and locks it. `doing`: "cannot seal", for errors. Throws SetupError: busy, not-permitted, those of
+  /// `Recording::open`.
+  ChangedFile(const std::string& path, const char* doing);
+  ChangedFile(const ChangedFile&) = delete;
+
+  Database& database() noexcept { return database_; }
+  RecordingLock& lock() noexcept { return lock_; }
+  /// Without symbolic links.
+  const std::string& real_path() const noexcept { return real_path_; }
+  /// Runs `work` in one transaction, which also writes the checksums of the account. Throws what `work` throws, and
+  /// SetupError; then nothing is changed.
+  template <class Work>
+  void transaction(Work&& work) {
+    AccountSums sums;
+    try {
+      database_.execute("BEGIN IMMEDIATE");
+      work(sums);
+      sums.write(database_);
+      database_.execute("COMMIT");
+    } catch (const SetupError& error) {
+      roll_back();
+      Error why = error.error();
+      if (why.what == "cannot use the recording") why.what = doing_;
+      throw SetupError(std::move(why));
+    } catch (...) {
+      roll_back();
+      throw;
+    }
+  }
+  /// Gives free pages back, and moves the WAL file into the recording. The next writer does what fails.
+  void tidy() noexcept;
+
+ private:
+  void roll_back() noexcept;
+
+  const char* const doing_;
+  RecordingLock lock_;  // given up last
+  Database database_;
+  std::string real_path_;
+};
+
+}  // namespace rtdata::sqlite
