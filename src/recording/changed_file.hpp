@@ -35,6 +35,7 @@ class ChangedFile {
       roll_back();
       Error why = error.error();
       if (why.what == "cannot use the recording") why.what = doing_;
+      if (why.code == Errc::storage_full) why.advice = "make room; nothing was changed";
       throw SetupError(std::move(why));
     } catch (...) {
       roll_back();

@@ -586,6 +586,7 @@ Result<MergeReport> merge(const std::vector<std::string>& sources, const std::st
   } catch (const SetupError& error) {
     Error why = error.error();
     if (why.what == "cannot use the recording") why.what = merging;
+    if (why.code == Errc::storage_full) why.advice = "make room";
     throw SetupError(std::move(why));
   }
   made.database = Database();

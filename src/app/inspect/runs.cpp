@@ -18,9 +18,16 @@ using Json = nlohmann::ordered_json;
 
 constexpr std::size_t columns = 80;
 
+/// Of a run that goes on or was not sealed, the file does not have the end yet.
+std::optional<Time> end_of(const RunReport& run) {
+  if (!run.info.ended || run.info.state == RunState::recording) return std::nullopt;
+  return run.line.utc(*run.info.ended);
+}
+
 std::optional<Duration> length_of(const RunReport& run) {
-  if (!run.info.ended) return std::nullopt;
-  return run.line.utc(*run.info.ended) - run.line.utc(run.info.started);
+  const auto end = end_of(run);
+  if (!end) return std::nullopt;
+  return *end - run.line.utc(run.info.started);
 }
 
 std::string one_line(std::string text) {
@@ -86,7 +93,8 @@ void print_json(const VerifyReport& report, const std::map<std::int64_t, std::ui
     Json one{{"run", run.info.run},   {"uuid", run.info.uuid},
              {"name", run.info.name}, {"notes", run.info.notes},
              {"host", run.info.host}, {"started_utc", to_iso8601(run.line.utc(run.info.started))}};
-    one["ended_utc"] = run.info.ended ? Json(to_iso8601(run.line.utc(*run.info.ended))) : Json();
+    const auto end = end_of(run);
+    one["ended_utc"] = end ? Json(to_iso8601(*end)) : Json();
     one["length_s"] = length ? Json(std::chrono::duration<double>(*length).count()) : Json();
     one["rows"] = run.rows;
     one["verdict"] = name_of(run.verdict);
