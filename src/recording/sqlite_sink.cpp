@@ -31,7 +31,7 @@ SinkConfig named(const SqliteConfig& config) {
 std::unique_ptr<Writer> make_writer(Loop& loop, const SqliteConfig& config) {
   detail::RuntimeCore& runtime = loop.runtime().core();
   return std::make_unique<sqlite::SqliteWriter>(
-      config, sqlite::RunInfo{detail::first_line("/proc/sys/kernel/random/uuid"), runtime.config.name,
+      config, sqlite::RunInfo{runtime.main().uuid_for_recording(), runtime.config.name,
                               runtime.config.notes, runtime.configurations.whole(), runtime.clock().boot_id(),
                               runtime.exchange.begins_at(loop.time()),
                               runtime.clock_log.start().realtime.time_since_epoch() -
