@@ -867,7 +867,8 @@ TEST_SUITE("app") {
         {{"vrify", "bench.db"},
          "rtdata: there is no command \"vrify\" (did you mean \"verify\"?); `rtdata --help` explains them\n"},
         {{"record", "x"},
-         "rtdata: there is no command \"record\"; there are init, run, top, tail, ctl, scan, doctor, bench, check, graph, "
+         "rtdata: there is no command \"record\"; there are init, run, top, tail, ctl, scan, doctor, bench, check, "
+         "graph, "
          "types, "
          "explain, verify, info, plot, export, replay, import, forward; "
          "`rtdata --help` explains them\n"},

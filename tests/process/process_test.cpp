@@ -291,7 +291,8 @@ TEST_SUITE("process") {
         unreadable({{"level", calibrated({.scale = 1e10, .table = {{0, 0}, {1, 1}}, .outside = OutsideTable::clamp})}},
                    {1e305, 0, {}}),
         "not a finite number"));
-    CHECK(has(unreadable({{"maybe", calibrated({.scale = 1e30})}}, {0, 0, 1e20f}), "not a finite number"));  // as a float
+    // As a float.
+    CHECK(has(unreadable({{"maybe", calibrated({.scale = 1e30})}}, {0, 0, 1e20f}), "not a finite number"));
     CHECK(has(unreadable({{"level", calibrated({.least = 0})}}, {-0.5, 0, {}}), "-0.5 is below 0, the least"));
     CHECK(has(unreadable({{"level", calibrated({.most = 9})}}, {9.5, 0, {}}), "9.5 is above 9, the most"));
   }

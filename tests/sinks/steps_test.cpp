@@ -17,11 +17,6 @@ using sinks::fork_without_threads;
 
 namespace {
 
-struct Number {
-  std::int64_t count = 0;
-  friend constexpr auto describe(type_tag<Number>) { return record("number", field("count", &Number::count)); }
-};
-
 struct Wider {
   double pressure = 1;
   double temperature = 2;

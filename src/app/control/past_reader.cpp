@@ -62,7 +62,7 @@ class FollowingReader final : public PastReader {
   const std::string path_;
   const RecordingFollower::Config config_;
   std::optional<RecordingFollower> rows_;
-  std::int64_t newest_ = 0;  // the last run that was named
+  std::int64_t newest_ = 0;                                       // the last run that was named
   std::vector<std::shared_ptr<const Description>> descriptions_;  // of all that it has given
 };
 

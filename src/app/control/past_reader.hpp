@@ -16,7 +16,7 @@ namespace rtdata::app {
 class PastReader {
  public:
   struct Slice {
-    std::vector<std::byte> events;  ///< PackedEvents, with the number of their run
+    std::vector<std::byte> events;                            ///< PackedEvents, with the number of their run
     std::vector<std::pair<std::uint32_t, std::string>> runs;  ///< new ones: number and uuid; the last goes on
     bool has_more = false;                                    ///< by now
     std::string failed;                                       ///< why it ends here; empty: it does not
