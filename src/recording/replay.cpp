@@ -297,7 +297,7 @@ Result<void> ReplayNode::look_whether_all_came() const {
     if (!origin.ledger) continue;
     const LedgerEntry& ledger = *origin.ledger;
     if (origin.given + ledger.pruned >= ledger.stored) continue;
-    return Error{Errc::damaged, "cannot replay all of it", config_.file + ", origin " + ledger.origin,
+    return Error{Errc::bad_data, "cannot replay all of it", config_.file + ", origin " + ledger.origin,
                  std::to_string(origin.given) + " events are there, and its account says that " +
                      std::to_string(ledger.stored - ledger.pruned) + " are",
                  "see `rtdata verify`"};

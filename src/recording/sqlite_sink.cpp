@@ -31,8 +31,8 @@ SinkConfig named(const SqliteConfig& config) {
 std::unique_ptr<Writer> make_writer(Loop& loop, const SqliteConfig& config) {
   detail::RuntimeCore& runtime = loop.runtime().core();
   return std::make_unique<sqlite::SqliteWriter>(
-      config, sqlite::RunInfo{detail::first_line("/proc/sys/kernel/random/uuid"), runtime.config.name,
-                              runtime.config.notes, runtime.configurations.whole(), runtime.clock().boot_id(),
+      config, sqlite::RunInfo{runtime.main().uuid_for_recording(), runtime.config.name, runtime.config.notes,
+                              runtime.configurations.whole(), runtime.clock().boot_id(),
                               runtime.exchange.begins_at(loop.time()),
                               runtime.clock_log.start().realtime.time_since_epoch() -
                                   runtime.clock_log.start().monotonic.time_since_epoch()});

@@ -22,14 +22,14 @@ struct StepLength {
   std::string_view ending;  ///< of the table's name, behind that of the topic's
   std::string_view from;    ///< the column of rtdata_ledger: the sequence from which on all rows are in steps; 0: none
   std::string_view text;
+  /// Steps of an origin begin when so many events lie in one. A rarer origin has few rows to read, and each transaction
+  /// would write a page of its steps beside one of its rows.
+  std::uint64_t first_events;
 };
 inline constexpr std::size_t seconds = 0, minutes = 1;
 inline constexpr std::array<StepLength, 2> step_lengths = {
-    {{1'000'000'000, "~1s", "seconds_from", "1 s"}, {60'000'000'000, "~1min", "minutes_from", "1 min"}}};
+    {{1'000'000'000, "~1s", "seconds_from", "1 s", 8}, {60'000'000'000, "~1min", "minutes_from", "1 min", 480}}};
 
-/// Steps of an origin begin when so many events lie in one: of what comes more rarely they would take more room than
-/// its rows.
-inline constexpr std::uint64_t events_that_begin_steps = 8;
 /// A topic with more numbers has no steps: their columns would not go into a table.
 inline constexpr std::size_t most_step_fields = 390;
 

@@ -171,7 +171,7 @@ void StepTables::keep(const Changed& of, std::size_t length, const Step& step) {
 }
 
 bool StepTables::begin(const Changed& of, std::size_t length, const Step& step) {
-  if (step.events < events_that_begin_steps || !prepare(length)) return false;
+  if (step.events < step_lengths[length].first_events || !prepare(length)) return false;
   const Step& before = of.origin->before[length];
   const std::uint64_t from = before.is_empty() ? step.first : before.first;
   const std::string where = " WHERE run = ? AND topic = ? AND origin = ?";

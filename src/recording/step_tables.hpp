@@ -2,7 +2,7 @@
 //
 // The steps that go on are kept in memory, and written anew by each transaction that adds to them: what is committed
 // has the steps of all rows that are, whatever ends the program. Those of an origin begin once a step has
-// `events_that_begin_steps` events, with the step before it.
+// `first_events` events, with the step before it.
 #pragma once
 
 #include <array>

@@ -340,7 +340,7 @@ TEST_SUITE("app") {
     CHECK(has(import({"tab.csv", "--time", "Zeit", "--separator", "tab"}, 1), "write --decimal ,"));
     CHECK(has(import({"lab.csv", "--time", "Zeit", "--separator", ",", "--decimal", ","}, 1), "the decimal mark, too"));
     CHECK(has(import({"lab.csv", "--time", "Zeit", "--separator", ";;"}, 1), "not a character between cells"));
-    CHECK(has(import({"lab.csv", "--time", "Zeit", "--zone", "CET"}, 1), "no time zone"));
+    CHECK(has(import({"lab.csv", "--time", "Zeit", "--zone", "CET"}, 1), "not a time zone"));
     CHECK_FALSE(folder.has("lab.db"));
     CHECK_FALSE(folder.has("tab.db"));
     import({"lab.csv", "--time", "Zeit", "--separator", ";", "--decimal", ",", "--zone", "+01:00"}, 0);

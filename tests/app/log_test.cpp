@@ -147,7 +147,7 @@ TEST_SUITE("app") {
     }
     for (const std::string& item : items("420")) CHECK_FALSE(report(item).empty());
     for (const std::string& item : items(R"({"env": "PATH"})"))
-      CHECK(report(item).find("no secret") != std::string::npos);
+      CHECK(report(item).find("permissions are not secret") != std::string::npos);
   }
 
   TEST_CASE("NFR-7 check refuses limits of the log that say nothing") {

@@ -647,7 +647,7 @@ TEST_SUITE("app") {
     board.file("/etc/group", "root:x:0:\ndialout:x:20:pi\ni2c:x:994:\nspi:x:995:\nvideo:x:44:\n");
     const Finding groups = examine_groups(board.files()).at(0);
     CHECK(groups.severity == Severity::note);
-    CHECK(groups.what == "nobody is in: i2c,spi");
+    CHECK(groups.what == "no user is in: i2c,spi");
     CHECK(groups.advice.find("usermod -aG i2c,spi $USER") != std::string::npos);
     board.file("/etc/group", "i2c:x:994:pi\n");
     CHECK(examine_groups(board.files()).at(0).severity == Severity::good);

@@ -236,21 +236,22 @@ TEST_CASE("US-26 whatever bytes of a recording are changed, it is read or refuse
         now[i] = below(2) == 0 ? '\xff' : static_cast<char>(random());
     }
     std::ofstream(changed, std::ios::binary | std::ios::trunc) << now;
-    const auto check = [&](const char* command, int status, const std::string& error) {
+    // `error` is read after the command has run.
+    const auto check = [&](const std::string& command, int status, const std::ostringstream& error) {
       CHECK_MESSAGE((status >= 0 && status <= 2), command);
-      if (status == 2) CHECK_MESSAGE(error.starts_with("rtdata: "), command << ": " << error);
+      if (status == 2) CHECK_MESSAGE(error.str().starts_with("rtdata: "), command << ": " << error.str());
       ++met[static_cast<std::size_t>(std::clamp(status, 0, 2))];
     };
     for (const auto show_as : {app::ShowAs::text, app::ShowAs::json}) {
       std::ostringstream out, err;
-      check("verify", app::verify({.database = changed, .show_as = show_as}, out, err), err.str());
+      check("verify", app::verify({.database = changed, .show_as = show_as}, out, err), err);
     }
     std::ostringstream out, err;
-    check("info", app::info({.database = changed, .gaps = app::InfoOptions::Gaps::listed}, out, err), err.str());
+    check("info", app::info({.database = changed, .gaps = app::InfoOptions::Gaps::listed}, out, err), err);
     for (const char* step : {"", "1 s"}) {
       std::ostringstream rows, wrong;
       app::ExportOptions options{.database = changed, .format = "jsonl", .step = step};
-      check("export", app::export_recording(options, rows, wrong), wrong.str());
+      check("export", app::export_recording(options, rows, wrong), wrong);
     }
   }
   for (const unsigned of_status : met) CHECK(of_status > 0);

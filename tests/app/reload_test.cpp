@@ -254,6 +254,32 @@ TEST_SUITE("app") {
     }
   }
 
+  TEST_CASE("US-5 US-32 a reload that removes a sender says what waits for it") {
+    const rtdata::test::RuntimeFolder runtime;
+    const Folder folder;
+    const auto text = [](const std::string& sender) {
+      return R"({"sensors": [{"name": "a", "type": "host", "quantity": "load", "rate": "50 Hz"}], "sinks": [
+        {"type": "sqlite", "name": "db", "path": "run.db", "batch_time": "50 ms"})" +
+             sender + "]}";
+    };
+    folder.write("rig.json",
+                 text(R"(, {"type": "tcp", "name": "far", "host": "127.0.0.1", "port": 1, "through": "db"})"));
+    Process run(folder, built("rtdata"), {"run", "rig.json"});
+    REQUIRE(run.wait_for("running rig"));
+    for (int i = 0; i < 6000; ++i) {  // until something waits for the peer that is not there
+      std::this_thread::sleep_for(std::chrono::milliseconds{10});
+      const auto opened = rtdata::Recording::open(folder.path() + "/run.db");
+      const auto topics = opened ? opened->topics().or_throw() : std::vector<rtdata::RecordedTopic>{};
+      if (!topics.empty()) break;
+    }
+    folder.write("rig.json", text(""));
+    run.signal(SIGHUP);
+    REQUIRE(run.wait_for(" in the recording db for the sink \"far\", which is removed: they are not sent"));
+    REQUIRE(run.wait_for("rig.json is applied"));
+    run.signal(SIGTERM);
+    CHECK(run.end() == 0);
+  }
+
   TEST_CASE(
       "US-5 US-32 a disk that does not answer is left though a sender goes through it; what waits there is told") {
     const rtdata::test::RuntimeFolder runtime;

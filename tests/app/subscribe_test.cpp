@@ -2,6 +2,8 @@
 #include <doctest/doctest.h>
 #include <signal.h>
 
+#include <algorithm>
+
 #include <map>
 #include <nlohmann/json.hpp>
 #include <optional>
@@ -143,6 +145,12 @@ TEST_SUITE("app") {
       while (live.next_event("other")["sequence"] < 30) {
       }
     }
+    std::vector<std::string> runs;
+    for (const RunInfo& one : Recording::open(folder.path() + "/rig.db").or_throw().runs().or_throw())
+      runs.push_back(one.uuid);
+    REQUIRE(runs.size() == 2);
+    // A reader of what comes live is told the same run.
+    CHECK(Listener(R"({"request":"subscribe","topics":["other"]})").next("subscribed")["run"] == runs.back());
     std::vector<std::unique_ptr<Listener>> readers;
     for (int i = 0; i < 3; ++i)
       readers.push_back(std::make_unique<Listener>(R"({"request":"subscribe","topics":["#"],"from":0})"));
@@ -151,17 +159,20 @@ TEST_SUITE("app") {
       Sequences before, now;
       const json hello = reader->next("subscribed");
       CHECK(hello["of"] == "rec");
-      const std::string current = hello["run"];
-      std::string of_run = current;
+      CHECK_FALSE(hello.contains("run"));
+      std::string of_run;
       bool is_live = false;
       while (!is_live || now.last["b"] < 100) {
         const auto line = reader->next();
         REQUIRE(line);
-        if (line->contains("run")) of_run = (*line)["run"];
+        if (line->contains("run")) {
+          CHECK(std::find(runs.begin(), runs.end(), (*line)["run"]) == runs.begin() + (of_run.empty() ? 0 : 1));
+          of_run = (*line)["run"];
+        }
         if (line->contains("live")) is_live = true;
-        (of_run == current ? now : before).add(*line);
+        (of_run == runs.back() ? now : before).add(*line);
       }
-      CHECK(of_run == current);
+      CHECK(of_run == runs.back());
       for (Sequences* one : {&before, &now}) {
         CHECK(one->dropped == 0);
         CHECK(one->last.size() == 3);

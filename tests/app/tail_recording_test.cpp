@@ -123,7 +123,7 @@ TEST_SUITE("app") {
     CHECK(next == 1000);
     CHECK(sum == doctest::Approx(number(path, "SELECT sum(temperature) FROM \"room/climate\"")));
     const Shown text = listed({.database = path, .topics = {"room/climate"}, .part = {.from = "0"}, .step = "1 h"});
-    CHECK(has(text.out, "room/climate (room) 999 events: temperature=501.79 (1 to 1001) Cel"));
+    CHECK_MESSAGE(has(text.out, "room/climate (room) 999 events: temperature=501.8 (1 to 1001) Cel"), text.out);
   }
 
   TEST_CASE("FW-5 tail: alarms are among the events, whatever the topics") {

@@ -266,7 +266,8 @@ TEST_SUITE("app") {
       CHECK(run.end() == (signal == SIGKILL ? 128 + SIGKILL : 0));
       CHECK(text.end() == (signal == SIGKILL ? 1 : 0));
       CHECK(json.end() == (signal == SIGKILL ? 1 : 0));
-      CHECK(has(text.err, signal == SIGKILL ? "no answer: instance: it has ended, or serves others" : " has ended\n"));
+      CHECK(has(text.err, signal == SIGKILL ? "no answer: instance: it has ended, or serves other, later clients"
+                                            : " has ended\n"));
     }
   }
 

@@ -279,19 +279,20 @@ TEST_SUITE("process") {
     };
     const double nan = std::numeric_limits<double>::quiet_NaN();
     CHECK(has(unreadable({{"level", filtered({Filter::median(3)})}}, {nan, 0, {}}), "it is nan"));
-    CHECK(has(unreadable({{"level", calibrated({.polynomial = {0, 0, 1}})}}, {1e300, 0, {}}), "no finite number"));
+    CHECK(has(unreadable({{"level", calibrated({.polynomial = {0, 0, 1}})}}, {1e300, 0, {}}), "not a finite number"));
     CHECK(has(unreadable({{"level", {.calibration = Calibration{.scale = 1e10}, .filters = {Filter::median(3)}}}},
                          {1e305, 0, {}}),
-              "no finite number"));
+              "not a finite number"));
     // No clamp makes a value of what is none.
     CHECK(has(unreadable({{"level", {.calibration = Calibration{.scale = 1e10}, .filters = {Filter::clamp(0, 1)}}}},
                          {1e305, 0, {}}),
-              "no finite number"));
+              "not a finite number"));
     CHECK(has(
         unreadable({{"level", calibrated({.scale = 1e10, .table = {{0, 0}, {1, 1}}, .outside = OutsideTable::clamp})}},
                    {1e305, 0, {}}),
-        "no finite number"));
-    CHECK(has(unreadable({{"maybe", calibrated({.scale = 1e30})}}, {0, 0, 1e20f}), "no finite number"));  // as a float
+        "not a finite number"));
+    // As a float.
+    CHECK(has(unreadable({{"maybe", calibrated({.scale = 1e30})}}, {0, 0, 1e20f}), "not a finite number"));
     CHECK(has(unreadable({{"level", calibrated({.least = 0})}}, {-0.5, 0, {}}), "-0.5 is below 0, the least"));
     CHECK(has(unreadable({{"level", calibrated({.most = 9})}}, {9.5, 0, {}}), "9.5 is above 9, the most"));
   }

@@ -332,7 +332,7 @@ TEST_SUITE("sensors") {
       if (is_new) {
         chip.set(0x03, {0x10});  // no data is ready
         bench.loop.advance(200ms);
-        CHECK(air.status().reason.find("it measures still") != std::string::npos);
+        CHECK(air.status().reason.find("the measurement takes too long") != std::string::npos);
       }
       CHECK(bench.loop.runtime().balances());
     }

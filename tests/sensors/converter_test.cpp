@@ -277,8 +277,8 @@ TEST_SUITE("sensors") {
                                          {"name": "f"}, {"name": "g"}, {"name": "h"}, {"name": "i"}])"),
               "there are more than 8 channels"));
     CHECK(has(problems(R"(, "channels": [{"input": "4"}])"), "channels[0].input"));
-    CHECK(
-        has(problems(R"(, "channels": [{"input": "0"}, {"range": 5}])"), "channels[1].range: 5.000000 is not a value"));
+    CHECK(has(problems(R"(, "channels": [{"input": "0"}, {"range": 5}])"),
+              "channels[1].range: 5.000000 is not one of its values"));
     CHECK(has(problems(R"(, "channels": [{"input": "0"}, {"input": "0", "range": 0.256}])"),
               "give each channel a `name`"));
     CHECK(problems(R"(, "data_rate": 250, "model": "ads1015")") == "");

@@ -355,7 +355,7 @@ class Rig {
     const std::uint64_t before = events;
     values = Values::good_ones;
     pass(2s);
-    CHECK(sensor().health() == Health::ok);
+    CHECK_MESSAGE(sensor().health() == Health::ok, sensor().status().reason);
     CHECK(events >= before + 4);
   }
   void expect_nothing_for(Duration time) {

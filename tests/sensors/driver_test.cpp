@@ -513,8 +513,7 @@ TEST_SUITE("sensors") {
     first.close();
     Thermometer second(bench.loop, {.name = "b", .rate = 10_Hz}, bench.bus);
     CHECK_THROWS_WITH_AS(bench.bus.device({0x90}),
-                         doctest::Contains("8 bits, with that for reading or writing; "
-                                           "without it, it is 0x48"),
+                         doctest::Contains("8 bits, with the read/write bit; the address of 7 bits is 0x48"),
                          SetupError);
     CHECK_THROWS_AS(bench.bus.device({0x03}), SetupError);
     CHECK_THROWS_AS(

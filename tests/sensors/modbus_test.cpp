@@ -501,7 +501,7 @@ TEST_CASE("US-42 Modbus RTU: units on one line share it; broken, half and missin
   are_back();
   line.unplug();
   stage.until([&] { return one.health() == Health::faulted && three.health() == Health::faulted; });
-  CHECK(stage.has_error("has gone away"));
+  CHECK(stage.has_error("has disappeared"));
   line.plug_in();
   are_back();
   // Nothing but right values came.

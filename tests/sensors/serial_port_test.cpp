@@ -327,7 +327,7 @@ TEST_SUITE("sensors") {
     bench.wires->on_write([](std::string_view) { return "ERROR\n"; });
     bench.loop.advance(100ms);
     CHECK(meter.counts().unreadable == 1);
-    CHECK_MESSAGE(has(bench.errors.back(), "field n: \"ERROR\" is no int32"), bench.errors.back());
+    CHECK_MESSAGE(has(bench.errors.back(), "field n: \"ERROR\" is not an int32"), bench.errors.back());
     bench.wires->unplug();
     bench.loop.advance(200ms);
     CHECK(has(bench.errors.back(), "the device has disappeared"));

@@ -105,7 +105,7 @@ TEST_SUITE("sinks") {
     const auto advice = [](HttpFailure failure, const std::string& proxy = "") {
       return detail::judge(failure, "https://collector.example", proxy);
     };
-    CHECK(has(advice({.code = CURLE_COULDNT_CONNECT, .error_number = ECONNREFUSED}).why.advice, "nobody listens"));
+    CHECK(has(advice({.code = CURLE_COULDNT_CONNECT, .error_number = ECONNREFUSED}).why.advice, "no program listens"));
     CHECK(has(advice({.code = CURLE_PEER_FAILED_VERIFICATION, .verify_result = 10}).why.advice, "date"));
     CHECK(has(advice({.code = CURLE_PEER_FAILED_VERIFICATION, .verify_result = 18}).why.advice, "tls.ca_file"));
     CHECK(has(
@@ -148,7 +148,7 @@ TEST_SUITE("sinks") {
         {url + R"("password": "p")", "no `user`"},
         {url + R"("user": "a:b", "password": "p")", "no colon"},
         {url + R"("bearer": "a\nb")", "line break"},
-        {url + R"("headers": {"X A": "1"})", "no name of a header"},
+        {url + R"("headers": {"X A": "1"})", "is not a header name"},
         {url + R"("headers": {"X-A": "1\r\nX-B: 2"})", "line break"},
         {url + R"("headers": {"authorization": "x"})", "`bearer`"},
         {url + R"("headers": {"Content-Length": "3"})", "it is set already"},
@@ -156,10 +156,10 @@ TEST_SUITE("sinks") {
         {url + R"("proxy": "http://u:p@proxy.example:3128")", "`proxy_user`"},
         {url + R"("proxy_user": "u")", "no `proxy`"},
         {url + R"("tls": {"certificate": ")" + pem + "\"}", "needs its private key"},
-        {url + R"("tls": {"key": ")" + pem + "\"}", "nothing without its certificate"},
+        {url + R"("tls": {"key": ")" + pem + "\"}", "needs its certificate"},
         {url + R"("tls": {"ca_file": "/no/such/file"})", "No such file"},
         {url + R"("tls": {"ca_file": "/proc/self/cmdline"})", "no line that begins with -----BEGIN"},
-        {url + R"("tls": {"ca_file": "/tmp"})", "no regular file"},
+        {url + R"("tls": {"ca_file": "/tmp"})", "not a regular file"},
         {url + R"("tls": {"ca_file": ")" + pem + R"(", "verify": false})", "remove one of the two"},
         {url + R"("tls": {"key_password": "x"})", "no `key`"},
         {R"("url": "http://h.example/x", "tls": {"ca_file": ")" + pem + "\"}", "not encrypted"},

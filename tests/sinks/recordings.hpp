@@ -101,6 +101,11 @@ inline void write_checksums(const std::string& path) {
   database.execute("COMMIT");
 }
 
+/// Of the topic that make() records.
+inline const std::string drop_steps =
+    "DROP TABLE \"room/climate~1s\"; DROP TABLE \"room/climate~1min\";"
+    "UPDATE rtdata_ledger SET seconds_from = 0, minutes_from = 0;";
+
 /// Changes a recording, and makes its checksums fit.
 inline void written_as(const std::string& path, const std::string& statements) {
   sql(path, statements);

@@ -276,7 +276,8 @@ TEST_CASE("FW-5 what a recording dropped is dropped again, and counted") {
   const std::string path = make(folder);
   written_as(path,
              "DELETE FROM \"room/climate\" WHERE sequence IN (1, 2, 50, 51, 52, 999);"
-             "UPDATE rtdata_ledger SET stored = stored - 6, dropped_oldest = 6 WHERE origin = 'room'");
+             "UPDATE rtdata_ledger SET stored = stored - 6, dropped_oldest = 6 WHERE origin = 'room';" +
+                 drop_steps);
   check_balanced(path);
   const std::string copy = copied(folder, path);
   check_balanced(copy);

@@ -409,7 +409,7 @@ TEST_CASE("FW-5 steps keep the gaps, and their sums are those of SQL") {
   }
   // A value that is none is told with its place, where rows are read.
   sql(path, "UPDATE \"room/climate\" SET humidity = x'00' WHERE sequence = 300");
-  const auto failed = Recording::open(path).or_throw().steps({.topic = "room/climate"}, 11s);
+  const auto failed = Recording::open(path).or_throw().steps({.topic = "room/climate"}, 12500ms);
   REQUIRE_FALSE(failed);
   CHECK(failed.error().text().find("sequence 300, field humidity") != std::string::npos);
 }

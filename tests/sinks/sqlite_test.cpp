@@ -260,7 +260,7 @@ TEST_SUITE("sinks") {
     Database::open(path, Database::Mode::write).execute("PRAGMA user_version = 99");
     CHECK(refusal({.path = path}).starts_with("newer-version: "));
     Database::open(path, Database::Mode::write).execute("PRAGMA application_id = 0x52544441");
-    CHECK(refusal({.path = path}).find("from before version 0.1.0") != std::string::npos);
+    CHECK(refusal({.path = path}).find("of a version before 0.1.0") != std::string::npos);
     CHECK(refusal({.path = path}).find("export it with the rtdata that recorded it") != std::string::npos);
     CHECK(query(path, "SELECT count(*) FROM \"room/climate\"") == 10);
     if (::geteuid() == 0) {

@@ -949,7 +949,7 @@ TEST_SUITE("sinks") {
     CHECK_THROWS_WITH_AS(SqliteSink(loop, {.path = folder / "b.db", .sink = {.name = "b", .through = "recording"}}),
                          doctest::Contains("a recording itself"), SetupError);
     Sink plain(loop, {.name = "plain"}, std::make_unique<ScriptedPeer>(peer));
-    CHECK_THROWS_WITH_AS(make("plain"), doctest::Contains("no recording"), SetupError);
+    CHECK_THROWS_WITH_AS(make("plain"), doctest::Contains("not a recording"), SetupError);
   }
 
   TEST_CASE("a recording commits within the shortest time of the sinks that go through it") {

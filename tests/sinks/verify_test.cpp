@@ -57,6 +57,8 @@ TEST_CASE("US-26 a column or a view that is damaged is found") {
     return rename + a + " TO z;" + rename + b + " TO " + a + ";" + rename + "z TO " + b;
   };
   CHECK(after(exchanged("temperature", "humidity")) ==
+        "room/climate~1s: the table has other columns than those of steps of room/climate.\n"
+        "room/climate~1min: the table has other columns than those of steps of room/climate.\n"
         "room/climate: column 6 of the table is \"humidity\", where \"temperature\" was recorded: names of columns "
         "were exchanged.\n");
   CHECK(has(after("DROP VIEW \"room/climate~utc\"; " + exchanged("time", "sequence")),
@@ -866,7 +868,8 @@ TEST_CASE("US-26 a sealed run says what was lost, and is exit code 0 as long as 
   written_as(path,
              "UPDATE rtdata_run SET state = 'sealed', lost = 3, remark = 'killed';"
              "DELETE FROM \"room/climate\" WHERE sequence > 996;"
-             "UPDATE rtdata_ledger SET stored = 996, dropped_unsaved = 3 WHERE origin = 'room'");
+             "UPDATE rtdata_ledger SET stored = 996, dropped_unsaved = 3 WHERE origin = 'room';" +
+                 drop_steps);
   VerifyReport report = verified(path);
   CHECK_MESSAGE(report.verdict() == Verdict::sealed, report.text());
   CHECK(report.exit_code() == 0);
@@ -898,7 +901,7 @@ TEST_CASE("US-26 the subcommand verify prints at most 80 columns, or JSON, and r
   CHECK(json["exit_code"] == 1);
   CHECK(json["runs"][0]["rows"] == 1000);
   CHECK(json["runs"][0]["stored"] == 1001);
-  CHECK(json["runs"][0]["problems"].size() == 2);  // the checksum too
+  CHECK(json["runs"][0]["problems"].size() == 4);  // the checksum, and a step of each length, too
   CHECK(app::verify({.database = folder / "nothing.db"}, out, err) == 2);
   CHECK(has(err.str(), "nothing.db"));
 }

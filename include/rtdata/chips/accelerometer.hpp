@@ -141,8 +141,8 @@ class Accelerometer : public InertialDriver<AccelerometerConfig, AccelerometerRe
 )";
   static constexpr RegisterPlace place{0x53};
   static constexpr auto chips = chips_of(accelerometer_models::all);
-  // Two samples in the FIFO, of 256 counts a g.
-  static constexpr ChipSample samples[] = {{.bytes = {{{"00", "e5"}, {"32", "80 ff 40 00 00 01"}, {"39", "02"}}},
+  // 20 samples in the FIFO (0.2 s at 100 Hz), of 256 counts a g.
+  static constexpr ChipSample samples[] = {{.bytes = {{{"00", "e5"}, {"32", "80 ff 40 00 00 01"}, {"39", "14"}}},
                                             .values = {{{"acceleration_x", -0.5 * standard_gravity},
                                                         {"acceleration_y", 0.25 * standard_gravity},
                                                         {"acceleration_z", standard_gravity}}},

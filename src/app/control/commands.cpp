@@ -58,7 +58,7 @@ std::string acknowledge(System& system, const Words& words, std::string_view) {
 double number_of(const std::string& word, const char* expected) {
   double number = 0;
   if (detail::read_number(word, number) != std::errc{})
-    throw std::invalid_argument("\"" + word + "\" is no " + expected);
+    throw std::invalid_argument("\"" + word + "\" is not a " + expected);
   return number;
 }
 /// "on", "off", or a number.

@@ -254,9 +254,11 @@ void StepSums::append_to(std::string& text, const StreamOrigin& origin) const {
 // ---- the stream
 
 EventStream::EventStream(StreamRequest request, std::string_view run, std::string_view recording)
-    : request_(std::move(request)), is_live_(recording.empty()), run_(run) {
-  Json told{{"subscribed", request_.topics}, {"version", Status::newest}, {"run", run}};
-  if (!is_live_) {
+    : request_(std::move(request)), is_live_(recording.empty()) {
+  Json told{{"subscribed", request_.topics}, {"version", Status::newest}};
+  if (is_live_) {
+    told["run"] = run_ = run;
+  } else {
     told["from"] = to_nanoseconds(*request_.from);
     told["of"] = recording;
   }

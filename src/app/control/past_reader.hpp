@@ -16,8 +16,8 @@ namespace rtdata::app {
 class PastReader {
  public:
   struct Slice {
-    std::vector<std::byte> events;  ///< PackedEvents; of the run that goes on their `run` is 0
-    std::vector<std::pair<std::uint32_t, std::string>> runs;  ///< that are new in it: number and uuid
+    std::vector<std::byte> events;                            ///< PackedEvents, with the number of their run
+    std::vector<std::pair<std::uint32_t, std::string>> runs;  ///< new ones: number and uuid; the last goes on
     bool has_more = false;                                    ///< by now
     std::string failed;                                       ///< why it ends here; empty: it does not
   };
@@ -26,8 +26,7 @@ class PastReader {
   virtual Slice read() noexcept = 0;
 };
 
-/// `run`: the uuid of the run that goes on.
-std::unique_ptr<PastReader> make_past_reader(std::string path, std::vector<std::string> topics, Time from,
-                                             std::string run);
+/// Of the recording in this file, to which a sink of this program writes.
+std::unique_ptr<PastReader> make_past_reader(std::string path, std::vector<std::string> topics, Time from);
 
 }  // namespace rtdata::app

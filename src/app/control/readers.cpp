@@ -107,6 +107,8 @@ struct Readers::Shared::Connection {
   }
   /// It reads fast enough for more of what was before now, of which nothing is dropped.
   bool has_room() const noexcept { return stream.text().size() < EventStream::most_bytes / 2; }
+  /// The run that goes on; empty: its recording has none.
+  std::string_view current_run() const { return runs.empty() ? std::string_view() : runs.rbegin()->second; }
   /// Keeps what comes live for later.
   void keep(const PackedEvent& event) {
     if (kept.size() + event.bytes > most_kept) {  // the recording has it, and is read on
@@ -137,7 +139,6 @@ struct Readers::Shared::Connection {
   bool has_read = false;             // a slice at least
   PastReader::Slice slice;
   std::size_t given_of_slice = 0;
-  std::uint32_t run = 0;                      // of the last event
   std::map<std::uint32_t, std::string> runs;  // uuids
   Step step = Step::reads;
   std::uint64_t mark = 0;
@@ -229,10 +230,7 @@ void Readers::Shared::go_on_with_past(Connection& of) {
   const auto give = [&](const std::vector<std::byte>& events, std::size_t& given) {
     while (given < events.size() && of.has_room()) {
       const auto& event = *reinterpret_cast<const PackedEvent*>(events.data() + given);
-      if (event.run != of.run) {
-        of.run = event.run;
-        of.stream.begin_run(of.run == 0 ? run : of.runs[of.run]);
-      }
+      of.stream.begin_run(event.run != 0 ? of.runs[event.run] : of.current_run());
       line.set(event);
       of.stream.take(event, origins.of(event), line);
       given += event.bytes;
@@ -276,6 +274,7 @@ void Readers::Shared::go_on_with_past(Connection& of) {
       if (!give(of.kept, of.given_of_kept)) return;
       of.kept = {};
       of.slice = {};
+      of.stream.begin_run(of.current_run());
       return of.stream.go_live(now());
   }
 }
@@ -370,7 +369,7 @@ void Readers::add(int fd, StreamRequest request) {
     const Recording& recording = *recording_for(request);
     if (request.ago) request.from = loop_.time() - *request.ago;
     arrival->sink = recording.sink;
-    arrival->past = make_past_reader(recording.path, request.topics, *request.from, shared_->run);
+    arrival->past = make_past_reader(recording.path, request.topics, *request.from);
   }
 #endif
   arrival->request = std::move(request);

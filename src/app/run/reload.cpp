@@ -5,6 +5,7 @@
 #include <utility>
 #include <vector>
 
+#include "app/core/amounts.hpp"
 #include "app/run/data_at_risk.hpp"
 #include "app/run/growth.hpp"
 #include "app/run/left_backlogs.hpp"
@@ -31,7 +32,6 @@ std::shared_ptr<const Reload::NextPlan> Reload::read_again() const {
     if (next->plan.good()) {
       warn_of_growth(next->plan, growth_span);
       warn_of_losses(next->plan);
-      warn_of_left_backlogs(next->plan);
     }
   } catch (const std::exception& error) {
     next->failed = error.what();
@@ -142,6 +142,20 @@ std::vector<const PartPlan*> Reload::closing_sinks(const Change& change) const {
   return sinks;
 }
 
+void Reload::report_removed_senders(Change& change) const {
+  std::set<std::string> removed;
+  for (const PartChange& part : change.steps->changes().all)
+    if (part.fate == Fate::removed) removed.insert(part.object);
+  for (const PartPlan* plan : system_.parts().plans()) {
+    if (!plan->stores || plan->stores->through.empty() || !removed.contains(plan->object())) continue;
+    const SinkStatus status = system_.sink(plan->name).status();
+    if (!status.backlog || status.counts.queued == 0) continue;
+    change.left.push_back(waiting_text({status.counts.queued, status.backlog->bytes, {}, {}}) + " in the recording " +
+                          plan->stores->through + " for the sink \"" + plan->name +
+                          "\", which is removed: they are not sent");
+  }
+}
+
 bool Reload::may_be_left(const Change& change, const PartPlan& sink) const {
   const std::error_code obstacle = system_.sink(sink.name).obstacle();
   if (obstacle == Errc::storage_full || obstacle == Errc::busy) return false;
@@ -181,6 +195,7 @@ void Reload::begin(const std::shared_ptr<Change>& change) {
   if (!may_be_applied(*change)) return;
   under_way_ = change;
   change->left = recordings_left(system_.parts().plans(), change->read->plan);
+  report_removed_senders(*change);
   std::set<std::string> sinks;
   for (const PartPlan* sink : closing_sinks(*change)) sinks.insert(sink->name);
   change->waits_for = sinks;

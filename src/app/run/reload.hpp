@@ -75,7 +75,7 @@ class Reload {
     // Sinks that still store their queue, and "tier fast" until it turns; then sinks that open their files.
     std::set<std::string> waits_for = {};
     Timer patience = {};
-    std::vector<std::string> left = {};  // recordings that it closes permanently, a line each
+    std::vector<std::string> left = {};  // what waits in recordings and is not sent afterwards, a line each
     std::size_t reported_parts = 0;      // number of changed parts already logged
     std::string details = {};            // its messages, a line each
     std::string missing = {};            // parts that could not be made, although it is applied
@@ -88,6 +88,8 @@ class Reload {
   bool may_be_applied(Change& change);
   /// The sinks that the change closes.
   std::vector<const PartPlan*> closing_sinks(const Change& change) const;
+  /// Adds what waits in recordings for senders that the change removes. Their files are not read: a disk may hang.
+  void report_removed_senders(Change& change) const;
   /// True if a sink that cannot store its queue may be left: nobody can mend its disk, and no other sink gets its file.
   bool may_be_left(const Change& change, const PartPlan& sink) const;
   void begin(const std::shared_ptr<Change>& change);

@@ -52,6 +52,10 @@ const std::string& RuntimeCore::run_uuid() {
   return run_uuid_;
 }
 
+std::string RuntimeCore::uuid_for_recording() {
+  return std::exchange(is_recorded_, true) ? first_line("/proc/sys/kernel/random/uuid") : run_uuid();
+}
+
 void RuntimeCore::attach(LoopCore& loop) {
   reports.attach(loop);
   own_loop = &loop;

@@ -17,9 +17,11 @@ namespace {
 
 constexpr const char* check_fields = "check `fields` and the other settings";
 
-/// Of a type, for people.
-std::string number_name(Kind kind) {
-  return kind == Kind::f64 || kind == Kind::f32 ? "number" : std::string(name_of(kind));
+/// Of a type of numbers, with its article.
+std::string type_name(Kind kind) {
+  if (kind == Kind::f64 || kind == Kind::f32) return "a number";
+  const std::string_view name = name_of(kind);
+  return std::string(name.starts_with('i') ? "an " : "a ").append(name);
 }
 
 Error refused(std::string where, std::string why, std::string advice) {
@@ -287,7 +289,7 @@ Result<void> LineDecoder::put_value(std::size_t index, const Leaf& leaf_of_it, s
         return failure(Errc::out_of_range, index,
                        shown(text) + " does not fit into " + std::string(name_of(leaf->kind)));
       }
-      return failure(Errc::not_a_number, index, shown(text) + " is no " + number_name(leaf->kind));
+      return failure(Errc::not_a_number, index, shown(text) + " is not " + type_name(leaf->kind));
     }
   }
 }
@@ -433,7 +435,7 @@ bool LineDecoder::JsonHandler::take(Form form, std::string_view text) {
     } else if (form == Form::null || is_textual != (form == Form::string) ||
                (kind != Kind::boolean && form == Form::boolean)) {
       error_ = decoder_.failure(is_textual ? Errc::bad_data : Errc::not_a_number, i,
-                                shown(text) + " is no " + number_name(kind));
+                                shown(text) + " is not " + type_name(kind));
     } else if (Result<void> done = decoder_.put(i, text); !done) {
       error_ = std::move(done).error();
     }
