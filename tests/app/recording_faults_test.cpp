@@ -102,7 +102,7 @@ std::vector<Words> readers(const std::string& name) {
           {"export", name, "--topic", "room"},
           {"export", name, "--format", "jsonl"},
           {"export", name, "--folder", "out", "--overwrite"},
-          {"export", name, "--step", "1s"},
+          {"export", name, "--step", "1500ms"},  // of rows: those of seconds are recorded
           {"replay", name, "--speed", "max"},
           {"replay", name, "discard.json", "--speed", "max"},
           {"forward", name, "node.json"}};

@@ -37,6 +37,24 @@ constexpr const char* rig = R"({
   "sinks": [ {"type": "sqlite", "name": "rec", "path": "rig.db"} ]
 })";
 
+/// An alarm or a gap, which every reader gets.
+bool is_beside(const json& line) { return line["topic"].get<std::string>().starts_with("$"); }
+
+/// Looks that every event of an origin comes once, or is told as dropped.
+struct Sequences {
+  std::map<std::string, std::uint64_t> last;
+  std::uint64_t dropped = 0, events = 0;
+  void add(const json& line) {
+    dropped += line.value("dropped", std::uint64_t{0});
+    if (!line.contains("data") || is_beside(line)) return;
+    const std::string origin = line["origin"];
+    const std::uint64_t first = line["sequence"].is_array() ? line["sequence"][0] : line["sequence"];
+    if (last.contains(origin)) CHECK(first - (last[origin] + 1) <= dropped);
+    last[origin] = line["sequence"].is_array() ? line["sequence"][1] : line["sequence"];
+    events += line.value("count", std::uint64_t{1});
+  }
+};
+
 /// A reader that hears lines.
 class Listener {
  public:
@@ -55,6 +73,16 @@ class Listener {
       if (line->contains(key)) return *line;
     }
   }
+  /// The next event or step of the topics that it names; others are added to what came: on a loaded machine ticks are
+  /// missed, and events dropped.
+  json next_of_topics(Sequences& came) {
+    for (;;) {
+      auto line = next();
+      REQUIRE(line);
+      if (line->contains("data") && !is_beside(*line)) return *line;
+      came.add(*line);
+    }
+  }
   json next_event(const std::string& topic) {
     for (;;) {
       json line = next("data");
@@ -71,21 +99,6 @@ class Listener {
     return *std::move(client);
   }
   ControlClient client_;
-};
-
-/// Looks that every event of an origin comes once, or is told as dropped.
-struct Sequences {
-  std::map<std::string, std::uint64_t> last;
-  std::uint64_t dropped = 0, events = 0;
-  void add(const json& line) {
-    dropped += line.value("dropped", std::uint64_t{0});
-    if (!line.contains("data") || line["topic"].get<std::string>().starts_with("$")) return;
-    const std::string origin = line["origin"];
-    const std::uint64_t first = line["sequence"].is_array() ? line["sequence"][0] : line["sequence"];
-    if (last.contains(origin)) CHECK(first - (last[origin] + 1) <= dropped);
-    last[origin] = line["sequence"].is_array() ? line["sequence"][1] : line["sequence"];
-    events += line.value("count", std::uint64_t{1});
-  }
 };
 
 void end_well(Process& run, const Folder& folder, const std::string& file) {
@@ -112,14 +125,14 @@ TEST_SUITE("app") {
     CHECK((*hello)["version"] == 1);
     Sequences of_each, of_steps;
     while (of_each.last["b"] < 20) {
-      const json line = each.next("data");
+      const json line = each.next_of_topics(of_each);
       CHECK(line["topic"].get<std::string>().starts_with("count/"));
       of_each.add(line);
     }
     CHECK(of_each.last["a"] > 100);
     CHECK(of_each.last.size() == 2);
     while (of_steps.last["c"] < 20) {
-      const json line = steps.next("data");
+      const json line = steps.next_of_topics(of_steps);
       of_steps.add(line);
       CHECK(line["time"].get<std::int64_t>() % 100'000'000 == 0);
       CHECK(line["data"]["number"]["count"] == line["count"]);
@@ -127,7 +140,6 @@ TEST_SUITE("app") {
     CHECK(of_steps.last.size() == 3);
     end_well(run, folder, "rig.db");
     while (const auto line = each.next()) of_each.add(*line);
-    CHECK(of_each.dropped == 0);
   }
 
   TEST_CASE("NFR-5 a reader from the beginning gets what is recorded and goes over to live, each event once") {
