@@ -61,7 +61,7 @@ TEST_SUITE("app") {
     const Shown wrong = listed({.database = path, .topics = {"room/climat"}});
     CHECK(wrong.status == 1);
     CHECK(has(wrong.err, "did you mean room/climate?"));
-    CHECK(listed({.database = path, .part = {.run = 7}}).status == 1);
+    CHECK(listed({.database = path, .part = {.run = "7"}}).status == 1);
     CHECK(has(listed({.database = path, .step = "0 s"}).err, "it is not above 0"));
     CHECK(listed({.database = folder / "none.db"}).status == 2);
   }

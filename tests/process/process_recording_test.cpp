@@ -175,7 +175,7 @@ TEST_SUITE("process") {
         loop.advance(end);
         ::kill(::getpid(), SIGKILL);
       });
-      seal(path);
+      start_again(path);
       const VerifyReport report = verified(path);
       INFO(problems_of(report));
       CHECK(report.verdict() == Verdict::sealed);

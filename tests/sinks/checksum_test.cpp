@@ -251,7 +251,7 @@ TEST_SUITE("sinks") {
     SUBCASE("nothing") { is_changed = false; }
     SUBCASE("a value") { sql(path, "UPDATE room SET temperature = -1 WHERE sequence = 6900"); }
     SUBCASE("an account") { sql(path, "UPDATE rtdata_ledger SET late = 1"); }
-    seal(path);
+    start_again(path);
     const VerifyReport report = verified(path);
     CAPTURE(report.text());
     CHECK(report.runs.at(0).verdict == (is_changed ? Verdict::not_balanced : Verdict::sealed));
@@ -293,7 +293,7 @@ TEST_SUITE("sinks") {
       REQUIRE(WIFSIGNALED(status));
       copy(path + ".kept", path);
       std::filesystem::remove(path + "-shm");
-      seal(path);
+      start_again(path);
       const VerifyReport report = verified(path);
       CAPTURE(report.text());
       const RunReport& run = report.runs.at(0);

@@ -152,7 +152,7 @@ TEST_SUITE("sinks") {
       REQUIRE(::waitpid(child, &status, 0) == child);
       REQUIRE(WIFSIGNALED(status));
       REQUIRE(WTERMSIG(status) == SIGKILL);
-      recordings::seal(path);
+      recordings::start_again(path);
       ::unsetenv("RUNTIME_DIRECTORY");
       const VerifyReport report = recordings::verified(path);
       INFO(recordings::problems_of(report));

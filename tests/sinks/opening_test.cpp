@@ -346,7 +346,7 @@ TEST_SUITE("sinks") {
         for (int i = 0; i < 7; ++i) topic->publish({1});
         ::raise(SIGKILL);
       });
-      seal(path);
+      recordings::start_again(path);
       CHECK(number(path, "SELECT count(*) FROM a") == 5);
       CHECK(number(path, "SELECT offered FROM rtdata_ledger WHERE run = 1") == 12);
       CHECK(number(path, "SELECT lost FROM rtdata_run WHERE run = 1") == 7);
@@ -372,7 +372,7 @@ TEST_SUITE("sinks") {
         adding.loop.advance(500ms);
         ::raise(SIGKILL);
       });
-      seal(path);
+      recordings::start_again(path);
       CHECK(number(path, "SELECT coalesce(lost, -1) FROM rtdata_run WHERE run = 1") == (topic == Topic::none ? 0 : -1));
       CHECK((remark(path).find("is unknown") == std::string::npos) == (topic == Topic::none));
       CHECK(verified(path).verdict() == Verdict::sealed);

@@ -95,7 +95,7 @@ TEST_SUITE("sinks") {
         ::raise(SIGKILL);
       });
       if (is_cut) live.forget();
-      seal(path);
+      recordings::start_again(path);
       // Up to the last account, which is some seconds old when little happens; up to the kill.
       const std::int64_t ticks = is_cut ? number(path, "SELECT failed FROM rtdata_ledger WHERE run = 1") : 851;
       CHECK(ticks >= 300);
@@ -135,7 +135,7 @@ TEST_SUITE("sinks") {
       while (heard_of() < 300) loop.run_for(1ms);
       ::raise(SIGKILL);
     });
-    seal(path);
+    recordings::start_again(path);
     check_sealed(path);
     // Under load, ticks are missed too.
     CHECK(check_ticks(path) >= 300);
@@ -178,7 +178,7 @@ TEST_SUITE("sinks") {
         while (sink.counts().stored < static_cast<std::uint64_t>(stored)) loop.run_for(1ms);
         ::raise(SIGKILL);
       });
-      seal(path);
+      recordings::start_again(path);
       check_sealed(path);
       const std::int64_t published = number(path, "SELECT published FROM rtdata_ledger WHERE run = 1");
       CHECK(published >= stored);
@@ -218,7 +218,7 @@ TEST_SUITE("sinks") {
         loop.run_for(200ms);
         ::raise(SIGKILL);
       });
-      seal(path);
+      recordings::start_again(path);
       check_sealed(path);
       CHECK(number(path, "SELECT count(*)" + run_1) == 1);
       CHECK(number(path, "SELECT count(*)" + run_1 + " AND count IS NULL AND kind = '" +
@@ -241,7 +241,7 @@ TEST_SUITE("sinks") {
       loop.advance(300ms);
       ::raise(SIGKILL);
     });
-    seal(path);
+    recordings::start_again(path);
     CHECK(number(path, "SELECT scheduled FROM rtdata_schedule WHERE run = 1 AND origin = 'a' AND period = 10000000") ==
           31);
     CHECK(number(path, "SELECT scheduled FROM rtdata_ledger WHERE run = 1") == 31);
@@ -265,7 +265,7 @@ TEST_SUITE("sinks") {
         ::raise(SIGKILL);
       });
       if (is_cut) live.forget();
-      seal(path);
+      recordings::start_again(path);
       const TopicSummary summed = summary(Recording::open(path).or_throw(), 1).or_throw().at(0);
       CHECK(summed.rows >= 70);
       CHECK(summed.wanted_hertz == doctest::Approx(10));
@@ -308,7 +308,7 @@ TEST_SUITE("sinks") {
       sensor.stop();
       ::raise(SIGKILL);
     });
-    seal(path);
+    recordings::start_again(path);
     CHECK(number(path, "SELECT scheduled FROM rtdata_schedule WHERE run = 1 AND origin = 'a'") == 851);
     CHECK(number(path, "SELECT scheduled FROM rtdata_ledger WHERE run = 1") == 851);
     check_sealed(path);
@@ -385,7 +385,7 @@ TEST_SUITE("sinks") {
         loop.advance(10ms * static_cast<int>(what.size() - 1));
         ::raise(SIGKILL);
       });
-      seal(path);
+      recordings::start_again(path);
       const auto of = [&](const char* column) {
         return number(path, std::string("SELECT ") + column + " FROM rtdata_ledger WHERE run = 1");
       };

@@ -130,7 +130,7 @@ inline VerifyReport check_balanced(const std::string& path) {
 }
 
 /// The next start, which seals what is there.
-inline void seal(const std::string& path) {
+inline void start_again(const std::string& path) {
   Loop loop{Loop::Manual{}};
   loop.runtime().on_log([](const LogRecord&) {});
   SqliteSink sink(loop, {.path = path});

@@ -231,7 +231,7 @@ TEST_SUITE("sinks") {
         }
         ::raise(SIGKILL);
       });
-      recordings::seal(path);
+      start_again(path);
       const VerifyReport report = verified(path);
       INFO(problems_of(report));
       CHECK(report.exit_code() == 0);
