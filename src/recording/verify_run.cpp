@@ -428,6 +428,7 @@ void verify_run(const OfRun& of_run, const RunRows& run_rows, RunReport& report)
   strays(of_run.segments_of, "stretch of schedule");
   strays(of_run.gaps_of, "gap");
   report.values_checked = run_rows.checked;
+  report.checksum += run_rows.sum;
   for (const std::string& sentence : run_rows.changed) found.problem(sentence);
   report.more_problems += run_rows.more_changed;
   if (info.state == RunState::closed && !info.ended) found.problem("The run is closed, but its end is not recorded.");

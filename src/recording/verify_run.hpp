@@ -57,6 +57,7 @@ using OriginMap = std::unordered_map<std::string, OriginRows>;
 struct RunRows {
   OriginMap origins;
   std::uint64_t checked = 0;         // rows that agree with their checksum
+  std::uint64_t sum = 0;             // of the hashes of all rows
   std::vector<std::string> changed;  // those that do not
   std::uint64_t more_changed = 0;    // that these are not told of
 };

@@ -16,6 +16,7 @@ void ValueSums::add(sqlite3_stmt* row, int first, RunsRows& runs) {
   const int type = sqlite3_column_type(row, checksum);
   if (type == SQLITE_NULL) return;
   if (const auto run = runs.find(sqlite3_column_int64(row, first)); run != runs.end()) {
+    run->second.sum += found_.sum;
     if (type == SQLITE_INTEGER && static_cast<std::uint64_t>(sqlite3_column_int64(row, checksum)) == found_.sum) {
       run->second.checked += found_.rows;
     } else {
@@ -79,6 +80,8 @@ bool check_account_sums(const RecordingFile& file, const std::vector<RecordedTop
         "The checksum of the senders' rows (in rtdata_checksum) does not match: a row of "
         "rtdata_refused, rtdata_refused_before or rtdata_unsent was changed, added or deleted.");
   for (RunReport& run : report.runs) {
+    const auto there = found.changes().find(run.info.run);
+    run.checksum = there != found.changes().end() ? there->second : 0;
     if (!agrees(run.info.run))
       run.problems.emplace_back(
           "The checksum of its account (in rtdata_run) does not match: a row of the tables of the "

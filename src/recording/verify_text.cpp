@@ -1,5 +1,7 @@
 // A verify report for people and for programs.
 #include <algorithm>
+#include <array>
+#include <cstdio>
 #include <nlohmann/json.hpp>
 
 #include "data/wrap.hpp"
@@ -96,6 +98,7 @@ nlohmann::ordered_json json_of(const RunReport& run) {
   json["origins"] = run.origins;
   json["rows"] = run.rows;
   json["values_checked"] = run.values_checked;
+  json["checksum"] = run.checksum_text();
   json["offered"] = run.offered;
   json["stored"] = run.stored;
   json["dropped"] = run.dropped;
@@ -142,6 +145,12 @@ nlohmann::ordered_json json_of(const DeletedReport& deleted) {
 }
 
 }  // namespace
+
+std::string RunReport::checksum_text() const {
+  std::array<char, 17> text{};
+  std::snprintf(text.data(), text.size(), "%016llx", static_cast<unsigned long long>(checksum));
+  return text.data();
+}
 
 std::string VerifyReport::text() const {
   std::string out = path + "\n";

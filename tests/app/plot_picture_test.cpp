@@ -39,7 +39,7 @@ CurveStep step_at(const Plot& plot, Duration at, Number least, Number most) {
 Curve named(const std::string& name) {
   Curve curve;
   curve.name = name;
-  curve.source = name;
+  curve.topic = name;
   curve.verdict = "all there";
   return curve;
 }
@@ -399,7 +399,7 @@ value  -9223372036854775808 to
     for (const char* name : {"imu.x", "imu.y"}) {
       Curve& curve = plot.curves.emplace_back(curve_of(plot, 10ms, [](double at) { return at; }));
       curve.name = name;
-      curve.source = "imu imu";
+      curve.topic = "imu";
       curve.gaps = {{noon + 3s, noon + 4s, 7, "missed: still reading"}};
     }
     plot.notes = {"lost of imu in run 1: missed 7"};

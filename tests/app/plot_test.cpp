@@ -43,6 +43,15 @@ std::vector<std::string> lines_of(const std::string& text) {
   return lines;
 }
 
+struct Real {
+  double x = 0;
+  RTDATA_FIELDS(Real, (x, "m"))
+};
+struct Whole {
+  std::int32_t x = 0;
+  RTDATA_FIELDS(Whole, (x, "m"))
+};
+
 /// `path` is not part of what is compared.
 std::string without(std::string text, const std::string& path) {
   for (std::size_t at; (at = text.find(path)) != std::string::npos;) text.replace(at, path.size(), "run.db");
@@ -142,6 +151,30 @@ lost of room/climate in run 1: missed 4, failed 2
     const std::string cut = make(folder, {}, "cut.db");
     sql(cut, "DELETE FROM \"room/climate\" WHERE sequence BETWEEN 300 AND 320");
     CHECK(has(plotted(cut, {"room/climate.temperature"}).out, "not stored: dropped by the recording, 21 lost"));
+  }
+
+  TEST_CASE("FW-5 plot: a field whose type changed within the run has a panel for each") {
+    const Folder folder;
+    const std::string path = folder / "run.db";
+    const auto record = [&](auto sample) {
+      Loop loop{Loop::Manual{}};
+      const SqliteSink sink(loop, {.path = path});
+      Feed<decltype(sample)> feed(loop, {.name = "a", .topic = "t"});
+      for (int i = 0; i < 10; ++i) {
+        sample.x = static_cast<decltype(sample.x)>(i);
+        feed.publish(sample);
+        loop.advance(100ms);
+      }
+      loop.advance(2s);
+      CHECK(loop.close() == 0);
+    };
+    record(Real{});
+    record(Whole{});
+    sql(path, "UPDATE \"t~2\" SET run = 1, time = time + 1500000000");
+    const Shown shown = plotted(path, {"t.x"}, {.run = "1"});
+    CHECK(shown.err == "");
+    CHECK(has(shown.out, "\nt.x [m]  0 to 9, mean 4.5  "));
+    CHECK(has(shown.out, "\nt.x as int32 [m]  0 to 9, mean 4.5  "));
   }
 
   TEST_CASE("FW-5 plot: while it is recorded, after a kill, and after the next start") {

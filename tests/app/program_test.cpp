@@ -905,11 +905,10 @@ TEST_SUITE("app") {
     const std::vector<std::pair<std::vector<std::string>, std::string>> cases{
         {{"vrify", "bench.db"},
          "rtdata: there is no command \"vrify\" (did you mean \"verify\"?); `rtdata --help` explains them\n"},
-        {{"record", "x"},
-         "rtdata: there is no command \"record\"; there are init, run, top, tail, ctl, scan, doctor, bench, check, "
+        {{"measure", "x"},
+         "rtdata: there is no command \"measure\"; there are init, run, top, tail, ctl, scan, doctor, bench, check, "
          "graph, "
-         "types, "
-         "explain, verify, info, plot, runs, seal, rm, merge, compare, export, replay, import, forward; "
+         "types, explain, verify, info, plot, report, runs, seal, rm, merge, compare, export, replay, import, forward; "
          "`rtdata --help` explains them\n"},
         {{"bench.json"},
          "rtdata: there is no command \"bench.json\"; that configuration is run by: rtdata run bench.json\n"},
@@ -930,7 +929,7 @@ TEST_SUITE("app") {
     }
     // Each command's help has examples of its own.
     for (const char* command :
-         {"init", "check", "verify", "info", "export", "import", "run", "top", "bench", "types", "explain"}) {
+         {"init", "check", "verify", "info", "report", "export", "import", "run", "top", "bench", "types", "explain"}) {
       Process help(folder, shipped, {command, "--help"});
       CHECK(help.end() == 0);
       CHECK_MESSAGE(has(help.out, std::string("\n  rtdata ") + command), command);

@@ -1,8 +1,10 @@
 // start, rss: the program rtdata on its starter file, beside a bare program with the same libraries (bare_program.cpp).
+// report: `rtdata report` of a day at 100 Hz and 20 fields, beside `rtdata verify` of it.
 // run_wakeups: how often the program is woken up for each tick of its only sensor.
 #include <fcntl.h>
 #include <signal.h>
 #include <spawn.h>
+#include <sys/resource.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -16,6 +18,13 @@
 #include <vector>
 
 #include "harness.hpp"
+#ifdef RTDATA_BENCH_SQLITE
+#include <array>
+
+#include "rtdata/loop/loop.hpp"
+#include "rtdata/recording/sqlite.hpp"
+#include "rtdata/sensors/feed.hpp"
+#endif
 
 extern char** environ;
 
@@ -137,13 +146,69 @@ void bench_wakeups(Report& report, const std::string& program) {
   report.add(figure);
 }
 
+#ifdef RTDATA_BENCH_SQLITE
+struct Twenty {
+  std::array<double, 20> values{};
+  RTDATA_FIELDS(Twenty, (values))
+};
+
+void record_day(const std::string& path) {
+  using namespace rtdata;
+  constexpr std::int64_t start_ns = 1'700'000'000'000'000'000;  // where a manual loop's time of day begins
+  constexpr std::int64_t period_ns = 10'000'000;
+  constexpr int rows = 8'640'000;
+  Loop loop{Loop::Manual{}};
+  const SqliteSink sink(loop, {.path = path});
+  Feed<Twenty> feed(loop, {.name = "board"});
+  for (int i = 0; i < rows; ++i) {
+    Twenty sample;
+    for (int j = 0; j < 20; ++j)
+      sample.values[static_cast<std::size_t>(j)] = j % 2 == 0 ? i / (7.0 + j) : i % (300 + j) * 1.0;
+    feed.publish(sample, Time{Duration{start_ns + i * period_ns}});
+    if (i % 1000 == 999) loop.advance(Duration{1000 * period_ns});
+  }
+  feed.close();
+  loop.close();
+}
+
+/// CPU s of a child process; 0: it failed.
+double cpu_seconds(const std::vector<std::string>& command) {
+  int status = -1;
+  rusage usage{};
+  const pid_t child = start(command);
+  if (child <= 0 || ::wait4(child, &status, 0, &usage) != child || status != 0) return 0;
+  const auto seconds = [](const timeval& time) {
+    return static_cast<double>(time.tv_sec) + static_cast<double>(time.tv_usec) / 1e6;
+  };
+  return seconds(usage.ru_utime) + seconds(usage.ru_stime);
+}
+
+void bench_report(Report& report, const std::string& program) {
+  if (!report.wants("report")) return;
+  record_day("day.db");
+  report.add(measure_pair(
+      {.name = "report", .unit = "CPU s", .reach = 1.2},
+      [&] {
+        return cpu_seconds({program, "report", "day.db", "-o", "day.html", "--overwrite"});
+      },
+      [&] {
+        return cpu_seconds({program, "verify", "day.db"});
+      },
+      3));
+  report.remark("report: the page has " + std::to_string(std::filesystem::file_size("day.html")) +
+                " bytes, of a recording of " + std::to_string(std::filesystem::file_size("day.db")));
+}
+#else
+void bench_report(Report&, const std::string&) {}
+#endif
+
 }  // namespace
 
 void bench_program(Report& report) {
-  if (!report.wants("start") && !report.wants("rss") && !report.wants("run_wakeups")) return;
+  if (!report.wants("start") && !report.wants("rss") && !report.wants("run_wakeups") && !report.wants("report")) return;
   const std::string& name = report.options().program;
   if (name.empty() || ::access(name.c_str(), X_OK) != 0) {
-    report.remark("start, rss, run_wakeups: left out, there is no program " +
+    report.remark("start, rss, run_wakeups, report: left out, there is no program " +
                   (name.empty() ? "given (--program FILE)" : name));
     return;
   }
@@ -152,6 +217,7 @@ void bench_program(Report& report) {
                                .string();
   const Folder folder(report.options().memory);
   bench_wakeups(report, program);
+  bench_report(report, program);
   if (!report.wants("start") && !report.wants("rss")) return;
   if (wait_for(start({program, "init", "demo.json"})) != 0 ||
       wait_for(start({program, "run", "demo.json", "--for", "100ms"})) != 0) {

@@ -8,10 +8,12 @@
 #include <cstdlib>
 #include <filesystem>
 
+#include "has.hpp"
 #include "recordings.hpp"
 
 using namespace recordings;
 using namespace std::chrono_literals;
+using rtdata::test::has;
 using sinks::fork_without_threads;
 
 namespace {
@@ -146,6 +148,28 @@ TEST_SUITE("sinks") {
       loop.close();
     }
     CHECK(checked(check_balanced(path)) == 15'501 + 16);
+  }
+
+  TEST_CASE("US-26 the checksum of a run is that of all that is there of it, of copies and after other runs too") {
+    const Folder folder;
+    const std::string path = make(folder), copy = folder / "copy.db";
+    const std::string before = verified(path).runs.at(0).checksum_text();
+    CHECK(before.size() == 16);
+    CHECK(before.find_first_not_of("0123456789abcdef") == std::string::npos);
+    CHECK(has(verified(path).to_json(), "\"checksum\": \"" + before + "\""));
+    sql(path, "VACUUM INTO '" + copy + "'");
+    seal(path);  // one more run
+    CHECK(verified(path).runs.at(0).checksum_text() == before);
+    CHECK(verified(path).runs.at(1).checksum_text() != before);
+    CHECK(verified(copy).runs.at(0).checksum_text() == before);
+    // Changes of a value, of the account, and those whose own checksums were made to fit.
+    sql(copy, "UPDATE \"room/climate\" SET humidity = 41 WHERE sequence = 3");
+    const std::string changed = verified(copy).runs.at(0).checksum_text();
+    CHECK(changed != before);
+    write_checksums(copy);
+    CHECK(verified(copy).runs.at(0).checksum_text() == changed);
+    sql(copy, "UPDATE \"room/climate\" SET humidity = 40 WHERE sequence = 3; UPDATE rtdata_gap SET reason = 'other'");
+    CHECK(verified(copy).runs.at(0).checksum_text() != before);
   }
 
   TEST_CASE("US-26 a later run with more fields leaves the checksums of earlier ones as they are") {

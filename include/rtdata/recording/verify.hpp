@@ -77,10 +77,14 @@ struct RunReport {
   std::optional<std::uint64_t> lost_by_source;       ///< none: no source numbers its data
   std::map<std::string, std::uint64_t> first_lines;  ///< by topic; no loss: as of SensorCounts
   std::uint64_t values_checked = 0;                  ///< rows whose values agree with their checksum
-  std::size_t origins = 0, gaps = 0;                 ///< outages are gaps, too
-  std::vector<OriginOutages> outages;                ///< of each origin that had some, the longest first
-  std::vector<TopicLoss> losses;                     ///< of each topic that lost something, the most first
-  std::vector<std::string> not_known;                ///< data for which a loss is unknown; empty: all is known
+  /// Of all that is there of the run: the sum of the hashes of its account and of all its rows, mod 2^64. Recordings of
+  /// equal content have the same; a row that is added, changed or deleted changes it. Of `verify` only.
+  std::uint64_t checksum = 0;
+  std::string checksum_text() const;   ///< 16 hexadecimal digits
+  std::size_t origins = 0, gaps = 0;   ///< outages are gaps, too
+  std::vector<OriginOutages> outages;  ///< of each origin that had some, the longest first
+  std::vector<TopicLoss> losses;       ///< of each topic that lost something, the most first
+  std::vector<std::string> not_known;  ///< data for which a loss is unknown; empty: all is known
   /// Topics with a source that has no schedule and no numbers: its own losses cannot be detected.
   std::vector<std::string> not_detectable;
   /// The losses and unknowns as lines of text, also shown by `rtdata run` at its end. At least one line.

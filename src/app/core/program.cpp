@@ -33,6 +33,7 @@ constexpr const char* examples = R"(examples:
   rtdata bench                            what this machine can do, in a minute
   rtdata verify bench.db                  prove that its recording is complete
   rtdata plot bench.db host/cpu.busy
+  rtdata report bench.db                  a page about it for somebody else
   rtdata export bench.db --topic host/cpu --format csv
   rtdata types analog                     what can be configured
   rtdata explain not-permitted            what an error means, and what to do
@@ -67,6 +68,7 @@ constexpr Command commands[] = {
     {"verify", "Check a recording: exit 0 balanced or sealed, 1 not, 2 unreadable", app::prepare_verify},
     {"info", "Sum up a recording", app::prepare_info},
     {"plot", "Draw fields of a recording in the terminal, gaps and losses too", app::prepare_plot},
+    {"report", "Write a page about a run, for people without this program", app::prepare_report},
     {"runs", "List the runs of a recording, a line each", app::prepare_runs},
     {"seal", "Write down what runs lost that were killed, without recording again", app::prepare_seal},
     {"rm", "Delete a run of a recording; the sums of its account stay", app::prepare_rm},

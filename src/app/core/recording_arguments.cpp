@@ -212,6 +212,25 @@ Action prepare_plot(CLI::App& command) {
   };
 }
 
+Action prepare_report(CLI::App& command) {
+  const auto options = std::make_shared<ReportOptions>();
+  command.add_option("DB", options->database, "The recording")->required();
+  add_run(command, options->run, "Which run; default: the last");
+  command
+      .add_option("-o,--output", options->file,
+                  "The page; -: standard output; default: the recording's name with .html, in this folder")
+      ->type_name("FILE");
+  add_flag(command, "--overwrite", options->existing, ReportOptions::Existing::replace, "Replace a file that exists");
+  command.footer(
+      "examples:\n  rtdata report bench.db\n  rtdata report bench.db --run 3 -o monday.html\n"
+      "One file without network or scripts, to open in any browser and to print: the\n"
+      "verdict of verify, what is missing and why, each field with its curve, what happened.");
+  return [options](const Registry&) {
+    const ForPeople wrapped(options->file != "-");
+    return report(*options, std::cout, std::cerr);
+  };
+}
+
 std::function<std::optional<int>(const TailOptions&)> add_recorded_tail(CLI::App& command) {
   const auto given = std::make_shared<RecordedTailOptions>();
   PartOptions& part = given->part;

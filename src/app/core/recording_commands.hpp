@@ -122,6 +122,16 @@ struct PlotOptions {
 /// run, topic or field; 2 unreadable.
 int plot(const PlotOptions& options, std::ostream& out, std::ostream& err);
 
+struct ReportOptions {
+  std::string database;
+  std::optional<std::string> run = {};  // the last one unless given
+  std::string file = {};                // "-": to `out`; empty: the recording's name with .html, in this folder
+  enum class Existing { refuse, replace };
+  Existing existing = Existing::refuse;  // replace: --overwrite
+};
+/// 0, whatever the verdict; 1 when there is no such run, or the file cannot be written; 2 unreadable.
+int report(const ReportOptions& options, std::ostream& out, std::ostream& err);
+
 struct RecordedTailOptions {
   std::string database;
   std::vector<std::string> topics = {};  // names or patterns; none: all

@@ -26,6 +26,15 @@ bool fill_note(CourseEvent& event) {
   return command.starts_with(verb);
 }
 
+/// False: it is a note.
+bool fill_command(CourseEvent& event) {
+  const std::string outcome = word(event, "outcome");
+  event.object = word(event, "by");
+  event.text = word(event, "command") + (word(event, "done") == "true" ? "" : ", refused") +
+               (outcome.empty() ? "" : ": " + outcome);
+  return !word(event, "command").starts_with("note ");
+}
+
 bool fill_alarm(CourseEvent& event) {
   const std::string value = word(event, "value"), limit = word(event, "limit");
   const bool is_active = word(event, "is_active") == "true";
@@ -52,6 +61,7 @@ struct Kind {
 const std::vector<Kind>& kinds() {
   static const std::vector<Kind> all{
       {"command", {"command", "by"}, fill_note, &Course::notes},
+      {"command", {"command", "by", "done", "outcome"}, fill_command, &Course::commands},
       {"alarm", {"level", "alarm", "is_active", "acknowledged", "value", "limit"}, fill_alarm, &Course::alarms},
       {"state_change", {"from", "to", "cause", "lasted"}, fill_state, &Course::states}};
   return all;
@@ -77,12 +87,17 @@ void add(const Recording& recording, const std::string& topic, std::int64_t run,
 
 }  // namespace
 
+bool is_of_course(const Description& description) {
+  return std::any_of(kinds().begin(), kinds().end(),
+                     [&](const Kind& kind) { return description.name() == kind.payload; });
+}
+
 Course course_of(const Recording& recording, const std::vector<RecordedTopic>& topics, std::int64_t run) {
   Course course;
-  std::set<std::string> known;
+  std::set<std::pair<std::string, const Kind*>> known;
   for (const RecordedTopic& topic : topics) {
     for (const Kind& kind : kinds()) {
-      if (topic.description->name() != kind.payload || !known.insert(topic.topic).second) continue;
+      if (topic.description->name() != kind.payload || !known.emplace(topic.topic, &kind).second) continue;
       add(recording, topic.topic, run, kind, course.*kind.events);
     }
   }

@@ -1,4 +1,4 @@
-// The course of a recorded run for `rtdata info`: notes, alarms, changes of state.
+// The course of a recorded run: notes, commands, alarms, changes of state.
 #pragma once
 
 #include <cstdint>
@@ -13,7 +13,7 @@ namespace rtdata::app {
 
 struct CourseEvent {
   Time time{};         ///< as recorded
-  std::string object;  ///< the limit or machine; for a note, who made it
+  std::string object;  ///< the limit or machine; of a note or command, who gave it
   std::string text;    ///< for people, without the object
   std::vector<std::pair<std::string, Value>> values;
 };
@@ -25,8 +25,11 @@ struct CourseEvents {
 };
 
 struct Course {
-  CourseEvents notes, alarms, states;
+  CourseEvents notes, commands, alarms, states;
 };
+
+/// Whether events of this payload are part of it.
+bool is_of_course(const Description& description);
 
 /// `topics`: all of the recording; their payloads show which ones are relevant.
 Course course_of(const Recording& recording, const std::vector<RecordedTopic>& topics, std::int64_t run);

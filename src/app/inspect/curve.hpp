@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <variant>
 #include <vector>
@@ -30,12 +31,19 @@ struct CurveGap {
   std::string reason;      ///< "missed: loop held"
 };
 
+/// The time is the beginning of the step in which it is.
+struct Extreme {
+  Number number;
+  Time at{};
+};
+
 struct Curve {
-  std::string name;              ///< "room/climate.temperature"
-  std::string unit;              ///< UCUM; empty: none
-  std::string source;            ///< topic and origin: curves of one source have the same gaps
-  Kind kind = Kind::f64;         ///< of the field
-  std::vector<CurveStep> steps;  ///< in order of time
+  std::string name;                    ///< "room/climate.temperature"
+  std::string unit;                    ///< UCUM; empty: none
+  std::string topic, origin, path;     ///< curves of one origin on one topic have the same gaps
+  Kind kind = Kind::f64;               ///< of the field
+  std::vector<CurveStep> steps;        ///< in order of time
+  std::optional<Extreme> least, most;  ///< of all numbers; empty: there are none
   std::vector<CurveGap> gaps;
   std::string verdict;  ///< "all there", "12 lost"
   bool has_loss = false;
@@ -43,9 +51,10 @@ struct Curve {
 
 /// Curves over one stretch of time.
 struct Plot {
-  std::string title;     ///< what it is of: "bench.db, run 3"
-  Time from{}, until{};  ///< UTC; `until` is not in it
-  Duration step{1};      ///< of all curves, above 0
+  std::string title;      ///< what it is of: "bench.db, run 3"
+  Time from{}, until{};   ///< UTC; `until` is not in it
+  Duration step{1};       ///< of all curves, above 0
+  Duration read_step{1};  ///< of the times of extremes
   std::vector<Curve> curves;
   std::vector<std::string> notes;  ///< sentences below it
 };

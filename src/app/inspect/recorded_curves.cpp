@@ -1,19 +1,28 @@
 #include "app/inspect/recorded_curves.hpp"
 
 #include <algorithm>
+#include <iterator>
 #include <map>
 #include <set>
 #include <utility>
 
+#include "app/inspect/course.hpp"
+#include "app/inspect/curve_scale.hpp"
 #include "rtdata/data/problem.hpp"
 #include "rtdata/recording/verify.hpp"
 
 namespace rtdata::app {
-namespace {
 
-bool is_number(Kind kind) {
+std::string reason_of(const RecordedGap& gap) {
+  const std::string kind = gap.kind == "joined" ? "several gaps joined" : gap.kind;
+  return gap.reason.empty() || gap.reason == gap.kind ? kind : kind + ": " + gap.reason;
+}
+
+bool is_number(Kind kind) noexcept {
   return kind != Kind::text && kind != Kind::character && kind != Kind::enumeration && kind != Kind::record;
 }
+
+namespace {
 
 [[noreturn]] void refuse(const std::string& name, std::string why, std::string advice) {
   throw SetupError({Errc::not_found, "cannot plot", name, std::move(why), std::move(advice)});
@@ -93,7 +102,7 @@ std::vector<ChosenField> chosen(const std::string& name, const std::vector<Recor
 /// Where the steps of one field are in the rows of one description: its least and its most follow its count.
 struct Place {
   const Leaf *count = nullptr, *least = nullptr, *most = nullptr, *mean = nullptr;
-  Kind kind = Kind::f64;  // of the field
+  const Leaf* of = nullptr;  // the field
 };
 
 /// The number that an alternative of Value is.
@@ -105,65 +114,98 @@ Number number_of(const Value& value) {
 
 /// One origin on one topic.
 struct Source {
-  std::vector<Curve> curves;  // of the fields that were chosen of that topic
+  std::vector<std::vector<Curve>> curves;  // of each field that was chosen of that topic; several: its type changed
   std::vector<CurveGap> gaps;
   bool has_schedule = false;
   std::uint64_t last_sequence = 0;  // of the step before
   Time last_begin{};
 };
+using Sources = std::map<std::pair<std::string, std::string>, Source>;  // by topic and origin
+
+/// How a run is read.
+struct Sampling {
+  Duration step{1};    ///< that the recording gives
+  Duration column{1};  ///< of the curves: as long, or several of these joined
+  RowFilter::Times times = RowFilter::Times::utc;
+};
 
 class Reader {
  public:
-  Reader(const Recording& recording, const RecordedRange& range, std::string topic, std::vector<std::string> paths,
-         const std::optional<std::string>& origin, Duration step)
-      : range_(range), topic_(std::move(topic)), paths_(std::move(paths)), step_(step) {
+  Reader(const Recording& recording, const RecordedRange& range, const std::vector<ChosenField>& fields,
+         const std::optional<std::string>& origin, const Sampling& sampling)
+      : range_(range), sampling_(sampling) {
+    for (const ChosenField& field : fields) topics_[field.topic].paths.push_back(field.path);
     for (RecordedTopic& one : recording.topics().or_throw())
-      if (one.topic == topic_) descriptions_[one.version] = std::move(one);
+      if (const auto topic = topics_.find(one.topic); topic != topics_.end())
+        topic->second.descriptions[one.version] = std::move(one);
     for (const LedgerEntry& entry : recording.ledger(range.run.run).or_throw())
-      if (entry.topic == topic_ && (!origin || entry.origin == *origin))
-        source(entry.origin).has_schedule = entry.sensor.has_schedule;
-    RowFilter filter{.topic = topic_, .run = range.run.run, .origin = origin, .from = range.from, .until = range.until};
+      if (topics_.contains(entry.topic) && (!origin || entry.origin == *origin))
+        source(entry.topic, entry.origin).has_schedule = entry.sensor.has_schedule;
+    RowFilter filter{.run = range.run.run, .origin = origin};
+    if (topics_.size() == 1) filter.topic = topics_.begin()->first;
+    if (sampling.times == RowFilter::Times::utc) {  // recorded steps are of all of a run
+      filter.from = range.from;
+      filter.until = range.until;
+    }
     filter.gaps = RowFilter::Gaps::in_place;
-    filter.times = RowFilter::Times::utc;
-    auto rows = recording.steps(filter, step).or_throw();
-    while (const RecordedRow* row = rows.next().or_throw()) row->gap() != nullptr ? add(*row->gap()) : add(*row);
+    filter.times = sampling.times;
+    auto rows = recording.steps(filter, sampling.step).or_throw();
+    while (const RecordedRow* row = rows.next().or_throw())
+      if (const auto topic = topics_.find(row->topic().topic); topic != topics_.end())
+        row->gap() != nullptr ? add(*row->gap()) : add(*row, topic->second);
   }
 
-  std::map<std::string, Source>& sources() { return sources_; }
+  Sources& sources() { return sources_; }
 
  private:
-  Source& source(const std::string& origin) {
-    const auto [known, is_new] = sources_.try_emplace(origin);
+  struct Topic {
+    std::vector<std::string> paths;
+    std::map<std::int64_t, RecordedTopic> descriptions;  // by version
+    std::map<std::int64_t, std::vector<Place>> places;   // of the paths, by version
+  };
+
+  Source& source(const std::string& topic, const std::string& origin) {
+    const auto [known, is_new] = sources_.try_emplace({topic, origin});
     if (is_new) {
-      for (const std::string& path : paths_) {
-        Curve& curve = known->second.curves.emplace_back();
-        curve.name = topic_ + "." + path;
-        curve.source = topic_ + " " + origin;
-        for (const auto& [version, one] : descriptions_) {
+      const Topic& of = topics_.at(topic);
+      for (const std::string& path : of.paths) {
+        Curve curve;
+        curve.name = topic + "." + path;
+        curve.topic = topic;
+        curve.origin = origin;
+        curve.path = path;
+        for (const auto& [version, one] : of.descriptions) {
           const Leaf* const leaf = one.description->find(path);
-          if (leaf != nullptr) curve.unit = leaf->unit;
+          if (leaf == nullptr) continue;
+          curve.unit = leaf->unit;
+          curve.kind = leaf->kind;
         }
+        known->second.curves.push_back({std::move(curve)});
       }
     }
     return known->second;
   }
 
   void add(const RecordedGap& gap) {
-    Source& of = source(gap.origin);
+    Source& of = source(gap.topic, gap.origin);
     const bool is_joined = gap.kind == "joined";
     const bool has_count = gap.kind == "missed" || gap.kind == "failed" || (is_joined && of.has_schedule);
-    std::string reason = is_joined ? "several gaps joined" : gap.kind;
-    if (!gap.reason.empty() && gap.reason != gap.kind) reason += ": " + gap.reason;
-    of.gaps.push_back({range_.line.utc(gap.first), range_.line.utc(gap.last), has_count ? gap.count : 0, reason});
+    of.gaps.push_back(
+        {range_.line.utc(gap.first), range_.line.utc(gap.last), has_count ? gap.count : 0, reason_of(gap)});
+  }
+
+  Time begin_of(const RecordedRow& row) const {
+    const Time begin = row.header().time;
+    return sampling_.times == RowFilter::Times::utc ? begin : range_.line.utc(begin);
   }
 
   /// What sequences between two steps, or within one, do not have a row.
   void add_missing(Source& of, const RecordedRow& row, std::uint64_t events) {
     constexpr const char* not_stored = "not stored: dropped by the recording";
-    const Time begin = row.header().time;
+    const Time begin = begin_of(row);
     if (of.last_sequence != 0 && row.first_sequence() > of.last_sequence + 1) {
-      const bool is_beside = begin - of.last_begin <= step_;
-      of.gaps.push_back({is_beside ? begin : of.last_begin + step_, is_beside ? begin : begin - Duration{1},
+      const bool is_beside = begin - of.last_begin <= sampling_.step;
+      of.gaps.push_back({is_beside ? begin : of.last_begin + sampling_.step, is_beside ? begin : begin - Duration{1},
                          row.first_sequence() - of.last_sequence - 1, not_stored});
     }
     const std::uint64_t span = row.last_sequence() - row.first_sequence() + 1;
@@ -172,53 +214,92 @@ class Reader {
     of.last_begin = begin;
   }
 
-  void add(const RecordedRow& row) {
-    Source& of = source(std::string(row.header().origin));
+  void add(const RecordedRow& row, Topic& topic) {
+    Source& of = source(topic_name(row), std::string(row.header().origin));
     const EventView event = row.event();
     const std::uint64_t events = std::get<std::uint64_t>(event.value(event.description().leaves().front()));
     add_missing(of, row, events);
-    const std::vector<Place>& places = places_of(row);
+    const std::vector<Place>& places = places_of(row, topic);
     for (std::size_t i = 0; i < places.size(); ++i) {
       const Place& place = places[i];
       if (place.count == nullptr) continue;  // the description of this row does not have it
-      CurveStep step{row.header().time, events, std::get<std::uint64_t>(event.value(*place.count)), {}, {}, 0};
+      CurveStep step{begin_of(row), events, std::get<std::uint64_t>(event.value(*place.count)), {}, {}, 0};
       if (step.numbers != 0) {
         step.least = number_of(event.value(*place.least));
         step.most = number_of(event.value(*place.most));
         step.mean = std::get<double>(event.value(*place.mean));
       }
-      Curve& curve = of.curves[i];
-      if (!curve.steps.empty() && curve.kind != place.kind)
-        refuse(curve.name, "its type changed within the run", "choose a part of it: --from, --until");
-      curve.kind = place.kind;
-      curve.steps.push_back(step);
+      add(step, curve_of(of.curves[i], place));
     }
   }
 
+  static const std::string& topic_name(const RecordedRow& row) { return row.topic().topic; }
+
+  /// A panel has one type and one unit.
+  static Curve& curve_of(std::vector<Curve>& curves, const Place& place) {
+    for (Curve& curve : curves)
+      if (curve.kind == place.of->kind && curve.unit == place.of->unit) return curve;
+    if (curves.back().steps.empty()) {
+      curves.back().kind = place.of->kind;
+      curves.back().unit = place.of->unit;
+      return curves.back();
+    }
+    Curve curve;
+    curve.name = curves.front().name + " as " + std::string(name_of(place.of->kind));
+    curve.topic = curves.front().topic;
+    curve.origin = curves.front().origin;
+    curve.path = curves.front().path;
+    curve.kind = place.of->kind;
+    curve.unit = place.of->unit;
+    return curves.emplace_back(std::move(curve));
+  }
+
+  std::int64_t column_of(Time time) const { return floor_of((time - range_.from).count(), sampling_.column.count()); }
+
+  /// To the column that it lies in.
+  void add(const CurveStep& step, Curve& curve) const {
+    if (step.numbers != 0) {
+      if (!curve.least || step.least < curve.least->number) curve.least = {step.least, step.begin};
+      if (!curve.most || curve.most->number < step.most) curve.most = {step.most, step.begin};
+    }
+    const bool is_joined = sampling_.column != sampling_.step && !curve.steps.empty() &&
+                           column_of(curve.steps.back().begin) == column_of(step.begin);
+    is_joined ? join(step, curve.steps.back()) : curve.steps.push_back(step);
+  }
+
+  static void join(const CurveStep& step, CurveStep& to) {
+    to.events += step.events;
+    if (step.numbers == 0) return;
+    const bool is_first = to.numbers == 0;
+    to.numbers += step.numbers;
+    if (is_first || step.least < to.least) to.least = step.least;
+    if (is_first || to.most < step.most) to.most = step.most;
+    // From the mean of all before, which so loses no digits.
+    if (is_first) to.mean = step.mean;
+    to.mean += (step.mean - to.mean) * (static_cast<double>(step.numbers) / static_cast<double>(to.numbers));
+  }
+
   /// The steps have four values of each number, in the order of the numbers, after the number of events.
-  const std::vector<Place>& places_of(const RecordedRow& row) {
-    const auto [known, is_new] = places_.try_emplace(row.topic().version);
+  const std::vector<Place>& places_of(const RecordedRow& row, Topic& topic) const {
+    const auto [known, is_new] = topic.places.try_emplace(row.topic().version);
     if (!is_new) return known->second;
-    known->second.resize(paths_.size());
+    known->second.resize(topic.paths.size());
     const Leaf* of_steps = row.topic().description->leaves().data() + 1;
-    for (const Leaf& leaf : descriptions_.at(row.topic().version).description->leaves()) {
+    for (const Leaf& leaf : topic.descriptions.at(row.topic().version).description->leaves()) {
       if (!is_number(leaf.kind)) continue;
-      const auto path = std::find(paths_.begin(), paths_.end(), leaf.path);
-      if (path != paths_.end())
-        known->second[static_cast<std::size_t>(path - paths_.begin())] = {of_steps, of_steps + 1, of_steps + 2,
-                                                                          of_steps + 3, leaf.kind};
+      const auto path = std::find(topic.paths.begin(), topic.paths.end(), leaf.path);
+      if (path != topic.paths.end())
+        known->second[static_cast<std::size_t>(path - topic.paths.begin())] = {of_steps, of_steps + 1, of_steps + 2,
+                                                                               of_steps + 3, &leaf};
       of_steps += 4;
     }
     return known->second;
   }
 
   const RecordedRange& range_;
-  const std::string topic_;
-  const std::vector<std::string> paths_;
-  const Duration step_;
-  std::map<std::int64_t, RecordedTopic> descriptions_;  // by version
-  std::map<std::int64_t, std::vector<Place>> places_;   // of the paths, by version
-  std::map<std::string, Source> sources_;               // by origin
+  const Sampling sampling_;
+  std::map<std::string, Topic> topics_;
+  Sources sources_;
 };
 
 /// There is nothing of the topic, or of that origin on it, in the run.
@@ -251,8 +332,7 @@ TopicLoss loss_of(const RunReport& account, const std::string& topic) {
 }
 
 /// "12 lost", "1 outage of 6.3 s", both; where only a part of the run is shown: "4 of 12 lost here".
-std::string verdict_of(const RunReport& account, const TopicLoss& loss, const std::map<std::string, Source>& sources,
-                       bool is_whole) {
+std::string verdict_of(const RunReport& account, const TopicLoss& loss, const Sources& sources, bool is_whole) {
   if (!loss.has_loss()) {
     if (account.verdict == Verdict::recording) return "all there so far";
     const bool is_known = account.not_known.empty() &&
@@ -262,7 +342,8 @@ std::string verdict_of(const RunReport& account, const TopicLoss& loss, const st
   }
   const std::uint64_t lost = loss.ticks() + loss.samples(), outages = loss.outages.number;
   std::uint64_t lost_here = 0, outages_here = 0;
-  for (const auto& [origin, source] : sources) {
+  for (const auto& [name, source] : sources) {
+    if (name.first != loss.topic) continue;
     for (const CurveGap& gap : source.gaps) {
       lost_here += gap.lost;
       outages_here += gap.lost == 0 ? 1 : 0;
@@ -313,43 +394,115 @@ std::vector<ChosenField> chosen_fields(const std::vector<std::string>& names,
   return fields;
 }
 
-Plot curves_of(const Recording& recording, const RecordedRange& range, const std::vector<ChosenField>& fields,
-               const std::optional<std::string>& origin, Duration step) {
+namespace {
+
+Plot empty_plot(const Recording& recording, const RecordedRange& range, Duration step) {
   Plot plot;
   plot.title = recording.path() + ", run " + std::to_string(range.run.run) +
                (range.run.name.empty() ? "" : " \"" + range.run.name + "\"");
   plot.from = range.from;
   plot.until = range.until;
   plot.step = step;
-  const RunReport account = account_of(recording, range.run.run).or_throw();
-  std::map<std::string, std::map<std::string, std::vector<Curve>>> curves;  // by topic and path, one an origin
-  for (const ChosenField& field : fields) {
-    if (curves.contains(field.topic)) continue;
-    std::vector<std::string> paths;
-    for (const ChosenField& one : fields)
-      if (one.topic == field.topic) paths.push_back(one.path);
-    Reader reader(recording, range, field.topic, paths, origin, step);
-    if (reader.sources().empty()) refuse_run(recording, range.run.run, field.topic, origin);
-    const TopicLoss loss = loss_of(account, field.topic);
-    const std::string verdict = verdict_of(account, loss, reader.sources(), range.is_whole);
-    for (std::size_t i = 0; i < paths.size(); ++i) {
-      for (auto& [name, source] : reader.sources()) {
-        Curve& curve = curves[field.topic][paths[i]].emplace_back(std::move(source.curves[i]));
-        if (reader.sources().size() > 1) curve.name += " of " + name;
-        curve.gaps = source.gaps;
+  return plot;
+}
+
+/// Gives the curves of one topic the gaps, and what the account says.
+void finish(Sources& sources, const std::string& topic, const RunReport& account, bool is_whole, Plot& plot) {
+  const TopicLoss loss = loss_of(account, topic);
+  const std::string verdict = verdict_of(account, loss, sources, is_whole);
+  const auto first = sources.lower_bound({topic, ""});
+  const auto end = std::find_if(first, sources.end(), [&](const auto& one) { return one.first.first != topic; });
+  const bool has_several = std::distance(first, end) > 1;
+  for (auto source = first; source != end; ++source) {
+    for (auto& curves : source->second.curves) {
+      for (Curve& curve : curves) {
+        if (has_several) curve.name += " of " + curve.origin;
+        curve.gaps = source->second.gaps;
         curve.verdict = verdict;
         curve.has_loss = loss.has_loss();
       }
     }
-    add_notes(plot.notes, account, loss);
   }
-  for (const ChosenField& field : fields)
-    for (Curve& curve : curves[field.topic][field.path]) plot.curves.push_back(std::move(curve));
+  add_notes(plot.notes, account, loss);
+}
+
+/// In the order of the fields. `index`: which of its topic a field is.
+void take_curves(Sources& sources, const std::string& topic, std::size_t index, Plot& plot) {
+  for (auto source = sources.lower_bound({topic, ""}); source != sources.end() && source->first.first == topic;
+       ++source)
+    for (Curve& curve : source->second.curves[index]) plot.curves.push_back(std::move(curve));
+}
+
+void add_unknown(const RunReport& account, Plot& plot) {
   for (const std::string& what : account.not_known) plot.notes.push_back("not known: " + what);
   for (const TopicLoss& loss : account.losses)
     if (loss.topic.empty())
       plot.notes.push_back("not known: of which sensors, that had only begun, " + std::to_string(loss.not_saved) +
                            " lost events were");
+}
+
+}  // namespace
+
+Plot curves_of(const Recording& recording, const RecordedRange& range, const std::vector<ChosenField>& fields,
+               const std::optional<std::string>& origin, Duration step) {
+  Plot plot = empty_plot(recording, range, step);
+  const RunReport account = account_of(recording, range.run.run).or_throw();
+  std::map<std::string, Sources> sources;       // by topic
+  std::map<std::string, std::size_t> of_topic;  // fields that were taken
+  for (const ChosenField& field : fields) {
+    if (sources.contains(field.topic)) continue;
+    std::vector<ChosenField> alike;
+    std::copy_if(fields.begin(), fields.end(), std::back_inserter(alike),
+                 [&](const ChosenField& one) { return one.topic == field.topic; });
+    Reader reader(recording, range, alike, origin, {step, step, RowFilter::Times::utc});
+    if (reader.sources().empty()) refuse_run(recording, range.run.run, field.topic, origin);
+    finish(reader.sources(), field.topic, account, range.is_whole, plot);
+    sources[field.topic] = std::move(reader.sources());
+  }
+  for (const ChosenField& field : fields) take_curves(sources[field.topic], field.topic, of_topic[field.topic]++, plot);
+  add_unknown(account, plot);
+  return plot;
+}
+
+Plot curves_of_run(const Recording& recording, const RecordedRange& range, const RunReport& account,
+                   std::size_t columns) {
+  std::set<std::string> topics;
+  for (const LedgerEntry& entry : recording.ledger(range.run.run).or_throw()) topics.insert(entry.topic);
+  std::vector<ChosenField> fields;
+  for (const RecordedTopic& topic : recording.topics().or_throw()) {
+    // A run that goes on, or was killed, may have topics that no account has yet.
+    if (!topics.contains(topic.topic) && range.run.state == RunState::closed) continue;
+    if (topic.topic.starts_with('$') || is_of_course(*topic.description)) continue;
+    for (const Leaf& leaf : topic.description->leaves()) {
+      ChosenField field{topic.topic, leaf.path};
+      const bool is_known = topic.version > 1 && std::find(fields.begin(), fields.end(), field) != fields.end();
+      if (is_number(leaf.kind) && !is_known) fields.push_back(std::move(field));
+    }
+  }
+  constexpr std::size_t most_values = 150'000, least_columns = 120;
+  columns = std::min(columns, std::max(most_values / std::max<std::size_t>(fields.size(), 1), least_columns));
+  using namespace std::chrono_literals;
+  const std::int64_t least = (range.until - range.from).count() / static_cast<std::int64_t>(columns) + 1;
+  const auto sampling_of = [&](Duration step) {
+    return Sampling{step, step * ((least + step.count() - 1) / step.count()), RowFilter::Times::recorded};
+  };
+  Sampling sampling;
+  if (Duration{least} > 1min) {
+    sampling = sampling_of(1min);
+  } else if (Duration{least} > 1s) {
+    sampling = sampling_of(1s);
+  } else {
+    sampling.step = sampling.column = distance_of_marks(Duration{least});
+  }
+  Plot plot = empty_plot(recording, range, sampling.column);
+  plot.read_step = sampling.step;
+  Reader reader(recording, range, fields, std::nullopt, sampling);
+  topics.clear();
+  for (const auto& [name, source] : reader.sources()) topics.insert(name.first);
+  for (const std::string& topic : topics) finish(reader.sources(), topic, account, true, plot);
+  std::map<std::string, std::size_t> of_topic;  // fields that were taken
+  for (const ChosenField& field : fields) take_curves(reader.sources(), field.topic, of_topic[field.topic]++, plot);
+  add_unknown(account, plot);
   return plot;
 }
 

@@ -1,0 +1,48 @@
+// The curves of a report as pictures: SVG within its page.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <map>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "app/inspect/curve.hpp"
+#include "rtdata/process/limits.hpp"
+
+namespace rtdata::app {
+
+/// What happened at an instant: a thin line in every picture.
+struct ChartMark {
+  Time at{};               ///< UTC
+  std::size_t number = 0;  ///< in the list of the page; 0: without
+  const char* kind = "";   ///< "note", "command", "alarm", "state": the class of its line
+};
+
+/// A picture for each curve of a plot, above an axis of time in UTC: all from the least to the most of each step
+/// filled, the mean as a line, gaps and limits shaded. What the pictures have in common is only in the first.
+class ReportCharts {
+ public:
+  ReportCharts(const Plot& plot, const std::vector<ChartMark>& marks);
+  /// `limits`: those of this field, if any.
+  std::string chart_of(const Curve& curve, const std::vector<LimitSettings>& limits);
+  /// The style sheet of the pictures.
+  static const char* style();
+
+ private:
+  std::string gaps_of(const Curve& curve);
+  std::size_t column_of(Time time) const;
+  double x_of(Time time) const;
+
+  const Plot& plot_;
+  std::size_t columns_;
+  std::string common_;  // of all pictures
+  bool is_first_ = true;
+  std::map<std::pair<std::string, std::string>, std::size_t> gaps_;  // by topic and origin: the number of its shades
+};
+
+/// "failed: io-failed, 2 lost in 1 gap; ..." for the reader of a picture; empty: nothing is missing.
+std::string gaps_text(const Curve& curve);
+
+}  // namespace rtdata::app

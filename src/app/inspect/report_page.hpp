@@ -1,0 +1,40 @@
+// The page of `rtdata report`.
+#pragma once
+
+#include <map>
+#include <string>
+#include <vector>
+
+#include "app/inspect/course.hpp"
+#include "app/inspect/curve.hpp"
+#include "app/inspect/recorded_range.hpp"
+#include "rtdata/process/limits.hpp"
+#include "rtdata/recording/verify.hpp"
+
+namespace rtdata::app {
+
+struct ReportContent {
+  std::string file;     ///< of the recording, without its folder
+  VerifyReport report;  ///< of one run
+  RecordedRange range;  ///< all of it
+  Plot plot;
+  std::vector<std::string> not_drawn;                        ///< fields that are no numbers, with their types
+  std::map<std::string, std::vector<LimitSettings>> limits;  ///< by "TOPIC.FIELD", as first configured
+  Course course;
+  std::vector<LedgerEntry> ledger;
+  std::vector<RecordedGap> gaps;
+  std::vector<RecordedClock> clock;
+  std::vector<RecordedError> errors;
+  std::vector<RecordedHealth> health;
+  std::vector<RecordedConfiguration> changes;
+  Time made{};  ///< when the page is made
+};
+
+/// One file of HTML that needs no other, for screens and A4. Texts of the recording are text in it, whatever they hold;
+/// lists are bounded, and say how much they leave out.
+std::string page_of(const ReportContent& content);
+
+/// How much of the time, or of its values, a mean is of: 0 to 1. 1: of all that was to be measured.
+double coverage_of(const Curve& curve, const LedgerEntry& account, Duration outages, Duration run);
+
+}  // namespace rtdata::app
