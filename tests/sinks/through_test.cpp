@@ -630,8 +630,8 @@ TEST_SUITE("sinks") {
     const VerifyReport report = verify(Recording::open(path).or_throw()).or_throw();
     CHECK(report.exit_code() == 0);
     CHECK(report.unsent == std::map<std::string, std::uint64_t>{{"peer", before}});
-    CHECK(report.text().find("LOST: " + std::to_string(before) + " events that `max_bytes` or `max_age` deleted") !=
-          std::string::npos);
+    CHECK(report.text().find("LOST: " + std::to_string(before) +
+                             " events that `max_bytes`, `max_age` or `rtdata rm` deleted") != std::string::npos);
     CHECK(report.to_json().find("\"peer\": " + std::to_string(before)) != std::string::npos);
     for (const bool is_json : {false, true}) {
       std::ostringstream out, err;
