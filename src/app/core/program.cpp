@@ -67,6 +67,9 @@ constexpr Command commands[] = {
     {"verify", "Check a recording: exit 0 balanced or sealed, 1 not, 2 unreadable", app::prepare_verify},
     {"info", "Sum up a recording", app::prepare_info},
     {"plot", "Draw fields of a recording in the terminal, gaps and losses too", app::prepare_plot},
+#ifdef RTDATA_WITH_PAGE
+    {"view", "Show a recording in a browser, on the live page", app::prepare_view},
+#endif
     {"export", "Write out what was recorded", app::prepare_export},
     {"replay", "Give recorded events to sinks again, as they came or faster", app::prepare_replay},
     {"import", "Make a recording of a table in CSV", app::prepare_import},
@@ -116,6 +119,11 @@ constexpr Part parts[] = {
     {"TLS", "OpenSSL", "libssl-dev",
 #ifdef RTDATA_WITH_OPENSSL
      RTDATA_WITH_OPENSSL
+#endif
+    },
+    {"page", "libmicrohttpd", "libmicrohttpd-dev, libjs-dygraphs",
+#ifdef RTDATA_WITH_PAGE
+     RTDATA_WITH_PAGE
 #endif
     },
 };

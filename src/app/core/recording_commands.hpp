@@ -43,6 +43,14 @@ struct InfoOptions {
 /// 0; 1 when there is no such run; 2 unreadable.
 int info(const InfoOptions& options, std::ostream& out, std::ostream& err);
 
+struct ViewOptions {
+  std::string database;
+  std::optional<std::int64_t> run = {};  // the last one unless given
+  std::string listen = {};               // a PageAddress; empty: the next free port from 8080 on
+};
+/// Serves the page of a recording until a signal. 0; 1 when there is no such run, or the port is taken; 2 unreadable.
+int view(const Registry& registry, const ViewOptions& options, std::ostream& err);
+
 struct ExportOptions {
   std::string database;
   std::string topic = "#";
