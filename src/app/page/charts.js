@@ -35,7 +35,11 @@ const Charts = (() => {
     const key = keyOf(gap.topic, gap.origin);
     if (!gaps.has(key)) gaps.set(key, []);
     const known = gaps.get(key);
-    if (known.some((one) => Math.abs(one.first - gap.first) < 1 && Math.abs(one.last - gap.last) < 1 && one.kind === gap.kind)) return;
+    const same = known.findIndex((one) => Math.abs(one.first - gap.first) < 1 && one.kind === gap.kind);  // perhaps it goes on
+    if (same >= 0) {
+      if (gap.last > known[same].last) known[same] = gap;
+      return;
+    }
     known.push(gap);
     if (known.length > 2000) known.shift();
   }

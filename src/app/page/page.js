@@ -53,6 +53,8 @@
   const rate = (hz) => (hz === null || hz === undefined ? "?" : String(+hz.toPrecision(hz < 10 ? 2 : 4)));
   const lostOf = (one) => one.missed + one.failed + one.unreadable + (one.lost || 0) + (one.dropped || 0);
   const healthStyle = (health) => ({ok: "good", degraded: "warn", faulted: "bad"}[health] || "");
+  // What publishes its changes alone may be silent.
+  const isOfChanges = (topic) => topic === "rtdata/commands" || about.parts.some((one) => one.topic === topic && one.kind !== "sensor");
   const sensorOf = (origin) => status && status.sensors.find((one) => one.name === origin);
 
   // ---- values
@@ -148,9 +150,7 @@
       const age = now === undefined ? undefined : now - value.at;
       const wantedHz = sensor && sensor.wanted_hz;
       const isGone = isTold && status && !sensor;
-      // What publishes its changes alone may be silent.
-      const isOfChanges = value.topic === "rtdata/commands" || about.parts.some((one) => one.topic === value.topic && one.kind !== "sensor");
-      const isStale = isGone || !isOfChanges && (Number.isFinite(age) && isRecording && age > Math.max(2000, wantedHz ? 3000 / wantedHz : 5000));
+      const isStale = isGone || !isOfChanges(value.topic) && (Number.isFinite(age) && isRecording && age > Math.max(2000, wantedHz ? 3000 / wantedHz : 5000));
       const alarm = alarmOf(value.topic, value.path);
       const late = sensor && sensor.lateness_ns;
       return {
@@ -445,8 +445,9 @@
       return false;
     });
     if (!isFirstOpened && wantedCharts.length === 0 && Charts.charts.length === 0) {
-      const first = [...values.values()].find((one) => one.path && one.last !== null && one.spark.length > 0);
-      if (!first) return;
+      const all = [...values.values()].filter((one) => one.path && one.last !== null && one.spark.length > 0 && !isOfChanges(one.topic));
+      if (!all.length) return;
+      const first = all.reduce((best, one) => (one.spark.length > best.spark.length ? one : best));
       Charts.open([{topic: first.topic, path: first.path}], false);
     }
     isFirstOpened = isFirstOpened || Charts.charts.length > 0;

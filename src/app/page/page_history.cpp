@@ -105,6 +105,7 @@ class Answer {
   bool read(const std::string& topic, Time from, Time until) {
     RowFilter filter{.topic = topic, .run = run_.run, .from = from, .until = until};
     auto rows = recording_.steps(filter, request_.step).or_throw();
+    places_.clear();  // they point into the descriptions of these rows
     while (const RecordedRow* row = rows.next().or_throw()) add(*row);
     return points_ < most_points;
   }
