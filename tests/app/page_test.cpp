@@ -443,4 +443,30 @@ TEST_SUITE("app") {
     again.signal(SIGTERM);
     CHECK(again.end() == 0);
   }
+
+  TEST_CASE("BY-1 check refuses a page that others could command unencrypted, a token to guess, a wrong address") {
+    if (!has_page()) return;
+    const Folder folder;
+    const auto check = [&](const std::string& page) {
+      folder.write("page.json",
+                   R"({"page": )" + page + R"(, "sensors": [{"name": "a", "type": "tallied", "rate": "1 Hz"}]})");
+      Process done(folder, program, {"check", "page.json"});
+      const int status = done.end();
+      return std::to_string(status) + " " + done.out;
+    };
+    for (const std::string command : {"set", "arm", "disarm", "start", "stop"}) {
+      const std::string commands = R"(, "commands": ["note", ")" + command + "\"]";
+      CHECK(check(R"({"listen": "127.0.0.1:8080")" + commands + "}").starts_with("0 "));
+      CHECK(check(R"({"listen": "0.0.0.0:8080", "behind_tls_proxy": true)" + commands + "}").starts_with("0 "));
+      const std::string refused = check(R"({"listen": "0.0.0.0:8080")" + commands + "}");
+      CHECK(refused.starts_with("2 "));
+      CHECK(has(refused, "\"" + command + "\" goes unencrypted"));
+    }
+    CHECK(check(R"({"listen": "[::]:8080", "commands": ["note", "ack", "event"]})").starts_with("0 "));
+    CHECK(has(check(R"({"listen": "127.0.0.1:8080", "token": "short"})"), "could be guessed"));
+    CHECK(has(check(R"({"listen": "127.0.0.1:80000"})"), "its port is no number from 0 to 65535"));
+    CHECK(has(check(R"({"listen": "bench.example:80"})"), "it begins with no address of the machine in numbers"));
+    CHECK(check(R"({"listen": "127.0.0.1", "commands": ["reload"]})").starts_with("2 "));
+    CHECK(check(R"({})").starts_with("2 "));
+  }
 }
