@@ -18,6 +18,23 @@ foreach(part gpio modbus postgresql http mqtt)
   target_link_libraries(rtdata_program PRIVATE $<TARGET_NAME_IF_EXISTS:rtdata::${part}>)
 endforeach()
 
+# The live page: its files become a part of the program, and libmicrohttpd is loaded when it serves them.
+rtdata_sources(RTDATA_PAGE_SOURCES src/rtdata_page.sources)
+rtdata_sources(RTDATA_PAGE_SQLITE_SOURCES src/rtdata_page_sqlite.sources)
+if(RTDATA_HAS_PAGE)
+  foreach(file src/app/page/page.html src/app/page/page.css src/app/page/stream.js src/app/page/charts.js src/app/page/page.js
+      src/app/page/icon.svg ${RTDATA_DYGRAPHS}/dygraph.min.css ${RTDATA_DYGRAPHS}/dygraph.min.js)
+    get_filename_component(name ${file} NAME)
+    string(MAKE_C_IDENTIFIER ${name} name)
+    file(READ ${file} ${name})
+    set_property(DIRECTORY APPEND PROPERTY CMAKE_CONFIGURE_DEPENDS ${file})
+  endforeach()
+  configure_file(cmake/page_files.cpp.in units/page_files.cpp @ONLY)
+  target_sources(rtdata_program PRIVATE ${RTDATA_PAGE_SOURCES} ${CMAKE_CURRENT_BINARY_DIR}/units/page_files.cpp
+    $<$<BOOL:${RTDATA_HAS_SQLITE}>:${RTDATA_PAGE_SQLITE_SOURCES}>)
+  target_include_directories(rtdata_program SYSTEM PRIVATE ${RTDATA_PAGE_INCLUDE_DIRS})
+endif()
+
 add_executable(rtdata_main src/app/main.cpp)
 set_target_properties(rtdata_main PROPERTIES OUTPUT_NAME rtdata)
 target_link_libraries(rtdata_main PRIVATE rtdata_options rtdata::program)

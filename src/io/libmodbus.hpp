@@ -3,7 +3,7 @@
 
 #include <modbus.h>
 
-#include "io/loaded_library.hpp"
+#include "rtdata/detail/io/loaded_library.hpp"
 
 #define RTDATA_LIBMODBUS(of) of(modbus_strerror)
 

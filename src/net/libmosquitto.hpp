@@ -3,7 +3,7 @@
 
 #include <mosquitto.h>
 
-#include "io/loaded_library.hpp"
+#include "rtdata/detail/io/loaded_library.hpp"
 
 // clang-format off
 #define RTDATA_LIBMOSQUITTO(of) \

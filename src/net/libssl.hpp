@@ -5,7 +5,7 @@
 #include <openssl/ssl.h>
 #include <openssl/x509v3.h>
 
-#include "io/loaded_library.hpp"
+#include "rtdata/detail/io/loaded_library.hpp"
 
 // clang-format off
 #define RTDATA_LIBSSL(of) \

@@ -3,7 +3,7 @@
 
 #include <zlib.h>
 
-#include "io/loaded_library.hpp"
+#include "rtdata/detail/io/loaded_library.hpp"
 
 // clang-format off
 #define RTDATA_LIBZ(of) \

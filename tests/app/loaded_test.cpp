@@ -99,7 +99,8 @@ TEST_SUITE("app") {
                                                                               {"PostgreSQL", "libpq"},
                                                                               {"HTTP", "libcurl"},
                                                                               {"MQTT", "libmosquitto"},
-                                                                              {"TLS", "OpenSSL"}}) {
+                                                                              {"TLS", "OpenSSL"},
+                                                                              {"page", "libmicrohttpd"}}) {
       const std::string part = named.first, library = named.second;  // no bindings: clang 14 lets no lambda have them
       const std::string in = "\n  " + part + ": " + library + " ";
       const std::size_t at = version.out.find(in);
@@ -120,7 +121,8 @@ TEST_SUITE("app") {
     std::string maps = content_of("/proc/" + std::to_string(instances[0].pid) + "/maps");
     CHECK(is_in(maps, "libsqlite3.so."));
     for (const Late& late : late_libraries()) CHECK_FALSE(is_in(maps, "/" + late.soname));
-    for (const char* soname : {"/libcrypto.so.", "/libz.so."}) CHECK_FALSE(is_in(maps, soname));
+    for (const char* soname : {"/libcrypto.so.", "/libz.so.", "/libmicrohttpd.so.", "/libgnutls.so."})
+      CHECK_FALSE(is_in(maps, soname));
     run.signal(SIGINT);
     CHECK(run.end() == 0);
     if (std::getenv("RTDATA_TEST_EMULATOR") != nullptr) return;  // the loader would tell of the emulator's libraries

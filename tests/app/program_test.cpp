@@ -902,13 +902,20 @@ TEST_SUITE("app") {
 
   TEST_CASE("NFR-5 what is mistyped on the command line is named, with what was probably meant") {
     const Folder folder;
+#ifdef RTDATA_WITH_PAGE
+    const std::string view = "view, ";
+#else
+    const std::string view;
+#endif
     const std::vector<std::pair<std::vector<std::string>, std::string>> cases{
         {{"vrify", "bench.db"},
          "rtdata: there is no command \"vrify\" (did you mean \"verify\"?); `rtdata --help` explains them\n"},
         {{"measure", "x"},
          "rtdata: there is no command \"measure\"; there are init, run, top, tail, ctl, scan, doctor, bench, check, "
          "graph, "
-         "types, explain, verify, info, plot, report, runs, seal, rm, merge, compare, export, replay, import, forward; "
+         "types, explain, verify, info, plot, report, runs, seal, rm, merge, compare, " +
+             view +
+             "export, replay, import, forward; "
          "`rtdata --help` explains them\n"},
         {{"bench.json"},
          "rtdata: there is no command \"bench.json\"; that configuration is run by: rtdata run bench.json\n"},

@@ -36,7 +36,7 @@ rooms = {
     "sensors": [{"core"}, {"analog", "derived", "gpio", "gps", "host", "kernel", "modbus", "serial"}, {"mqtt"}],
     "sinks": [{"core"}, {"console", "file", "http", "mqtt", "tcp"}],
     "config": [{"read"}, {"schema"}, {"plan"}],
-    "app": [{"core"}, {"machine"}, {"bench", "control"}, {"inspect"}, {"run"}],
+    "app": [{"core"}, {"machine"}, {"bench", "control"}, {"inspect"}, {"page"}, {"run"}],
 }
 # The sources that include a header of a higher room all the same, since objects of a loop register with its runtime: by the
 # header. None is added, and one that does so no more is taken out.

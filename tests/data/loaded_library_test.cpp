@@ -1,4 +1,4 @@
-#include "io/loaded_library.hpp"
+#include "rtdata/detail/io/loaded_library.hpp"
 
 #include <doctest/doctest.h>
 

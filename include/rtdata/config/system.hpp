@@ -16,7 +16,7 @@
 /// used twice or missing, different payloads on one topic, and files written twice. The check also works on another
 /// machine than the one that runs the system. Relative paths are relative to the working directory.
 ///
-/// Keys of the file: $schema, name, notes, log, control, loop, tiers, and those of the registry's kinds of parts:
+/// Keys of the file: $schema, name, notes, log, control, page, loop, tiers, and those of the registry's kinds of parts:
 /// buses, sinks, sensors. Ids of problems, beside those of problem.hpp: bad-name, cannot-record, cannot-resolve,
 /// cannot-write, description-differs, duplicate-name, duplicate-path, not-recorded, unknown-bus, unknown-sensor,
 /// unknown-sink, unknown-tier, unknown-topic, uses-itself, wrong-part; of warnings: in-memory, late-readings,
@@ -37,6 +37,7 @@
 #include <vector>
 
 #include "rtdata/config/format.hpp"
+#include "rtdata/config/page.hpp"
 #include "rtdata/config/registry.hpp"
 #include "rtdata/data/parameter.hpp"
 #include "rtdata/loop/loop.hpp"
@@ -134,6 +135,7 @@ struct SystemSettings {
   std::string notes = {};
   LogSettings log = {};
   ControlSettings control = {};
+  std::optional<PageSettings> page = {};
   Loop::Config loop = {};
   std::map<std::string, TierSettings> tiers = {};
 
@@ -146,6 +148,7 @@ struct SystemSettings {
         parameter("notes", &SystemSettings::notes, "anything worth knowing, kept in recordings", TextIs::recorded),
         parameter("log", &SystemSettings::log, "the log file"),
         parameter("control", &SystemSettings::control, "what others may ask of the running program"),
+        parameter("page", &SystemSettings::page, "the live page, for browsers"),
         parameter("loop", &SystemSettings::loop, "settings of the loop"),
         parameter("tiers", &SystemSettings::tiers,
                   "loops on threads of their own, by name; sensors name theirs as `tier`"));

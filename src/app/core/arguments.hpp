@@ -68,6 +68,7 @@ Action prepare_compare(CLI::App& command);
 Action prepare_export(CLI::App& command);
 Action prepare_plot(CLI::App& command);
 Action prepare_report(CLI::App& command);
+Action prepare_view(CLI::App& command);
 struct TailOptions;
 /// What tail takes beside for recordings. Returns what is done then; none: its words name no recording.
 std::function<std::optional<int>(const TailOptions&)> add_recorded_tail(CLI::App& command);

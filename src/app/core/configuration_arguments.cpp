@@ -50,6 +50,15 @@ Action prepare_run(CLI::App& command) {
       .add_option("--log", given->options.log_file,
                   "The log file; default: as the configuration says, or its name with .log, in the working directory")
       ->type_name("FILE");
+#ifdef RTDATA_WITH_PAGE
+  command
+      .add_option_function<std::vector<std::string>>(
+          "--page",
+          [given](const std::vector<std::string>& words) { given->options.page = words.empty() ? "" : words.front(); },
+          "Serve the live page, too: at this address, or the next port from 127.0.0.1:8080 on that is free")
+      ->expected(0, 1)
+      ->type_name("[ADDRESS]");
+#endif
   command.footer(
       "example:\n  rtdata run bench.json --for 10s --fail-on-loss\nexit status:\n"
       "  0  every tick and event is accounted for, and all is stored\n  1  it is not, or another error\n"

@@ -28,6 +28,8 @@ struct RunOptions {
   std::string log_file;              ///< empty: as the configuration says
   OnLoss on_loss = OnLoss::ignore;
   Talk talk = Talk::normal;  ///< quiet: warnings and errors only
+  /// A page where the configuration has none: its address, or the next free port; none: as the configuration says.
+  std::optional<std::string> page = {};
 };
 
 int run(const Registry& registry, const RunOptions& options);

@@ -74,6 +74,9 @@ constexpr Command commands[] = {
     {"rm", "Delete a run of a recording; the sums of its account stay", app::prepare_rm},
     {"merge", "Make one recording of the runs of several", app::prepare_merge},
     {"compare", "Put the figures of two runs side by side", app::prepare_compare},
+#ifdef RTDATA_WITH_PAGE
+    {"view", "Show a recording in a browser, on the live page", app::prepare_view},
+#endif
     {"export", "Write out what was recorded", app::prepare_export},
     {"replay", "Give recorded events to sinks again, as they came or faster", app::prepare_replay},
     {"import", "Make a recording of a table in CSV", app::prepare_import},
@@ -123,6 +126,11 @@ constexpr Part parts[] = {
     {"TLS", "OpenSSL", "libssl-dev",
 #ifdef RTDATA_WITH_OPENSSL
      RTDATA_WITH_OPENSSL
+#endif
+    },
+    {"page", "libmicrohttpd", "libmicrohttpd-dev, libjs-dygraphs",
+#ifdef RTDATA_WITH_PAGE
+     RTDATA_WITH_PAGE
 #endif
     },
 };

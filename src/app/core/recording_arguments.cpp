@@ -231,6 +231,18 @@ Action prepare_report(CLI::App& command) {
   };
 }
 
+#ifdef RTDATA_WITH_PAGE
+Action prepare_view(CLI::App& command) {
+  const auto options = std::make_shared<ViewOptions>();
+  command.add_option("DB", options->database, "The recording, also while it is recorded")->required();
+  add_run(command, options->run, "Which run; default: the last");
+  command.add_option("--listen", options->listen, "Where; default: the next free port from 127.0.0.1:8080 on")
+      ->type_name("ADDRESS");
+  command.footer("example:\n  rtdata view bench.db\nIt prints the address to open in a browser.");
+  return [options](const Registry& registry) { return view(registry, *options, std::cerr); };
+}
+#endif
+
 std::function<std::optional<int>(const TailOptions&)> add_recorded_tail(CLI::App& command) {
   const auto given = std::make_shared<RecordedTailOptions>();
   PartOptions& part = given->part;

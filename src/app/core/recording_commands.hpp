@@ -80,6 +80,14 @@ struct CompareOptions {
 /// 0; 1 there is no such run or instant; 2 unreadable.
 int compare(const CompareOptions& options, std::ostream& out, std::ostream& err);
 
+struct ViewOptions {
+  std::string database;
+  std::optional<std::string> run = {};  // the last one unless given
+  std::string listen = {};              // a PageAddress; empty: the next free port from 8080 on
+};
+/// Serves the page of a recording until a signal. 0; 1 when there is no such run, or the port is taken; 2 unreadable.
+int view(const Registry& registry, const ViewOptions& options, std::ostream& err);
+
 struct ExportOptions {
   std::string database;
   std::string topic = "#";

@@ -1,6 +1,7 @@
 #include <iostream>
 
 #include "app/core/configuration_commands.hpp"
+#include "app/page/page_setup.hpp"
 #include "app/run/data_at_risk.hpp"
 #include "app/run/growth.hpp"
 #include "app/run/left_backlogs.hpp"
@@ -62,6 +63,7 @@ std::string counts_text(const Registry& registry, const SystemPlan& plan) {
 int check(const Registry& registry, const CheckOptions& options) {
   SystemPlan plan = plan_system(registry, load_config(options.file));
   check_log_file(log_file_of(plan, ""), plan);
+  check_page(plan);
   if (!plan.good()) {
     std::cout << plan.report() << plan.document.report(plan.warnings, "warning: ") << plan.problems.size()
               << (plan.problems.size() == 1 ? " problem" : " problems") << std::endl;

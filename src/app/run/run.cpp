@@ -13,6 +13,10 @@
 #include "app/control/request.hpp"
 #include "app/control/status_source.hpp"
 #include "app/core/configuration_commands.hpp"
+#include "app/page/page_setup.hpp"
+#ifdef RTDATA_WITH_PAGE
+#include "app/page/live_page.hpp"
+#endif
 #include "app/run/console.hpp"
 #include "app/run/data_at_risk.hpp"
 #include "app/run/growth.hpp"
@@ -49,6 +53,7 @@ class Run {
 
   int execute() {
     SystemPlan plan = plan_system(registry_, std::move(document_));
+    check_page(plan);
     console_.add_secrets(plan.secrets);
     warn_of_growth(plan, options_.duration.value_or(growth_span));
     warn_of_losses(plan);
@@ -119,6 +124,7 @@ class Run {
                   {[this] { return is_closing_; },
                    [&](const SystemPlan& next) {
                      readers.set(reader_settings(next));
+                     tell_page(next);
                      note_sinks(next);
                      if (console_.leaves_stdout()) console_.close_view();
                      status.set(status_info(next, system));
@@ -134,6 +140,8 @@ class Run {
     });
     std::optional<ControlSocket> control;
     open_control(control, loop, reload, status, readers, desk);
+    open_page(loop, plan, status, readers, desk, control ? control->path() : "");
+    const ClosePage close_page{*this};
     report_start(plan);
 
     console_.open_view();
@@ -310,6 +318,46 @@ class Run {
     }
   }
 
+#ifdef RTDATA_WITH_PAGE
+  void open_page(Loop& loop, const SystemPlan& plan, StatusSource& status, Readers& readers, CommandDesk& desk,
+                 const std::string& socket_path) {
+    if (!plan.settings.page && !options_.page) return;
+    PageSettings settings = plan.settings.page.value_or(PageSettings{.listen = PageAddress{}.text()});
+    if (options_.page && !options_.page->empty()) settings.listen = *options_.page;
+    const bool is_any_port = options_.page && options_.page->empty() && !plan.settings.page;
+    const PageAddress address = parse_page_address(settings.listen).or_throw();
+    auto listener = PageListener::open(address,
+                                       is_any_port ? PageListener::TakenPort::next : PageListener::TakenPort::refuse);
+    const std::string token = settings.token.empty() ? make_page_token() : settings.token;
+    const auto command = [this, &desk](std::vector<std::string> words, std::string by,
+                                       std::function<void(std::string)> told) {
+      if (is_closing_) return told(command_answer({false, "it ends already"}));
+      desk.run(words, by, [told = std::move(told)](const CommandOutcome& came) { told(command_answer(came)); });
+    };
+    page_ = std::make_unique<LivePage>(loop,
+                                       LivePage::Config{std::move(listener).or_throw(), settings, token, socket_path},
+                                       plan, LivePage::Asks{&status, &readers, command});
+    log_.write(LogLevel::info, "page",
+               page_->address() + (page_->file().empty() ? "" : "; with its token in " + page_->file()));
+    if (options_.talk == Talk::normal) console_.tell("rtdata: page: " + page_->address() + "#token=" + token + "\n");
+    if (!address.is_loopback() && !settings.tls && !settings.behind_tls_proxy)
+      console_.say(LogLevel::warning, "page",
+                   "others on the network can reach it, and read along, since it is not encrypted: see docs/page.md");
+  }
+  void tell_page(const SystemPlan& next) {
+    if (page_ != nullptr) page_->set(next);
+  }
+  void end_page() { page_.reset(); }
+#else
+  void open_page(Loop&, const SystemPlan&, StatusSource&, Readers&, CommandDesk&, const std::string&) {}
+  void tell_page(const SystemPlan&) {}
+  void end_page() {}
+#endif
+  struct ClosePage {
+    Run& of;
+    ~ClosePage() { of.end_page(); }
+  };
+
   void report_start(const SystemPlan& plan) {
     std::string text = "running " + plan.settings.name + ": " + counts_text(registry_, plan);
     if (options_.duration) text += ", for " + to_string(*options_.duration);
@@ -441,6 +489,9 @@ class Run {
   RunConsole console_;
   Log& log_ = console_.log();
   StatusSource* status_ = nullptr;  // null: none now
+#ifdef RTDATA_WITH_PAGE
+  std::unique_ptr<LivePage> page_;
+#endif
   MonotonicTime last_line_{};
   bool is_closing_ = false;
   Duration close_deadline_{0};

@@ -32,11 +32,14 @@ std::vector<std::string> differing_keys(const ConfigItem& now, const ConfigItem&
 void compare_settings(const ConfigItem& now, const ConfigItem& next, std::vector<PartChange>& changes) {
   const auto compare_one = [&](const std::string& key) {
     const bool is_kept = key == "notes" || key == "$schema";
-    const bool is_live = key == "control";
-    if (!is_kept && !is_live && key != "name" && key != "loop" && key != "log") return;  // of parts
+    const bool is_page = key == "page";
+    if (!is_kept && !is_page && key != "control" && key != "name" && key != "loop" && key != "log") return;  // of parts
     const ConfigItem* const before = child_of(now, key);
     const ConfigItem* const after = child_of(next, key);
     if (before != nullptr && after != nullptr && *before == *after) return;
+    const bool has_other_commands = is_page && before != nullptr && after != nullptr &&
+                                    differing_keys(*before, *after) == std::vector<std::string>{"commands"};
+    const bool is_live = key == "control" || has_other_commands;
     if (is_kept) {
       changes.push_back({key, Fate::live, "kept with the text"});
     } else if (is_live) {

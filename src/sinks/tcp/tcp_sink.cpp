@@ -8,10 +8,10 @@
 #include <utility>
 #include <vector>
 
-#include "io/loaded_library.hpp"
 #include "net/tls_session.hpp"
 #include "net/tls_stream.hpp"
 #include "rtdata/data/config_item.hpp"
+#include "rtdata/detail/io/loaded_library.hpp"
 #include "sinks/core/peer_config.hpp"
 
 namespace rtdata {

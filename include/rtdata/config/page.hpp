@@ -1,0 +1,71 @@
+/// PageSettings: the settings of the live page that the program serves (docs/page.md), key `page` of the file.
+///
+/// Values; any thread. Errors: problems of the configuration.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "rtdata/data/error.hpp"
+#include "rtdata/data/parameter.hpp"
+
+namespace rtdata {
+
+/// Where a page is served: "127.0.0.1:8080", "[::1]:8080", "localhost:8080". Port 0: any that is free.
+struct PageAddress {
+  std::string host = "127.0.0.1";  ///< numbers, without brackets
+  std::uint16_t port = 8080;
+
+  bool is_ipv6() const noexcept { return host.find(':') != std::string::npos; }
+  /// Only programs of this machine reach it.
+  bool is_loopback() const noexcept;
+  /// "127.0.0.1:8080", "[::1]:8080"
+  std::string text() const;
+};
+/// A text without a port gets 8080. Errors: bad-argument.
+Result<PageAddress> parse_page_address(std::string_view text);
+
+/// The files of a certificate, as PEM.
+struct PageTls {
+  std::string certificate = {};
+  std::string key = {};
+
+  friend constexpr auto parameters(type_tag<PageTls>) {
+    return parameter_list(parameter("certificate", &PageTls::certificate,
+                                    "file of its certificate, and those that signed it", required, TextIs::device),
+                          parameter("key", &PageTls::key, "file of its private key", required, TextIs::device));
+  }
+};
+
+struct PageSettings {
+  std::string listen = {};                 ///< a PageAddress; empty: there is no page
+  std::vector<std::string> commands = {};  ///< that the page may give
+  std::string token = {};                  ///< empty: made at each start
+  std::vector<std::string> names = {};     ///< by which browsers call the machine, beside its own and its addresses
+  std::optional<PageTls> tls = {};
+  bool behind_tls_proxy = false;
+
+  friend constexpr auto parameters(type_tag<PageSettings>) {
+    return parameter_list(
+        parameter("listen", &PageSettings::listen, "where it is served, such as 127.0.0.1:8080", required,
+                  TextIs::recorded),
+        parameter("commands", &PageSettings::commands, "what those who see it may do", TextIs::recorded,
+                  choices("note", "ack", "event", "set", "arm", "disarm", "start", "stop")),
+        parameter("token", &PageSettings::token,
+                  "what a browser has to know, 16 characters at least; default: a new one at each start"),
+        parameter("names", &PageSettings::names,
+                  "further names of this machine that may stand in a browser's address, such as bench.example",
+                  TextIs::recorded),
+        parameter("tls", &PageSettings::tls, "the certificate with which it is encrypted; default: it is not"),
+        parameter("behind_tls_proxy", &PageSettings::behind_tls_proxy,
+                  "another server, through which alone it is reached, encrypts it"));
+  }
+  /// Refused: an address that is none; a token that could be guessed; on an address that others reach, commands that
+  /// set something, without encryption.
+  friend void check_config(const PageSettings& settings, const ConfigItem& item, Problems& problems);
+};
+
+}  // namespace rtdata

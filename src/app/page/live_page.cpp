@@ -1,0 +1,402 @@
+#include "app/page/live_page.hpp"
+
+#include <fcntl.h>
+#include <signal.h>
+#include <sys/resource.h>
+#include <sys/socket.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <array>
+#include <atomic>
+#include <cerrno>
+#include <filesystem>
+#include <fstream>
+#include <iterator>
+#include <mutex>
+#include <nlohmann/json.hpp>
+#include <system_error>
+
+#include "app/page/page_setup.hpp"
+#ifdef RTDATA_WITH_SQLITE
+#include "app/page/page_history.hpp"
+#endif
+#include "rtdata/detail/loop/lane.hpp"
+#include "rtdata/loop/clock.hpp"
+
+namespace rtdata::app {
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+constexpr std::uint64_t status_client = ~std::uint64_t{0};      // clients of the control socket count from 1
+constexpr Duration step = std::chrono::milliseconds{250};       // of what is shown as it comes
+constexpr Duration machine_pace = std::chrono::seconds{2};      // of the disk and the clock
+constexpr Duration longest_reading = std::chrono::seconds{30};  // of a disk, which may stall
+constexpr Duration thread_patience = std::chrono::seconds{2};
+constexpr Duration start_patience = std::chrono::seconds{10};
+constexpr std::size_t most_read = std::size_t{1} << 20;  // of a stream in a turn
+
+std::string content_of(const std::string& path) {
+  std::ifstream file(path, std::ios::binary);
+  if (!file) throw SetupError(system_error(errno, "cannot serve the page", path));
+  return {std::istreambuf_iterator<char>(file), {}};
+}
+
+/// Work that blocks on a disk, and what is done with its result on the loop.
+class Reading final : public detail::LaneJob {
+ public:
+  Reading(std::function<std::string()> work, PageSource::Told told) : work_(std::move(work)), told_(std::move(told)) {}
+  void run() noexcept override try { text_ = work_(); } catch (const std::exception&) {
+  }
+  void done(Outcome outcome) override {
+    told_(outcome == Outcome::finished && !text_.empty() ? std::move(text_)
+                                                         : R"({"error":"the disk did not answer in time"})");
+  }
+
+ private:
+  std::function<std::string()> work_;
+  PageSource::Told told_;
+  std::string text_;
+};
+
+}  // namespace
+
+/// The way to a loop that may be gone.
+struct LivePage::Link {
+  void set(Loop* loop) {
+    const std::unique_lock lock(mutex, thread_patience);  // the other side holds it for a moment
+    to = loop;
+  }
+  void post(Callback<void()> function) {
+    const std::unique_lock lock(mutex, thread_patience);
+    if (lock.owns_lock() && to != nullptr) to->post(std::move(function));
+  }
+  std::timed_mutex mutex;
+  Loop* to = nullptr;
+};
+
+/// What depends on the configuration.
+struct LivePage::Setup {
+  std::string about;
+  std::vector<std::string> changes;  // topics
+  std::vector<Readers::Recording> recordings;
+  std::vector<std::string> commands;
+};
+
+struct LivePage::Shared {
+  Link main, page;
+  Source* source = nullptr;  // the thread's
+  PageServer* server = nullptr;
+};
+
+/// The thread's side. What it wants of the main loop it posts there.
+class LivePage::Source final : public PageSource {
+ public:
+  Source(Loop& loop, LivePage& of, Duration to_time, Setup setup)
+      : loop_(loop),
+        of_(of),
+        is_alive_(of.is_alive_),
+        shared_(of.shared_),
+        to_time_(to_time),
+        setup_(std::move(setup)),
+        lane_(loop.core(), "page", longest_reading) {}
+  ~Source() override {
+    *is_here_ = false;
+    lane_.abandon_thread();
+  }
+
+  void begin() override {
+    steps_.open(*this, {"#"}, step);
+    changes_.open(*this, setup_.changes, Duration{0});
+  }
+  void end() override {
+    steps_.close();
+    changes_.close();
+    on_main([](LivePage& page) { page.asks_.status->forget(status_client); });
+  }
+  void lines(const std::function<void(std::string_view)>& take) override {
+    for (Stream* one : {&steps_, &changes_})
+      if (!one->read(take) && loop_.now() - one->opened_at > std::chrono::seconds{1}) {  // none of it is there now
+        end();
+        begin();
+        break;
+      }
+    for (const std::string& line : told_) take(line);
+    told_.clear();
+    look_at_machine();
+  }
+  std::string about() override { return setup_.about; }
+
+  void status(Told told) override {
+    const std::uint64_t number = remember(std::move(told));
+    on_main([number](LivePage& page) {
+      auto status = std::make_shared<Status>(page.asks_.status->take(status_client));
+      page.shared_->page.post([shared = page.shared_, status, number] {
+        if (shared->source != nullptr) shared->source->tell(number, json_of(*status));
+      });
+    });
+  }
+  void history(std::string request, Told told) override {
+#ifdef RTDATA_WITH_SQLITE
+    std::vector<PageRecording> recordings;
+    for (const Readers::Recording& one : setup_.recordings) recordings.push_back({one.sink, one.path, one.topics});
+    submit([recordings = std::move(recordings),
+            request = std::move(request)] { return page_history(recordings, std::nullopt, request); },
+           std::move(told));
+#else
+    told(R"({"error":"this program was built without SQLite: nothing is recorded"})");
+#endif
+  }
+  void command(std::vector<std::string> words, std::string by, Told told) override {
+    const std::uint64_t number = remember(std::move(told));
+    on_main([number, words = std::move(words), by = std::move(by)](LivePage& page) {
+      page.asks_.command(words, by, [shared = page.shared_, number](std::string text) {
+        shared->page.post([shared, number, text = std::move(text)] {
+          if (shared->source != nullptr) shared->source->tell(number, text);
+        });
+      });
+    });
+  }
+
+  void set(Setup setup) {
+    const bool has_other_changes = setup.changes != setup_.changes;
+    setup_ = std::move(setup);
+    shared_->server->set_commands(setup_.commands);
+    shared_->server->tell_about();
+    if (!has_other_changes || changes_.fd < 0) return;
+    changes_.close();
+    changes_.open(*this, setup_.changes, Duration{0});
+  }
+
+ private:
+  /// A connection of the readers'.
+  struct Stream {
+    int fd = -1;
+    std::string rest;
+    MonotonicTime opened_at{};
+    ~Stream() { close(); }
+    void close() {
+      if (fd >= 0) ::close(std::exchange(fd, -1));
+      rest.clear();
+    }
+    void open(Source& source, std::vector<std::string> topics, Duration of_step) {
+      opened_at = source.loop_.now();
+      std::array<int, 2> ends{};
+      if (::socketpair(AF_UNIX, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0, ends.data()) != 0) return;
+      fd = ends[0];
+      StreamRequest request;
+      request.topics = std::move(topics);
+      request.step = of_step;
+      source.on_main([theirs = ends[1], request = std::move(request)](LivePage& page) mutable {
+        page.asks_.readers->add(theirs, std::move(request));
+      });
+    }
+    /// False: it is not there.
+    bool read(const std::function<void(std::string_view)>& take) {
+      std::array<char, 16 << 10> buffer;
+      for (std::size_t all = 0; fd >= 0 && all < most_read;) {
+        const ssize_t size = ::read(fd, buffer.data(), buffer.size());
+        if (size < 0 && errno == EINTR) continue;
+        if (size == 0) close();
+        if (size <= 0) break;
+        all += static_cast<std::size_t>(size);
+        rest.append(buffer.data(), static_cast<std::size_t>(size));
+      }
+      std::size_t begin = 0;
+      for (std::size_t end = rest.find('\n'); end != std::string::npos; end = rest.find('\n', begin)) {
+        take(std::string_view(rest).substr(begin, end - begin));
+        begin = end + 1;
+      }
+      rest.erase(0, begin);
+      return fd >= 0;
+    }
+  };
+
+  template <class Function>
+  void on_main(Function function) {
+    shared_->main.post([&page = of_, is_alive = is_alive_, function = std::move(function)]() mutable {
+      if (*is_alive) function(page);
+    });
+  }
+  std::uint64_t remember(Told told) {
+    waiting_[++last_] = std::move(told);
+    return last_;
+  }
+  void tell(std::uint64_t number, std::string text) {
+    const auto found = waiting_.find(number);
+    if (found == waiting_.end()) return;
+    const Told told = std::move(found->second);
+    waiting_.erase(found);
+    told(std::move(text));
+  }
+  void submit(std::function<std::string()> work, Told told) {
+    const auto done = [is_here = is_here_, told](std::string text) {
+      if (*is_here) told(std::move(text));
+    };
+    if (!lane_.submit(std::make_shared<Reading>(std::move(work), done)))
+      told(R"({"error":"the disk does not answer"})");
+  }
+
+  /// What is left of the disks, and how well UTC is known.
+  void look_at_machine() {
+    if (is_looking_ || loop_.now() - looked_at_ < machine_pace) return;
+    is_looking_ = true;
+    looked_at_ = loop_.now();
+    std::vector<std::pair<std::string, std::string>> files;
+    for (const Readers::Recording& one : setup_.recordings) files.emplace_back(one.sink, one.path);
+    submit(
+        [files = std::move(files), to_time = to_time_] {
+          SystemClock clock;
+          const Time now{std::chrono::steady_clock::now().time_since_epoch() + to_time};
+          Json told{{"now", std::chrono::duration<double, std::milli>(now.time_since_epoch()).count()},
+                    {"clock",
+                     {{"offset", std::chrono::duration<double, std::milli>(clock.realtime() - now).count()},
+                      {"source", "system"},
+                      {"accuracy", nullptr}}},
+                    {"disks", Json::array()}};
+          if (const auto accuracy = clock.accuracy())
+            told["clock"]["accuracy"] = std::chrono::duration<double>(*accuracy).count();
+          for (const auto& [sink, path] : files) {
+            std::error_code none;
+            double bytes = 0;
+            for (const char* more : {"", "-wal"}) {
+              const auto size = std::filesystem::file_size(path + more, none);
+              if (!none) bytes += static_cast<double>(size);
+            }
+            const auto folder = std::filesystem::absolute(path, none).parent_path();
+            const auto space = std::filesystem::space(folder, none);
+            if (!none)
+              told["disks"].push_back(
+                  {{"sink", sink}, {"path", path}, {"bytes", bytes}, {"free", static_cast<double>(space.available)}});
+          }
+          return "{\"machine\":" + told.dump(-1, ' ', false, Json::error_handler_t::replace) + "}";
+        },
+        [this](std::string line) {
+          is_looking_ = false;
+          told_.push_back(std::move(line));
+        });
+  }
+
+  Loop& loop_;
+  LivePage& of_;  // used on the main loop alone
+  const std::shared_ptr<bool> is_alive_;
+  const std::shared_ptr<Shared> shared_;
+  const Duration to_time_;
+  Setup setup_;
+  Stream steps_, changes_;
+  std::map<std::uint64_t, Told> waiting_;
+  std::uint64_t last_ = 0;
+  std::vector<std::string> told_;  // lines
+  bool is_looking_ = false;
+  MonotonicTime looked_at_{};
+  std::shared_ptr<bool> is_here_ = std::make_shared<bool>(true);
+  detail::Lane lane_;
+};
+
+LivePage::Setup LivePage::setup_of(const SystemPlan& plan) {
+  Setup setup{page_setup(plan), topics_of_changes(plan), {}, {}};
+  for (const PartPlan& part : plan.parts)
+    if (part.stores && part.stores->is_recording)
+      setup.recordings.push_back({part.name, part.stores->path, part.stores->topics});
+  if (plan.settings.page) setup.commands = plan.settings.page->commands;
+  return setup;
+}
+
+LivePage::LivePage(Loop& loop, Config config, const SystemPlan& plan, Asks asks)
+    : loop_(loop), asks_(std::move(asks)), shared_(std::make_shared<Shared>()) {
+  PageServer::Config served{config.token, config.settings.commands, config.settings.names};
+  if (const auto& tls = config.settings.tls) {
+    served.certificate = content_of(tls->certificate);
+    served.key = content_of(tls->key);
+  }
+  address_ = (config.settings.tls ? "https://" : "http://") + config.listener.address().text() + "/";
+  keep_address(config.socket_path, config.token);
+  shared_->main.set(&loop_);
+  const Duration to_time = loop_.time().time_since_epoch() - loop_.now().time_since_epoch();
+  std::promise<void> ended;
+  ended_ = ended.get_future();
+  std::promise<std::string> started;
+  std::future<std::string> failed = started.get_future();
+  const auto serve = [this, shared = shared_, to_time, setup = setup_of(plan),
+                      listener = std::make_shared<PageListener>(std::move(config.listener)), served,
+                      started = std::make_shared<std::promise<std::string>>(std::move(started)),
+                      ended = std::make_shared<std::promise<void>>(std::move(ended))]() mutable {
+    bool has_started = false;
+    try {
+      ::setpriority(PRIO_PROCESS, 0, 19);  // of this thread alone, as Linux has it; and so of its lane's
+      Loop own({.name = "page", .hold_limit = std::chrono::hours{1}});
+      Source source(own, *this, to_time, std::move(setup));
+      {
+        PageServer server(own, std::move(*listener), std::move(served), source);
+        shared->source = &source;
+        shared->server = &server;
+        shared->page.set(&own);
+        has_started = true;
+        started->set_value("");
+        own.run();
+        shared->page.set(nullptr);
+      }
+      shared->source = nullptr;
+    } catch (const std::exception& error) {  // no memory, no descriptors
+      shared->page.set(nullptr);
+      shared->source = nullptr;
+      if (!has_started) started->set_value(error.what());
+    }
+    ended->set_value();
+  };
+  try {
+    thread_ = std::thread(serve);
+  } catch (const std::system_error& error) {
+    throw SetupError(system_error(error.code().value(), "cannot serve the page", "thread"));
+  }
+  const bool has_answered = failed.wait_for(start_patience) == std::future_status::ready;
+  const std::string why = has_answered ? failed.get() : "its thread did not get the processor";
+  if (why.empty()) return;
+  has_answered ? thread_.join() : thread_.detach();
+  if (!file_.empty()) ::unlink(file_.c_str());
+  throw SetupError({Errc::io_failed, "cannot serve the page", address_, why, ""});
+}
+
+LivePage::~LivePage() {
+  *is_alive_ = false;
+  if (!file_.empty()) ::unlink(file_.c_str());
+  shared_->page.post([shared = shared_] {
+    if (shared->page.to != nullptr) shared->page.to->stop();
+  });
+  const bool has_ended = ended_.wait_for(thread_patience) == std::future_status::ready;
+  shared_->main.set(nullptr);
+  if (has_ended) {
+    thread_.join();
+  } else {
+    thread_.detach();  // it has not got the processor; it touches what it shares, and nothing else
+  }
+}
+
+void LivePage::set(const SystemPlan& plan) {
+  shared_->page.post([shared = shared_, setup = setup_of(plan)]() mutable {
+    if (shared->source != nullptr) shared->source->set(std::move(setup));
+  });
+}
+
+/// In "PID.page" beside the socket, whose folder is this user's alone. Removes those of programs that have ended.
+void LivePage::keep_address(const std::string& socket_path, const std::string& token) {
+  if (socket_path.empty()) return;
+  const std::filesystem::path folder = std::filesystem::path(socket_path).parent_path();
+  std::error_code none;
+  for (const auto& entry : std::filesystem::directory_iterator(folder, none)) {
+    if (entry.path().extension() != ".page") continue;
+    const int pid = std::atoi(entry.path().stem().c_str());
+    if (pid > 0 && (pid == ::getpid() || (::kill(pid, 0) != 0 && errno == ESRCH))) ::unlink(entry.path().c_str());
+  }
+  const std::string path = folder / (std::to_string(::getpid()) + ".page");
+  const int fd = ::open(path.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_NOFOLLOW | O_CLOEXEC, 0600);
+  const std::string text = address_ + "#token=" + token + "\n";
+  const bool is_kept = fd >= 0 && ::write(fd, text.data(), text.size()) == static_cast<ssize_t>(text.size());
+  const int error = errno;
+  if (fd >= 0) ::close(fd);
+  if (!is_kept) throw SetupError(system_error(error, "cannot keep the address of the page", path));
+  file_ = path;
+}
+
+}  // namespace rtdata::app

@@ -1,0 +1,16 @@
+// What a browser gets of the page itself; its text is made a part of the program when that is built.
+#pragma once
+
+#include <span>
+#include <string_view>
+
+namespace rtdata::app {
+
+struct PageFile {
+  std::string_view path;  ///< of the address: "/page.js"
+  std::string_view type;  ///< of its content
+  std::string_view text;
+};
+std::span<const PageFile> page_files();
+
+}  // namespace rtdata::app

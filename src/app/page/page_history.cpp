@@ -1,0 +1,309 @@
+#include "app/page/page_history.hpp"
+
+#include <unistd.h>
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <map>
+#include <nlohmann/json.hpp>
+#include <set>
+#include <tuple>
+
+#include "rtdata/data/codec.hpp"
+#include "rtdata/loop/topic.hpp"
+
+namespace rtdata::app {
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+constexpr Duration patience = std::chrono::milliseconds{400};
+constexpr std::int64_t steps_of_slice = 64, most_steps = 4000;
+constexpr std::size_t most_topics = 64, most_points = 200'000, most_marks = 300, most_gaps = 2000;
+
+struct Request {
+  std::map<std::string, std::vector<std::string>> topics;
+  Time from{}, until{};
+  Duration step{0};
+  bool wants_marks = false;
+};
+
+double in_ms(Time time) { return static_cast<double>(to_nanoseconds(time)) / 1e6; }
+double in_ms(Duration time) { return static_cast<double>(time.count()) / 1e6; }
+
+Time whole_steps(Time time, Duration step, bool up) {
+  const std::int64_t ns = to_nanoseconds(time), past = ((ns % step.count()) + step.count()) % step.count();
+  return from_nanoseconds(past == 0 ? ns : ns - past + (up ? step.count() : 0));
+}
+
+std::optional<Request> request_of(std::string_view text) {
+  const Json given = Json::parse(text, nullptr, false);
+  const auto number = [&](const char* key) -> std::optional<double> {
+    const auto found = given.find(key);
+    if (found == given.end() || !found->is_number()) return std::nullopt;
+    const double value = found->get<double>();
+    return std::abs(value) < 9e12 ? std::optional(value) : std::nullopt;
+  };
+  if (!given.is_object() || !given.contains("topics") || !given["topics"].is_object()) return std::nullopt;
+  const auto from = number("from"), until = number("until"), step = number("step");
+  if (!from || !until || !step || *step < 1 || *until <= *from) return std::nullopt;
+  Request request;
+  request.step = Duration{std::llround(*step) * 1'000'000};
+  request.from = whole_steps(from_nanoseconds(std::llround(*from * 1e6)), request.step, false);
+  request.until = whole_steps(from_nanoseconds(std::llround(*until * 1e6)), request.step, true);
+  if ((request.until - request.from) / request.step > most_steps || given["topics"].size() > most_topics)
+    return std::nullopt;
+  for (const auto& [topic, paths] : given["topics"].items()) {
+    if (!is_topic_name(topic) || !paths.is_array()) return std::nullopt;
+    for (const Json& path : paths) {
+      if (!path.is_string()) return std::nullopt;
+      request.topics[topic].push_back(path.get<std::string>());
+    }
+    request.topics.try_emplace(topic);
+  }
+  request.wants_marks = given.value("marks", Json(false)) == Json(true);
+  return request;
+}
+
+std::string error_text(std::string_view why) {
+  return Json{{"error", why}}.dump(-1, ' ', false, Json::error_handler_t::replace);
+}
+
+bool is_number(Kind kind) {
+  return kind != Kind::text && kind != Kind::character && kind != Kind::enumeration && kind != Kind::record;
+}
+
+/// JSON has none of what is not finite.
+Json number_json(double value) { return std::isfinite(value) ? Json(value) : Json(); }
+Json number_json(const Value& value) {
+  if (const auto* const whole = std::get_if<std::int64_t>(&value)) return *whole;
+  if (const auto* const natural = std::get_if<std::uint64_t>(&value)) return *natural;
+  if (const auto* const real = std::get_if<double>(&value)) return number_json(*real);
+  return nullptr;
+}
+
+struct Point {
+  double time;
+  Json least, mean, most;
+};
+/// The events of a step, by their sequences.
+struct Span {
+  Time time{};
+  std::uint64_t first = 0, last = 0, events = 0;
+};
+
+class Answer {
+ public:
+  Answer(const Recording& recording, const RunInfo& run, const Request& request)
+      : recording_(recording), run_(run), request_(request) {
+    for (RecordedTopic& one : recording.topics().or_throw())
+      if (request.topics.contains(one.topic)) descriptions_[{one.topic, one.version}] = std::move(one);
+  }
+
+  /// False: there are more points than go into an answer.
+  bool read(const std::string& topic, Time from, Time until) {
+    RowFilter filter{.topic = topic, .run = run_.run, .from = from, .until = until};
+    auto rows = recording_.steps(filter, request_.step).or_throw();
+    places_.clear();  // they point into the descriptions of these rows
+    while (const RecordedRow* row = rows.next().or_throw()) add(*row);
+    return points_ < most_points;
+  }
+  /// Also of sensors that never had an event.
+  void read_gaps(Time from, Time until) {
+    std::vector<RecordedGap> all = recording_.gaps(run_.run).or_throw();
+    for (auto gap = all.rbegin(); gap != all.rend() && gaps_.size() < most_gaps; ++gap)
+      if (request_.topics.contains(gap->topic) && gap->last >= from && gap->first < until)
+        gaps_.push_back(std::move(*gap));
+  }
+
+  void add_to(Json& answer) {
+    for (auto& [key, points] : series_) {
+      std::sort(points.begin(), points.end(), [](const Point& a, const Point& b) { return a.time < b.time; });
+      const auto& [topic, origin, path] = key;
+      Json one{
+          {"topic", topic},        {"origin", origin},       {"path", path},          {"unit", units_[{topic, path}]},
+          {"time", Json::array()}, {"least", Json::array()}, {"mean", Json::array()}, {"most", Json::array()}};
+      for (Point& point : points) {
+        one["time"].push_back(point.time);
+        one["least"].push_back(std::move(point.least));
+        one["mean"].push_back(std::move(point.mean));
+        one["most"].push_back(std::move(point.most));
+      }
+      answer["series"].push_back(std::move(one));
+    }
+    add_missing();
+    for (const RecordedGap& gap : gaps_)
+      answer["gaps"].push_back({{"topic", gap.topic},
+                                {"origin", gap.origin},
+                                {"kind", gap.kind},
+                                {"reason", gap.reason},
+                                {"first", in_ms(gap.first)},
+                                {"last", in_ms(gap.last)},
+                                {"count", gap.count}});
+  }
+
+ private:
+  struct Place {
+    std::string path;
+    const Leaf *count, *least, *most, *mean;
+  };
+
+  void add(const RecordedRow& row) {
+    const std::string& topic = row.topic().topic;
+    const std::string origin(row.header().origin);
+    const EventView event = row.event();
+    const auto events = std::get<std::uint64_t>(event.value(event.description().leaves().front()));
+    spans_[{topic, origin}].push_back({row.header().time, row.first_sequence(), row.last_sequence(), events});
+    for (const Place& place : places_of(row)) {
+      if (std::get<std::uint64_t>(event.value(*place.count)) == 0) continue;
+      series_[{topic, origin, place.path}].push_back({in_ms(row.header().time), number_json(event.value(*place.least)),
+                                                      number_json(event.value(*place.mean)),
+                                                      number_json(event.value(*place.most))});
+      ++points_;
+    }
+  }
+
+  /// The steps have four values of each number, in the order of the numbers, after the number of events.
+  const std::vector<Place>& places_of(const RecordedRow& row) {
+    const RecordedTopic& topic = row.topic();
+    const auto [known, is_new] = places_.try_emplace({topic.topic, topic.version});
+    if (!is_new) return known->second;
+    const std::vector<std::string>& wanted = request_.topics.at(topic.topic);
+    const Leaf* of_steps = topic.description->leaves().data() + 1;
+    for (const Leaf& leaf : descriptions_.at({topic.topic, topic.version}).description->leaves()) {
+      if (!is_number(leaf.kind)) continue;
+      if (wanted.empty() || std::find(wanted.begin(), wanted.end(), leaf.path) != wanted.end()) {
+        known->second.push_back({leaf.path, of_steps, of_steps + 1, of_steps + 2, of_steps + 3});
+        units_[{topic.topic, leaf.path}] = leaf.unit;
+      }
+      of_steps += 4;
+    }
+    return known->second;
+  }
+
+  /// What the recording did not store: sequences without a row.
+  void add_missing() {
+    for (auto& [key, spans] : spans_) {
+      std::sort(spans.begin(), spans.end(), [](const Span& a, const Span& b) { return a.time < b.time; });
+      const Span* before = nullptr;
+      for (const Span& span : spans) {
+        std::uint64_t missing = span.last - span.first + 1 > span.events ? span.last - span.first + 1 - span.events : 0;
+        if (before != nullptr && span.first > before->last + 1) missing += span.first - before->last - 1;
+        if (missing > 0)
+          gaps_.push_back({key.first, key.second, "not stored", "dropped by the recording",
+                           before != nullptr ? before->time : span.time, span.time, missing});
+        before = &span;
+      }
+    }
+  }
+
+  const Recording& recording_;
+  const RunInfo& run_;
+  const Request& request_;
+  std::map<std::pair<std::string, std::int64_t>, RecordedTopic> descriptions_;
+  std::map<std::pair<std::string, std::int64_t>, std::vector<Place>> places_;
+  std::map<std::pair<std::string, std::string>, std::string> units_;
+  std::map<std::tuple<std::string, std::string, std::string>, std::vector<Point>> series_;
+  std::map<std::pair<std::string, std::string>, std::vector<Span>> spans_;
+  std::vector<RecordedGap> gaps_;
+  std::size_t points_ = 0;
+};
+
+Json run_json(const Recording& recording, const RunInfo& run, const std::string& sink) {
+  Json told{{"number", run.run},
+            {"name", run.name},
+            {"notes", run.notes},
+            {"sink", sink},
+            {"state", name_of(run.state)},
+            {"started", in_ms(run.started)},
+            {"ended", nullptr}};
+  if (run.ended) told["ended"] = in_ms(*run.ended);
+  const std::vector<RecordedClock> clock = recording.clock(run.run).or_throw();
+  if (!clock.empty()) {
+    const RecordedClock& last = clock.back();
+    const Time recorded{last.monotonic.time_since_epoch() + run.clock_offset};
+    told["clock"] = {{"offset", in_ms(last.realtime - recorded)}, {"source", last.source}, {"accuracy", nullptr}};
+    if (last.accuracy) told["clock"]["accuracy"] = std::chrono::duration<double>(*last.accuracy).count();
+  }
+  return told;
+}
+
+void add_marks(Json& answer, const Recording& recording, const RunInfo& run, const Request& request) {
+  const std::set<std::string> of_changes{"command", "alarm", "state_change", "output_change"};
+  const auto codec = make_json_codec();
+  std::size_t count = 0;
+  for (const RecordedTopic& topic : recording.topics().or_throw()) {
+    if (!of_changes.contains(topic.description->name())) continue;
+    RowFilter filter{.topic = topic.topic, .run = run.run, .from = request.from, .until = request.until};
+    filter.limit = most_marks;
+    auto rows = recording.rows(filter).or_throw();
+    while (const RecordedRow* row = rows.next().or_throw()) {
+      std::vector<std::byte> line;
+      if (!codec->encode(row->event(), line)) continue;
+      answer["marks"].push_back(
+          Json::parse(std::string_view(reinterpret_cast<const char*>(line.data()), line.size()), nullptr, false));
+      ++count;
+    }
+  }
+  if (count >= most_marks) answer["marks_left_out"] = true;
+}
+
+}  // namespace
+
+std::string page_history(const std::vector<PageRecording>& recordings, std::optional<std::int64_t> run,
+                         std::string_view text) try {
+  const auto request = request_of(text);
+  if (!request) return error_text("this is no request for the history, or for too much of it");
+  const auto takes = [](const PageRecording& one, const std::string& topic) {
+    return std::any_of(one.topics.begin(), one.topics.end(),
+                       [&](const auto& taken) { return topic_matches(taken, topic); });
+  };
+  std::map<const PageRecording*, std::vector<std::string>> wanted;
+  for (const auto& [topic, paths] : request->topics)
+    for (const PageRecording& one : recordings)
+      if (takes(one, topic)) {
+        wanted[&one].push_back(topic);
+        break;
+      }
+  if (wanted.empty() && !recordings.empty()) wanted[&recordings.front()];
+  if (wanted.empty()) return error_text("nothing is recorded");
+  const auto until = std::chrono::steady_clock::now() + patience;
+  Json answer{{"run", nullptr},
+              {"reached", in_ms(request->from)},
+              {"series", Json::array()},
+              {"gaps", Json::array()},
+              {"marks", Json::array()}};
+  Time reached = request->from;
+  for (const auto& [one, topics] : wanted) {
+    const Recording recording = Recording::open(one->path).or_throw();
+    const std::vector<RunInfo> runs = recording.runs().or_throw();
+    const auto chosen = std::find_if(runs.rbegin(), runs.rend(), [&](const RunInfo& info) {
+      return run ? info.run == *run : info.pid == ::getpid();
+    });
+    if (chosen == runs.rend()) continue;  // nothing is stored yet
+    if (answer["run"].is_null()) answer["run"] = run_json(recording, *chosen, one->sink);
+    Answer of(recording, *chosen, *request);
+    const Duration slice = request->step * steps_of_slice;
+    Time end = request->until;
+    // Before the run there is nothing; a run of hours is not looked for in a window of a month.
+    const Time begin = std::max(reached, whole_steps(chosen->started, request->step, false));
+    while (end > begin) {
+      const Time start = std::max(begin, whole_steps(end - slice, request->step, false));
+      bool has_room = true;
+      for (const std::string& topic : topics) has_room = of.read(topic, start, end) && has_room;
+      end = start;
+      if (!has_room || std::chrono::steady_clock::now() > until) break;
+    }
+    if (end > begin) reached = end;
+    of.read_gaps(end, request->until);
+    of.add_to(answer);
+    if (request->wants_marks) add_marks(answer, recording, *chosen, *request);
+  }
+  answer["reached"] = in_ms(reached);
+  return answer.dump(-1, ' ', false, Json::error_handler_t::replace);
+} catch (const std::exception& error) {
+  return error_text(error.what());
+}
+
+}  // namespace rtdata::app

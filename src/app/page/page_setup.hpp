@@ -1,0 +1,23 @@
+// What of a configuration a page needs to know.
+#pragma once
+
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "rtdata/config/system.hpp"
+
+namespace rtdata::app {
+
+/// Without the page, in a program that was built without it or on a machine that lacks its library, a file that wants
+/// it has a mistake.
+void check_page(SystemPlan& plan);
+
+/// The topics of changes, of which a page gets each event: of machines, limits and outputs, and commands.
+std::vector<std::string> topics_of_changes(const SystemPlan& plan);
+
+/// An object of JSON: name, notes, the parts that the page draws in a way of their own (machines, limits, outputs) as
+/// they are written, and the names of the sensors.
+std::string page_setup(const SystemPlan& plan);
+
+}  // namespace rtdata::app
