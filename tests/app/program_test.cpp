@@ -916,7 +916,7 @@ TEST_SUITE("app") {
          "types, explain, verify, info, plot, report, runs, seal, rm, merge, compare, " +
              view +
              "export, replay, import, forward; "
-         "`rtdata --help` explains them\n"},
+             "`rtdata --help` explains them\n"},
         {{"bench.json"},
          "rtdata: there is no command \"bench.json\"; that configuration is run by: rtdata run bench.json\n"},
         {{"bench.db"},

@@ -81,10 +81,10 @@ Status status_of_run(const std::string& path, std::int64_t number) {
 /// Thread: the loop's; what it reads, it reads on a lane.
 class RecordedSource final : public PageSource {
  public:
-  RecordedSource(Loop& loop, const Registry& registry, std::string path, const std::optional<std::string>& run)
+  RecordedSource(Loop& loop, const Registry& registry, std::string path, const std::optional<std::string>& which)
       : loop_(loop), path_(std::move(path)), lane_(loop.core(), "recording", longest_reading) {
     const Recording recording = Recording::open(path_).or_throw();
-    run_ = find_run(recording.runs().or_throw(), run.value_or("-1"), path_).or_throw();
+    run_ = find_run(recording.runs().or_throw(), which.value_or("-1"), path_).or_throw();
     const bool is_here = run_.boot_id == SystemClock().boot_id();
     is_recording_ = run_.state == RunState::recording && is_here &&
                     account_of(recording, run_.run).or_throw().verdict == Verdict::recording;
