@@ -82,7 +82,7 @@ Status status_of_run(const std::string& path, std::int64_t number) {
 class RecordedSource final : public PageSource {
  public:
   RecordedSource(Loop& loop, const Registry& registry, std::string path, const std::optional<std::string>& which)
-      : loop_(loop), path_(std::move(path)), lane_(loop.core(), "recording", longest_reading) {
+      : path_(std::move(path)), lane_(loop.core(), "recording", longest_reading) {
     const Recording recording = Recording::open(path_).or_throw();
     run_ = find_run(recording.runs().or_throw(), which.value_or("-1"), path_).or_throw();
     const bool is_here = run_.boot_id == SystemClock().boot_id();
@@ -212,7 +212,6 @@ class RecordedSource final : public PageSource {
     if (slice.has_more) read();
   }
 
-  Loop& loop_;
   const std::string path_;
   RunInfo run_;
   bool is_recording_ = false;
