@@ -90,7 +90,7 @@ Status status_of_run(const std::string& path, std::int64_t number) {
 class RecordedSource final : public PageSource {
  public:
   RecordedSource(Loop& loop, const Registry& registry, std::string path, const std::optional<std::int64_t>& number)
-      : loop_(loop), path_(std::move(path)), lane_(loop.core(), "recording", longest_reading) {
+      : path_(std::move(path)), lane_(loop.core(), "recording", longest_reading) {
     const Recording recording = Recording::open(path_).or_throw();
     run_ = chosen_run(recording, number);
     const bool is_here = run_.boot_id == SystemClock().boot_id();
@@ -220,7 +220,6 @@ class RecordedSource final : public PageSource {
     if (slice.has_more) read();
   }
 
-  Loop& loop_;
   const std::string path_;
   RunInfo run_;
   bool is_recording_ = false;
