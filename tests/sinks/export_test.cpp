@@ -313,7 +313,7 @@ TEST_CASE("export of what there is not says what there is, and makes nothing") {
     std::ostringstream out, err;
     CHECK(app::export_recording(options, out, err) == 1);
     CHECK(out.str() == "");
-    CHECK(err.str().starts_with("rtdata: cannot export: "));
+    CHECK(err.str().starts_with(options.run ? "rtdata: cannot find the run: " : "rtdata: cannot export: "));
     return err.str();
   };
   const auto has = [](const std::string& text, const std::string& part) {

@@ -456,8 +456,10 @@ TEST_SUITE("sinks") {
     machine.record("three", 300);
     const auto steps = [](const std::string& of, int run) {
       std::int64_t count = 0;
-      for (const char* table : {"a~1s", "a~1min"})
+      for (const char* table : {"a~1s", "a~1min"}) {
+        if (number(of, std::string("SELECT count(*) FROM sqlite_schema WHERE name = '") + table + "'") == 0) continue;
         count += number(of, std::string("SELECT count(*) FROM \"") + table + "\" WHERE run = " + std::to_string(run));
+      }
       return count;
     };
     const auto seconds = [](const std::string& of, const std::string& run) {
