@@ -125,8 +125,8 @@ if(Python3_FOUND AND TARGET rtdata_main)
   set_tests_properties(schema PROPERTIES TIMEOUT 900 SKIP_RETURN_CODE 77)
 endif()
 
-# The live page in a browser, where there is one.
-if(RTDATA_HAS_PAGE AND TARGET rtdata_main)
+# The live page in a browser, where there is one, of the program that users get.
+if(RTDATA_HAS_PAGE AND TARGET rtdata_main AND NOT RTDATA_SANITIZE)
   add_test(NAME page COMMAND sh ${CMAKE_CURRENT_SOURCE_DIR}/tests/browser/run.sh $<TARGET_FILE:rtdata_main>)
   set_tests_properties(page PROPERTIES TIMEOUT 900 SKIP_RETURN_CODE 77)
 endif()
