@@ -14,7 +14,8 @@ namespace sqlite {
 namespace {
 
 constexpr const char* add_up =
-    " ON CONFLICT(topic, origin) DO UPDATE SET runs = runs + 1, first_run = min(first_run, excluded.first_run), "
+    " ON CONFLICT(topic, origin) DO UPDATE SET runs = runs + excluded.runs, first_run = min(first_run, "
+    "excluded.first_run), "
     "last_run = max(last_run, excluded.last_run), started = min(started, excluded.started), "
     "ended = max(ended, excluded.ended), sealed = sealed + excluded.sealed, scheduled = scheduled + "
     "excluded.scheduled, "
@@ -63,6 +64,22 @@ void run_with(Database& database, const std::string& sql, std::int64_t run) {
 }
 
 }  // namespace
+
+void add_deleted(Database& database, const Statement& row, std::int64_t base) {
+  const int columns = sqlite3_column_count(row.raw());
+  std::string parameters = "?";
+  for (int i = 1; i < columns; ++i) parameters += ",?";
+  auto insert = database.prepare("INSERT INTO rtdata_deleted VALUES(" + parameters + ")" + add_up);
+  for (int i = 0; i < columns; ++i) {
+    const std::string_view name = sqlite3_column_name(row.raw(), i);
+    if (name == "first_run" || name == "last_run") {
+      insert.bind(i + 1, row.integer(i) + base);
+    } else {
+      sqlite3_bind_value(insert.raw(), i + 1, sqlite3_column_value(row.raw(), i));
+    }
+  }
+  insert.run();
+}
 
 std::vector<std::int64_t> runs_without_rows(const Database& database, std::int64_t ended_before) {
   std::vector<std::int64_t> found;

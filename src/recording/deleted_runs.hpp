@@ -19,4 +19,7 @@ std::vector<std::int64_t> runs_without_rows(const Database& database, std::int64
 /// Within a transaction: adds the run's account to rtdata_deleted, and deletes it.
 void delete_run(Database& database, std::int64_t run);
 
+/// Adds a row of another recording's rtdata_deleted, the numbers of whose runs become larger by `base`.
+void add_deleted(Database& database, const Statement& row, std::int64_t base);
+
 }  // namespace rtdata::sqlite

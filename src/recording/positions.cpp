@@ -175,6 +175,8 @@ namespace {
 
 const std::string senders = std::to_string(of_senders);
 
+}  // namespace
+
 void add_unsent(Database& database, AccountSums& sums, const std::string& sink, const std::string& topic,
                 std::int64_t count) {
   auto before = database.prepare("SELECT " + senders + ", * FROM rtdata_unsent WHERE sink = ? AND topic = ?");
@@ -187,18 +189,27 @@ void add_unsent(Database& database, AccountSums& sums, const std::string& sink, 
   sums.replace(before, add);
 }
 
-}  // namespace
-
-void Positions::count_unsent(Database& database, AccountSums& sums, const std::string& topic, const std::string& table,
-                             std::int64_t up_to) {
+std::vector<SinkPosition> sink_positions(Database& database, const std::string& topic, const std::string& table) {
+  std::vector<SinkPosition> found;
   auto sinks = database.prepare(
       "SELECT s.sink, s.origin, p.row, p.run, p.origin, p.sequence FROM rtdata_position s LEFT JOIN rtdata_position p "
       "ON p.sink = s.sink AND p.table_name = ? WHERE s.table_name = ''");
   sinks.bind(1, table);
   while (sinks.step()) {
     if (!has_topic(sinks.text(1), topic)) continue;
-    const Key key{std::string(sinks.text(0)), table};
-    Position done{sinks.integer(2), sinks.integer(3), std::string(sinks.text(4)), sinks.integer(5)};
+    SinkPosition& one = found.emplace_back();
+    one.sink = sinks.text(0);
+    one.position = {sinks.integer(2), sinks.integer(3), std::string(sinks.text(4)), sinks.integer(5)};
+  }
+  return found;
+}
+
+void Positions::count_unsent(Database& database, AccountSums& sums, const std::string& topic, const std::string& table,
+                             std::int64_t up_to) {
+  auto stored = sink_positions(database, topic, table);
+  for (SinkPosition& of : stored) {
+    const Key key{of.sink, table};
+    Position& done = of.position;
     {
       const std::lock_guard lock(mutex_);
       if (const auto newer = dirty_.find(key); newer != dirty_.end()) done = newer->second;

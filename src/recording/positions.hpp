@@ -61,13 +61,25 @@ CREATE TABLE IF NOT EXISTS rtdata_refused(
   PRIMARY KEY(sink, topic, run, origin, sequence)) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS rtdata_refused_before(  -- how many more a sink was refused, whose keys are not kept
   sink TEXT NOT NULL PRIMARY KEY, count INTEGER NOT NULL) WITHOUT ROWID;
-CREATE TABLE IF NOT EXISTS rtdata_unsent(  -- rows that a limit deleted before the sink's peer had them
+CREATE TABLE IF NOT EXISTS rtdata_unsent(  -- rows that a limit, or somebody, deleted before the sink's peer had them
   sink TEXT NOT NULL, topic TEXT NOT NULL, count INTEGER NOT NULL,
   PRIMARY KEY(sink, topic)) WITHOUT ROWID;
 )sql";
 
 /// The number that the row of the position has now: VACUUM changes them. 0: all rows come after it.
 std::int64_t row_of(const Database& database, std::string_view table, const Position& position);
+
+/// A sink that goes through the recording, and how far it is in a table of one of its topics.
+struct SinkPosition {
+  std::string sink;
+  Position position;
+};
+/// Of all sinks that take the topic, as the file has them.
+std::vector<SinkPosition> sink_positions(Database& database, const std::string& topic, const std::string& table);
+
+/// In a transaction: adds to the events that were deleted before the sink's peer had them. `sums` gets the change.
+void add_unsent(Database& database, AccountSums& sums, const std::string& sink, const std::string& topic,
+                std::int64_t count);
 
 /// Thread: any, but for the calls of the recording's writer.
 class Positions {

@@ -140,9 +140,10 @@ void SqliteWriter::make_schema() {
 void SqliteWriter::begin_run() {
   const RunInfo& run = info_;
   auto insert = database_.prepare(
-      "INSERT INTO rtdata_run(uuid, name, notes, configuration, program, host, boot_id, pid, started, ended, "
+      "INSERT INTO rtdata_run(run, uuid, name, notes, configuration, program, host, boot_id, pid, started, ended, "
       "clock_offset, state, format) "
-      "VALUES(?,?,?,?,?,?,?,?,?,?,?,'recording',?) RETURNING *");
+      "SELECT 1 + max((SELECT coalesce(max(run), 0) FROM rtdata_run), (SELECT coalesce(max(last_run), 0) FROM "
+      "rtdata_deleted)), ?,?,?,?,?,?,?,?,?,?,?,'recording',? RETURNING *");
   const std::string host = host_name();
   const std::string program = "rtdata " RTDATA_VERSION;
   insert.bind(1, run.uuid).bind(2, run.name).bind(3, run.notes).bind(4, run.configuration).bind(5, program).bind(6, host);

@@ -43,7 +43,8 @@ void check_positions(const RecordingFile& file, std::vector<std::string>& proble
   auto query = file.prepare(
       "SELECT p.sink, p.table_name, p.run, p.origin, p.sequence FROM rtdata_position p "
       "LEFT JOIN rtdata_topic t ON t.table_name = p.table_name LEFT JOIN rtdata_run r ON r.run = p.run "
-      "WHERE p.table_name <> '' AND (t.topic IS NULL OR p.run > (SELECT max(run) FROM rtdata_run) OR "
+      "WHERE p.table_name <> '' AND (t.topic IS NULL OR p.run > max((SELECT coalesce(max(run), 0) FROM rtdata_run), "
+      "(SELECT coalesce(max(last_run), 0) FROM rtdata_deleted)) OR "
       "(r.state = 'closed' AND NOT EXISTS(SELECT 1 FROM rtdata_ledger l WHERE l.run = p.run AND l.topic = t.topic AND "
       "l.origin = p.origin AND l.last_sequence >= p.sequence)))");
   while (query.step()) {

@@ -378,7 +378,7 @@ void note_end(const Findings& found, Recorder recorder) {
                  up_to + ", and what the log had then is not in it. Copy the two together, or with sqlite3: .backup");
     } else {
       found.note("It ended without closing and is not sealed: this holds" + up_to +
-                 ". Start recording into the file again: that seals it and says what was lost.");
+                 ". `rtdata seal`, or the next recording into the file, seals it and says what was lost.");
     }
   }
 }
@@ -499,7 +499,7 @@ void finish_account(const Recording& recording, const OfRun& of_run, RunReport& 
         of_run.recorder == Recorder::there ? "what it loses after its last account: it is being recorded"
         : of_run.recorder == Recorder::of_another_file
             ? "what it lost after its last account: this is a copy, made while it was recorded"
-            : "what it lost after its last account: it is not sealed yet; recording into the file again seals it");
+            : "what it lost after its last account: it is not sealed yet; `rtdata seal` seals it");
   } else if (info.state == RunState::sealed && !info.lost) {
     report.not_known.emplace_back("what it lost at its end, since its account is not complete");
   } else if (info.state == RunState::sealed && report.has_open_equations) {

@@ -46,7 +46,7 @@ bool check_account_sums(const RecordingFile& file, const std::vector<RecordedTop
     auto rows = file.prepare("SELECT * FROM " + std::string(table));
     found.run(rows);
   }
-  std::int64_t newest = 0;
+  auto newest = file.database.integer("SELECT max(last_run) FROM rtdata_deleted");
   for (const RunReport& run : report.runs) newest = std::max(newest, run.info.run);
   for (const RecordedTopic& topic : topics) {
     found.add_topic(file.database, topic.table);

@@ -152,8 +152,8 @@ std::string VerifyReport::text() const {
     wrap(out, "",
          plural(of.runs, "run") + " from run " + std::to_string(of.first_run) + " to " + std::to_string(of.last_run) +
              ", " + to_iso8601(of.started).substr(0, 19) + "Z to " + to_iso8601(of.ended).substr(0, 19) +
-             "Z, deleted since none of their rows was left; " + n(deleted->offered) +
-             " offered = " + n(deleted->stored) + " stored and pruned + " + n(deleted->dropped) + " dropped" +
+             "Z, deleted by a limit or by `rtdata rm`; " + n(deleted->offered) + " offered = " + n(deleted->stored) +
+             " stored and pruned + " + n(deleted->dropped) + " dropped" +
              (deleted->unsaved != 0 ? " + " + n(deleted->unsaved) + " not saved" : ""));
     detail::add_lines(out, detail::loss_lines(deleted->losses, deleted->not_known, deleted->not_detectable));
   }
@@ -186,11 +186,11 @@ std::string VerifyReport::text() const {
   if (!unsent.empty()) out += "\n";
   for (const auto& [sink, count] : unsent)
     wrap(out, "LOST: ",
-         plural(count, "event") + " that `max_bytes` or `max_age` deleted before the peer of sink " + sink +
-             " had them");
+         plural(count, "event") + " that `max_bytes`, `max_age` or `rtdata rm` deleted before the peer of sink " +
+             sink + " had them");
   for (const std::string& problem : problems) wrap(out, "! ", problem);
   out += "\n";
-  if (runs.empty() && problems.empty()) out += "No run was recorded yet.\n";
+  if (runs.empty() && problems.empty()) out += deleted ? "No run is left.\n" : "No run was recorded yet.\n";
   const auto is_bad = [](const RunReport& run) { return run.verdict >= Verdict::unsealed; };
   const Verdict newest = !problems.empty() ? Verdict::not_balanced : runs.empty() ? verdict() : runs.back().verdict;
   wrap(out, runs.size() > 1 ? "run " + std::to_string(runs.back().info.run) + ": " : "", conclusion(newest));

@@ -47,7 +47,7 @@ TEST_SUITE("app") {
       loop.close();
     }
     std::ostringstream out, err;
-    CHECK(app::info({.database = path, .run = 1}, out, err) == 0);
+    CHECK(app::info({.database = path, .run = "1"}, out, err) == 0);
     const std::string text = out.str();
     CHECK_MESSAGE(has(text, "\nnotes in run 1\n  2023-11-14T22:13:22Z uid 7: it is hot\n"), text);
     CHECK(has(text, "\nalarms in run 1\n"));
@@ -59,7 +59,7 @@ TEST_SUITE("app") {
     CHECK_FALSE(has(text, "ack heat"));
 
     out.str("");
-    CHECK(app::info({.database = path, .run = 1, .show_as = app::ShowAs::json}, out, err) == 0);
+    CHECK(app::info({.database = path, .run = "1", .show_as = app::ShowAs::json}, out, err) == 0);
     const auto json = nlohmann::json::parse(out.str());
     REQUIRE(json["notes"].size() == 1);
     CHECK(json["notes"][0]["text"] == "it is hot");

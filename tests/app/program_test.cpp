@@ -830,14 +830,48 @@ TEST_SUITE("app") {
     for (const auto& arguments : std::vector<std::vector<std::string>>{{"export", "run.db", "--limit", "-1"},
                                                                        {"export", "run.db", "--every", "-1"},
                                                                        {"export", "run.db", "--every", "0"},
-                                                                       {"export", "run.db", "--run", "-1"},
-                                                                       {"info", "run.db", "--run", "-1"}}) {
+                                                                       {"export", "run.db", "--run", "-2"},
+                                                                       {"info", "run.db", "--run", "-2"}}) {
       Process wrong(folder, program, arguments);
       CHECK_MESSAGE(wrong.end() == 1, arguments[0], " ", arguments[2]);
       CHECK(wrong.out.empty());
-      CHECK_MESSAGE((has(wrong.err, " must be a whole number from ") || has(wrong.err, "there is no run -1")),
+      CHECK_MESSAGE((has(wrong.err, " must be a whole number from ") || has(wrong.err, "there is no run -2")),
                     wrong.err);
     }
+  }
+
+  TEST_CASE("NFR-5 runs are named by number, from the end and by name, whatever is done with them") {
+    const Folder folder;
+    for (const std::string name : {"cold", "hot"}) {
+      folder.write(name + ".json", R"({"name": ")" + name + R"(", "sensors": [
+        {"name": "a", "type": "tallied", "rate": "100 Hz"} ], "sinks": [ {"type": "sqlite", "path": "run.db"} ] })");
+      Process record(folder, program, {"run", name + ".json", "--for", "200ms"});
+      CHECK(record.end() == 0);
+    }
+    const auto said = [&](std::vector<std::string> arguments, int status) {
+      Process command(folder, program, arguments);
+      const int ended = command.end();
+      CHECK_MESSAGE(ended == status, command.out, command.err);
+      return command.out + command.err;
+    };
+    CHECK(has(said({"runs", "run.db"}, 0), "2  hot"));
+    CHECK(has(said({"verify", "run.db", "--run", "-1"}, 0), "run 2 \"hot\""));
+    CHECK(has(said({"info", "run.db", "--run", "cold"}, 0), "\nrun 1\n"));
+    CHECK(!said({"export", "run.db", "--run", "-2", "--limit", "1"}, 0).empty());
+    CHECK(has(said({"replay", "run.db", "--run", "cold", "--speed", "max"}, 0), " a "));
+    CHECK(has(said({"replay", "run.db", "--run", "hod"}, 1), "did you mean \"hot\"?"));
+    CHECK(has(said({"compare", "run.db", "-2", "-1"}, 0), "2: run 2 \"hot\" from "));
+    CHECK(has(said({"seal", "run.db"}, 0), "nothing to seal"));
+    CHECK(has(said({"merge", "run.db", "-o", "all.db"}, 0), "all.db: 2 runs\n"));
+    CHECK(has(said({"merge", "run.db"}, 1), "--output"));
+    CHECK(has(said({"rm", "all.db"}, 1), "--run"));
+    CHECK(has(said({"rm", "all.db", "--run", "-1"}, 0), "deleted run 2 \"hot\""));
+    CHECK(has(said({"rm", "all.db", "--run", "cold"}, 0), "deleted run 1 \"cold\""));
+    said({"verify", "all.db"}, 0);
+    for (const char* command : {"runs", "seal"}) said({command, "none.db"}, 2);
+    said({"rm", "none.db", "--run", "1"}, 2);
+    said({"compare", "none.db", "1", "2"}, 2);
+    said({"merge", "none.db", "-o", "b.db"}, 2);
   }
 
   TEST_CASE("NFR-5 the command line explains itself") {

@@ -550,7 +550,7 @@ TEST_CASE("FW-5 the subcommand info shows runs, topics and fields") {
   std::istringstream lines(out.str());
   for (std::string line; std::getline(lines, line);) CHECK_MESSAGE((line.size() <= 80 || line == path), line);
   out.str("");
-  CHECK(app::info({.database = path, .run = 5}, out, err) == 1);
+  CHECK(app::info({.database = path, .run = "5"}, out, err) == 1);
   CHECK(app::info({.database = folder / "none"}, out, err) == 2);
   CHECK(out.str() == "");
   CHECK(app::info({.database = path, .show_as = app::ShowAs::json}, out, err) == 0);

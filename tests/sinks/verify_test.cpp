@@ -414,7 +414,7 @@ TEST_CASE("US-26 verify says first of each run what was lost, of which topic and
   CHECK(has(first_lines(report), "LOST: "));
   CHECK(has(first_lines(report),
             "  NOT KNOWN: what it lost after its last account: it is not sealed yet;\n"
-            "             recording into the file again seals it\n"));
+            "             `rtdata seal` seals it\n"));
   CHECK(report.exit_code() == 1);
 
   // One that is bad is so for good, and no later run is called bad for it.

@@ -59,6 +59,11 @@ Action prepare_doctor(CLI::App& command);
 // Of recordings.
 Action prepare_verify(CLI::App& command);
 Action prepare_info(CLI::App& command);
+Action prepare_runs(CLI::App& command);
+Action prepare_seal(CLI::App& command);
+Action prepare_rm(CLI::App& command);
+Action prepare_merge(CLI::App& command);
+Action prepare_compare(CLI::App& command);
 Action prepare_export(CLI::App& command);
 Action prepare_import(CLI::App& command);
 Action prepare_replay(CLI::App& command);

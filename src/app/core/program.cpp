@@ -64,6 +64,11 @@ constexpr Command commands[] = {
 #ifdef RTDATA_WITH_SQLITE
     {"verify", "Check a recording: exit 0 balanced or sealed, 1 not, 2 unreadable", app::prepare_verify},
     {"info", "Sum up a recording", app::prepare_info},
+    {"runs", "List the runs of a recording, a line each", app::prepare_runs},
+    {"seal", "Write down what runs lost that were killed, without recording again", app::prepare_seal},
+    {"rm", "Delete a run of a recording; the sums of its account stay", app::prepare_rm},
+    {"merge", "Make one recording of the runs of several", app::prepare_merge},
+    {"compare", "Put the figures of two runs side by side", app::prepare_compare},
     {"export", "Write out what was recorded", app::prepare_export},
     {"replay", "Give recorded events to sinks again, as they came or faster", app::prepare_replay},
     {"import", "Make a recording of a table in CSV", app::prepare_import},

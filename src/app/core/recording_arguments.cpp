@@ -23,6 +23,11 @@ CLI::Validator at_least(std::int64_t least) {
   return CLI::Validator(check, "");
 }
 
+/// `which`: what is done with the run, and what without the option.
+void add_run(CLI::App& command, std::optional<std::string>& to, const std::string& which) {
+  command.add_option("--run", to, which + "; -1: the last, -2: the one before")->type_name("NUMBER|NAME");
+}
+
 }  // namespace
 
 Action prepare_verify(CLI::App& command) {
@@ -32,10 +37,10 @@ Action prepare_verify(CLI::App& command) {
       "postgresql://rt@db.example/plant\nexit status:\n"
       "  0  balanced: every tick and event is accounted for, losses too; or sealed:\n"
       "     so up to the kill or power cut that ended it; or being recorded\n"
-      "  1  a run is not balanced, or not sealed yet: record into it again\n"
+      "  1  a run is not balanced, or not sealed yet: see `rtdata seal`\n"
       "  2  unreadable or damaged");
   command.add_option("DB", options->database, "The recording, or a server: postgresql://...")->required();
-  command.add_option("--run", options->run, "Only this run; default: all, the newest last")->type_name("NUMBER");
+  add_run(command, options->run, "Only this run; default: all, the newest last");
   add_json(command, options->show_as);
   return [options](const Registry&) {
     const ForPeople wrapped(options->show_as == ShowAs::text);
@@ -50,12 +55,95 @@ Action prepare_info(CLI::App& command) {
       "Of each origin, the sensor that events come from: its rate, and how much later\n"
       "than due it was read; p50: half of the readings at most, p99: 99 of 100.");
   command.add_option("DB", options->database, "The recording")->required();
-  command.add_option("--run", options->run, "Which run; default: the last")->type_name("NUMBER");
+  add_run(command, options->run, "Which run; default: the last");
   add_flag(command, "--gaps", options->gaps, InfoOptions::Gaps::listed, "List the gaps of the run, in UTC");
   add_json(command, options->show_as);
   return [options](const Registry&) {
     const ForPeople wrapped(options->show_as == ShowAs::text);
     return info(*options, std::cout, std::cerr);
+  };
+}
+
+Action prepare_runs(CLI::App& command) {
+  const auto options = std::make_shared<RunsOptions>();
+  command.footer(
+      "example:\n  rtdata runs bench.db\n"
+      "The verdict is that of `rtdata verify`, which reads every row. LOST: something was\n"
+      "lost in the run; `rtdata verify DB --run N` says what.");
+  command.add_option("DB", options->database, "The recording")->required();
+  add_json(command, options->show_as, "Print JSON, with notes and hashes as a whole");
+  return [options](const Registry&) {
+    const ForPeople wrapped(options->show_as == ShowAs::text);
+    return runs(*options, std::cout, std::cerr);
+  };
+}
+
+Action prepare_seal(CLI::App& command) {
+  const auto database = std::make_shared<std::string>();
+  command.footer(
+      "example:\n  rtdata seal bench.db\n"
+      "Of a run that was killed, what it lost is written down, as the next start of\n"
+      "recording into the file does. The machine is the one that recorded it: counts that\n"
+      "survive a kill are in its memory.");
+  command.add_option("DB", *database, "The recording")->required();
+  return [database](const Registry&) {
+    const ForPeople wrapped;
+    return seal(*database, std::cout, std::cerr);
+  };
+}
+
+Action prepare_rm(CLI::App& command) {
+  const auto options = std::make_shared<RemoveOptions>();
+  command.add_option("DB", options->database, "The recording")->required();
+  command.add_option("--run", options->run, "Which run; -1: the last, -2: the one before")
+      ->type_name("NUMBER|NAME")
+      ->required();
+  add_flag(command, "--discard-backlog", options->unsent, Unsent::discarded,
+           "Also if events of it wait for a peer: they are counted as lost");
+  command.footer(
+      "example:\n  rtdata rm bench.db --run 3\n"
+      "The sums of its account stay: `rtdata verify` counts them among the file's.");
+  return [options](const Registry&) {
+    const ForPeople wrapped;
+    return remove_run(*options, std::cout, std::cerr);
+  };
+}
+
+Action prepare_merge(CLI::App& command) {
+  const auto options = std::make_shared<MergeOptions>();
+  command.add_option("DB", options->sources, "The recordings, which stay as they are")->required();
+  command.add_option("-o,--output", options->database, "The recording that is made; it must not exist")
+      ->required()
+      ->type_name("FILE");
+  command.footer(
+      "example:\n  rtdata merge rocket.db ground.db -o flight.db\nexit status:\n"
+      "  0  merged\n  1  not merged; or rows that differ from another copy's were left out\n"
+      "  2  a recording is unreadable or damaged");
+  return [options](const Registry&) {
+    const ForPeople wrapped;
+    return merge(*options, std::cout, std::cerr);
+  };
+}
+
+Action prepare_compare(CLI::App& command) {
+  const auto options = std::make_shared<CompareOptions>();
+  command.add_option("DB", options->database, "The recording")->required();
+  command.add_option("RUN1", options->first, "A run by its number or name; -1: the last")->required();
+  command.add_option("RUN2", options->second, "The other one")->required();
+  command
+      .add_option(
+          "--from", options->from,
+          "From the first event of this topic; MACHINE=STATE: from the first time it is in that state; default: "
+          "from the start")
+      ->type_name("TOPIC");
+  command.add_option("--for", options->length, "So long; default: to the end")->type_name("DURATION");
+  add_json(command, options->show_as);
+  command.footer(
+      "examples:\n  rtdata compare bench.db -2 -1\n"
+      "  rtdata compare bench.db 3 4 --from sequence=burn --for 5s");
+  return [options](const Registry&) {
+    const ForPeople wrapped(options->show_as == ShowAs::text);
+    return compare(*options, std::cout, std::cerr);
   };
 }
 
@@ -67,7 +155,7 @@ Action prepare_export(CLI::App& command) {
   command.add_option("--format", options->format, "csv, jsonl, cbor, influx or raw")->capture_default_str();
   command.add_option("--folder", options->folder, "Write a file a topic into this folder; default: standard output");
   add_flag(command, "--overwrite", options->existing, Export::Existing::replace, "Replace files in the folder");
-  command.add_option("--run", options->run, "Only this run")->type_name("NUMBER");
+  add_run(command, options->run, "Only this run; default: all");
   command.add_option("--origin", options->origin, "Only events of this sensor")->type_name("NAME");
   command.add_option("--from", options->from, "First time, as 2026-03-01T12:00:00Z or in ns")->type_name("TIME");
   command.add_option("--until", options->until, "First time that is left out")->type_name("TIME");
@@ -136,9 +224,7 @@ Action prepare_replay(CLI::App& command) {
   command.add_option("--speed", given->speed, "2: twice as fast as recorded; max: as fast as it goes, in virtual time")
       ->capture_default_str()
       ->type_name("FACTOR");
-  command.add_option("--run", config.run, "Only this run; default: all, one after the other")
-      ->check(at_least(1))
-      ->type_name("NUMBER");
+  add_run(command, given->options.run, "Only this run; default: all, one after the other");
   command.add_option("--topic", config.topics, "Topics or patterns; default: all")->expected(1, -1);
   command.add_option("--rename", config.rename, "OLD=NEW: the topic OLD, and those below it, become NEW")
       ->expected(1, -1);

@@ -6,31 +6,69 @@
 #include <iosfwd>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "app/core/show_as.hpp"
 #include "rtdata/config/registry.hpp"
 #include "rtdata/recording/replay.hpp"
+#include "rtdata/recording/runs.hpp"
 
 namespace rtdata::app {
 
+// A run is named as `find_run` has it: by its number, from the end by -1, or by its name.
+
 struct VerifyOptions {
   std::string database;
-  std::optional<std::int64_t> run = {};  // all of them unless given
+  std::optional<std::string> run = {};  // all of them unless given
   ShowAs show_as = ShowAs::text;
 };
-/// 0 balanced, sealed or being recorded; 1 a run is not balanced or not sealed, or there is none of that number; 2
-/// unreadable.
+/// 0 balanced, sealed or being recorded; 1 a run is not balanced or not sealed, or there is no such run; 2 unreadable.
 int verify(const VerifyOptions& options, std::ostream& out, std::ostream& err);
 
 struct InfoOptions {
   std::string database;
-  std::optional<std::int64_t> run = {};  // the last one unless given
+  std::optional<std::string> run = {};  // the last one unless given
   ShowAs show_as = ShowAs::text;
   enum class Gaps { counted, listed };
   Gaps gaps = Gaps::counted;  // listed: --gaps, each with UTC
 };
 /// 0; 1 when there is no such run; 2 unreadable.
 int info(const InfoOptions& options, std::ostream& out, std::ostream& err);
+
+struct RunsOptions {
+  std::string database;
+  ShowAs show_as = ShowAs::text;
+};
+/// A line a run. 0; 2 unreadable.
+int runs(const RunsOptions& options, std::ostream& out, std::ostream& err);
+
+/// 0: what ended without closing is sealed, if anything; 1 it cannot be, as while it is recorded; 2 unreadable.
+int seal(const std::string& database, std::ostream& out, std::ostream& err);
+
+struct RemoveOptions {
+  std::string database;
+  std::string run;
+  Unsent unsent = Unsent::refused;  // discarded: --discard-backlog
+};
+/// 0; 1 nothing was deleted: refused, or there is no such run; 2 unreadable.
+int remove_run(const RemoveOptions& options, std::ostream& out, std::ostream& err);
+
+struct MergeOptions {
+  std::vector<std::string> sources;
+  std::string database;  // that is made
+};
+/// 0; 1 not merged, or something that differs was left out; 2 a source is unreadable.
+int merge(const MergeOptions& options, std::ostream& out, std::ostream& err);
+
+struct CompareOptions {
+  std::string database;
+  std::string first, second;  // runs
+  std::string from = {};      // TOPIC: its first event; MACHINE=STATE: the first that goes to it; empty: the start
+  std::string length = {};    // a duration; empty: to the end
+  ShowAs show_as = ShowAs::text;
+};
+/// 0; 1 there is no such run or instant; 2 unreadable.
+int compare(const CompareOptions& options, std::ostream& out, std::ostream& err);
 
 struct ExportOptions {
   std::string database;
@@ -39,7 +77,7 @@ struct ExportOptions {
   std::string folder = {};     // a file a topic in it; empty: everything to `out`
   enum class Existing { refuse, replace };
   Existing existing = Existing::refuse;  // replace: --overwrite
-  std::optional<std::int64_t> run = {};
+  std::optional<std::string> run = {};
   std::optional<std::string> origin = {};
   std::string from = {};   // first time taken, ISO 8601 or ns, as recorded or (--utc) UTC; empty: from the start
   std::string until = {};  // first time not taken
@@ -72,9 +110,10 @@ struct ImportOptions {
 int import_table(const ImportOptions& options, std::ostream& out, std::ostream& err);
 
 struct ReplayOptions {
-  ReplayConfig config;             // run 0: all of them, one after the other
-  std::string configuration = {};  // whose sinks get the events; empty: the terminal
-  bool is_virtual = false;         // --speed max: as fast as it goes, in virtual time
+  ReplayConfig config;                  // its run is set by the next
+  std::optional<std::string> run = {};  // all of them, one after the other, unless given
+  std::string configuration = {};       // whose sinks get the events; empty: the terminal
+  bool is_virtual = false;              // --speed max: as fast as it goes, in virtual time
   bool is_quiet = false;
 };
 /// 0; 1 not all was replayed, or stored; 2 unreadable, or mistakes in the configuration.

@@ -10,6 +10,7 @@
 #include "data/rounded_time.hpp"
 #include "data/wrap.hpp"
 #include "rtdata/recording/recording.hpp"
+#include "rtdata/recording/runs.hpp"
 
 namespace rtdata::app {
 namespace {
@@ -160,23 +161,18 @@ struct Content {
   UtcLine line{{}};  // of the run that is shown
 };
 
-constexpr const char* no_such_run = "cannot show the run";
-
 /// Throws SetupError.
-Content read(const Recording& recording, std::optional<std::int64_t> wanted, InfoOptions::Gaps gaps) {
+Content read(const Recording& recording, std::vector<RunInfo> runs, std::optional<RunInfo> shown,
+             InfoOptions::Gaps gaps) {
   Content content;
-  content.runs = recording.runs().or_throw();
+  content.runs = std::move(runs);
+  content.shown = std::move(shown);
   content.deleted = recording.deleted_runs().or_throw();
   content.topics = recording.topics().or_throw();
   for (const RunInfo& run : content.runs) {
     content.lines.push_back(recording.utc_line(run.run).or_throw());
-    if (wanted && run.run != *wanted) continue;
-    content.shown = run;
-    content.line = content.lines.back();
+    if (run.run == content.shown->run) content.line = content.lines.back();
   }
-  if (!content.shown && wanted)
-    throw SetupError({Errc::not_found, no_such_run, recording.path(), "there is no run " + std::to_string(*wanted),
-                      "`rtdata info` without --run lists them"});
   if (!content.shown) return content;
   const std::int64_t run = content.shown->run;
   content.summaries = summary(recording, run).or_throw();
@@ -229,7 +225,7 @@ void print_gaps(const Content& content, std::ostream& out) {
 void print(const Recording& recording, const Content& content, InfoOptions::Gaps gaps, std::ostream& out) {
   out << recording.path() << "\n\n";
   if (content.runs.empty()) {
-    out << "No run was recorded yet.\n";
+    out << (content.deleted.runs == 0 ? "No run was recorded yet.\n" : "No run is left: all were deleted.\n");
     return;
   }
   const auto shown_time = [&](Time recorded) { return short_time(content.line.utc(recorded)); };
@@ -388,13 +384,23 @@ void print_json(const Recording& recording, const Content& content, InfoOptions:
 
 int info(const InfoOptions& options, std::ostream& out, std::ostream& err) try {
   const Recording recording = Recording::open(options.database).or_throw();
-  const Content content = read(recording, options.run, options.gaps);
+  std::vector<RunInfo> runs = recording.runs().or_throw();
+  std::optional<RunInfo> shown;
+  if (options.run || !runs.empty()) {
+    auto found = find_run(runs, options.run.value_or("-1"), recording.path());
+    if (!found) {
+      err << "rtdata: " << found.error().text() << "\n";
+      return 1;
+    }
+    shown = *std::move(found);
+  }
+  const Content content = read(recording, std::move(runs), std::move(shown), options.gaps);
   options.show_as == ShowAs::json ? print_json(recording, content, options.gaps, out)
                                   : print(recording, content, options.gaps, out);
   return 0;
 } catch (const SetupError& error) {
   err << "rtdata: " << error.what() << "\n";
-  return error.error().what == no_such_run ? 1 : 2;
+  return 2;
 }
 
 }  // namespace rtdata::app

@@ -4,6 +4,7 @@
 #include <vector>
 
 #include "app/core/recording_commands.hpp"
+#include "rtdata/recording/runs.hpp"
 
 #ifdef RTDATA_WITH_POSTGRESQL
 #include "rtdata/postgresql/recording.hpp"
@@ -30,13 +31,15 @@ int verify(const VerifyOptions& options, std::ostream& out, std::ostream& err) {
     return 2;
   }
   if (options.run) {
-    std::erase_if(report->runs, [&](const RunReport& run) { return run.info.run != *options.run; });
-    report->deleted.reset();
-    if (report->runs.empty()) {
-      err << "rtdata: " << options.database << ": there is no run " << *options.run
-          << "; `rtdata verify` without --run has them all\n";
+    std::vector<RunInfo> runs;
+    for (const RunReport& run : report->runs) runs.push_back(run.info);
+    const auto wanted = find_run(runs, *options.run, options.database);
+    if (!wanted) {
+      err << "rtdata: " << wanted.error().text() << "\n";
       return 1;
     }
+    std::erase_if(report->runs, [&](const RunReport& run) { return run.info.run != wanted->run; });
+    report->deleted.reset();
   }
   out << (options.show_as == ShowAs::json ? report->to_json() + "\n" : report->text());
   return report->exit_code();

@@ -25,6 +25,7 @@
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/loop/topic.hpp"
 #include "rtdata/recording/recording.hpp"
+#include "rtdata/recording/runs.hpp"
 #include "rtdata/sinks/console.hpp"
 
 namespace rtdata::app {
@@ -176,13 +177,7 @@ class ReplayRun {
   int execute() {
     const Recording recording = Recording::open(options_.config.file).or_throw();
     std::vector<RunInfo> runs = recording.runs().or_throw();
-    if (options_.config.run != 0) {
-      std::erase_if(runs, [&](const RunInfo& run) { return run.run != options_.config.run; });
-      if (runs.empty()) {
-        throw SetupError({Errc::not_found, "cannot replay", options_.config.file,
-                          "it has no run " + std::to_string(options_.config.run), "see `rtdata info`"});
-      }
-    }
+    if (options_.run) runs = {find_run(runs, *options_.run, recording.path()).or_throw()};
     if (runs.empty()) {
       throw SetupError({Errc::not_found, "cannot replay", options_.config.file, "it has no run",
                         "nothing was recorded into it, or it is damaged: see `rtdata verify`"});

@@ -1,0 +1,228 @@
+// rtdata compare: the figures of two runs side by side.
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstdio>
+#include <limits>
+#include <map>
+#include <nlohmann/json.hpp>
+#include <ostream>
+#include <set>
+#include <utility>
+
+#include "app/core/recording_commands.hpp"
+#include "app/core/table.hpp"
+#include "rtdata/data/problem.hpp"
+#include "rtdata/loop/topic.hpp"
+#include "rtdata/recording/recording.hpp"
+#include "rtdata/recording/runs.hpp"
+#include "rtdata/recording/verify.hpp"
+
+namespace rtdata::app {
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+/// Of the numbers of a field that are there and not NaN.
+struct Figures {
+  std::uint64_t count = 0;
+  double least = std::numeric_limits<double>::infinity(), largest = -least, mean = 0, squares = 0;
+  void add(double value) {
+    if (std::isnan(value)) return;
+    least = std::min(least, value);
+    largest = std::max(largest, value);
+    const double before = value - mean;
+    mean += before / static_cast<double>(++count);
+    squares += before * (value - mean);
+  }
+  double deviation() const { return count < 2 ? 0 : std::sqrt(squares / static_cast<double>(count - 1)); }
+};
+
+std::optional<double> number_of(const Value& value) {
+  return std::visit(
+      [](const auto& held) -> std::optional<double> {
+        using Held = std::decay_t<decltype(held)>;
+        if constexpr (std::is_same_v<Held, bool>) {
+          return held ? 1.0 : 0.0;
+        } else if constexpr (std::is_same_v<Held, char> || !std::is_arithmetic_v<Held>) {
+          return std::nullopt;
+        } else {
+          return static_cast<double>(held);
+        }
+      },
+      value);
+}
+
+/// One of the two runs.
+struct Side {
+  RunInfo info;
+  Time from{};
+  std::optional<Time> until;
+  std::string from_utc;
+};
+
+/// What is compared: an origin's events on a topic, of both.
+struct Part {
+  std::array<std::uint64_t, 2> events{};
+  std::array<std::string, 2> lost;
+  std::vector<std::pair<std::string, std::string>> fields;  // and their units, in order
+  std::map<std::string, std::array<Figures, 2>> figures;
+};
+using Key = std::pair<std::string, std::string>;  // topic and origin
+
+[[noreturn]] void refuse(const std::string& where, std::string why, std::string advice) {
+  throw SetupError({Errc::not_found, "cannot compare", where, std::move(why), std::move(advice)});
+}
+
+/// The first event of a topic of the run, or, of "MACHINE=STATE", the first that goes to this state.
+Time instant_of(const Recording& recording, const RunInfo& run, const std::string& from) {
+  if (from.empty()) return run.started;
+  const std::string topic = from.substr(0, from.find('='));
+  const std::string state = topic.size() < from.size() ? from.substr(topic.size() + 1) : "";
+  const std::string where = recording.path() + ", run " + std::to_string(run.run);
+  std::vector<std::string> topics;
+  for (const RecordedTopic& one : recording.topics().or_throw()) topics.push_back(one.topic);
+  if (std::find(topics.begin(), topics.end(), topic) == topics.end()) {
+    const std::string nearest = nearest_name(topic, topics);
+    refuse(recording.path(), "there is no topic " + topic + (nearest.empty() ? "" : " (did you mean " + nearest + "?)"),
+           "`rtdata info` lists what there is");
+  }
+  auto rows = recording.rows({.topic = topic, .run = run.run}).or_throw();
+  std::vector<std::string> states;
+  while (const RecordedRow* const row = rows.next().or_throw()) {
+    if (topic.size() == from.size()) return row->header().time;
+    const auto to = row->event().value("to");
+    if (!to) refuse(where, "topic " + topic + " has no states: its events have no field `to`", "name a topic alone");
+    if (to_string(*to) == state) return row->header().time;
+    states.push_back(to_string(*to));
+  }
+  if (topic.size() == from.size()) refuse(where, "topic " + topic + " has no events in it", "choose another instant");
+  const std::string nearest = nearest_name(state, states);
+  refuse(where, topic + " never goes to state " + state + (nearest.empty() ? "" : " (did you mean " + nearest + "?)"),
+         "choose another instant");
+}
+
+void read_side(const Recording& recording, const Side& side, std::size_t which, std::map<Key, Part>& parts) {
+  std::set<std::string> topics;
+  for (const RecordedTopic& topic : recording.topics().or_throw()) topics.insert(topic.topic);
+  for (const std::string& topic : topics) {
+    auto rows = recording.rows({.topic = topic, .run = side.info.run, .from = side.from, .until = side.until})
+                    .or_throw();
+    while (const RecordedRow* const row = rows.next().or_throw()) {
+      const EventView event = row->event();
+      Part& part = parts[{topic, std::string(event.origin())}];
+      ++part.events[which];
+      for (const Leaf& leaf : event.description().leaves()) {
+        const auto value = number_of(event.value(leaf));
+        if (!value) continue;
+        const auto [figures, is_new] = part.figures.try_emplace(leaf.path);
+        if (is_new) part.fields.emplace_back(leaf.path, leaf.unit);
+        figures->second[which].add(*value);
+      }
+    }
+  }
+  const RunReport account = account_of(recording, side.info.run).or_throw();
+  for (const TopicLoss& loss : account.losses) {
+    std::string text;
+    if (loss.samples() != 0) text = std::to_string(loss.samples()) + (loss.samples() == 1 ? " sample" : " samples");
+    if (loss.ticks() != 0)
+      text += (text.empty() ? "" : ", ") + std::to_string(loss.ticks()) + (loss.ticks() == 1 ? " tick" : " ticks");
+    if (loss.outages.number != 0) text += (text.empty() ? "" : ", ") + to_string(loss.outages);
+    for (auto& [key, part] : parts)
+      if (key.first == loss.topic) part.lost[which] = text;
+  }
+}
+
+std::string figure(const Figures& of, double value) {
+  if (of.count == 0) return "-";
+  std::array<char, 32> text{};
+  std::snprintf(text.data(), text.size(), "%.5g", value);
+  return text.data();
+}
+
+std::string title_of(const Side& side) {
+  return "run " + std::to_string(side.info.run) + (side.info.name.empty() ? "" : " \"" + side.info.name + "\"") +
+         " from " + side.from_utc;
+}
+
+void print(const std::array<Side, 2>& sides, const std::map<Key, Part>& parts, std::ostream& out) {
+  out << "1: " << title_of(sides[0]) << "\n2: " << title_of(sides[1]) << "\n";
+  for (const auto& [key, part] : parts) {
+    out << "\n"
+        << key.first << (key.second == key.first ? "" : " of " + key.second) << ": " << part.events[0] << " and "
+        << part.events[1] << " events\n";
+    for (std::size_t i = 0; i < 2; ++i)
+      if (!part.lost[i].empty()) out << "  " << i + 1 << ": in the whole run the topic lost " << part.lost[i] << "\n";
+    Table table({"field", ">least 1", ">2", ">mean 1", ">2", ">largest 1", ">2"});
+    for (const auto& [field, unit] : part.fields) {
+      const auto& [a, b] = part.figures.at(field);
+      table.add({field + (unit.empty() ? "" : " [" + unit + "]"), figure(a, a.least), figure(b, b.least),
+                 figure(a, a.mean), figure(b, b.mean), figure(a, a.largest), figure(b, b.largest)});
+    }
+    if (!table.empty()) out << table.text("  ", 80);
+  }
+  if (parts.empty()) out << "\nNo event is in either of the two.\n";
+}
+
+void print_json(const std::array<Side, 2>& sides, const std::map<Key, Part>& parts, std::ostream& out) {
+  Json json{{"runs", Json::array()}, {"topics", Json::array()}};
+  for (const Side& side : sides)
+    json["runs"].push_back({{"run", side.info.run}, {"name", side.info.name}, {"from_utc", side.from_utc}});
+  for (const auto& [key, part] : parts) {
+    Json one{{"topic", key.first}, {"origin", key.second}, {"events", part.events}, {"lost", part.lost}};
+    one["fields"] = Json::array();
+    for (const auto& [field, unit] : part.fields) {
+      Json figures{{"field", field}, {"unit", unit}};
+      for (const char* name : {"count", "min", "mean", "max", "deviation"}) figures[name] = Json::array();
+      for (const Figures& of : part.figures.at(field)) {
+        const auto add = [&](const char* name, double value) {
+          figures[name].push_back(of.count == 0 ? Json() : Json(value));
+        };
+        figures["count"].push_back(of.count);
+        add("min", of.least);
+        add("mean", of.mean);
+        add("max", of.largest);
+        add("deviation", of.deviation());
+      }
+      one["fields"].push_back(std::move(figures));
+    }
+    json["topics"].push_back(std::move(one));
+  }
+  out << json.dump(2, ' ', false, Json::error_handler_t::replace) << "\n";
+}
+
+}  // namespace
+
+int compare(const CompareOptions& options, std::ostream& out, std::ostream& err) try {
+  auto opened = Recording::open(options.database);
+  if (!opened) {
+    err << "rtdata: " << opened.error().text() << "\n";
+    return 2;
+  }
+  const Recording& recording = *opened;
+  std::optional<Duration> length;
+  if (!options.length.empty()) {
+    length = parse_duration(options.length).or_throw();
+    if (*length <= Duration{0})
+      throw SetupError(
+          {Errc::bad_argument, "cannot compare", "--for " + options.length, "it is not above 0", "such as 10s"});
+  }
+  const std::vector<RunInfo> runs = recording.runs().or_throw();
+  std::array<Side, 2> sides;
+  std::map<Key, Part> parts;
+  for (std::size_t i = 0; i < sides.size(); ++i) {
+    Side& side = sides[i];
+    side.info = find_run(runs, i == 0 ? options.first : options.second, recording.path()).or_throw();
+    side.from = instant_of(recording, side.info, options.from);
+    if (length) side.until = side.from + *length;
+    side.from_utc = to_iso8601(recording.utc_line(side.info.run).or_throw().utc(side.from));
+    read_side(recording, side, i, parts);
+  }
+  options.show_as == ShowAs::json ? print_json(sides, parts, out) : print(sides, parts, out);
+  return 0;
+} catch (const SetupError& error) {
+  err << "rtdata: " << error.what() << "\n";
+  return error.error().code == make_error_code(Errc::damaged) ? 2 : 1;
+}
+
+}  // namespace rtdata::app

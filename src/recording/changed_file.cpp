@@ -1,0 +1,34 @@
+#include "recording/changed_file.hpp"
+
+#include "recording/sqlite_writer.hpp"
+#include "rtdata/recording/recording.hpp"
+
+namespace rtdata::sqlite {
+
+ChangedFile::ChangedFile(const std::string& path, const char* doing) {
+  (void)Recording::open(path).or_throw();  // says what it is when it is none; opening it to write would make one
+  check_path(path).or_throw();
+  database_ = Database::open(path, Database::Mode::write);
+  if (sqlite3_db_readonly(database_.raw(), "main") == 1)
+    throw SetupError({Errc::not_permitted, doing, path, "it is read-only",
+                      "check the permissions of the file and its folder, or copy it elsewhere"});
+  real_path_ = sqlite3_db_filename(database_.raw(), "main");
+  auto lock = RecordingLock::take(real_path_);
+  if (!lock) {
+    Error error = std::move(lock).error();
+    if (error.code == make_error_code(Errc::busy)) {
+      error.what = doing;
+      error.advice = "stop that one first";
+    }
+    throw SetupError(std::move(error));
+  }
+  lock_ = *std::move(lock);
+  database_.execute("PRAGMA synchronous=FULL");
+}
+
+void ChangedFile::tidy() noexcept {
+  sqlite3_exec(database_.raw(), "PRAGMA incremental_vacuum", nullptr, nullptr, nullptr);
+  (void)sqlite3_wal_checkpoint_v2(database_.raw(), nullptr, SQLITE_CHECKPOINT_TRUNCATE, nullptr, nullptr);
+}
+
+}  // namespace rtdata::sqlite
