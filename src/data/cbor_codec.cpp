@@ -1,6 +1,5 @@
 // CBOR (RFC 8949): written with a plan for each description, read with nlohmann's parser.
 #include <algorithm>
-#include <bit>
 #include <optional>
 
 #include "data/character.hpp"

@@ -1,6 +1,5 @@
 #include <cmath>
 #include <cstring>
-#include <limits>
 
 #include "data/character.hpp"
 #include "data/csv_row.hpp"
@@ -226,20 +225,6 @@ std::unique_ptr<Codec> make_csv_codec(CsvConfig config) { return std::make_uniqu
 std::string csv_header(const Description& description) {
   std::string row = "time,origin,sequence";
   for (const Leaf& leaf : description.leaves()) append_cell(row += ',', leaf.path);
-  return row += '\n';
-}
-
-std::string csv_header_with_units(const Description& description) {
-  std::string row = "time [ns],origin,sequence";
-  for (const Leaf& leaf : description.leaves()) {
-    append_cell(row += ',', leaf.unit.empty() ? leaf.path : leaf.path + " [" + leaf.unit + "]");
-  }
-  return row += '\n';
-}
-
-std::string csv_units(const Description& description) {
-  std::string row = "ns,,";
-  for (const Leaf& leaf : description.leaves()) append_cell(row += ',', leaf.unit);
   return row += '\n';
 }
 

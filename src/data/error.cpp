@@ -1,8 +1,6 @@
 #include "rtdata/data/error.hpp"
 
 #include <cerrno>
-#include <cstring>
-#include <initializer_list>
 
 namespace rtdata {
 namespace {

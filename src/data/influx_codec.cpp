@@ -1,5 +1,4 @@
 // InfluxDB's line protocol: measurement,tag=value field=value,field=value time.
-#include <charconv>
 #include <cmath>
 #include <limits>
 

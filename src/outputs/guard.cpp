@@ -10,7 +10,6 @@
 #include <algorithm>
 #include <cerrno>
 #include <chrono>
-#include <new>
 
 #include "loop/runtime/runtime_core.hpp"
 #include "outputs/guard_link.hpp"

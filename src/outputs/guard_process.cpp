@@ -14,7 +14,6 @@
 #include <filesystem>
 #include <fstream>
 #include <list>
-#include <memory>
 #include <new>
 #include <optional>
 #include <string>

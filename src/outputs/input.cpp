@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <utility>
 
 #include "loop/core/loop_core.hpp"
 #include "loop/events/topic_core.hpp"

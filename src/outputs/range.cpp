@@ -1,7 +1,5 @@
 // Which values an output can have: its device's, compared with what a configuration sets.
 #include <cmath>
-#include <exception>
-#include <utility>
 
 #include "outputs/set_text.hpp"
 #include "process/expression_fields.hpp"

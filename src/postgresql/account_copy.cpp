@@ -1,7 +1,6 @@
 #include "postgresql/account_copy.hpp"
 
 #include <algorithm>
-#include <charconv>
 #include <map>
 #include <set>
 

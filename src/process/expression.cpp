@@ -1,7 +1,6 @@
 #include "rtdata/process/expression.hpp"
 
 #include <algorithm>
-#include <array>
 #include <cfenv>
 #include <cmath>
 #include <limits>

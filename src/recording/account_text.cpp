@@ -1,6 +1,5 @@
 #include "recording/account_text.hpp"
 
-#include <algorithm>
 #include <utility>
 
 #include "data/wrap.hpp"

@@ -1,7 +1,6 @@
 // The backlogs of sinks with `through`, from their positions in the file.
 #include <algorithm>
 #include <iterator>
-#include <map>
 #include <utility>
 
 #include "recording/database.hpp"

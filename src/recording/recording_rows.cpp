@@ -1,5 +1,4 @@
 #include <algorithm>
-#include <cstring>
 
 #include "data/field_map.hpp"
 #include "data/nearest.hpp"

@@ -1,7 +1,6 @@
 #include "recording/replay_source.hpp"
 
 #include <algorithm>
-#include <cstring>
 #include <mutex>
 #include <set>
 

@@ -1,7 +1,6 @@
 #include "recording/verify_run.hpp"
 
 #include <algorithm>
-#include <array>
 #include <set>
 
 #include "recording/account_text.hpp"

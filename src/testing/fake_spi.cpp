@@ -1,7 +1,6 @@
 #include "rtdata/testing/fake_spi.hpp"
 
 #include <algorithm>
-#include <cerrno>
 
 #include "rtdata/detail/loop/lane.hpp"
 

@@ -1,7 +1,6 @@
 #include "app/control/instances.hpp"
 
 #include <algorithm>
-#include <functional>
 #include <iostream>
 #include <vector>
 

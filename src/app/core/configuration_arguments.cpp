@@ -1,11 +1,8 @@
 // The options of the subcommands of configurations, of running instances, and of this machine.
-#include <algorithm>
-#include <atomic>
 #include <iostream>
 #include <memory>
 #include <optional>
 #include <string>
-#include <utility>
 
 #include "app/core/arguments.hpp"
 #include "app/core/configuration_commands.hpp"

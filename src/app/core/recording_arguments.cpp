@@ -1,9 +1,7 @@
 // The options of the subcommands of recordings.
 #include <iostream>
 #include <memory>
-#include <optional>
 #include <string>
-#include <utility>
 
 #include "app/core/arguments.hpp"
 #include "app/core/configuration_commands.hpp"

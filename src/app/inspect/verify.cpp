@@ -1,7 +1,6 @@
 #include "rtdata/recording/verify.hpp"
 
 #include <ostream>
-#include <vector>
 
 #include "app/core/recording_commands.hpp"
 

@@ -10,7 +10,6 @@
 #include <unistd.h>
 
 #include <cerrno>
-#include <string>
 #include <system_error>
 
 #include "loop/core/no_thread.hpp"

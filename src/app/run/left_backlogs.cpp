@@ -47,11 +47,9 @@ bool contains(const std::vector<std::string>& names, const std::string& name) {
   return std::find(names.begin(), names.end(), name) != names.end();
 }
 
-/// The sinks known in the recording; fast for any backlog. Older formats have none.
+/// The sinks known in the recording; fast for any backlog.
 std::vector<std::string> known_sinks(const Recording& recording) {
-  const detail::RecordingFile& file = *recording.file();
-  if (file.database.integer("SELECT count(*) FROM sqlite_schema WHERE name = 'rtdata_position'") == 0) return {};
-  return file.prepare("SELECT DISTINCT sink FROM rtdata_position").texts();
+  return recording.file()->prepare("SELECT DISTINCT sink FROM rtdata_position").texts();
 }
 
 }  // namespace

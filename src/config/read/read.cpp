@@ -1,7 +1,6 @@
 #include "rtdata/config/read.hpp"
 
 #include <algorithm>
-#include <cmath>
 #include <cstdlib>
 
 #include "config/read/limits_text.hpp"

@@ -2,7 +2,6 @@
 
 #include <mutex>
 #include <string>
-#include <utility>
 
 #include "data/name.hpp"
 #include "loop/core/loop_core.hpp"

@@ -5,7 +5,6 @@
 #include <unistd.h>
 
 #include <algorithm>
-#include <exception>
 
 #include "data/name.hpp"
 #include "loop/core/fatal.hpp"

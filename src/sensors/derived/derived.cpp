@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cstring>
-#include <utility>
 
 #include "loop/events/made_of.hpp"
 #include "process/expression_sources.hpp"

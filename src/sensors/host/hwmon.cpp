@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <cstdlib>
 #include <memory>
-#include <tuple>
 #include <utility>
 
 #include "data/number_text.hpp"

@@ -2,7 +2,6 @@
 #include "sensors/serial/nmea.hpp"
 
 #include <algorithm>
-#include <charconv>
 #include <chrono>
 #include <cmath>
 #include <utility>
