@@ -869,7 +869,7 @@ TEST_SUITE("app") {
         {{"record", "x"},
          "rtdata: there is no command \"record\"; there are init, run, top, ctl, scan, doctor, bench, check, graph, "
          "types, "
-         "explain, verify, info, export, replay, import, forward; "
+         "explain, verify, info, plot, export, replay, import, forward; "
          "`rtdata --help` explains them\n"},
         {{"bench.json"},
          "rtdata: there is no command \"bench.json\"; that configuration is run by: rtdata run bench.json\n"},
