@@ -49,8 +49,8 @@ foreach(source ${RTDATA_EXAMPLES})
   rtdata_fresh_folder(${name})
 endforeach()
 
-if(TARGET example_analysis)
-  add_dependencies(rtdata_tests example_analysis)  # tests/app/fleet_example_test.cpp runs it
+if(TARGET example_analysis AND TARGET rtdata_main)
+  add_dependencies(rtdata_tests example_analysis)  # tests/app/fleet_example_test.cpp, of the program, runs it
 endif()
 
 find_package(Python3 COMPONENTS Interpreter QUIET)
