@@ -30,6 +30,7 @@ if(RTDATA_HAS_PAGE)
     set_property(DIRECTORY APPEND PROPERTY CMAKE_CONFIGURE_DEPENDS ${file})
   endforeach()
   configure_file(cmake/page_files.cpp.in units/page_files.cpp @ONLY)
+  set_source_files_properties(${CMAKE_CURRENT_BINARY_DIR}/units/page_files.cpp PROPERTIES COMPILE_OPTIONS -Wno-overlength-strings)
   target_sources(rtdata_program PRIVATE ${RTDATA_PAGE_SOURCES} ${CMAKE_CURRENT_BINARY_DIR}/units/page_files.cpp
     $<$<BOOL:${RTDATA_HAS_SQLITE}>:${RTDATA_PAGE_SQLITE_SOURCES}>)
   target_include_directories(rtdata_program SYSTEM PRIVATE ${RTDATA_PAGE_INCLUDE_DIRS})

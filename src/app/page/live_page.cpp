@@ -9,6 +9,7 @@
 
 #include <array>
 #include <atomic>
+#include <chrono>
 #include <cerrno>
 #include <filesystem>
 #include <fstream>
@@ -62,17 +63,25 @@ class Reading final : public detail::LaneJob {
 
 }  // namespace
 
-/// The way to a loop that may be gone.
+/// The way to a loop that may be gone. The other side holds the lock for a moment, unless it has lost the processor.
 struct LivePage::Link {
   void set(Loop* loop) {
-    const std::unique_lock lock(mutex, thread_patience);  // the other side holds it for a moment
+    const auto lock = take();
     to = loop;
   }
   void post(Callback<void()> function) {
-    const std::unique_lock lock(mutex, thread_patience);
+    const auto lock = take();
     if (lock.owns_lock() && to != nullptr) to->post(std::move(function));
   }
-  std::timed_mutex mutex;
+  /// Not a timed mutex: thread sanitizers do not know how libstdc++ waits for one.
+  std::unique_lock<std::mutex> take() {
+    std::unique_lock lock(mutex, std::try_to_lock);
+    for (const auto until = std::chrono::steady_clock::now() + thread_patience;
+         !lock.owns_lock() && std::chrono::steady_clock::now() < until; (void)lock.try_lock())
+      std::this_thread::sleep_for(std::chrono::microseconds{100});
+    return lock;
+  }
+  std::mutex mutex;
   Loop* to = nullptr;
 };
 
