@@ -9,7 +9,7 @@
 #include "app/control/commands.hpp"
 #include "app/core/recording_commands.hpp"
 #include "app/inspect/html.hpp"
-#include "app/inspect/report_page.hpp"
+#include "app/inspect/report_figures.hpp"
 #include "app/process.hpp"
 #include "has.hpp"
 #include "paths.hpp"

@@ -9,6 +9,7 @@
 
 #include "app/control/request.hpp"
 #include "app/control/status.hpp"
+#include "app/core/figures.hpp"
 #include "rtdata/loop/gaps.hpp"
 #include "rtdata/loop/runtime.hpp"
 #include "rtdata/loop/topic.hpp"
@@ -37,10 +38,6 @@ void append_number(std::string& text, Number number) {
   }
   std::array<char, 32> digits;
   text.append(digits.data(), std::to_chars(digits.data(), digits.data() + digits.size(), number).ptr);
-}
-
-bool is_number(Kind kind) noexcept {
-  return kind != Kind::text && kind != Kind::character && kind != Kind::enumeration && kind != Kind::record;
 }
 
 /// None: it is absent, or NaN.

@@ -6,6 +6,7 @@
 #include <set>
 #include <utility>
 
+#include "app/core/figures.hpp"
 #include "app/inspect/course.hpp"
 #include "app/inspect/curve_scale.hpp"
 #include "rtdata/data/problem.hpp"
@@ -18,92 +19,7 @@ std::string reason_of(const RecordedGap& gap) {
   return gap.reason.empty() || gap.reason == gap.kind ? kind : kind + ": " + gap.reason;
 }
 
-bool is_number(Kind kind) noexcept {
-  return kind != Kind::text && kind != Kind::character && kind != Kind::enumeration && kind != Kind::record;
-}
-
 namespace {
-
-[[noreturn]] void refuse(const std::string& name, std::string why, std::string advice) {
-  throw SetupError({Errc::not_found, "cannot plot", name, std::move(why), std::move(advice)});
-}
-
-std::string nearest_or_all(const std::string& name, const std::vector<std::string>& known) {
-  const std::string nearest = nearest_name(name, known);
-  if (!nearest.empty()) return "did you mean " + nearest + "?";
-  return "there is " + list_of({known.begin(), known.end()});
-}
-
-/// The numbers that a path stands for; empty: none. `is_there`: there is something of that name.
-std::vector<std::string> numbers_of(const Description& of, const std::string& path, bool& is_there) {
-  std::vector<std::string> found;
-  for (const Leaf& leaf : of.leaves()) {
-    const bool is_it = path.empty() || leaf.path == path || leaf.path.starts_with(path + ".") ||
-                       leaf.path.starts_with(path + "[");
-    // "pressure.raw" was added beside the number "pressure", and is none of its parts.
-    if (!is_it || (leaf.path != path && of.find(path) != nullptr)) continue;
-    is_there = true;
-    if (is_number(leaf.kind)) found.push_back(leaf.path);
-  }
-  return found;
-}
-
-/// Why there is no number.
-std::string no_number_text(const Description& of, const std::string& path) {
-  const Leaf* const leaf = of.find(path);
-  if (leaf == nullptr) return "it holds no number";
-  std::string text = "it is " +
-                     std::string(leaf->kind == Kind::enumeration ? "an enum" : "a " + std::string(name_of(leaf->kind)));
-  if (leaf->kind == Kind::enumeration) {
-    std::set<std::string> words;
-    for (const EnumValue& value : leaf->field->values) words.insert(value.name);
-    text += " (" + list_of(words) + ")";
-  }
-  return text + ", and a curve is of numbers";
-}
-
-std::vector<ChosenField> chosen(const std::string& name, const std::vector<RecordedTopic>& topics) {
-  std::set<std::string> names;
-  for (const RecordedTopic& topic : topics) names.insert(topic.topic);
-  // Both topics and fields may have points in their names: the longest topic is meant.
-  std::string topic = name;
-  while (!names.contains(topic)) {
-    const std::size_t point = topic.rfind('.');
-    if (point == std::string::npos) {
-      std::vector<std::string> known(names.begin(), names.end());
-      for (const RecordedTopic& one : topics)
-        for (const Leaf& leaf : one.description->leaves())
-          if (is_number(leaf.kind)) known.push_back(one.topic + "." + leaf.path);
-      const std::string nearest = nearest_name(name, known);
-      refuse(name, "there is no such topic",
-             nearest.empty() ? "there is " + list_of(names) : "did you mean " + nearest + "?");
-    }
-    topic.resize(point);
-  }
-  const std::string path = name.size() > topic.size() ? name.substr(topic.size() + 1) : "";
-  std::vector<ChosenField> fields;
-  const Description* last = nullptr;
-  bool is_there = false;
-  for (const RecordedTopic& one : topics) {  // another description may have other fields
-    if (one.topic != topic) continue;
-    last = one.description.get();
-    for (std::string& found : numbers_of(*last, path, is_there)) {
-      ChosenField field{topic, std::move(found)};
-      if (std::find(fields.begin(), fields.end(), field) == fields.end()) fields.push_back(std::move(field));
-    }
-  }
-  if (!fields.empty()) return fields;
-  if (is_there) refuse(name, no_number_text(*last, path), "`rtdata export` has all values");
-  std::vector<std::string> known;
-  for (const Leaf& leaf : last->leaves()) known.push_back(leaf.path);
-  refuse(name, "topic " + topic + " has no field " + path, nearest_or_all(path, known));
-}
-
-/// Where the steps of one field are in the rows of one description: its least and its most follow its count.
-struct Place {
-  const Leaf *count = nullptr, *least = nullptr, *most = nullptr, *mean = nullptr;
-  const Leaf* of = nullptr;  // the field
-};
 
 /// The number that an alternative of Value is.
 Number number_of(const Value& value) {
@@ -160,8 +76,8 @@ class Reader {
  private:
   struct Topic {
     std::vector<std::string> paths;
-    std::map<std::int64_t, RecordedTopic> descriptions;  // by version
-    std::map<std::int64_t, std::vector<Place>> places;   // of the paths, by version
+    std::map<std::int64_t, RecordedTopic> descriptions;   // by version
+    std::map<std::int64_t, std::vector<Figures>> places;  // of the paths, by version
   };
 
   Source& source(const std::string& topic, const std::string& origin) {
@@ -219,9 +135,9 @@ class Reader {
     const EventView event = row.event();
     const std::uint64_t events = std::get<std::uint64_t>(event.value(event.description().leaves().front()));
     add_missing(of, row, events);
-    const std::vector<Place>& places = places_of(row, topic);
+    const std::vector<Figures>& places = places_of(row, topic);
     for (std::size_t i = 0; i < places.size(); ++i) {
-      const Place& place = places[i];
+      const Figures& place = places[i];
       if (place.count == nullptr) continue;  // the description of this row does not have it
       CurveStep step{begin_of(row), events, std::get<std::uint64_t>(event.value(*place.count)), {}, {}, 0};
       if (step.numbers != 0) {
@@ -236,7 +152,7 @@ class Reader {
   static const std::string& topic_name(const RecordedRow& row) { return row.topic().topic; }
 
   /// A panel has one type and one unit.
-  static Curve& curve_of(std::vector<Curve>& curves, const Place& place) {
+  static Curve& curve_of(std::vector<Curve>& curves, const Figures& place) {
     for (Curve& curve : curves)
       if (curve.kind == place.of->kind && curve.unit == place.of->unit) return curve;
     if (curves.back().steps.empty()) {
@@ -279,19 +195,15 @@ class Reader {
     to.mean += (step.mean - to.mean) * (static_cast<double>(step.numbers) / static_cast<double>(to.numbers));
   }
 
-  /// The steps have four values of each number, in the order of the numbers, after the number of events.
-  const std::vector<Place>& places_of(const RecordedRow& row, Topic& topic) const {
+  /// Of the paths.
+  const std::vector<Figures>& places_of(const RecordedRow& row, Topic& topic) const {
     const auto [known, is_new] = topic.places.try_emplace(row.topic().version);
     if (!is_new) return known->second;
     known->second.resize(topic.paths.size());
-    const Leaf* of_steps = row.topic().description->leaves().data() + 1;
-    for (const Leaf& leaf : topic.descriptions.at(row.topic().version).description->leaves()) {
-      if (!is_number(leaf.kind)) continue;
-      const auto path = std::find(topic.paths.begin(), topic.paths.end(), leaf.path);
-      if (path != topic.paths.end())
-        known->second[static_cast<std::size_t>(path - topic.paths.begin())] = {of_steps, of_steps + 1, of_steps + 2,
-                                                                               of_steps + 3, &leaf};
-      of_steps += 4;
+    for (const Figures& one :
+         figures_of(*row.topic().description, *topic.descriptions.at(row.topic().version).description)) {
+      const auto path = std::find(topic.paths.begin(), topic.paths.end(), one.of->path);
+      if (path != topic.paths.end()) known->second[static_cast<std::size_t>(path - topic.paths.begin())] = one;
     }
     return known->second;
   }
@@ -314,8 +226,10 @@ class Reader {
     }
   }
   const std::string of_run = "run " + std::to_string(run);
-  if (!origins.empty()) refuse(topic, of_run + " has none of origin " + *origin, "there is " + list_of(origins));
-  refuse(topic, of_run + " has nothing of it", runs.empty() ? "" : "see --run: " + list_of(runs));
+  const bool has_others = !origins.empty();
+  std::string why = of_run + (has_others ? " has none of origin " + *origin : " has nothing of it");
+  std::string advice = has_others ? "there is " + list_of(origins) : runs.empty() ? "" : "see --run: " + list_of(runs);
+  throw SetupError({Errc::not_found, "cannot plot", topic, std::move(why), std::move(advice)});
 }
 
 // ---- what the account says
@@ -379,22 +293,6 @@ void add_notes(std::vector<std::string>& notes, const RunReport& account, const 
   if (std::find(blind.begin(), blind.end(), loss.topic) != blind.end())
     notes.push_back("not detectable: what the source of " + loss.topic + " lost itself");
 }
-
-}  // namespace
-
-std::vector<ChosenField> chosen_fields(const std::vector<std::string>& names,
-                                       const std::vector<RecordedTopic>& topics) {
-  std::vector<ChosenField> fields;
-  std::set<std::string> all;
-  for (const RecordedTopic& topic : topics) all.insert(topic.topic);
-  if (names.empty()) refuse("nothing", "name a field, as TOPIC.FIELD, or a topic", "there is " + list_of(all));
-  for (const std::string& name : names)
-    for (ChosenField& field : chosen(name, topics))
-      if (std::find(fields.begin(), fields.end(), field) == fields.end()) fields.push_back(std::move(field));
-  return fields;
-}
-
-namespace {
 
 Plot empty_plot(const Recording& recording, const RecordedRange& range, Duration step) {
   Plot plot;

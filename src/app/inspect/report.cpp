@@ -10,6 +10,7 @@
 #include <string_view>
 
 #include "app/core/amounts.hpp"
+#include "app/core/figures.hpp"
 #include "app/core/recording_commands.hpp"
 #include "app/inspect/recorded_curves.hpp"
 #include "app/inspect/report_page.hpp"

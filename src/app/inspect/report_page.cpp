@@ -15,6 +15,7 @@
 #include "app/inspect/html.hpp"
 #include "app/inspect/recorded_curves.hpp"
 #include "app/inspect/report_chart.hpp"
+#include "app/inspect/report_figures.hpp"
 
 namespace rtdata::app {
 namespace {
@@ -123,6 +124,18 @@ class Page {
   void left_out(std::uint64_t all, std::size_t shown, const char* where) {
     if (all > shown) add("<p class=\"small\">", std::to_string(all - shown), " left out", where, "</p>\n");
   }
+  /// A row of each, with `row`, up to most_rows; `where` tells of what is left out.
+  template <class Items, class Row>
+  void table(const char* headings, const Items& items, const char* where, const Row& row) {
+    add("<table>\n<thead><tr>", headings, "</tr></thead>\n");
+    std::size_t shown = 0;
+    for (const auto& item : items) {
+      if (shown++ == most_rows) break;
+      row(item);
+    }
+    add("</table>\n");
+    left_out(items.size(), most_rows, where);
+  }
   Time utc(Time recorded) const { return run_.line.utc(recorded); }
   /// With its date, where that is another than the one of the beginning.
   std::string listed_time(Time time) const { return instant_text(time, content_.range.from, fine); }
@@ -195,18 +208,16 @@ class Page {
     for (std::size_t i = 0; i < std::min(notes.size(), most_notes); ++i) add("<p>", notes[i], "</p>\n");
     left_out(notes.size(), most_notes, " of these.");
     if (all.empty()) return;
-    add("<table>\n<thead><tr><th>topic</th><th>of</th><th>why</th><th class=\"r\">gaps</th><th class=\"r\">ticks "
-        "lost</th><th class=\"r\">time</th><th>first</th><th>last</th></tr></thead>\n");
-    std::size_t shown = 0;
-    for (const auto& [key, of] : all) {
-      if (shown++ == most_rows) break;
+    constexpr const char* headings =
+        "<th>topic</th><th>of</th><th>why</th><th class=\"r\">gaps</th><th class=\"r\">ticks lost</th>"
+        "<th class=\"r\">time</th><th>first</th><th>last</th>";
+    table(headings, all, ".", [&](const auto& item) {
+      const auto& [key, of] = item;
       add("<tr><td>", key[0], "</td><td>", key[1], "</td><td>", key[2], "</td><td class=\"r\">",
           std::to_string(of.gaps), "</td><td class=\"r\">", of.has_count ? std::to_string(of.counted) : "not known",
           "</td><td class=\"r\">", time_text(of.time), "</td><td class=\"t\">", listed_time(utc(of.first)),
           "</td><td class=\"t\">", listed_time(utc(of.last)), "</td></tr>\n");
-    }
-    add("</table>\n");
-    left_out(all.size(), most_rows, ".");
+    });
   }
 
   // ---- the course
@@ -355,13 +366,11 @@ class Page {
       add("<p>Nobody is known.</p>\n");
       return;
     }
-    add("<table>\n<thead><tr><th>topic</th><th>of</th><th class=\"r\">stored</th><th class=\"r\">ticks</th>"
-        "<th class=\"r\">missed</th><th class=\"r\">failed</th><th class=\"r\">late</th><th class=\"r\">unreadable</th>"
-        "<th class=\"r\">lost by source</th><th class=\"r\">dropped</th><th class=\"r\">pruned</th></tr></thead>\n");
-    std::size_t shown = 0;
-    for (const LedgerEntry& entry : content_.ledger) {
-      if (shown == most_rows) break;
-      ++shown;
+    constexpr const char* headings =
+        "<th>topic</th><th>of</th><th class=\"r\">stored</th><th class=\"r\">ticks</th><th class=\"r\">missed</th>"
+        "<th class=\"r\">failed</th><th class=\"r\">late</th><th class=\"r\">unreadable</th>"
+        "<th class=\"r\">lost by source</th><th class=\"r\">dropped</th><th class=\"r\">pruned</th>";
+    table(headings, content_.ledger, "; `rtdata info` has all.", [&](const LedgerEntry& entry) {
       const SensorCounts& sensor = entry.sensor;
       add("<tr><td>", entry.topic, "</td><td>", entry.origin, "</td>");
       const auto cell = [&](const std::string& text) { add("<td class=\"r\">", text, "</td>"); };
@@ -378,66 +387,27 @@ class Page {
       cell(std::to_string(entry.dropped()));
       cell(std::to_string(entry.pruned));
       add("</tr>\n");
-    }
-    add("</table>\n");
-    left_out(content_.ledger.size(), shown, "; `rtdata info` has all.");
+    });
     add("<p class=\"small\">-: it has no schedule, or does not number its samples.</p>\n");
   }
 
   void errors() {
     if (!content_.errors.empty()) {
       heading("Errors");
-      add("<table>\n<thead><tr><th>time</th><th>of</th><th>error</th><th class=\"r\">times</th></tr></thead>\n");
-      std::size_t shown = 0;
-      for (const RecordedError& error : content_.errors) {
-        if (shown == most_rows) break;
-        ++shown;
+      constexpr const char* headings = "<th>time</th><th>of</th><th>error</th><th class=\"r\">times</th>";
+      table(headings, content_.errors, ".", [&](const RecordedError& error) {
         add("<tr><td class=\"t\">", listed_time(utc(error.time)), "</td><td>", error.object, "</td><td>", error.text,
             "</td><td class=\"r\">", std::to_string(error.count), "</td></tr>\n");
-      }
-      add("</table>\n");
-      left_out(content_.errors.size(), shown, ".");
+      });
     }
     if (content_.health.empty()) return;
     heading("Health");
-    add("<table>\n<thead><tr><th>time</th><th>of</th><th>since then</th><th>why</th></tr></thead>\n");
-    std::size_t shown = 0;
-    for (const RecordedHealth& change : content_.health) {
-      if (shown == most_rows) break;
-      ++shown;
+    constexpr const char* headings = "<th>time</th><th>of</th><th>since then</th><th>why</th>";
+    table(headings, content_.health, ".", [&](const RecordedHealth& change) {
       add("<tr><td class=\"t\">", listed_time(utc(change.last)), "</td><td>", change.kind + " " + change.name,
           "</td><td>", change.state + (change.count > 1 ? ", after " + count(change.count, "change") : std::string()),
           "</td><td>", change.reason, "</td></tr>\n");
-    }
-    add("</table>\n");
-    left_out(content_.health.size(), shown, ".");
-  }
-
-  /// The error of UTC grows by 1 us for each second away from a reading of the time of day.
-  std::optional<Duration> clock_error() const {
-    constexpr double ns_a_ns = 1e-6;
-    std::vector<std::pair<double, double>> known;  // instant and error, ns
-    for (const RecordedClock& pair : content_.clock)
-      if (pair.accuracy)
-        known.emplace_back(static_cast<double>(pair.monotonic.time_since_epoch().count()),
-                           static_cast<double>(pair.accuracy->count()));
-    if (known.empty()) return std::nullopt;
-    std::sort(known.begin(), known.end());
-    const auto grown = [&](std::size_t a, std::size_t b) {
-      return std::abs(known[a].first - known[b].first) * ns_a_ns;
-    };
-    for (std::size_t i = 1; i < known.size(); ++i)
-      known[i].second = std::min(known[i].second, known[i - 1].second + grown(i, i - 1));
-    for (std::size_t i = known.size() - 1; i > 0; --i)
-      known[i - 1].second = std::min(known[i - 1].second, known[i].second + grown(i, i - 1));
-    const RunInfo& info = run_.info;
-    const double start = static_cast<double>((info.started - info.clock_offset).time_since_epoch().count());
-    const double end = start + static_cast<double>(length().count());
-    double worst = known.front().second + std::max(known.front().first - start, 0.0) * ns_a_ns;
-    worst = std::max(worst, known.back().second + std::max(end - known.back().first, 0.0) * ns_a_ns);
-    for (std::size_t i = 1; i < known.size(); ++i)
-      worst = std::max(worst, (known[i - 1].second + known[i].second + grown(i, i - 1)) / 2);
-    return Duration{static_cast<std::int64_t>(std::ceil(worst))};
+    });
   }
 
   void clock() {
@@ -455,7 +425,7 @@ class Page {
       add("<p>The time of day was never read: times are those of the machine that recorded.</p>\n");
       return;
     }
-    const auto error = clock_error();
+    const auto error = clock_error(run_.info, content_.clock, length());
     add("<p>The time of day was read ", std::to_string(content_.clock.size()), " times (", text, "). ",
         error ? "UTC is right to within " + to_string(two_digits(std::max(*error, Duration{1}))) + " in all of the run."
               : std::string("How far UTC is wrong is not known: the machine did not say how well its clock was set."));
@@ -467,11 +437,7 @@ class Page {
   void configuration() {
     if (!content_.changes.empty()) {
       heading("Changes of the configuration");
-      add("<table>\n<thead><tr><th>time</th><th>what</th></tr></thead>\n");
-      std::size_t shown = 0;
-      for (const RecordedConfiguration& change : content_.changes) {
-        if (shown == most_rows) break;
-        ++shown;
+      table("<th>time</th><th>what</th>", content_.changes, ".", [&](const RecordedConfiguration& change) {
         add("<tr><td class=\"t\">", listed_time(utc(change.time)), "</td><td>",
             change.object.empty() ? std::string("a new text")
                                   : change.object + (change.text.empty() ? ": removed" : ""),
@@ -482,9 +448,7 @@ class Page {
           if (change.text.size() > 2000) add("(", std::to_string(change.text.size() - 2000), " bytes left out)");
           add("</td></tr>\n");
         }
-      }
-      add("</table>\n");
-      left_out(content_.changes.size(), shown, ".");
+      });
     }
     const std::string& text = run_.info.configuration;
     if (text.empty()) return;
@@ -503,22 +467,6 @@ class Page {
 };
 
 }  // namespace
-
-double coverage_of(const Curve& curve, const LedgerEntry& account, Duration outages, Duration run) {
-  std::uint64_t events = 0, numbers = 0;
-  for (const CurveStep& step : curve.steps) {
-    events += step.events;
-    numbers += step.numbers;
-  }
-  const SensorCounts& sensor = account.sensor;
-  const std::uint64_t all = std::max(events, account.stored) + account.dropped() + sensor.unreadable + sensor.lost;
-  double share = all == 0 ? 0 : static_cast<double>(numbers) / static_cast<double>(all);
-  if (sensor.has_schedule && sensor.scheduled != 0)
-    share *= 1 - static_cast<double>(sensor.missed + sensor.failed) / static_cast<double>(sensor.scheduled);
-  if (outages > Duration{0})
-    share *= std::max(0.0, 1 - static_cast<double>(outages.count()) / static_cast<double>(run.count()));
-  return share;
-}
 
 std::string page_of(const ReportContent& content) { return Page(content).text(); }
 

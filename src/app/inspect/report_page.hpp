@@ -34,7 +34,4 @@ struct ReportContent {
 /// lists are bounded, and say how much they leave out.
 std::string page_of(const ReportContent& content);
 
-/// How much of the time, or of its values, a mean is of: 0 to 1. 1: of all that was to be measured.
-double coverage_of(const Curve& curve, const LedgerEntry& account, Duration outages, Duration run);
-
 }  // namespace rtdata::app
