@@ -464,9 +464,16 @@ TEST_SUITE("app") {
     }
     CHECK(check(R"({"listen": "[::]:8080", "commands": ["note", "ack", "event"]})").starts_with("0 "));
     CHECK(has(check(R"({"listen": "127.0.0.1:8080", "token": "short"})"), "could be guessed"));
-    CHECK(has(check(R"({"listen": "127.0.0.1:80000"})"), "its port is no number from 0 to 65535"));
-    CHECK(has(check(R"({"listen": "bench.example:80"})"), "it begins with no address of the machine in numbers"));
+    CHECK(has(check(R"({"listen": "127.0.0.1:80000"})"), "its port is not a number from 0 to 65535"));
+    CHECK(has(check(R"({"listen": "bench.example:80"})"), "it does not begin with an IP address of this machine"));
     CHECK(check(R"({"listen": "127.0.0.1", "commands": ["reload"]})").starts_with("2 "));
+    // What `run` would read.
+    folder.write("none.pem", "no certificate");
+    const std::string unreadable = check(
+        R"({"listen": "127.0.0.1", "tls": {"certificate": "none.pem", "key": "no.pem"}})");
+    CHECK(unreadable.starts_with("2 "));
+    CHECK(has(unreadable, "page.tls.certificate: cannot read the file none.pem: it is not PEM"));
+    CHECK(has(unreadable, "page.tls.key: cannot read the file no.pem: No such file"));
     CHECK(check(R"({})").starts_with("2 "));
   }
 }

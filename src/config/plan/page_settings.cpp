@@ -26,7 +26,7 @@ std::string PageAddress::text() const { return (is_ipv6() ? "[" + host + "]" : h
 
 Result<PageAddress> parse_page_address(std::string_view text) {
   const auto refused = [&](const char* why) {
-    return Error{Errc::bad_argument, "no address of a page", std::string(text), why,
+    return Error{Errc::bad_argument, "cannot use the address of a page", std::string(text), why,
                  "write one such as 127.0.0.1:8080, [::1]:8080 or 0.0.0.0:8080"};
   };
   PageAddress address;
@@ -36,17 +36,17 @@ Result<PageAddress> parse_page_address(std::string_view text) {
     if (end == std::string_view::npos) return refused("a bracket is not closed");
     host = text.substr(1, end - 1);
     port = text.substr(end + 1);
-    if (!port.empty() && !port.starts_with(':')) return refused("what stands behind the bracket is no port");
+    if (!port.empty() && !port.starts_with(':')) return refused("a port, as :8080, has to follow the bracket");
   } else if (const std::size_t colon = text.find(':'); colon != std::string_view::npos) {
     host = text.substr(0, colon);
     port = text.substr(colon);
   }
   if (!port.empty() && detail::read_number(port.substr(1), address.port) != std::errc{})
-    return refused("its port is no number from 0 to 65535");
+    return refused("its port is not a number from 0 to 65535");
   address.host = host == "localhost" ? "127.0.0.1" : host;
   std::array<unsigned char, 16> bytes{};
   if (::inet_pton(address.is_ipv6() ? AF_INET6 : AF_INET, address.host.c_str(), bytes.data()) != 1)
-    return refused("it begins with no address of the machine in numbers");
+    return refused("it does not begin with an IP address of this machine");
   return address;
 }
 
