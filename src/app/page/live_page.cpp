@@ -8,21 +8,20 @@
 #include <unistd.h>
 
 #include <array>
-#include <atomic>
 #include <cerrno>
 #include <chrono>
 #include <filesystem>
 #include <fstream>
 #include <iterator>
-#include <mutex>
 #include <nlohmann/json.hpp>
 #include <system_error>
 
+#include "app/page/disk_work.hpp"
+#include "app/page/mailbox.hpp"
 #include "app/page/page_setup.hpp"
 #ifdef RTDATA_WITH_SQLITE
 #include "app/page/page_history.hpp"
 #endif
-#include "rtdata/detail/loop/lane.hpp"
 #include "rtdata/loop/clock.hpp"
 
 namespace rtdata::app {
@@ -30,10 +29,9 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
-constexpr std::uint64_t status_client = ~std::uint64_t{0};      // clients of the control socket count from 1
-constexpr Duration step = std::chrono::milliseconds{250};       // of what is shown as it comes
-constexpr Duration machine_pace = std::chrono::seconds{2};      // of the disk and the clock
-constexpr Duration longest_reading = std::chrono::seconds{30};  // of a disk, which may stall
+constexpr std::uint64_t status_client = ~std::uint64_t{0};  // clients of the control socket count from 1
+constexpr Duration step = std::chrono::milliseconds{250};   // of what is shown as it comes
+constexpr Duration machine_pace = std::chrono::seconds{2};  // of the disk and the clock
 constexpr Duration thread_patience = std::chrono::seconds{2};
 constexpr Duration start_patience = std::chrono::seconds{10};
 constexpr std::size_t most_read = std::size_t{1} << 20;  // of a stream in a turn
@@ -44,46 +42,7 @@ std::string content_of(const std::string& path) {
   return {std::istreambuf_iterator<char>(file), {}};
 }
 
-/// Work that blocks on a disk, and what is done with its result on the loop.
-class Reading final : public detail::LaneJob {
- public:
-  Reading(std::function<std::string()> work, PageSource::Told told) : work_(std::move(work)), told_(std::move(told)) {}
-  void run() noexcept override try { text_ = work_(); } catch (const std::exception&) {
-  }
-  void done(Outcome outcome) override {
-    told_(outcome == Outcome::finished && !text_.empty() ? std::move(text_)
-                                                         : R"({"error":"the disk did not answer in time"})");
-  }
-
- private:
-  std::function<std::string()> work_;
-  PageSource::Told told_;
-  std::string text_;
-};
-
 }  // namespace
-
-/// The way to a loop that may be gone. The other side holds the lock for a moment, unless it has lost the processor.
-struct LivePage::Link {
-  void set(Loop* loop) {
-    const auto lock = take();
-    to = loop;
-  }
-  void post(Callback<void()> function) {
-    const auto lock = take();
-    if (lock.owns_lock() && to != nullptr) to->post(std::move(function));
-  }
-  /// Not a timed mutex: thread sanitizers do not know how libstdc++ waits for one.
-  std::unique_lock<std::mutex> take() {
-    std::unique_lock lock(mutex, std::try_to_lock);
-    for (const auto until = std::chrono::steady_clock::now() + thread_patience;
-         !lock.owns_lock() && std::chrono::steady_clock::now() < until; (void)lock.try_lock())
-      std::this_thread::sleep_for(std::chrono::microseconds{100});
-    return lock;
-  }
-  std::mutex mutex;
-  Loop* to = nullptr;
-};
 
 /// What depends on the configuration.
 struct LivePage::Setup {
@@ -93,26 +52,21 @@ struct LivePage::Setup {
   std::vector<std::string> commands;
 };
 
+/// What the main loop and the thread have of each other: the one may be late with its end.
 struct LivePage::Shared {
-  Link main, page;
-  Source* source = nullptr;  // the thread's
-  PageServer* server = nullptr;
+  Mailbox<LivePage> main;
+  Mailbox<Source> page;
 };
 
-/// The thread's side. What it wants of the main loop it posts there.
+/// The thread's side.
 class LivePage::Source final : public PageSource {
  public:
-  Source(Loop& loop, LivePage& of, Duration to_time, Setup setup)
-      : loop_(loop),
-        of_(of),
-        is_alive_(of.is_alive_),
-        shared_(of.shared_),
-        to_time_(to_time),
-        setup_(std::move(setup)),
-        lane_(loop.core(), "page", longest_reading) {}
-  ~Source() override {
-    *is_here_ = false;
-    lane_.abandon_thread();
+  Source(Loop& loop, std::shared_ptr<Shared> shared, Duration to_time, Setup setup)
+      : loop_(loop), shared_(std::move(shared)), to_time_(to_time), setup_(std::move(setup)), disk_(loop, "page") {}
+  /// From now on it gets what the main loop puts.
+  void open(PageServer& server) {
+    server_ = &server;
+    from_main_ = shared_->page.open(loop_, *this);
   }
 
   void begin() override {
@@ -141,18 +95,16 @@ class LivePage::Source final : public PageSource {
     const std::uint64_t number = remember(std::move(told));
     on_main([number](LivePage& page) {
       auto status = std::make_shared<Status>(page.asks_.status->take(status_client));
-      page.shared_->page.post([shared = page.shared_, status, number] {
-        if (shared->source != nullptr) shared->source->tell(number, json_of(*status));
-      });
+      page.shared_->page.put([status, number](Source& source) { source.tell(number, json_of(*status)); });
     });
   }
   void history(std::string request, Told told) override {
 #ifdef RTDATA_WITH_SQLITE
     std::vector<PageRecording> recordings;
     for (const Readers::Recording& one : setup_.recordings) recordings.push_back({one.sink, one.path, one.topics});
-    submit([recordings = std::move(recordings),
-            request = std::move(request)] { return page_history(recordings, std::nullopt, request); },
-           std::move(told));
+    disk_.submit([recordings = std::move(recordings),
+                  request = std::move(request)] { return page_history(recordings, std::nullopt, request); },
+                 std::move(told));
 #else
     told(R"({"error":"this program was built without SQLite: nothing is recorded"})");
 #endif
@@ -161,18 +113,17 @@ class LivePage::Source final : public PageSource {
     const std::uint64_t number = remember(std::move(told));
     on_main([number, words = std::move(words), by = std::move(by)](LivePage& page) {
       page.asks_.command(words, by, [shared = page.shared_, number](std::string text) {
-        shared->page.post([shared, number, text = std::move(text)] {
-          if (shared->source != nullptr) shared->source->tell(number, text);
-        });
+        shared->page.put([number, text = std::move(text)](Source& source) { source.tell(number, text); });
       });
     });
   }
 
+  void stop() { loop_.stop(); }
   void set(Setup setup) {
     const bool has_other_changes = setup.changes != setup_.changes;
     setup_ = std::move(setup);
-    shared_->server->set_commands(setup_.commands);
-    shared_->server->tell_about();
+    server_->set_commands(setup_.commands);
+    server_->tell_about();
     if (!has_other_changes || changes_.fd < 0) return;
     changes_.close();
     changes_.open(*this, setup_.changes, Duration{0});
@@ -224,9 +175,7 @@ class LivePage::Source final : public PageSource {
 
   template <class Function>
   void on_main(Function function) {
-    shared_->main.post([&page = of_, is_alive = is_alive_, function = std::move(function)]() mutable {
-      if (*is_alive) function(page);
-    });
+    shared_->main.put(std::move(function));
   }
   std::uint64_t remember(Told told) {
     waiting_[++last_] = std::move(told);
@@ -239,13 +188,6 @@ class LivePage::Source final : public PageSource {
     waiting_.erase(found);
     told(std::move(text));
   }
-  void submit(std::function<std::string()> work, Told told) {
-    const auto done = [is_here = is_here_, told](std::string text) {
-      if (*is_here) told(std::move(text));
-    };
-    if (!lane_.submit(std::make_shared<Reading>(std::move(work), done)))
-      told(R"({"error":"the disk does not answer"})");
-  }
 
   /// What is left of the disks, and how well UTC is known.
   void look_at_machine() {
@@ -254,7 +196,7 @@ class LivePage::Source final : public PageSource {
     looked_at_ = loop_.now();
     std::vector<std::pair<std::string, std::string>> files;
     for (const Readers::Recording& one : setup_.recordings) files.emplace_back(one.sink, one.path);
-    submit(
+    disk_.submit(
         [files = std::move(files), to_time = to_time_] {
           SystemClock clock;
           const Time now{std::chrono::steady_clock::now().time_since_epoch() + to_time};
@@ -288,9 +230,9 @@ class LivePage::Source final : public PageSource {
   }
 
   Loop& loop_;
-  LivePage& of_;  // used on the main loop alone
-  const std::shared_ptr<bool> is_alive_;
   const std::shared_ptr<Shared> shared_;
+  PageServer* server_ = nullptr;
+  FdWatch from_main_;
   const Duration to_time_;
   Setup setup_;
   Stream steps_, changes_;
@@ -299,8 +241,7 @@ class LivePage::Source final : public PageSource {
   std::vector<std::string> told_;  // lines
   bool is_looking_ = false;
   MonotonicTime looked_at_{};
-  std::shared_ptr<bool> is_here_ = std::make_shared<bool>(true);
-  detail::Lane lane_;
+  DiskWork disk_;
 };
 
 LivePage::Setup LivePage::setup_of(const SystemPlan& plan) {
@@ -313,7 +254,7 @@ LivePage::Setup LivePage::setup_of(const SystemPlan& plan) {
 }
 
 LivePage::LivePage(Loop& loop, Config config, const SystemPlan& plan, Asks asks)
-    : loop_(loop), asks_(std::move(asks)), shared_(std::make_shared<Shared>()) {
+    : asks_(std::move(asks)), shared_(std::make_shared<Shared>()) {
   PageServer::Config served{config.token, config.settings.commands, config.settings.names};
   if (const auto& tls = config.settings.tls) {
     served.certificate = content_of(tls->certificate);
@@ -321,13 +262,12 @@ LivePage::LivePage(Loop& loop, Config config, const SystemPlan& plan, Asks asks)
   }
   address_ = (config.settings.tls ? "https://" : "http://") + config.listener.address().text() + "/";
   keep_address(config.socket_path, config.token);
-  shared_->main.set(&loop_);
-  const Duration to_time = loop_.time().time_since_epoch() - loop_.now().time_since_epoch();
+  const Duration to_time = loop.time().time_since_epoch() - loop.now().time_since_epoch();
   std::promise<void> ended;
   ended_ = ended.get_future();
   std::promise<std::string> started;
   std::future<std::string> failed = started.get_future();
-  const auto serve = [this, shared = shared_, to_time, setup = setup_of(plan),
+  const auto serve = [shared = shared_, to_time, setup = setup_of(plan),
                       listener = std::make_shared<PageListener>(std::move(config.listener)), served,
                       started = std::make_shared<std::promise<std::string>>(std::move(started)),
                       ended = std::make_shared<std::promise<void>>(std::move(ended))]() mutable {
@@ -335,21 +275,13 @@ LivePage::LivePage(Loop& loop, Config config, const SystemPlan& plan, Asks asks)
     try {
       ::setpriority(PRIO_PROCESS, 0, 19);  // of this thread alone, as Linux has it; and so of its lane's
       Loop own({.name = "page", .hold_limit = std::chrono::hours{1}});
-      Source source(own, *this, to_time, std::move(setup));
-      {
-        PageServer server(own, std::move(*listener), std::move(served), source);
-        shared->source = &source;
-        shared->server = &server;
-        shared->page.set(&own);
-        has_started = true;
-        started->set_value("");
-        own.run();
-        shared->page.set(nullptr);
-      }
-      shared->source = nullptr;
+      Source source(own, shared, to_time, std::move(setup));
+      PageServer server(own, std::move(*listener), std::move(served), source);
+      source.open(server);
+      has_started = true;
+      started->set_value("");
+      own.run();
     } catch (const std::exception& error) {  // no memory, no descriptors
-      shared->page.set(nullptr);
-      shared->source = nullptr;
       if (!has_started) started->set_value(error.what());
     }
     ended->set_value();
@@ -361,21 +293,20 @@ LivePage::LivePage(Loop& loop, Config config, const SystemPlan& plan, Asks asks)
   }
   const bool has_answered = failed.wait_for(start_patience) == std::future_status::ready;
   const std::string why = has_answered ? failed.get() : "its thread did not get the processor";
-  if (why.empty()) return;
+  if (why.empty()) {
+    from_page_ = shared_->main.open(loop, *this);
+    return;
+  }
   has_answered ? thread_.join() : thread_.detach();
   if (!file_.empty()) ::unlink(file_.c_str());
   throw SetupError({Errc::io_failed, "cannot serve the page", address_, why, ""});
 }
 
 LivePage::~LivePage() {
-  *is_alive_ = false;
+  from_page_.close();
   if (!file_.empty()) ::unlink(file_.c_str());
-  shared_->page.post([shared = shared_] {
-    if (shared->page.to != nullptr) shared->page.to->stop();
-  });
-  const bool has_ended = ended_.wait_for(thread_patience) == std::future_status::ready;
-  shared_->main.set(nullptr);
-  if (has_ended) {
+  shared_->page.put([](Source& source) { source.stop(); });
+  if (ended_.wait_for(thread_patience) == std::future_status::ready) {
     thread_.join();
   } else {
     thread_.detach();  // it has not got the processor; it touches what it shares, and nothing else
@@ -383,9 +314,7 @@ LivePage::~LivePage() {
 }
 
 void LivePage::set(const SystemPlan& plan) {
-  shared_->page.post([shared = shared_, setup = setup_of(plan)]() mutable {
-    if (shared->source != nullptr) shared->source->set(std::move(setup));
-  });
+  shared_->page.put([setup = setup_of(plan)](Source& source) { source.set(setup); });
 }
 
 /// In "PID.page" beside the socket, whose folder is this user's alone. Removes those of programs that have ended.

@@ -13,12 +13,14 @@
 #include "app/control/status_source.hpp"
 #include "app/page/page_server.hpp"
 #include "rtdata/config/system.hpp"
+#include "rtdata/loop/watch.hpp"
 
 namespace rtdata::app {
 
 /// Serves the page on a thread of its own, with the least priority that shares the processor (nice 19). Of the main
 /// loop it wants, while somebody looks, a status each second; what is published comes through the readers' thread, of
-/// which it is two readers, however many look. The main loop never waits for the thread.
+/// which it is two readers, however many look. Once it is made the main loop never waits for the thread, but for its
+/// end.
 ///
 /// Owner: the program; it is destroyed before what it was made with. Thread: the main loop's.
 class LivePage {
@@ -50,18 +52,16 @@ class LivePage {
   const std::string& file() const noexcept { return file_; }
 
  private:
-  struct Link;
   struct Shared;
   class Source;
   struct Setup;
   static Setup setup_of(const SystemPlan& plan);
   void keep_address(const std::string& socket_path, const std::string& token);
 
-  Loop& loop_;
   Asks asks_;
   std::string address_, file_;
   std::shared_ptr<Shared> shared_;
-  std::shared_ptr<bool> is_alive_ = std::make_shared<bool>(true);  // for what the thread posts
+  FdWatch from_page_;
   std::thread thread_;
   std::future<void> ended_;
 };

@@ -10,6 +10,8 @@
 #include <set>
 #include <tuple>
 
+#include "app/core/figures.hpp"
+#include "app/inspect/course.hpp"
 #include "rtdata/data/codec.hpp"
 #include "rtdata/loop/topic.hpp"
 
@@ -68,10 +70,6 @@ std::optional<Request> request_of(std::string_view text) {
 
 std::string error_text(std::string_view why) {
   return Json{{"error", why}}.dump(-1, ' ', false, Json::error_handler_t::replace);
-}
-
-bool is_number(Kind kind) {
-  return kind != Kind::text && kind != Kind::character && kind != Kind::enumeration && kind != Kind::record;
 }
 
 /// JSON has none of what is not finite.
@@ -144,40 +142,32 @@ class Answer {
   }
 
  private:
-  struct Place {
-    std::string path;
-    const Leaf *count, *least, *most, *mean;
-  };
-
   void add(const RecordedRow& row) {
     const std::string& topic = row.topic().topic;
     const std::string origin(row.header().origin);
     const EventView event = row.event();
     const auto events = std::get<std::uint64_t>(event.value(event.description().leaves().front()));
     spans_[{topic, origin}].push_back({row.header().time, row.first_sequence(), row.last_sequence(), events});
-    for (const Place& place : places_of(row)) {
+    for (const Figures& place : places_of(row)) {
       if (std::get<std::uint64_t>(event.value(*place.count)) == 0) continue;
-      series_[{topic, origin, place.path}].push_back({in_ms(row.header().time), number_json(event.value(*place.least)),
-                                                      number_json(event.value(*place.mean)),
-                                                      number_json(event.value(*place.most))});
+      series_[{topic, origin, place.of->path}].push_back(
+          {in_ms(row.header().time), number_json(event.value(*place.least)), number_json(event.value(*place.mean)),
+           number_json(event.value(*place.most))});
       ++points_;
     }
   }
 
-  /// The steps have four values of each number, in the order of the numbers, after the number of events.
-  const std::vector<Place>& places_of(const RecordedRow& row) {
+  /// Of the fields that are wanted.
+  const std::vector<Figures>& places_of(const RecordedRow& row) {
     const RecordedTopic& topic = row.topic();
     const auto [known, is_new] = places_.try_emplace({topic.topic, topic.version});
     if (!is_new) return known->second;
     const std::vector<std::string>& wanted = request_.topics.at(topic.topic);
-    const Leaf* of_steps = topic.description->leaves().data() + 1;
-    for (const Leaf& leaf : descriptions_.at({topic.topic, topic.version}).description->leaves()) {
-      if (!is_number(leaf.kind)) continue;
-      if (wanted.empty() || std::find(wanted.begin(), wanted.end(), leaf.path) != wanted.end()) {
-        known->second.push_back({leaf.path, of_steps, of_steps + 1, of_steps + 2, of_steps + 3});
-        units_[{topic.topic, leaf.path}] = leaf.unit;
-      }
-      of_steps += 4;
+    for (const Figures& one :
+         figures_of(*topic.description, *descriptions_.at({topic.topic, topic.version}).description)) {
+      if (!wanted.empty() && std::find(wanted.begin(), wanted.end(), one.of->path) == wanted.end()) continue;
+      known->second.push_back(one);
+      units_[{topic.topic, one.of->path}] = one.of->unit;
     }
     return known->second;
   }
@@ -202,7 +192,7 @@ class Answer {
   const RunInfo& run_;
   const Request& request_;
   std::map<std::pair<std::string, std::int64_t>, RecordedTopic> descriptions_;
-  std::map<std::pair<std::string, std::int64_t>, std::vector<Place>> places_;
+  std::map<std::pair<std::string, std::int64_t>, std::vector<Figures>> places_;
   std::map<std::pair<std::string, std::string>, std::string> units_;
   std::map<std::tuple<std::string, std::string, std::string>, std::vector<Point>> series_;
   std::map<std::pair<std::string, std::string>, std::vector<Span>> spans_;
@@ -210,31 +200,11 @@ class Answer {
   std::size_t points_ = 0;
 };
 
-Json run_json(const Recording& recording, const RunInfo& run, const std::string& sink) {
-  Json told{{"number", run.run},
-            {"name", run.name},
-            {"notes", run.notes},
-            {"sink", sink},
-            {"state", name_of(run.state)},
-            {"started", in_ms(run.started)},
-            {"ended", nullptr}};
-  if (run.ended) told["ended"] = in_ms(*run.ended);
-  const std::vector<RecordedClock> clock = recording.clock(run.run).or_throw();
-  if (!clock.empty()) {
-    const RecordedClock& last = clock.back();
-    const Time recorded{last.monotonic.time_since_epoch() + run.clock_offset};
-    told["clock"] = {{"offset", in_ms(last.realtime - recorded)}, {"source", last.source}, {"accuracy", nullptr}};
-    if (last.accuracy) told["clock"]["accuracy"] = std::chrono::duration<double>(*last.accuracy).count();
-  }
-  return told;
-}
-
 void add_marks(Json& answer, const Recording& recording, const RunInfo& run, const Request& request) {
-  const std::set<std::string> of_changes{"command", "alarm", "state_change", "output_change"};
   const auto codec = make_json_codec();
   std::size_t count = 0;
   for (const RecordedTopic& topic : recording.topics().or_throw()) {
-    if (!of_changes.contains(topic.description->name())) continue;
+    if (!is_change(*topic.description)) continue;
     RowFilter filter{.topic = topic.topic, .run = run.run, .from = request.from, .until = request.until};
     filter.limit = most_marks;
     auto rows = recording.rows(filter).or_throw();
@@ -250,6 +220,28 @@ void add_marks(Json& answer, const Recording& recording, const RunInfo& run, con
 }
 
 }  // namespace
+
+bool is_change(const Description& description) {
+  return is_of_course(description) || description.name() == "output_change";
+}
+
+nlohmann::ordered_json page_run(const Recording& recording, const RunInfo& run) {
+  Json told{{"number", run.run},
+            {"name", run.name},
+            {"notes", run.notes},
+            {"state", name_of(run.state)},
+            {"started", in_ms(run.started)},
+            {"ended", nullptr}};
+  if (run.ended) told["ended"] = in_ms(*run.ended);
+  const std::vector<RecordedClock> clock = recording.clock(run.run).or_throw();
+  if (!clock.empty()) {
+    const RecordedClock& last = clock.back();
+    const Time recorded{last.monotonic.time_since_epoch() + run.clock_offset};
+    told["clock"] = {{"offset", in_ms(last.realtime - recorded)}, {"source", last.source}, {"accuracy", nullptr}};
+    if (last.accuracy) told["clock"]["accuracy"] = std::chrono::duration<double>(*last.accuracy).count();
+  }
+  return told;
+}
 
 std::string page_history(const std::vector<PageRecording>& recordings, std::optional<std::int64_t> run,
                          std::string_view text) try {
@@ -282,7 +274,10 @@ std::string page_history(const std::vector<PageRecording>& recordings, std::opti
       return run ? info.run == *run : info.pid == ::getpid();
     });
     if (chosen == runs.rend()) continue;  // nothing is stored yet
-    if (answer["run"].is_null()) answer["run"] = run_json(recording, *chosen, one->sink);
+    if (answer["run"].is_null()) {
+      answer["run"] = page_run(recording, *chosen);
+      answer["run"]["sink"] = one->sink;
+    }
     Answer of(recording, *chosen, *request);
     const Duration slice = request->step * steps_of_slice;
     Time end = request->until;

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <nlohmann/json_fwd.hpp>
 #include <optional>
 #include <string>
 #include <string_view>
@@ -27,5 +28,11 @@ struct PageRecording {
 /// `run`: its number; none: the last that this process records. Blocks on the disk. Any thread.
 std::string page_history(const std::vector<PageRecording>& recordings, std::optional<std::int64_t> run,
                          std::string_view request);
+
+/// A run as the answer names it, without its sink. Throws SetupError.
+nlohmann::ordered_json page_run(const Recording& recording, const RunInfo& run);
+
+/// Whether a page gets each event of this payload: of the course of a run, and of outputs.
+bool is_change(const Description& description);
 
 }  // namespace rtdata::app

@@ -3,6 +3,7 @@
 #include <arpa/inet.h>
 #include <netinet/in.h>
 #include <netinet/tcp.h>
+#include <poll.h>
 #include <sys/random.h>
 #include <sys/socket.h>
 #include <unistd.h>
@@ -294,11 +295,13 @@ PageServer::~PageServer() {
     MHD_resume_connection(request->connection);
   }
   requests_.clear();
+  const int epoll = MHD_get_daemon_info(Library::daemon(*this), MHD_DAEMON_INFO_EPOLL_FD)->epoll_fd;
   const auto until = std::chrono::steady_clock::now() + end_patience;
   do {
     resume_streams();
     for (int i = 0; i < 8; ++i) MHD_run(Library::daemon(*this));
-    if (!streams_.empty()) ::usleep(10'000);
+    pollfd ready{epoll, POLLIN, 0};
+    if (!streams_.empty()) ::poll(&ready, 1, 10);
   } while (!streams_.empty() && std::chrono::steady_clock::now() < until);
   watch_.close();
   ticker_.close();

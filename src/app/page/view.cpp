@@ -12,11 +12,11 @@
 #include "app/control/past_reader.hpp"
 #include "app/control/status.hpp"
 #include "app/core/recording_commands.hpp"
+#include "app/page/disk_work.hpp"
 #include "app/page/page_history.hpp"
 #include "app/page/page_server.hpp"
 #include "app/page/page_setup.hpp"
 #include "rtdata/config/format.hpp"
-#include "rtdata/detail/loop/lane.hpp"
 #include "rtdata/loop/clock.hpp"
 #include "rtdata/recording/recording.hpp"
 #include "rtdata/recording/runs.hpp"
@@ -27,7 +27,6 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
-constexpr Duration longest_reading = std::chrono::seconds{30};
 constexpr Duration step = std::chrono::milliseconds{250};
 constexpr Duration before_now = std::chrono::seconds{3};  // events that are stored later than they came
 
@@ -82,7 +81,7 @@ Status status_of_run(const std::string& path, std::int64_t number) {
 class RecordedSource final : public PageSource {
  public:
   RecordedSource(Loop& loop, const Registry& registry, std::string path, const std::optional<std::string>& which)
-      : path_(std::move(path)), lane_(loop.core(), "recording", longest_reading) {
+      : path_(std::move(path)), disk_(loop, "recording") {
     const Recording recording = Recording::open(path_).or_throw();
     run_ = find_run(recording.runs().or_throw(), which.value_or("-1"), path_).or_throw();
     const bool is_here = run_.boot_id == SystemClock().boot_id();
@@ -95,24 +94,11 @@ class RecordedSource final : public PageSource {
       about["name"] = run_.name;
     }
     about["recording"] = is_recording_;
-    Json& run = about["run"] = {{"number", run_.run}, {"started", in_ms(run_.started)}, {"ended", nullptr}};
-    if (run_.ended) run["ended"] = in_ms(*run_.ended);
-    const std::vector<RecordedClock> clock = recording.clock(run_.run).or_throw();
-    if (!clock.empty()) {
-      const Time recorded{clock.back().monotonic.time_since_epoch() + run_.clock_offset};
-      run["clock"] = {{"offset", std::chrono::duration<double, std::milli>(clock.back().realtime - recorded).count()},
-                      {"accuracy", nullptr}};
-      if (clock.back().accuracy)
-        run["clock"]["accuracy"] = std::chrono::duration<double>(*clock.back().accuracy).count();
-      if (is_recording_) clock_ = run["clock"];
-    }
+    about["run"] = page_run(recording, run_);
+    if (is_recording_ && about["run"].contains("clock")) clock_ = about["run"]["clock"];
     for (const RecordedTopic& topic : recording.topics().or_throw())
       for (const Leaf& leaf : topic.description->leaves()) about["fields"][topic.topic][leaf.path] = leaf.unit;
     about_ = about.dump(-1, ' ', false, Json::error_handler_t::replace);
-  }
-  ~RecordedSource() override {
-    *is_here_ = false;
-    lane_.abandon_thread();
   }
 
   void begin() override {
@@ -143,7 +129,7 @@ class RecordedSource final : public PageSource {
   }
   std::string about() override { return about_; }
   void status(Told told) override {
-    submit(
+    disk_.submit(
         [path = path_, run = run_.run] {
           Status status = status_of_run(path, run);
           return json_of(status);
@@ -151,7 +137,7 @@ class RecordedSource final : public PageSource {
         std::move(told));
   }
   void history(std::string request, Told told) override {
-    submit(
+    disk_.submit(
         [path = path_, run = run_.run, request = std::move(request)] {
           return page_history({{"", path}}, run, request);
         },
@@ -162,40 +148,20 @@ class RecordedSource final : public PageSource {
   }
 
  private:
-  struct Work final : detail::LaneJob {
-    Work(std::function<std::string()> work_, Told told_) : work(std::move(work_)), told(std::move(told_)) {}
-    void run() noexcept override try { text = work(); } catch (const std::exception& error) {
-      text = Json{{"error", error.what()}}.dump(-1, ' ', false, Json::error_handler_t::replace);
-    }
-    void done(Outcome outcome) override {
-      told(outcome == Outcome::finished ? std::move(text) : R"({"error":"the disk did not answer in time"})");
-    }
-    std::function<std::string()> work;
-    Told told;
-    std::string text;
-  };
-  struct Slice final : detail::LaneJob {
-    explicit Slice(RecordedSource& to_) : to(to_), is_here(to_.is_here_), past(to_.past_) {}
-    void run() noexcept override { slice = past->read(); }
-    void done(Outcome outcome) override {
-      if (!*is_here) return;
-      to.is_reading_ = false;
-      if (outcome == Outcome::finished && past == to.past_) to.take(slice);
-    }
-    RecordedSource& to;
-    std::shared_ptr<bool> is_here;
-    std::shared_ptr<PastReader> past;
-    PastReader::Slice slice;
-  };
-
   Time now() const { return Time{std::chrono::steady_clock::now().time_since_epoch() + run_.clock_offset}; }
-  void submit(std::function<std::string()> work, Told told) {
-    const auto done = [is_here = is_here_, told](std::string text) {
-      if (*is_here) told(std::move(text));
-    };
-    if (!lane_.submit(std::make_shared<Work>(std::move(work), done))) told(R"({"error":"the disk does not answer"})");
+  void read() {
+    is_reading_ = true;
+    const auto slice = std::make_shared<PastReader::Slice>();
+    disk_.submit(
+        [past = past_, slice] {
+          *slice = past->read();
+          return std::string();
+        },
+        [this, past = past_, slice](const std::string& failed) {
+          is_reading_ = false;
+          if (failed.empty() && past == past_) take(*slice);
+        });
   }
-  void read() { is_reading_ = lane_.submit(std::make_shared<Slice>(*this)); }
   void take(const PastReader::Slice& slice) {
     for (std::size_t at = 0; at < slice.events.size();) {
       const auto& event = *reinterpret_cast<const PackedEvent*>(slice.events.data() + at);
@@ -204,9 +170,7 @@ class RecordedSource final : public PageSource {
       line_.set(event);
       const StreamOrigin& origin = origins_.of(event);
       steps_->take(event, origin, line_);
-      const std::string& kind = event.description->name();
-      if (kind == "command" || kind == "alarm" || kind == "state_change" || kind == "output_change")
-        changes_->take(event, origin, line_);
+      if (is_change(*event.description)) changes_->take(event, origin, line_);
     }
     failed_ = slice.failed;
     if (slice.has_more) read();
@@ -224,8 +188,7 @@ class RecordedSource final : public PageSource {
   EventLine line_;
   bool is_reading_ = false;
   std::string failed_;
-  std::shared_ptr<bool> is_here_ = std::make_shared<bool>(true);
-  detail::Lane lane_;
+  DiskWork disk_;
 };
 
 }  // namespace
