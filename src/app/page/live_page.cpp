@@ -98,7 +98,7 @@ class LivePage::Source final : public PageSource {
       page.shared_->page.put([status, number](Source& source) { source.tell(number, json_of(*status)); });
     });
   }
-  void history(std::string request, Told told) override {
+  void history([[maybe_unused]] std::string request, Told told) override {
 #ifdef RTDATA_WITH_SQLITE
     std::vector<PageRecording> recordings;
     for (const Readers::Recording& one : setup_.recordings) recordings.push_back({one.sink, one.path, one.topics});
