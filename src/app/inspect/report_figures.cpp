@@ -31,9 +31,7 @@ std::optional<Duration> clock_error(const RunInfo& run, const std::vector<Record
                          static_cast<double>(pair.accuracy->count()));
   if (known.empty()) return std::nullopt;
   std::sort(known.begin(), known.end());
-  const auto grown = [&](std::size_t a, std::size_t b) {
-    return std::abs(known[a].first - known[b].first) * ns_a_ns;
-  };
+  const auto grown = [&](std::size_t a, std::size_t b) { return std::abs(known[a].first - known[b].first) * ns_a_ns; };
   for (std::size_t i = 1; i < known.size(); ++i)
     known[i].second = std::min(known[i].second, known[i - 1].second + grown(i, i - 1));
   for (std::size_t i = known.size() - 1; i > 0; --i)

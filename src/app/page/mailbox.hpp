@@ -15,8 +15,8 @@
 
 namespace rtdata::app {
 
-/// Neither side waits for the other, and either may be gone: what was put then is destroyed with the mailbox, which both
-/// share. A function must not own its mailbox.
+/// Neither side waits for the other, and either may be gone: what was put then is destroyed with the mailbox, which
+/// both share. A function must not own its mailbox.
 template <class To>
 class Mailbox {
  public:
@@ -34,8 +34,8 @@ class Mailbox {
   /// Any thread.
   void put(Callback<void(To&)> function) {
     auto* const letter = new Letter{std::move(function), newest_.load(std::memory_order_relaxed)};
-    while (!newest_.compare_exchange_weak(letter->before, letter, std::memory_order_release,
-                                          std::memory_order_relaxed)) {
+    while (
+        !newest_.compare_exchange_weak(letter->before, letter, std::memory_order_release, std::memory_order_relaxed)) {
     }
     const std::uint64_t one = 1;
     [[maybe_unused]] const ssize_t size = ::write(fd_, &one, sizeof one);  // full: it is readable already
