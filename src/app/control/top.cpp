@@ -1,17 +1,13 @@
-#include <poll.h>
-#include <signal.h>
-#include <sys/ioctl.h>
-#include <termios.h>
 #include <unistd.h>
 
 #include <algorithm>
-#include <cstdio>
 #include <functional>
 #include <iostream>
 #include <optional>
 
 #include "app/control/instances.hpp"
 #include "app/control/status_view.hpp"
+#include "app/control/terminal.hpp"
 #include "app/core/configuration_commands.hpp"
 #include "data/utf8.hpp"
 
@@ -21,57 +17,8 @@ namespace {
 constexpr Duration silence_limit = std::chrono::milliseconds{500};  // then the view shows the silence
 constexpr Duration answer_limit = std::chrono::seconds{5};          // for the watched instance
 constexpr Duration once_limit = std::chrono::seconds{3};            // with --once
-constexpr Duration most_deaf = std::chrono::milliseconds{50};       // longest time without a check for keys and signals
+constexpr Duration most_deaf = std::chrono::milliseconds{50};       // longest time without a check for keys
 constexpr Duration refresh = std::chrono::seconds{1};
-
-volatile sig_atomic_t interrupted = 0;
-
-/// Switches the terminal to single keys without echo; Ctrl-C ends the view, not the process.
-class Terminal {
- public:
-  Terminal() {
-    struct sigaction action {};
-    action.sa_handler = [](int) { interrupted = 1; };
-    for (const int signal : {SIGINT, SIGTERM, SIGHUP}) ::sigaction(signal, &action, nullptr);
-    is_changed_ = ::tcgetattr(STDIN_FILENO, &before_) == 0;
-    if (!is_changed_) return;
-    termios now = before_;
-    now.c_lflag &= ~static_cast<tcflag_t>(ICANON | ECHO);
-    ::tcsetattr(STDIN_FILENO, TCSANOW, &now);
-  }
-  Terminal(const Terminal&) = delete;
-  Terminal& operator=(const Terminal&) = delete;
-  ~Terminal() {
-    if (is_changed_) ::tcsetattr(STDIN_FILENO, TCSANOW, &before_);
-  }
-  /// False: end, because q was typed or a signal came.
-  bool wait(Duration duration) {
-    const auto until = std::chrono::steady_clock::now() + duration;
-    while (interrupted == 0) {
-      const Duration left = std::clamp<Duration>(until - std::chrono::steady_clock::now(), Duration{0}, most_deaf);
-      pollfd keys{has_keys_ ? STDIN_FILENO : -1, POLLIN, 0};
-      const auto left_ms = std::chrono::ceil<std::chrono::milliseconds>(left).count();
-      if (::poll(&keys, 1, static_cast<int>(left_ms)) <= 0) {
-        if (left == Duration{0}) return interrupted == 0;
-        continue;
-      }
-      char key = 0;
-      if (::read(STDIN_FILENO, &key, 1) != 1) {
-        has_keys_ = false;
-      } else if (key == 'q' || key == 'Q') {
-        return false;
-      }
-    }
-    return false;
-  }
-
- private:
-  termios before_{};
-  bool is_changed_ = false;
-  bool has_keys_ = true;
-};
-
-void print(const std::string& text) { std::cout << text << std::flush; }
 
 /// The next answer; empty if the terminal ends the wait. Calls `report_silence` once if there is no answer for a while.
 std::optional<Result<std::string>> receive(ControlClient& client, Terminal& terminal, Duration limit,
@@ -124,12 +71,11 @@ int show(FoundInstance& found, const TopOptions& options) {
     if (options.show_as == ShowAs::json) {
       print(**line + "\n");
     } else {
-      winsize size{};
-      if (!is_live || ::ioctl(STDOUT_FILENO, TIOCGWINSZ, &size) != 0 || size.ws_col == 0) size = {24, 80, 0, 0};
-      const std::size_t rows = is_live ? std::max<std::size_t>(size.ws_row, 4) - 1 : 100000;
+      const TerminalSize size = is_live ? terminal_size() : TerminalSize{};
+      const std::size_t rows = is_live ? size.rows - 1 : 100000;
       std::string text = is_live ? "\x1b[H" : "";
       std::size_t shown = 0;
-      for (const std::string& one : lines_of(*status, std::max<std::size_t>(size.ws_col, 20) - 1, rows)) {
+      for (const std::string& one : lines_of(*status, std::max<std::size_t>(size.columns, 20) - 1, rows)) {
         if (++shown > rows) break;
         text += detail::visible(one) + (is_live ? "\x1b[K\r\n" : "\n");
       }

@@ -136,13 +136,16 @@ Action prepare_top(CLI::App& command) {
   command.add_option("NAME|PID", options->instance, "Which instance; needed when several are running");
   add_flag(command, "--once", options->how_often, HowOften::once, "Print once and end");
   add_json(command, options->show_as, "Print the status as JSON, a line each time");
+  command.add_option("--topic", options->topic, "Only this one, with each of its fields and numbers on a line")
+      ->excludes("--json");
   command.footer(
       "examples:\n  rtdata top                        the only instance, until q or Ctrl-C\n"
       "  rtdata top bench --once           one look at the instance called bench\n"
-      "  rtdata top 4711 --once --json     for programs");
+      "  rtdata top 4711 --once --json     for programs\n"
+      "  rtdata top --topic host/cpu       its fields, large");
   return [options](const Registry&) {
     const WrappedOutput errors(std::cerr, STDERR_FILENO);  // all other output is data or wrapped separately
-    return top(*options);
+    return options->topic.empty() ? top(*options) : top_topic(*options);
   };
 }
 

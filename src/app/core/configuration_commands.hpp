@@ -65,8 +65,18 @@ struct TopOptions {
   std::string instance;  ///< name or pid; empty: the only one
   HowOften how_often = HowOften::live;
   ShowAs show_as = ShowAs::text;
+  std::string topic;  ///< only this one, a field a line; empty: all sensors
 };
 int top(const TopOptions& options);
+int top_topic(const TopOptions& options);
+
+struct LivePlotOptions {
+  /// The first may be an instance, by name or pid; the others are TOPIC.FIELD, or TOPIC: all its numbers.
+  std::vector<std::string> words;
+  Duration window = std::chrono::minutes{1};
+};
+/// Draws the last time of an instance, each second anew on a terminal, else once.
+int plot_instance(const LivePlotOptions& options);
 
 /// Commands a running instance. `words`: at least one; the first may be the instance, by name or pid.
 int ctl(const std::vector<std::string>& words);

@@ -1,6 +1,7 @@
 // The options of the subcommands of recordings.
 #include <unistd.h>
 
+#include <filesystem>
 #include <iostream>
 #include <memory>
 #include <optional>
@@ -29,6 +30,13 @@ CLI::Validator at_least(std::int64_t least) {
 /// `which`: what is done with the run, and what without the option.
 CLI::Option* add_run(CLI::App& command, std::optional<std::string>& to, const std::string& which) {
   return command.add_option("--run", to, which + "; -1: the last, -2: the one before")->type_name("NUMBER|NAME");
+}
+
+/// Of words that may also be an instance or a topic: names of instances have neither.
+bool is_recording(const std::string& word) {
+  std::error_code ignored;
+  return word.ends_with(".db") ||
+         (word.find('/') != std::string::npos && std::filesystem::is_regular_file(word, ignored));
 }
 
 /// Which part of a run.
@@ -196,19 +204,43 @@ Action prepare_export(CLI::App& command) {
 
 Action prepare_plot(CLI::App& command) {
   const auto options = std::make_shared<PlotOptions>();
-  command.add_option("DB", options->database, "The recording")->required();
-  command.add_option("FIELD", options->fields, "TOPIC.FIELD, or TOPIC for all its numbers; each has a panel");
+  const auto words = std::make_shared<std::vector<std::string>>();
+  command.add_option("WORDS", *words,
+                     "[NAME|PID|DB] FIELD ...: an instance when several run, or a recording; TOPIC.FIELD, or TOPIC for "
+                     "all its numbers; each has a panel");
   add_part(command, options->part);
   command.add_option("--origin", options->origin, "Only events of this sensor")->type_name("NAME");
   command.footer(
       "examples:\n  rtdata plot bench.db host/process.time_slices\n  rtdata plot bench.db host/cpu host/load.minutes_1 "
       "--last "
       "10s\n"
+      "  rtdata plot bench host/cpu       the last minute of a running instance, until q\n"
       "Each dot or column has all from the least to the most of its time. A letter below\n"
       "a curve is something that is not there; its line says when and why.");
-  return [options](const Registry&) {
+  return [options, words, &command](const Registry&) {
     const WrappedOutput errors(std::cerr, STDERR_FILENO);
-    return plot(*options, std::cout, std::cerr);
+    if (!words->empty() && is_recording(words->front())) {
+      options->database = words->front();
+      options->fields.assign(words->begin() + 1, words->end());
+      return plot(*options, std::cout, std::cerr);
+    }
+    for (const char* const name : {"--run", "--from", "--until", "--origin"}) {
+      if (command.count(name) == 0) continue;
+      std::cerr << "rtdata: " << name << " is of recordings: rtdata plot DB" << std::endl;
+      return exit_other;
+    }
+    LivePlotOptions live;
+    live.words = *words;
+    if (!options->part.last.empty()) {
+      const Result<Duration> window = parse_duration(options->part.last);
+      if (!window || *window < std::chrono::seconds{1} || *window > std::chrono::hours{1}) {
+        std::cerr << "rtdata: --last of a running instance is 1 s to 1 h; a recording has more: rtdata plot DB"
+                  << std::endl;
+        return exit_other;
+      }
+      live.window = *window;
+    }
+    return plot_instance(live);
   };
 }
 
@@ -256,11 +288,7 @@ std::function<std::optional<int>(const TailOptions&)> add_recorded_tail(CLI::App
           ->capture_default_str()};
   return [given, added](const TailOptions& options) -> std::optional<int> {
     const auto& words = options.words;
-    // Names of instances have neither.
-    const bool is_recording = !words.empty() &&
-                              (words.front().ends_with(".db") || words.front().find('/') != std::string::npos) &&
-                              ::access(words.front().c_str(), F_OK) == 0;
-    if (!is_recording) {
+    if (words.empty() || !is_recording(words.front())) {
       for (const CLI::Option* option : added) {
         if (option->count() == 0) continue;
         std::cerr << "rtdata: " << option->get_name() << " is of recordings: rtdata tail DB" << std::endl;

@@ -161,4 +161,16 @@ std::string mark_text(Time time, Duration distance, Time from, Time until) {
   return text.substr(11, distance >= std::chrono::minutes{1} ? 5 : end_of_time(distance) - 11);
 }
 
+void join(const CurveStep& step, CurveStep& to) {
+  to.events += step.events;
+  if (step.numbers == 0) return;
+  const bool is_first = to.numbers == 0;
+  to.numbers += step.numbers;
+  if (is_first || step.least < to.least) to.least = step.least;
+  if (is_first || to.most < step.most) to.most = step.most;
+  // From the mean of all before, which so loses no digits.
+  if (is_first) to.mean = step.mean;
+  to.mean += (step.mean - to.mean) * (static_cast<double>(step.numbers) / static_cast<double>(to.numbers));
+}
+
 }  // namespace rtdata::app

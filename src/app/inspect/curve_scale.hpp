@@ -10,6 +10,9 @@
 
 namespace rtdata::app {
 
+/// Adds what a step has to the one before, which becomes longer.
+void join(const CurveStep& step, CurveStep& to);
+
 bool is_finite(const Number& number);
 double as_double(const Number& number);
 /// How far a number is from the least to the most, 0 to 1.

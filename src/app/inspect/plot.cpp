@@ -1,55 +1,15 @@
-#include <sys/ioctl.h>
 #include <unistd.h>
 
-#include <algorithm>
-#include <cstdlib>
 #include <ostream>
-#include <set>
 #include <string>
-#include <string_view>
 
 #include "app/core/recording_commands.hpp"
-#include "app/core/terminal_text.hpp"
+#include "app/inspect/chosen_fields.hpp"
 #include "app/inspect/plot_picture.hpp"
 #include "app/inspect/recorded_curves.hpp"
+#include "app/inspect/recorded_range.hpp"
 
 namespace rtdata::app {
-namespace {
-
-std::string_view variable(const char* name) {
-  const char* const value = std::getenv(name);
-  return value == nullptr ? std::string_view() : value;
-}
-
-/// Whether programs are to write UTF-8: the first of these variables that is set says so.
-bool is_utf8_locale() {
-  for (const char* const name : {"LC_ALL", "LC_CTYPE", "LANG"}) {
-    const std::string_view value = variable(name);
-    if (value.empty()) continue;
-    for (const std::string_view utf8 : {"UTF-8", "utf-8", "UTF8", "utf8"})
-      if (value.find(utf8) != std::string_view::npos) return true;
-    return false;
-  }
-  return false;
-}
-
-PlotStyle style_of(int descriptor) {
-  PlotStyle style;
-  if (is_utf8_locale()) {
-    style.characters = PlotStyle::Characters::braille;
-  } else {
-    style.characters = PlotStyle::Characters::ascii;
-  }
-  const std::size_t columns = columns_of(descriptor);
-  if (columns == 0) return style;
-  style.columns = columns;
-  winsize size{};
-  if (::ioctl(descriptor, TIOCGWINSZ, &size) == 0 && size.ws_row != 0) style.rows = size.ws_row;
-  if (variable("NO_COLOR").empty() && variable("TERM") != "dumb") style.colours = PlotStyle::Colours::some;
-  return style;
-}
-
-}  // namespace
 
 int plot(const PlotOptions& options, std::ostream& out, std::ostream& err) try {
   auto opened = Recording::open(options.database);

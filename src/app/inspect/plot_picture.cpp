@@ -1,10 +1,14 @@
 #include "app/inspect/plot_picture.hpp"
 
+#include <sys/ioctl.h>
+
 #include <algorithm>
 #include <cmath>
+#include <cstdlib>
 #include <map>
 #include <optional>
 #include <set>
+#include <string_view>
 
 #include "app/core/table.hpp"
 #include "app/core/terminal_text.hpp"
@@ -14,6 +18,23 @@ namespace rtdata::app {
 namespace {
 
 using Lines = std::vector<std::string>;
+
+std::string_view variable(const char* name) {
+  const char* const value = std::getenv(name);
+  return value == nullptr ? std::string_view() : value;
+}
+
+/// Whether programs are to write UTF-8: the first of these variables that is set says so.
+bool is_utf8_locale() {
+  for (const char* const name : {"LC_ALL", "LC_CTYPE", "LANG"}) {
+    const std::string_view value = variable(name);
+    if (value.empty()) continue;
+    for (const std::string_view utf8 : {"UTF-8", "utf-8", "UTF8", "utf8"})
+      if (value.find(utf8) != std::string_view::npos) return true;
+    return false;
+  }
+  return false;
+}
 
 constexpr std::size_t widest_label = 12;  // of the values beside the axis, with a blank
 constexpr std::size_t least_rows = 2;     // of a panel
@@ -379,6 +400,22 @@ Lines picture_of(const Plot& plot, const PlotStyle& style) {
   for (const std::string& line : axis_of(plot, style)) lines.push_back(line);
   lines.insert(lines.end(), below.begin(), below.end());
   return lines;
+}
+
+PlotStyle style_of(int descriptor) {
+  PlotStyle style;
+  if (is_utf8_locale()) {
+    style.characters = PlotStyle::Characters::braille;
+  } else {
+    style.characters = PlotStyle::Characters::ascii;
+  }
+  const std::size_t columns = columns_of(descriptor);
+  if (columns == 0) return style;
+  style.columns = columns;
+  winsize size{};
+  if (::ioctl(descriptor, TIOCGWINSZ, &size) == 0 && size.ws_row != 0) style.rows = size.ws_row;
+  if (variable("NO_COLOR").empty() && variable("TERM") != "dumb") style.colours = PlotStyle::Colours::some;
+  return style;
 }
 
 }  // namespace rtdata::app

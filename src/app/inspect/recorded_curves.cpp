@@ -183,18 +183,6 @@ class Reader {
     is_joined ? join(step, curve.steps.back()) : curve.steps.push_back(step);
   }
 
-  static void join(const CurveStep& step, CurveStep& to) {
-    to.events += step.events;
-    if (step.numbers == 0) return;
-    const bool is_first = to.numbers == 0;
-    to.numbers += step.numbers;
-    if (is_first || step.least < to.least) to.least = step.least;
-    if (is_first || to.most < step.most) to.most = step.most;
-    // From the mean of all before, which so loses no digits.
-    if (is_first) to.mean = step.mean;
-    to.mean += (step.mean - to.mean) * (static_cast<double>(step.numbers) / static_cast<double>(to.numbers));
-  }
-
   /// Of the paths.
   const std::vector<Figures>& places_of(const RecordedRow& row, Topic& topic) const {
     const auto [known, is_new] = topic.places.try_emplace(row.topic().version);

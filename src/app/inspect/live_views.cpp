@@ -1,0 +1,256 @@
+// Fields of a running instance: as curves, and as a table.
+#include <unistd.h>
+
+#include <algorithm>
+#include <array>
+#include <cstdio>
+#include <functional>
+#include <iostream>
+#include <nlohmann/json.hpp>
+#include <utility>
+
+#include "app/control/instances.hpp"
+#include "app/control/status_view.hpp"
+#include "app/control/terminal.hpp"
+#include "app/core/configuration_commands.hpp"
+#include "app/core/table.hpp"
+#include "app/core/terminal_text.hpp"
+#include "app/inspect/curve_scale.hpp"
+#include "app/inspect/live_curves.hpp"
+#include "app/inspect/plot_picture.hpp"
+
+namespace rtdata::app {
+namespace {
+
+using namespace std::chrono_literals;
+using Lines = std::vector<std::string>;
+using Clock = std::chrono::steady_clock;
+
+constexpr Duration answer_limit = 5s;
+constexpr Duration longest_silence = 10s;  // an instance says something every second
+constexpr Duration refresh = 1s;
+constexpr Duration most_deaf = 20ms;  // longest time without a check for keys
+
+/// What to show of an instance, and how.
+struct View {
+  const char* command;
+  std::vector<std::string> fields;
+  Duration window, step;
+  HowOften how_often;
+  /// With `once`: how long it waits where no recording has what was before.
+  Duration once_after;
+  std::function<Lines(const LiveCurves&, const Status&)> draw;
+};
+
+/// One instance on two connections: for its status, and for the steps.
+class Watch {
+ public:
+  Watch(FoundInstance& found, const View& view)
+      : view_(view), pid_(found.instance.pid), asked_(*found.client), steps_(connected(found)) {
+    // The status that was asked for comes first.
+    if (!found.answers) (void)asked_.receive(answer_limit);
+    ask_status();
+    std::vector<std::string> topics;
+    for (const Status::Account& topic : status_.topics) topics.push_back(topic.name);
+    curves_.emplace(view.fields, topics, view.window);
+    steps_.send(curves_->request(view.step, true));
+  }
+
+  int show() {
+    const bool is_once = view_.how_often == HowOften::once;
+    const bool is_live = !is_once && ::isatty(STDOUT_FILENO) == 1;
+    Terminal terminal;
+    if (is_live) print("\x1b[?25l\x1b[2J");
+    const Clock::time_point begun = Clock::now();
+    for (bool goes_on = true; goes_on && std::cout.good();) {
+      goes_on = take_lines(terminal, begun);
+      if (is_interrupted_ || !failed_.empty()) break;
+      const bool is_enough = has_past_ ? curves_->is_live() && !curves_->is_empty()
+                                       : Clock::now() - begun >= view_.once_after;
+      if (is_once && !is_enough && goes_on) continue;
+      if (goes_on) ask_status();
+      const Lines lines = view_.draw(*curves_, status_);
+      std::string text = is_live ? "\x1b[H" : "";
+      for (const std::string& line : lines) text += line + (is_live ? "\x1b[K\r\n" : "\n");
+      print(text + (is_live ? "\x1b[Jq ends" : ""));
+      if (is_once) break;
+    }
+    if (is_live) print("\r\x1b[K\x1b[?25h");
+    if (failed_.empty() && has_ended_) std::cerr << "rtdata: pid " << pid_ << " has ended" << std::endl;
+    if (failed_.empty()) return exit_good;
+    std::cerr << "rtdata: pid " << pid_ << ": " << failed_ << std::endl;
+    return exit_other;
+  }
+
+ private:
+  static ControlClient connected(const FoundInstance& found) {
+    return ControlClient::connect(found.instance.path).or_throw();
+  }
+
+  void ask_status() {
+    const auto line = asked_.ask(status_request, answer_limit);
+    auto status = line ? status_from(*line) : Result<Status>(line.error());
+    if (status || is_first_) status_ = std::move(status).or_throw();
+    is_first_ = false;
+  }
+
+  /// Takes what comes until it is to be drawn. False: nothing more comes.
+  bool take_lines(Terminal& terminal, Clock::time_point begun) {
+    const Clock::time_point until = Clock::now() + refresh;
+    while (failed_.empty() && (Clock::now() < until || !curves_->is_live())) {
+      if (!terminal.wait(0s)) {
+        is_interrupted_ = true;
+        return false;
+      }
+      if (!has_past_ && view_.how_often == HowOften::once && Clock::now() - begun >= view_.once_after) return true;
+      const auto line = steps_.receive(most_deaf);
+      if (!line) {
+        has_ended_ = line.error().code == make_error_code(Errc::closed);
+        if (!has_ended_) failed_ = line.error().text();
+        return false;
+      }
+      if (!*line) {
+        if (Clock::now() - last_heard_ > longest_silence) failed_ = instance_does_not_answer().text();
+        continue;
+      }
+      last_heard_ = Clock::now();
+      if (!take(**line)) return false;
+    }
+    return failed_.empty();
+  }
+
+  /// False: it was the last line.
+  bool take(const std::string& line) {
+    if (line.starts_with("{\"ended\":")) {
+      has_ended_ = true;
+      return false;
+    }
+    if (!line.starts_with("{\"error\":")) {
+      curves_->take(line);
+      is_subscribed_ = true;
+      return true;
+    }
+    if (is_subscribed_ || !has_past_) {
+      failed_ = nlohmann::json::parse(line).at("error").get<std::string>();
+      return false;
+    }
+    has_past_ = false;  // no recording has it
+    steps_.send(curves_->request(view_.step, false));
+    return true;
+  }
+
+  const View& view_;
+  const pid_t pid_;
+  ControlClient& asked_;
+  ControlClient steps_;
+  Status status_;
+  std::optional<LiveCurves> curves_;
+  Clock::time_point last_heard_ = Clock::now();
+  bool is_first_ = true, has_past_ = true, is_subscribed_ = false, has_ended_ = false, is_interrupted_ = false;
+  std::string failed_;
+};
+
+int show(const std::string& instance, const View& view) try {
+  int status = exit_good;
+  std::optional<FoundInstance> found = choose_instance(instance, view.command, status);
+  return found ? Watch(*found, view).show() : status;
+} catch (const SetupError& error) {
+  std::cerr << "rtdata: " << error.what() << std::endl;
+  return exit_other;
+}
+
+std::string number_text(double number) {
+  std::array<char, 32> text{};
+  std::snprintf(text.data(), text.size(), "%.6g", number);
+  return text.data();
+}
+
+/// A number a line, over all that is kept.
+Lines table_of(const LiveCurves& curves, Time now) {
+  Table table({"field", ">last", "unit", ">least", ">mean", ">most", ">age"});
+  for (const LiveCurves::Field* const field : curves.fields()) {
+    CurveStep all;
+    for (const CurveStep& step : field->curve.steps)
+      if (step.numbers != 0) join(step, all);
+    const bool has_several = std::any_of(curves.fields().begin(), curves.fields().end(), [&](const auto* other) {
+      return other->curve.path == field->curve.path && other->curve.origin != field->curve.origin;
+    });
+    const auto of_all = [&](const Number& number) { return all.numbers == 0 ? "-" : number_text(as_double(number)); };
+    const Duration age = std::max<Duration>(now - field->last_at, 0s);
+    table.add({field->curve.path + (has_several ? " of " + field->curve.origin : ""),
+               field->has_last ? number_text(field->last) : "-", field->curve.unit, of_all(all.least),
+               all.numbers == 0 ? "-" : number_text(all.mean), of_all(all.most),
+               field->has_last ? to_string(std::chrono::floor<std::chrono::seconds>(age)) : "-"});
+  }
+  Lines lines;
+  const std::string text = table.text("");
+  for (std::size_t at = 0; at < text.size();) {
+    const std::size_t end = std::min(text.find('\n', at), text.size());
+    lines.push_back(text.substr(at, end - at));
+    at = end + 1;
+  }
+  return lines;
+}
+
+/// Of this topic's sensors alone.
+Status status_of_topic(const Status& status, const std::string& topic) {
+  Status of = status;
+  std::erase_if(of.sensors, [&](const Status::Sensor& sensor) { return sensor.topic != topic; });
+  std::erase_if(of.loops, [&](const Status::Loop& loop) {
+    return std::none_of(of.sensors.begin(), of.sensors.end(),
+                        [&](const Status::Sensor& sensor) { return sensor.loop == loop.name; });
+  });
+  of.sinks.clear();
+  of.parts.clear();
+  of.callbacks.clear();
+  const auto account = std::find_if(status.topics.begin(), status.topics.end(),
+                                    [&](const Status::Account& one) { return one.name == topic; });
+  if (account != status.topics.end()) of.total = *account;
+  return of;
+}
+
+}  // namespace
+
+int plot_instance(const LivePlotOptions& options) {
+  const PlotStyle first = style_of(STDOUT_FILENO);
+  const Duration step = std::max<Duration>(step_for(Time{}, Time{} + options.window, first), 1ms);
+  const bool is_terminal = ::isatty(STDOUT_FILENO) == 1;
+  std::vector<std::string> fields = options.words;
+  std::string instance;
+  if (!fields.empty() && is_instance(fields.front())) {
+    instance = fields.front();
+    fields.erase(fields.begin());
+  }
+  return show(instance,
+              {"plot", std::move(fields), options.window, step, is_terminal ? HowOften::live : HowOften::once,
+               options.window, [&](const LiveCurves& curves, const Status& status) -> Lines {
+                 if (curves.is_empty()) return {"waiting for the first events"};
+                 PlotStyle style = style_of(STDOUT_FILENO);
+                 if (is_terminal) --style.rows;  // "q ends"
+                 // A terminal that was made smaller has room for longer steps only.
+                 const Duration least = step_for(Time{}, Time{} + options.window, style);
+                 return picture_of(curves.plot(step * std::max<Duration::rep>((least + step - 1ns) / step, 1), status),
+                                   style);
+               }});
+}
+
+int top_topic(const TopOptions& options) {
+  return show(options.instance,
+              {"top", {options.topic}, 1min, 1s, options.how_often, 3s,
+               [&](const LiveCurves& curves, const Status& status) {
+                 const bool is_live = options.how_often == HowOften::live && ::isatty(STDOUT_FILENO) == 1;
+                 const TerminalSize size = is_live ? terminal_size() : TerminalSize{80, 100000};
+                 const Lines table = table_of(curves, curves.now());
+                 const std::size_t rows = size.rows - 1;
+                 const std::size_t for_table = std::min(table.size() + 2, rows * 2 / 3);
+                 Lines lines = lines_of(status_of_topic(status, options.topic), size.columns - 1, rows - for_table);
+                 lines.emplace_back();
+                 lines.emplace_back("the last minute:");
+                 lines.insert(lines.end(), table.begin(), table.end());
+                 if (lines.size() > rows) lines.resize(rows);
+                 for (std::string& line : lines) line = fitted(printable(line), size.columns - 1);
+                 return lines;
+               }});
+}
+
+}  // namespace rtdata::app
