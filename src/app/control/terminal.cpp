@@ -12,7 +12,7 @@
 namespace rtdata::app {
 namespace {
 
-constexpr Duration most_deaf = std::chrono::milliseconds{50};  // longest time without a check for keys and signals
+constexpr Duration signal_check = std::chrono::milliseconds{50};
 
 volatile sig_atomic_t interrupted = 0;
 
@@ -36,7 +36,7 @@ Terminal::~Terminal() {
 bool Terminal::wait(Duration duration) {
   const auto until = std::chrono::steady_clock::now() + duration;
   while (interrupted == 0) {
-    const Duration left = std::clamp<Duration>(until - std::chrono::steady_clock::now(), Duration{0}, most_deaf);
+    const Duration left = std::clamp<Duration>(until - std::chrono::steady_clock::now(), Duration{0}, signal_check);
     pollfd keys{has_keys_ ? STDIN_FILENO : -1, POLLIN, 0};
     const auto left_ms = std::chrono::ceil<std::chrono::milliseconds>(left).count();
     if (::poll(&keys, 1, static_cast<int>(left_ms)) <= 0) {
