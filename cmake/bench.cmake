@@ -1,6 +1,6 @@
 # The benchmarks: `script/bench`.
 add_executable(rtdata_bench EXCLUDE_FROM_ALL tests/bench/disk_bench.cpp tests/bench/encode_bench.cpp tests/bench/export_bench.cpp tests/bench/expression_bench.cpp
-  tests/bench/filter_bench.cpp tests/bench/harness.cpp tests/bench/http_bench.cpp tests/bench/iio_bench.cpp tests/bench/lane_bench.cpp tests/bench/loop_bench.cpp tests/bench/machine_bench.cpp tests/bench/net_bench.cpp tests/bench/postgresql_bench.cpp tests/bench/program_bench.cpp tests/bench/publish_bench.cpp tests/bench/reaction_bench.cpp tests/bench/reload_bench.cpp tests/bench/retrieval_bench.cpp tests/bench/rocket_bench.cpp
+  tests/bench/filter_bench.cpp tests/bench/harness.cpp tests/bench/http_bench.cpp tests/bench/iio_bench.cpp tests/bench/lane_bench.cpp tests/bench/loop_bench.cpp tests/bench/machine_bench.cpp tests/bench/net_bench.cpp tests/bench/page_bench.cpp tests/bench/postgresql_bench.cpp tests/bench/program_bench.cpp tests/bench/publish_bench.cpp tests/bench/reaction_bench.cpp tests/bench/reload_bench.cpp tests/bench/retrieval_bench.cpp tests/bench/rocket_bench.cpp
   tests/bench/rt_bench.cpp tests/bench/sending_bench.cpp tests/bench/sink_bench.cpp tests/bench/verify_bench.cpp)
 target_link_libraries(rtdata_bench PRIVATE rtdata_options rtdata::rtdata PkgConfig::libuv)
 target_include_directories(rtdata_bench PRIVATE tests/bench src)
@@ -37,4 +37,12 @@ if(TARGET rtdata_sqlite)
     target_link_libraries(rtdata_bench_bare PRIVATE spdlog::spdlog)
   endif()
   add_dependencies(rtdata_bench rtdata_bench_bare)
+endif()
+if(RTDATA_HAS_PAGE AND TARGET rtdata_program)
+  target_link_libraries(rtdata_bench PRIVATE rtdata::program)
+  target_compile_definitions(rtdata_bench PRIVATE RTDATA_BENCH_PAGE)
+  add_executable(rtdata_bench_program EXCLUDE_FROM_ALL tests/bench/program_of_eight.cpp)
+  target_link_libraries(rtdata_bench_program PRIVATE rtdata_options rtdata::program)
+  target_include_directories(rtdata_bench_program PRIVATE tests/bench)
+  add_dependencies(rtdata_bench rtdata_bench_program)
 endif()

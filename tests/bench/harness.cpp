@@ -214,6 +214,7 @@ int run(int count, char** arguments) {
   bench_retrieval(report);
   bench_rocket(report);
   bench_program(report);
+  bench_page(report);
   bench_real_time(report);
   bench_sending(report);
   if (report.write_json()) return 0;

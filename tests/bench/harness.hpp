@@ -104,6 +104,7 @@ void bench_retrieval(Report& report);
 void bench_rocket(Report& report);
 void bench_encoding(Report& report);
 void bench_program(Report& report);
+void bench_page(Report& report);
 void bench_real_time(Report& report);
 void bench_sending(Report& report);
 

@@ -1,10 +1,7 @@
 // start, rss: the program rtdata on its starter file, beside a bare program with the same libraries (bare_program.cpp).
 // report: `rtdata report` of a day at 100 Hz and 20 fields, beside `rtdata verify` of it.
 // run_wakeups: how often the program is woken up for each tick of its only sensor.
-#include <fcntl.h>
 #include <signal.h>
-#include <spawn.h>
-#include <sys/resource.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -17,6 +14,7 @@
 #include <utility>
 #include <vector>
 
+#include "child.hpp"
 #include "harness.hpp"
 #ifdef RTDATA_BENCH_SQLITE
 #include <array>
@@ -26,8 +24,6 @@
 #include "rtdata/sensors/feed.hpp"
 #endif
 
-extern char** environ;
-
 namespace bench {
 namespace {
 
@@ -35,21 +31,6 @@ std::int64_t realtime_ns() {
   timespec time{};
   ::clock_gettime(CLOCK_REALTIME, &time);
   return std::int64_t{time.tv_sec} * 1'000'000'000 + time.tv_nsec;
-}
-
-/// A child process, its standard output and errors thrown away unless a file is given.
-pid_t start(const std::vector<std::string>& command, const char* output = "/dev/null") {
-  std::vector<char*> arguments;
-  for (const std::string& word : command) arguments.push_back(const_cast<char*>(word.c_str()));
-  arguments.push_back(nullptr);
-  posix_spawn_file_actions_t actions;
-  posix_spawn_file_actions_init(&actions);
-  posix_spawn_file_actions_addopen(&actions, 1, output, O_WRONLY | O_CREAT | O_TRUNC, 0600);
-  posix_spawn_file_actions_addopen(&actions, 2, "/dev/null", O_WRONLY, 0);
-  pid_t child = -1;
-  if (::posix_spawn(&child, arguments[0], &actions, nullptr, arguments.data(), environ) != 0) child = -1;
-  posix_spawn_file_actions_destroy(&actions);
-  return child;
 }
 
 int wait_for(pid_t child) {
@@ -76,27 +57,6 @@ std::int64_t first_number(const std::string& path, const std::string& key) {
   if (at != std::string::npos) std::from_chars(line.data() + at + key.size(), line.data() + line.size(), number);
   return number;
 }
-
-/// The folder in which the programs run; removed at the end.
-class Folder {
- public:
-  explicit Folder(const std::string& under) : before_(std::filesystem::current_path()) {
-    const auto path = std::filesystem::absolute(under) / ("rtdata_bench." + std::to_string(::getpid()));
-    std::filesystem::create_directory(path);
-    std::filesystem::current_path(path);
-  }
-  Folder(const Folder&) = delete;
-  Folder& operator=(const Folder&) = delete;
-  ~Folder() {
-    const auto path = std::filesystem::current_path();
-    std::filesystem::current_path(before_);
-    std::error_code ignored;
-    std::filesystem::remove_all(path, ignored);
-  }
-
- private:
-  std::filesystem::path before_;
-};
 
 /// From the start of the process to the time in its first line of `file`, in ms; and its memory after a second, in MiB.
 std::vector<double> first_event(const std::vector<std::string>& command, const std::string& file,
@@ -171,28 +131,16 @@ void record_day(const std::string& path) {
   loop.close();
 }
 
-/// CPU s of a child process; 0: it failed.
-double cpu_seconds(const std::vector<std::string>& command) {
-  int status = -1;
-  rusage usage{};
-  const pid_t child = start(command);
-  if (child <= 0 || ::wait4(child, &status, 0, &usage) != child || status != 0) return 0;
-  const auto seconds = [](const timeval& time) {
-    return static_cast<double>(time.tv_sec) + static_cast<double>(time.tv_usec) / 1e6;
-  };
-  return seconds(usage.ru_utime) + seconds(usage.ru_stime);
-}
-
 void bench_report(Report& report, const std::string& program) {
   if (!report.wants("report")) return;
   record_day("day.db");
   report.add(measure_pair(
       {.name = "report", .unit = "CPU s", .reach = 1.2},
       [&] {
-        return cpu_seconds({program, "report", "day.db", "-o", "day.html", "--overwrite"});
+        return cpu_seconds(start({program, "report", "day.db", "-o", "day.html", "--overwrite"}));
       },
       [&] {
-        return cpu_seconds({program, "verify", "day.db"});
+        return cpu_seconds(start({program, "verify", "day.db"}));
       },
       3));
   report.remark("report: the page has " + std::to_string(std::filesystem::file_size("day.html")) +
@@ -213,8 +161,7 @@ void bench_program(Report& report) {
     return;
   }
   const std::string program = std::filesystem::absolute(name).string();
-  const std::string bare = (std::filesystem::read_symlink("/proc/self/exe").parent_path() / "rtdata_bench_bare")
-                               .string();
+  const std::string bare = beside("rtdata_bench_bare");
   const Folder folder(report.options().memory);
   bench_wakeups(report, program);
   bench_report(report, program);

@@ -46,12 +46,13 @@ class Ina {
   static constexpr std::string_view type = "ina";
   static constexpr std::string_view aliases = "wattmeter";
   static constexpr std::string_view description = "voltage, current and power by an INA219 or INA226 on I2C";
-  static constexpr std::string_view notes =
-      "Addresses 0x40 to 0x4f by the pins A0 and A1. The shunt lies between IN+ and IN-; most boards have one of 0.1 "
-      "Ohm: "
-      "to 3.2 A (INA226: 0.8 A). The bus may have up to 26 V (INA226: 36 V).\n\n"
-      "Beyond the range of shunt or bus there is no value: unreadable. A reading before the chip has measured anew is "
-      "counted as repeated: it measures some 900 times a second (INA226: 450).";
+  static constexpr std::string_view notes = R"(
+- Addresses 0x40 to 0x4f by the pins A0 and A1.
+- The shunt lies between IN+ and IN-. Most boards have one of 0.1 Ohm: to 3.2 A (INA226: 0.8 A). The bus may have up to
+  26 V (INA226: 36 V).
+- Beyond the range of shunt or bus there is no value: it is counted as unreadable.
+- It measures some 900 times a second (INA226: 450). A reading before the chip has measured anew is counted as repeated.
+)";
   struct Config {
     InaModel model = InaModel::ina219;
     double shunt_resistance = 0.1;  ///< Ohm

@@ -49,16 +49,15 @@ class Max31865 {
   static constexpr std::string_view type = "max31865";
   static constexpr std::string_view aliases = "rtd";
   static constexpr std::string_view description = "temperature of a PT100 or PT1000 at a MAX31865 on SPI";
-  static constexpr std::string_view notes =
-      "Pins: SDO to MISO, SDI to MOSI, SCLK, CS; `mode` 1 or 3, `clock` to 5 MHz. `reference_resistance` is printed on "
-      "the "
-      "board's resistor: 4300 or 430 is 430 Ohm for a PT100, 4301 or 4.3k 4300 Ohm for a PT1000. Boards have bridges "
-      "to "
-      "solder for 2, 3 and 4 wires. One measurement takes 77 ms (`mains` of 60 Hz: 66 ms).\n\n"
-      "Open and shorted wires, and resistances that belong to no temperature from -200 to 850 degrees, are told and "
-      "counted "
-      "as unreadable. The settings are read back with each measurement, so that a chip that was reset, or that is not "
-      "there, is told.";
+  static constexpr std::string_view notes = R"(
+- Pins: SDO to MISO, SDI to MOSI, SCLK, CS; `mode` 1 or 3, `clock` to 5 MHz.
+- `reference_resistance` is printed on the board's resistor: 4300 or 430 is 430 Ohm, for a PT100; 4301 or 4.3k is
+  4300 Ohm, for a PT1000. Boards have bridges to solder for 2, 3 and 4 wires.
+- One measurement takes 77 ms (`mains` of 60 Hz: 66 ms).
+- Open and shorted wires, and resistances that belong to no temperature from -200 to 850 degrees, are told and counted
+  as unreadable.
+- The settings are read back with each measurement: a chip that was reset, or is not there, is told.
+)";
   struct Config {
     RtdElement element = RtdElement::pt100;
     unsigned wires = 2;

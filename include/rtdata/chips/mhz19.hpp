@@ -35,13 +35,13 @@ class MhZ19 {
  public:
   static constexpr std::string_view type = "mhz19";
   static constexpr std::string_view description = "CO2 of a Winsen MH-Z19 on a serial line";
-  static constexpr std::string_view notes =
-      "Wiring: 5 V, ground, its TX to the board's RX, its RX to TX (3.3 V levels). The bus is a `serial` one with 9600 "
-      "Bd. "
-      "It has no address: one on a line.\n"
-      "It measures anew every 2 s at most: `\"rate\": \"0.2 Hz\"` is plenty. After switching on it needs 3 minutes, in "
-      "which "
-      "its values are none: 0 ppm is unreadable, others it does not mark.";
+  static constexpr std::string_view notes = R"(
+- Wiring: 5 V, ground, its TX to the board's RX, its RX to TX (3.3 V levels). The bus is a `serial` one with 9600 Bd.
+- It has no address: one on a line.
+- It measures anew every 2 s at most: `"rate": "0.2 Hz"` is plenty.
+- It needs 3 minutes after switching on. Values of that time are wrong: 0 ppm is counted as unreadable, others the chip
+  does not mark.
+)";
   struct Config {
     friend constexpr auto parameters(type_tag<Config>) { return parameter_list(); }
   };

@@ -50,15 +50,15 @@ class Nau7802 {
   static constexpr std::string_view type = "nau7802";
   static constexpr std::string_view aliases = "scale weight";
   static constexpr std::string_view description = "a load cell or another bridge at a NAU7802 on I2C";
-  static constexpr std::string_view notes =
-      "Address 0x2a. Connect the bridge's supply to AVDD and ground (E+, E-), its output to VIN1P and VIN1N (A+, A-). "
-      "`supply_voltage` is what the chip makes for it; it must be 0.3 V below that of the chip.\n\n"
-      "`value` is in mV/V, as load cells are specified: scale it by their full load over their sensitivity. The range "
-      "to "
-      "both sides is 500 mV/V over `gain`.\n\n"
-      "With `tare_samples`, the average of the first so many samples is taken off; it is the field `tare`, and taken "
-      "once "
-      "in the life of the sensor. A `rate` above `data_rate` brings nothing new.";
+  static constexpr std::string_view notes = R"(
+- Address 0x2a. Connect the bridge's supply to AVDD and ground (E+, E-), its output to VIN1P and VIN1N (A+, A-).
+- `supply_voltage` is what the chip makes for the bridge; it must be 0.3 V below the supply of the chip.
+- `value` is in mV/V, as load cells are specified: scale it by their full load over their sensitivity. The range to both
+  sides is 500 mV/V over `gain`.
+- With `tare_samples`, the average of the first so many samples is taken off. It is the field `tare`, and is taken once
+  in the life of the sensor.
+- A `rate` above `data_rate` brings nothing new.
+)";
   struct Config {
     unsigned gain = 128;
     unsigned data_rate = 10;      ///< samples a second

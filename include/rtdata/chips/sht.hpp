@@ -44,12 +44,11 @@ class Sht {
   static constexpr std::string_view type = "sht";
   static constexpr std::string_view aliases = "hygrometer";
   static constexpr std::string_view description = "temperature and humidity of an SHT3x or SHT4x on I2C";
-  static constexpr std::string_view notes =
-      "Addresses: SHT3x 0x44, with the pin ADDR at the supply 0x45; SHT4x 0x44, 0x45 or 0x46 by its type. One "
-      "measurement "
-      "takes 16 ms (SHT4x: 9 ms), the bus being free for others. More than two a second warm the chip.\n\n"
-      "Both numbers have a checksum, and so has the answer at opening by which another chip, or the other model, is "
-      "told.";
+  static constexpr std::string_view notes = R"(
+- Addresses: SHT3x 0x44, with the pin ADDR at the supply 0x45; SHT4x 0x44, 0x45 or 0x46 by its type.
+- One measurement takes 16 ms (SHT4x: 9 ms), and leaves the bus to others meanwhile. More than two a second warm the chip.
+- Each number has a checksum. So has the answer at opening, by which another chip, or the other model, is told.
+)";
   struct Config {
     ShtModel model = ShtModel::sht3x;
     friend constexpr auto parameters(type_tag<Config>) {
@@ -65,6 +64,11 @@ class Sht {
   static constexpr ChipSample samples[] = {{.wires = ChipWires::answers,
                                             .bytes = {{{"f3 2d", "80 10 e1"}, {"24 00", "66 66 93 66 66 93"}}},
                                             .values = {{{"temperature", 25}, {"humidity", 40}}},
+                                            .has_proof = true},
+                                           {.members = R"("model": "sht4x")",
+                                            .wires = ChipWires::answers,
+                                            .bytes = {{{"89", "be ef 92"}, {"fd", "66 66 93 66 66 93"}}},
+                                            .values = {{{"temperature", 25}, {"humidity", 44}}},
                                             .has_proof = true}};
   explicit Sht(const Config& config) : config_(config) {}
 

@@ -1,6 +1,7 @@
 #include "app/inspect/live_curves.hpp"
 
 #include <algorithm>
+#include <limits>
 #include <nlohmann/json.hpp>
 #include <set>
 #include <tuple>
@@ -33,6 +34,16 @@ std::string text_in(const nlohmann::ordered_json& object, const char* key) {
 Time time_in(const nlohmann::ordered_json& object, const char* key) {
   const auto found = object.find(key);
   return found != object.end() && found->is_number() ? from_nanoseconds(found->get<std::int64_t>()) : Time{};
+}
+
+/// What is not finite is a text in JSON.
+double number_in(const nlohmann::ordered_json& object, const char* key) {
+  const auto found = object.find(key);
+  if (found == object.end()) return std::numeric_limits<double>::quiet_NaN();
+  if (found->is_number()) return found->get<double>();
+  if (*found == "Infinity") return std::numeric_limits<double>::infinity();
+  if (*found == "-Infinity") return -std::numeric_limits<double>::infinity();
+  return std::numeric_limits<double>::quiet_NaN();
 }
 
 /// "12 lost since the start"
@@ -112,12 +123,12 @@ void LiveCurves::take_step(const Json& line) {
         field.curve.unit = units_[topic][path];
       }
       CurveStep step{time_in(line, "time"), line.value("count", std::uint64_t{0}), 0, 0.0, 0.0, 0};
-      if (of.contains("mean") && of["mean"].is_number()) {
-        step.numbers = of.value("count", std::uint64_t{0});
-        step.least = of.value("least", 0.0);
-        step.most = of.value("most", 0.0);
-        step.mean = of.value("mean", 0.0);
-        field.last = of.value("last", 0.0);
+      step.numbers = of.value("count", std::uint64_t{0});
+      if (step.numbers != 0) {
+        step.least = number_in(of, "least");
+        step.most = number_in(of, "most");
+        step.mean = number_in(of, "mean");
+        field.last = number_in(of, "last");
         field.last_at = time_in(line, "until");
         field.has_last = true;
       }
