@@ -1,9 +1,14 @@
 /// GpioActuator: a GPIO line as the device of an output. 0 is inactive, 1 active; it takes no other value.
 ///
+///     rtdata::Output valve(loop, {.name = "valve"}, [] {
+///       return std::make_unique<rtdata::GpioActuator>(rtdata::GpioActuatorConfig{.line = 17});
+///     });
+///
 /// Opening makes the line an output and sets its level in one step, without a pulse in between. With `keep`, the line
 /// keeps its present level. After it is released, the chip decides the level of the line; most chips keep the last one.
 ///
-/// Errors: those of a GPIO line (io/gpio.hpp); out-of-range.
+/// Owner: its output, or the guard. Thread: a lane's, or the guard's. Errors: those of a GPIO line (io/gpio.hpp);
+/// out-of-range.
 #pragma once
 
 #include <memory>

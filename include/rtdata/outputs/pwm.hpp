@@ -1,11 +1,15 @@
 /// PwmActuator: a channel of a PWM chip of the kernel (/sys/class/pwm) as the device of an output. Its value is the
 /// duty cycle, from 0 to 1.
 ///
+///     rtdata::Output fan(loop, {.name = "fan"}, [] {
+///       return std::make_unique<rtdata::PwmActuator>(rtdata::PwmConfig{.frequency = 25_kHz});
+///     });
+///
 /// Opening exports the channel if needed, sets period and duty cycle, and then enables it, so that no other signal
 /// appears. With `keep`, an enabled channel does not change; a disabled one starts with a duty cycle of 0. After it is
 /// released, the channel keeps its duty cycle and stays exported, so another process can continue with it.
 ///
-/// Interface: the kernel's Documentation/ABI/testing/sysfs-class-pwm; times in ns. Errors: not-found (no such chip or
+/// Owner: its output, or the guard. Thread: a lane's, or the guard's. Interface: the kernel's Documentation/ABI/testing/sysfs-class-pwm; times in ns. Errors: not-found (no such chip or
 /// channel), not-permitted, out-of-range (a value that is not 0 to 1; a frequency that the chip does not support),
 /// io-failed.
 #pragma once

@@ -1,9 +1,15 @@
 /// SerialActuator: an output device on a serial line that is set by sending it a text.
 ///
+///     rtdata::Output relay(loop, {.name = "relay"}, [] {
+///       return std::make_unique<rtdata::SerialActuator>(
+///           rtdata::SerialActuatorConfig{.device = "/dev/ttyUSB0", .words = {{"0", "off"}, {"1", "on"}}});
+///     });
+///
 /// A value is set when the kernel has sent the text and, with `answer`, the device has sent that answer within
 /// `timeout`. With `keep`, opening sends nothing. Other data from the device is discarded.
 ///
-/// Errors: those of opening a serial line; timed-out; disconnected; io-failed.
+/// Owner: its output, or the guard. Thread: a lane's, or the guard's. Errors: those of opening a serial line; timed-out;
+/// disconnected; io-failed.
 #pragma once
 
 #include <map>
