@@ -38,6 +38,7 @@
 #include "rtdata/sensors/serial_line.hpp"
 #include "rtdata/sensors/trigger.hpp"
 #include "rtdata/sensors/w1.hpp"
+#include "contract/host.hpp"
 #include "rtdata/sinks/sink.hpp"
 #include "rtdata/testing/fake_gpio.hpp"
 #include "rtdata/testing/fake_i2c.hpp"
@@ -649,6 +650,38 @@ TEST_SUITE("contract") {
     quiet.loop.run_for(1ms);
     handle.close();
     CHECK(probe.calls == 0);
+  }
+
+  TEST_CASE_TEMPLATE("handle rule 7: no kind of handle closes, stops or gives data to anything of its host's", Of,
+                     HANDLES) {
+    Of of;
+    Probe probe;
+    rtdata::test::Host host;
+    const auto before = host.walk();
+    const auto is_as_before = [&] {
+      const auto now = host.walk();
+      for (const auto& [handle, seen] : before)
+        if (!now.contains(handle) || !(now.at(handle) == seen)) return false;
+      return host.loop.data == &host.marks[0];
+    };
+    {
+      Loop loop(&host.loop);
+      loop.on_error([](const ErrorReport&) {});
+      be_quiet(loop);
+      auto handle = of.make(loop, probe);
+      of.provoke(loop, handle);
+      for (int turns = 0; turns < 20'000 && probe.calls == 0; ++turns) {
+        uv_run(&host.loop, UV_RUN_NOWAIT);
+        ::usleep(200);
+      }
+      CHECK(probe.calls > 0);
+      CHECK(is_as_before());
+      handle.close();
+      uv_run(&host.loop, UV_RUN_NOWAIT);
+      CHECK(is_as_before());
+    }
+    CHECK(uv_run(&host.loop, UV_RUN_DEFAULT) == 0);
+    CHECK(host.walk() == before);
   }
 
   TEST_CASE_TEMPLATE("handle rule 8: a callback may use its own and other handles, move and assign them, and throw", Of,

@@ -37,7 +37,7 @@ struct View {
   std::vector<std::string> fields;
   Duration window, step;
   HowOften how_often;
-  /// With `once`: how long it waits where no recording has what was before.
+  /// With `once`: how long it waits where no recording has what was before, or nothing comes.
   Duration once_after;
   std::function<Lines(const LiveCurves&, const Status&)> draw;
 };
@@ -65,8 +65,8 @@ class Watch {
     for (bool goes_on = true; goes_on && std::cout.good();) {
       goes_on = take_lines(terminal, begun);
       if (is_interrupted_ || !failed_.empty()) break;
-      const bool is_enough = has_past_ ? curves_->is_live() && !curves_->is_empty()
-                                       : Clock::now() - begun >= view_.once_after;
+      const bool is_enough = Clock::now() - begun >= view_.once_after ||
+                             (has_past_ && curves_->is_live() && !curves_->is_empty());
       if (is_once && !is_enough && goes_on) continue;
       if (goes_on) ask_status();
       const Lines lines = view_.draw(*curves_, status_);
@@ -102,7 +102,7 @@ class Watch {
         is_interrupted_ = true;
         return false;
       }
-      if (!has_past_ && view_.how_often == HowOften::once && Clock::now() - begun >= view_.once_after) return true;
+      if (view_.how_often == HowOften::once && Clock::now() - begun >= view_.once_after) return true;
       const auto line = steps_.receive(most_deaf);
       if (!line) {
         has_ended_ = line.error().code == make_error_code(Errc::closed);
@@ -224,7 +224,7 @@ int plot_instance(const LivePlotOptions& options) {
   return show(instance,
               {"plot", std::move(fields), options.window, step, is_terminal ? HowOften::live : HowOften::once,
                options.window, [&](const LiveCurves& curves, const Status& status) -> Lines {
-                 if (curves.is_empty()) return {"waiting for the first events"};
+                 if (curves.is_empty()) return {"no events so far"};
                  PlotStyle style = style_of(STDOUT_FILENO);
                  if (is_terminal) --style.rows;  // "q ends"
                  // A terminal that was made smaller has room for longer steps only.
