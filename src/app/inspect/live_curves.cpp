@@ -177,7 +177,7 @@ Plot LiveCurves::plot(Duration step, const Status& status) const {
   plot.step = step;
   const std::int64_t end = floor_of(to_nanoseconds(now_) - 1, step.count()) + 1;
   plot.until = from_nanoseconds(end * step.count());
-  plot.from = plot.until - window_;
+  plot.from = plot.until - step * std::max<Duration::rep>(window_ / step, 1);
   for (const Field* const field : fields()) {
     Curve curve = field->curve;
     const bool has_several = std::any_of(curves_.begin(), curves_.end(), [&](const auto& other) {
