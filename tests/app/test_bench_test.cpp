@@ -154,7 +154,9 @@ TEST_SUITE("app") {
       CHECK(bench.asked("purge") == "1");
       bench.check_rows();
       if (!row.alarm.empty())
-        CHECK(bench.number("SELECT count(*) FROM pressure WHERE alarm = '" + row.alarm + "'") == 1);
+        // A busy machine is silent for 200 ms before, too.
+        CHECK(bench.number("SELECT count(*) FROM pressure WHERE alarm = '" + row.alarm +
+                           R"(' AND time >= (SELECT time FROM sequence WHERE "to" = 'burn'))") == 1);
       // Nothing was open or lit for long after what ended it.
       CHECK(bench.number(R"(SELECT max(time) - (SELECT time FROM sequence WHERE "to" = 'abort') FROM valve
                             WHERE cause = 'input')") < 1'000'000'000);
