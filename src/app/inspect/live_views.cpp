@@ -69,7 +69,8 @@ class Watch {
                              (has_past_ && curves_->is_live() && !curves_->is_empty());
       if (is_once && !is_enough && goes_on) continue;
       if (goes_on) ask_status();
-      const Lines lines = view_.draw(*curves_, status_);
+      Lines lines = view_.draw(*curves_, status_);
+      if (is_live) lines.resize(std::min(lines.size(), terminal_size().rows - 1));
       std::string text = is_live ? "\x1b[H" : "";
       for (const std::string& line : lines) text += line + (is_live ? "\x1b[K\r\n" : "\n");
       print(text + (is_live ? "\x1b[Jq ends" : ""));
@@ -168,11 +169,12 @@ std::string number_text(double number) {
 /// A number a line, over all that is kept.
 Lines table_of(const LiveCurves& curves, Time now) {
   Table table({"field", ">last", "unit", ">least", ">mean", ">most", ">age"});
-  for (const LiveCurves::Field* const field : curves.fields()) {
+  const std::vector<const LiveCurves::Field*> fields = curves.fields();
+  for (const LiveCurves::Field* const field : fields) {
     CurveStep all;
     for (const CurveStep& step : field->curve.steps)
       if (step.numbers != 0) join(step, all);
-    const bool has_several = std::any_of(curves.fields().begin(), curves.fields().end(), [&](const auto* other) {
+    const bool has_several = std::any_of(fields.begin(), fields.end(), [&](const auto* other) {
       return other->curve.path == field->curve.path && other->curve.origin != field->curve.origin;
     });
     const auto of_all = [&](const Number& number) { return all.numbers == 0 ? "-" : number_text(as_double(number)); };
