@@ -22,7 +22,8 @@ std::string rig_of_views(const std::string& sinks) {
   return R"({"name": "rig",
     "sensors": [ {"name": "a", "type": "tallied", "rate": "50 Hz", "topic": "count/a"},
                  {"name": "b", "type": "tallied", "rate": "50 Hz", "topic": "count/a"} ],
-    "sinks": [ )" + sinks + " ]}";
+    "sinks": [ )" +
+         sinks + " ]}";
 }
 
 /// What a command says, and its status before it.

@@ -288,10 +288,11 @@ void bench_history(Report& report) {
         sqlite3* database = nullptr;
         sqlite3_open_v2("day.db", &database, SQLITE_OPEN_READONLY | SQLITE_OPEN_NOMUTEX, nullptr);
         sqlite3_stmt* statement = nullptr;
-        sqlite3_prepare_v2(database,
-                           "SELECT time, \"a.min\", \"a.max\", \"a.sum\" / \"a.count\" FROM \"board~1min\" WHERE run = 1 "
-                           "AND origin = 'board' ORDER BY time LIMIT 1000",
-                           -1, &statement, nullptr);
+        sqlite3_prepare_v2(
+            database,
+            "SELECT time, \"a.min\", \"a.max\", \"a.sum\" / \"a.count\" FROM \"board~1min\" WHERE run = 1 "
+            "AND origin = 'board' ORDER BY time LIMIT 1000",
+            -1, &statement, nullptr);
         double sum = 0;
         int count = 0;
         for (; sqlite3_step(statement) == SQLITE_ROW; ++count) sum += sqlite3_column_double(statement, 3);

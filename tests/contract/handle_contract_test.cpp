@@ -15,6 +15,7 @@
 #include <type_traits>
 #include <vector>
 
+#include "contract/host.hpp"
 #include "data/payloads.hpp"
 #include "loop/core/loop_core.hpp"
 #include "rtdata/chips/lm75.hpp"
@@ -38,7 +39,6 @@
 #include "rtdata/sensors/serial_line.hpp"
 #include "rtdata/sensors/trigger.hpp"
 #include "rtdata/sensors/w1.hpp"
-#include "contract/host.hpp"
 #include "rtdata/sinks/sink.hpp"
 #include "rtdata/testing/fake_gpio.hpp"
 #include "rtdata/testing/fake_i2c.hpp"

@@ -9,9 +9,9 @@
 /// appears. With `keep`, an enabled channel does not change; a disabled one starts with a duty cycle of 0. After it is
 /// released, the channel keeps its duty cycle and stays exported, so another process can continue with it.
 ///
-/// Owner: its output, or the guard. Thread: a lane's, or the guard's. Interface: the kernel's Documentation/ABI/testing/sysfs-class-pwm; times in ns. Errors: not-found (no such chip or
-/// channel), not-permitted, out-of-range (a value that is not 0 to 1; a frequency that the chip does not support),
-/// io-failed.
+/// Owner: its output, or the guard. Thread: a lane's, or the guard's. Interface: the kernel's
+/// Documentation/ABI/testing/sysfs-class-pwm; times in ns. Errors: not-found (no such chip or channel), not-permitted,
+/// out-of-range (a value that is not 0 to 1; a frequency that the chip does not support), io-failed.
 #pragma once
 
 #include <cstdint>

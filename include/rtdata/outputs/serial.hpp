@@ -8,8 +8,8 @@
 /// A value is set when the kernel has sent the text and, with `answer`, the device has sent that answer within
 /// `timeout`. With `keep`, opening sends nothing. Other data from the device is discarded.
 ///
-/// Owner: its output, or the guard. Thread: a lane's, or the guard's. Errors: those of opening a serial line; timed-out;
-/// disconnected; io-failed.
+/// Owner: its output, or the guard. Thread: a lane's, or the guard's. Errors: those of opening a serial line;
+/// timed-out; disconnected; io-failed.
 #pragma once
 
 #include <map>

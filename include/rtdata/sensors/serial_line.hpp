@@ -14,6 +14,9 @@
 /// - An empty column (JSON: null, or no such key) makes an `optional` field absent and a text empty; for other fields
 ///   it is an error. Numbers are rounded to the nearest representable one: 1e-400 is 0. A bool is true, false, 1 or 0,
 ///   in upper or lower case. A byte order mark at the beginning is ignored.
+/// - Text around a number is taken off by a field's `prefix`, `suffix`, `decimal`, `thousands`, `base` and
+///   `sign_blanks`; `no_value` and `words` name texts that stand for no value, and for numbers. In JSON, such a field
+///   may be a text.
 /// - A line ends with a newline; a carriage return before it is ignored. The sensor skips empty lines, lines that begin
 ///   with `comment`, and the first `skip_lines` lines after opening.
 /// - The bytes up to the first newline after opening may be half a line: they are discarded and counted
@@ -51,6 +54,7 @@
 #pragma once
 
 #include <cstddef>
+#include <map>
 #include <string>
 #include <vector>
 
@@ -61,13 +65,21 @@ namespace rtdata {
 
 /// One field of a line.
 struct LineField {
-  std::string name = {};    ///< of the payload's field; empty (CSV only): skip the column
-  Kind type = Kind::f64;    ///< any but enumeration and record
-  std::string unit = {};    ///< UCUM
-  double scale = 1;         ///< a float or double is multiplied by it
-  std::string key = {};     ///< JSON: where it is in the object, levels separated by dots; empty: as the name
-  std::size_t length = 32;  ///< of a text: the most bytes it may have
-  bool optional = false;    ///< an empty column, null or a missing key makes the field absent; otherwise an error
+  std::string name = {};       ///< of the payload's field; empty (CSV only): skip the column
+  Kind type = Kind::f64;       ///< any but enumeration and record
+  std::string unit = {};       ///< UCUM
+  double scale = 1;            ///< a float or double is multiplied by it
+  std::string key = {};        ///< JSON: where it is in the object, levels separated by dots; empty: as the name
+  std::size_t length = 32;     ///< of a text: the most bytes it may have
+  bool optional = false;       ///< an empty column, null or a missing key makes the field absent; otherwise an error
+  std::string prefix = {};     ///< what a value begins with, such as "T="; without it the line is unreadable
+  std::string suffix = {};     ///< what it ends with, such as " kg"
+  char decimal = '.';          ///< the decimal mark: a point or a comma
+  std::string thousands = {};  ///< one character that may stand between digits; empty: none
+  unsigned base = 10;          ///< of whole numbers, 2 to 16: 16 reads "0x1f" and "1F"
+  bool sign_blanks = false;    ///< blanks may stand between sign and digits: "-  12.5"
+  std::vector<std::string> no_value = {};    ///< texts or numbers that stand for no value; makes the field optional
+  std::map<std::string, double> words = {};  ///< words that stand for numbers, which are not scaled
 
   friend constexpr auto parameters(type_tag<LineField>) {
     return parameter_list(
@@ -84,7 +96,17 @@ struct LineField {
         parameter("key", &LineField::key, "JSON: where it is, levels separated by dots; empty: as the name"),
         parameter("length", &LineField::length, "of a text: the most bytes it may have", range(1, 255),
                   only_with("type", "text")),
-        parameter("optional", &LineField::optional, "an empty column, null or a missing key is no value"));
+        parameter("optional", &LineField::optional, "an empty column, null or a missing key is no value"),
+        parameter("prefix", &LineField::prefix, "what the value begins with, such as \"T=\""),
+        parameter("suffix", &LineField::suffix, "what the value ends with, such as \" kg\""),
+        parameter("decimal", &LineField::decimal, "the decimal mark: a point or a comma"),
+        parameter("thousands", &LineField::thousands, "a character that may stand between the digits of a number"),
+        parameter("base", &LineField::base, "of whole numbers: 16 for \"1F\" and \"0x1f\"", range(2, 16)),
+        parameter("sign_blanks", &LineField::sign_blanks, "blanks may stand between sign and digits"),
+        parameter(
+            "no_value", &LineField::no_value,
+            "texts, also of numbers, that stand for no value, such as [\"-9999\", \"OL\"]; the field is optional"),
+        parameter("words", &LineField::words, "numbers for words: {\"ON\": 1, \"OFF\": 0}; they are not scaled"));
   }
 };
 

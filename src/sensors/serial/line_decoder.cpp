@@ -48,7 +48,8 @@ Result<std::shared_ptr<const Description>> line_description(const std::vector<Li
       return refused("field " + field.name, "only a float or double can be scaled", "make its `type` double");
     }
     using Presence = DescriptionBuilder::Presence;
-    const Presence presence = field.optional ? Presence::optional : Presence::always;
+    const bool is_optional = field.optional || !field.no_value.empty();
+    const Presence presence = is_optional ? Presence::optional : Presence::always;
     if (field.type == Kind::text) {
       if (field.length < 1 || field.length > 65535)
         return refused("field " + field.name, "a length of 0", "set `length`");
@@ -175,6 +176,8 @@ LineDecoder::LineDecoder(const SerialConfig& config, AroundLine around)
   check_marks(config);
   cell_.reserve(config.max_line);
   for (LineField& field : fields_) {
+    texts_.emplace_back(field);
+    field.optional = field.optional || !field.no_value.empty();
     leaves_.push_back(field.name.empty() ? nullptr : description_->find(field.name));
     if (field.key.empty()) field.key = field.name;
     const auto& given = around_.given;
@@ -193,7 +196,7 @@ LineDecoder::LineDecoder(const SerialConfig& config, AroundLine around)
   }
   if (sequence_->optional != nullptr) {
     throw SetupError(refused("sequence_field", "\"" + config.sequence_field + "\" is optional",
-                             "remove its `optional`: each line has a number"));
+                             "remove its `optional` and `no_value`: each line has a number"));
   }
 }
 
@@ -248,12 +251,20 @@ Error LineDecoder::failure(Errc code, std::size_t index, std::string why) const 
 Result<void> LineDecoder::put(std::size_t index, std::string_view text) {
   const Leaf* leaf = leaves_[index];
   if (leaf == nullptr) return {};
-  if (auto done = put_value(index, *leaf, text); !done) return done;
+  double scale = fields_[index].scale;
+  if (FieldText& of = texts_[index]; of.is_used()) {
+    const FieldText::Found found = of.read(text);
+    if (found.is_absent) return {};
+    if (found.why != nullptr) return failure(Errc::bad_data, index, shown(text) + " " + found.why);
+    if (!found.is_scaled) scale = 1;
+    text = found.text;
+  }
+  if (auto done = put_value(index, *leaf, text, scale); !done) return done;
   if (leaf->optional != nullptr) payload()[leaf->offset + leaf->optional->value_size] = std::byte{1};
   return {};
 }
 
-Result<void> LineDecoder::put_value(std::size_t index, const Leaf& leaf_of_it, std::string_view text) {
+Result<void> LineDecoder::put_value(std::size_t index, const Leaf& leaf_of_it, std::string_view text, double scale) {
   const Leaf* leaf = &leaf_of_it;
   std::byte* to = payload() + leaf->offset;
   switch (leaf->kind) {
@@ -283,7 +294,7 @@ Result<void> LineDecoder::put_value(std::size_t index, const Leaf& leaf_of_it, s
       return {};
     }
     default: {
-      const std::errc status = parse_number(leaf->kind, text, to, fields_[index].scale);
+      const std::errc status = parse_number(leaf->kind, text, to, scale);
       if (status == std::errc{}) return {};
       if (status == std::errc::result_out_of_range) {
         return failure(Errc::out_of_range, index,
@@ -428,6 +439,8 @@ bool LineDecoder::JsonHandler::take(Form form, std::string_view text) {
     if (form == Form::string && (kind == Kind::f32 || kind == Kind::f64) &&
         (text == "NaN" || text == "Infinity" || text == "-Infinity"))
       form = Form::number;
+    // What stands around a number makes it a text.
+    if (form == Form::string && !is_textual && decoder_.texts_[i].is_used()) form = Form::number;
     if (decoder_.seen_[i]) {
       error_ = decoder_.failure(Errc::bad_data, i, "it is there twice");
     } else if (form == Form::null && decoder_.fields_[i].optional) {

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "rtdata/sensors/serial_line.hpp"
+#include "sensors/serial/field_text.hpp"
 
 namespace rtdata::detail {
 
@@ -56,7 +57,7 @@ class LineDecoder {
   Result<void> decode_json(std::string_view line);
   /// Puts the text of column or key `index` in its place.
   Result<void> put(std::size_t index, std::string_view text);
-  Result<void> put_value(std::size_t index, const Leaf& leaf, std::string_view text);
+  Result<void> put_value(std::size_t index, const Leaf& leaf, std::string_view text, double scale);
   struct Column {
     std::string_view text;  // valid until the next one
     bool is_quoted = false;
@@ -71,6 +72,7 @@ class LineDecoder {
   const AroundLine around_;
   const std::string bad_line_;
   std::vector<LineField> fields_;
+  std::vector<FieldText> texts_;     // of each field
   std::vector<const Leaf*> leaves_;  // of each field; null: not kept
   std::shared_ptr<const Description> description_;
   LineFormat format_;

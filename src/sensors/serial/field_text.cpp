@@ -1,0 +1,119 @@
+#include "sensors/serial/field_text.hpp"
+
+#include <algorithm>
+#include <array>
+#include <charconv>
+#include <cmath>
+#include <cstdint>
+
+#include "data/number_text.hpp"
+#include "sensors/core/sysfs_file.hpp"
+
+namespace rtdata::detail {
+namespace {
+
+constexpr std::size_t longest_text = 128;  // of a number with what stands in it
+
+[[noreturn]] void refuse_field(const LineField& field, std::string why, std::string advice) {
+  throw SetupError({Errc::bad_argument, "cannot use these fields", "field " + field.name, std::move(why),
+                    std::move(advice)});
+}
+
+bool is_number_kind(Kind kind) noexcept {
+  return kind != Kind::text && kind != Kind::character && kind != Kind::boolean;
+}
+
+}  // namespace
+
+FieldText::FieldText(const LineField& field)
+    : is_number_(is_number_kind(field.type)),
+      prefix_(field.prefix),
+      suffix_(field.suffix),
+      decimal_(field.decimal),
+      base_(static_cast<int>(field.base)),
+      has_sign_blanks_(field.sign_blanks) {
+  if (field.thousands.size() > 1)
+    refuse_field(field, "`thousands` has more than one character", R"(such as "," or "'")");
+  if (!field.thousands.empty()) thousands_ = field.thousands.front();
+  const bool has_notation = decimal_ != '.' || thousands_ != '\0' || base_ != 10 || has_sign_blanks_;
+  if (has_notation && !is_number_)
+    refuse_field(field, "`decimal`, `thousands`, `base` and `sign_blanks` are of numbers", "leave them out");
+  if (decimal_ != '.' && decimal_ != ',') refuse_field(field, "`decimal` is a point or a comma", "choose one of them");
+  if (thousands_ == decimal_ || (thousands_ >= '0' && thousands_ <= '9') || thousands_ == '-' || thousands_ == '+')
+    refuse_field(field, "`thousands` has another meaning in a number", "choose another character");
+  if (base_ != 10 && (decimal_ != '.' || thousands_ != '\0'))
+    refuse_field(field, "a number of base " + std::to_string(base_) + " has no decimals and no thousands",
+                 "leave `decimal` and `thousands` out");
+  if (!field.words.empty() && field.type == Kind::text)
+    refuse_field(field, "`words` stand for numbers, and this is a text", "set another `type`, or leave `words` out");
+  for (const std::string& text : field.no_value) {
+    double number = 0;
+    const bool is_one = read_number(text, number) == std::errc{};
+    no_value_.emplace_back(text, is_one && is_number_ ? std::optional(number) : std::nullopt);
+  }
+  const bool is_whole = is_number_ ? field.type != Kind::f32 && field.type != Kind::f64 : true;
+  for (const auto& [word, number] : field.words) {
+    if (is_whole && number != std::trunc(number))
+      refuse_field(field, "the number of the word \"" + word + "\" is not whole", "make its `type` double");
+    std::array<char, longest_number> text{};
+    words_.emplace_back(word, std::string(text.data(), put_number(text.data(), number)));
+  }
+  is_used_ = has_notation || !prefix_.empty() || !suffix_.empty() || !no_value_.empty() || !words_.empty();
+  buffer_.reserve(longest_text);
+}
+
+bool FieldText::is_no_value(std::string_view text) const noexcept {
+  return std::any_of(no_value_.begin(), no_value_.end(), [&](const auto& one) { return one.first == text; });
+}
+
+FieldText::Found FieldText::read(std::string_view text) {
+  if (is_no_value(text)) return {.is_absent = true};
+  if (!text.starts_with(prefix_)) return {.why = "does not begin with its `prefix`"};
+  text.remove_prefix(prefix_.size());
+  if (!text.ends_with(suffix_)) return {.why = "does not end with its `suffix`"};
+  text.remove_suffix(suffix_.size());
+  text = trimmed(text);
+  if (is_no_value(text)) return {.is_absent = true};
+  for (const auto& [word, number] : words_)
+    if (word == text) return {.text = number, .is_scaled = false};
+  if (!is_number_) return {.text = text};
+  if (const char* const why = plain_number(text)) return {.why = why};
+  for (const auto& [word, number] : no_value_) {
+    double value = 0;
+    if (number && read_number(text, value) == std::errc{} && value == *number) return {.is_absent = true};
+  }
+  return {.text = text};
+}
+
+/// Null: the text is a number as it is written everywhere, or none at all.
+const char* FieldText::plain_number(std::string_view& text) {
+  if (decimal_ == '.' && thousands_ == '\0' && base_ == 10 && !has_sign_blanks_) return nullptr;
+  if (text.size() > longest_text) return "is too long for a number";
+  buffer_.clear();
+  if (!text.empty() && (text.front() == '-' || text.front() == '+')) {
+    buffer_ += text.front();
+    text.remove_prefix(1);
+    if (has_sign_blanks_) text.remove_prefix(std::min(text.find_first_not_of(' '), text.size()));
+  }
+  if (base_ != 10) {
+    const bool has_mark = base_ == 16 && (text.starts_with("0x") || text.starts_with("0X"));
+    if (has_mark) text.remove_prefix(2);
+    std::uint64_t number = 0;
+    const auto [end, status] = std::from_chars(text.data(), text.data() + text.size(), number, base_);
+    if (status != std::errc{} || end != text.data() + text.size()) return "is not a number of its `base`";
+    std::array<char, longest_number> digits{};
+    buffer_.append(digits.data(), std::to_chars(digits.data(), digits.data() + digits.size(), number).ptr);
+  } else {
+    bool is_behind_mark = false;
+    for (const char c : text) {
+      if (c == thousands_ && thousands_ != '\0' && !is_behind_mark) continue;
+      if (c == '.' && decimal_ == ',') return "has a point, and its `decimal` is a comma";
+      is_behind_mark = is_behind_mark || c == decimal_ || c == 'e' || c == 'E';
+      buffer_ += c == decimal_ ? '.' : c;
+    }
+  }
+  text = buffer_;
+  return nullptr;
+}
+
+}  // namespace rtdata::detail

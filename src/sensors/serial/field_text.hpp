@@ -1,0 +1,49 @@
+// How a device writes the value of one field of a line.
+#pragma once
+
+#include <cstddef>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <utility>
+#include <vector>
+
+#include "rtdata/sensors/serial_line.hpp"
+
+namespace rtdata::detail {
+
+/// Takes from the text of a column, or of a value in JSON, what stands around the number: `prefix`, `suffix`,
+/// `thousands` and so on of LineField. A value; one thread at a time.
+class FieldText {
+ public:
+  /// SetupError (bad-argument): settings that exclude each other.
+  explicit FieldText(const LineField& field);
+
+  /// False: the text is the value as it is, and `read` need not be called.
+  bool is_used() const noexcept { return is_used_; }
+  struct Found {
+    std::string_view text = {};  ///< as numbers are written everywhere; valid until the next call
+    bool is_absent = false;      ///< it is one of `no_value`
+    bool is_scaled = true;       ///< false: one of `words`, whose number is not scaled
+    const char* why = nullptr;   ///< it cannot be used
+  };
+  /// No allocation.
+  Found read(std::string_view text);
+
+ private:
+  bool is_no_value(std::string_view text) const noexcept;
+  const char* plain_number(std::string_view& text);
+
+  bool is_used_;
+  bool is_number_;
+  std::string prefix_, suffix_;
+  char decimal_;
+  char thousands_ = '\0';  ///< 0: none
+  int base_;
+  bool has_sign_blanks_;
+  std::vector<std::pair<std::string, std::optional<double>>> no_value_;  ///< with its number, if it is one
+  std::vector<std::pair<std::string, std::string>> words_;
+  std::string buffer_;
+};
+
+}  // namespace rtdata::detail
