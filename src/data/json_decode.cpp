@@ -166,7 +166,8 @@ Result<DecodedEvent> Reader::event(const Node& root, const Description& descript
     return bad("time", "it is not an integer of 64 bits", "write ns since 1970-01-01");
   }
   if (sequence != nullptr) {
-    if (sequence->type != Node::Type::natural) return bad("sequence", "it is not a number from 0 on");
+    if (sequence->type != Node::Type::natural)
+      return bad("sequence", "the sequence number must be a whole number, 0 or more");
     event.sequence = sequence->natural;
   }
   if (run != nullptr) {

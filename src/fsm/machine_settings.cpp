@@ -9,7 +9,7 @@
 namespace rtdata::fsm {
 namespace {
 
-/// The item of an element of a list, or the nearest above it that there is.
+/// Element `index` of `list`; if it is missing, the list; if that is missing, `item`.
 const ConfigItem& element_of(const ConfigItem& item, std::string_view list, std::size_t index) {
   const ConfigItem* all = item.find(list);
   const ConfigItem* one = all != nullptr && all->is_array() ? all->find(index) : nullptr;

@@ -8,7 +8,7 @@ namespace {
 struct Enabling {
   std::string_view device, advice;
 };
-// Raspberry Pi: raspi-config(1) and the overlays' README; `nonint` takes 0 for on.
+// From raspi-config(1) and the README of the overlays. In `raspi-config nonint`, 0 means on.
 constexpr std::array<Enabling, 6> all{{
     {"/dev/i2c-",
      "switch I2C on: on a Raspberry Pi `sudo raspi-config nonint do_i2c 0`, or a line `dtparam=i2c_arm=on` in "

@@ -243,7 +243,7 @@ void check_gaps(const Findings& found, const LedgerEntry& entry, const std::vect
     } else if (gap->kind == "joined") {
       joined += gap->count;
     } else {
-      found.problem(place + which + " is neither missed nor failed nor joined.");
+      found.problem(place + which + " has an unknown kind: a gap is missed, failed or joined.");
     }
     if (gap->count == 0 || gap->last < gap->first) {
       found.problem(place + which + " has " + plural(gap->count, "tick") + " and ends at " + found.utc(gap->last) +

@@ -369,8 +369,7 @@ TEST_SUITE("app") {
     for (const char* words : {"", R"(,"words":[])", R"(,"words":"note x")", R"(,"words":["note",1])"}) {
       const std::string line = std::string(R"({"request":"command")") + words + "}";
       CHECK(command_words(line).empty());
-      CHECK(status.answer(1, line)() ==
-            R"({"error":"the \"words\" of a command are a list of texts, which is not empty"})");
+      CHECK(status.answer(1, line)() == R"({"error":"\"words\" of a command must be a list of at least one string"})");
     }
     const std::string newer = R"({"request":"command","version":2,"words":["stop","a"]})";
     CHECK(command_words(newer).empty());

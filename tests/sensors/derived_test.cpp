@@ -233,7 +233,8 @@ TEST_CASE("a field that is called as a constant is not taken for that in silence
   };
   const Problems bare = with("2 * e");
   REQUIRE(bare.size() == 1);
-  CHECK(bare[0].message.find("`e` is the constant, and a field of the topic \"line\"") != std::string::npos);
+  CHECK(bare[0].message.find("`e` means the constant, but topic \"line\" has a field of that name") !=
+        std::string::npos);
   CHECK(with("2 * 'e'").size() == 0);
   CHECK(with("2 * line.e").size() == 0);
   CHECK(with("2 * line.e + pi").size() == 0);

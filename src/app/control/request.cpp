@@ -21,7 +21,7 @@ std::string refusal_of(std::string_view line) {
   const auto what = request.find("request");
   if (what == request.end() || !what->is_string()) return "it has no \"request\"";
   if (std::string why = refusal_of_version(request); !why.empty()) return why;
-  if (*what == "command") return "the \"words\" of a command are a list of texts, which is not empty";
+  if (*what == "command") return "\"words\" of a command must be a list of at least one string";
   if (*what != "status")
     return "there is no request \"" + what->get<std::string>() +
            "\"; there are \"status\", \"command\" and \"subscribe\"";

@@ -54,7 +54,8 @@ LiveCurves::LiveCurves(const std::vector<std::string>& fields, const std::vector
     std::string topic = name;
     while (std::find(topics.begin(), topics.end(), topic) == topics.end()) {
       const std::size_t point = topic.rfind('.');
-      if (point == std::string::npos) refuse(name, "nothing was published on such a topic", nearest_or_all(name, topics));
+      if (point == std::string::npos)
+        refuse(name, "nothing was published on such a topic", nearest_or_all(name, topics));
       topic.resize(point);
     }
     wanted_.push_back({topic, name.size() > topic.size() ? name.substr(topic.size() + 1) : ""});
@@ -128,7 +129,9 @@ void LiveCurves::take_step(const Json& line) {
     for (const auto& [path, of] : data.items()) numbers.push_back(path);
     const bool is_other = units_[topic].contains(wanted.path);
     refuse(wanted.path.empty() ? topic : topic + "." + wanted.path,
-           is_other ? "it is no number" : wanted.path.empty() ? "it has no numbers" : "there is no such field",
+           is_other              ? "it is no number"
+           : wanted.path.empty() ? "it has no numbers"
+                                 : "there is no such field",
            nearest_or_all(wanted.path, numbers));
   }
 }

@@ -31,8 +31,8 @@ class LiveCurves {
 
   struct Field {
     Curve curve;
-    double last = 0;    ///< the newest number
-    Time last_at{};     ///< end of its step
+    double last = 0;  ///< the newest number
+    Time last_at{};   ///< end of its step
     bool has_last = false;
   };
   /// In the order of the fields.

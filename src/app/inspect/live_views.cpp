@@ -221,36 +221,36 @@ int plot_instance(const LivePlotOptions& options) {
     instance = fields.front();
     fields.erase(fields.begin());
   }
-  return show(instance,
-              {"plot", std::move(fields), options.window, step, is_terminal ? HowOften::live : HowOften::once,
-               options.window, [&](const LiveCurves& curves, const Status& status) -> Lines {
-                 if (curves.is_empty()) return {"waiting for the first events"};
-                 PlotStyle style = style_of(STDOUT_FILENO);
-                 if (is_terminal) --style.rows;  // "q ends"
-                 // A terminal that was made smaller has room for longer steps only.
-                 const Duration least = step_for(Time{}, Time{} + options.window, style);
-                 return picture_of(curves.plot(step * std::max<Duration::rep>((least + step - 1ns) / step, 1), status),
-                                   style);
-               }});
+  return show(instance, {"plot", std::move(fields), options.window, step, is_terminal ? HowOften::live : HowOften::once,
+                         options.window, [&](const LiveCurves& curves, const Status& status) -> Lines {
+                           if (curves.is_empty()) return {"waiting for the first events"};
+                           PlotStyle style = style_of(STDOUT_FILENO);
+                           if (is_terminal) --style.rows;  // "q ends"
+                           // A terminal that was made smaller has room for longer steps only.
+                           const Duration least = step_for(Time{}, Time{} + options.window, style);
+                           return picture_of(
+                               curves.plot(step * std::max<Duration::rep>((least + step - 1ns) / step, 1), status),
+                               style);
+                         }});
 }
 
 int top_topic(const TopOptions& options) {
-  return show(options.instance,
-              {"top", {options.topic}, 1min, 1s, options.how_often, 3s,
-               [&](const LiveCurves& curves, const Status& status) {
-                 const bool is_live = options.how_often == HowOften::live && ::isatty(STDOUT_FILENO) == 1;
-                 const TerminalSize size = is_live ? terminal_size() : TerminalSize{80, 100000};
-                 const Lines table = table_of(curves, curves.now());
-                 const std::size_t rows = size.rows - 1;
-                 const std::size_t for_table = std::min(table.size() + 2, rows * 2 / 3);
-                 Lines lines = lines_of(status_of_topic(status, options.topic), size.columns - 1, rows - for_table);
-                 lines.emplace_back();
-                 lines.emplace_back("the last minute:");
-                 lines.insert(lines.end(), table.begin(), table.end());
-                 if (lines.size() > rows) lines.resize(rows);
-                 for (std::string& line : lines) line = fitted(printable(line), size.columns - 1);
-                 return lines;
-               }});
+  return show(
+      options.instance,
+      {"top", {options.topic}, 1min, 1s, options.how_often, 3s, [&](const LiveCurves& curves, const Status& status) {
+         const bool is_live = options.how_often == HowOften::live && ::isatty(STDOUT_FILENO) == 1;
+         const TerminalSize size = is_live ? terminal_size() : TerminalSize{80, 100000};
+         const Lines table = table_of(curves, curves.now());
+         const std::size_t rows = size.rows - 1;
+         const std::size_t for_table = std::min(table.size() + 2, rows * 2 / 3);
+         Lines lines = lines_of(status_of_topic(status, options.topic), size.columns - 1, rows - for_table);
+         lines.emplace_back();
+         lines.emplace_back("the last minute:");
+         lines.insert(lines.end(), table.begin(), table.end());
+         if (lines.size() > rows) lines.resize(rows);
+         for (std::string& line : lines) line = fitted(printable(line), size.columns - 1);
+         return lines;
+       }});
 }
 
 }  // namespace rtdata::app

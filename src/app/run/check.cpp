@@ -42,7 +42,7 @@ int compare(const Registry& registry, const SystemPlan& plan, const std::string&
   for (const std::string& line : recordings_left(parts, plan))
     std::cout << "warning: " << hide_secrets(line, plan.secrets) << std::endl;
   if (change.refused() == 0) return exit_good;
-  std::cout << "it cannot be applied while the system runs: start it again" << std::endl;
+  std::cout << "the running system cannot change to this configuration: restart the system" << std::endl;
   return exit_other;
 }
 

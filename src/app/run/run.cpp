@@ -433,8 +433,9 @@ class Run {
     if (is_storing_reported_ || ++shows_while_closing_ < 2 || queued == 0) return;
     is_storing_reported_ = true;
     console_.say(LogLevel::info, "program",
-                 "storing the queued events: " + std::to_string(queued) + " events, for at most " +
-                     to_string(close_deadline_) + " (Ctrl-C twice ends at once)");
+                 "storing the queued events: " + std::to_string(queued) +
+                     (queued == 1 ? " event, for at most " : " events, for at most ") + to_string(close_deadline_) +
+                     " (Ctrl-C twice ends at once)");
   }
 
   void show(Runtime& runtime, Service& service, MonotonicTime due) {

@@ -101,7 +101,8 @@ void Neighbours::check_name(const PartPlan& part, Problems& problems) {
   if (is_new) return;
   const PartPlan& first = *known->second;
   const bool both_by_default = child_of(part.item, "name") == nullptr && child_of(first.item, "name") == nullptr;
-  if (both_by_default && refused_paths_.contains(&part)) return;  // both are named after their path, which was reported
+  // Both got their name from the same path, and the path has been reported already.
+  if (both_by_default && refused_paths_.contains(&part)) return;
   problems.add(problem_of_name(part, "duplicate-name",
                                "there is a " + part.kind + " \"" + part.name + "\" already, at " +
                                    place_of_name(first) + "; give each a `name` of its own"));

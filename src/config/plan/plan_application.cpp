@@ -341,7 +341,7 @@ PartPlan::Make PlanApplication::counting_absence(const PartPlan& plan, PartPlan:
   return [away = away_[plan.object()], make = std::move(make), name = plan.name, has_outage = is_source(plan)](
              Loop& loop, const Parts& parts) {
     detail::OriginCore* const origin = loop.runtime().core().find_origin(name);
-    // It had a schedule under way when it was closed.
+    // Its schedule was still running when it was closed.
     if (origin != nullptr && detail::later(origin->free_from(), 2 * away.period) >= away.since)
       origin->set_absence_period(away.period);
     PartObject made = make(loop, parts);

@@ -111,13 +111,13 @@ void check_output_file(const ParameterInfo& parameter, const ConfigItem& leaf, P
     return refuse(shown + " cannot be written: " + std::generic_category().message(errno));
   if (is_there && S_ISDIR(about.st_mode)) return refuse(shown + " is a folder: give the name of a file in it");
   if (is_there && !S_ISREG(about.st_mode)) return refuse(shown + " is not a regular file: give the path of a file");
-  if (!parsed.has_filename()) return refuse(shown + " names no file");
-  if (is_of_kernel(folder)) return refuse("in the folder of " + shown + " the kernel lets no file be made");
+  if (!parsed.has_filename()) return refuse(shown + " names no file: give the name of a file");
+  if (is_of_kernel(folder)) return refuse(shown + " cannot be written: the kernel allows no new file in its folder");
   if (is_there && ::faccessat(AT_FDCWD, path.c_str(), R_OK | W_OK, AT_EACCESS) != 0)
     return refuse(shown + " cannot be written: " + std::generic_category().message(errno));
   if (is_there) return;
   if (has_placeholder(parameter, folder))
-    return refuse("a placeholder stands in the name of a folder; put it into the file's name");
+    return refuse("a placeholder is in the name of a folder; put the placeholder into the name of the file");
   struct stat link {};
   const bool is_link = ::lstat(path.c_str(), &link) == 0;  // its target does not exist and will be created
   const std::string made_in = is_link ? std::filesystem::path(FileIdentity(path).target()).parent_path().string()
@@ -126,9 +126,9 @@ void check_output_file(const ParameterInfo& parameter, const ConfigItem& leaf, P
   if (::stat(made_in.c_str(), &about_folder) != 0 || !S_ISDIR(about_folder.st_mode))
     return refuse("there is no folder " + (is_secret ? "for the file" : "\"" + made_in + "\"") +
                   (is_link ? ", to which " + shown + " is a symbolic link" : "") + ": make it first");
-  if (is_of_kernel(made_in)) return refuse("in the folder of " + shown + " the kernel lets no file be made");
+  if (is_of_kernel(made_in)) return refuse(shown + " cannot be written: the kernel allows no new file in its folder");
   if (::faccessat(AT_FDCWD, made_in.c_str(), W_OK | X_OK, AT_EACCESS) != 0)
-    refuse("in the folder of " + shown + " nothing can be written: " + std::generic_category().message(errno));
+    refuse("no file can be made in the folder of " + shown + ": " + std::generic_category().message(errno));
 }
 
 bool names_a_secret(std::string_view key) {

@@ -26,7 +26,7 @@ namespace rtdata::detail {
 /// Owner: the main loop's core. Thread: the one with the turn, unless stated.
 class VirtualThreads {
  public:
-  /// One of them. Owned by the tier; it must outlive the thread.
+  /// One virtual thread. Owned by the tier; it must outlive the thread.
   class Thread {
    private:
     friend class VirtualThreads;

@@ -188,7 +188,8 @@ void TierCore::check_may_end() noexcept {
     return;
   }
   end_program({Errc::busy, "a tier is destroyed where it may not be", "tier " + config.name,
-               "this is not the thread of its main loop, or a call of a sink's writer", "destroy it on its main loop"});
+               "it is destroyed on another thread than its main loop's, or within a call of a sink's writer",
+               "destroy it on its main loop"});
 }
 
 void TierCore::stop() noexcept {

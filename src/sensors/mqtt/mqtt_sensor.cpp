@@ -328,7 +328,7 @@ std::vector<Mistake> mistakes_of(const MqttSensorConfig& config) {
   for (auto& [key, why] : mistakes_of_client(config.broker)) add(key, std::move(why));
   if (config.qos > 2) add("qos", "it is 0, 1 or 2");
   if (config.session > Duration{0} && config.broker.client_id.empty())
-    add("session", "the broker knows this sensor again by its name: set `client_id`");
+    add("session", "the broker recognises this sensor by `client_id`: set it");
   if (!config.stored_by.empty() && config.qos != 1)
     add("stored_by", "only with `qos` 1 the broker waits for an answer to each message");
   for (const LineField& field : config.fields) {

@@ -123,8 +123,8 @@ std::uint64_t SinkNode::leave() noexcept {
     const std::string why = reason_.empty() ? "" : " (" + reason_ + ")";
     if (lost > 0) {
       runtime.report(loop(), object_name(),
-                     {Errc::timed_out, "lost " + std::to_string(lost) + " events", config_.name,
-                      "they could not be stored before the deadline" + why,
+                     {Errc::timed_out, "lost " + std::to_string(lost) + (lost == 1 ? " event" : " events"),
+                      config_.name, "they could not be stored before the deadline" + why,
                       queue_->sender() != nullptr
                           ? "check the peer; with `through` events wait in a recording"
                           : "check the storage; of a recording, the next start writes down what was lost"});

@@ -571,7 +571,8 @@ void HttpSender::end() {
   if (cut_ > 0)
     loop_->core().runtime.log(
         LogLevel::warning, "sink " + config_.sink.name,
-        std::to_string(cut_) + " events count as delivered though the answer to them was cut off");
+        std::to_string(cut_) + (cut_ == 1 ? " event counts as delivered though its answer was cut off"
+                                          : " events count as delivered though their answers were cut off"));
   for (const auto& request : requests_) {
     request->has_answers = false;
     stop(*request);
