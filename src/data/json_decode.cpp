@@ -51,7 +51,7 @@ class Reader {
   Result<std::vector<const Node*>> find(const Node& node, const std::vector<std::string_view>& names,
                                         std::size_t needed, const std::string& path) const {
     const std::string where = path.empty() ? "" : "field " + path.substr(0, path.size() - 1);
-    if (node.type != Node::Type::object) return bad(where, "it is not a object");
+    if (node.type != Node::Type::object) return bad(where, "it is not an object");
     std::vector<const Node*> found(names.size(), nullptr);
     for (std::size_t i = 0; i < node.keys.size(); ++i) {
       const std::string& key = node.keys[i];

@@ -46,7 +46,8 @@ Result<void> AskedLine::settle(Partner& partner, Duration silence) {
     if (is_too_long)
       return Error{Errc::timed_out, "cannot ask the device", "bus " + bus_,
                    "the answer to an earlier request may still come, or the device sends without a request",
-                   "it is asked again " + to_string(std::chrono::ceil<std::chrono::milliseconds>(still_from - now)) +
+                   "the device is asked again " +
+                       to_string(std::chrono::ceil<std::chrono::milliseconds>(still_from - now)) +
                        " from now; find out why answers come late, or what sends without being asked"};
     if (*got == 0 && lane_now() >= still_from) {
       is_restless_ = false;

@@ -83,7 +83,7 @@ void HostLookup::start(const std::string& host, std::uint16_t port) {
   const std::shared_ptr<Job> job = job_;
   if (!lane_->submit(job) && job_ == job) {
     job_ = nullptr;
-    found_(unknown("no thread is free to look it up: earlier attempts still hang"));
+    found_(unknown("no thread is free to look the name up: earlier attempts still hang"));
   }
 }
 

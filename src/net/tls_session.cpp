@@ -224,7 +224,7 @@ long verify_result_of(void*) noexcept { return 0; }
 std::string text_of_verify_result(long) { return not_trusted; }
 
 Result<void> load_tls() {
-  return Error{Errc::not_found, "cannot encrypt", "", "this was built without OpenSSL",
+  return Error{Errc::not_found, "cannot encrypt", "", "this program was built without OpenSSL",
                "install libssl-dev and build it again, or leave `tls` out"};
 }
 

@@ -28,10 +28,11 @@ std::string refusal_of(const OutputConfig& config) {
   if (!std::isfinite(config.safe)) return "`safe` is not a finite number";
   if (config.on.empty()) {
     if (!config.expression.empty() || !config.with.empty() || config.hysteresis || config.pid)
-      return "`expression`, `with`, `hysteresis` and `pid` need the topic `on` that it follows";
+      return "`expression`, `with`, `hysteresis` and `pid` need the topic `on` that the output follows";
     return "";
   }
-  if (config.lease != Duration{0}) return "`lease` is for what `set` sets; of a topic it is `max_age`";
+  if (config.lease != Duration{0})
+    return "`lease` is for outputs that `set` sets; an output that follows a topic has `max_age`";
   if (config.hysteresis && config.pid) return "give `hysteresis` or `pid`, not both";
   return "";
 }
@@ -108,7 +109,8 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     }
     if (state_ == State::failed) {  // while its safe value is on its way, the order follows that
       record(order, {}, "the device has failed");
-      return refusal(Errc::io_failed, "the device has failed", "it is set safe as soon as it takes that; set it then");
+      return refusal(Errc::io_failed, "the device has failed",
+                     "the output is set safe as soon as the device takes that; set it then");
     }
     last_set_ = now();
     if (config_.lease > Duration{0} && !lease_.is_running()) lease_.start(config_.lease);
@@ -586,7 +588,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     if (!done) {
       error.what = "the guard could not set the output to its safe value";
       error.why += ", and the device did not take the value: " + done.error().why;
-      error.advice = "check the device: it is tried again until it takes it";
+      error.advice = "check the device: the safe value is sent again until the device takes it";
     }
     complain(error, done ? Health::degraded : Health::faulted);
   }
@@ -651,7 +653,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     go_stale(Errc::timed_out,
              "the topic \"" + *silence.topic + "\" has had " +
                  (is_silent ? "no event" : "only events without a value") + " for " + to_string(config_.max_age),
-             "it follows it again with its next event; a longer `max_age` bridges longer pauses");
+             "the output follows it again with its next event; a longer `max_age` bridges longer pauses");
   }
   /// A loop's last event is valid as long as that loop turns, because it would publish a change.
   void look_at_loops() {
@@ -665,7 +667,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
       go_stale(Errc::not_turning,
                "loop " + hanging_->config.name + ", which would tell of changes, has not turned for " +
                    to_string(config_.max_age),
-               "it follows again when that loop turns; find what blocks there");
+               "the output follows it again when that loop turns; find what blocks there");
     if (hanging_ == nullptr && before != nullptr) recall();
   }
   void go_stale(Errc code, const std::string& why, std::string advice) {

@@ -118,7 +118,7 @@ class Parser {
     throw ExpressionMistakeFound{{tree_.nodes[node].column, std::move(why), {}}};
   }
   [[noreturn]] void unexpected() const {
-    if (token_ == Token::end) fail("it ends where a value is missing");
+    if (token_ == Token::end) fail("the expression ends where a value is missing");
     if (token_ == Token::symbol && word_ == ")") fail("a `)` without its `(`");
     if (token_ == Token::symbol && word_ == "=") fail("a single `=` does not compare: write `==`");
     fail("`" + std::string(word_) + "` is not possible here");

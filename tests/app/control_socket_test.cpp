@@ -162,7 +162,7 @@ TEST_SUITE("app") {
     ninth.send("x\n");
     echo.turn();
     CHECK(ninth.read() == "9:x\n");
-    CHECK(clients[1]->read() == "{\"error\":\"too many clients, and this one asked nothing for the longest\"}\n");
+    CHECK(clients[1]->read() == "{\"error\":\"too many clients; this one has asked nothing for the longest time\"}\n");
     CHECK(clients[1]->is_disconnected());
     CHECK(echo.gone == std::vector<std::uint64_t>{2});
     for (std::uint64_t i = 0; i < 20; ++i) {  // however many idle ones there are
@@ -206,7 +206,7 @@ TEST_SUITE("app") {
     CHECK(taken == 7);
     connect("the last");
     CHECK(taken == 8);
-    CHECK(clients[7]->read() == "{\"error\":\"too many clients, and this one asked nothing for the longest\"}\n");
+    CHECK(clients[7]->read() == "{\"error\":\"too many clients; this one has asked nothing for the longest time\"}\n");
     CHECK(clients[7]->is_disconnected());
     connect("one too many");
     CHECK(taken == 8);
@@ -240,7 +240,7 @@ TEST_SUITE("app") {
     asks.send("command\n");
     for (int i = 0; i < 20; ++i) loop.poll();
     socket.reset();
-    CHECK(asks.read() == "{\"ended\":\"the run has ended; whether it was done, its log says\"}\n");
+    CHECK(asks.read() == "{\"ended\":\"the run has ended; its log says whether the command was done\"}\n");
     CHECK(looks.read() == "{\"ended\":\"the run has ended\"}\n");
   }
 

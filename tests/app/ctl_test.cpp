@@ -63,7 +63,7 @@ TEST_SUITE("app") {
     CHECK(has(ctl({"ack", "load"}, 1), "sensor load is no limit"));
     CHECK(has(ctl({"start", "laod"}, 1), "did you mean \"load\"?"));
     CHECK(has(ctl({"rate", "load", "fast"}, 1), "fast"));
-    CHECK(has(ctl({"rate", "alarm", "5 Hz"}, 1), "it is fed, not sampled"));
+    CHECK(has(ctl({"rate", "alarm", "5 Hz"}, 1), "the sensor is fed, not sampled"));
     CHECK(has(ctl({"rate", "load"}, 1), "it is written `rate SENSOR RATE`"));
     CHECK(has(ctl({"restart"}, 2), "there is no command \"restart\""));
     CHECK(has(ctl({}, 2), "rtdata: which command?\ncommands:\n"));

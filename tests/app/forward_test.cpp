@@ -315,7 +315,7 @@ TEST_SUITE("app") {
     };
     CHECK(has(checked("", R"(, "through": "recoding")"), "did you mean \"recording\""));
     CHECK(has(checked("", R"(, "through": "copy")"), "this needs sqlite"));
-    CHECK(has(checked(R"(, "through": "copy")", ""), "goes through no other"));
+    CHECK(has(checked(R"(, "through": "copy")", ""), "cannot go through another recording"));
     CHECK(has(checked(R"(, "topics": ["x/#"])", R"(, "through": "recording")"), "is not among those of the recording"));
     CHECK(!has(checked("", R"(, "through": "recording", "from": "beginning")"), "error"));
     CHECK(has(checked("", R"(, "through": "recording", "from": "yesterday")"), "beginning"));
@@ -348,7 +348,7 @@ TEST_SUITE("app") {
     CHECK(
         has(checked(R"(, "stored_by": "far", "qos": 1)",
                     recording + R"(}, {"name": "far", "type": "tcp", "host": "h", "port": 9, "through": "recording"})"),
-            "goes through a recording: name that"));
+            "goes through a recording itself: name that recording"));
   }
 
   TEST_CASE("check: within which time a recording commits, and what waits in memory only") {

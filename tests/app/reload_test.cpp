@@ -109,7 +109,7 @@ TEST_SUITE("app") {
     REQUIRE(run.wait_for("running rig"));
     folder.write("rig.json", text("two"));
     const std::string said = reloaded(folder, built("rtdata"), {}, 1);
-    CHECK_MESSAGE(has(said, "the parts of before are running again, but not sink far ("), said);
+    CHECK_MESSAGE(has(said, "the earlier parts are running again, but not sink far ("), said);
     // Without it, all that the file says is there; what it had to store meanwhile it has not.
     folder.write("rig.json", R"({"sensors": [{"name": "a", "type": "tallied", "rate": "10 Hz"}], "sinks": [
         {"type": "discard", "name": "near"}]})");

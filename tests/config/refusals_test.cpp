@@ -397,8 +397,7 @@ TEST_SUITE("config") {
         {sinks(R"({"type": "mqtt", "host": "127.0.0.1", "client_id": "a\u0001b"})"), "it has a control character"},
         {sinks(R"({"type": "mqtt", "host": "127.0.0.1", "client_id": ")" + std::string(65536, 'c') + "\"}"),
          "it has 65536 bytes: a text of MQTT has at most 65535"},
-        {sinks(R"({"type": "mqtt", "host": "127.0.0.1", "password": "secret"})"),
-         "there is no `user` that it belongs to"},
+        {sinks(R"({"type": "mqtt", "host": "127.0.0.1", "password": "secret"})"), "`password` needs a `user`"},
         {R"({"sensors": [{"name": "s", "type": "mqtt", "host": "127.0.0.1", "client_id": "a\u0000b",
              "topics": ["a"], "fields": [{"name": "x"}]}]})",
          "it has a control character"},
@@ -489,9 +488,9 @@ TEST_SUITE("config") {
         // Marks that are among what they divide.
         {serial(R"(, "separator": "\"")"), "separator: it has another meaning in CSV"},
         {serial(R"(, "separator": "\n")"), "separator: it has another meaning in CSV"},
-        {serial(R"(, "separator": "1")"), "separator: numbers hold it"},
-        {serial(R"(, "separator": "-")"), "separator: numbers hold it"},
-        {serial(R"(, "separator": ".")"), "separator: numbers hold it"},
+        {serial(R"(, "separator": "1")"), "separator: numbers may have this character"},
+        {serial(R"(, "separator": "-")"), "separator: numbers may have this character"},
+        {serial(R"(, "separator": ".")"), "separator: numbers may have this character"},
         {serial(R"(, "separator": "#")"), "comments would begin with the separator"},
         {serial(R"(, "comment": "1")"), "comment: lines of data may begin with it"},
         {serial(R"(, "comment": "-")"), "comment: lines of data may begin with it"},
@@ -502,7 +501,7 @@ TEST_SUITE("config") {
         {serial(R"(, "comment": "2.5e-")"), "comment: lines of data may begin with it"},
         {R"({"sensors": [{"name": "a", "type": "serial", "device": "/dev/null", "fields": [{"name": "x", "type": "bool"}], "comment": "t"}]})",
          "comment: lines of data may begin with it"},
-        {serial(R"(, "separator": "n")"), "separator: numbers hold it"},
+        {serial(R"(, "separator": "n")"), "separator: numbers may have this character"},
         {serial(R"(, "comment": "\n")"), "comment: no line begins with the end of a line"},
         {serial(R"(, "comment": " ")"), "comment: lines of data may begin with a blank"},
         {serial(R"(, "format": "json", "comment": "{")"), "comment: each object begins with {"},
@@ -617,13 +616,13 @@ TEST_SUITE("config") {
               "sensors[0].unit: the unit F of value is the farad; degrees are [degF]\n"));
     CHECK(warnings(serial(R"({"name": "charge", "unit": "C"}, {"name": "temperature", "unit": "Cel"})", "")).empty());
     CHECK(has(warnings(serial(R"({"name": "x", "length": 9})", "")),
-              "sensors[0].fields[0].length: it means nothing with `type` double, only with text"));
+              "sensors[0].fields[0].length: it has no effect with `type` double, only with text"));
     CHECK(has(warnings(serial(R"({"name": "x"})", R"(, "format": "json", "separator": ";")")),
-              "sensors[0].separator: it means nothing with `format` json, only with csv"));
+              "sensors[0].separator: it has no effect with `format` json, only with csv"));
     CHECK(has(
         warnings(R"({"sensors": [{"name": "a", "type": "host", "quantity": "load", "rate": "1 Hz", "device": "sda"}])" +
                  sinks),
-        "sensors[0].device: it means nothing with `quantity` load"));
+        "sensors[0].device: it has no effect with `quantity` load"));
     const std::string load = R"({"sensors": [{"name": "a", "type": "host", "quantity": "load", "rate": "1 Hz"}])";
     CHECK(has(warnings(load + "}"), "there are no sinks"));
     CHECK(has(warnings(load + R"(, "sinks": [{"type": "console", "topics": []}]})"),
@@ -633,10 +632,9 @@ TEST_SUITE("config") {
              type + R"(", "path": "/tmp/)" + path + "\"}]}";
     };
     CHECK(warnings(file("file", "a-{topic}.jsonl")).empty());
-    CHECK(has(warnings(file("file", "a-{topci}.jsonl")),
-              "{topci} stands for nothing here, and stays in the file's name"));
+    CHECK(has(warnings(file("file", "a-{topci}.jsonl")), "{topci} has no meaning here, and stays in the file's name"));
     CHECK(has(warnings(file("file", "a-{topci}.jsonl")), "(did you mean \"{topic}\"?)"));
-    CHECK(has(warnings(file("sqlite", "a-{topic}.db")), "{topic} stands for nothing here"));
+    CHECK(has(warnings(file("sqlite", "a-{topic}.db")), "{topic} has no meaning here"));
   }
 
   TEST_CASE("NFR-4 warnings of load are worth reading") {

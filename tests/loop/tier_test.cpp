@@ -405,7 +405,7 @@ TEST_SUITE("loop") {
     REQUIRE(some.warnings().size() == 1);
     CHECK(some.warnings()[0] == "cannot bind to processors: " + std::to_string(absent) +
                                     ": this machine does not have them, or the process may not use them: use "
-                                    "processors that there are; it runs on " +
+                                    "processors that there are; the tier runs on " +
                                     std::to_string(present));
     CHECK(none.warnings().size() == 1);
     CHECK(all.warnings().empty());

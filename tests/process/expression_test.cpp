@@ -146,7 +146,7 @@ TEST_CASE("each mistake has its column, a reason and what was meant") {
   shows("x % 2", 3, "there is no `%`");
   shows("x <> 2", 3, "write `!=`");
   shows("x & 2", 3, "write `and`");
-  shows("x + ", 5, "it ends where a value is missing");
+  shows("x + ", 5, "the expression ends where a value is missing");
   shows("", 1, "it is empty");
   shows("  ", 3, "it is empty");
   shows("(x + 1", 1, "the `(` is not closed");

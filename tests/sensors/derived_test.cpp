@@ -189,7 +189,7 @@ TEST_CASE("making a derived sensor refuses what cannot work") {
   refused({.on = "a", .expression = "x", .fields = {{"x", "x"}}}, "not both");
   refused({.on = "a", .with = {"b", "b"}, .expression = "x"}, "there twice");
   refused({.on = "a", .with = {"a"}, .expression = "x"}, "there twice");
-  refused({.on = "a", .expression = "x +"}, "it ends where a value is missing");
+  refused({.on = "a", .expression = "x +"}, "the expression ends where a value is missing");
   refused({.on = "a", .fields = {{"x", "x"}, {"x", "y"}}}, "x");
   refused({.on = "a", .fields = {{"time", "x"}}}, "time");
 }

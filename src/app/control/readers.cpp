@@ -331,10 +331,10 @@ const Readers::Recording* Readers::recording_for(const StreamRequest& request) c
 }
 
 std::string Readers::refusal(const StreamRequest& request) const {
-  if (shared_->is_broken.load()) return "it cannot serve readers: it has run out of memory or descriptors";
+  if (shared_->is_broken.load()) return "the program cannot serve readers: it has run out of memory or descriptors";
   if (request.from && *request.from > loop_.time()) return "\"from\" is an instant that has not come yet";
   if (request.wants_past() && recording_for(request) == nullptr) {
-    return request.of.empty() ? "no recording takes these topics, so that nothing is known of them from before now: "
+    return request.of.empty() ? "no recording has these topics, so that their earlier events are not known: "
                                 "leave \"from\" out"
                               : "there is no recording of a sink \"" + request.of + "\"";
   }

@@ -19,7 +19,7 @@ std::string refusal_of(std::string_view line) {
   const Json request = Json::parse(line, nullptr, false);
   if (request.is_discarded() || !request.is_object()) return "a request is an object of JSON on one line";
   const auto what = request.find("request");
-  if (what == request.end() || !what->is_string()) return "it has no \"request\"";
+  if (what == request.end() || !what->is_string()) return "the object has no key \"request\"";
   if (std::string why = refusal_of_version(request); !why.empty()) return why;
   if (*what == "command") return "\"words\" of a command must be a list of at least one string";
   if (*what != "status")

@@ -245,7 +245,7 @@ Result<Status> status_from(std::string_view line) try {
   fields(reader, status);
   return status;
 } catch (const Json::exception&) {
-  return no_status(Errc::bad_data, "its answer does not fit the request",
+  return no_status(Errc::bad_data, "the answer of the instance does not fit the request",
                    "use the same version of the program on both sides");
 }
 

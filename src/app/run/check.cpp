@@ -37,7 +37,7 @@ int compare(const Registry& registry, const SystemPlan& plan, const std::string&
     for (PartChange& part : change.all)
       if (part.object == written.object) part = {part.object, Fate::refused, why};
   }
-  std::cout << "in the place of " << against << ", in a system that runs:\n"
+  std::cout << "in place of " << against << ", in a running system:\n"
             << (change.is_empty() ? "nothing changes\n" : hide_secrets(change.text(), plan.secrets)) << std::flush;
   for (const std::string& line : recordings_left(parts, plan))
     std::cout << "warning: " << hide_secrets(line, plan.secrets) << std::endl;
@@ -75,7 +75,7 @@ int check(const Registry& registry, const CheckOptions& options) {
   plan.hide_secrets();
   std::cout << plan.document.report(plan.warnings, "warning: ");
   const std::vector<LoopLoad> loads = plan.loads();
-  if (!loads.empty()) std::cout << "how long readings may hold each loop, at worst, of its shortest period:\n";
+  if (!loads.empty()) std::cout << "how long readings may hold each loop at worst, as a part of its shortest period:\n";
   for (const LoopLoad& load : loads) {
     std::cout << "  " << load.text() << "\n";
     for (const LaneLoad& lane : load.lanes) std::cout << "    " << lane.text() << "\n";

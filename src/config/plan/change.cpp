@@ -88,7 +88,7 @@ std::string obstacle(const PlannedChange& planned, const RunSoFar& run) {
              " until the end of the run; start the program again, or give it another name";
   }
   if (planned.now != nullptr && is_scheduled(*planned.now) != is_scheduled(part))
-    return "one with a schedule and one without are accounted for in different ways; give it another name";
+    return "a sensor with a schedule and one without are accounted for in different ways; give it another name";
   if (part.publishes->description == nullptr) return "";
   const Description* carries = run.carried(topic);
   if (carries == nullptr || carries->same_meaning(*part.publishes->description)) return "";

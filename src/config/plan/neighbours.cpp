@@ -333,7 +333,7 @@ const PartPlan* Neighbours::namesake_of(const PartUse& use) const {
 void Neighbours::check_through(const PartPlan& part, Problems& problems) const {
   const ConfigItem& at = child_or_self(part.item, "through");
   if (part.stores->is_recording) {
-    problems.add(at.problem("wrong-part", "a recording goes through no other; leave `through` out"));
+    problems.add(at.problem("wrong-part", "a recording cannot go through another recording; leave `through` out"));
     return;
   }
   const PartPlan* recording = find("sink", part.stores->through);
@@ -357,7 +357,7 @@ void Neighbours::check_stored_by(const PartPlan& part, Problems& problems) const
   const std::string name = "the sink " + ConfigItem::of(part.stored_by).to_json() + ", at " + place_of(sink->item) +
                            ",";
   if (!sink->stores->through.empty()) {
-    problems.add(at.problem("wrong-part", name + " goes through a recording: name that"));
+    problems.add(at.problem("wrong-part", name + " goes through a recording itself: name that recording"));
   } else if (!sink->stores->wants(part.publishes->topic)) {
     problems.add(at.problem("not-recorded", name + " does not take the topic \"" + part.publishes->topic +
                                                 "\"; add it to the `topics` there"));

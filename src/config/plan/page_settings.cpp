@@ -59,7 +59,8 @@ void check_config(const PageSettings& settings, const ConfigItem& item, Problems
   });
   if (!settings.token.empty() && settings.token.size() < shortest_token)
     complain("token", "it has " + std::to_string(settings.token.size()) + " characters, and could be guessed: give " +
-                          std::to_string(shortest_token) + " at least, or none, and it is made at each start");
+                          std::to_string(shortest_token) +
+                          " or more, or leave `token` out: then one is made at each start");
   if (settings.token.size() > longest_token || !is_allowed)
     complain("token",
              "it has letters, digits and the characters - _ . ~ only, " + std::to_string(longest_token) + " at most");

@@ -109,8 +109,8 @@ void PlanApplication::end() {
     std::rethrow_exception(std::exchange(failure_, nullptr));
   } catch (const SetupError& error) {
     Error told = error.error();
-    told.advice += (told.advice.empty() ? "" : "; ") + std::string("the parts of before are running again" +
-                                                                   (missing.empty() ? "" : ", but not " + missing));
+    told.advice += (told.advice.empty() ? "" : "; ") +
+                   std::string("the earlier parts are running again" + (missing.empty() ? "" : ", but not " + missing));
     throw SetupError(std::move(told));
   }
 }

@@ -69,7 +69,7 @@ void warn_of_placeholders(const ParameterInfo& parameter, const ConfigItem& item
     const std::string name = text.substr(open + 1, close - open - 1);
     const auto& known = parameter.placeholders;
     if (std::find(known.begin(), known.end(), name) != known.end()) continue;
-    std::string message = "{" + name + "} stands for nothing here, and stays in the file's name";
+    std::string message = "{" + name + "} has no meaning here, and stays in the file's name";
     if (!known.empty()) message += "; known is {" + detail::listed(known, "}, {") + "}";
     std::string nearest = nearest_name(name, known);
     warnings.add(item.problem("unknown-placeholder", std::move(message), nearest.empty() ? "" : "{" + nearest + "}"));
@@ -188,7 +188,7 @@ void warn_of(const std::vector<ParameterInfo>& parameters, const ConfigItem& ite
     if (text != nullptr && type.text == TextIs::output_file) warn_of_placeholders(parameter, leaf, *text, warnings);
   };
   const auto warn_of_no_effect = [&](const ParameterInfo& parameter, const ConfigItem& value, const std::string& is) {
-    Problem problem = value.problem("no-effect", "it means nothing with `" + std::string(parameter.only_with.key) +
+    Problem problem = value.problem("no-effect", "it has no effect with `" + std::string(parameter.only_with.key) +
                                                      "` " + is + ", only with " +
                                                      detail::listed(parameter.only_with.values));
     problem.place = value.key_place();

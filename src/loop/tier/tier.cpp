@@ -66,7 +66,7 @@ const Tier::Config& checked(Loop& main, const Tier::Config& config) {
            "give `ring_bytes` " + std::to_string(least_ring_bytes) + " or more");
   }
   if (config.spin < Duration{0} || config.spin > longest_spin) {
-    refuse(Errc::bad_argument, "it would spin for " + to_string(config.spin) + " before each deadline",
+    refuse(Errc::bad_argument, "the tier would spin for " + to_string(config.spin) + " before each deadline",
            "give `spin` 0 s to " + to_string(longest_spin));
   }
   for (const int cpu : config.cpus) {

@@ -98,7 +98,7 @@ class GpsNode final : public StreamNode {
     if (result && stream_.send(watch_command)) {
       opened();
     } else {
-      Error error = result ? Error{Errc::disconnected, "cannot speak to gpsd", server(), "it takes nothing", ""}
+      Error error = result ? Error{Errc::disconnected, "cannot speak to gpsd", server(), "gpsd takes no data", ""}
                            : result.error();
       const bool is_here = config_.host == "localhost" || config_.host == "127.0.0.1" || config_.host == "::1";
       if (!result && is_here) error.advice = detail::how_to_start_gpsd;

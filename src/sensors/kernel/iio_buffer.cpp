@@ -326,7 +326,7 @@ class IioBufferNode final : public StreamNode {
     degrade({Errc::bad_data, "the times of scans are not used", config_.device,
              has_clock_ ? "by its clock, one is " + to_string(odd_) + " from when it came"
                         : "it has the clock " + capture_->clock(),
-             "those of the reads stand for them"});
+             "the times of the reads are used instead"});
   }
 
   /// A device that was taken away may wake nobody.

@@ -62,7 +62,8 @@ class PpsNode final : public StreamNode {
   Result<PpsStamp> read() {
     file_.read();
     if (file_.error_number() == ENODEV)
-      return Error{Errc::disconnected, cannot_read_pps, file_.path(), "the source has gone away", "it is tried again"};
+      return Error{Errc::disconnected, cannot_read_pps, file_.path(), "the source has gone away",
+                   "the program tries to open it again"};
     if (file_.error_number() != 0)
       return system_error(file_.error_number(), cannot_read_pps, file_.path(), find_advice);
     auto stamp = parse_pps(file_.text());

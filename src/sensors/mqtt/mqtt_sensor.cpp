@@ -138,7 +138,7 @@ class MqttNode final : public StreamNode {
   }
   bool is_holding() const noexcept { return is_holding_; }
   static Error refusal(const std::string& what) {
-    return {Errc::not_permitted, "the broker refuses a subscription", what, "it says so in its answer",
+    return {Errc::not_permitted, "the broker refuses a subscription", what, "the broker says so in its answer",
             "check its access control and `topics`"};
   }
 
@@ -217,7 +217,8 @@ class MqttNode final : public StreamNode {
   }
   Error not_stored() const {
     return {Errc::busy, "messages wait at the broker", connection_->server(),
-            "sink " + config_.stored_by + " has not stored those that came", "find out why; they come again"};
+            "sink " + config_.stored_by + " has not stored those that came",
+            "find out why; the broker sends them again"};
   }
   Error silence_error() const override {
     return {Errc::timed_out, "nothing comes", connection_->server(), "no message in " + to_string(config_.silence),
