@@ -283,9 +283,9 @@ void ConfiguredMachine::Core::report_silence() {
     const bool is_silent = loop.now() - ages[i].came > settings.max_age && !inputs.all()[i].is_held;
     if (!is_silent || std::exchange(ages[i].is_silence_reported, true)) continue;
     report(Errc::timed_out, "conditions wait", "topic " + settings.inputs[i],
-           ages[i].has_come ? "it has had no event for more than " + to_string(settings.max_age)
-                            : "it has had no event yet",
-           "they go on with its next event; a longer `max_age` bridges longer pauses");
+           ages[i].has_come ? "the topic has had no event for more than " + to_string(settings.max_age)
+                            : "the topic has had no event yet",
+           "the conditions go on with its next event; a longer `max_age` bridges longer pauses");
   }
 }
 

@@ -301,7 +301,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     if (opened && !config_.keep) value_ = config_.safe;
     record({config_.safe, OutputCause::start, {}, began}, value_,
            !opened        ? opened.error().why
-           : config_.keep ? "it keeps what it has"
+           : config_.keep ? "the output keeps its value"
                           : "");
     if (!opened) {
       complain(placed(opened.error()), Health::faulted);
@@ -392,7 +392,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     } else {
       const bool is_reported = is_over_ && !config_.keep && value_ == config_.safe;
       value_ = config_.keep ? value_ : std::optional(config_.safe);
-      if (!is_reported) record(stop_order_, value_, config_.keep ? "it keeps what it has" : "");
+      if (!is_reported) record(stop_order_, value_, config_.keep ? "the output keeps its value" : "");
     }
   }
   /// What `finish` began.
@@ -417,7 +417,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
       }
       if (is_asked) return repeated();
       if (!is().busy) return record(order, value_, "");
-      return record(order, {}, "it is on its way already");
+      return record(order, {}, "this value is on its way to the device already");
     }
     if (!is().busy) return send(order);
     if (next_ && next_->is_repeat) {

@@ -375,7 +375,7 @@ TEST_SUITE("app") {
     CHECK(command_words(newer).empty());
     CHECK(
         status.answer(1, newer)() ==
-        R"({"error":"it is asked in version 2 of the protocol, and knows up to 1: use the program that it was started with"})");
+        R"({"error":"the request is in version 2 of the protocol, and this program knows up to 1: use the version of the program that runs"})");
   }
 
   TEST_CASE("a status has counts, rates, lateness and last values, and looks only while asked") {
@@ -480,8 +480,8 @@ TEST_SUITE("app") {
     const auto newer = app::status_from(json.dump());
     REQUIRE_FALSE(newer);
     CHECK(newer.error().text() ==
-          "no status: instance: it speaks version 2 of the protocol, and this program up to 1: use the program that it "
-          "was started with, or a newer one");
+          "no status: instance: it speaks version 2 of the protocol, and this program up to 1: use the version of "
+          "the program that runs there, or a newer one");
     for (const std::string none : {"", "[]", "1", "{}", R"({"version":"1"})", R"({"version":1,"sensors":5})", "\xff",
                                    R"({"version":1,"sensors":[{"name":7}]})", R"({"error":1})"})
       CHECK_MESSAGE(!app::status_from(none), none);

@@ -108,7 +108,7 @@ TEST_SUITE("app") {
     REQUIRE(run.wait_for("running rig"));
     Process start(folder, program, {"ctl", "start", "a"});
     CHECK(start.end() == 1);
-    CHECK(has(start.err, "it has begun to do that, and may still finish"));
+    CHECK(has(start.err, "the loop has begun to do what was asked, and may still finish"));
     Process stop(folder, program, {"ctl", "stop", "a"});
     CHECK(stop.end() == 1);
     Process other(folder, program, {"ctl", "stop", "b"});  // the main loop is not held

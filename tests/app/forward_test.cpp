@@ -126,7 +126,7 @@ TEST_SUITE("app") {
     {
       Process forward(folder, program, {"forward", "home/y.db", "other.json"});
       CHECK(forward.end() == 2);
-      CHECK_MESSAGE(has(forward.err, "\"one\" \"two\"; it is unknown which of them home/y.db is"), forward.err);
+      CHECK_MESSAGE(has(forward.err, "\"one\" \"two\"; it is not known which of these home/y.db is"), forward.err);
     }
   }
 
@@ -214,7 +214,7 @@ TEST_SUITE("app") {
       CHECK_MESSAGE(process.end() == status, process.out << process.err);
       return process.out + process.err;
     };
-    const std::string left = "node.db for a sink \"copy\", and no sink of that name goes through it";
+    const std::string left = "node.db for a sink \"copy\", but no sink of that name goes through this recording";
     std::string text = said({"check", "renamed.json"}, 0);
     CHECK_MESSAGE(has(text, waits), text);
     CHECK_MESSAGE(has(text, left), text);

@@ -201,8 +201,8 @@ TEST_SUITE("config") {
 
   TEST_CASE("NFR-6 what a run has fixed is refused, with the reason") {
     const std::string plain = sensors(counter);
-    CHECK(
-        has(change(plain, sensors(counter, R"(, "name": "other")")), "name: refused: the program is started with it"));
+    CHECK(has(change(plain, sensors(counter, R"(, "name": "other")")),
+              "name: refused: the program reads it only when it starts"));
     CHECK(has(change(plain, sensors(counter, R"(, "loop": {"hold_limit": "1 s"})")), "loop: refused"));
     CHECK(has(change(plain, sensors(counter, R"(, "tiers": {"fast": {}})")),
               "tier fast: refused: a tier is made before"));
@@ -315,7 +315,7 @@ TEST_SUITE("config") {
                 system.apply(run.next(sensors(R"({"name": "a", "type": "tallied", "rate": "1 Hz"})",
                                               R"(, "loop": {"hold_limit": "1 s"})")));
               }),
-              "cannot apply the configuration: loop: the program is started with it"));
+              "cannot apply the configuration: loop: the program reads it only when it starts"));
     CHECK(&system.sensor("a") == before);
     CHECK(system.sensor("a").rate() == 100_Hz);
     loop.advance(100ms);

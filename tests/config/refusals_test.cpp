@@ -526,7 +526,7 @@ TEST_SUITE("config") {
         {R"({"sensors": [{"name": "a", "type": "iio_buffer", "device": "3", "channels": ["accel_x"]},
                          {"name": "b", "type": "iio_buffer", "device": "/dev/iio:device3", "channels": ["accel_y"]}]})",
          "has the buffer of the IIO device iio:device3 already; list the channels of both in one"},
-        {serial(R"(, "retry_first": "2 s", "retry_longest": "1 s")"), "grows from `retry_first`, 2 s, up to this"},
+        {serial(R"(, "retry_first": "2 s", "retry_longest": "1 s")"), "must not be shorter than `retry_first` (2 s)"},
         {sinks(R"({"type": "sqlite", "path": "x.db", "retry_first": "2 s", "retry_longest": "1 s"})"),
          "it must not be shorter"},
         {R"({"sensors": [{"name": "a", "type": "host", "quantity": "load", "rate": "1 Hz"},

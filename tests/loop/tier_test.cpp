@@ -1012,7 +1012,7 @@ TEST_SUITE("loop") {
       CHECK(error.error().code == Errc::not_turning);
       advice = error.error().advice;
     }
-    CHECK(advice.find("it has begun to do that") != std::string::npos);
+    CHECK(advice.find("the loop has begun to do what was asked") != std::string::npos);
     CHECK(loop.now() - began >= 1s);
     CHECK(loop.now() - began <= 1100ms);
     CHECK_THROWS_AS(sensor.stop(), SetupError);  // at once, and not done later

@@ -340,7 +340,7 @@ std::string Readers::refusal(const StreamRequest& request) const {
   }
   if (shared_->readers.load(std::memory_order_acquire) < settings_.most) return {};
   return std::to_string(settings_.most) +
-         " readers are served at a time, and there are so many: end one, or give \"control\" a larger \"readers\"";
+         " readers are connected, and no more are served: end one, or give \"control\" a larger \"readers\"";
 }
 
 void Readers::add(int fd, StreamRequest request) {

@@ -31,9 +31,9 @@ std::string refusal_of(std::string_view line) {
 std::string refusal_of_version(const Json& request) {
   const Json version = request.value("version", Json(Status::newest));
   if (version <= Status::newest) return {};
-  return "it is asked in version " + version.dump(-1, ' ', false, Json::error_handler_t::replace) +
-         " of the protocol, and knows up to " + std::to_string(Status::newest) +
-         ": use the program that it was started with";
+  return "the request is in version " + version.dump(-1, ' ', false, Json::error_handler_t::replace) +
+         " of the protocol, and this program knows up to " + std::to_string(Status::newest) +
+         ": use the version of the program that runs";
 }
 
 std::vector<std::string> command_words(std::string_view line) {

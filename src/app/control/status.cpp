@@ -232,14 +232,14 @@ std::string json_of(Status& status) {
 
 Result<Status> status_from(std::string_view line) try {
   const Json json = Json::parse(line);
-  if (json.contains("ended")) return no_status(Errc::closed, "it has ended", "start it again");
+  if (json.contains("ended")) return no_status(Errc::closed, "the instance has ended", "start it again");
   if (json.contains("error")) return no_status(Errc::io_failed, json["error"].get<std::string>(), "");
   const auto version = json.at("version").get<std::int64_t>();
   if (version > Status::newest)
     return no_status(Errc::newer_version,
                      "it speaks version " + std::to_string(version) + " of the protocol, and this program up to " +
                          std::to_string(Status::newest),
-                     "use the program that it was started with, or a newer one");
+                     "use the version of the program that runs there, or a newer one");
   Status status;
   Reader reader(json);
   fields(reader, status);

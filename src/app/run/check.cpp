@@ -20,7 +20,8 @@ namespace {
 int compare(const Registry& registry, const SystemPlan& plan, const std::string& against) {
   const SystemPlan now = plan_system(registry, load_config(against));
   if (!now.good()) {
-    std::cout << now.report() << "it cannot be compared with " << against << ", which has mistakes" << std::endl;
+    std::cout << now.report() << "the configuration cannot be compared with " << against << ", which has mistakes"
+              << std::endl;
     return exit_configuration;
   }
   PlanChange change = plan_change(now, plan);

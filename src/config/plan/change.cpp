@@ -45,7 +45,7 @@ void compare_settings(const ConfigItem& now, const ConfigItem& next, std::vector
     } else if (is_live) {
       changes.push_back({key, Fate::live, "from the next one on"});
     } else {
-      changes.push_back({key, Fate::refused, "the program is started with it; start it again"});
+      changes.push_back({key, Fate::refused, "the program reads it only when it starts; start the program again"});
     }
   };
   for (const ConfigChild& child : next.children()) compare_one(child.key);

@@ -120,7 +120,7 @@ void Neighbours::check_place(const PartPlan& part, const PartPlan::Place& taken,
                      .problem("duplicate-place", known->second->object() + ", at " + place_of(known->second->item) +
                                                      ", has this device already; " +
                                                      (part.kind == known->second->kind && part.kind == "bus"
-                                                          ? "one is enough, for all that is on it"
+                                                          ? "one bus is enough for all devices on it"
                                                           : "a device is one sensor's or one bus's alone")));
     return;
   }
@@ -134,7 +134,7 @@ void Neighbours::check_place(const PartPlan& part, const PartPlan::Place& taken,
                                            : "the " + taken.bus + " " + taken.text + " already; ") +
                                 (!taken.advice.empty() ? taken.advice
                                  : is_of_bus           ? "give each chip its own"
-                                                       : "give each its own")));
+                                                       : "give each part its own")));
 }
 
 void Neighbours::check_topic(const PartPlan& part, Problems& problems) {
@@ -369,10 +369,11 @@ void Neighbours::check_stored_by(const PartPlan& part, Problems& problems) const
   const auto check_alone = [&](const PartPlan& one) {
     for (const PartPlan* other : publishers(one.publishes->topic))
       if (other != &one)
-        problems.add(at.problem("wrong-part", one.object() + " shares the topic \"" + one.publishes->topic +
-                                                  "\" with " + other->object() + ", at " + place_of_name(*other) +
-                                                  ": by what is recorded there last, one machine and its outputs go "
-                                                  "on; give each a topic of its own"));
+        problems.add(
+            at.problem("wrong-part", one.object() + " shares the topic \"" + one.publishes->topic + "\" with " +
+                                         other->object() + ", at " + place_of_name(*other) +
+                                         ": after a pause, a machine and its outputs go on by what was recorded "
+                                         "there last; give each a topic of its own"));
   };
   check_alone(part);
   for (const PartUse& output : part.uses) {
@@ -406,9 +407,10 @@ void Neighbours::check_uses(const PartPlan& part, Problems& problems) {
       const auto resumes = std::find_if(from.begin(), from.end(),
                                         [](const PartPlan* one) { return !one->stored_by.empty(); });
       if (part.kind == "output" && resumes != from.end())
-        problems.add(use.item.problem("wrong-part", (*resumes)->object() + ", at " + place_of_name(**resumes) +
-                                                        ", goes on after a pause where its recording says: this output "
-                                                        "would act before a change is there; let its states `set` it"));
+        problems.add(use.item.problem(
+            "wrong-part", (*resumes)->object() + ", at " + place_of_name(**resumes) +
+                              ", goes on after a pause where its recording says: this output "
+                              "would act before the change is recorded; let the machine's states `set` it"));
       if (!from.empty()) continue;
       problems.add(use.item.problem("unknown-topic", "nothing of this configuration publishes on \"" + use.name + "\"",
                                     suggestion(use)));

@@ -62,8 +62,8 @@ void TierCore::set_up_thread() {
     // whole stack at once, which delays all other threads.
     if (config.lock_memory && ::mlockall(MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT) != 0) {
       warn({Errc::not_permitted, "cannot lock memory", "mlockall", std::strerror(errno),
-            "set `memlock unlimited` in /etc/security/limits.conf or `LimitMEMLOCK=infinity` in the systemd unit; it "
-            "runs unlocked"});
+            "set `memlock unlimited` in /etc/security/limits.conf or `LimitMEMLOCK=infinity` in the systemd unit; the "
+            "tier runs with memory that is not locked"});
     }
     touch_stack(std::min(config.stack, stack_left()));
     if (auto set = set_scheduling({config.policy, config.priority}); !set) warn(set.error());

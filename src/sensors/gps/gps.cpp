@@ -264,7 +264,7 @@ class GpsNode final : public StreamNode {
     const auto uncertainty = std::chrono::duration<double>(std::clamp(fix.ept.value_or(0), 0.0, most_seconds));
     const Duration accuracy = config_.report_delay + std::chrono::duration_cast<Duration>(uncertainty);
     const auto both = [&](const std::string& which) {
-      return "it says " + to_iso8601(time) + ", and the computer's clock, which " + which + ", " +
+      return "the receiver says " + to_iso8601(time) + ", and the computer's clock, which " + which + ", says " +
              to_iso8601(system.time);
     };
     switch (from.time.look_at(at_, time, config_.report_delay, accuracy, system)) {

@@ -319,13 +319,13 @@ class IioBufferNode final : public StreamNode {
     const std::string many = missing_ > 0 ? "about " + std::to_string(missing_) + " by their times"
                                           : std::string("how many is not known");
     degrade({Errc::backlog, "scans are missing", config_.device,
-             is_dropped ? "the buffer was full: " + many : many + ": trigger or driver left them out",
+             is_dropped ? "the buffer was full: " + many : many + ": the trigger or the driver left them out",
              is_dropped ? "make `length` longer, or find out what held the loop" : "lower its rate, or check its bus"});
   }
   void report_odd_time() {
     degrade({Errc::bad_data, "the times of scans are not used", config_.device,
-             has_clock_ ? "by its clock, one is " + to_string(odd_) + " from when it came"
-                        : "it has the clock " + capture_->clock(),
+             has_clock_ ? "by the device's clock, a scan was taken " + to_string(odd_) + " away from when it came"
+                        : "the device uses the clock " + capture_->clock(),
              "the times of the reads are used instead"});
   }
 

@@ -168,14 +168,14 @@ class FileWriter final : public RecordingWriter {
                        "a new one is made"};
         case OutputFile::Gone::unmounted:
           return Error{Errc::not_found, "the disk of the file was taken away", file.path(),
-                       "it is mounted there no longer", "mount it again: events wait in memory until then"};
+                       "the disk is no longer mounted there", "mount it again: events wait in memory until then"};
         case OutputFile::Gone::moved:
           return Error{Errc::not_found, "the file was moved", file.path(),
                        "the data written into it is in the moved file", "a new one is made"};
         case OutputFile::Gone::cut_off:
           return Error{Errc::damaged, "the file was cut off", file.path(),
-                       "it is shorter than the data written into it: the rest is lost, if there is no copy",
-                       "it goes on at its end; `rotate` divides files without a loss"};
+                       "the file is shorter than the data written into it: the rest is lost, if there is no copy",
+                       "the sink goes on at the end of the file; `rotate` divides files without a loss"};
       }
     }
     for (OutputFile& file : files_) file.begin_batch();
