@@ -65,7 +65,7 @@ struct ConfiguredMachine::Core {
   std::vector<Age> ages;                      // of the inputs
   std::vector<std::optional<double>> values;  // of the names of all conditions
   std::vector<When> whens;
-  std::vector<std::vector<std::size_t>> whens_of;  // of each state
+  std::vector<std::vector<std::size_t>> whens_of;  // for each state
   std::size_t state = 0;
   std::optional<Time> last_time;  // of an input's event
   bool is_evaluated = false;      // conditions of the current state were evaluated for the present event

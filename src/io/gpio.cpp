@@ -31,7 +31,7 @@ constexpr const char* cannot_use_line = "cannot use the GPIO line";
 constexpr const char* list_advice = "`rtdata scan` lists the chips and their lines";
 
 struct Place {
-  std::string path;  // of the chip
+  std::string path;  // path of the chip's device file
   unsigned number = 0;
   GpioLineInfo line;
   std::string text() const {

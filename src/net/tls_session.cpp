@@ -37,7 +37,7 @@ std::string advice_on_certificate(long verified, const std::string& key) {
 
 namespace {
 
-constexpr std::size_t most_written = 16384;  // of a record of TLS
+constexpr std::size_t most_written = 16384;  // bytes of a TLS record
 
 /// What OpenSSL says of the last failure, the first cause of it; empties its queue.
 std::string last_reason() {

@@ -734,7 +734,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   Ticker beat_;
   std::vector<Subscription> subscriptions_;
   std::unique_ptr<OutputPort> port_;
-  std::optional<double> value_;  // that the device has
+  std::optional<double> value_;  // the value that the device has
   Order busy_;                   // on its way, if there is one
   std::optional<Order> next_;
   Order stop_order_;
@@ -747,7 +747,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   State state_ = State::stopped;
   bool is_over_ = false;     // the program ends
   bool is_watched_ = false;  // the guard knows that it is armed
-  bool is_patient_ = false;  // it begins, whatever its device says
+  bool is_patient_ = false;  // the output begins, whatever its device says
   bool is_armed_ = false;
   bool published_armed_ = false;  // by the last event
   bool is_stale_ = false;

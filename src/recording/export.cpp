@@ -48,7 +48,7 @@ NamedRuns named_runs(const Recording& recording, const ExportConfig& config) {
   return named;
 }
 
-/// Of CSV: what the times are stands above them. `fields`: null when there are none.
+/// For CSV: the heading says what the times are. `fields`: null when there are none.
 std::string csv_head(const ExportConfig& config, const NamedRuns& runs, const Description* fields) {
   const bool is_utc = config.time == ExportTime::utc;
   const bool has_units = config.header == ExportConfig::Header::names_and_units;

@@ -164,7 +164,7 @@ Readers::Shared::~Shared() {
 }
 
 void Readers::Shared::serve() noexcept try {
-  ::setpriority(PRIO_PROCESS, 0, 19);  // of this thread alone, as Linux has it; and so of its lane's
+  ::setpriority(PRIO_PROCESS, 0, 19);  // Linux sets it for this thread alone, and for the threads that it starts
   Loop loop({.name = "readers", .hold_limit = std::chrono::hours{1}});
   detail::Lane reading(loop.core(), "recordings", longest_reading);
   lane = &reading;

@@ -77,7 +77,7 @@ void Neighbours::check_values(const PartPlan& machine, Problems& problems) const
       if (output == nullptr || !output->refusal) continue;
       const ConfigItem* const given = child_of(one.item, "value");
       double value = 1;
-      Problems told;  // of the machine
+      Problems told;  // problems of the machine
       if (given != nullptr && !ConfigValue<double>::read(*given, value, told)) continue;
       if (const std::string why = output->refusal(value); !why.empty())
         problems.add(child_or_self(one.item, "value")

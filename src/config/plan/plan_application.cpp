@@ -404,7 +404,7 @@ void PlanApplication::settle() {
                                          error.error().id());
     }
   }
-  // They are closed in reverse order.
+  // The parts are closed in reverse order.
   std::vector<std::unique_ptr<Parts::Part>> in_order(places.size());
   for (std::unique_ptr<Parts::Part>& part : made) {
     const auto found = places.find(part.get());

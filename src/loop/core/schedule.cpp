@@ -110,7 +110,7 @@ void Schedule::begin_waiting() noexcept {
     if (member == nullptr) continue;
     try {
       place(*member);
-    } catch (const std::bad_alloc&) {  // it stays waiting for the next turn
+    } catch (const std::bad_alloc&) {  // the member waits for the next turn
     } catch (const std::exception& e) {
       report(*member, e.what());
     } catch (...) {

@@ -31,7 +31,7 @@ class VirtualThreads {
    private:
     friend class VirtualThreads;
     std::thread::id id;
-    MonotonicTime until{};                            // it waits no longer
+    MonotonicTime until{};                            // the thread waits no longer than this
     const std::function<bool()>* is_ready = nullptr;  // or until this is true
     std::optional<MonotonicTime> ready_at;            // from when it may run
     bool sees_at_once = true;

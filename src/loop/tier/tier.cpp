@@ -270,7 +270,7 @@ void TierCore::finish_drains() {
 }
 
 void TierCore::go_on(const std::shared_ptr<Drain>& drain) {
-  if (!drain->done || loop.core().is_ending()) return;  // its destructor ends those that are left
+  if (!drain->done || loop.core().is_ending()) return;  // the loop's destructor ends the objects that are left
   if (loop.core().is_in_user_code()) {                  // by what sets it up: as soon as that has returned
     return main.post([this, &hub = main.core().runtime, drain] {
       if (std::find(hub.tiers.begin(), hub.tiers.end(), this) == hub.tiers.end()) return end(*drain);

@@ -69,7 +69,7 @@ class GpsNode final : public StreamNode {
   }
 
  private:
-  /// One that gpsd has told of.
+  /// A receiver that gpsd has named.
   struct Receiver {
     std::string device;
     bool has_reported = false;  ///< a fix, or that there is none
@@ -353,7 +353,7 @@ class GpsNode final : public StreamNode {
   Time time_{};                              // of the last read
   GpsReport report_;
   std::vector<Receiver> receivers_;
-  std::vector<std::string> devices_;   // that gpsd has, as it said last
+  std::vector<std::string> devices_;   // the devices that gpsd named last
   bool is_several_ = false;            // there are several receivers, which has been told
   std::optional<Duration> time_line_;  // the time of day that was used first, less the monotonic time
   bool is_step_reported_ = false;

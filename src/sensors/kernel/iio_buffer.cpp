@@ -344,7 +344,7 @@ class IioBufferNode final : public StreamNode {
     StreamNode::on_close();
     rest_.close();
     look_.close();
-    for (const auto& capture : unclosed_) capture->abandon();  // its driver hangs
+    for (const auto& capture : unclosed_) capture->abandon();  // the driver of the device hangs
     if (loop()->is_being_set_up()) wait_for_closing();         // a program that ends leaves no buffer on
   }
 
@@ -362,7 +362,7 @@ class IioBufferNode final : public StreamNode {
   std::size_t at_ = 0, end_ = 0;    // of the scans in it that are not published yet
   std::vector<double> values_;      // of one scan: the payload
   Duration interval_{0};            // between two scans; 0: not known
-  Duration ahead_{0};               // of the time of day before the monotonic clock, at the last read
+  Duration ahead_{0};               // time of day minus monotonic clock, at the last read
   MonotonicTime turned_on_{};       // no time is earlier
   MonotonicTime last_{};            // of the last scan
   MonotonicTime last_published_{};  // the same, as it was published

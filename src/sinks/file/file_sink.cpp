@@ -60,7 +60,7 @@ std::uint64_t next_run(const std::filesystem::path& path) {
     const std::string there = entry->path().filename().string();
     if (!there.starts_with(begin)) continue;
     for (std::size_t at = there.find(behind, begin.size()); at != std::string::npos; at = there.find(behind, at + 1)) {
-      std::uint32_t number = 0;  // one that is larger is not one of ours
+      std::uint32_t number = 0;  // a larger number is not in a name that this sink gave
       std::from_chars(there.data() + at + behind.size(), there.data() + there.size(), number);
       last = std::max<std::uint64_t>(last, number);
       if (topic == std::string::npos) break;
