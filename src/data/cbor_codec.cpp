@@ -109,7 +109,7 @@ struct CborPlan {
         if (field.kind == Kind::record) {
           add_record(field.fields);
         } else {
-          add_leaf(leaves_[steps.size()]);  // they come in the order of the fields
+          add_leaf(leaves_[steps.size()]);  // the leaves come in the order of the fields
         }
       }
     }

@@ -279,7 +279,8 @@ class InfluxCodec final : public Codec {
         std::uint64_t number = 0;
         if (word.empty() || (word.back() != 'i' && word.back() != 'u') ||
             detail::read_number(std::string_view(word).substr(0, word.size() - 1), number) != std::errc{})
-          return bad("field sequence", "\"" + word.substr(0, 64) + "\" is not a number from 0 on");
+          return bad("field sequence",
+                     "\"" + word.substr(0, 64) + "\" must be a whole number, 0 or more, with `i` or `u` behind it");
         event.sequence = number;
         continue;
       }

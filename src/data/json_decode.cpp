@@ -51,7 +51,7 @@ class Reader {
   Result<std::vector<const Node*>> find(const Node& node, const std::vector<std::string_view>& names,
                                         std::size_t needed, const std::string& path) const {
     const std::string where = path.empty() ? "" : "field " + path.substr(0, path.size() - 1);
-    if (node.type != Node::Type::object) return bad(where, "it is not a object");
+    if (node.type != Node::Type::object) return bad(where, "it is not an object");
     std::vector<const Node*> found(names.size(), nullptr);
     for (std::size_t i = 0; i < node.keys.size(); ++i) {
       const std::string& key = node.keys[i];
@@ -166,7 +166,8 @@ Result<DecodedEvent> Reader::event(const Node& root, const Description& descript
     return bad("time", "it is not an integer of 64 bits", "write ns since 1970-01-01");
   }
   if (sequence != nullptr) {
-    if (sequence->type != Node::Type::natural) return bad("sequence", "it is not a number from 0 on");
+    if (sequence->type != Node::Type::natural)
+      return bad("sequence", "the sequence number must be a whole number, 0 or more");
     event.sequence = sequence->natural;
   }
   if (run != nullptr) {

@@ -117,7 +117,7 @@ std::byte* put_field(std::byte* to, const RawPlan::LeafStep& step, const std::by
   std::byte* const begin = ++to;  // after the size, which is written last
   for (std::size_t i = 0; i < field.count; ++i, at += field.stride) {
     if (field.optional != nullptr && !field.optional->has_value(at)) {
-      why = does_not_fit(step.where, "it is absent, and raw bytes have no sign for that");
+      why = does_not_fit(step.where, "the value is absent, and raw bytes cannot say that");
       return nullptr;
     }
     const bool is_text = field.kind == Kind::text;
@@ -225,9 +225,9 @@ class Decoder {
   }
 
   Result<std::span<const std::byte>> next(const std::string& where) {
-    if (rest_.empty()) return bad(where, "the bytes end before it");
+    if (rest_.empty()) return bad(where, "the bytes end before this field");
     const auto size = static_cast<std::size_t>(rest_[0]);
-    if (size > rest_.size() - 1) return bad(where, "the bytes end within it");
+    if (size > rest_.size() - 1) return bad(where, "the bytes end within this field");
     const auto value = rest_.subspan(1, size);
     rest_ = rest_.subspan(1 + size);
     return value;
@@ -332,7 +332,7 @@ class RawCodec final : public Codec {
   }
 
   Result<DecodedEvent> decode(std::span<const std::byte> bytes, const Description& description) override {
-    if (bytes.size() < 4) return Decoder::bad("", "they end within the total size");
+    if (bytes.size() < 4) return Decoder::bad("", "the bytes end within the total size");
     if (const std::size_t total = total_size(bytes); total != bytes.size() - 4) {
       return Decoder::bad(
           "", "they announce " + std::to_string(total) + " bytes and " + std::to_string(bytes.size() - 4) + " follow");

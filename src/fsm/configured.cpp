@@ -65,7 +65,7 @@ struct ConfiguredMachine::Core {
   std::vector<Age> ages;                      // of the inputs
   std::vector<std::optional<double>> values;  // of the names of all conditions
   std::vector<When> whens;
-  std::vector<std::vector<std::size_t>> whens_of;  // of each state
+  std::vector<std::vector<std::size_t>> whens_of;  // for each state
   std::size_t state = 0;
   std::optional<Time> last_time;  // of an input's event
   bool is_evaluated = false;      // conditions of the current state were evaluated for the present event
@@ -104,7 +104,7 @@ ConfiguredMachine::Core::Core(Loop& its_loop, const MachineSettings& its_setting
   std::vector<std::string> texts;
   for (const TransitionSettings& transition : settings.transitions) texts.push_back(transition.when);
   const std::vector<std::string> names = rtdata::detail::names_of(texts);
-  if (!names.empty() && settings.inputs.empty()) refuse("it has no `inputs`, and names in conditions");
+  if (!names.empty() && settings.inputs.empty()) refuse("the machine has no `inputs`, but its conditions have names");
   build(names);
   inputs = rtdata::detail::ExpressionSources(settings.inputs, names);
   ages.resize(settings.inputs.size(), {.came = loop.now()});
@@ -151,7 +151,7 @@ void ConfiguredMachine::Core::listen() {
   if (sync)
     patience = Timer(loop, {.name = "machine " + settings.name}, [this] {
       report(Errc::timed_out, "actions on a change do not wait for the disk any longer",
-             "state " + settings.states[state].name, "it took longer than " + to_string(settings.resume->wait),
+             "state " + settings.states[state].name, "the disk took longer than " + to_string(settings.resume->wait),
              "check the recording: after a power failure now, the machine would not go on in this state");
       acted_on(syncing);
     });
@@ -201,7 +201,7 @@ void ConfiguredMachine::Core::report_missing(const rtdata::detail::ExpressionSou
   for (const auto& field : source.fields)
     if (field.leaf == nullptr)
       report(Errc::not_found, "a condition has no value", "topic " + source.topic,
-             "it has no number `" + field.name + "`", "check its fields, and the conditions");
+             "the topic has no number `" + field.name + "`", "check its fields, and the conditions");
 }
 
 /// Removes values that are too old from the conditions of the current state.
@@ -220,7 +220,7 @@ void ConfiguredMachine::Core::evaluate(When& when, Time time) {
     when.is_failure_reported = false;
   } else if (!std::exchange(when.is_failure_reported, true)) {
     report(Errc::bad_data, "a condition failed", when.of, when.expression.why(),
-           "it counts as false; guard it, as in `x != 0 and 1 / x > 5`, or check what is measured");
+           "the condition counts as false; guard it, as in `x != 0 and 1 / x > 5`, or check what is measured");
   }
 }
 
@@ -283,9 +283,9 @@ void ConfiguredMachine::Core::report_silence() {
     const bool is_silent = loop.now() - ages[i].came > settings.max_age && !inputs.all()[i].is_held;
     if (!is_silent || std::exchange(ages[i].is_silence_reported, true)) continue;
     report(Errc::timed_out, "conditions wait", "topic " + settings.inputs[i],
-           ages[i].has_come ? "it has had no event for more than " + to_string(settings.max_age)
-                            : "it has had no event yet",
-           "they go on with its next event; a longer `max_age` bridges longer pauses");
+           ages[i].has_come ? "the topic has had no event for more than " + to_string(settings.max_age)
+                            : "the topic has had no event yet",
+           "the conditions go on with its next event; a longer `max_age` bridges longer pauses");
   }
 }
 

@@ -155,7 +155,7 @@ class ConfiguredMachine {
   struct Beginning {
     std::string state;
     Duration in_state{0};      ///< time already spent in the state
-    std::string cause = {};    ///< of the change, which is published: "resumed after 1.2 s"
+    std::string cause = {};    ///< why the state changed, as published: "resumed after 1.2 s"
     bool is_acted_on = false;  ///< the handler was already called for it
   };
   /// Calls `done` on the machine's loop when everything published so far is on disk.

@@ -9,7 +9,7 @@
 namespace rtdata::fsm {
 namespace {
 
-/// The item of an element of a list, or the nearest above it that there is.
+/// Element `index` of `list`; if it is missing, the list; if that is missing, `item`.
 const ConfigItem& element_of(const ConfigItem& item, std::string_view list, std::size_t index) {
   const ConfigItem* all = item.find(list);
   const ConfigItem* one = all != nullptr && all->is_array() ? all->find(index) : nullptr;
@@ -102,11 +102,11 @@ class Checker {
       add(child_or(at, "for"), "bad-value", "`for` is how long `when` is true: give `when`, or use `after`");
     if (transition.hold > Duration{0} && !transition.event.empty()) {
       add(child_or(at, "for"), "bad-value",
-          "with `event`, the condition is asked once, when that comes: leave `for` or `event` out");
+          "with `event`, the condition is asked once, when the event comes: leave `for` or `event` out");
     }
     if (!transition.when.empty()) return check_condition(transition, child_or(at, "when"));
     if (settings_.inputs.empty() && transition.event.empty() && transition.after == Duration{0})
-      add(at, "bad-value", "nothing can take it: the machine has no `inputs`; give it `event` or `after`");
+      add(at, "bad-value", "nothing can take this transition: the machine has no `inputs`; give it `event` or `after`");
   }
   void check_condition(const TransitionSettings& transition, const ConfigItem& at) {
     const std::size_t before = problems_.size();
@@ -118,7 +118,7 @@ class Checker {
     // Without names and functions the condition is constant.
     if (names.empty() && transition.when.find('(') == std::string::npos &&
         !Expression(transition.when, names).evaluate(Time{}).is_true())
-      return add(at, "bad-value", "it is never true");
+      return add(at, "bad-value", "this condition is never true");
     if (!is_a_condition(transition.when) && !flag_named(transition.when))
       add(at, "bad-value", "it is a number, no condition; compare it with something");
   }

@@ -37,7 +37,8 @@ Result<void> AskedLine::settle(Partner& partner, Duration silence) {
     if (*got > 0) {
       last_use_ = lane_now();
       is_restless_ = true;
-      // After the time of the last request, the bytes may belong to the first missing answer.
+      // Too late to answer the last request: these bytes may answer the oldest unanswered one, so note how late that
+      // is.
       if (waits && partner.in_doubt_from != MonotonicTime{} && last_use_ > partner.asked + answer_timeout_)
         longest_late_ = std::max(longest_late_,
                                  std::min(last_use_ - partner.in_doubt_from - answer_timeout_, most_late_));
@@ -45,7 +46,8 @@ Result<void> AskedLine::settle(Partner& partner, Duration silence) {
     if (is_too_long)
       return Error{Errc::timed_out, "cannot ask the device", "bus " + bus_,
                    "the answer to an earlier request may still come, or the device sends without a request",
-                   "it is asked again " + to_string(std::chrono::ceil<std::chrono::milliseconds>(still_from - now)) +
+                   "the device is asked again " +
+                       to_string(std::chrono::ceil<std::chrono::milliseconds>(still_from - now)) +
                        " from now; find out why answers come late, or what sends without being asked"};
     if (*got == 0 && lane_now() >= still_from) {
       is_restless_ = false;

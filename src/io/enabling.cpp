@@ -8,26 +8,26 @@ namespace {
 struct Enabling {
   std::string_view device, advice;
 };
-// Raspberry Pi: raspi-config(1) and the overlays' README; `nonint` takes 0 for on.
+// From raspi-config(1) and the README of the overlays. In `raspi-config nonint`, 0 means on.
 constexpr std::array<Enabling, 6> all{{
     {"/dev/i2c-",
      "switch I2C on: on a Raspberry Pi `sudo raspi-config nonint do_i2c 0`, or a line `dtparam=i2c_arm=on` in "
-     "/boot/firmware/config.txt, then start it again; elsewhere `sudo modprobe i2c-dev`, and for good a line `i2c-dev` "
+     "/boot/firmware/config.txt, then reboot; elsewhere `sudo modprobe i2c-dev`, and for good a line `i2c-dev` "
      "in /etc/modules"},
     {"/dev/spidev",
      "switch SPI on: on a Raspberry Pi `sudo raspi-config nonint do_spi 0`, or a line `dtparam=spi=on` in "
-     "/boot/firmware/config.txt, then start it again; elsewhere `sudo modprobe spidev`, and a device tree overlay that "
+     "/boot/firmware/config.txt, then reboot; elsewhere `sudo modprobe spidev`, and a device tree overlay that "
      "gives the controller a spidev"},
     {"/dev/serial0",
      "switch the serial port on, and the login on it off: on a Raspberry Pi `sudo raspi-config nonint do_serial_hw 0` "
-     "and `sudo raspi-config nonint do_serial_cons 1`, then start it again"},
+     "and `sudo raspi-config nonint do_serial_cons 1`, then reboot"},
     {"/dev/ttyAMA",
      "switch the serial port on, and the login on it off: on a Raspberry Pi `sudo raspi-config nonint do_serial_hw 0` "
-     "and `sudo raspi-config nonint do_serial_cons 1`, then start it again"},
-    {"/dev/pps", "a line `dtoverlay=pps-gpio,gpiopin=18` in /boot/firmware/config.txt, then start it again"},
+     "and `sudo raspi-config nonint do_serial_cons 1`, then reboot"},
+    {"/dev/pps", "a line `dtoverlay=pps-gpio,gpiopin=18` in /boot/firmware/config.txt, then reboot"},
     {"/sys/bus/w1",
-     "switch 1-Wire on: on a Raspberry Pi a line `dtoverlay=w1-gpio` in /boot/firmware/config.txt, then start it "
-     "again"},
+     "switch 1-Wire on: on a Raspberry Pi a line `dtoverlay=w1-gpio` in /boot/firmware/config.txt, then "
+     "reboot"},
 }};
 
 }  // namespace

@@ -31,7 +31,7 @@ constexpr const char* cannot_use_line = "cannot use the GPIO line";
 constexpr const char* list_advice = "`rtdata scan` lists the chips and their lines";
 
 struct Place {
-  std::string path;  // of the chip
+  std::string path;  // path of the chip's device file
   unsigned number = 0;
   GpioLineInfo line;
   std::string text() const {
@@ -97,7 +97,7 @@ class Finder {
         continue;
       Error refused = system_error(one->error_number, cannot_use_line, where() + ", " + one->path);
       if (refused.code == Errc::not_permitted)
-        refused.advice = "become one of the group that may: `ls -l " + one->path +
+        refused.advice = "join the group that may use the chip: `ls -l " + one->path +
                          "` shows it; `sudo usermod -aG gpio $USER`, then log in again";
       return refused;
     }
@@ -172,7 +172,7 @@ Error refusal_of(int error_number, GpioBackend& backend, const Place& place) {
         if (chip.path == place.path && place.number < chip.lines.size()) who = chip.lines[place.number].consumer;
       return {Errc::busy, cannot_use_line, place.text(),
               who.empty() ? "another program uses it, which gives no name" : "\"" + who + "\" has it",
-              "end that, or use another line; a driver of the kernel is named in the device tree"};
+              "end that program, or use another line; a driver of the kernel is named in the device tree"};
     }
     case EINVAL:
     case ENXIO:

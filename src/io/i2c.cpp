@@ -68,7 +68,7 @@ Error I2cDevice::failure(int errno_value) const {
       return error(Errc::disconnected, what, "nothing acknowledges this address",
                    "check its wires and its supply; `i2cdetect -y` shows who answers");
     case ETIMEDOUT:
-      return error(Errc::timed_out, what, "the adapter waited in vain",
+      return error(Errc::timed_out, what, "the adapter waited for the bus in vain",
                    "a chip may hold SCL or SDA: switch it off and on");
     case EAGAIN:
       return error(Errc::busy, what, "arbitration was lost", "another master is on the bus");

@@ -90,7 +90,7 @@ Result<void> IioCapture::set_up(const IioCaptureConfig& config) {
                    holder.empty() ? "another program has it" : holder + " has it",
                    holder.empty()                   ? "`sudo fuser -v " + device.node() + "` names it"
                    : holder == detail::this_program ? "list the channels of both sensors in one"
-                                                    : "end that, or use its data"};
+                                                    : "end that program, or use its data"};
     }
     return system_error(number, cannot_capture, device.node(),
                         number == EACCES ? "add a udev rule that lets the user read it (docs/iio.md)" : "");
@@ -207,7 +207,7 @@ Result<void> IioCapture::set_channels(const IioCaptureConfig& config) {
     if (!is) return is.error();
     if (*is != (is_on ? "1" : "0")) {
       return Error{Errc::bad_argument, cannot_capture, device.text(),
-                   "channel " + name + " stays " + (is_on ? "off" : "on") + ": it cannot measure these together",
+                   "channel " + name + " stays " + (is_on ? "off" : "on") + ": the chip cannot measure these together",
                    "choose fewer or other `channels`"};
     }
   }

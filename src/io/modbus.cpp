@@ -207,23 +207,25 @@ Error ModbusDevice::failure(int number) const {
   };
   switch (number) {
     case EMBXILFUN:
-      return exception(Errc::bad_argument, "illegal function",
-                       "it has no such `table`: its document says which function codes it knows (holding 3, input 4, "
-                       "coil 1, discrete 2)");
+      return exception(
+          Errc::bad_argument, "illegal function",
+          "the device has no such `table`: its document says which function codes it knows (holding 3, input 4, "
+          "coil 1, discrete 2)");
     case EMBXILADD:
-      return exception(Errc::bad_argument, "illegal data address",
-                       "it has not all of these addresses; documents that count from 1, or from 40001, mean one less");
+      return exception(
+          Errc::bad_argument, "illegal data address",
+          "the device does not have all of these addresses; documents that count from 1, or from 40001, mean one less");
     case EMBXILVAL:
       return exception(
           Errc::bad_argument, "illegal data value",
-          "it does not give so many registers at a time: set `gap` to 0, or divide `fields` among sensors");
+          "the device does not give so many registers at a time: set `gap` to 0, or divide `fields` among sensors");
     case EMBXSFAIL:
       return exception(Errc::io_failed, "server device failure",
-                       "it failed while it prepared the answer: its display or log may say more");
+                       "the device failed while it prepared the answer: its display or log may say more");
     case EMBXACK:
-      return exception(Errc::busy, "acknowledge", "it takes longer: lower `rate`");
+      return exception(Errc::busy, "acknowledge", "the device needs more time: lower `rate`");
     case EMBXSBUSY:
-      return exception(Errc::busy, "server device busy", "lower `rate`, or look who else asks it");
+      return exception(Errc::busy, "server device busy", "lower `rate`, or find out who else asks the device");
     case EMBXNACK:
       return exception(Errc::io_failed, "negative acknowledge", "its manual says what it needs first");
     case EMBXMEMPAR:

@@ -23,7 +23,7 @@ class ModbusTcp {
   Taken take(std::uint8_t function);
   int receive(int connection);
 
-  std::uint16_t number_ = 0;  // of the last request
+  std::uint16_t number_ = 0;  // number of the last request
   Bytes out_, in_, answer_;   // `in_` has come, and is not taken
 };
 

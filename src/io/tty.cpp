@@ -55,7 +55,8 @@ long locked_by(const std::string& path) {
 Error busy_error(const std::string& path) {
   const long process = locked_by(path);
   if (process == ::getpid())
-    return {Errc::busy, cannot_open, path, "this program has it open already", "one sensor or bus has it for itself"};
+    return {Errc::busy, cannot_open, path, "this program has it open already",
+            "only one sensor or bus can use a serial line"};
   if (process > 0) {
     const std::string name = first_line_of("/proc/" + std::to_string(process) + "/comm");
     return {Errc::busy, cannot_open, path,

@@ -17,7 +17,7 @@ constexpr std::size_t most_addresses = 16;
 int look_up(const std::string& host, std::uint16_t port, int flags, std::vector<HostLookup::Address>& to) {
   addrinfo hints{};
   hints.ai_family = AF_UNSPEC;
-  hints.ai_socktype = SOCK_STREAM;  // of any: an address each
+  hints.ai_socktype = SOCK_STREAM;  // one socket type, so that each address comes once
   hints.ai_flags = flags | AI_NUMERICSERV;
   addrinfo* found = nullptr;
   const int status = ::getaddrinfo(host.c_str(), std::to_string(port).c_str(), &hints, &found);
@@ -83,7 +83,7 @@ void HostLookup::start(const std::string& host, std::uint16_t port) {
   const std::shared_ptr<Job> job = job_;
   if (!lane_->submit(job) && job_ == job) {
     job_ = nullptr;
-    found_(unknown("no thread is free to look it up: earlier attempts still hang"));
+    found_(unknown("no thread is free to look the name up: earlier attempts still hang"));
   }
 }
 

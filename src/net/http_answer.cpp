@@ -31,7 +31,7 @@ constexpr Status statuses[] = {
     {307, "Temporary Redirect", ""},
     {308, "Permanent Redirect", ""},
     {400, "Bad Request", ""},
-    {401, "Unauthorized", "the token or password is not accepted, or no longer: give the right one"},
+    {401, "Unauthorized", "the server does not accept this token or password: give the right one"},
     {403, "Forbidden", "this token or password does not permit writing there: have it permitted, or use another"},
     {404, "Not Found", "there is nothing at this URL: correct `url`"},
     {405, "Method Not Allowed", "the server wants another method at this URL: correct `method` or `url`"},
@@ -49,12 +49,12 @@ constexpr Status statuses[] = {
     {422, "Unprocessable Content", ""},
     {425, "Too Early", ""},
     {429, "Too Many Requests",
-     "it wants fewer requests: a larger `parcel_rows`, a smaller `window`, `bytes_per_second`"},
+     "the server wants fewer requests: set a larger `parcel_rows`, a smaller `window`, `bytes_per_second`"},
     {431, "Request Header Fields Too Large", "send fewer `headers`"},
     {500, "Internal Server Error", "see the server's log"},
     {501, "Not Implemented", "see the server's log"},
     {502, "Bad Gateway", "the server behind it does not answer"},
-    {503, "Service Unavailable", "it is overloaded, or being restarted"},
+    {503, "Service Unavailable", "the server is overloaded, or being restarted"},
     {504, "Gateway Timeout", "the server behind it does not answer"},
     {507, "Insufficient Storage", "make room on the server"}};
 
@@ -102,10 +102,10 @@ Error said(const HttpAnswer& answer, const std::string& origin) {
 
 std::string redirect_advice(const HttpAnswer& answer, const std::string& origin) {
   const auto to = answer.redirect.empty() ? Result<HttpUrl>(Error{}) : parse_http_url(answer.redirect);
-  if (!to) return "it gives no new address: ask its operator";
+  if (!to) return "the server gives no new address: ask its operator";
   if (to->origin != origin)
-    return "it wants the events sent to " + to->origin + ": if that is right, write it into `url`";
-  return "it wants another path at the same server: correct `url` (`curl -i` shows where)";
+    return "the server wants the events sent to " + to->origin + ": if that is right, write it into `url`";
+  return "the server wants another path: correct `url` (`curl -i` shows where)";
 }
 
 }  // namespace

@@ -8,7 +8,7 @@
 namespace rtdata::detail {
 namespace {
 
-constexpr std::size_t most_text = 1024;                    // of an answer, to show
+constexpr std::size_t most_text = 1024;                    // bytes of an answer that are shown
 constexpr std::size_t most_answer = std::size_t{1} << 20;  // a longer answer is not accepted
 
 /// Where libcurl finds the authorities that this machine trusts. From the folder, OpenSSL reads what it needs; all of

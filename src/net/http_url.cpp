@@ -103,7 +103,7 @@ std::vector<HttpMistake> mistakes_of(const HttpPeer& config) {
     add("url", "user and password in a URL would be shown with it: give `user` and `password`, or `bearer`");
   if (url && url->has_fragment) add("url", "the part after # is never sent: remove it");
   if (!config.bearer.empty() && !config.user.empty()) add("bearer", "give either `bearer` or `user`, not both");
-  if (config.user.empty() && !config.password.empty()) add("password", "there is no `user` that it belongs to");
+  if (config.user.empty() && !config.password.empty()) add("password", "`password` needs a `user`");
   if (config.user.find(':') != std::string::npos) add("user", "a user's name in basic authentication has no colon");
   for (const auto& [key, text] :
        {std::pair{"bearer", &config.bearer}, std::pair{"user", &config.user}, std::pair{"password", &config.password},

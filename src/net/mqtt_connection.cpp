@@ -216,8 +216,7 @@ std::vector<std::pair<const char*, std::string>> mistakes_of_client(const MqttBr
   }
   if (broker.password.find('\0') != std::string::npos)
     mistakes.emplace_back("password", "it has a NUL byte, at which it would end");
-  if (broker.user.empty() && !broker.password.empty())
-    mistakes.emplace_back("password", "there is no `user` that it belongs to");
+  if (broker.user.empty() && !broker.password.empty()) mistakes.emplace_back("password", "`password` needs a `user`");
   return mistakes;
 }
 
@@ -340,7 +339,7 @@ void MqttConnection::connect() {
   last_job_ = job;
   if (!lane_->submit(job) && job_ == job) {
     job_ = nullptr;
-    fail(Errc::timed_out, "cannot connect", "no thread is free for it: earlier attempts still hang");
+    fail(Errc::timed_out, "cannot connect", "no thread is free to connect: earlier attempts still hang");
   }
 }
 

@@ -17,7 +17,7 @@ struct MqttExpectation {
 struct MqttPacket {
   enum class State { cut, good, bad };
   State state = State::cut;
-  const char* why = "";     ///< it is bad
+  const char* why = "";     ///< why the packet is bad
   unsigned char type = 0;   ///< as MQTT numbers them
   std::size_t prefix = 0;   ///< bytes of type and length
   std::size_t head = 0;     ///< bytes up to the payload of a message, which are all of any other packet

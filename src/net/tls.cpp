@@ -48,7 +48,7 @@ std::vector<TlsMistake> mistakes_of(const TlsConfig& config) {
   if (config.certificate.empty() && !config.key.empty())
     mistakes.push_back({"key", "a key needs its certificate: give the file as `certificate`"});
   if (!config.key_password.empty() && config.key.empty())
-    mistakes.push_back({"key_password", "there is no `key` that it could be the password of"});
+    mistakes.push_back({"key_password", "`key_password` needs a `key`"});
   if (!config.verify && !config.ca_file.empty())
     mistakes.push_back({"ca_file", "with `verify` false it is not used: remove one of the two"});
   return mistakes;

@@ -37,7 +37,7 @@ std::string advice_on_certificate(long verified, const std::string& key) {
 
 namespace {
 
-constexpr std::size_t most_written = 16384;  // of a record of TLS
+constexpr std::size_t most_written = 16384;  // bytes of a TLS record
 
 /// What OpenSSL says of the last failure, the first cause of it; empties its queue.
 std::string last_reason() {
@@ -224,7 +224,7 @@ long verify_result_of(void*) noexcept { return 0; }
 std::string text_of_verify_result(long) { return not_trusted; }
 
 Result<void> load_tls() {
-  return Error{Errc::not_found, "cannot encrypt", "", "this was built without OpenSSL",
+  return Error{Errc::not_found, "cannot encrypt", "", "this program was built without OpenSSL",
                "install libssl-dev and build it again, or leave `tls` out"};
 }
 

@@ -52,7 +52,7 @@ class TlsSession {
   TlsSession& operator=(const TlsSession&) = delete;
 
   enum class State {
-    more,   ///< it needs more of what the peer sends
+    more,   ///< the session needs more bytes from the peer
     done,   ///< the handshake is complete; bytes were read
     ended,  ///< the peer has said goodbye
     failed  ///< `error` says why

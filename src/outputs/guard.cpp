@@ -82,10 +82,15 @@ Result<int> OutputGuard::Link::introduce(const std::string& name, double safe, c
                                          std::uint32_t& slot) {
   constexpr const char* cannot = "cannot hand the output to its guard";
   if (what.size() > detail::most_guarded_text)
-    return Error{Errc::does_not_fit, cannot, "", "its sources have more than 64 KiB", ""};
+    return Error{
+        Errc::does_not_fit, cannot, "",
+        "the text of its settings and sources has more than " + std::to_string(detail::most_guarded_text) + " bytes",
+        "give it fewer or shorter settings"};
   const std::lock_guard lock(mutex);
   const auto free = std::find(is_taken.begin(), is_taken.end(), false);
-  if (free == is_taken.end()) return Error{Errc::does_not_fit, cannot, "", "it has 1024 already", ""};
+  if (free == is_taken.end())
+    return Error{Errc::does_not_fit, cannot, "", "the guard holds 1024 outputs already, and cannot hold more",
+                 "use fewer outputs"};
   int ends[2];
   if (::socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0, ends) != 0) return system_error(errno, cannot, "");
   slot = static_cast<std::uint32_t>(free - is_taken.begin());

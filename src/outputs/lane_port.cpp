@@ -131,7 +131,7 @@ class LanePort final : public OutputPort {
     job_.reset();
     hangs_ = outcome == LaneJob::Outcome::given_up;  // its thread may use the device at any later time
     if (outcome == LaneJob::Outcome::cancelled)
-      result = Error{Errc::closed, "cannot set the output", name_, "it ends", ""};
+      result = Error{Errc::closed, "cannot set the output", name_, "the output is being closed", ""};
     const std::optional<End> end = std::exchange(end_, std::nullopt);
     if (end && outcome == LaneJob::Outcome::finished) {
       result = submit(end->value, longest_wait, true);

@@ -156,7 +156,7 @@ struct MqttActuator::Link {
     if (status != MOSQ_ERR_SUCCESS) return failed(mosquitto_strerror(status));
     wake_up();
     if (!changed.wait_until(lock, until, [this] { return result || handle == nullptr; }))
-      return failed("the broker did not confirm it within " + to_string(config.timeout));
+      return failed("the broker did not confirm the message within " + to_string(config.timeout));
     if (!result) return failed("the connection was lost: " + trouble.why);
     if (*result >= 0x80) {
       trouble.code = Errc::not_permitted;

@@ -28,10 +28,11 @@ std::string refusal_of(const OutputConfig& config) {
   if (!std::isfinite(config.safe)) return "`safe` is not a finite number";
   if (config.on.empty()) {
     if (!config.expression.empty() || !config.with.empty() || config.hysteresis || config.pid)
-      return "`expression`, `with`, `hysteresis` and `pid` need the topic `on` that it follows";
+      return "`expression`, `with`, `hysteresis` and `pid` need the topic `on` that the output follows";
     return "";
   }
-  if (config.lease != Duration{0}) return "`lease` is for what `set` sets; of a topic it is `max_age`";
+  if (config.lease != Duration{0})
+    return "`lease` is for outputs that `set` sets; an output that follows a topic has `max_age`";
   if (config.hysteresis && config.pid) return "give `hysteresis` or `pid`, not both";
   return "";
 }
@@ -108,7 +109,8 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     }
     if (state_ == State::failed) {  // while its safe value is on its way, the order follows that
       record(order, {}, "the device has failed");
-      return refusal(Errc::io_failed, "the device has failed", "it is set safe as soon as it takes that; set it then");
+      return refusal(Errc::io_failed, "the device has failed",
+                     "the output is set safe as soon as the device takes that; set it then");
     }
     last_set_ = now();
     if (config_.lease > Duration{0} && !lease_.is_running()) lease_.start(config_.lease);
@@ -299,7 +301,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     if (opened && !config_.keep) value_ = config_.safe;
     record({config_.safe, OutputCause::start, {}, began}, value_,
            !opened        ? opened.error().why
-           : config_.keep ? "it keeps what it has"
+           : config_.keep ? "the output keeps its value"
                           : "");
     if (!opened) {
       complain(placed(opened.error()), Health::faulted);
@@ -390,7 +392,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     } else {
       const bool is_reported = is_over_ && !config_.keep && value_ == config_.safe;
       value_ = config_.keep ? value_ : std::optional(config_.safe);
-      if (!is_reported) record(stop_order_, value_, config_.keep ? "it keeps what it has" : "");
+      if (!is_reported) record(stop_order_, value_, config_.keep ? "the output keeps its value" : "");
     }
   }
   /// What `finish` began.
@@ -415,7 +417,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
       }
       if (is_asked) return repeated();
       if (!is().busy) return record(order, value_, "");
-      return record(order, {}, "it is on its way already");
+      return record(order, {}, "this value is on its way to the device already");
     }
     if (!is().busy) return send(order);
     if (next_ && next_->is_repeat) {
@@ -586,7 +588,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     if (!done) {
       error.what = "the guard could not set the output to its safe value";
       error.why += ", and the device did not take the value: " + done.error().why;
-      error.advice = "check the device: it is tried again until it takes it";
+      error.advice = "check the device: the safe value is sent again until the device takes it";
     }
     complain(error, done ? Health::degraded : Health::faulted);
   }
@@ -651,7 +653,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     go_stale(Errc::timed_out,
              "the topic \"" + *silence.topic + "\" has had " +
                  (is_silent ? "no event" : "only events without a value") + " for " + to_string(config_.max_age),
-             "it follows it again with its next event; a longer `max_age` bridges longer pauses");
+             "the output follows it again with its next event; a longer `max_age` bridges longer pauses");
   }
   /// A loop's last event is valid as long as that loop turns, because it would publish a change.
   void look_at_loops() {
@@ -665,7 +667,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
       go_stale(Errc::not_turning,
                "loop " + hanging_->config.name + ", which would tell of changes, has not turned for " +
                    to_string(config_.max_age),
-               "it follows again when that loop turns; find what blocks there");
+               "the output follows it again when that loop turns; find what blocks there");
     if (hanging_ == nullptr && before != nullptr) recall();
   }
   void go_stale(Errc code, const std::string& why, std::string advice) {
@@ -732,7 +734,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   Ticker beat_;
   std::vector<Subscription> subscriptions_;
   std::unique_ptr<OutputPort> port_;
-  std::optional<double> value_;  // that the device has
+  std::optional<double> value_;  // the value that the device has
   Order busy_;                   // on its way, if there is one
   std::optional<Order> next_;
   Order stop_order_;
@@ -745,7 +747,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   State state_ = State::stopped;
   bool is_over_ = false;     // the program ends
   bool is_watched_ = false;  // the guard knows that it is armed
-  bool is_patient_ = false;  // it begins, whatever its device says
+  bool is_patient_ = false;  // the output begins, whatever its device says
   bool is_armed_ = false;
   bool published_armed_ = false;  // by the last event
   bool is_stale_ = false;

@@ -42,7 +42,7 @@ std::vector<Constant> constants_of(const std::string& text) {
         constants.push_back({1, node.column});
       }
     }
-  } catch (const detail::ExpressionMistakeFound&) {  // which is told elsewhere
+  } catch (const detail::ExpressionMistakeFound&) {  // another check reports the mistake
   }
   return constants;
 }

@@ -103,7 +103,7 @@ Result<void> SerialActuator::set(double value) {
     if (wrote >= 0 || errno == EINTR) continue;
     if (errno != EAGAIN) return failed();
     if (wait_for(fd_, POLLOUT, until)) continue;
-    // Of a text that was not begun nothing is owed.
+    // A text that was not begun need not be completed.
     const std::size_t sent = text.size() - rest.size();
     if (sent != 0 || !before.empty())
       unsent().keep(config_.device, sent > before.size() ? rest : std::string_view(before).substr(sent));

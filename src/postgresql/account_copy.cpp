@@ -205,7 +205,7 @@ bool RunCopy::read_table(std::size_t table, const Positions& positions) {
       if (missing > refused_here && is_whole && !has_ended_) return false;
       if (missing > 0 && has_ended_) {
         if (!is_done_with(of_topic, of_origin)) return false;
-        if (is_whole) refused_here = missing;  // of the oldest the recording has forgotten the keys
+        if (is_whole) refused_here = missing;  // the recording has forgotten the keys of the oldest rows
       }
       replaced[at.at("stored")] = static_cast<std::int64_t>(stored - refused_here);
       replaced[at.at("dropped_refused")] = static_cast<std::int64_t>(number("dropped_refused") + refused_here);

@@ -200,7 +200,7 @@ class Download {
   const std::vector<std::vector<AccountColumn>> columns_ = account_columns();
   std::vector<Topic> topics_;
   std::map<std::pair<std::string, std::string>, Origin> origins_;  // of the run, by table and origin
-  Time first_{}, last_{};                                          // of its rows
+  Time first_{}, last_{};                                          // of the run's rows
   std::set<std::string, std::less<>> tables_;                      // of the account, that are there
 };
 

@@ -21,7 +21,8 @@ constexpr Known by_state[] = {
     {"57P", {Errc::disconnected, "it is tried again"}},
     {"08", {Errc::disconnected, "it is tried again"}},
     {"23505",
-     {Errc::busy, "rows are there that rtdata_position does not know: was it changed, or is it of another time?"}},
+     {Errc::busy,
+      "the server has rows that rtdata_position does not know: was that table changed, or restored from a backup?"}},
     {"22012", {Errc::busy, "another program has also sent events of this run: this one reads the position again"}},
     {"42P01", {Errc::description_differs, "a table was dropped or renamed; the sink searches for it again"}},
     {"42703", {Errc::description_differs, "a column was dropped or renamed; give the table back its columns"}},
@@ -29,7 +30,8 @@ constexpr Known by_state[] = {
 };
 
 constexpr const char* tls_advice =
-    "give the file of the authority that signed the certificate as `sslrootcert` in `url`; or the certificate is over, "
+    "give the file of the authority that signed the certificate as `sslrootcert` in `url`; or the certificate has "
+    "expired, "
     "or this machine's clock is wrong (`date`)";
 
 /// By a part of the text, since libpq gives what it finds itself no code.
@@ -55,7 +57,8 @@ constexpr Known by_text[] = {
     {"channel binding", {Errc::not_permitted, "choose another `channel_binding` in `url`"}},
     {"no password supplied", {Errc::not_permitted, "the server wants a password: set `password`, or use ~/.pgpass"}},
     {"requirepeer", {Errc::not_permitted, "the server is run by another user than `requirepeer` of `url` names"}},
-    {"translate host name", {Errc::disconnected, "check `host`, or the one of `url`; events wait until it is known"}},
+    {"translate host name",
+     {Errc::disconnected, "check `host`, or the host in `url`; events wait until its address is known"}},
 };
 
 }  // namespace

@@ -117,7 +117,7 @@ Result<void> PostgresqlWriter::write(Batch& batch) try {
       if (is_table_known)
         narrow(error.error());
       else
-        forget();  // it may be of every row, since a column has another type now
+        forget();  // every row may fail so, because a column now has another type
     }
   }
   if (!refused_.empty() || has_unfit_topic_) refuse_rows(batch);
@@ -195,7 +195,7 @@ void PostgresqlWriter::send() {
     sql += table.copy() + ";";
     data.push_back(table.rows().view());
   }
-  // One round trip: what fails keeps the server from what follows, COMMIT included.
+  // One round trip: after a failure the server skips the rest, COMMIT included.
   sql += positions_sql() + ";COMMIT";
   connection_.copy(sql, data);
   for (const std::uint32_t number : touched_) {

@@ -38,7 +38,7 @@ char* put_big(char* to, T value) noexcept {
   return to + sizeof value;
 }
 
-/// Its length, then the value.
+/// Writes the length, then the value.
 template <class T>
 char* put_field(char* to, T value) noexcept {
   return put_big(put_big(to, static_cast<std::int32_t>(sizeof value)), value);

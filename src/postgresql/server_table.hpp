@@ -115,7 +115,7 @@ class ServerTable {
   std::string name_, copy_;
   std::shared_ptr<const Description> description_;
   std::vector<Column> columns_;
-  std::size_t most_bytes_ = 0;  // of a row, without its origin
+  std::size_t most_bytes_ = 0;  // bytes of a row, without its origin
   Bytes rows_;
   std::size_t count_ = 0;
 };

@@ -74,10 +74,10 @@ void check_field_names(const std::string& text, const std::vector<std::string>& 
     if (first == nullptr || first->find(constant) == nullptr) continue;
     const auto with_it = Expression::names_in(text, {constant});
     if (!with_it || with_it->size() == names.size()) continue;
-    problems.add(at.problem("bad-value", "`" + std::string(constant) +
-                                             "` is the constant, and a field of the topic \"" + topics[0] +
-                                             "\": the field is written '" + constant + "', in quotes; `" +
-                                             Expression::normal_name(topics[0]) + "." + constant + "` is the same"));
+    problems.add(at.problem("bad-value", "`" + std::string(constant) + "` means the constant, but topic \"" +
+                                             topics[0] + "\" has a field of that name, too: for the field, write '" +
+                                             constant + "' in quotes, or `" + Expression::normal_name(topics[0]) + "." +
+                                             constant + "`"));
   }
   std::vector<std::string> good;
   for (const std::string& name : names) {

@@ -118,7 +118,7 @@ class Parser {
     throw ExpressionMistakeFound{{tree_.nodes[node].column, std::move(why), {}}};
   }
   [[noreturn]] void unexpected() const {
-    if (token_ == Token::end) fail("it ends where a value is missing");
+    if (token_ == Token::end) fail("the expression ends where a value is missing");
     if (token_ == Token::symbol && word_ == ")") fail("a `)` without its `(`");
     if (token_ == Token::symbol && word_ == "=") fail("a single `=` does not compare: write `==`");
     fail("`" + std::string(word_) + "` is not possible here");
@@ -459,9 +459,8 @@ class Parser {
     };
     if (function != functions.end()) {
       if (given == 1 && function->most == any_number)  // who writes so thinks of former values
-        fail_at(called_at, "`" + word +
-                               "` is of several values of one event; of one value over time there are highest, " +
-                               "lowest, mean and integral");
+        fail_at(called_at, "`" + word + "` takes several values of one event; for one value over time use `highest`, " +
+                               "`lowest`, `mean` or `integral`");
       if (given < function->least || given > function->most)
         refuse(function->most == any_number
                    ? "2 arguments or more, up to 64"

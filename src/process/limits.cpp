@@ -39,7 +39,7 @@ Result<void> check_limits(const LimitSettings& settings) {
   }
   if (before == nullptr) return refuse("there is no limit", "give `low_low`, `low`, `high` or `high_high`");
   if (!(settings.hysteresis >= 0) || !std::isfinite(settings.hysteresis))
-    return refuse("`hysteresis` is not a number from 0 on", "a little more than the noise of the value");
+    return refuse("`hysteresis` must be 0 or more", "a little more than the noise of the value");
   const auto lower = settings.low ? settings.low : settings.low_low;
   const auto upper = settings.high ? settings.high : settings.high_high;
   if (lower && upper && settings.hysteresis >= *upper - *lower)

@@ -70,7 +70,7 @@ struct Finder {
     const auto count = [&](unsigned least, unsigned most, const char* which) {
       const std::string advice = std::string("give it ") + which + " number from " + std::to_string(least) + " to " +
                                  std::to_string(most);
-      if (!f.of) return add(where + ".of", "it does not say of how many samples", advice);
+      if (!f.of) return add(where + ".of", "the number of samples is missing", advice);
       const bool is_even_median = f.type == FilterType::median && *f.of % 2 == 0;
       if (*f.of < least || *f.of > most || is_even_median)
         add(where + ".of",
@@ -99,11 +99,11 @@ struct Finder {
         if (!f.least && !f.most) add(where + ".least", "it has no bound", "set `least`, `most` or both");
         return look_at_bounds(where, f.least, f.most);
       case FilterType::throttle:
-        if (!f.time || *f.time <= Duration{0}) add(where + ".time", "it does not say how long", "such as \"1 s\"");
+        if (!f.time || *f.time <= Duration{0}) add(where + ".time", "the time is missing", "such as \"1 s\"");
         return;
       case FilterType::delta:
         if (!f.by || !(*f.by > 0) || !std::isfinite(*f.by))
-          add(where + ".by", "it does not say by how much, above 0", "such as 0.1");
+          add(where + ".by", "the amount is missing, or not above 0", "such as 0.1");
         return;
       case FilterType::rate_of_change:
         return;

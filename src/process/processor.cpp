@@ -307,7 +307,7 @@ bool Processor::run(Group& group, const std::byte* payload, Time time, bool& is_
     });
   }
   if (group.decides) std::fill_n(passes_.begin(), lanes, std::uint8_t{1});
-  bool is_finite = is_integer_kind(group.from);  // none of them can have become anything else
+  bool is_finite = is_integer_kind(group.from);  // an integer cannot have become infinite or NaN
   const auto look = [&] { return std::exchange(is_finite, true) || check_finite(group); };
   const Op* const end = ops_.data() + group.end_op;
   for (Op* op = ops_.data() + group.first_op; op != end; ++op) {

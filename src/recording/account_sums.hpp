@@ -15,7 +15,7 @@ namespace rtdata::sqlite {
 
 /// The sum of rtdata_topic, which is of all runs, and of the columns of the tables that it names: in rtdata_checksum.
 inline constexpr std::int64_t all_runs = 0;
-/// That of what is kept of senders, which is of all runs too. Whole rows of these tables come behind this number.
+/// The sum of the senders' rows, which belong to all runs. Whole rows of these tables come behind this number.
 inline constexpr std::int64_t of_senders = -1;
 inline constexpr std::array<std::string_view, 3> sender_tables = {"rtdata_refused", "rtdata_refused_before",
                                                                   "rtdata_unsent"};

@@ -48,7 +48,7 @@ NamedRuns named_runs(const Recording& recording, const ExportConfig& config) {
   return named;
 }
 
-/// Of CSV: what the times are stands above them. `fields`: null when there are none.
+/// For CSV: the heading says what the times are. `fields`: null when there are none.
 std::string csv_head(const ExportConfig& config, const NamedRuns& runs, const Description* fields) {
   const bool is_utc = config.time == ExportTime::utc;
   const bool has_units = config.header == ExportConfig::Header::names_and_units;
@@ -234,8 +234,9 @@ Result<ExportCount> export_rows(const Recording& recording, const ExportConfig& 
     if (topics.size() > 5) names += ", ...";
     throw SetupError(
         {Errc::bad_argument, "cannot export to one CSV text", recording.path(),
-         is_one_topic ? "the fields of " + topics.front().topic + " changed between runs"
-                      : "it holds one topic, and there are " + std::to_string(topics.size()) + ": " + names,
+         is_one_topic
+             ? "the fields of " + topics.front().topic + " changed between runs"
+             : "one CSV text can hold only one topic, and " + std::to_string(topics.size()) + " were chosen: " + names,
          is_one_topic ? "choose a run, or export into a folder" : "choose a topic, or export into a folder"});
   }
   auto runs = named_runs(recording, config);

@@ -225,7 +225,7 @@ void Positions::count_unsent(Database& database, AccountSums& sums, const std::s
     Unsent& unsent = unsent_[key];
     const bool is_open = unsent.after < unsent.up_to;
     unsent.topic = topic;
-    // Of rows that have got other numbers (VACUUM) it is not found out which are under way.
+    // When rows have got other numbers (VACUUM), it is not known which of them are under way.
     unsent.after = after != done.row ? up_to : std::min(is_open ? std::max(unsent.after, after) : after, up_to);
     unsent.up_to = up_to;
     unsent.is_new = true;

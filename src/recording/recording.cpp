@@ -116,7 +116,7 @@ Database open_file(const std::string& path) {
     try {
       auto query = opened.prepare("SELECT program FROM rtdata_run ORDER BY run DESC LIMIT 1");
       if (query.step()) writer = " (\"" + std::string(query.text(0)) + "\" wrote it)";
-    } catch (const SetupError&) {  // it does not say
+    } catch (const SetupError&) {  // the file does not say so
     }
     throw SetupError({Errc::not_a_recording, doing, path, sqlite::written_before + writer, sqlite::advice_before});
   }

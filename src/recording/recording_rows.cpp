@@ -179,7 +179,7 @@ class TableCursor final : public RowCursor {
   const RecordedTopic topic_;
   const RowReader reader_;
   sqlite::Statement statement_;
-  std::uint64_t last_sequence_ = 0;  // of the row at hand
+  std::uint64_t last_sequence_ = 0;  // sequence of the current row
   bool is_first_ = true;
 };
 

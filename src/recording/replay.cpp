@@ -166,7 +166,7 @@ void ReplayNode::give_event(Origin& origin, const ReplayPortion::Entry& entry) {
   const Time time = from_nanoseconds(entry.time);
   if (entry.sequence <= core.sequence || time <= core.last_time) {
     return refuse("origin " + core.name + ", sequence " + std::to_string(entry.sequence) + ", " + to_iso8601(time) +
-                  ": it is not after the one before it");
+                  ": it is not after the event before it");
   }
   // What the recording dropped. Before its first event only an account tells what there was.
   const std::uint64_t expected = core.sequence != 0 ? core.sequence + 1

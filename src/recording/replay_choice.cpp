@@ -34,8 +34,7 @@ Result<std::optional<GivenTime>> given_time(const char* key, const std::string& 
 Result<std::pair<std::string, std::string>> renaming_of(const std::string& text) {
   const std::size_t at = text.find('=');
   if (at == std::string::npos || !is_topic_name(text.substr(0, at)) || !is_topic_name(text.substr(at + 1))) {
-    return replay_refused("rename \"" + text + "\"", "it is not the name of a topic, \"=\", and another name",
-                          "write room=lab/room");
+    return replay_refused("rename \"" + text + "\"", "it must be OLD_TOPIC=NEW_TOPIC", "write room=lab/room");
   }
   return std::pair(text.substr(0, at), text.substr(at + 1));
 }

@@ -141,8 +141,8 @@ class Deletion {
   [[noreturn]] void refuse_unsent() const {
     std::string sinks;
     for (const auto& [sink, count] : found_.unsent)
-      sinks += (sinks.empty() ? "" : ", ") + std::to_string(count) + " of its events for sink " + sink;
-    refuse("peers have not all of it: " + sinks,
+      sinks += (sinks.empty() ? "" : ", ") + std::to_string(count) + " for sink " + sink;
+    refuse("peers do not have all events of the run: " + sinks,
            "send them (`rtdata run`, `rtdata forward`), or give them up: --discard-backlog");
   }
 

@@ -183,10 +183,11 @@ std::string seal_run(Database& database, const OpenRun& run, LiveFile* live, Acc
   }
   std::string remark = (run.remark.empty() ? "" : run.remark + "; ") + "run " + std::to_string(run.run) +
                        " ended without closing";
+  const std::string lost_text = "; lost " + std::to_string(lost) + (lost == 1 ? " event, " : " events, ");
   remark += !is_known     ? "; what was published after that is unknown"
-            : unnamed > 0 ? "; lost " + std::to_string(lost) + " events, and " + std::to_string(unnamed) +
-                                " of sensors that had only begun, whose names are unknown"
-                          : "; lost " + std::to_string(lost) + " events, published and not yet committed";
+            : unnamed > 0 ? lost_text + "and " + std::to_string(unnamed) +
+                                " more of sensors whose names are unknown because they had only begun"
+                          : lost_text + "published and not yet committed";
   if (lost_by_disk != 0) {
     remark += "; at least " + std::to_string(lost_by_disk) +
               " of them had been committed, and the disk has lost them: it has the data up to an earlier transaction";

@@ -51,7 +51,7 @@ void SqliteWriter::tend_log() {
     (void)sqlite3_db_config(database_.raw(), SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, 1, nullptr);
     is_log_lost_ = true;
     throw SetupError({Errc::closed, "recording has ended", config_.path,
-                      "its log, " + config_.path + "-wal, was cut off: what was only there is gone",
+                      "its log, " + config_.path + "-wal, was cut off: rows that were only there are gone",
                       "leave it alone while it is recorded into; the next start seals the run"});
   }
   const std::uint64_t limit = pruner_.log_bytes();

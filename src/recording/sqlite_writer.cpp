@@ -107,7 +107,7 @@ void SqliteWriter::keep(const OriginAccount& now, const Gap* closed) {
 
 void SqliteWriter::tell_of_live_file(const Error& why) {
   has_told_of_live_file_ = true;
-  warning_ = Error{why.code, "what a kill would lose will not be known", config_.path,
+  warning_ = Error{why.code, "if the program is killed, what it lost will not be known", config_.path,
                    why.what + " " + why.where + ": " + why.why, why.advice};
 }
 

@@ -69,7 +69,7 @@ void check_rows(const Findings& found, const LedgerEntry& entry, const OriginRow
   }
   for (const std::string& sentence : rows.early_sentences) found.note(place + sentence + ".");
   for (const std::string& sentence : rows.outside_sentences) {
-    // What numbers its own time (a GPS receiver) may well be outside.
+    // An origin with times of its own (a GPS receiver) may be outside.
     entry.sensor.has_schedule ? found.problem(place + sentence + ".") : found.note(place + sentence + ".");
   }
   if (rows.outside > rows.outside_sentences.size()) {
@@ -243,7 +243,7 @@ void check_gaps(const Findings& found, const LedgerEntry& entry, const std::vect
     } else if (gap->kind == "joined") {
       joined += gap->count;
     } else {
-      found.problem(place + which + " is neither missed nor failed nor joined.");
+      found.problem(place + which + " has an unknown kind: a gap is missed, failed or joined.");
     }
     if (gap->count == 0 || gap->last < gap->first) {
       found.problem(place + which + " has " + plural(gap->count, "tick") + " and ends at " + found.utc(gap->last) +

@@ -31,8 +31,8 @@ struct OriginRows {
   const UtcLine* line = nullptr;          // of the run; null: no account knows the origin
   std::int64_t account_ends = INT64_MAX;  // rowid after which rows came later than the account
   std::int64_t earliest = INT64_MIN, latest = INT64_MAX;
-  bool is_first_carried = false;  // its read was under way when the recording began
-  bool may_begin_early = false;   // so may more of them have been, where a tier hung
+  bool is_first_carried = false;  // the first read was under way when the recording began
+  bool may_begin_early = false;   // more reads may have been under way, if a tier hung
   std::array<std::uint64_t, sqlite::step_lengths.size()> steps_from{};  // as in the ledger
   std::uint64_t rows = 0;                                               // up to account_ends
   std::uint64_t rows_after = 0;
@@ -59,7 +59,7 @@ struct RunRows {
   std::uint64_t checked = 0;         // rows that agree with their checksum
   std::uint64_t sum = 0;             // of the hashes of all rows
   std::vector<std::string> changed;  // those that do not
-  std::uint64_t more_changed = 0;    // that these are not told of
+  std::uint64_t more_changed = 0;    // changes that are counted, but not listed
 };
 using RunsRows = std::map<std::int64_t, RunRows>;
 

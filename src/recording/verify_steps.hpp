@@ -47,7 +47,7 @@ class StepCheck {
   void advance(Stored& stored);
   void end_run();
   void tell(const Origin& origin, std::size_t length, std::int64_t time, const char* what);
-  /// Of steps of runs and origins that have no rows.
+  /// Reports steps of runs and origins that have no rows.
   void tell_others(std::size_t length);
   /// Whether a table of steps has the columns of the fields, and no others.
   bool has_columns(const std::vector<std::string>& columns, const std::string& table);
@@ -55,7 +55,7 @@ class StepCheck {
   const RecordingFile& file_;
   const RecordedTopic& topic_;
   RunsRows& runs_;
-  std::vector<std::string>& problems_;  // of no run
+  std::vector<std::string>& problems_;  // problems that belong to no run
   std::vector<sqlite::StepField> fields_;
   std::vector<int> columns_;  // of them, in the topic's table
   enum class Table { none, there, other };

@@ -73,7 +73,7 @@ class TickCheck {
   std::uint64_t taken_ = 0;
   std::uint64_t first_sequence_;
   std::uint64_t carried_;
-  std::uint64_t more_ticks_;  // that were taken and brought nothing to publish
+  std::uint64_t more_ticks_;  // ticks that were taken and brought nothing to publish
   std::size_t lower_ = 0, upper_ = 0;
   std::vector<std::string> sentences_;
   std::uint64_t mistakes_ = 0;

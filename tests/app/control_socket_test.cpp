@@ -162,7 +162,7 @@ TEST_SUITE("app") {
     ninth.send("x\n");
     echo.turn();
     CHECK(ninth.read() == "9:x\n");
-    CHECK(clients[1]->read() == "{\"error\":\"too many clients, and this one asked nothing for the longest\"}\n");
+    CHECK(clients[1]->read() == "{\"error\":\"too many clients; this one has asked nothing for the longest time\"}\n");
     CHECK(clients[1]->is_disconnected());
     CHECK(echo.gone == std::vector<std::uint64_t>{2});
     for (std::uint64_t i = 0; i < 20; ++i) {  // however many idle ones there are
@@ -206,7 +206,7 @@ TEST_SUITE("app") {
     CHECK(taken == 7);
     connect("the last");
     CHECK(taken == 8);
-    CHECK(clients[7]->read() == "{\"error\":\"too many clients, and this one asked nothing for the longest\"}\n");
+    CHECK(clients[7]->read() == "{\"error\":\"too many clients; this one has asked nothing for the longest time\"}\n");
     CHECK(clients[7]->is_disconnected());
     connect("one too many");
     CHECK(taken == 8);
@@ -240,7 +240,7 @@ TEST_SUITE("app") {
     asks.send("command\n");
     for (int i = 0; i < 20; ++i) loop.poll();
     socket.reset();
-    CHECK(asks.read() == "{\"ended\":\"the run has ended; whether it was done, its log says\"}\n");
+    CHECK(asks.read() == "{\"ended\":\"the run has ended; its log says whether the command was done\"}\n");
     CHECK(looks.read() == "{\"ended\":\"the run has ended\"}\n");
   }
 
@@ -369,14 +369,13 @@ TEST_SUITE("app") {
     for (const char* words : {"", R"(,"words":[])", R"(,"words":"note x")", R"(,"words":["note",1])"}) {
       const std::string line = std::string(R"({"request":"command")") + words + "}";
       CHECK(command_words(line).empty());
-      CHECK(status.answer(1, line)() ==
-            R"({"error":"the \"words\" of a command are a list of texts, which is not empty"})");
+      CHECK(status.answer(1, line)() == R"({"error":"\"words\" of a command must be a list of at least one string"})");
     }
     const std::string newer = R"({"request":"command","version":2,"words":["stop","a"]})";
     CHECK(command_words(newer).empty());
     CHECK(
         status.answer(1, newer)() ==
-        R"({"error":"it is asked in version 2 of the protocol, and knows up to 1: use the program that it was started with"})");
+        R"({"error":"the request is in version 2 of the protocol, and this program knows up to 1: use the version of the program that runs"})");
   }
 
   TEST_CASE("a status has counts, rates, lateness and last values, and looks only while asked") {
@@ -481,8 +480,8 @@ TEST_SUITE("app") {
     const auto newer = app::status_from(json.dump());
     REQUIRE_FALSE(newer);
     CHECK(newer.error().text() ==
-          "no status: instance: it speaks version 2 of the protocol, and this program up to 1: use the program that it "
-          "was started with, or a newer one");
+          "no status: instance: it speaks version 2 of the protocol, and this program up to 1: use the version of "
+          "the program that runs there, or a newer one");
     for (const std::string none : {"", "[]", "1", "{}", R"({"version":"1"})", R"({"version":1,"sensors":5})", "\xff",
                                    R"({"version":1,"sensors":[{"name":7}]})", R"({"error":1})"})
       CHECK_MESSAGE(!app::status_from(none), none);

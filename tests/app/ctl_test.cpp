@@ -63,7 +63,7 @@ TEST_SUITE("app") {
     CHECK(has(ctl({"ack", "load"}, 1), "sensor load is no limit"));
     CHECK(has(ctl({"start", "laod"}, 1), "did you mean \"load\"?"));
     CHECK(has(ctl({"rate", "load", "fast"}, 1), "fast"));
-    CHECK(has(ctl({"rate", "alarm", "5 Hz"}, 1), "it is fed, not sampled"));
+    CHECK(has(ctl({"rate", "alarm", "5 Hz"}, 1), "the sensor is fed, not sampled"));
     CHECK(has(ctl({"rate", "load"}, 1), "it is written `rate SENSOR RATE`"));
     CHECK(has(ctl({"restart"}, 2), "there is no command \"restart\""));
     CHECK(has(ctl({}, 2), "rtdata: which command?\ncommands:\n"));
@@ -108,7 +108,7 @@ TEST_SUITE("app") {
     REQUIRE(run.wait_for("running rig"));
     Process start(folder, program, {"ctl", "start", "a"});
     CHECK(start.end() == 1);
-    CHECK(has(start.err, "it has begun to do that, and may still finish"));
+    CHECK(has(start.err, "the loop has begun to do what was asked, and may still finish"));
     Process stop(folder, program, {"ctl", "stop", "a"});
     CHECK(stop.end() == 1);
     Process other(folder, program, {"ctl", "stop", "b"});  // the main loop is not held

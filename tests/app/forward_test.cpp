@@ -126,7 +126,7 @@ TEST_SUITE("app") {
     {
       Process forward(folder, program, {"forward", "home/y.db", "other.json"});
       CHECK(forward.end() == 2);
-      CHECK_MESSAGE(has(forward.err, "\"one\" \"two\"; it is unknown which of them home/y.db is"), forward.err);
+      CHECK_MESSAGE(has(forward.err, "\"one\" \"two\"; it is not known which of these home/y.db is"), forward.err);
     }
   }
 
@@ -214,7 +214,7 @@ TEST_SUITE("app") {
       CHECK_MESSAGE(process.end() == status, process.out << process.err);
       return process.out + process.err;
     };
-    const std::string left = "node.db for a sink \"copy\", and no sink of that name goes through it";
+    const std::string left = "node.db for a sink \"copy\", but no sink of that name goes through this recording";
     std::string text = said({"check", "renamed.json"}, 0);
     CHECK_MESSAGE(has(text, waits), text);
     CHECK_MESSAGE(has(text, left), text);
@@ -315,7 +315,7 @@ TEST_SUITE("app") {
     };
     CHECK(has(checked("", R"(, "through": "recoding")"), "did you mean \"recording\""));
     CHECK(has(checked("", R"(, "through": "copy")"), "this needs sqlite"));
-    CHECK(has(checked(R"(, "through": "copy")", ""), "goes through no other"));
+    CHECK(has(checked(R"(, "through": "copy")", ""), "cannot go through another recording"));
     CHECK(has(checked(R"(, "topics": ["x/#"])", R"(, "through": "recording")"), "is not among those of the recording"));
     CHECK(!has(checked("", R"(, "through": "recording", "from": "beginning")"), "error"));
     CHECK(has(checked("", R"(, "through": "recording", "from": "yesterday")"), "beginning"));
@@ -348,7 +348,7 @@ TEST_SUITE("app") {
     CHECK(
         has(checked(R"(, "stored_by": "far", "qos": 1)",
                     recording + R"(}, {"name": "far", "type": "tcp", "host": "h", "port": 9, "through": "recording"})"),
-            "goes through a recording: name that"));
+            "goes through a recording itself: name that recording"));
   }
 
   TEST_CASE("check: within which time a recording commits, and what waits in memory only") {

@@ -135,10 +135,10 @@ TEST_SUITE("app") {
     REQUIRE(fast.warnings.size() == 2);
     CHECK(fast.warnings[0].id == "fills-disk");
     CHECK(fast.warnings[0].path == "sinks[0].path");
-    CHECK(
-        fast.warnings[0].message ==
-        "it grows by about 5.4 GB a day, without limit, and the disk, with 30 GB free, is full after 3 days; lower the "
-        "rates, or set `max_bytes` or `max_age`");
+    CHECK(fast.warnings[0].message ==
+          "this file grows by about 5.4 GB a day, without limit, and the disk, with 30 GB free, is full after 3 days; "
+          "lower the "
+          "rates, or set `max_bytes` or `max_age`");
     CHECK(fast.warnings[1].message.ends_with("or set `rotate` and `keep`"));
     // Not in a run that ends before, nor when it lasts long enough, nor where the disk is not known.
     SystemPlan brief = planned("1 kHz", unlimited);

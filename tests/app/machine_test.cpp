@@ -548,14 +548,14 @@ TEST_SUITE("app") {
     CHECK_FALSE(std::filesystem::exists(folder.path() + "/bench.jsonl"));  // it looks, and makes nothing
 
     // A sensor waits for its device; an output begins as failed, as `run` says, too, unless its device is required.
-    CHECK(run.out.find("it has no data until that is mended") != std::string::npos);
+    CHECK(run.out.find("this part has no data until that is mended") != std::string::npos);
     folder.write("valve.json", R"({"sensors": [{"name": "l", "type": "host", "quantity": "load", "rate": "1 Hz"}],
       "outputs": [{"name": "valve", "type": "serial", "device": "/dev/does-not-exist"}]})");
     Process valve(folder, shipped, {"doctor", "valve.json"});
     CHECK(valve.end() == 2);
     CHECK(valve.out.find("fault: output valve: /dev/does-not-exist: No such file or directory") == 0);
-    CHECK(valve.out.find("it begins as failed, and is tried each second") != std::string::npos);
-    CHECK(valve.out.find("it has no data") == std::string::npos);
+    CHECK(valve.out.find("the output begins as failed, and is tried each second") != std::string::npos);
+    CHECK(valve.out.find("has no data") == std::string::npos);
     Process faulted(folder, shipped, {"run", "valve.json", "--for", "100ms"});
     CHECK(faulted.end() == 1);
     CHECK(faulted.err.find("output valve: cannot open the serial line") != std::string::npos);

@@ -240,8 +240,8 @@ lost of room/climate in run 1: missed 4, failed 2
       CHECK(shown.out == "");
       return shown.err;
     };
-    CHECK(has(refused("every/thing.state"), "it is an enum (broken, idle, running), and a curve is of numbers"));
-    CHECK(has(refused("every/thing.name"), "it is a text, and a curve is of numbers"));
+    CHECK(has(refused("every/thing.state"), "it is an enum (broken, idle, running), and only numbers have a curve"));
+    CHECK(has(refused("every/thing.name"), "it is a text, and only numbers have a curve"));
     CHECK(has(refused("every/thing.names"), "it holds no number"));
     CHECK(has(refused("every/thing.f46"), "did you mean f64?"));
     CHECK(has(refused("room/climate.temprature"), "did you mean temperature?"));

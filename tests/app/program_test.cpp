@@ -196,7 +196,7 @@ TEST_SUITE("app") {
     Process good(folder, program, {"check", "good.json"});
     CHECK(good.end() == 0);
     CHECK(good.out.starts_with(
-        "how long readings may hold each loop, at worst, of its shortest period:\n"
+        "how long readings may hold each loop at worst, as a part of its shortest period:\n"
         "  main: 1 sensor, whose types do not say how long a reading takes; the shortest period is 10 s\n"
         "bench.jsonl: about "));
     CHECK(good.out.ends_with("\nok: 1 sensor, 2 sinks\n"));
@@ -918,9 +918,8 @@ TEST_SUITE("app") {
              "export, replay, import, forward; "
              "`rtdata --help` explains them\n"},
         {{"bench.json"},
-         "rtdata: there is no command \"bench.json\"; that configuration is run by: rtdata run bench.json\n"},
-        {{"bench.db"},
-         "rtdata: there is no command \"bench.db\"; that recording is summed up by: rtdata info bench.db\n"},
+         "rtdata: there is no command \"bench.json\"; to run that configuration: rtdata run bench.json\n"},
+        {{"bench.db"}, "rtdata: there is no command \"bench.db\"; to sum up that recording: rtdata info bench.db\n"},
         {{"run", "--fro", "2s"},
          "rtdata run: there is no option --fro (did you mean --for?); `rtdata run --help` lists what there is\n"},
         {{"run", "x.json", "--fro=2s"},
@@ -928,7 +927,7 @@ TEST_SUITE("app") {
         {{"info", "bench.db", "--zz"},
          "rtdata info: there is no option --zz; `rtdata info --help` lists what there is\n"},
         {{"check", "a.json", "b.json"},
-         "rtdata check: it has one argument too many, b.json; `rtdata check --help` lists what there is\n"}};
+         "rtdata check: there is one argument too many: b.json; `rtdata check --help` lists what there is\n"}};
     for (const auto& [arguments, told] : cases) {
       Process wrong(folder, shipped, arguments);
       CHECK(wrong.end() == 1);

@@ -62,7 +62,7 @@ TEST_SUITE("app") {
     folder.write("rig.json", R"({"name": "other", )" + rig("20 Hz", "").substr(1));
     run.signal(SIGHUP);
     REQUIRE(run.wait_for("a restart of the program applies the refused changes"));
-    CHECK(has(run.err, "configuration: name: refused: the program is started with it"));
+    CHECK(has(run.err, "configuration: name: refused: the program reads it only when it starts"));
 
     run.signal(SIGTERM);
     CHECK(run.end() == 0);
@@ -85,7 +85,7 @@ TEST_SUITE("app") {
                                  rest);
     const std::string said = reloaded(folder, built("rtdata"), {}, 1);
     CHECK_MESSAGE(has(said, "rig.json is applied, but for this: not made: sensor a ("), said);
-    CHECK(has(said, "it has begun to do that, and may still finish"));
+    CHECK(has(said, "the loop has begun to do what was asked, and may still finish"));
     for (const char* sensor : {"b", "c"}) {  // the main loop goes on, and has what comes after it
       Process stop(folder, built("rtdata"), {"ctl", "stop", sensor});
       CHECK(stop.end() == 0);
@@ -109,7 +109,7 @@ TEST_SUITE("app") {
     REQUIRE(run.wait_for("running rig"));
     folder.write("rig.json", text("two"));
     const std::string said = reloaded(folder, built("rtdata"), {}, 1);
-    CHECK_MESSAGE(has(said, "the parts of before are running again, but not sink far ("), said);
+    CHECK_MESSAGE(has(said, "the earlier parts are running again, but not sink far ("), said);
     // Without it, all that the file says is there; what it had to store meanwhile it has not.
     folder.write("rig.json", R"({"sensors": [{"name": "a", "type": "tallied", "rate": "10 Hz"}], "sinks": [
         {"type": "discard", "name": "near"}]})");
@@ -196,7 +196,7 @@ TEST_SUITE("app") {
       REQUIRE(run.wait_for("rig.json is applied"));
       folder.write("rig.json", text("200 Hz", R"({"type": "discard"})"));
       run.signal(SIGHUP);
-      REQUIRE(run.wait_for("nothing was changed: it would close run.db, which cannot store its queue now"));
+      REQUIRE(run.wait_for("nothing was changed: the reload would close run.db, which cannot store its queue now"));
       REQUIRE(run.wait_for("mend the cause"));
     }
     run.signal(SIGHUP);
@@ -234,14 +234,14 @@ TEST_SUITE("app") {
       // On the same file nothing is won.
       folder.write("rig.json", text("stick/first.db", "100 ms"));
       run.signal(SIGHUP);
-      REQUIRE(run.wait_for("nothing was changed: it would close db, which cannot store its queue now"));
-      REQUIRE(run.wait_for("if the disk does not answer, give it a file on another one"));
+      REQUIRE(run.wait_for("nothing was changed: the reload would close db, which cannot store its queue now"));
+      REQUIRE(run.wait_for("if the disk does not answer, give the sink a file on another disk"));
 
       folder.write("rig.json", text("second.db", "50 ms"));
       run.signal(SIGHUP);
-      REQUIRE(
-          run.wait_for("sink db is left, since its disk does not answer: what it has not stored in 500 ms, its "
-                       "`close_deadline`, is lost, and counted"));
+      REQUIRE(run.wait_for(
+          "sink db is left alone, because its disk does not answer: what the sink has not stored in 500 ms, its "
+          "`close_deadline`, is lost, and counted"));
       REQUIRE(run.wait_for("sink db: restarted (path"));
       REQUIRE(run.wait_for("sink db: lost "));
       REQUIRE((!is_hanging || stick.thaw()));  // the thread that is left behind comes back
@@ -316,12 +316,12 @@ TEST_SUITE("app") {
     std::string told = reload();
     REQUIRE(run.wait_for("sink db: lost "));
     INFO(told);
-    CHECK(has(told, "sink db is left, since its disk does not answer"));
+    CHECK(has(told, "sink db is left alone, because its disk does not answer"));
     CHECK(has(told, "sink db: restarted (path)"));
     CHECK(has(told, "sink far: restarted"));
     const auto stays_in = [](const std::string& file) {
-      return "what waits for sinks in " + file + " stays there: `rtdata info " + file +
-             "` tells it, and `rtdata forward " + file + " FILE` sends it, with a FILE that has these sinks";
+      return "events that wait for sinks in " + file + " stay there: `rtdata info " + file +
+             "` counts them, and `rtdata forward " + file + " FILE` sends them, with a FILE that has these sinks";
     };
     CHECK(has(told, stays_in("stick/first.db")));
 
@@ -601,7 +601,8 @@ while True:
     folder.write("first.json", first);
     Process guarded(folder, program, {"check", "first.json", "--against", "now.json"});
     CHECK(guarded.end() == 1);
-    CHECK(has(guarded.out, "output o: refused: the guard of outputs is started with the program: start it again"));
+    CHECK(has(guarded.out,
+              "output o: refused: the guard of outputs starts only with the program: start the program again"));
     Process second(folder, program, {"check", "first.json", "--against", "first.json"});
     CHECK(second.end() == 0);
   }

@@ -65,7 +65,7 @@ TEST_SUITE("app") {
     CHECK(shown_of(1200, rtdata::Backlog{9600, {}, 720s, 40s}) ==
           "  - 1200 events (9.6 kB) wait, the oldest for 12 min; sent in about 40 s");
     CHECK(shown_of(1, rtdata::Backlog{8, {}, 3s, {}}) ==
-          "  - 1 event (8 B) waits, the oldest for 3.0 s; it does not become less");
+          "  - 1 event (8 B) waits, the oldest for 3.0 s; the backlog does not become less");
   }
 
   TEST_CASE("NFR-5 US-5 top says what a source repeated and which first lines were thrown away, which is no loss") {

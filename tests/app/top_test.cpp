@@ -206,7 +206,7 @@ TEST_SUITE("app") {
     CHECK(health_of(status, "a") == "ok");
     Process once(folder, program, {"top", "--once"});
     CHECK(once.end() == 0);
-    CHECK(has(once.out, "\n  ! it does not turn: it has not returned from sensor b\n"));
+    CHECK(has(once.out, "\n  ! the loop does not turn: it has not returned from sensor b\n"));
     CHECK(has(once.out, "\nsensor a                       fast "));
     run.signal(SIGTERM);
     CHECK(run.end() == 1);
@@ -266,7 +266,7 @@ TEST_SUITE("app") {
       CHECK(run.end() == (signal == SIGKILL ? 128 + SIGKILL : 0));
       CHECK(text.end() == (signal == SIGKILL ? 1 : 0));
       CHECK(json.end() == (signal == SIGKILL ? 1 : 0));
-      CHECK(has(text.err, signal == SIGKILL ? "no answer: instance: it has ended, or serves other, later clients"
+      CHECK(has(text.err, signal == SIGKILL ? "no answer: instance: the instance has ended, or serves 8 later clients"
                                             : " has ended\n"));
     }
   }

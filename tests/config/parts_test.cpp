@@ -182,8 +182,8 @@ TEST_SUITE("config") {
     const Types types;
     CHECK(types.problems_of(R"({"buses": {"w1": {"type": "wire", "device": "/dev/w1"},
  "w2": {"type": "wire", "device": "/dev/../dev/w1"}, "w3": {"type": "wire", "device": "/dev/w3"}}})") ==
-          "f.json:2:35: buses.w2.device: bus w1, at f.json:1:18, has this device already; one is enough, for all that "
-          "is on it\n");
+          "f.json:2:35: buses.w2.device: bus w1, at f.json:1:18, has this device already; one bus is enough for "
+          "all devices on it\n");
   }
 
   TEST_CASE("NFR-6 without types of buses an empty list of them is fine, and one of any type is of an unknown one") {

@@ -397,8 +397,7 @@ TEST_SUITE("config") {
         {sinks(R"({"type": "mqtt", "host": "127.0.0.1", "client_id": "a\u0001b"})"), "it has a control character"},
         {sinks(R"({"type": "mqtt", "host": "127.0.0.1", "client_id": ")" + std::string(65536, 'c') + "\"}"),
          "it has 65536 bytes: a text of MQTT has at most 65535"},
-        {sinks(R"({"type": "mqtt", "host": "127.0.0.1", "password": "secret"})"),
-         "there is no `user` that it belongs to"},
+        {sinks(R"({"type": "mqtt", "host": "127.0.0.1", "password": "secret"})"), "`password` needs a `user`"},
         {R"({"sensors": [{"name": "s", "type": "mqtt", "host": "127.0.0.1", "client_id": "a\u0000b",
              "topics": ["a"], "fields": [{"name": "x"}]}]})",
          "it has a control character"},
@@ -426,7 +425,7 @@ TEST_SUITE("config") {
         {sinks(R"({"type": "sqlite", "path": "dangling"})"),
          "there is no folder \"/nope\", to which \"dangling\" is a symbolic link: make it first"},
         {sinks(R"({"type": "file", "path": "dangling"})"), "there is no folder \"/nope\", to which \"dangling\" is"},
-        {sinks(R"({"type": "file", "path": "{topic}/x.csv"})"), "a placeholder stands in the name of a folder"},
+        {sinks(R"({"type": "file", "path": "{topic}/x.csv"})"), "a placeholder is in the name of a folder"},
         {sinks(R"({"type": "file", "path": "other.csv", "format": "csv", "rotate": {"time": "1 d"}})"),
          "its header is \"time,origin,sequence,speed\""},
         {sinks(R"({"type": "file", "path": "bad.json"})"), "this is the configuration; choose another file"},
@@ -473,8 +472,8 @@ TEST_SUITE("config") {
         // Paths that are none.
         {sinks(R"({"type": "sqlite", "path": ":memory:"})"), "to SQLite this is not a path of a file"},
         {sinks(R"({"type": "sqlite", "path": "file:x.db?mode=memory"})"), "to SQLite this is not a path of a file"},
-        {sinks(R"({"type": "sqlite", "path": "/proc/x.db"})"), "the kernel lets no file be made"},
-        {sinks(R"({"type": "file", "path": "/proc/x.csv"})"), "the kernel lets no file be made"},
+        {sinks(R"({"type": "sqlite", "path": "/proc/x.db"})"), "the kernel allows no new file in its folder"},
+        {sinks(R"({"type": "file", "path": "/proc/x.csv"})"), "the kernel allows no new file in its folder"},
         {sinks(R"({"type": "sqlite", "path": ")" + std::string(300, 'n') + "\"}"), "its name is longer than 247 bytes"},
         {sinks(R"({"type": "file", "path": ")" + std::string(300, 'n') + "\"}"), "File name too long"},
         {sinks(R"({"type": "sqlite", "path": ")" + std::string(248, 'n') + "\"}"), "its name is longer than 247 bytes"},
@@ -489,9 +488,9 @@ TEST_SUITE("config") {
         // Marks that are among what they divide.
         {serial(R"(, "separator": "\"")"), "separator: it has another meaning in CSV"},
         {serial(R"(, "separator": "\n")"), "separator: it has another meaning in CSV"},
-        {serial(R"(, "separator": "1")"), "separator: numbers hold it"},
-        {serial(R"(, "separator": "-")"), "separator: numbers hold it"},
-        {serial(R"(, "separator": ".")"), "separator: numbers hold it"},
+        {serial(R"(, "separator": "1")"), "separator: numbers may have this character"},
+        {serial(R"(, "separator": "-")"), "separator: numbers may have this character"},
+        {serial(R"(, "separator": ".")"), "separator: numbers may have this character"},
         {serial(R"(, "separator": "#")"), "comments would begin with the separator"},
         {serial(R"(, "comment": "1")"), "comment: lines of data may begin with it"},
         {serial(R"(, "comment": "-")"), "comment: lines of data may begin with it"},
@@ -502,7 +501,7 @@ TEST_SUITE("config") {
         {serial(R"(, "comment": "2.5e-")"), "comment: lines of data may begin with it"},
         {R"({"sensors": [{"name": "a", "type": "serial", "device": "/dev/null", "fields": [{"name": "x", "type": "bool"}], "comment": "t"}]})",
          "comment: lines of data may begin with it"},
-        {serial(R"(, "separator": "n")"), "separator: numbers hold it"},
+        {serial(R"(, "separator": "n")"), "separator: numbers may have this character"},
         {serial(R"(, "comment": "\n")"), "comment: no line begins with the end of a line"},
         {serial(R"(, "comment": " ")"), "comment: lines of data may begin with a blank"},
         {serial(R"(, "format": "json", "comment": "{")"), "comment: each object begins with {"},
@@ -527,7 +526,7 @@ TEST_SUITE("config") {
         {R"({"sensors": [{"name": "a", "type": "iio_buffer", "device": "3", "channels": ["accel_x"]},
                          {"name": "b", "type": "iio_buffer", "device": "/dev/iio:device3", "channels": ["accel_y"]}]})",
          "has the buffer of the IIO device iio:device3 already; list the channels of both in one"},
-        {serial(R"(, "retry_first": "2 s", "retry_longest": "1 s")"), "grows from `retry_first`, 2 s, up to this"},
+        {serial(R"(, "retry_first": "2 s", "retry_longest": "1 s")"), "must not be shorter than `retry_first` (2 s)"},
         {sinks(R"({"type": "sqlite", "path": "x.db", "retry_first": "2 s", "retry_longest": "1 s"})"),
          "it must not be shorter"},
         {R"({"sensors": [{"name": "a", "type": "host", "quantity": "load", "rate": "1 Hz"},
@@ -617,13 +616,13 @@ TEST_SUITE("config") {
               "sensors[0].unit: the unit F of value is the farad; degrees are [degF]\n"));
     CHECK(warnings(serial(R"({"name": "charge", "unit": "C"}, {"name": "temperature", "unit": "Cel"})", "")).empty());
     CHECK(has(warnings(serial(R"({"name": "x", "length": 9})", "")),
-              "sensors[0].fields[0].length: it means nothing with `type` double, only with text"));
+              "sensors[0].fields[0].length: it has no effect with `type` double, only with text"));
     CHECK(has(warnings(serial(R"({"name": "x"})", R"(, "format": "json", "separator": ";")")),
-              "sensors[0].separator: it means nothing with `format` json, only with csv"));
+              "sensors[0].separator: it has no effect with `format` json, only with csv"));
     CHECK(has(
         warnings(R"({"sensors": [{"name": "a", "type": "host", "quantity": "load", "rate": "1 Hz", "device": "sda"}])" +
                  sinks),
-        "sensors[0].device: it means nothing with `quantity` load"));
+        "sensors[0].device: it has no effect with `quantity` load"));
     const std::string load = R"({"sensors": [{"name": "a", "type": "host", "quantity": "load", "rate": "1 Hz"}])";
     CHECK(has(warnings(load + "}"), "there are no sinks"));
     CHECK(has(warnings(load + R"(, "sinks": [{"type": "console", "topics": []}]})"),
@@ -633,10 +632,9 @@ TEST_SUITE("config") {
              type + R"(", "path": "/tmp/)" + path + "\"}]}";
     };
     CHECK(warnings(file("file", "a-{topic}.jsonl")).empty());
-    CHECK(has(warnings(file("file", "a-{topci}.jsonl")),
-              "{topci} stands for nothing here, and stays in the file's name"));
+    CHECK(has(warnings(file("file", "a-{topci}.jsonl")), "{topci} has no meaning here, and stays in the file's name"));
     CHECK(has(warnings(file("file", "a-{topci}.jsonl")), "(did you mean \"{topic}\"?)"));
-    CHECK(has(warnings(file("sqlite", "a-{topic}.db")), "{topic} stands for nothing here"));
+    CHECK(has(warnings(file("sqlite", "a-{topic}.db")), "{topic} has no meaning here"));
   }
 
   TEST_CASE("NFR-4 warnings of load are worth reading") {

@@ -39,11 +39,11 @@ BEYOND_A_SCHEMA = [
     "or 0 for no limit",  # a least value, or none
     "there is no format", "without `rotate` there is one", "needs a `priority`", "a priority goes with", "give `cpu` or `cpus`",
     "already at",  # a key that is there twice
-    "there is no `user`", "it has no effect without", "begins with -----BEGIN", "there is no sslmode", "there is no port",
+    "`password` needs a `user`", "it has no effect without", "begins with -----BEGIN", "there is no sslmode", "there is no port",
     "in the manual of libpq", "a text of MQTT has at most",  # of other libraries and protocols
     "another SQLite database", "its content is not a valid", "by zero",  # what is in a file, or in an expression
     "shares the topic", "sets the output", "of settings; the guard",
-    "there is no bus", "there is no sink", "goes through no other", "is not among those of the recording", "this needs sqlite", r"\.(address|line): ",  # names of other parts; numbers that may be texts
+    "there is no bus", "there is no sink", "cannot go through another", "is not among those of the recording", "this needs sqlite", r"\.(address|line): ",  # names of other parts; numbers that may be texts
 ]
 
 

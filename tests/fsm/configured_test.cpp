@@ -113,11 +113,11 @@ TEST_SUITE("fsm") {
     says(machine(a_and_b, R"({"from": "a", "to": "b", "when": "runing > 3"})"), "machines[0].transitions[0].when",
          "there is no name `runing` (column 1 of it)");
     says(machine(a_and_b, R"({"from": "a", "to": "b", "when": "running >"})"), "machines[0].transitions[0].when",
-         "it ends where a value is missing");
+         "the expression ends where a value is missing");
     says(machine(a_and_b, R"({"from": "a", "to": "b", "when": "running"})"), "machines[0].transitions[0].when",
          "it is a number, no condition; compare it with something");
     says(machine(a_and_b, R"({"from": "a", "to": "b", "when": "false"})"), "machines[0].transitions[0].when",
-         "it is never true");
+         "this condition is never true");
     says(machine(a_and_b, R"({"from": "a", "to": "b", "when": "running + 1"})"), "machines[0].transitions[0].when",
          "it is a number, no condition; compare it with something");
     says(machine(a_and_b, R"({"from": "a", "to": "b", "for": "1 s"})"), "machines[0].transitions[0].for",
@@ -152,15 +152,16 @@ TEST_SUITE("fsm") {
     Lines lines;
     for (const Problem& problem : plan_system(standard_registry(), parse_config(text, "f.json")).problems)
       lines.push_back(problem.text());
-    CHECK(lines == Lines{R"(f.json:3:46: machines[0].start: there is no state "aa" in `states`)",
-                         R"(f.json:3:102: machines[0].states[2].name: there is a state "a" already)",
-                         R"(f.json:5:40: machines[0].transitions[1].to: there is no state "d" in `states`)",
-                         "f.json:6:53: machines[0].transitions[2].when: it is a number, no condition; compare it with "
-                         "something",
-                         "f.json:7:52: machines[0].transitions[3].for: `for` is how long `when` is true: give `when`, "
-                         "or use `after`",
-                         "f.json:8:65: machines[0].transitions[4].when: it ends where a value is missing (column 12 "
-                         "of it)"});
+    CHECK(lines ==
+          Lines{R"(f.json:3:46: machines[0].start: there is no state "aa" in `states`)",
+                R"(f.json:3:102: machines[0].states[2].name: there is a state "a" already)",
+                R"(f.json:5:40: machines[0].transitions[1].to: there is no state "d" in `states`)",
+                "f.json:6:53: machines[0].transitions[2].when: it is a number, no condition; compare it with "
+                "something",
+                "f.json:7:52: machines[0].transitions[3].for: `for` is how long `when` is true: give `when`, "
+                "or use `after`",
+                "f.json:8:65: machines[0].transitions[4].when: the expression ends where a value is missing (column 12 "
+                "of it)"});
   }
 
   TEST_CASE("US-41 a machine of settings: conditions that hold for a time, memories that begin in a state, times") {

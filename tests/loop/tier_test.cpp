@@ -405,7 +405,7 @@ TEST_SUITE("loop") {
     REQUIRE(some.warnings().size() == 1);
     CHECK(some.warnings()[0] == "cannot bind to processors: " + std::to_string(absent) +
                                     ": this machine does not have them, or the process may not use them: use "
-                                    "processors that there are; it runs on " +
+                                    "processors that there are; the tier runs on " +
                                     std::to_string(present));
     CHECK(none.warnings().size() == 1);
     CHECK(all.warnings().empty());
@@ -1012,7 +1012,7 @@ TEST_SUITE("loop") {
       CHECK(error.error().code == Errc::not_turning);
       advice = error.error().advice;
     }
-    CHECK(advice.find("it has begun to do that") != std::string::npos);
+    CHECK(advice.find("the loop has begun to do what was asked") != std::string::npos);
     CHECK(loop.now() - began >= 1s);
     CHECK(loop.now() - began <= 1100ms);
     CHECK_THROWS_AS(sensor.stop(), SetupError);  // at once, and not done later

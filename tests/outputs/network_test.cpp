@@ -295,7 +295,7 @@ TEST_SUITE("outputs") {
     MqttActuator pump(config);
     CHECK(pump.open(0).has_value());
     broker.signal(SIGSTOP);
-    CHECK(pump.set(1).error().why == "the broker did not confirm it within 500 ms");
+    CHECK(pump.set(1).error().why == "the broker did not confirm the message within 500 ms");
     broker.kill();
     const Error error = pump.set(1).error();
     CHECK(error.code == Errc::disconnected);

@@ -161,7 +161,8 @@ TEST_SUITE("outputs") {
     bench.loop.advance(1s);
     CHECK(bench.apply(bench.planned(Bench::outputs(""))) == 2 * slow - 1s);
     CHECK(bench.did("B") == Lines{"open 0", "set 1", "set 0", "gone"});
-    CHECK(bench.log.lines == Lines{"start 0 done", "set 1 failed: it ends", "set 2 failed: it ends", "stop 0 done"});
+    CHECK(bench.log.lines == Lines{"start 0 done", "set 1 failed: the output is being closed",
+                                   "set 2 failed: the output is being closed", "stop 0 done"});
     CHECK(bench.has_all_ticks());
   }
 
@@ -328,7 +329,7 @@ TEST_SUITE("outputs") {
     loop.advance(1ms);
     CHECK(is_done);
     CHECK(device.did == Lines{"open 0", "set 1", "set 0", "gone"});
-    CHECK(log.lines == Lines{"start 0 done", "set 1 failed: it ends", "stop 0 done"});
+    CHECK(log.lines == Lines{"start 0 done", "set 1 failed: the output is being closed", "stop 0 done"});
     output.close();
     CHECK(device.did.size() == 4);
     CHECK_FALSE(output.is_armed());

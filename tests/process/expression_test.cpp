@@ -137,7 +137,7 @@ TEST_CASE("each mistake has its column, a reason and what was meant") {
   shows("sin(x, 2)", 1, "`sin` takes 1 argument, not 2");
   shows("atan2(x)", 1, "`atan2` takes 2 arguments, not 1");
   shows("max()", 1, "`max` takes 2 arguments or more");
-  shows("2 + max(x)", 5, "of one value over time there are highest");
+  shows("2 + max(x)", 5, "for one value over time use `highest`");
   shows("highest(3)", 9, "has no name in it");
   shows("log(x)", 1, "write `ln` or `log10`");
   shows("if(x > 3, 1, 2)", 1, "there is no `if`");
@@ -146,7 +146,7 @@ TEST_CASE("each mistake has its column, a reason and what was meant") {
   shows("x % 2", 3, "there is no `%`");
   shows("x <> 2", 3, "write `!=`");
   shows("x & 2", 3, "write `and`");
-  shows("x + ", 5, "it ends where a value is missing");
+  shows("x + ", 5, "the expression ends where a value is missing");
   shows("", 1, "it is empty");
   shows("  ", 3, "it is empty");
   shows("(x + 1", 1, "the `(` is not closed");

@@ -101,7 +101,7 @@ TEST_SUITE("process") {
     CHECK(has(problem(R"("number": {"filters": [{"type": "delta", "by": 1}, {"type": "median", "of": 6}]})"),
               "process.number.filters[1].of: 6 samples are not possible, for a median; give it an odd number from 3"));
     CHECK(has(problem(R"("number": {"filters": [{"type": "median", "of": 1001}]})"), "1001 samples are not possible"));
-    CHECK(has(problem(R"("number": {"filters": [{"type": "mean"}]})"), "filters[0]: it does not say of how many"));
+    CHECK(has(problem(R"("number": {"filters": [{"type": "mean"}]})"), "filters[0]: the number of samples is missing"));
     CHECK(has(problem(R"("number": {"filters": [{"of": 3}]})"), "filters[0]"));
     CHECK(has(problem(R"("number": {"filters": [{"type": "throttle", "time": "0 s"}]})"), "filters[0].time"));
     CHECK(has(problem(R"("number": {"filters": [{"type": "delta", "by": -1}]})"), "filters[0].by"));

@@ -481,13 +481,13 @@ TEST_SUITE("process") {
               "filters[0].of: 4 samples are not possible, for a median"));
     CHECK(has(mistake({{"f64", filtered({Filter::median(257)})}}), "an odd number from 3 to 255"));
     CHECK(has(mistake({{"f64", filtered({Filter::mean(1001)})}}), "a number from 2 to 1000"));
-    CHECK(has(mistake({{"f64", filtered({{.type = FilterType::mean}})}}), "it does not say of how many"));
+    CHECK(has(mistake({{"f64", filtered({{.type = FilterType::mean}})}}), "the number of samples is missing"));
     CHECK(has(mistake({{"f64", filtered({Filter::exponential(0)})}}), "filters[0].weight"));
     CHECK(has(mistake({{"f64", filtered({Filter::exponential(1.5)})}}), "filters[0].weight"));
     CHECK(has(mistake({{"f64", filtered({Filter::clamp({}, {})})}}), "it has no bound"));
     CHECK(has(mistake({{"f64", filtered({Filter::clamp(2, 1)})}}), "above `most`"));
-    CHECK(has(mistake({{"f64", filtered({Filter::throttle(0s)})}}), "it does not say how long"));
-    CHECK(has(mistake({{"f64", filtered({Filter::delta(-1)})}}), "it does not say by how much"));
+    CHECK(has(mistake({{"f64", filtered({Filter::throttle(0s)})}}), "the time is missing"));
+    CHECK(has(mistake({{"f64", filtered({Filter::delta(-1)})}}), "the amount is missing"));
     CHECK(has(mistake({{"f64", filtered({Filter::rate_of_change(), Filter::rate_of_change()})}}),
               "rate of change already"));
     CHECK(has(mistake({{"f64", filtered(std::vector<Filter>(9, Filter::median(3)))}}), "at most 8"));

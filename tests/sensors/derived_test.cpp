@@ -189,7 +189,7 @@ TEST_CASE("making a derived sensor refuses what cannot work") {
   refused({.on = "a", .expression = "x", .fields = {{"x", "x"}}}, "not both");
   refused({.on = "a", .with = {"b", "b"}, .expression = "x"}, "there twice");
   refused({.on = "a", .with = {"a"}, .expression = "x"}, "there twice");
-  refused({.on = "a", .expression = "x +"}, "it ends where a value is missing");
+  refused({.on = "a", .expression = "x +"}, "the expression ends where a value is missing");
   refused({.on = "a", .fields = {{"x", "x"}, {"x", "y"}}}, "x");
   refused({.on = "a", .fields = {{"time", "x"}}}, "time");
 }
@@ -233,7 +233,8 @@ TEST_CASE("a field that is called as a constant is not taken for that in silence
   };
   const Problems bare = with("2 * e");
   REQUIRE(bare.size() == 1);
-  CHECK(bare[0].message.find("`e` is the constant, and a field of the topic \"line\"") != std::string::npos);
+  CHECK(bare[0].message.find("`e` means the constant, but topic \"line\" has a field of that name") !=
+        std::string::npos);
   CHECK(with("2 * 'e'").size() == 0);
   CHECK(with("2 * line.e").size() == 0);
   CHECK(with("2 * line.e + pi").size() == 0);

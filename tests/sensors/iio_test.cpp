@@ -369,7 +369,7 @@ TEST_CASE(
     fake.scan(2, 0, first + 10ms);
     fake.scan(3, 0, first + 50ms);
     stage.until([&] { return stage.values.size() == 3; });
-    CHECK(stage.has_error(Errc::backlog, "about 3 by their times: trigger or driver left them out"));
+    CHECK(stage.has_error(Errc::backlog, "about 3 by their times: the trigger or the driver left them out"));
     CHECK(imu.health() == Health::degraded);
     fake.scan(4, 0, first + 60ms);
     stage.until([&] { return stage.values.size() == 4; });

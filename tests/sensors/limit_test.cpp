@@ -219,7 +219,7 @@ TEST_CASE("limits: settings that cannot work are refused, each with its reason")
   CHECK(why({.low = 2, .high = 1}) == "`low` is not less than `high`");
   CHECK(why({.low_low = 3, .high_high = 3}) == "`low_low` is not less than `high_high`");
   CHECK(why({.high = std::numeric_limits<double>::infinity()}) == "`high` is not finite");
-  CHECK(why({.high = 1, .hysteresis = -1}) == "`hysteresis` is not a number from 0 on");
+  CHECK(why({.high = 1, .hysteresis = -1}) == "`hysteresis` must be 0 or more");
   CHECK(why({.low = 0, .high = 1, .hysteresis = 1}) ==
         "`hysteresis` is as large as the distance of the limits: the value could never be normal again");
   CHECK(why({.high = 1, .delay = Duration{-1}}) == "`delay` is negative");

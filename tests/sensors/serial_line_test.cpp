@@ -233,7 +233,8 @@ TEST_CASE("a line that is separated by something else, or is a greeting, is answ
     return done.error().text();
   };
   const detail::LineDecoder two({.fields = {{.name = "a"}, {.name = "b"}}});
-  CHECK(advice(two, "123.7;20.1").find("it seems to be separated by \";\": set `separator`") != std::string::npos);
+  CHECK(advice(two, "123.7;20.1").find("the line seems to be separated by \";\": set `separator`") !=
+        std::string::npos);
   CHECK(advice(two, "123.7 20.1").find("separated by blanks") != std::string::npos);
   CHECK(advice(two, "123.7\t20.1").find("separated by tabs") != std::string::npos);
   CHECK(advice(two, "1,2;3").find("separated") == std::string::npos);

@@ -405,7 +405,8 @@ TEST_SUITE("sensors") {
     CHECK(has(report(bus, query(R"(, "request": "?", "request_hex": "00")")), "there is a `request` too"));
     CHECK(has(report(bus, query(R"(, "request_hex": "0")")), "these are not bytes"));
     CHECK(has(report(bus, query(R"(, "request_hex": "0g")")), "these are not bytes"));
-    CHECK(has(report(bus, query(R"(, "request": "?", "separator": "1")")), "separator: numbers hold it"));
+    CHECK(
+        has(report(bus, query(R"(, "request": "?", "separator": "1")")), "separator: numbers may have this character"));
     CHECK(has(
         report(R"("m": {"type": "serial", "device": "/dev/x", "answer_timeout": "9 s"})", query(R"(, "request": "?")")),
         "make `timeout` longer"));

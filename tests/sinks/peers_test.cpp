@@ -248,7 +248,7 @@ TEST_SUITE("sinks") {
         CHECK(bench.sink.counts().stored == 5);
         CHECK(said("the events count as delivered"));
         bench.sink.close();
-        CHECK(said("5 events count as delivered though the answer to them was cut off"));
+        CHECK(said("5 events count as delivered though their answers were cut off"));
       } else {
         CHECK(requests >= 8);
         CHECK(bench.sink.counts().stored == 0);

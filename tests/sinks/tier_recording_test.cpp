@@ -372,7 +372,7 @@ TEST_SUITE("sinks") {
     INFO(problems_of(report));
     CHECK(report.verdict() == Verdict::sealed);
     const std::string& remark = report.runs.at(0).info.remark;
-    CHECK(remark.find("it began although tier fast did not return from sensor a: what its sensors did") == 0);
+    CHECK(remark.find("the sink began although tier fast did not return from sensor a: what its sensors did") == 0);
     CHECK(remark.find("; tier fast did not return from sensor a: what its sensors did") != std::string::npos);
   }
 
@@ -414,7 +414,8 @@ TEST_SUITE("sinks") {
     hanging.is_let_go = true;
     CHECK(run_until(loop, [&] { return hanging.reads >= 100 && sink.counts().stored >= 20; }));
     CHECK(verified(path).verdict() == Verdict::recording);
-    CHECK(verified(path).text().find("it began although tier fast did not return from sensor a") != std::string::npos);
+    CHECK(verified(path).text().find("the sink began although tier fast did not return from sensor a") !=
+          std::string::npos);
     for (const char* part : {"", "-wal"}) std::filesystem::copy_file(path + part, killed + part);
     CHECK(loop.close() == 0);
     {
@@ -426,12 +427,12 @@ TEST_SUITE("sinks") {
     INFO(problems_of(sealed));
     CHECK(sealed.verdict() == Verdict::sealed);
     CHECK_FALSE(sealed.runs.at(0).info.lost);
-    CHECK(sealed.runs.at(0).info.remark.find("it began although tier fast") == 0);
+    CHECK(sealed.runs.at(0).info.remark.find("the sink began although tier fast") == 0);
     CHECK(sealed.runs.at(0).info.remark.find("; run 1 ended without closing") != std::string::npos);
     const VerifyReport report = verified(path);
     INFO(problems_of(report));
     CHECK(report.verdict() == Verdict::sealed);
-    CHECK(report.runs.at(0).info.remark.find("it began although tier fast did not return from sensor a") == 0);
+    CHECK(report.runs.at(0).info.remark.find("the sink began although tier fast did not return from sensor a") == 0);
     CHECK(report.text().find("Its account is not complete") != std::string::npos);
   }
 

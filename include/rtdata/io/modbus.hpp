@@ -93,7 +93,7 @@ class ModbusDevice : public BusDevice {
   Result<void> read_registers(ModbusTable table, std::uint16_t first, std::span<std::uint16_t> words);
   /// Functions 1 (coil) and 2 (discrete): up to `most_bits`, each 0 or 1.
   Result<void> read_bits(ModbusTable table, std::uint16_t first, std::span<std::uint8_t> bits);
-  /// Function 6, or 16 for several: up to 123.
+  /// Function 6 for one register, 16 for several (at most 123).
   Result<void> write_registers(std::uint16_t first, std::span<const std::uint16_t> words);
   /// Function 5.
   Result<void> write_coil(std::uint16_t address, std::uint8_t bit);

@@ -316,7 +316,8 @@ std::string recorded_text(const Status& status) {
       detail::add_lines(text, of.recorded->lines);
     } else {
       text += "\n";
-      detail::add_lines(text, {"NOT KNOWN: what it holds, since it was not closed; the next start seals it"});
+      detail::add_lines(
+          text, {"NOT KNOWN: how much this recording holds, because it was not closed; the next start seals it"});
     }
   }
   if (text.empty()) return text;

@@ -118,11 +118,11 @@ const std::vector<Verb>& verbs() {
   static const std::vector<Verb> all{
       {"start", 1, 1, {"start SENSOR", "start a sensor"}, start},
       {"stop", 1, 1, {"stop SENSOR", "stop a sensor, until it is started again"}, stop},
-      {"rate", 2, 2, {"rate SENSOR RATE", "read it at another rate, such as \"200 Hz\" or \"10 ms\""}, set_rate},
+      {"rate", 2, 2, {"rate SENSOR RATE", "read a sensor at another rate, such as \"200 Hz\" or \"10 ms\""}, set_rate},
       {"event", 2, 2, {"event MACHINE NAME", "give a state machine an event"}, raise},
       {"set", 2, 2, {"set OUTPUT VALUE", "set an output that follows no topic: a number, on or off"}, set},
       {"arm", 1, 1, {"arm OUTPUT", "let an output be set"}, arm},
-      {"disarm", 1, 1, {"disarm OUTPUT", "set its safe value, which it keeps until it is armed"}, disarm},
+      {"disarm", 1, 1, {"disarm OUTPUT", "set the safe value of an output, which it keeps until it is armed"}, disarm},
       {"pid",
        3,
        3,

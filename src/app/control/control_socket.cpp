@@ -176,7 +176,7 @@ ControlSocket::~ControlSocket() {
   while (!clients_.empty()) {
     Client& client = *clients_.back();
     if (client.is_answered)
-      client.tell("{\"ended\":\"the run has ended; whether it was done, its log says\"}\n");
+      client.tell("{\"ended\":\"the run has ended; its log says whether the command was done\"}\n");
     else if (client.out.empty())
       client.tell("{\"ended\":\"the run has ended\"}\n");
     drop(client);
@@ -264,7 +264,7 @@ bool ControlSocket::make_room() {
     if (quietest == nullptr || client->last_asked < quietest->last_asked) quietest = client;  // in order of connection
   }
   if (quietest == nullptr) return false;
-  quietest->tell("{\"error\":\"too many clients, and this one asked nothing for the longest\"}\n");
+  quietest->tell("{\"error\":\"too many clients; this one has asked nothing for the longest time\"}\n");
   drop(*quietest);
   return true;
 }
@@ -390,7 +390,7 @@ Result<ControlClient> ControlClient::connect(const std::string& path) {
   }
   if (!is_connected) return system_error(errno, "cannot connect", path);
   if (!is_trusted(client.fd_) && ::geteuid() != 0)
-    return Error{Errc::not_permitted, "cannot connect", path, "it is of another user", "ask them"};
+    return Error{Errc::not_permitted, "cannot connect", path, "the instance belongs to another user", "ask that user"};
   return client;
 }
 
@@ -436,7 +436,8 @@ Result<std::optional<std::string>> ControlClient::receive(Duration at_most) {
       char buffer[16 * 1024];
       const ssize_t size = ::recv(fd_, buffer, sizeof buffer, MSG_DONTWAIT);
       if (size == 0 || (size < 0 && errno != EAGAIN && errno != EINTR)) {
-        return Error{Errc::closed, "no answer", "instance", "it has ended, or serves other, later clients: 8 at most",
+        return Error{Errc::closed, "no answer", "instance",
+                     "the instance has ended, or serves 8 later clients, which is the most",
                      "try again when it has fewer clients"};
       }
       if (size > 0) rest_.append(buffer, static_cast<std::size_t>(size));

@@ -81,7 +81,7 @@ class ControlSocket {
   uv_pipe_s* server_ = nullptr;  // freed by libuv, as the clients are
   std::uint64_t last_number_ = 0;
   std::vector<Client*> clients_;
-  std::array<char, 16 * 1024> buffer_;  // of what is being read
+  std::array<char, 16 * 1024> buffer_;  // of the text that is being read
 };
 
 /// A running instance, found by its socket.

@@ -68,9 +68,9 @@ int ctl(const std::vector<std::string>& given) {
     std::cerr << "rtdata: pid " << found->instance.pid << ": " << why << std::endl;
     return exit_other;
   };
-  if (!line) return fail(line.error().text() + "; whether it was done, its log says");
+  if (!line) return fail(line.error().text() + "; the log of the instance says whether the command was done");
   if (line->find_first_not_of(" \r\n") == std::string::npos)
-    return fail("it is not done yet; its log will have the result");
+    return fail("the command is not done yet; the log of the instance will have the result");
   const auto answer = nlohmann::ordered_json::parse(*line, nullptr, false);
   for (const char* key : {"done", "refused", "error", "ended"}) {
     if (!answer.is_object() || !answer.contains(key) || !answer[key].is_string()) continue;
@@ -79,7 +79,7 @@ int ctl(const std::vector<std::string>& given) {
     std::cout << text << std::endl;
     return exit_good;
   }
-  return fail("its answer does not fit the request; use the same version of the program on both sides");
+  return fail("the answer of the instance does not fit the request; use the same version of the program on both sides");
 }
 
 }  // namespace rtdata::app

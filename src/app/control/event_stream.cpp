@@ -55,11 +55,11 @@ Error refused(std::string why) { return {Errc::bad_argument, "cannot subscribe",
 
 Result<Duration> step_of(const Json& given) {
   const auto wrong = [&](const std::string& why) { return refused("\"step\" " + given.dump() + ": " + why); };
-  if (!given.is_string()) return wrong("it is a text such as \"100 ms\"");
+  if (!given.is_string()) return wrong("it must be a text such as \"100 ms\"");
   const Result<Duration> step = parse_duration(given.get<std::string>());
   if (!step) return wrong(step.error().text());
   if (*step < shortest_step || *step > longest_step)
-    return wrong("it is " + to_string(shortest_step) + " to " + to_string(longest_step));
+    return wrong("it must be from " + to_string(shortest_step) + " to " + to_string(longest_step));
   return *step;
 }
 

@@ -164,7 +164,7 @@ Readers::Shared::~Shared() {
 }
 
 void Readers::Shared::serve() noexcept try {
-  ::setpriority(PRIO_PROCESS, 0, 19);  // of this thread alone, as Linux has it; and so of its lane's
+  ::setpriority(PRIO_PROCESS, 0, 19);  // Linux sets it for this thread alone, and for the threads that it starts
   Loop loop({.name = "readers", .hold_limit = std::chrono::hours{1}});
   detail::Lane reading(loop.core(), "recordings", longest_reading);
   lane = &reading;
@@ -331,16 +331,16 @@ const Readers::Recording* Readers::recording_for(const StreamRequest& request) c
 }
 
 std::string Readers::refusal(const StreamRequest& request) const {
-  if (shared_->is_broken.load()) return "it cannot serve readers: it has run out of memory or descriptors";
+  if (shared_->is_broken.load()) return "the program cannot serve readers: it has run out of memory or descriptors";
   if (request.from && *request.from > loop_.time()) return "\"from\" is an instant that has not come yet";
   if (request.wants_past() && recording_for(request) == nullptr) {
-    return request.of.empty() ? "no recording takes these topics, so that nothing is known of them from before now: "
+    return request.of.empty() ? "no recording has these topics, so that their earlier events are not known: "
                                 "leave \"from\" out"
                               : "there is no recording of a sink \"" + request.of + "\"";
   }
   if (shared_->readers.load(std::memory_order_acquire) < settings_.most) return {};
   return std::to_string(settings_.most) +
-         " readers are served at a time, and there are so many: end one, or give \"control\" a larger \"readers\"";
+         " readers are connected, and no more are served: end one, or give \"control\" a larger \"readers\"";
 }
 
 void Readers::add(int fd, StreamRequest request) {

@@ -19,9 +19,9 @@ std::string refusal_of(std::string_view line) {
   const Json request = Json::parse(line, nullptr, false);
   if (request.is_discarded() || !request.is_object()) return "a request is an object of JSON on one line";
   const auto what = request.find("request");
-  if (what == request.end() || !what->is_string()) return "it has no \"request\"";
+  if (what == request.end() || !what->is_string()) return "the object has no key \"request\"";
   if (std::string why = refusal_of_version(request); !why.empty()) return why;
-  if (*what == "command") return "the \"words\" of a command are a list of texts, which is not empty";
+  if (*what == "command") return "\"words\" of a command must be a list of at least one string";
   if (*what != "status")
     return "there is no request \"" + what->get<std::string>() +
            "\"; there are \"status\", \"command\" and \"subscribe\"";
@@ -31,9 +31,9 @@ std::string refusal_of(std::string_view line) {
 std::string refusal_of_version(const Json& request) {
   const Json version = request.value("version", Json(Status::newest));
   if (version <= Status::newest) return {};
-  return "it is asked in version " + version.dump(-1, ' ', false, Json::error_handler_t::replace) +
-         " of the protocol, and knows up to " + std::to_string(Status::newest) +
-         ": use the program that it was started with";
+  return "the request is in version " + version.dump(-1, ' ', false, Json::error_handler_t::replace) +
+         " of the protocol, and this program knows up to " + std::to_string(Status::newest) +
+         ": use the version of the program that runs";
 }
 
 std::vector<std::string> command_words(std::string_view line) {

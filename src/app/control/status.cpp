@@ -232,20 +232,20 @@ std::string json_of(Status& status) {
 
 Result<Status> status_from(std::string_view line) try {
   const Json json = Json::parse(line);
-  if (json.contains("ended")) return no_status(Errc::closed, "it has ended", "start it again");
+  if (json.contains("ended")) return no_status(Errc::closed, "the instance has ended", "start it again");
   if (json.contains("error")) return no_status(Errc::io_failed, json["error"].get<std::string>(), "");
   const auto version = json.at("version").get<std::int64_t>();
   if (version > Status::newest)
     return no_status(Errc::newer_version,
                      "it speaks version " + std::to_string(version) + " of the protocol, and this program up to " +
                          std::to_string(Status::newest),
-                     "use the program that it was started with, or a newer one");
+                     "use the version of the program that runs there, or a newer one");
   Status status;
   Reader reader(json);
   fields(reader, status);
   return status;
 } catch (const Json::exception&) {
-  return no_status(Errc::bad_data, "its answer does not fit the request",
+  return no_status(Errc::bad_data, "the answer of the instance does not fit the request",
                    "use the same version of the program on both sides");
 }
 

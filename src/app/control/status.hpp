@@ -23,7 +23,7 @@ struct Status {
   static constexpr std::int64_t newest = 1;
 
   struct Instance {
-    std::string name;  ///< of the set-up
+    std::string name;  ///< the name of the configuration
     std::int64_t pid = 0;
     std::string started;  ///< UTC, in ISO 8601
     Duration running_for{0};
@@ -79,7 +79,7 @@ struct Status {
     std::optional<Lateness> lateness;    ///< of its sensors together
     std::vector<std::string> warnings;
     std::optional<std::string> hangs_in;  ///< the callback in which a tier has been for more than a second
-    Duration processor_time{0};           ///< so far; in the process itself
+    Duration processor_time{0};           ///< used so far by the process itself
   };
   struct Sink {
     std::string name, path;

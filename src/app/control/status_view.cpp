@@ -116,7 +116,7 @@ Lines head_of(const Status& status, std::size_t columns) {
                    right(load.data(), 8) + late(&Status::Lateness::p50) + late(&Status::Lateness::p99) +
                    late(&Status::Lateness::max));
     for (const std::string& warning : loop.warnings) head.push_back("  ! " + warning);
-    if (loop.hangs_in) head.push_back("  ! it does not turn: it has not returned from " + *loop.hangs_in);
+    if (loop.hangs_in) head.push_back("  ! the loop does not turn: it has not returned from " + *loop.hangs_in);
   }
   head.emplace_back();
   return head;
@@ -173,7 +173,7 @@ std::vector<Block> sinks_of(const Status& status, std::size_t columns) {
                           lines.push_back("  - " + backlog_text(sink) +
                                           (sink.backlog->catch_up
                                                ? "; sent in about " + span_text(*sink.backlog->catch_up)
-                                               : "; it does not become less"));
+                                               : "; the backlog does not become less"));
                         add_health(lines, sink.health, sink.reason, columns);
                         return lines;
                       }});

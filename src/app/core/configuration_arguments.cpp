@@ -61,7 +61,7 @@ Action prepare_run(CLI::App& command) {
 #endif
   command.footer(
       "example:\n  rtdata run bench.json --for 10s --fail-on-loss\nexit status:\n"
-      "  0  every tick and event is accounted for, and all is stored\n  1  it is not, or another error\n"
+      "  0  every tick and event is accounted for, and all is stored\n  1  something is not, or another error\n"
       "  2  mistakes in the configuration: nothing was started\n"
       "  3  with --fail-on-loss: something was missed, failed, unreadable, lost or\n     dropped");
   return [given](const Registry& registry) {
@@ -123,7 +123,7 @@ Action prepare_types(CLI::App& command) {
 
 Action prepare_explain(CLI::App& command) {
   const auto id = std::make_shared<std::string>();
-  command.add_option("ID", *id, "As it stands in brackets behind an error; without it all are listed");
+  command.add_option("ID", *id, "The id in brackets behind an error; without ID, all errors are listed");
   command.footer("example:\n  rtdata explain not-permitted");
   return [id](const Registry&) {
     const ForPeople wrapped;
@@ -136,7 +136,7 @@ Action prepare_top(CLI::App& command) {
   command.add_option("NAME|PID", options->instance, "Which instance; needed when several are running");
   add_flag(command, "--once", options->how_often, HowOften::once, "Print once and end");
   add_json(command, options->show_as, "Print the status as JSON, a line each time");
-  command.add_option("--topic", options->topic, "Only this one, with each of its fields and numbers on a line")
+  command.add_option("--topic", options->topic, "Only this topic, with each of its fields and numbers on a line")
       ->excludes("--json");
   command.footer(
       "examples:\n  rtdata top                        the only instance, until q or Ctrl-C\n"
@@ -157,11 +157,11 @@ Action prepare_tail(CLI::App& command) {
           "[NAME|PID|DB] [TOPIC ...]: an instance when several run, or a recording, and topics or patterns such as "
           "room/#")
       ->expected(0, 65);
-  command.add_option("--step", options->step, "One line for each step of so long, such as 1s: least, most, mean")
+  command.add_option("--step", options->step, "One line for each step of this length, such as 1s: least, most, mean")
       ->type_name("DURATION");
   command
       .add_option("--from", options->from,
-                  "Begin with what was recorded since then: -10min, or an instant such as 2026-03-01T12:00:00Z")
+                  "Begin with events recorded since this time: -10min, or an instant such as 2026-03-01T12:00:00Z")
       ->type_name("INSTANT");
   add_json(command, options->show_as, "Print the lines of JSON as they come: docs/subscribe.md");
   command.footer(
@@ -201,7 +201,7 @@ Action prepare_bench(CLI::App& command) {
     std::string duration = "60s";
   };
   const auto given = std::make_shared<Given>();
-  command.add_option("--for", given->duration, "How long all of it takes, about")
+  command.add_option("--for", given->duration, "How long the whole measurement takes, about")
       ->type_name("DURATION")
       ->capture_default_str();
   command

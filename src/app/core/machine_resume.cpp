@@ -82,14 +82,14 @@ std::optional<Resumed> resumed(Loop& loop, const MachineSettings& settings, cons
     return std::nullopt;
   }
   if (!*found) {
-    tell(LogLevel::info, "the recording has no state of it, " + begins);
+    tell(LogLevel::info, "the recording has no state of the machine, " + begins);
     return std::nullopt;
   }
   const LastKnown& last = **found;
   const bool is_there = std::any_of(settings.states.begin(), settings.states.end(),
                                     [&](const fsm::StateSettings& state) { return state.name == last.state; });
   if (!is_there) {
-    tell(LogLevel::warning, "its last state, " + last.state + ", is not a state of it any more, " + begins);
+    tell(LogLevel::warning, "its last state, " + last.state + ", is no longer a state of the machine, " + begins);
     return std::nullopt;
   }
   const bool is_fresh = last.pause ? *last.pause <= settings.resume->max_age

@@ -58,7 +58,7 @@ constexpr Command commands[] = {
     {"tail", "Print events of a running instance as they come", app::prepare_tail},
     {"ctl", "Command a running instance: rates, alarms, notes, reload", app::prepare_ctl},
     {"scan", "List the devices of this machine, with lines to paste", app::prepare_scan},
-    {"doctor", "Say what of this machine costs timing or data, and what to do", app::prepare_doctor},
+    {"doctor", "Say what on this machine costs timing or data, and what to do", app::prepare_doctor},
     {"bench", "Measure what this machine can do: jitter, and the disk", app::prepare_bench},
     {"check", "Find every mistake in a configuration; exit 2 if there is any", app::prepare_check},
     {"graph", "Draw the machines of a configuration", app::prepare_graph},
@@ -70,7 +70,7 @@ constexpr Command commands[] = {
     {"plot", "Draw fields of a recording in the terminal, gaps and losses too", app::prepare_plot},
     {"report", "Write a page about a run, for people without this program", app::prepare_report},
     {"runs", "List the runs of a recording, a line each", app::prepare_runs},
-    {"seal", "Write down what runs lost that were killed, without recording again", app::prepare_seal},
+    {"seal", "Write down what killed runs lost, without recording again", app::prepare_seal},
     {"rm", "Delete a run of a recording; the sums of its account stay", app::prepare_rm},
     {"merge", "Make one recording of the runs of several", app::prepare_merge},
     {"compare", "Put the figures of two runs side by side", app::prepare_compare},
@@ -155,8 +155,8 @@ std::string wrong_command(const std::string& word) {
   std::vector<std::string> names;
   for (const Command& command : commands) names.emplace_back(command.name);
   std::string text = "there is no command \"" + word + "\"";
-  if (word.ends_with(".json")) return text + "; that configuration is run by: rtdata run " + word;
-  if (word.ends_with(".db")) return text + "; that recording is summed up by: rtdata info " + word;
+  if (word.ends_with(".json")) return text + "; to run that configuration: rtdata run " + word;
+  if (word.ends_with(".db")) return text + "; to sum up that recording: rtdata info " + word;
   const std::string nearest = nearest_name(word, names);
   return text + (nearest.empty() ? "; there are " + detail::listed(names) : " (did you mean \"" + nearest + "\"?)") +
          "; `rtdata --help` explains them";
@@ -167,7 +167,7 @@ std::string wrong_argument(const CLI::App& command) {
   const std::vector<std::string> left = command.remaining();
   const auto option = std::find_if(left.begin(), left.end(),
                                    [](const std::string& word) { return word.starts_with("-"); });
-  if (option == left.end()) return "it has one argument too many, " + (left.empty() ? "" : left.front());
+  if (option == left.end()) return "there is one argument too many: " + (left.empty() ? "" : left.front());
   const std::string name = option->substr(0, option->find('='));
   std::vector<std::string> names;
   for (const CLI::Option* known : command.get_options()) {

@@ -45,7 +45,7 @@ void add_part(CLI::App& command, PartOptions& part) {
   command.add_option("--from", part.from, "First time, in UTC as 2026-03-01T12:00:00Z; default: all of the run")
       ->type_name("TIME");
   command.add_option("--until,--to", part.until, "First time that is left out")->type_name("TIME");
-  command.add_option("--last", part.last, "So long before the end, such as 10s, instead of --from")
+  command.add_option("--last", part.last, "Only this long before the end, such as 10s; instead of --from")
       ->type_name("DURATION");
 }
 
@@ -120,7 +120,7 @@ Action prepare_rm(CLI::App& command) {
       ->type_name("NUMBER|NAME")
       ->required();
   add_flag(command, "--discard-backlog", options->unsent, Unsent::discarded,
-           "Also if events of it wait for a peer: they are counted as lost");
+           "Delete the run even if events of it wait for a peer; they are counted as lost");
   command.footer(
       "example:\n  rtdata rm bench.db --run 3\n"
       "The sums of its account stay: `rtdata verify` counts them among the file's.");
@@ -133,7 +133,7 @@ Action prepare_rm(CLI::App& command) {
 Action prepare_merge(CLI::App& command) {
   const auto options = std::make_shared<MergeOptions>();
   command.add_option("DB", options->sources, "The recordings, which stay as they are")->required();
-  command.add_option("-o,--output", options->database, "The recording that is made; it must not exist")
+  command.add_option("-o,--output", options->database, "The new recording; the file must not exist")
       ->required()
       ->type_name("FILE");
   command.footer(
@@ -174,7 +174,8 @@ Action prepare_export(CLI::App& command) {
   command.add_option("DB", options->database, "The recording")->required();
   command.add_option("--topic", options->topic, "Topic or pattern")->capture_default_str();
   command.add_option("--format", options->format, "csv, jsonl, cbor, influx or raw")->capture_default_str();
-  command.add_option("--folder", options->folder, "Write a file a topic into this folder; default: standard output");
+  command.add_option("--folder", options->folder,
+                     "Write one file per topic into this folder; default: standard output");
   add_flag(command, "--overwrite", options->existing, Export::Existing::replace, "Replace files in the folder");
   add_run(command, options->run, "Only this run; default: all");
   command.add_option("--origin", options->origin, "Only events of this sensor")->type_name("NAME");
@@ -188,7 +189,7 @@ Action prepare_export(CLI::App& command) {
           "Reduced: for each step of this length how many values, the least, the largest and the mean of each number")
       ->type_name("DURATION");
   add_flag(command, "--utc", options->times, Export::Times::utc,
-           "Times as UTC, by the clock when it was right; --from and --until are UTC, too");
+           "Times in UTC, corrected where the clock was wrong; --from and --until are UTC, too");
   add_flag(command, "--units", options->header, Export::Header::names_and_units, "Units in the heading of CSV");
   command.footer(
       "examples:\n  rtdata export bench.db --topic host/cpu --format csv --utc > cpu.csv\n"
@@ -280,10 +281,13 @@ std::function<std::optional<int>(const TailOptions&)> add_recorded_tail(CLI::App
   PartOptions& part = given->part;
   std::vector<const CLI::Option*> added{
       add_run(command, part.run, "Of a recording: which run; default: the last"),
-      command.add_option("--until,--to", part.until, "Of a recording: first time that is left out")->type_name("TIME"),
-      command.add_option("--last", part.last, "Of a recording: so long before the end, instead of --from")
+      command.add_option("--until,--to", part.until, "Of a recording: leave out events from this time on")
+          ->type_name("TIME"),
+      command.add_option("--last", part.last, "Of a recording: only this long before the end, instead of --from")
           ->type_name("DURATION"),
-      command.add_option("--lines", given->lines, "Of a recording: so many of the newest, without --from and --last")
+      command
+          .add_option("--lines", given->lines,
+                      "Of a recording: this many of the newest events, without --from and --last")
           ->check(at_least(1))
           ->capture_default_str()};
   return [given, added](const TailOptions& options) -> std::optional<int> {
@@ -316,16 +320,18 @@ Action prepare_import(CLI::App& command) {
       ->type_name("DURATION");
   command.add_option("--start", options->start, "What 0 in that column is, as 2026-03-01T12:00:00Z; default: 1970")
       ->type_name("TIME");
-  command.add_option("--separator", options->separator, "Between the cells: a character, such as \";\", or tab")
+  command.add_option("--separator", options->separator, "What separates the cells: a character, such as \";\", or tab")
       ->capture_default_str()
       ->type_name("CHARACTER");
   command.add_option("--decimal", options->decimal, "The decimal mark of its numbers; default: \".\"")
       ->type_name("CHARACTER")
       ->check(CLI::IsMember({".", ","}));
-  command.add_option("--zone", options->zone, "Time zone of times without one: Z (UTC), or such as +01:00")
+  command
+      .add_option("--zone", options->zone, "Time zone of times that name none: Z (UTC), or an offset such as +01:00")
       ->type_name("ZONE");
   command.add_option("--topic", options->topic, "Topic; default: the file's name");
-  command.add_option("--origin", options->origin, "Who made it; default: the file's name")->type_name("NAME");
+  command.add_option("--origin", options->origin, "The sensor that the events are from; default: the file's name")
+      ->type_name("NAME");
   command.add_option("--into", options->database, "The recording; default: FILE with .db")->type_name("DB");
   command.footer(
       "examples:\n  rtdata import flight.csv --time ticks --scale 10us --into flight.db\n"
@@ -362,7 +368,7 @@ Action prepare_replay(CLI::App& command) {
   command.footer(
       "examples:\n  rtdata replay bench.db                      as it came, on the terminal\n"
       "  rtdata replay bench.db again.json --speed max\nexit status:\n"
-      "  0  all was replayed, and stored\n  1  it was not, or another error\n"
+      "  0  all was replayed, and stored\n  1  something was not, or another error\n"
       "  2  the recording is unreadable, or the configuration has mistakes");
   return [given](const Registry& registry) {
     ReplayOptions& options = given->options;
@@ -371,7 +377,7 @@ Action prepare_replay(CLI::App& command) {
     if (!options.is_virtual) {
       double& factor = options.config.speed;
       if (detail::read_number(given->speed, factor) != std::errc{} || !(factor > 0)) {
-        std::cerr << "rtdata: --speed " << given->speed << ": it is neither a number above 0 nor max" << std::endl;
+        std::cerr << "rtdata: --speed " << given->speed << ": give a number above 0, or max" << std::endl;
         return exit_other;
       }
     }

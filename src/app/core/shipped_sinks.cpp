@@ -68,11 +68,12 @@ void add_shipped_sinks(Registry& registry) {
       "console", "lines for people, on standard output",
       [](const ConsoleConfig& config) { return std::string(config.descriptor == 1 ? "-" : ""); }, makes<ConsoleSink>);
 #ifdef RTDATA_WITH_MQTT
-  registry.add_sink<Shipped<MqttConfig>>("mqtt", "a message an event, to a broker of MQTT", no_path, makes<MqttSink>);
+  registry.add_sink<Shipped<MqttConfig>>("mqtt", "one message per event, to a broker of MQTT", no_path,
+                                         makes<MqttSink>);
 #endif
   registry.add_sink<Shipped<TcpConfig>>("tcp", "a server that listens on a TCP port", no_path, makes<TcpSink>);
   registry.add_sink<Shipped<UdpConfig>>(
-      "udp", "a datagram an event, for programs that draw what comes, such as PlotJuggler", no_path, makes<UdpSink>);
+      "udp", "one datagram per event, for programs that draw what comes, such as PlotJuggler", no_path, makes<UdpSink>);
 }
 
 }  // namespace rtdata::app

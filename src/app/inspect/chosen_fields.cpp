@@ -46,7 +46,7 @@ std::string no_number_text(const Description& of, const std::string& path) {
     for (const EnumValue& value : leaf->field->values) words.insert(value.name);
     text += " (" + list_of(words) + ")";
   }
-  return text + ", and a curve is of numbers";
+  return text + ", and only numbers have a curve";
 }
 
 std::vector<ChosenField> chosen(const std::string& name, const std::vector<RecordedTopic>& topics) {

@@ -161,7 +161,7 @@ void print(const std::array<Side, 2>& sides, const std::map<Key, Part>& parts, s
     }
     if (!table.empty()) out << table.text("  ", 80);
   }
-  if (parts.empty()) out << "\nNo event is in either of the two.\n";
+  if (parts.empty()) out << "\nNeither of the two runs has an event.\n";
 }
 
 void print_json(const std::array<Side, 2>& sides, const std::map<Key, Part>& parts, std::ostream& out) {

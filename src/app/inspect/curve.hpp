@@ -20,8 +20,8 @@ struct CurveStep {
   Time begin{};               ///< UTC, a multiple of the step
   std::uint64_t events = 0;   ///< all of them
   std::uint64_t numbers = 0;  ///< those that have a number: not absent, not NaN
-  Number least, most;         ///< of these; may be infinite
-  double mean = 0;            ///< of these
+  Number least, most;         ///< of these values; may be infinite
+  double mean = 0;            ///< of these values
 };
 
 /// A stretch in which something is not there.

@@ -228,12 +228,12 @@ ImportNotation notation_of(const ImportOptions& options) {
   const std::string& said = options.separator;
   const char separator = said == "tab" || said == "\\t" ? '\t' : said.size() == 1 ? said[0] : '\0';
   if (separator != '\t' && (separator < ' ' || separator == '"' || std::isalnum(static_cast<unsigned char>(separator))))
-    refuse("--separator " + said, "it is not a character between cells", "such as \";\", or tab");
+    refuse("--separator " + said, "it must be one character, which separates cells", "such as \";\", or tab");
   notation.separator = separator;
   if (options.decimal == ",") notation.decimal = ',';
   if (separator == notation.decimal) refuse("--separator " + said, "it is the decimal mark, too", "set --decimal");
   if (!notation.zone.empty() && !parse_iso8601("2026-03-01T12:00:00" + notation.zone))
-    refuse("--zone " + notation.zone, "it is not a time zone", "Z, which is UTC, or such as +01:00");
+    refuse("--zone " + notation.zone, "it is not a time zone", "write Z for UTC, or an offset such as +01:00");
   return notation;
 }
 
@@ -264,7 +264,7 @@ int import_table(const ImportOptions& options, std::ostream& out, std::ostream& 
   }
   if (moved > 0)
     err << "rtdata: warning: " << moved
-        << " rows were not later than the row before; each got a time 1 ns after that one's\n";
+        << " rows were not later than the row before; each got a time 1 ns after the row before\n";
   return 0;
 } catch (const SetupError& error) {
   err << "rtdata: " << error.what() << "\n";

@@ -109,7 +109,8 @@ Result<Time> time_of(const std::string& text, const ImportNotation& notation) {
   const auto with_zone = parse_iso8601(usual + (notation.zone.empty() ? "Z" : notation.zone));
   if (!with_zone) return usual.find_first_of("Zz+", hour) == std::string::npos ? with_zone : time;
   if (notation.zone.empty())
-    return import_refused("", "it says no time zone", "write --zone Z if it is UTC, or such as +01:00");
+    return import_refused("", "it says no time zone",
+                          "write --zone Z if it is UTC, or an offset such as --zone +01:00");
   return on_its_day(with_zone);
 }
 

@@ -42,7 +42,7 @@ struct View {
   std::function<Lines(const LiveCurves&, const Status&)> draw;
 };
 
-/// One instance on two connections: for its status, and for the steps.
+/// Two connections to one instance: one for its status, one for the steps.
 class Watch {
  public:
   Watch(FoundInstance& found, const View& view)

@@ -1,4 +1,4 @@
-// Which run of a recording, and which part of it: what command lines say of that.
+// Chooses a run of a recording, and a part of it, from the options of a command line.
 #pragma once
 
 #include <optional>

@@ -85,7 +85,7 @@ ReportContent content_of(const Recording& recording, const ReportOptions& option
   std::erase_if(content.report.runs, [&](const RunReport& one) { return one.info.run != run; });
   if (content.report.runs.empty())
     throw SetupError({Errc::not_found, "cannot report", recording.path(), "run " + std::to_string(run) + " was deleted",
-                      "its recorder has just done so; see max_age and max_bytes"});
+                      "the program that records has just deleted it; see max_age and max_bytes"});
   const auto topics = recording.topics().or_throw();
   content.plot = curves_of_run(recording, content.range, content.report.runs[0], columns);
   content.limits = limits_of(content.range.run.configuration, topics);

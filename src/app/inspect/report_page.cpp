@@ -355,7 +355,8 @@ class Page {
     for (std::size_t i = 0; i < content_.not_drawn.size() && i < most; ++i)
       names += (i == 0 ? "" : ", ") + content_.not_drawn[i];
     if (content_.not_drawn.size() > most) names += " and " + std::to_string(content_.not_drawn.size() - most) + " more";
-    add("<p class=\"small\">Without a curve, since they are no numbers: ", Raw{html_text(names, whole)}, ".</p>\n");
+    add("<p class=\"small\">Without a curve, because these fields are no numbers: ", Raw{html_text(names, whole)},
+        ".</p>\n");
   }
 
   // ---- the rest
@@ -388,7 +389,7 @@ class Page {
       cell(std::to_string(entry.pruned));
       add("</tr>\n");
     });
-    add("<p class=\"small\">-: it has no schedule, or does not number its samples.</p>\n");
+    add("<p class=\"small\">-: the sensor has no schedule, or does not number its samples.</p>\n");
   }
 
   void errors() {

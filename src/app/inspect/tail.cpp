@@ -62,7 +62,7 @@ void tell_unknown(const std::vector<std::string>& topics, const Status& status) 
         std::any_of(names.begin(), names.end(), [&](const std::string& name) { return topic_matches(wanted, name); }))
       continue;
     const std::string nearest = nearest_name(wanted, names);
-    std::cerr << "rtdata: nothing is published on \"" << wanted << "\" now; it is waited for"
+    std::cerr << "rtdata: nothing is published on \"" << wanted << "\" now; waiting for the first event"
               << (nearest.empty() ? "" : " (did you mean \"" + nearest + "\"?)") << std::endl;
   }
 }

@@ -55,9 +55,9 @@ void print(const Scan& scan) {
   const bool has_lines = std::any_of(scan.devices.begin(), scan.devices.end(),
                                      [](const FoundDevice& device) { return !device.lines.empty(); });
   if (has_lines)
-    std::cout << "\nlines go into the lists of a configuration that they name; where an I2C address has several, take "
-                 "that of your "
-                 "chip; `rtdata check` tells what they lack\n";
+    std::cout
+        << "\nput each line into the list of the configuration that it names; where an I2C address has several lines, "
+           "take the one of your chip; `rtdata check` tells what a line lacks\n";
   std::cout << std::flush;
 }
 

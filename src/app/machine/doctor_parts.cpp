@@ -18,8 +18,8 @@ namespace {
 using config_detail::text_or_empty;
 using Found = std::optional<Finding>;
 
-constexpr const char* no_data = "it has no data until that is mended";
-constexpr const char* begins_as_failed = "it begins as failed, and is tried each second";
+constexpr const char* no_data = "this part has no data until that is mended";
+constexpr const char* begins_as_failed = "the output begins as failed, and is tried each second";
 /// A line or a channel is opened when the part is made.
 constexpr const char* no_start = "the run does not start";
 
@@ -110,7 +110,7 @@ Found examine_gps(const MachineFiles& files, const PartPlan& part) {
   for (const char* program : {"/usr/sbin/gpsd", "/usr/local/sbin/gpsd", "/usr/bin/gpsd", "/run/gpsd.sock"})
     if (files.exists(program)) return {};
   return Finding{Severity::warning, part.object(), "no gpsd is installed",
-                 "it has no data unless gpsd runs in a container", std::string(detail::how_to_start_gpsd)};
+                 "the sensor has no data unless gpsd runs in a container", std::string(detail::how_to_start_gpsd)};
 }
 
 /// Empty for a copy of another machine's files, because the lines of its chips are unknown.
@@ -131,7 +131,7 @@ Found examine_line(const MachineFiles& files, const PartPlan& part, [[maybe_unus
   return Finding{
       Severity::warning, part.object(),
       found->text + ": " + (who.empty() ? "another program uses it, which gives no name" : "\"" + who + "\" has it"),
-      no_start, "end that, or use another line; a driver of the kernel is named in the device tree"};
+      no_start, "end that program, or use another line; a driver of the kernel is named in the device tree"};
 #else
   return {};
 #endif
@@ -152,7 +152,7 @@ Finding examine_pwm(const MachineFiles& files, const PartPlan& part) {
   const auto count = files.text(chip + "/npwm");
   if (!count)
     return missing(part, "there is no PWM chip " + chip,
-                   "on a Raspberry Pi a line `dtoverlay=pwm-2chan` in /boot/firmware/config.txt, then start it again");
+                   "on a Raspberry Pi a line `dtoverlay=pwm-2chan` in /boot/firmware/config.txt, then reboot");
   std::int64_t channels = 0;
   std::from_chars(count->data(), count->data() + count->size(), channels);
   if (channel >= channels)

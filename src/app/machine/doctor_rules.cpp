@@ -50,10 +50,10 @@ constexpr Rule timing_rules[] = {
     {"kernel", "kernel", "PREEMPT_RT", good, "{}"},
     {"kernel", "kernel", "*", note, "it is not PREEMPT_RT", "the largest lateness has no bound",
      "on Debian: sudo apt install linux-image-rt-$(dpkg --print-architecture)"},
-    {"real-time priorities", "priority", "enough", good, "this user may use them"},
+    {"real-time priorities", "priority", "enough", good, "this user may use real-time priorities"},
     {"real-time priorities", "priority", "*", note, "this user may {}",
      "tiers with a real-time policy run without it, behind whatever else runs", limits_advice, "needs priority"},
-    {"real-time priorities", "priority in files", "", note, "no limits file gives them to a user",
+    {"real-time priorities", "priority in files", "", note, "no limits file gives real-time priorities to a user",
      "tiers with a real-time policy run without it unless they are root's or a service's", limits_advice,
      "needs priority"},
     {"real-time priorities", "priority in files", "*", good, "{}"},
@@ -67,10 +67,11 @@ constexpr Rule timing_rules[] = {
 };
 
 constexpr Rule processor_rules[] = {
-    {"frequency", "governor", "", good, "the processors do not change it by load, as far as the kernel knows"},
+    {"frequency", "governor", "", good,
+     "the processors do not change their frequency by load, as far as the kernel knows"},
     {"frequency", "governor", "*", note, "the governor is \"{}\"", "the first work after an idle time is done slowly",
      "sudo cpupower frequency-set -g performance"},
-    {"idle states", "idle", "|none", good, "the kernel knows of none that are deep"},
+    {"idle states", "idle", "|none", good, "the kernel knows of no deep idle states"},
     {"idle states", "idle", "*", note, "processors sleep when idle ({})", waking,
      "`keep_cpu_awake` of a tier keeps them from it while it runs, for more power"},
     {"idle states", "idle for all", "*", note, "processors sleep when idle ({})", waking,
@@ -93,7 +94,7 @@ constexpr Rule processor_rules[] = {
     {"power", "voltage alarm", "0", good, "the supply's voltage is not too low"},
     {"power", "voltage alarm", "1", warning, "the supply's voltage is or was too low", supply_cost, supply_advice},
     {"power", "voltage alarm", "*", warning, "the supply's state cannot be read: \"{}\"",
-     "it is not known whether it is too weak", good_state},
+     "it is not known whether the supply is too weak", good_state},
 };
 
 constexpr const char* clock_source = "/sys/devices/system/clocksource/clocksource0/current_clocksource";
@@ -104,7 +105,7 @@ constexpr Rule clock_rules[] = {
      "there are: {/sys/devices/system/clocksource/clocksource0/available_clocksource}; the boot option clocksource= "
      "chooses"},
     {"clock source", clock_source, "*", good, "{}"},
-    {"clock", "clock", "", warning, "nothing synchronises it, as far as the kernel knows",
+    {"clock", "clock", "", warning, "nothing synchronises the clock, as far as the kernel knows",
      "UTC of a recording is as wrong as the clock; times between events are right all the same",
      "sudo apt install chrony; without a network, a GPS receiver gives the time (docs/gps.md)"},
     {"clock", "clock", "*", good, "synchronised{}"},
@@ -122,16 +123,16 @@ constexpr Rule clock_rules[] = {
 constexpr Rule disk_rules[] = {
     {"disk", "read-only", "*", warning, "it is mounted read-only", "nothing can be recorded",
      "after an error the kernel does this: see dmesg, then check the file system", "needs disk"},
-    {"disk", "type", "tmpfs|ramfs", warning, "it is memory ({})", "recordings are lost when the power fails",
+    {"disk", "type", "tmpfs|ramfs", warning, "it is in memory ({})", "recordings are lost when the power fails",
      "record into a folder of a disk"},
-    {"disk", "type", "nfs*|cifs|smb3|fuse.*", warning, "it is a network's or a program's ({})",
+    {"disk", "type", "nfs*|cifs|smb3|fuse.*", warning, "it is on a network, or served by a program ({})",
      "writes wait for it, and locks of SQLite may not hold", "record onto a local disk, and copy afterwards"},
     {"disk", "type", "vfat|exfat|msdos", warning, "its file system has no journal ({})",
      "a power failure can damage all of it", "a disk with ext4 for recordings"},
     {"disk", "card", "*", note, "it is an SD card or eMMC", "writes wear it out",
      "`\"profile\": \"card\"` of a recording writes less often"},
     {"disk", "full", "*", warning, "{} MB are free", "recording stops within minutes", "make room", "needs disk"},
-    {"disk", "nearly full", "*", warning, "{} MB are free", "it is full soon",
+    {"disk", "nearly full", "*", warning, "{} MB are free", "the disk is full soon",
      "make room, or limit recordings by `max_bytes`"},
     {"disk", "unwritable", "*", warning, "nothing can be written: {}", "nothing can be recorded",
      "`ls -ld` shows who may write there", "needs disk"},
@@ -285,7 +286,7 @@ void examine_tiers(const MachineFiles& files, const SystemPlan& plan, std::vecto
       found.push_back(
           {warning, "tier " + name,
            "this machine does not have the processors " + detail::listed(missing) + ", or the program may not use them",
-           "it runs on others, beside all else", "set `cpu` or `cpus` to processors that there are"});
+           "the tier runs on other processors, beside all else", "set `cpu` or `cpus` to processors that there are"});
   }
 }
 
@@ -385,7 +386,7 @@ std::vector<Finding> examine_groups(const MachineFiles& files) {
     if (std::find(std::begin(wanted), std::end(wanted), name) != std::end(wanted) && !has_member)
       missing.push_back(name);
   }
-  if (missing.empty()) return {{good, "groups", "of those that devices belong to, none is missing"}};
+  if (missing.empty()) return {{good, "groups", "this user is in all groups that devices belong to"}};
   const std::string all = detail::listed(missing, ",");
   return {{note, "groups", (files.is_this_machine() ? "this user is not in: " : "no user is in: ") + all,
            "devices of these groups cannot be opened", "sudo usermod -aG " + all + " $USER, then log in again"}};

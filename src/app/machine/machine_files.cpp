@@ -78,7 +78,7 @@ Access access_to(const MachineFiles& files, const std::string& file, int mode) {
     const std::string group = group_name(status.st_gid);
     const bool group_may = (status.st_mode & S_IRGRP) != 0 && group != "root" && !group.empty();
     access.advice = group_may ? "sudo usermod -aG " + group + " $USER, then log in again"
-                              : "its owner and mode let only root use it: add a udev rule that gives it to a group";
+                              : "only root may use this file: add a udev rule that gives it to a group";
   }
   return access;
 }

@@ -28,7 +28,7 @@ class Scanner {
   void add(FoundDevice device) { scan.devices.push_back(std::move(device)); }
   void hint(std::string kind, std::string text) { scan.hints.push_back({std::move(kind), std::move(text)}); }
 
-  /// Adds a line to paste, if this program has its type. `bus`: the item of its bus.
+  /// Adds a line to paste, if this program has its type. `bus`: the configuration line of the bus it is on, if any.
   void line(FoundDevice& device, const char* list, const std::string& text, const std::string& bus = {}) const;
   /// The same for a sensor, with a unique name similar to `name`. `members`: its keys after name and type, in JSON.
   void sensor(FoundDevice& device, const std::string& name, const std::string& type, const std::string& members = {},

@@ -292,7 +292,7 @@ LivePage::LivePage(Loop& loop, Config config, const SystemPlan& plan, Asks asks)
     throw SetupError(system_error(error.code().value(), "cannot serve the page", "thread"));
   }
   const bool has_answered = failed.wait_for(start_patience) == std::future_status::ready;
-  const std::string why = has_answered ? failed.get() : "its thread did not get the processor";
+  const std::string why = has_answered ? failed.get() : "the thread of the page did not get the processor";
   if (why.empty()) {
     from_page_ = shared_->main.open(loop, *this);
     return;

@@ -1,4 +1,4 @@
-// Functions from one thread for an object of another.
+// A mailbox: any thread puts functions in; the object's loop calls them, in order.
 #pragma once
 
 #include <sys/eventfd.h>

@@ -246,7 +246,7 @@ nlohmann::ordered_json page_run(const Recording& recording, const RunInfo& run) 
 std::string page_history(const std::vector<PageRecording>& recordings, std::optional<std::int64_t> run,
                          std::string_view text) try {
   const auto request = request_of(text);
-  if (!request) return error_text("this is no request for the history, or for too much of it");
+  if (!request) return error_text("this request does not ask for the history, or asks for too much of it");
   const auto takes = [](const PageRecording& one, const std::string& topic) {
     return std::any_of(one.topics.begin(), one.topics.end(),
                        [&](const auto& taken) { return topic_matches(taken, topic); });

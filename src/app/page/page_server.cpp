@@ -137,7 +137,8 @@ Result<PageListener> PageListener::open(PageAddress address, TakenPort taken) {
     PageAddress at = address;
     at.port = port;
     Error why = system_error(error, "cannot serve the page", at.text());
-    if (error == EADDRINUSE) why.advice = "give the page another port, or end what has it: `ss -tlnp` shows that";
+    if (error == EADDRINUSE)
+      why.advice = "give the page another port, or end the program that uses this one: `ss -tlnp` shows it";
     return why;
   }
 }
@@ -475,10 +476,10 @@ int PageServer::handle(void* of, const char* url, const char* method, const char
     if (refused != 0) {
       constexpr std::pair<unsigned, const char*> words[] = {
           {MHD_HTTP_MISDIRECTED_REQUEST,
-           "the address has a name that is not this machine's: `names` of the page lists more"},
-          {MHD_HTTP_FORBIDDEN, "a page of another server asks"},
+           "the name in the address is not one of this machine's: add it to `names` of the page"},
+          {MHD_HTTP_FORBIDDEN, "this request comes from a page of another server"},
           {MHD_HTTP_NOT_FOUND, "there is no such page"},
-          {MHD_HTTP_METHOD_NOT_ALLOWED, "commands are posted, all else is got"},
+          {MHD_HTTP_METHOD_NOT_ALLOWED, "use POST for commands, and GET for all else"},
           {MHD_HTTP_UNAUTHORIZED, "the token is wrong, or there is none: use the address that the program printed"},
           {MHD_HTTP_UNSUPPORTED_MEDIA_TYPE, "a command is JSON"},
           {MHD_HTTP_CONTENT_TOO_LARGE, "a command has 4096 bytes at most"}};
@@ -526,7 +527,7 @@ int PageServer::begin_stream(void* of, Request&) {
   MHD_Connection* const connection = Library::connection(of);
   if (streams_.size() >= most_streams)
     return reply(of, MHD_HTTP_SERVICE_UNAVAILABLE, json_type,
-                 error_text(std::to_string(most_streams) + " pages are open, which is as many as there may be"));
+                 error_text(std::to_string(most_streams) + " pages are open, and there may be no more"));
   Stream& stream = streams_.emplace_back(Stream{this, connection, Library::peer_of(connection), {}});
   stream.self = std::prev(streams_.end());
   stream.next = first_chunk_;

@@ -126,12 +126,12 @@ class PageServer {
   PageSource& source_;
   PageAddress address_;
   std::string host_name_;
-  std::string epoch_;  // of this server, in the ids of the stream
+  std::string epoch_;  // identifies this server in the ids of the stream
   void* daemon_ = nullptr;
   FdWatch watch_;
   Ticker ticker_;
   std::list<Peer> peers_;
-  std::map<std::uint64_t, Request*> requests_;  // that wait for an answer
+  std::map<std::uint64_t, Request*> requests_;  // requests that wait for an answer
   std::uint64_t last_request_ = 0;
   std::list<Stream> streams_;
   bool has_begun_ = false;  // the source

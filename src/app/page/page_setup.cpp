@@ -30,7 +30,7 @@ std::string page_setup(const SystemPlan& plan) {
              {"name", part.name},
              {"type", part.type},
              {"topic", part.publishes->topic}};
-    // References to secrets are not resolved in it.
+    // The item still has references to secrets, not the secrets.
     if (has_changes(part)) one["item"] = Json::parse(part.item.to_json(), nullptr, false);
     setup["parts"].push_back(std::move(one));
   }

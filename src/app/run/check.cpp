@@ -20,7 +20,8 @@ namespace {
 int compare(const Registry& registry, const SystemPlan& plan, const std::string& against) {
   const SystemPlan now = plan_system(registry, load_config(against));
   if (!now.good()) {
-    std::cout << now.report() << "it cannot be compared with " << against << ", which has mistakes" << std::endl;
+    std::cout << now.report() << "the configuration cannot be compared with " << against << ", which has mistakes"
+              << std::endl;
     return exit_configuration;
   }
   PlanChange change = plan_change(now, plan);
@@ -37,12 +38,12 @@ int compare(const Registry& registry, const SystemPlan& plan, const std::string&
     for (PartChange& part : change.all)
       if (part.object == written.object) part = {part.object, Fate::refused, why};
   }
-  std::cout << "in the place of " << against << ", in a system that runs:\n"
+  std::cout << "in place of " << against << ", in a running system:\n"
             << (change.is_empty() ? "nothing changes\n" : hide_secrets(change.text(), plan.secrets)) << std::flush;
   for (const std::string& line : recordings_left(parts, plan))
     std::cout << "warning: " << hide_secrets(line, plan.secrets) << std::endl;
   if (change.refused() == 0) return exit_good;
-  std::cout << "it cannot be applied while the system runs: start it again" << std::endl;
+  std::cout << "the running system cannot change to this configuration: restart the system" << std::endl;
   return exit_other;
 }
 
@@ -75,7 +76,7 @@ int check(const Registry& registry, const CheckOptions& options) {
   plan.hide_secrets();
   std::cout << plan.document.report(plan.warnings, "warning: ");
   const std::vector<LoopLoad> loads = plan.loads();
-  if (!loads.empty()) std::cout << "how long readings may hold each loop, at worst, of its shortest period:\n";
+  if (!loads.empty()) std::cout << "how long readings may hold each loop at worst, as a part of its shortest period:\n";
   for (const LoopLoad& load : loads) {
     std::cout << "  " << load.text() << "\n";
     for (const LaneLoad& lane : load.lanes) std::cout << "    " << lane.text() << "\n";

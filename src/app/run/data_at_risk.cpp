@@ -69,7 +69,8 @@ std::string only_in_memory(const SystemPlan& plan) {
   }
   if (names.empty()) return names;
   return "events for " + names +
-         " wait in memory only: while the peer is away they are dropped when it is full, and the rest is lost at the "
+         " wait in memory only: while the peer is away, events are dropped when the queue is full, and the rest is "
+         "lost at the "
          "end of the program; with `through` they wait in a recording";
 }
 

@@ -93,7 +93,7 @@ extern "C" void on_fatal_signal(int signal) {
 
 void end_without_memory() noexcept {
   static std::atomic_flag is_ending = ATOMIC_FLAG_INIT;
-  while (is_ending.test_and_set()) ::pause();  // another thread does it
+  while (is_ending.test_and_set()) ::pause();  // another thread is ending the program already
   constexpr const char* what = "there is no memory: the program ends; free some, or raise its limit";
   Line line;
   line.add("rtdata: fatal: ");

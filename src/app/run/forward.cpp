@@ -97,9 +97,9 @@ class Forward {
     if (recordings.size() > 1) {
       std::cerr << "rtdata: sinks of " << options_.file << " go through " << recordings.size() << " recordings,";
       for (const std::string& name : recordings) std::cerr << " \"" << name << "\"";
-      std::cerr << "; it is unknown which of them " << options_.database
-                << " is: its file name is that of none of them, and its positions fit no one of them alone; "
-                   "leave the others out of a copy of the configuration\n";
+      std::cerr << "; it is not known which of these " << options_.database
+                << " is: none of them has its file name, and its positions fit none or several of them; "
+                   "make a copy of the configuration without the other recordings\n";
       return exit_configuration;
     }
     ConfigItem root;

@@ -109,7 +109,7 @@ void warn_of_growth(SystemPlan& plan, Duration span,
     }
     plan.warnings.add(
         config_detail::child_or_self(sink.item, "path")
-            .problem("fills-disk", "it grows by about " + bytes_text(growth.bytes_per_day) +
+            .problem("fills-disk", "this file grows by about " + bytes_text(growth.bytes_per_day) +
                                        " a day, without limit, and the disk, with " + bytes_text(fill.free_bytes) +
                                        " free, is full after " + time.data() + "; lower the rates, or set " +
                                        (sink.type == "sqlite" ? "`max_bytes` or `max_age`" : "`rotate` and `keep`")));

@@ -34,8 +34,9 @@ std::vector<std::string> recordings_left(const std::vector<const PartPlan*>& now
     });
     const std::string& path = part->stores->path;
     if (has_senders && !is_written)
-      lines.push_back("what waits for sinks in " + path + " stays there: `rtdata info " + path +
-                      "` tells it, and `rtdata forward " + path + " FILE` sends it, with a FILE that has these sinks");
+      lines.push_back("events that wait for sinks in " + path + " stay there: `rtdata info " + path +
+                      "` counts them, and `rtdata forward " + path +
+                      " FILE` sends them, with a FILE that has these sinks");
   }
   return lines;
 }
@@ -85,7 +86,8 @@ void warn_of_left_backlogs(SystemPlan& plan) {
     for (const RecordedBacklog& backlog : *backlogs)
       plan.warnings.add(part->item.problem(
           "left-backlog", waiting_text({backlog.events, backlog.bytes, {}, {}}) + " in " + path + " for a sink \"" +
-                              backlog.sink + "\", and no sink of that name goes through it: they are not sent"));
+                              backlog.sink +
+                              "\", but no sink of that name goes through this recording: the events are not sent"));
   }
 }
 

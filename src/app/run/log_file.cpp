@@ -67,7 +67,7 @@ bool check_log_file(const std::string& file, SystemPlan& plan) {
                                          return config_detail::is_rotated_log(plan.settings.log, path, other);
                                        }};
   if (!plan.document.file.empty() && !conflict(log, {plan.document.file, "the configuration", {}}).empty())
-    refuse("the configuration is in the way of the log \"" + file + "\"; choose another file for it");
+    refuse("the log \"" + file + "\" would overwrite the configuration; choose another file for the log");
   for (const PartPlan& part : plan.parts) {
     const std::string why = part.stores ? conflict_with(part, plan, log) : "";
     if (!why.empty())

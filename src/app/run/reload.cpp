@@ -174,7 +174,7 @@ void Reload::apply(std::shared_ptr<const NextPlan> read, const std::string& why,
   const auto change = std::make_shared<Change>(Change{std::move(read), why, std::move(told)});
   // A device or a disk delayed the reading: the file has been read again since then.
   if (change->read->number < newest_)
-    return refuse(*change, "the file was read again since, and is applied as it was then");
+    return refuse(*change, "the file has been read again since, and that later text is applied");
   newest_ = change->read->number;
   if (under_way_ == nullptr && next_ == nullptr) return begin(change);
   if (next_ != nullptr) refuse(*next_, "a later one takes its place");
@@ -251,12 +251,12 @@ void Reload::stop_waiting(const std::shared_ptr<Change>& change) {
       stuck.insert(sink->name);
   }
   if (!stuck.empty())
-    return refuse(*change, "it would close " + detail::listed(stuck) +
-                               ", which cannot store its queue now, and would lose it; mend the cause, or, if the disk "
-                               "does not answer, give it a file on another one");
+    return refuse(*change, "the reload would close " + detail::listed(stuck) +
+                               ", which cannot store its queue now and would lose it; mend the cause, or, if the disk "
+                               "does not answer, give the sink a file on another disk");
   for (const PartPlan* sink : left)
     add(*change, LogLevel::warning,
-        sink->object() + " is left, since its disk does not answer: what it has not stored in " +
+        sink->object() + " is left alone, because its disk does not answer: what the sink has not stored in " +
             to_string(sink->stores->close_deadline) + ", its `close_deadline`, is lost, and counted");
   go_on(change);
 }

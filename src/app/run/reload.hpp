@@ -23,7 +23,8 @@
 namespace rtdata::app {
 
 /// Why outputs cannot be added to a system that was started without outputs.
-inline constexpr std::string_view no_guard = "the guard of outputs is started with the program: start it again";
+inline constexpr std::string_view
+    no_guard = "the guard of outputs starts only with the program: start the program again";
 
 /// Thread: the loop's, unless stated otherwise. Destroy it before the system.
 class Reload {

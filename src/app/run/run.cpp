@@ -220,7 +220,8 @@ class Run {
     });
     if (told.wait_for(answer_patience) == std::future_status::ready) return told.get();
     return {false,
-            "it is not applied yet: the loop is busy, such as storing the queue of a closed sink; the log will have "
+            "the configuration is not applied yet: the loop is busy, such as storing the queue of a closed sink; the "
+            "log will have "
             "the result"};
   }
 
@@ -342,7 +343,8 @@ class Run {
     if (options_.talk == Talk::normal) console_.tell("rtdata: page: " + page_->address() + "#token=" + token + "\n");
     if (!address.is_loopback() && !settings.tls && !settings.behind_tls_proxy)
       console_.say(LogLevel::warning, "page",
-                   "others on the network can reach it, and read along, since it is not encrypted: see docs/page.md");
+                   "others on the network can reach the page, and read what it sends, because it is not encrypted: see "
+                   "docs/page.md");
   }
   void tell_page(const SystemPlan& next) {
     if (page_ != nullptr) page_->set(next);
@@ -412,7 +414,7 @@ class Run {
     is_storing_reported_ = true;
     if (is_closing_) {  // stopping the loop would end the closing
       console_.say(LogLevel::info, "program",
-                   std::string(signal) + ": it is storing the queued events already (again: ends at once)");
+                   std::string(signal) + ": the queued events are being stored already (again: ends at once)");
       draw();
       return;
     }
@@ -433,8 +435,9 @@ class Run {
     if (is_storing_reported_ || ++shows_while_closing_ < 2 || queued == 0) return;
     is_storing_reported_ = true;
     console_.say(LogLevel::info, "program",
-                 "storing the queued events: " + std::to_string(queued) + " events, for at most " +
-                     to_string(close_deadline_) + " (Ctrl-C twice ends at once)");
+                 "storing the queued events: " + std::to_string(queued) +
+                     (queued == 1 ? " event, for at most " : " events, for at most ") + to_string(close_deadline_) +
+                     " (Ctrl-C twice ends at once)");
   }
 
   void show(Runtime& runtime, Service& service, MonotonicTime due) {

@@ -45,7 +45,7 @@ void compare_settings(const ConfigItem& now, const ConfigItem& next, std::vector
     } else if (is_live) {
       changes.push_back({key, Fate::live, "from the next one on"});
     } else {
-      changes.push_back({key, Fate::refused, "the program is started with it; start it again"});
+      changes.push_back({key, Fate::refused, "the program reads it only when it starts; start the program again"});
     }
   };
   for (const ConfigChild& child : next.children()) compare_one(child.key);
@@ -88,7 +88,7 @@ std::string obstacle(const PlannedChange& planned, const RunSoFar& run) {
              " until the end of the run; start the program again, or give it another name";
   }
   if (planned.now != nullptr && is_scheduled(*planned.now) != is_scheduled(part))
-    return "one with a schedule and one without are accounted for in different ways; give it another name";
+    return "a sensor with a schedule and one without are accounted for in different ways; give it another name";
   if (part.publishes->description == nullptr) return "";
   const Description* carries = run.carried(topic);
   if (carries == nullptr || carries->same_meaning(*part.publishes->description)) return "";

@@ -77,7 +77,7 @@ void Neighbours::check_values(const PartPlan& machine, Problems& problems) const
       if (output == nullptr || !output->refusal) continue;
       const ConfigItem* const given = child_of(one.item, "value");
       double value = 1;
-      Problems told;  // of the machine
+      Problems told;  // problems of the machine
       if (given != nullptr && !ConfigValue<double>::read(*given, value, told)) continue;
       if (const std::string why = output->refusal(value); !why.empty())
         problems.add(child_or_self(one.item, "value")
@@ -101,7 +101,8 @@ void Neighbours::check_name(const PartPlan& part, Problems& problems) {
   if (is_new) return;
   const PartPlan& first = *known->second;
   const bool both_by_default = child_of(part.item, "name") == nullptr && child_of(first.item, "name") == nullptr;
-  if (both_by_default && refused_paths_.contains(&part)) return;  // both are named after their path, which was reported
+  // Both got their name from the same path, and the path has been reported already.
+  if (both_by_default && refused_paths_.contains(&part)) return;
   problems.add(problem_of_name(part, "duplicate-name",
                                "there is a " + part.kind + " \"" + part.name + "\" already, at " +
                                    place_of_name(first) + "; give each a `name` of its own"));
@@ -119,7 +120,7 @@ void Neighbours::check_place(const PartPlan& part, const PartPlan::Place& taken,
                      .problem("duplicate-place", known->second->object() + ", at " + place_of(known->second->item) +
                                                      ", has this device already; " +
                                                      (part.kind == known->second->kind && part.kind == "bus"
-                                                          ? "one is enough, for all that is on it"
+                                                          ? "one bus is enough for all devices on it"
                                                           : "a device is one sensor's or one bus's alone")));
     return;
   }
@@ -133,7 +134,7 @@ void Neighbours::check_place(const PartPlan& part, const PartPlan::Place& taken,
                                            : "the " + taken.bus + " " + taken.text + " already; ") +
                                 (!taken.advice.empty() ? taken.advice
                                  : is_of_bus           ? "give each chip its own"
-                                                       : "give each its own")));
+                                                       : "give each part its own")));
 }
 
 void Neighbours::check_topic(const PartPlan& part, Problems& problems) {
@@ -332,7 +333,7 @@ const PartPlan* Neighbours::namesake_of(const PartUse& use) const {
 void Neighbours::check_through(const PartPlan& part, Problems& problems) const {
   const ConfigItem& at = child_or_self(part.item, "through");
   if (part.stores->is_recording) {
-    problems.add(at.problem("wrong-part", "a recording goes through no other; leave `through` out"));
+    problems.add(at.problem("wrong-part", "a recording cannot go through another recording; leave `through` out"));
     return;
   }
   const PartPlan* recording = find("sink", part.stores->through);
@@ -356,7 +357,7 @@ void Neighbours::check_stored_by(const PartPlan& part, Problems& problems) const
   const std::string name = "the sink " + ConfigItem::of(part.stored_by).to_json() + ", at " + place_of(sink->item) +
                            ",";
   if (!sink->stores->through.empty()) {
-    problems.add(at.problem("wrong-part", name + " goes through a recording: name that"));
+    problems.add(at.problem("wrong-part", name + " goes through a recording itself: name that recording"));
   } else if (!sink->stores->wants(part.publishes->topic)) {
     problems.add(at.problem("not-recorded", name + " does not take the topic \"" + part.publishes->topic +
                                                 "\"; add it to the `topics` there"));
@@ -368,10 +369,11 @@ void Neighbours::check_stored_by(const PartPlan& part, Problems& problems) const
   const auto check_alone = [&](const PartPlan& one) {
     for (const PartPlan* other : publishers(one.publishes->topic))
       if (other != &one)
-        problems.add(at.problem("wrong-part", one.object() + " shares the topic \"" + one.publishes->topic +
-                                                  "\" with " + other->object() + ", at " + place_of_name(*other) +
-                                                  ": by what is recorded there last, one machine and its outputs go "
-                                                  "on; give each a topic of its own"));
+        problems.add(
+            at.problem("wrong-part", one.object() + " shares the topic \"" + one.publishes->topic + "\" with " +
+                                         other->object() + ", at " + place_of_name(*other) +
+                                         ": after a pause, a machine and its outputs go on by what was recorded "
+                                         "there last; give each a topic of its own"));
   };
   check_alone(part);
   for (const PartUse& output : part.uses) {
@@ -405,9 +407,10 @@ void Neighbours::check_uses(const PartPlan& part, Problems& problems) {
       const auto resumes = std::find_if(from.begin(), from.end(),
                                         [](const PartPlan* one) { return !one->stored_by.empty(); });
       if (part.kind == "output" && resumes != from.end())
-        problems.add(use.item.problem("wrong-part", (*resumes)->object() + ", at " + place_of_name(**resumes) +
-                                                        ", goes on after a pause where its recording says: this output "
-                                                        "would act before a change is there; let its states `set` it"));
+        problems.add(use.item.problem(
+            "wrong-part", (*resumes)->object() + ", at " + place_of_name(**resumes) +
+                              ", goes on after a pause where its recording says: this output "
+                              "would act before the change is recorded; let the machine's states `set` it"));
       if (!from.empty()) continue;
       problems.add(use.item.problem("unknown-topic", "nothing of this configuration publishes on \"" + use.name + "\"",
                                     suggestion(use)));

@@ -59,10 +59,11 @@ void check_config(const PageSettings& settings, const ConfigItem& item, Problems
   });
   if (!settings.token.empty() && settings.token.size() < shortest_token)
     complain("token", "it has " + std::to_string(settings.token.size()) + " characters, and could be guessed: give " +
-                          std::to_string(shortest_token) + " at least, or none, and it is made at each start");
+                          std::to_string(shortest_token) +
+                          " or more, or leave `token` out: then one is made at each start");
   if (settings.token.size() > longest_token || !is_allowed)
-    complain("token",
-             "it has letters, digits and the characters - _ . ~ only, " + std::to_string(longest_token) + " at most");
+    complain("token", "use only letters, digits and the characters - _ . ~, at most " + std::to_string(longest_token) +
+                          " of them");
   const Result<PageAddress> address = parse_page_address(settings.listen);
   if (!address) return complain("listen", address.error().why + ": " + address.error().advice);
   if (settings.tls && settings.behind_tls_proxy)

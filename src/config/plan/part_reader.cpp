@@ -71,8 +71,8 @@ void check_retries(const ConfigItem& item, Problems& problems) {
   const auto first = written("retry_first"), longest = written("retry_longest");
   if (!first || !longest || *first <= *longest) return;
   problems.add(child_or_self(item, "retry_longest")
-                   .problem("bad-value", "the wait grows from `retry_first`, " + to_string(*first) +
-                                             ", up to this: it must not be shorter"));
+                   .problem("bad-value", "it must not be shorter than `retry_first` (" + to_string(*first) +
+                                             "): the wait grows from that one to this one"));
 }
 
 void check_from(const PartPlan& plan, Problems& problems) {

@@ -61,10 +61,10 @@ void warn_of_loop(const std::string& tier, const std::string& name, const std::v
       if (sensor.time.lane != lane.lane || !sensor.time.on_lane) return -1.0;
       return static_cast<double>(sensor.time.on_lane->count()) / static_cast<double>(sensor.period.count());
     };
-    warnings.add(
-        child_or_self(largest(parts, share).item, "rate")
-            .problem("overloaded-lane", "a device cannot be read so often (" + lane.text() +
-                                            "), this sensor reads it most; lower the rates of those that share it"));
+    warnings.add(child_or_self(largest(parts, share).item, "rate")
+                     .problem("overloaded-lane",
+                              "a device cannot be read so often (" + lane.text() +
+                                  "), and this sensor reads it most; lower the rates of the sensors that share it"));
   }
 }
 

@@ -43,7 +43,7 @@ Parts::Part& Parts::part_named(std::string_view kind, std::string_view name) con
 void Parts::refuse_type(std::string_view kind, std::string_view name) const {
   const PartPlan& plan = part_named(kind, name).plan;
   throw SetupError({Errc::bad_argument, "cannot use the " + plan.object(), plan.item.place().text(),
-                    "it is of type " + plan.type + ", whose class is another one",
+                    "it is of type " + plan.type + ", which has another class",
                     "declare which types a parameter may name (names_part)"});
 }
 

@@ -109,8 +109,8 @@ void PlanApplication::end() {
     std::rethrow_exception(std::exchange(failure_, nullptr));
   } catch (const SetupError& error) {
     Error told = error.error();
-    told.advice += (told.advice.empty() ? "" : "; ") + std::string("the parts of before are running again" +
-                                                                   (missing.empty() ? "" : ", but not " + missing));
+    told.advice += (told.advice.empty() ? "" : "; ") +
+                   std::string("the earlier parts are running again" + (missing.empty() ? "" : ", but not " + missing));
     throw SetupError(std::move(told));
   }
 }
@@ -341,7 +341,7 @@ PartPlan::Make PlanApplication::counting_absence(const PartPlan& plan, PartPlan:
   return [away = away_[plan.object()], make = std::move(make), name = plan.name, has_outage = is_source(plan)](
              Loop& loop, const Parts& parts) {
     detail::OriginCore* const origin = loop.runtime().core().find_origin(name);
-    // It had a schedule under way when it was closed.
+    // Its schedule was still running when it was closed.
     if (origin != nullptr && detail::later(origin->free_from(), 2 * away.period) >= away.since)
       origin->set_absence_period(away.period);
     PartObject made = make(loop, parts);
@@ -404,7 +404,7 @@ void PlanApplication::settle() {
                                          error.error().id());
     }
   }
-  // They are closed in reverse order.
+  // The parts are closed in reverse order.
   std::vector<std::unique_ptr<Parts::Part>> in_order(places.size());
   for (std::unique_ptr<Parts::Part>& part : made) {
     const auto found = places.find(part.get());

@@ -87,7 +87,7 @@ class PlanApplication {
   std::vector<const PlannedChange*> ending_;               // the last one made first
   std::vector<const PartPlan*> released_;                  // parts that need time to end
   std::shared_ptr<std::size_t> releasing_;                 // how many of these are not ready
-  const PartPlan* last_sink_ = nullptr;                    // that is made
+  const PartPlan* last_sink_ = nullptr;                    // the last sink that is made
   std::vector<const PartPlan*> order_;                     // of before
   std::unordered_map<const PartPlan*, PartPlan> changed_;  // parts of the old plan that no longer exist
   std::unique_ptr<detail::Configurations::State> before_;  // the old text, while the next plan's text is set

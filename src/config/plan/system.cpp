@@ -92,7 +92,7 @@ void System::close(std::unique_ptr<Parts::Part> part) {
 config_detail::Neighbours& System::neighbours() {
   if (neighbours_ == nullptr) {
     neighbours_ = std::make_unique<config_detail::Neighbours>(registry_, configuration_);
-    Problems ignored;  // they were looked at when they were made
+    Problems ignored;  // the parts were checked when they were made
     for (const auto& part : parts_.made_) neighbours_->add(part->plan, ignored);
     neighbours_->check_files_of_topics(ignored);
     neighbours_->assume_stored();

@@ -69,7 +69,7 @@ void warn_of_placeholders(const ParameterInfo& parameter, const ConfigItem& item
     const std::string name = text.substr(open + 1, close - open - 1);
     const auto& known = parameter.placeholders;
     if (std::find(known.begin(), known.end(), name) != known.end()) continue;
-    std::string message = "{" + name + "} stands for nothing here, and stays in the file's name";
+    std::string message = "{" + name + "} has no meaning here, and stays in the file's name";
     if (!known.empty()) message += "; known is {" + detail::listed(known, "}, {") + "}";
     std::string nearest = nearest_name(name, known);
     warnings.add(item.problem("unknown-placeholder", std::move(message), nearest.empty() ? "" : "{" + nearest + "}"));
@@ -111,13 +111,13 @@ void check_output_file(const ParameterInfo& parameter, const ConfigItem& leaf, P
     return refuse(shown + " cannot be written: " + std::generic_category().message(errno));
   if (is_there && S_ISDIR(about.st_mode)) return refuse(shown + " is a folder: give the name of a file in it");
   if (is_there && !S_ISREG(about.st_mode)) return refuse(shown + " is not a regular file: give the path of a file");
-  if (!parsed.has_filename()) return refuse(shown + " names no file");
-  if (is_of_kernel(folder)) return refuse("in the folder of " + shown + " the kernel lets no file be made");
+  if (!parsed.has_filename()) return refuse(shown + " names no file: give the name of a file");
+  if (is_of_kernel(folder)) return refuse(shown + " cannot be written: the kernel allows no new file in its folder");
   if (is_there && ::faccessat(AT_FDCWD, path.c_str(), R_OK | W_OK, AT_EACCESS) != 0)
     return refuse(shown + " cannot be written: " + std::generic_category().message(errno));
   if (is_there) return;
   if (has_placeholder(parameter, folder))
-    return refuse("a placeholder stands in the name of a folder; put it into the file's name");
+    return refuse("a placeholder is in the name of a folder; put the placeholder into the name of the file");
   struct stat link {};
   const bool is_link = ::lstat(path.c_str(), &link) == 0;  // its target does not exist and will be created
   const std::string made_in = is_link ? std::filesystem::path(FileIdentity(path).target()).parent_path().string()
@@ -126,9 +126,9 @@ void check_output_file(const ParameterInfo& parameter, const ConfigItem& leaf, P
   if (::stat(made_in.c_str(), &about_folder) != 0 || !S_ISDIR(about_folder.st_mode))
     return refuse("there is no folder " + (is_secret ? "for the file" : "\"" + made_in + "\"") +
                   (is_link ? ", to which " + shown + " is a symbolic link" : "") + ": make it first");
-  if (is_of_kernel(made_in)) return refuse("in the folder of " + shown + " the kernel lets no file be made");
+  if (is_of_kernel(made_in)) return refuse(shown + " cannot be written: the kernel allows no new file in its folder");
   if (::faccessat(AT_FDCWD, made_in.c_str(), W_OK | X_OK, AT_EACCESS) != 0)
-    refuse("in the folder of " + shown + " nothing can be written: " + std::generic_category().message(errno));
+    refuse("no file can be made in the folder of " + shown + ": " + std::generic_category().message(errno));
 }
 
 bool names_a_secret(std::string_view key) {
@@ -188,7 +188,7 @@ void warn_of(const std::vector<ParameterInfo>& parameters, const ConfigItem& ite
     if (text != nullptr && type.text == TextIs::output_file) warn_of_placeholders(parameter, leaf, *text, warnings);
   };
   const auto warn_of_no_effect = [&](const ParameterInfo& parameter, const ConfigItem& value, const std::string& is) {
-    Problem problem = value.problem("no-effect", "it means nothing with `" + std::string(parameter.only_with.key) +
+    Problem problem = value.problem("no-effect", "it has no effect with `" + std::string(parameter.only_with.key) +
                                                      "` " + is + ", only with " +
                                                      detail::listed(parameter.only_with.values));
     problem.place = value.key_place();

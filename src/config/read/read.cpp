@@ -65,7 +65,8 @@ std::string mistake_in(std::string_view text, TextIs is) {
                                           "\" is not a topic or pattern: levels joined by /, + for one level, # at the "
                                           "end for all below";
     case TextIs::output_file:
-      if (detail::has_control(text)) return "a path that is written has no control characters: it is shown as a name";
+      if (detail::has_control(text))
+        return "the path of a written file must have no control characters: it is shown as a name";
       [[fallthrough]];
     case TextIs::device:
       if (text == "~" || text.starts_with("~/")) {
@@ -113,7 +114,7 @@ constexpr std::string_view in_filters =
     "filters belong into `process`, below the field's name: {\"process\": "
     "{\"temperature\": {\"filters\": [{\"type\": \"median\", \"of\": 5}]}}}";
 constexpr std::string_view on_bus =
-    "a chip names its bus with `bus`, and the device stands there: {\"buses\": "
+    "a chip names its bus with `bus`, and the bus names its device: {\"buses\": "
     "{\"i2c1\": {\"type\": \"i2c\", \"device\": \"/dev/i2c-1\"}}}";
 constexpr std::string_view as_rate = "how often it is read is its `rate`, such as \"10 Hz\" or \"1/min\"";
 constexpr std::string_view as_path = "the file is named by `path`";

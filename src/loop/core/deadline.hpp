@@ -12,7 +12,7 @@ namespace rtdata::detail {
 
 class Deadline {
  public:
-  /// Does its work and moves or removes itself in the heap.
+  /// Called when it is due: does the work, then sets a new `due` or removes itself from the heap.
   virtual void fire(MonotonicTime now) = 0;
   /// True if `fire` would do nothing now: in virtual time it is skipped until something else is due.
   virtual bool is_idle() const noexcept { return false; }

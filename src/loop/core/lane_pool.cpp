@@ -92,7 +92,7 @@ struct LanePool::State : std::enable_shared_from_this<LanePool::State> {
   std::atomic<std::uint64_t> begun{0};     // jobs
   std::atomic<unsigned> sleeping{0};       // a bit for each place with a sleeping thread not yet woken
   std::atomic<std::ptrdiff_t> threads{0};  // without those that hang
-  std::atomic<std::ptrdiff_t> behind{0};   // that hang
+  std::atomic<std::ptrdiff_t> behind{0};   // abandoned threads, which hang
   std::atomic<bool> quit{false};
   // Where threads sleep. A thread takes the first free place, and the last one is woken first, so mostly the same
   // thread continues, with warm caches. Not std::counting_semaphore, which may lose a wake-up in the libraries of our

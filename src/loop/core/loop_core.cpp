@@ -143,7 +143,8 @@ bool LoopCore::is_in_user_code() const noexcept {
 
 void LoopCore::report_exception(std::string_view name, const char* what) noexcept {
   try {
-    runtime.report(this, name, {Errc::handler_threw, "a callback threw", "", what, "it goes on being called"});
+    runtime.report(this, name,
+                   {Errc::handler_threw, "a callback threw", "", what, "the callback goes on being called"});
   } catch (...) {  // the report failed: out of memory, or its handler threw; there is no other way to report
   }
 }
@@ -167,7 +168,7 @@ void LoopCore::check_may_end() const noexcept {
   const bool is_called_by_it = is_in_user_code();
   const std::string user = is_called_by_it ? "" : runtime.user_of_loop();
   if (!is_called_by_it && user.empty()) return;
-  std::string why = "this is one of its callbacks, or of a sink on it, or another thread than that which runs it";
+  std::string why = "it is called in one of its callbacks, in one of a sink on it, or on another thread than its own";
   if (!is_called_by_it) why = user + " still uses it";
   end_program({Errc::busy, "a loop is destroyed too early", "loop " + config.name, std::move(why),
                "use stop(), and destroy it where run() has returned, after its tiers"});
@@ -182,13 +183,13 @@ void LoopCore::check_not_ending(const char* what) const {
 
 void LoopCore::dispose_later(Node& node) noexcept {
   post_disposal(node, {Errc::busy, "was closed where it may not be", "loop " + config.name,
-                       "another thread did it, or a call of a sink's writer; it is closed now, by its loop",
+                       "another thread closed it, or a call of a sink's writer; its loop closes it now",
                        "post a function to the loop that closes it there"});
 }
 
 void LoopCore::dispose_when_it_turns(Node& node) noexcept {
   post_disposal(node, {Errc::not_turning, "was closed late", "loop " + config.name,
-                       "the loop did not turn when it was to be closed; it is closed now, by its loop",
+                       "its loop did not turn when it was to be closed, and closes it now",
                        "find what blocked in its sensors and handlers"});
 }
 

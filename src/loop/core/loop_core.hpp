@@ -281,7 +281,7 @@ class LoopCore {
     static thread_local char own;
     return &own;
   }
-  std::atomic<const void*> thread_{nullptr};  // that runs the loop
+  std::atomic<const void*> thread_{nullptr};  // the thread that runs the loop
   std::atomic<std::thread::id> bound_to_{};
   static constexpr Duration::rep never = -1;
   std::atomic<Duration::rep> stands_since_{never};  // by the main loop's clock

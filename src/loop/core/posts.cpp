@@ -79,7 +79,7 @@ bool Posts::run(MonotonicTime end) {
   // The thread that adds a function wakes the loop afterwards.
   if (next_ == taken_.size() && !is_any_waiting_.load(std::memory_order_acquire)) return false;
   const MonotonicTime begin = loop_.now();
-  if (next_ < taken_.size() && !run_taken(begin, end)) {  // those that an earlier call has left
+  if (next_ < taken_.size() && !run_taken(begin, end)) {  // functions that an earlier call has left
     loop_.uv.wake().send();
     return true;
   }

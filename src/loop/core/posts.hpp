@@ -46,7 +46,7 @@ class Posts {
   std::uint64_t most_waiting_ = 0;
   std::atomic<std::uint64_t> run_{0};
   std::vector<Callback<void()>> taken_;  // the loop's thread's
-  std::size_t next_ = 0;                 // of those taken
+  std::size_t next_ = 0;                 // index of the next function among those taken
 };
 
 }  // namespace rtdata::detail

@@ -83,10 +83,11 @@ void LoopCore::call_there(Callback<void()> function, Begun begun) {
   constexpr Duration patience = std::chrono::seconds{1};
   const Called called = call_there_within(patience, std::move(function), begun);
   if (called == Called::done) return;
-  throw SetupError(
-      {Errc::not_turning, "cannot be reached", "loop " + config.name, where() + " for " + to_string(patience),
-       called == Called::not_begun ? "nothing was done; find what blocks in its sensors and handlers"
-                                   : "it has begun to do that, and may still finish; find what blocks there"});
+  throw SetupError({Errc::not_turning, "cannot be reached", "loop " + config.name,
+                    where() + " for " + to_string(patience),
+                    called == Called::not_begun
+                        ? "nothing was done; find what blocks in its sensors and handlers"
+                        : "the loop has begun to do what was asked, and may still finish; find what blocks there"});
 }
 
 std::string LoopCore::where() const {

@@ -110,7 +110,7 @@ void Schedule::begin_waiting() noexcept {
     if (member == nullptr) continue;
     try {
       place(*member);
-    } catch (const std::bad_alloc&) {  // it stays waiting for the next turn
+    } catch (const std::bad_alloc&) {  // the member waits for the next turn
     } catch (const std::exception& e) {
       report(*member, e.what());
     } catch (...) {
@@ -126,8 +126,8 @@ void Schedule::begin_waiting() noexcept {
 
 void Schedule::report(const RateMember& member, const char* why) noexcept try {
   loop_.runtime.keep_report(&loop_, member.blame_name(),
-                            {Errc::handler_threw, "its schedule did not begin well", "loop " + loop_.config.name, why,
-                             member.group_ == nullptr ? "it is tried again in the next turn" : ""});
+                            {Errc::handler_threw, "its schedule could not begin", "loop " + loop_.config.name, why,
+                             member.group_ == nullptr ? "the loop tries it again in its next turn" : ""});
 } catch (...) {  // out of memory
 }
 

@@ -26,12 +26,12 @@ namespace rtdata::detail {
 /// Owner: the main loop's core. Thread: the one with the turn, unless stated.
 class VirtualThreads {
  public:
-  /// One of them. Owned by the tier; it must outlive the thread.
+  /// One virtual thread. Owned by the tier; it must outlive the thread.
   class Thread {
    private:
     friend class VirtualThreads;
     std::thread::id id;
-    MonotonicTime until{};                            // it waits no longer
+    MonotonicTime until{};                            // the thread waits no longer than this
     const std::function<bool()>* is_ready = nullptr;  // or until this is true
     std::optional<MonotonicTime> ready_at;            // from when it may run
     bool sees_at_once = true;

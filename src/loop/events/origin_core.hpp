@@ -109,7 +109,7 @@ class OriginCore {
     Time last_time = Time::min();
     MonotonicTime free_from{};
     Supply supply = Supply::none;
-    Outages outages{};  // that have ended
+    Outages outages{};  // outages that have ended
   };
   State state() const noexcept { return {counts, sequence, last_time, free_from(), supply, ended_outages()}; }
   /// Continues with this state. Does nothing for an origin of this loop.

@@ -59,7 +59,8 @@ bool SubscriptionNode::report_times(CallbackStatus& status) const {
 
 void SubscriptionNode::report_exception(const char* what) noexcept {
   try {
-    runtime_->report(loop(), name, {Errc::handler_threw, "a handler threw", "", what, "it goes on being called"});
+    runtime_->report(loop(), name,
+                     {Errc::handler_threw, "a handler threw", "", what, "the handler goes on being called"});
   } catch (...) {  // the report itself failed
   }
 }
@@ -84,8 +85,8 @@ Result<std::shared_ptr<const void>> make_field_map(const TopicCore& topic, const
   if (have.description == nullptr || wanted.description == nullptr) {
     if (have.type_key == wanted.type_key) return std::shared_ptr<const void>{};
     return Error{Errc::description_differs, "cannot subscribe", topic.name,
-                 "it carries " + payload_name(have) + ", the handler takes " + payload_name(wanted),
-                 "use the type it was made with"};
+                 "the topic carries " + payload_name(have) + ", and the handler takes " + payload_name(wanted),
+                 "use the type that the topic was made with"};
   }
   if (have.description == wanted.description) return std::shared_ptr<const void>{};
   auto map = map_fields(*have.description, *wanted.description);

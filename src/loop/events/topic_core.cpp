@@ -21,7 +21,7 @@ constexpr Duration group_aim = std::chrono::microseconds{5};
 // A single handler longer than the aim was usually interrupted; beyond this limit it counts as slow at once.
 constexpr Duration slow_at_once = 20 * group_aim;
 
-// So that there is always a time after the last event's.
+// Leaves room for a time after the last event's.
 constexpr Time latest_time = Time::max() - std::chrono::hours{24};
 
 }  // namespace

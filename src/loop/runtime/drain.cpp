@@ -100,7 +100,7 @@ class Drain : public std::enable_shared_from_this<Drain> {
     std::vector<std::pair<std::string, Error>> errors;  // reported at the end, because a report may run user code
     for (detail::TierCore* tier : copy(draining_)) {
       if (!is_there(tier)) continue;
-      if (!tier->is_running()) {  // it was stopped meanwhile: it is drained here
+      if (!tier->is_running()) {  // the tier was stopped meanwhile, and is drained here
         tier->finish_drains();
         continue;
       }

@@ -78,7 +78,7 @@ TopicCore& RuntimeCore::find_or_make_topic(std::string_view name, PayloadType ty
     if ((have.description != nullptr) != (type.description != nullptr) ||
         (have.description == nullptr && have.type_key != type.type_key)) {
       throw SetupError({Errc::description_differs, "cannot use topic", std::string(name),
-                        "it carries " + payload_name(have) + ", here " + payload_name(type) + " is meant",
+                        "the topic carries " + payload_name(have) + ", but " + payload_name(type) + " is meant here",
                         "use one type a topic"});
     }
     if (have.description != nullptr && have.description != type.description) {

@@ -157,7 +157,7 @@ void BridgeReceiver::add_statuses(std::vector<SensorStatus>& all) const {
                    here.mirror->outages(to_.runtime.event_now())});
     if (!from_.is_standing()) continue;
     all.back().health = Health::faulted;
-    all.back().reason = "its loop does not turn: this is what is known of it last";
+    all.back().reason = "its loop does not turn: this is its last known state";
   }
 }
 

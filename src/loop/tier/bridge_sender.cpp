@@ -70,9 +70,10 @@ Result<void> BridgeSender::on_topic(TopicCore& topic) {
   if (topic.type.move_construct != nullptr || channel_of(topic) != nullptr) return {};
   Channel& channel = channels_.emplace_back(*this, ring_, topic);
   if (channel.record_bytes > ring_.longest_record()) {
-    from_.runtime.keep_report(&from_, topic.name,
-                              {Errc::does_not_fit, "may find no room on its way", "loop " + to_.config.name,
-                               "its events are long for the ring to it", "make the tier's ring_bytes larger"});
+    from_.runtime.keep_report(
+        &from_, topic.name,
+        {Errc::does_not_fit, "events may find no room on their way", "loop " + to_.config.name,
+         "its events are too long for the ring to that loop", "make the tier's ring_bytes larger"});
   }
   channel_by_topic_[&topic] = &channel;
   topic.add_channel_out(channel);

@@ -79,7 +79,7 @@ class BridgeSender final : public Listener {
   LoopCore& from_;
   LoopCore& to_;
   ByteRing& ring_;
-  const bool is_to_main_;  // which has the sinks and shows the sensors
+  const bool is_to_main_;  // true: the other loop is the main loop, which has the sinks
   std::deque<Channel> channels_;
   std::unordered_map<const TopicCore*, Channel*> channel_by_topic_;
   std::deque<Passage> passages_;

@@ -66,7 +66,7 @@ const Tier::Config& checked(Loop& main, const Tier::Config& config) {
            "give `ring_bytes` " + std::to_string(least_ring_bytes) + " or more");
   }
   if (config.spin < Duration{0} || config.spin > longest_spin) {
-    refuse(Errc::bad_argument, "it would spin for " + to_string(config.spin) + " before each deadline",
+    refuse(Errc::bad_argument, "the tier would spin for " + to_string(config.spin) + " before each deadline",
            "give `spin` 0 s to " + to_string(longest_spin));
   }
   for (const int cpu : config.cpus) {
@@ -188,7 +188,8 @@ void TierCore::check_may_end() noexcept {
     return;
   }
   end_program({Errc::busy, "a tier is destroyed where it may not be", "tier " + config.name,
-               "this is not the thread of its main loop, or a call of a sink's writer", "destroy it on its main loop"});
+               "it is destroyed on another thread than its main loop's, or within a call of a sink's writer",
+               "destroy it on its main loop"});
 }
 
 void TierCore::stop() noexcept {
@@ -269,7 +270,7 @@ void TierCore::finish_drains() {
 }
 
 void TierCore::go_on(const std::shared_ptr<Drain>& drain) {
-  if (!drain->done || loop.core().is_ending()) return;  // its destructor ends those that are left
+  if (!drain->done || loop.core().is_ending()) return;  // the loop's destructor ends the objects that are left
   if (loop.core().is_in_user_code()) {                  // by what sets it up: as soon as that has returned
     return main.post([this, &hub = main.core().runtime, drain] {
       if (std::find(hub.tiers.begin(), hub.tiers.end(), this) == hub.tiers.end()) return end(*drain);

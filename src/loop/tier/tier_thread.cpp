@@ -48,12 +48,12 @@ void TierCore::set_up_thread() {
     cpu_set_t granted, refused;
     if (::sched_setaffinity(0, sizeof asked, &asked) != 0) {
       warn({Errc::bad_argument, "cannot bind to processors", list_of(asked), std::strerror(errno),
-            "use processors that this machine has and the process may use; it runs on any"});
+            "use processors that this machine has and the process may use; the tier runs on any processor"});
     } else if (::sched_getaffinity(0, sizeof granted, &granted) == 0 && !CPU_EQUAL(&asked, &granted)) {
       CPU_XOR(&refused, &asked, &granted);  // those granted are among those asked for
       warn({Errc::bad_argument, "cannot bind to processors", list_of(refused),
             "this machine does not have them, or the process may not use them",
-            "use processors that there are; it runs on " + list_of(granted)});
+            "use processors that there are; the tier runs on " + list_of(granted)});
     }
   }
   const bool is_real_time = config.policy != SchedulingPolicy::other;
@@ -62,8 +62,8 @@ void TierCore::set_up_thread() {
     // whole stack at once, which delays all other threads.
     if (config.lock_memory && ::mlockall(MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT) != 0) {
       warn({Errc::not_permitted, "cannot lock memory", "mlockall", std::strerror(errno),
-            "set `memlock unlimited` in /etc/security/limits.conf or `LimitMEMLOCK=infinity` in the systemd unit; it "
-            "runs unlocked"});
+            "set `memlock unlimited` in /etc/security/limits.conf or `LimitMEMLOCK=infinity` in the systemd unit; the "
+            "tier runs with memory that is not locked"});
     }
     touch_stack(std::min(config.stack, stack_left()));
     if (auto set = set_scheduling({config.policy, config.priority}); !set) warn(set.error());
@@ -73,7 +73,7 @@ void TierCore::set_up_thread() {
     const std::int32_t microseconds = 0;
     if (latency_fd_ < 0 || ::write(latency_fd_, &microseconds, sizeof microseconds) != sizeof microseconds) {
       warn({Errc::not_permitted, "cannot keep the processor awake", "/dev/cpu_dma_latency", std::strerror(errno),
-            "give the user write access to it, by a udev rule; it runs with deeper idle states"});
+            "give the user write access to it, by a udev rule; the tier runs with deeper idle states"});
     }
   }
   scheduling = current_scheduling();

@@ -33,7 +33,8 @@ std::string_view mistake_in_place(const AnalogConfig& config) {
   if (config.file.empty() && config.device.empty()) return "it has neither `file` nor `device`";
   if (!config.file.empty() && !config.device.empty()) return "it has both `file` and `device`";
   if (config.device.empty() != config.channel.empty()) return "`device` and `channel` go together";
-  if (!config.channel.empty() && iio_quantity(config.channel) == nullptr) return "`channel` is none; such as voltage0";
+  if (!config.channel.empty() && iio_quantity(config.channel) == nullptr)
+    return "`channel` is not the name of a channel; such as voltage0";
   return {};
 }
 

@@ -30,7 +30,7 @@ class FeedNode : public SourceNode {
   }
   bool is_reading() const noexcept override { return false; }
   void set_rate(Rate) override {
-    throw SetupError({Errc::bad_argument, "cannot set a rate", object_name(), "it is fed, not sampled",
+    throw SetupError({Errc::bad_argument, "cannot set a rate", object_name(), "the sensor is fed, not sampled",
                       "set the rate at its source"});
   }
   Rate rate() const noexcept override { return {}; }

@@ -263,7 +263,7 @@ void SensorNode::take_transaction(Transaction& transaction, LaneJob::Outcome out
   } catch (...) {
     sampled = port.fail(thrown("decoding threw"));
   }
-  if (lane_side()->transaction.get() != &transaction) return;  // it was stopped meanwhile, which has counted this read
+  if (lane_side()->transaction.get() != &transaction) return;  // stopped meanwhile, which has counted this read
   if (has_failed(sampled, port)) {
     if (!is_unusable(sampled)) return fail_in_flight(*port.error_);
     origin_.fail_read(port.error_->id(), due);

@@ -318,7 +318,7 @@ void SensorNode::read_inline(const Tick& tick) {
   } catch (...) {
     sampled = port.fail(thrown("reading threw"));
   }
-  if (port.sensor_ == nullptr) return;  // it stopped itself meanwhile, which has counted this tick
+  if (port.sensor_ == nullptr) return;  // the sensor stopped itself meanwhile; stopping has counted this tick
   port_ = nullptr;
   if (has_failed(sampled, port)) [[unlikely]] {
     if (!is_unusable(sampled)) return fail(port, *port.error_, tick);

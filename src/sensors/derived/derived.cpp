@@ -26,7 +26,7 @@ std::string refusal_of(const DerivedConfig& config) {
     return config.fields.empty() ? "it has no `expression`, and no `fields`"
                                  : "give `expression` or `fields`, not both";
   if (!config.unit.empty() && config.expression.empty())
-    return "`unit` is that of `expression`; each of `fields` has one";
+    return "`unit` belongs to `expression`; give each of `fields` its own `unit`";
   if (!is_topic_name(config.on)) return "\"" + config.on + "\" is not a topic";
   for (const std::string& topic : config.with)
     if (!is_topic_name(topic)) return "\"" + topic + "\" is not a topic";
@@ -113,7 +113,7 @@ class DerivedNode final : public FeedNode {
       if (health() == Health::faulted && absent_ == lacking) return;
       absent_ = lacking;
       return fault({Errc::timed_out, cannot_derive, object_name(), ExpressionSources::why(*lacking, age_),
-                    "it goes on with the next event of that topic; a longer `age` bridges longer pauses"});
+                    "the sensor goes on with the next event of that topic; a longer `age` bridges longer pauses"});
     }
     const Output* failed = nullptr;
     for (Output& output : outputs_) {  // all of them, since memories take in each event

@@ -168,7 +168,7 @@ class LimitNode final : public FeedNode {
     if (!is_open()) return;
     fault({Errc::timed_out, cannot_watch, object_name(),
            "the topic \"" + config_.on + "\" has had no event for " + to_string(config_.silence),
-           "it goes on with the next event of that topic; a longer `silence` bridges longer pauses"});
+           "the limit goes on with the next event of that topic; a longer `silence` bridges longer pauses"});
   }
 
   void on_close() noexcept override {

@@ -69,7 +69,7 @@ class GpsNode final : public StreamNode {
   }
 
  private:
-  /// One that gpsd has told of.
+  /// A receiver that gpsd has named.
   struct Receiver {
     std::string device;
     bool has_reported = false;  ///< a fix, or that there is none
@@ -98,7 +98,7 @@ class GpsNode final : public StreamNode {
     if (result && stream_.send(watch_command)) {
       opened();
     } else {
-      Error error = result ? Error{Errc::disconnected, "cannot speak to gpsd", server(), "it takes nothing", ""}
+      Error error = result ? Error{Errc::disconnected, "cannot speak to gpsd", server(), "gpsd takes no data", ""}
                            : result.error();
       const bool is_here = config_.host == "localhost" || config_.host == "127.0.0.1" || config_.host == "::1";
       if (!result && is_here) error.advice = detail::how_to_start_gpsd;
@@ -264,7 +264,7 @@ class GpsNode final : public StreamNode {
     const auto uncertainty = std::chrono::duration<double>(std::clamp(fix.ept.value_or(0), 0.0, most_seconds));
     const Duration accuracy = config_.report_delay + std::chrono::duration_cast<Duration>(uncertainty);
     const auto both = [&](const std::string& which) {
-      return "it says " + to_iso8601(time) + ", and the computer's clock, which " + which + ", " +
+      return "the receiver says " + to_iso8601(time) + ", and the computer's clock, which " + which + ", says " +
              to_iso8601(system.time);
     };
     switch (from.time.look_at(at_, time, config_.report_delay, accuracy, system)) {
@@ -353,7 +353,7 @@ class GpsNode final : public StreamNode {
   Time time_{};                              // of the last read
   GpsReport report_;
   std::vector<Receiver> receivers_;
-  std::vector<std::string> devices_;   // that gpsd has, as it said last
+  std::vector<std::string> devices_;   // the devices that gpsd named last
   bool is_several_ = false;            // there are several receivers, which has been told
   std::optional<Duration> time_line_;  // the time of day that was used first, less the monotonic time
   bool is_step_reported_ = false;

@@ -138,7 +138,7 @@ class ReportHandler {
       return refuse(Errc::out_of_range, "it is " + std::to_string(number));
     to = static_cast<Number>(number);
   }
-  /// Of use only in reports that are taken: others may have other things under the same name.
+  /// Valid only for reports that are used: other reports may have other things under this name.
   void refuse(Errc code, std::string why) {
     if (!error_) error_ = unusable(code, std::string(key_), std::move(why));
   }

@@ -18,7 +18,7 @@ struct Chip {
   std::string folder;  ///< below the root
   std::string number;  ///< "hwmon0"
   std::string name;    ///< as its driver calls it
-  std::string parent;  ///< its device, "1-0048"; empty: it has none
+  std::string parent;  ///< the device of the chip, "1-0048"; empty: none
 };
 
 std::string last_part(const std::string& path) { return path.substr(path.rfind('/') + 1); }

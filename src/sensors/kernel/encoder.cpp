@@ -262,7 +262,7 @@ bool CountTracker::take(std::uint64_t raw) noexcept {
   }
   std::uint64_t up = raw >= *last_ ? raw - *last_ : raw + range_ - *last_;
   if (range_ == 0) {
-    // Both ways, a difference is a number with a sign. In one way, one of the other sign was not counted.
+    // A counter of both directions: the difference has a sign. A counter of one direction did not count the other sign.
     const auto change = static_cast<std::int64_t>(up);
     if ((way_ == Way::up && change < 0) || (way_ == Way::down && change > 0)) {
       begin(raw);

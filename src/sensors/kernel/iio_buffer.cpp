@@ -319,14 +319,14 @@ class IioBufferNode final : public StreamNode {
     const std::string many = missing_ > 0 ? "about " + std::to_string(missing_) + " by their times"
                                           : std::string("how many is not known");
     degrade({Errc::backlog, "scans are missing", config_.device,
-             is_dropped ? "the buffer was full: " + many : many + ": trigger or driver left them out",
+             is_dropped ? "the buffer was full: " + many : many + ": the trigger or the driver left them out",
              is_dropped ? "make `length` longer, or find out what held the loop" : "lower its rate, or check its bus"});
   }
   void report_odd_time() {
     degrade({Errc::bad_data, "the times of scans are not used", config_.device,
-             has_clock_ ? "by its clock, one is " + to_string(odd_) + " from when it came"
-                        : "it has the clock " + capture_->clock(),
-             "those of the reads stand for them"});
+             has_clock_ ? "by the device's clock, a scan was taken " + to_string(odd_) + " away from when it came"
+                        : "the device uses the clock " + capture_->clock(),
+             "the times of the reads are used instead"});
   }
 
   /// A device that was taken away may wake nobody.
@@ -344,7 +344,7 @@ class IioBufferNode final : public StreamNode {
     StreamNode::on_close();
     rest_.close();
     look_.close();
-    for (const auto& capture : unclosed_) capture->abandon();  // its driver hangs
+    for (const auto& capture : unclosed_) capture->abandon();  // the driver of the device hangs
     if (loop()->is_being_set_up()) wait_for_closing();         // a program that ends leaves no buffer on
   }
 
@@ -362,7 +362,7 @@ class IioBufferNode final : public StreamNode {
   std::size_t at_ = 0, end_ = 0;    // of the scans in it that are not published yet
   std::vector<double> values_;      // of one scan: the payload
   Duration interval_{0};            // between two scans; 0: not known
-  Duration ahead_{0};               // of the time of day before the monotonic clock, at the last read
+  Duration ahead_{0};               // time of day minus monotonic clock, at the last read
   MonotonicTime turned_on_{};       // no time is earlier
   MonotonicTime last_{};            // of the last scan
   MonotonicTime last_published_{};  // the same, as it was published

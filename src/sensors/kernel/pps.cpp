@@ -62,7 +62,8 @@ class PpsNode final : public StreamNode {
   Result<PpsStamp> read() {
     file_.read();
     if (file_.error_number() == ENODEV)
-      return Error{Errc::disconnected, cannot_read_pps, file_.path(), "the source has gone away", "it is tried again"};
+      return Error{Errc::disconnected, cannot_read_pps, file_.path(), "the source has gone away",
+                   "the program tries to open it again"};
     if (file_.error_number() != 0)
       return system_error(file_.error_number(), cannot_read_pps, file_.path(), find_advice);
     auto stamp = parse_pps(file_.text());
@@ -117,7 +118,7 @@ class PpsNode final : public StreamNode {
     const Time now = loop()->runtime.clock_log.clock().realtime();
     const Duration ago = difference(stamp.time.time_since_epoch(), now.time_since_epoch());
     const MonotonicTime instant = later(looked_, -ago);
-    // It came after the last look and before this one, unless the clock was set in between.
+    // The pulse came after the last look and before this one, unless the clock was set in between.
     constexpr Duration noise = std::chrono::milliseconds{1};
     const bool is_known = instant <= later(looked_, noise) && instant >= later(before, -noise);
     const MonotonicTime at = is_known ? std::min(instant, looked_) : looked_;

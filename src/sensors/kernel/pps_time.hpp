@@ -21,7 +21,7 @@ Result<PpsStamp> parse_pps(std::string_view text);
 /// How far a time is from the nearest whole second.
 Duration from_second(Time time) noexcept;
 
-/// One source's. Tells which second a pulse begins.
+/// For one source: tells which second a pulse begins.
 class PpsTimeCheck {
  public:
   enum class Verdict {

@@ -138,7 +138,7 @@ class MqttNode final : public StreamNode {
   }
   bool is_holding() const noexcept { return is_holding_; }
   static Error refusal(const std::string& what) {
-    return {Errc::not_permitted, "the broker refuses a subscription", what, "it says so in its answer",
+    return {Errc::not_permitted, "the broker refuses a subscription", what, "the broker says so in its answer",
             "check its access control and `topics`"};
   }
 
@@ -217,7 +217,8 @@ class MqttNode final : public StreamNode {
   }
   Error not_stored() const {
     return {Errc::busy, "messages wait at the broker", connection_->server(),
-            "sink " + config_.stored_by + " has not stored those that came", "find out why; they come again"};
+            "sink " + config_.stored_by + " has not stored those that came",
+            "find out why; the broker sends them again"};
   }
   Error silence_error() const override {
     return {Errc::timed_out, "nothing comes", connection_->server(), "no message in " + to_string(config_.silence),
@@ -328,7 +329,7 @@ std::vector<Mistake> mistakes_of(const MqttSensorConfig& config) {
   for (auto& [key, why] : mistakes_of_client(config.broker)) add(key, std::move(why));
   if (config.qos > 2) add("qos", "it is 0, 1 or 2");
   if (config.session > Duration{0} && config.broker.client_id.empty())
-    add("session", "the broker knows this sensor again by its name: set `client_id`");
+    add("session", "the broker recognises this sensor by `client_id`: set it");
   if (!config.stored_by.empty() && config.qos != 1)
     add("stored_by", "only with `qos` 1 the broker waits for an answer to each message");
   for (const LineField& field : config.fields) {

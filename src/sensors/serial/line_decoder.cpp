@@ -146,7 +146,7 @@ void check_marks(const SerialConfig& config) {
   if (config.separator == '"' || ends.find(config.separator) != std::string_view::npos)
     refuse("separator", "it has another meaning in CSV", "such as \",\" or \";\"");
   if (std::string_view("0123456789+-.eEaAfFiInNtTyY").find(config.separator) != std::string_view::npos)
-    refuse("separator", "numbers hold it", "such as \",\" or \";\"");
+    refuse("separator", "numbers may have this character", "such as \",\" or \";\"");
   if (comment.empty()) return;
   if (comment.front() == config.separator)
     refuse("comment", "comments would begin with the separator", "set another `comment`, \"\" for none");
@@ -221,7 +221,7 @@ std::string LineDecoder::advice_on(std::string_view line) const {
   };
   for (const char other : {';', ',', '\t', '|', ' '}) {
     if (columns_ < 2 || columns_by(separator_) == columns_ || columns_by(other) != columns_) continue;
-    return std::string("it seems to be separated by ") +
+    return std::string("the line seems to be separated by ") +
            (other == '\t'  ? "tabs"
             : other == ' ' ? "blanks"
                            : "\"" + std::string(1, other) + "\"") +

@@ -132,7 +132,7 @@ class SerialLineNode final : public StreamNode {
     }
     if (dropped > 0)
       loop()->runtime.log(LogLevel::info, object_name(),
-                          std::to_string(dropped) + " bytes that had waited when it was started are left out");
+                          std::to_string(dropped) + " bytes that had waited when the sensor was started are left out");
     return is_within_line;
   }
   void on_close() noexcept override {

@@ -16,7 +16,7 @@ namespace rtdata::detail {
 class SinkQueue;
 
 struct RowFeedConfig {
-  std::string sink;                 ///< its name: that of its position
+  std::string sink;                 ///< the name of the sink, under which its position is stored
   std::vector<std::string> topics;  ///< patterns
   From from = From::now;
   /// The times of its rows: as recorded, or UTC as known when they are read.
@@ -45,7 +45,7 @@ class RowFeed {
   virtual Result<bool> fill(SinkQueue& queue) = 0;
   /// The first `rows` rows of the last `fill` are done and need not come again.
   virtual void settled(std::size_t rows) noexcept = 0;
-  /// One of them was refused. The same may be said again.
+  /// One row was refused. May be called again for the same row.
   virtual void refused(const SlotInfo& slot, std::uint64_t sequence, const Error& why) = 0;
   /// The recording has committed something: counts it. While the lane is idle.
   virtual void note_committed() = 0;

@@ -35,7 +35,8 @@ void SinkNode::set_account_timer() {
 void SinkNode::follow_timer_fired() {
   if (life_ != Life::attached) return;
   const std::string unknown = loop()->runtime.exchange.catch_up(std::chrono::seconds{1});
-  if (!unknown.empty()) unknown_ += (unknown_.empty() ? "" : "; ") + ("it took more accounts although " + unknown);
+  if (!unknown.empty())
+    unknown_ += (unknown_.empty() ? "" : "; ") + ("the sink took more accounts although " + unknown);
   if (life_ == Life::attached) account_.follow_all(*this);
 }
 

@@ -105,7 +105,7 @@ std::uint64_t SinkNode::leave() noexcept {
     last_->counts = queue_->counts();
   }
   leave_recording();
-  // What waits in a recording stays there.
+  // Events that wait in a recording stay there.
   const std::uint64_t lost = is_fed() ? 0 : std::exchange(last_->counts.queued, 0);
   last_->counts.dropped[static_cast<std::size_t>(DropReason::refused)] += lost;
   ClosedSink end;
@@ -123,8 +123,8 @@ std::uint64_t SinkNode::leave() noexcept {
     const std::string why = reason_.empty() ? "" : " (" + reason_ + ")";
     if (lost > 0) {
       runtime.report(loop(), object_name(),
-                     {Errc::timed_out, "lost " + std::to_string(lost) + " events", config_.name,
-                      "they could not be stored before the deadline" + why,
+                     {Errc::timed_out, "lost " + std::to_string(lost) + (lost == 1 ? " event" : " events"),
+                      config_.name, "they could not be stored before the deadline" + why,
                       queue_->sender() != nullptr
                           ? "check the peer; with `through` events wait in a recording"
                           : "check the storage; of a recording, the next start writes down what was lost"});
@@ -142,13 +142,13 @@ std::uint64_t SinkNode::leave() noexcept {
 void SinkNode::on_close() noexcept {
   std::uint64_t lost = 0;
   for (std::size_t left = predecessors_.size(); is_attached() && left > 0 && !predecessors_.empty(); --left)
-    predecessors_.back()->close();  // one that is being closed already stays there
+    predecessors_.back()->close();  // a sink that is being closed already stays in the list
   for (SinkNode* const sink : predecessors_) std::erase(sink->successors_, this);
   leave_recording();  // nobody waits for another here
   if (is_attached()) {
     const MonotonicTime end = later(loop()->now(), config_.close_deadline);
     begin_closing(end);
-    // What a Sender sends needs a loop that runs: Loop::close and Loop::drain wait for that.
+    // A Sender needs a running loop to send: Loop::close and Loop::drain wait for that.
     while (life_ == Life::closing && work_ != Work::sending && loop()->now() < end) {
       if (!is_at_work()) {
         const bool is_retry = is_waiting();

@@ -200,7 +200,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   void follow_recording();
   void take_over(const std::string& recording) noexcept;
   void leave_recording() noexcept;
-  /// Of a recording: they get no more rows.
+  /// Of a recording: the sinks that go through it get no more rows.
   void leave_followers(const char* why) noexcept;
   void commit_within(Duration time);
   /// The recording has committed something.
@@ -239,7 +239,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   Work work_ = Work::idle;
   Timer work_timer_;  // while the lane waits: tries again; while it opens: tells that this takes long
   Timer account_timer_;
-  Timer deadline_;  // of a drain
+  Timer deadline_;  // the deadline of a drain
   Timer follow_;    // for what its topics are made of, when tiers have counted some of it already
 
   // storing
@@ -279,9 +279,9 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
 
   // through a recording
   SinkNode* recording_ = nullptr;     // of this sink; null: none, or it has gone
-  std::vector<SinkNode*> followers_;  // of this recording
+  std::vector<SinkNode*> followers_;  // sinks that go through this recording
   bool is_readable_ = false;          // this recording is open: its rows may be read
-  bool has_all_rows_ = false;         // it closes, and all rows are committed
+  bool has_all_rows_ = false;         // the recording closes, and all rows are committed
   bool has_given_up_ = false;         // it closes, its peer is away, and the recording has not all rows yet
   bool are_positions_due_ = false;    // of followers: to be stored with the next batch
   CatchUp catch_up_;                  // with what waits in its recording
@@ -289,7 +289,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   // the end
   std::vector<std::string> comes_before_;               // names
   std::vector<SinkNode*> successors_;                   // that are held until it has ended
-  std::vector<SinkNode*> predecessors_;                 // that hold this one
+  std::vector<SinkNode*> predecessors_;                 // sinks that this one waits for
   std::vector<Callback<void(std::uint64_t)>> drained_;  // called at the end of a drain
   std::optional<SinkStatus> last_;                      // once it has left the runtime
 };

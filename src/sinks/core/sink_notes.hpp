@@ -39,7 +39,7 @@ class SinkNotes {
   }
 
   void add(std::uint32_t slot, const Segment& segment) {
-    last_gap(slot) = no_gap;  // those that are joined lie in one segment
+    last_gap(slot) = no_gap;  // gaps that are joined lie in one segment
     if (segments_.size() == most_segments) {
       ++lost_segments_;
     } else {

@@ -174,7 +174,7 @@ void SinkNode::work_done(LaneJob::Outcome outcome) {
       go_on_after(turn);
     }
     report_result(turn, before);
-    // What waits in a recording is safe there: closing does not wait for a peer that is away.
+    // Events that wait in a recording are safe there: closing does not wait for a peer that is away.
     const bool gives_up = is_fed() && life_ == Life::closing && !turn.result;
     if (is_open() && turn.has_closed()) finish_drain();
     if (is_open() && gives_up) give_up();

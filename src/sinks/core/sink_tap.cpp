@@ -31,7 +31,7 @@ SensorCounts since(const SensorCounts& before, SensorCounts now) {
   return now;
 }
 
-/// The same at each event, as long as nothing but such events happens: a read that was in time, with one sample.
+/// These counts are the same at each event as long as all goes well: a read that was in time, with one sample.
 std::uint64_t course_of(const SensorCounts& c) noexcept {
   constexpr std::uint64_t apart = (std::uint64_t{1} << 32) + 1;
   const std::uint64_t others = c.late + c.missed + c.failed + c.repeated + c.filtered + c.unreadable + c.lost;

@@ -275,7 +275,7 @@ void Transfer::send(std::size_t parcel) {
   entry.transmission = ++transmissions_;
   entry.deadline = later(now, sending_.timeout);
   ++under_way_;
-  if (sent_.size() == sent_.capacity()) {  // it has room for twice as many as can be under way
+  if (sent_.size() == sent_.capacity()) {  // the list has room for twice as many parcels as can be under way
     std::erase_if(sent_, [this](const Sent& sent) { return awaited(sent.parcel, sent.transmission) == nullptr; });
     first_sent_ = 0;
   }

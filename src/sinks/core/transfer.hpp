@@ -36,7 +36,7 @@ class Transfer : public std::enable_shared_from_this<Transfer> {
 
   Transfer(LoopCore& loop, Sender& sender, const SinkConfig& config, Owner& owner);
 
-  /// None is under way. They live until all are settled or `end` was called.
+  /// No parcel is under way. Parcels live until all are settled or `end` was called.
   void begin(std::span<const Parcel> parcels);
   bool is_under_way() const noexcept { return settled_ < entries_.size(); }
   /// It has failed, and waits before it sends again.
@@ -55,7 +55,7 @@ class Transfer : public std::enable_shared_from_this<Transfer> {
     std::size_t confirmed = 0;  // rows from the first one on, whatever becomes of the others
     std::size_t settled = 0;    // of those
     std::vector<RefusedRow> refused;
-    /// It is sent again, but for what is confirmed.
+    /// The parcel is sent again, without the rows that are confirmed.
     void wait() noexcept {
       state = State::waiting;
       transmission = 0;

@@ -60,7 +60,7 @@ std::uint64_t next_run(const std::filesystem::path& path) {
     const std::string there = entry->path().filename().string();
     if (!there.starts_with(begin)) continue;
     for (std::size_t at = there.find(behind, begin.size()); at != std::string::npos; at = there.find(behind, at + 1)) {
-      std::uint32_t number = 0;  // one that is larger is not one of ours
+      std::uint32_t number = 0;  // a larger number is not in a name that this sink gave
       std::from_chars(there.data() + at + behind.size(), there.data() + there.size(), number);
       last = std::max<std::uint64_t>(last, number);
       if (topic == std::string::npos) break;
@@ -168,14 +168,14 @@ class FileWriter final : public RecordingWriter {
                        "a new one is made"};
         case OutputFile::Gone::unmounted:
           return Error{Errc::not_found, "the disk of the file was taken away", file.path(),
-                       "it is mounted there no longer", "mount it again: events wait in memory until then"};
+                       "the disk is no longer mounted there", "mount it again: events wait in memory until then"};
         case OutputFile::Gone::moved:
           return Error{Errc::not_found, "the file was moved", file.path(),
                        "the data written into it is in the moved file", "a new one is made"};
         case OutputFile::Gone::cut_off:
           return Error{Errc::damaged, "the file was cut off", file.path(),
-                       "it is shorter than the data written into it: the rest is lost, if there is no copy",
-                       "it goes on at its end; `rotate` divides files without a loss"};
+                       "the file is shorter than the data written into it: the rest is lost, if there is no copy",
+                       "the sink goes on at the end of the file; `rotate` divides files without a loss"};
       }
     }
     for (OutputFile& file : files_) file.begin_batch();

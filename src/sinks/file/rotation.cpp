@@ -166,7 +166,7 @@ Result<void> Rotation::see_to(OutputFile& file, std::size_t index, std::size_t f
       tell(renamed.error());  // the file grows on: rather that than to lose an event
     }
   }
-  // What failed comes again with its batch.
+  // A write that failed comes again with its batch.
   if (done) file.buffer.insert(file.buffer.end(), event.begin(), event.end());
   return done;
 }

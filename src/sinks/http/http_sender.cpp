@@ -162,7 +162,7 @@ void HttpSender::GzipJob::done(Outcome outcome) {
     request.bytes = std::as_bytes(std::span(out));
     return sender.start_transfer(request);
   }
-  if (outcome != Outcome::finished) owner = nullptr;  // it may still run
+  if (outcome != Outcome::finished) owner = nullptr;  // the job may still run
   if (outcome != Outcome::finished) request.gzip = nullptr;
   sender.give_up(request,
                  {HttpVerdict::later,
@@ -407,7 +407,7 @@ void HttpSender::transferred(CURL* easy, CURLcode result) {
     return take(request, std::move(judgement));
   }
   if (is_cut_answer(request, result, answer.status)) {
-    request.has_answers = true;  // which is to be known the next time
+    request.has_answers = true;  // remembered for the next request
     if (++request.rest.cut_answers >= most_cut_answers && config_.cut_answer == HttpCutAnswer::delivered) {
       count_cut_answer(request);
       request.redirects = 0;
@@ -415,7 +415,7 @@ void HttpSender::transferred(CURL* easy, CURLcode result) {
     }
   }
   const HttpFailure failure = failure_of(easy, result, request.error);
-  if (result == CURLE_COULDNT_CONNECT) addresses_.clear();  // it may have moved
+  if (result == CURLE_COULDNT_CONNECT) addresses_.clear();  // the server may have moved
   request.redirects = 0;
   take(request, judge(failure, url_.origin, proxy_ ? proxy_->origin : ""));
 }
@@ -571,7 +571,8 @@ void HttpSender::end() {
   if (cut_ > 0)
     loop_->core().runtime.log(
         LogLevel::warning, "sink " + config_.sink.name,
-        std::to_string(cut_) + " events count as delivered though the answer to them was cut off");
+        std::to_string(cut_) + (cut_ == 1 ? " event counts as delivered though its answer was cut off"
+                                          : " events count as delivered though their answers were cut off"));
   for (const auto& request : requests_) {
     request->has_answers = false;
     stop(*request);

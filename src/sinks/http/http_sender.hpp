@@ -21,7 +21,7 @@ namespace rtdata::detail {
 
 /// The key of a request, equal for each attempt.
 using HttpKey = std::array<std::uint64_t, 2>;
-/// Of these rows of the parcel: of their runs, origins and sequences.
+/// A key of these rows of the parcel, made of their runs, origins and sequences.
 HttpKey key_of(const Parcel& parcel, std::size_t first, std::size_t last);
 
 std::vector<HttpMistake> mistakes_of(const HttpConfig& config);

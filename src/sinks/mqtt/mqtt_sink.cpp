@@ -40,7 +40,7 @@ detail::MqttOptions options_of(const MqttConfig& config) {
 constexpr Duration patience = std::chrono::seconds{1};  // a connection that lasts for so long is a good one
 constexpr int most_losses = 3;                          // with the same event, each of a good connection
 
-/// Of MQTT 5: the message will never be taken. Not so where it is not permitted, since that can be put right.
+/// MQTT 5 says that the broker will never take the message. A missing permission is no such case: it can be given.
 bool is_refusal(int reason) {
   return reason >= 0x80 && reason != MQTT_RC_QUOTA_EXCEEDED && reason != MQTT_RC_RECEIVE_MAXIMUM_EXCEEDED &&
          reason != MQTT_RC_PACKET_ID_IN_USE && reason != MQTT_RC_SERVER_BUSY && reason != MQTT_RC_NOT_AUTHORIZED;
@@ -361,7 +361,7 @@ MqttConfig named(MqttConfig config) {
 std::string obstacle_of_waiting(const MqttConfig& config) {
   if (!config.wait_for_subscriber) return {};
   if (config.qos == 0) return "with qos 0 the broker says nothing of an event: set qos 1";
-  // It says so in its first answer, of which the library tells nothing.
+  // The broker says so in its first answer, but the library does not pass that on.
   if (config.qos == 2) return "with qos 2 the broker does not report that there is no subscriber: set qos 1";
   return config.version == MqttVersion::v311 ? "only version 5 of MQTT reports that there is no subscriber" : "";
 }

@@ -26,7 +26,7 @@ constexpr int most_reads = 16;                  // in a turn of the loop
 constexpr std::size_t most_written = 1U << 20;  // the same, in bytes
 constexpr std::size_t most_line = 256;          // of an acknowledgement
 constexpr char ack = 0x06, nak = 0x15;
-constexpr Duration short_life = std::chrono::seconds{1};  // of a connection; the next one has to last before it is used
+constexpr Duration short_life = std::chrono::seconds{1};  // the next connection must last longer before it is used
 constexpr Duration probation = std::chrono::milliseconds{500};
 
 /// The connection on the loop. Shared, because an answer may end the sink while one of its functions runs.
@@ -185,7 +185,7 @@ class Connection : public std::enable_shared_from_this<Connection> {
     if (is_last) acknowledge_first();
   }
   void garbage(const std::string& got) {
-    if (under_way_.empty()) has_trouble_ = true;  // it is told with the next parcel
+    if (under_way_.empty()) has_trouble_ = true;  // the next parcel reports it
     fail({Errc::bad_data, "cannot understand the peer", peer(), "it acknowledges " + got,
           "`acknowledge` must fit the answers of the peer: docs/sending.md"});
   }

@@ -39,7 +39,8 @@ class FieldsCodec final : public Codec {
   Result<void> encode(const EventView& event, std::vector<std::byte>& out) override {
     line_.clear();
     if (event.topic() == "timestamp")
-      return Error{Errc::bad_name, "cannot send", "topic timestamp", "that key is the time's", "give it another name"};
+      return Error{Errc::bad_name, "cannot send", "topic timestamp", "that key is used for the time",
+                   "give it another name"};
     if (auto done = json_->encode(event, line_); !done) return done;
     const std::string_view line(reinterpret_cast<const char*>(line_.data()), line_.size());
     // {"topic":T,"time":N,"origin":O,"sequence":S,"run":R,"data":{...}}: within a text, quotes have a backslash.
