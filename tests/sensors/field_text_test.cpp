@@ -57,7 +57,8 @@ TEST_SUITE("sensors") {
     CHECK(has(values_of(german, "T=-3.25;1 Pa"), "has a point, and its `decimal` is a comma"));
     CHECK(has(values_of(german, "t=1;1 Pa"), "does not begin with its `prefix`"));
 
-    const SerialConfig hex{.fields = {{.name = "a", .type = Kind::u16, .base = 16}, {.name = "b", .scale = 0.5, .base = 16}}};
+    const SerialConfig hex{
+        .fields = {{.name = "a", .type = Kind::u16, .base = 16}, {.name = "b", .scale = 0.5, .base = 16}}};
     CHECK(values_of(hex, "ffff,0x10") == "65535 8");
     CHECK(has(values_of(hex, "10000,1"), "out-of-range"));
     CHECK(has(values_of(hex, "-1,1"), "not-a-number"));
@@ -106,8 +107,13 @@ TEST_SUITE("sensors") {
   }
 
   TEST_CASE("US-13 any bytes in such fields are a value or an error, and allocate nothing that lasts") {
-    const SerialConfig config{.fields = {{.name = "a", .prefix = "x", .suffix = "y", .decimal = ',', .thousands = ".",
-                                          .sign_blanks = true, .no_value = {"-", "1,5"}},
+    const SerialConfig config{.fields = {{.name = "a",
+                                          .prefix = "x",
+                                          .suffix = "y",
+                                          .decimal = ',',
+                                          .thousands = ".",
+                                          .sign_blanks = true,
+                                          .no_value = {"-", "1,5"}},
                                          {.name = "b", .type = Kind::i8, .base = 16, .words = {{"z", 3}}}},
                               .separator = ';'};
     detail::LineDecoder decoder(config);

@@ -15,8 +15,8 @@ namespace {
 constexpr std::size_t longest_text = 128;  // of a number with what stands in it
 
 [[noreturn]] void refuse_field(const LineField& field, std::string why, std::string advice) {
-  throw SetupError({Errc::bad_argument, "cannot use these fields", "field " + field.name, std::move(why),
-                    std::move(advice)});
+  throw SetupError(
+      {Errc::bad_argument, "cannot use these fields", "field " + field.name, std::move(why), std::move(advice)});
 }
 
 bool is_number_kind(Kind kind) noexcept {
