@@ -1,42 +1,9 @@
 // The live page in a real browser, of a real run: page_test.mjs PROGRAM [FOLDER_OF_PICTURES].
-// Ends with 77, and says why, where there is no Chromium, or no puppeteer-core (script/bootstrap --all installs it).
 import assert from "node:assert/strict";
-import {spawn} from "node:child_process";
-import {existsSync, mkdirSync, mkdtempSync, rmSync, writeFileSync} from "node:fs";
+import {writeFileSync} from "node:fs";
 import {createServer} from "node:http";
-import {tmpdir} from "node:os";
 import {join} from "node:path";
-
-function skip(why) {
-  console.log("skipped: " + why);
-  process.exit(77);
-}
-const [program, pictures] = process.argv.slice(2);
-const chromium = ["/usr/bin/chromium", "/usr/bin/chromium-browser", "/usr/bin/google-chrome"].find(existsSync);
-if (!chromium) skip("there is no Chromium: the page is not tried in a browser");
-const puppeteer = (await import("puppeteer-core").catch(() => skip("there is no puppeteer-core: script/bootstrap --all"))).default;
-
-const folder = mkdtempSync(join(tmpdir(), "rtdata-page-"));
-mkdirSync(join(folder, "run"), {mode: 0o700});
-const environment = {...process.env, RTDATA_RUNTIME_DIR: join(folder, "run")};
-const started = [];
-/// Starts the program, and waits for the address of its page.
-function start(...words) {
-  const child = spawn(program, words, {cwd: folder, env: environment});
-  started.push(child);
-  child.said = "";
-  child.ended = new Promise((done) => child.on("exit", done));
-  const address = new Promise((done, failed) => {
-    for (const stream of [child.stdout, child.stderr])
-      stream.on("data", (text) => {
-        child.said += text;
-        const found = child.said.match(/https?:\/\/\S+#token=\S+/);
-        if (found) done(found[0]);
-      });
-    child.on("exit", () => failed(new Error("it ended: " + child.said)));
-  });
-  return {child, address};
-}
+import {end, failed, folder, open, problems, shot, start, test, text, until} from "./browser.mjs";
 
 const evil = "<img src=x onerror=window.evil=1>";
 const device = createServer((request, answer) => { answer.end("ok"); }).listen(0, "127.0.0.1");
@@ -57,36 +24,6 @@ writeFileSync(join(folder, "bench.json"), JSON.stringify({
               transitions: [{from: "pad", to: "up", event: "launch"}, {from: "up", to: "pad", after: "1 h"}]}],
   sinks: [{type: "sqlite", name: "rec", path: "bench.db"}],
 }));
-
-const browser = await puppeteer.launch({executablePath: chromium, args: ["--no-sandbox", "--disable-gpu"]});
-let failures = 0;
-async function test(title, body) {
-  try {
-    await body();
-    console.log("ok: " + title);
-  } catch (error) {
-    ++failures;
-    if (pictures) for (const [i, one] of (await browser.pages()).entries()) await one.screenshot({path: join(pictures, `failed-${failures}-${i}.png`)}).catch(() => {});
-    console.log("FAILED: " + title + "\n" + error.stack);
-    for (const one of started) if (one.exitCode !== null || one.signalCode !== null)
-      console.log(`${one.spawnargs.join(" ")} has ended with ${one.exitCode} ${one.signalCode}: ${one.said.slice(-1000)}`);
-  }
-}
-const problems = [];
-async function open(address, width = 1100, height = 800) {
-  const page = await (await browser.createBrowserContext()).newPage();
-  await page.setViewport({width, height});
-  page.on("pageerror", (error) => problems.push("error: " + error.message));
-  page.on("console", (message) => { if (message.type() === "error") problems.push("console: " + message.text()); });
-  page.on("request", (request) => { if (!/^(blob:)?http:\/\/127\.0\.0\.1/.test(request.url())) problems.push("another host: " + request.url()); });
-  await page.evaluateOnNewDocument(() => addEventListener("securitypolicyviolation", (event) => console.error("policy: " + event.violatedDirective + " " + event.blockedURI)));
-  await page.goto(address, {waitUntil: "domcontentloaded"});
-  return page;
-}
-/// Waits until it is so in the page, half a minute at most.
-const until = (page, what, ...words) => page.waitForFunction(what, {timeout: 60000, polling: 200}, ...words);
-const text = (page, selector) => page.$eval(selector, (one) => one.textContent);
-const shot = async (page, name) => { if (pictures) await page.screenshot({path: join(pictures, name)}); };
 
 try {
   const run = start("run", "bench.json");
@@ -272,9 +209,7 @@ try {
     assert.deepEqual(problems.filter((one) => !/ERR_(CONNECTION|INCOMPLETE|EMPTY)|status of 503/.test(one)), []);
   });
 } finally {
-  await browser.close();
-  for (const child of started) if (child.exitCode === null) child.kill("SIGKILL");
+  await end();
   device.close();
-  rmSync(folder, {recursive: true, force: true});
 }
-process.exit(failures ? 1 : 0);
+process.exit(failed() ? 1 : 0);

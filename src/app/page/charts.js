@@ -50,6 +50,12 @@ const Charts = (() => {
     if (marks.length > 2000) marks.shift();
   }
 
+  // What is no finite number breaks the curve.
+  function pointOf(time, least, mean, most, count) {
+    const isNumber = [least, mean, most].every(Number.isFinite);
+    return isNumber ? {time, least, mean, most, count} : {time, least: NaN, mean: NaN, most: NaN, count};
+  }
+
   class Chart {
     constructor(fields) {
       this.fields = fields.map((field) => ({...field, past: [], fine: [], unit: ""}));
@@ -97,7 +103,7 @@ const Charts = (() => {
           this.makeLegend();
         }
         field.origin = origin;
-        field.fine.push({time, least: step.least, mean: step.mean, most: step.most, count: step.count});
+        field.fine.push(pointOf(time, step.least, step.mean, step.most, step.count));
         if (field.fine.length > mostFine) {
           field.fine.shift();
           this.fineFrom = Math.max(this.fineFrom, field.fine[0].time);
@@ -114,7 +120,7 @@ const Charts = (() => {
     // Asks for what is shown of before; the newest comes first.
     async fill(tell) {
       const window = shown();
-      if (!window || window.until <= window.from) return;
+      if (!window || window.until <= window.from || !charts.includes(this)) return;
       const number = ++this.asked, step = stepOf(window);
       const topics = {};
       for (const field of this.fields) (topics[field.topic] = topics[field.topic] || []).push(field.path);
@@ -125,7 +131,7 @@ const Charts = (() => {
         let answer;
         try { answer = await Server.history({topics, from, until, step, marks: true}); } catch { return; }
         if (number !== this.asked) return;  // another window is asked for since
-        if (answer.error) return tell(answer.error);
+        if (answer.error) return tell(answer.error, "bad");
         takeAnswer(answer);
         for (const series of answer.series) {
           const i = this.fields.findIndex((one) => one.topic === series.topic && one.path === series.path);
@@ -135,13 +141,13 @@ const Charts = (() => {
             this.fields[i].unit = series.unit;
             this.makeLegend();
           }
-          points[i] = series.time.map((time, at) => ({time, least: series.least[at], mean: series.mean[at], most: series.most[at]}))
+          points[i] = series.time.map((time, at) => pointOf(time, series.least[at], series.mean[at], series.most[at]))
             .concat(points[i]);
         }
         this.fields.forEach((field, i) => { field.past = points[i]; });
         this.pastStep = step;
         this.draw();
-        tell(answer.reached > from ? "reading what was before " + timeText(answer.reached) : "");
+        tell(answer.reached > from ? "reading what was before " + timeText(answer.reached) : "", "");
         if (answer.reached <= from || answer.reached >= until) return;
         until = answer.reached;
       }
@@ -164,7 +170,9 @@ const Charts = (() => {
             const time = Math.floor(point.time / step) * step;
             if (time < fineFrom || time < window.from - step || time > window.until) continue;
             const row = at(time), known = row[i];
-            if (!known) {
+            if (Number.isNaN(point.mean)) {
+              if (!known) row[i] = Object.assign([NaN, NaN, NaN], {count: 0});
+            } else if (!known || known.count === 0) {
               row[i] = [point.least, point.mean, point.most];
               row[i].count = point.count;
             } else {
@@ -398,6 +406,7 @@ const Charts = (() => {
       chart.fields = chart.fields.filter((field) => field.topic !== topic || field.path !== path);
       if (chart.fields.length === 0) {
         if (chart.dygraph) chart.dygraph.destroy();
+        ++chart.asked;  // what is on its way is not drawn
         chart.element.remove();
         charts.splice(charts.indexOf(chart), 1);
       } else {
@@ -459,6 +468,12 @@ const Charts = (() => {
     setRun(start, ended) { runStart = start; runEnd = ended; },
     step(topic, origin, path, unit, time, step) { for (const chart of charts) chart.add(topic, origin, path, unit, time, step); },
     forget() { for (const chart of charts) chart.forget(); },
+    // What is known of another run.
+    forgetRun() {
+      gaps.clear();
+      marks.length = 0;
+      for (const chart of charts) for (const field of chart.fields) field.past = [];
+    },
     turn() { if (!isPaused) drawAll(); },
     shown,
   };

@@ -71,7 +71,11 @@
     for (const [path, numbers] of Object.entries(line.data)) {
       const value = valueOf(line.topic, line.origin, path);
       value.at = Math.max(value.at, line.until / 1e6);
-      if (numbers.count === 0) { value.last = null; continue; }
+      if (numbers.count === 0) {
+        value.last = null;
+        Charts.step(line.topic, line.origin, path, unitOf(line.topic, path), time, numbers);
+        continue;
+      }
       value.last = numbers.last;
       const bucket = Math.floor(time / 1000) * 1000, spark = value.spark;
       if (spark.length && spark[spark.length - 1].time === bucket) spark[spark.length - 1].mean = numbers.mean;
@@ -136,11 +140,12 @@
     const now = end();
     const wanted = $("filter").value.trim().toLowerCase();
     // A sensor without numbers has a row with its text.
+    const withNumbers = new Set();
+    for (const one of values.values()) if (one.path !== "") withNumbers.add(one.origin);
     if (status)
       for (const sensor of status.sensors)
-        if (sensor.value !== null && ![...values.values()].some((one) => one.origin === sensor.name && one.path !== ""))
-          valueOf(sensor.topic, sensor.name, "").text = sensor.value;
-    let all = [...values.values()].filter((one) => !(one.path === "" && [...values.values()].some((other) => other.origin === one.origin && other.path !== "")));
+        if (sensor.value !== null && !withNumbers.has(sensor.name)) valueOf(sensor.topic, sensor.name, "").text = sensor.value;
+    let all = [...values.values()].filter((one) => one.path !== "" || !withNumbers.has(one.origin));
     all = all.filter((one) => !wanted || pins.has(one.key) || (one.topic + "." + one.path + " " + one.origin).toLowerCase().includes(wanted));
     all.sort((a, b) => pins.has(b.key) - pins.has(a.key) || a.key.localeCompare(b.key));
     $("more").textContent = all.length > mostRows ? `${all.length - mostRows} more: filter them` : "";
@@ -149,7 +154,7 @@
       const sensor = sensorOf(value.origin);
       const age = now === undefined ? undefined : now - value.at;
       const wantedHz = sensor && sensor.wanted_hz;
-      const isGone = isTold && status && !sensor;
+      const isGone = isTold && status && !sensor && !isOfChanges(value.topic) && !(age <= 2000);
       const isStale = isGone || !isOfChanges(value.topic) && (Number.isFinite(age) && isRecording && age > Math.max(2000, wantedHz ? 3000 / wantedHz : 5000));
       const alarm = alarmOf(value.topic, value.path);
       const late = sensor && sensor.lateness_ns;
@@ -171,7 +176,7 @@
         cells: [undefined, undefined,
           [value.path ? Charts.valueText(value.last) : value.text, (value.path ? "number " : "") + alarm],
           unitOf(value.topic, value.path),
-          [Number.isFinite(age) ? seconds(age) : isGone ? "gone" : "", "number"],
+          [isGone ? "gone" : Number.isFinite(age) ? seconds(age) : "", "number"],
           [sensor ? rate(sensor.reached_hz) + (wantedHz ? " of " + rate(wantedHz) : "") + " Hz" : "", "number"],
           [late ? (late.p99 / 1e6).toFixed(late.p99 < 1e6 ? 2 : 1) + " ms" : "", "number"], undefined],
         value,
@@ -472,7 +477,10 @@
     for (const value of [...values.values()])  // of fields that it has no more
       if (value.topic === line.of && value.path !== "" && !(value.path in told)) values.delete(value.key);
   });
+  Server.on("error", (why) => { $("failed").textContent = why; });
   Server.on("status", (told) => {
+    $("failed").textContent = told.error || "";
+    if (told.error) return;  // what was known stays
     status = told;
     drawTop();
     drawHealth();
@@ -482,7 +490,17 @@
   Server.on("machine", takeMachine);
   Server.on("data", (_, line) => { line.until !== undefined ? takeStep(line) : takeEvent(line); });
   Server.on("left_out", (count) => { leftOut += count; Charts.forget(); Charts.fillAll(); });
-  Server.on("break", () => { hasSparks = false; Charts.forget(); Charts.fillAll(); });
+  Server.on("break", (isOther) => {
+    hasSparks = false;
+    Charts.forget();
+    if (isOther) {
+      for (const one of [values, units, outputs, disks, known]) one.clear();
+      status = null;
+      Charts.forgetRun();
+      drawValues();
+    }
+    Charts.fillAll();
+  });
   Server.on("ended", () => { $("connection").textContent = "the run has ended"; });
   Server.on("refused", (why) => { $("ask-token").hidden = false; $("token-error").textContent = why; $("token").focus(); $("connection").textContent = "not let in"; });
   Server.on("turn", () => {
@@ -496,7 +514,7 @@
   Charts.told.mark = (event) => takeEvent(event, true);
   Charts.told.paused = (isPaused) => { $("pause").textContent = isPaused ? "Go on" : "Pause"; $("pause").setAttribute("aria-pressed", isPaused); };
   Charts.told.changed = keepLayout;
-  Charts.told.history = (text) => { $("history").textContent = text; };
+  Charts.told.history = (text, style) => { $("history").textContent = text; $("history").className = style; };
   Charts.told.unitOf = unitOf;
 
   // ---- what people do

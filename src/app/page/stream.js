@@ -3,7 +3,7 @@
 
 const Server = (() => {
   const listeners = new Map();  // by key of a line
-  let token = "", lastId = "", stream = "", heardAt = 0, attempt = 0, nowOffset = -Infinity;
+  let token = "", lastId = "", stream = "", heardAt = 0, attempt = 0, nowOffset = -Infinity, nowBefore = -Infinity, turnedAt = 0;
   let utcOffset = 0, accuracy = null;
 
   // The token is taken out of the address, so that a link to what is shown does not give it away.
@@ -42,11 +42,31 @@ const Server = (() => {
   function setClock(clock, now) {
     utcOffset = clock.offset;
     accuracy = clock.accuracy;
-    if (now !== undefined) nowOffset = Math.max(nowOffset, now - performance.now());
+    if (now === undefined) return;
+    // The line that was least on its way is right, of the last 10 to 20 s alone: the browser's clock may run faster.
+    const heard = performance.now();
+    if (heard - turnedAt > 10e3) {
+      nowBefore = nowOffset;
+      nowOffset = -Infinity;
+      turnedAt = heard;
+    }
+    nowOffset = Math.max(nowOffset, now - heard);
   }
 
+  // The server speaks each second. A connection that says nothing may be dead without a word, as after a laptop slept.
+  const longestSilence = 15e3;
   async function read() {
-    const answer = await request("/events" + (lastId ? "?after=" + encodeURIComponent(lastId) : ""));
+    const giveUp = new AbortController();
+    let heard = performance.now();
+    const watch = setInterval(() => { if (performance.now() - heard > longestSilence) giveUp.abort(new Error("nothing came")); }, 1000);
+    try {
+      return await listen(giveUp.signal, () => { heard = heardAt = performance.now(); });
+    } finally {
+      clearInterval(watch);
+    }
+  }
+  async function listen(signal, isHeard) {
+    const answer = await request("/events" + (lastId ? "?after=" + encodeURIComponent(lastId) : ""), {signal});
     if (answer.status === 401) {
       tell("refused", (await answer.json()).error);
       return false;
@@ -58,7 +78,7 @@ const Server = (() => {
     for (;;) {
       const {value, done} = await reader.read();
       if (done) return true;
-      heardAt = performance.now();
+      isHeard();
       const lines = (rest + value).split("\n");
       rest = lines.pop();
       for (const line of lines) if (line) take(line);
@@ -80,12 +100,10 @@ const Server = (() => {
   }
 
   on("page", (page) => {
-    const isOther = stream !== "" && !page.goes_on;
+    const isBroken = stream !== "" && !page.goes_on, isOther = isBroken && stream !== page.stream;
     stream = page.stream;
-    if (isOther) {
-      nowOffset = -Infinity;
-      tell("break");
-    }
+    if (isOther) nowOffset = nowBefore = -Infinity;
+    if (isBroken) tell("break", isOther);
   });
 
   return {
@@ -98,7 +116,10 @@ const Server = (() => {
     // For how many ms nothing was heard.
     silence: () => performance.now() - heardAt,
     // Recorded time, in ms since 1970; undefined: not known yet.
-    now: () => (nowOffset === -Infinity ? undefined : performance.now() + nowOffset),
+    now() {
+      const offset = Math.max(nowOffset, nowBefore);
+      return offset === -Infinity ? undefined : performance.now() + offset;
+    },
     setClock,
     utc: (recorded) => recorded + utcOffset,
     accuracy: () => accuracy,
