@@ -106,6 +106,22 @@ TEST_SUITE("app") {
     CHECK(lines[3]["data"]["remark"] == "\\xff");
   }
 
+  TEST_CASE("NFR-5 the mean of a step with an infinity is that infinity, and of both is none") {
+    Fed fed(R"({"request":"subscribe","step":"1 s"})");
+    constexpr double infinity = std::numeric_limits<double>::infinity();
+    for (std::uint64_t i = 1; i <= 4; ++i) fed.give("t", at(i * 100ms), i, RoomReading{i == 2 ? infinity : 1, "", 1});
+    for (std::uint64_t i = 5; i <= 7; ++i)
+      fed.give("t", at(i * 100ms + 1s), i, RoomReading{i == 6 ? -infinity : infinity, "", 1});
+    fed.give("t", at(3s), 8, RoomReading{});
+    const auto lines = fed.lines();
+    REQUIRE(lines.size() == 4);
+    CHECK(lines[2]["data"]["value"]["mean"] == "Infinity");
+    CHECK(lines[2]["data"]["value"]["least"] == 1);
+    CHECK(lines[2]["data"]["value"]["last"] == 1);
+    CHECK(lines[3]["data"]["value"]["mean"] == "NaN");
+    CHECK(lines[3]["data"]["value"]["most"] == "Infinity");
+  }
+
   TEST_CASE("NFR-5 steps begin at multiples of their length, and have count, least, most, mean and last") {
     Fed fed(R"({"request":"subscribe","step":"100 ms"})");
     (void)fed.lines();

@@ -11,12 +11,16 @@
 #include <optional>
 #include <vector>
 
+#include "app/page/page_history.hpp"
 #include "app/runtime_folder.hpp"
 #include "has.hpp"
 #include "listening.hpp"
 #include "paths.hpp"
+#include "rtdata/loop/loop.hpp"
 #include "rtdata/recording/recording.hpp"
+#include "rtdata/recording/sqlite.hpp"
 #include "rtdata/recording/verify.hpp"
+#include "rtdata/sensors/feed.hpp"
 
 using namespace rtdata;
 using rtdata::test::Folder;
@@ -258,6 +262,35 @@ TEST_SUITE("app") {
     CHECK(::stat(kept.c_str(), &found) != 0);
     CHECK_FALSE(has(folder.read("rig.log"), token));
   }
+
+#ifdef RTDATA_WITH_PAGE
+  TEST_CASE("BY-1 the history of a page breaks a curve where a value is absent") {
+    struct Maybe {
+      std::optional<double> value;
+      RTDATA_FIELDS(Maybe, (value, "V"))
+    };
+    const Folder folder;
+    const std::string file = folder.path() + "/maybe.db";
+    {
+      Loop loop{Loop::Manual{}};
+      const SqliteSink sink(loop, {.path = file});
+      Feed<Maybe> feed(loop, {.name = "a", .topic = "a"});
+      for (int i = 0; i < 90; ++i) {
+        feed.publish({.value = i / 30 == 1 ? std::nullopt : std::optional<double>(i)});
+        loop.advance(100ms);
+      }
+      loop.close();
+    }
+    const json answer = json::parse(rtdata::app::page_history(
+        {{"rec", file}}, 1, R"({"topics":{"a":[]},"from":0,"until":4000000000000,"step":1000})"));
+    REQUIRE_MESSAGE(answer.contains("series"), answer.dump());
+    REQUIRE(answer["series"].size() == 1);
+    std::string kinds;  // of values, and of steps without one
+    for (const json& mean : answer["series"][0]["mean"])
+      if (const char kind = mean.is_null() ? '-' : 'v'; kinds.empty() || kinds.back() != kind) kinds += kind;
+    CHECK(kinds == "v-v");
+  }
+#endif
 
   TEST_CASE("BY-1 the stream of a page has values, status and history, and goes on where it was after a break") {
     if (!has_page()) return;

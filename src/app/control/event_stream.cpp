@@ -186,6 +186,18 @@ void StepSums::begin(const PackedEvent& event, Time from, Time until) {
   add(event);
 }
 
+namespace {
+
+/// A mean with an infinity in it is that infinity; with both it is NaN.
+void weigh_in(double& mean, double value, double share) {
+  if (share == 1)
+    mean = value;
+  else
+    mean += std::isfinite(value) && std::isfinite(mean) ? (value - mean) * share : value;
+}
+
+}  // namespace
+
 void StepSums::add(const PackedEvent& event) {
   ++count_;
   last_ = event.sequence;
@@ -196,7 +208,7 @@ void StepSums::add(const PackedEvent& event) {
     ++number.count;
     number.least = number.count == 1 ? *value : std::min(number.least, *value);
     number.most = number.count == 1 ? *value : std::max(number.most, *value);
-    number.mean += (*value - number.mean) / static_cast<double>(number.count);
+    weigh_in(number.mean, *value, 1 / static_cast<double>(number.count));
     number.last = *value;
   }
 }
@@ -212,7 +224,7 @@ void StepSums::add(const StepSums& later) {
     to.least = to.count == 0 ? from.least : std::min(to.least, from.least);
     to.most = to.count == 0 ? from.most : std::max(to.most, from.most);
     to.count += from.count;
-    to.mean += (from.mean - to.mean) * (static_cast<double>(from.count) / static_cast<double>(to.count));
+    weigh_in(to.mean, from.mean, static_cast<double>(from.count) / static_cast<double>(to.count));
     to.last = from.last;
   }
 }

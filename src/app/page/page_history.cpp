@@ -149,10 +149,11 @@ class Answer {
     const auto events = std::get<std::uint64_t>(event.value(event.description().leaves().front()));
     spans_[{topic, origin}].push_back({row.header().time, row.first_sequence(), row.last_sequence(), events});
     for (const Figures& place : places_of(row)) {
-      if (std::get<std::uint64_t>(event.value(*place.count)) == 0) continue;
+      // A step without a number breaks the curve.
+      const bool has_numbers = std::get<std::uint64_t>(event.value(*place.count)) > 0;
+      const auto number = [&](const Leaf& of) { return has_numbers ? number_json(event.value(of)) : Json(); };
       series_[{topic, origin, place.of->path}].push_back(
-          {in_ms(row.header().time), number_json(event.value(*place.least)), number_json(event.value(*place.mean)),
-           number_json(event.value(*place.most))});
+          {in_ms(row.header().time), number(*place.least), number(*place.mean), number(*place.most)});
       ++points_;
     }
   }
