@@ -194,6 +194,11 @@ class Events {
   bool has_headers_ = false;
 };
 
+struct MaybeOnPage {
+  std::optional<double> value;
+  RTDATA_FIELDS(MaybeOnPage, (value, "V"))
+};
+
 bool has_page() {
   static const bool is_in = [] {
     const Folder folder;
@@ -265,16 +270,12 @@ TEST_SUITE("app") {
 
 #ifdef RTDATA_WITH_PAGE
   TEST_CASE("BY-1 the history of a page breaks a curve where a value is absent") {
-    struct Maybe {
-      std::optional<double> value;
-      RTDATA_FIELDS(Maybe, (value, "V"))
-    };
     const Folder folder;
     const std::string file = folder.path() + "/maybe.db";
     {
       Loop loop{Loop::Manual{}};
       const SqliteSink sink(loop, {.path = file});
-      Feed<Maybe> feed(loop, {.name = "a", .topic = "a"});
+      Feed<MaybeOnPage> feed(loop, {.name = "a", .topic = "a"});
       for (int i = 0; i < 90; ++i) {
         feed.publish({.value = i / 30 == 1 ? std::nullopt : std::optional<double>(i)});
         loop.advance(100ms);
