@@ -59,21 +59,37 @@ class FollowCursor final : public detail::RowCursor {
   }
 
  private:
-  /// The row before the first that is not earlier than this, if they lie in order.
+  /// The row before the first that is not earlier than this, if the rows of each run lie in order. The clock of a later
+  /// run may have been behind that of an earlier one.
   std::int64_t row_before(Time wanted) {
     const auto number = [&](const char* function) {
       return file_.database.integer("SELECT ifnull(" + std::string(function) + "(_rowid_), 0) FROM " + table_);
     };
-    auto next = file_.prepare("SELECT t.time FROM " + table_ + " t WHERE t._rowid_ >= ?1 ORDER BY t._rowid_ LIMIT 1");
-    std::int64_t low = number("min"), high = number("max") + 1;  // the first that is not before `time` is among these
-    while (low < high) {
-      const std::int64_t middle = low + (high - low) / 2;
-      next.bind(1, middle);
-      const bool is_before = next.step() && next.integer(0) < to_nanoseconds(wanted);
+    auto next = file_.prepare("SELECT t.run, t.time FROM " + table_ +
+                              " t WHERE t._rowid_ >= ?1 ORDER BY t._rowid_ LIMIT 1");
+    // The first rowid from `low` to `high` from which on a row's column is at least this.
+    const auto first_from = [&](std::int64_t low, std::int64_t high, int column, std::int64_t least) {
+      while (low < high) {
+        const std::int64_t middle = low + (high - low) / 2;
+        next.bind(1, middle);
+        const bool is_before = next.step() && next.integer(column) < least;
+        next.reset();
+        (is_before ? low : high) = is_before ? middle + 1 : middle;
+      }
+      return low;
+    };
+    const std::int64_t end = number("max") + 1;
+    for (std::int64_t at = number("min"); at < end;) {
+      next.bind(1, at);
+      if (!next.step()) break;
+      const std::int64_t run_here = next.integer(0);
       next.reset();
-      (is_before ? low : high) = is_before ? middle + 1 : middle;
+      const std::int64_t end_of_run = first_from(at, end, 0, run_here + 1);
+      const std::int64_t found = first_from(at, end_of_run, 1, to_nanoseconds(wanted));
+      if (found < end_of_run) return found - 1;
+      at = end_of_run;
     }
-    return low - 1;
+    return end - 1;
   }
 
   const RecordingFile& file_;

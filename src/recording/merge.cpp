@@ -9,6 +9,7 @@
 #include <cerrno>
 #include <cstdio>
 #include <filesystem>
+#include <fstream>
 #include <map>
 #include <memory>
 
@@ -509,13 +510,31 @@ void Merge::add_senders(Database& to) {
   }
 }
 
+/// An empty file, or one of SQLite that is no recording yet: a merge writes last that its file is one.
+bool is_left_by_merge(const std::string& path) {
+  constexpr std::string_view magic("SQLite format 3\0", 16);
+  constexpr std::size_t place_of_id = 68;  // www.sqlite.org/fileformat.html: application_id
+  std::ifstream file(path, std::ios::binary);
+  std::string header(100, '\0');
+  file.read(header.data(), static_cast<std::streamsize>(header.size()));
+  header.resize(static_cast<std::size_t>(file.gcount()));
+  return header.empty() ||
+         (header.size() == 100 && header.starts_with(magic) && header.substr(place_of_id, 4) == std::string(4, '\0'));
+}
+
 /// The file that is made beside `path`, and removed with the object unless it was renamed.
 class Beside {
  public:
   explicit Beside(const std::string& path) : path_(path), made_(path + "-merging") {
-    sqlite::check_path(made_).or_throw();
+    for (const std::string& one : {path, made_}) sqlite::check_path(one).or_throw();
+    for (const char* const ending : {"-wal", "-shm", "-journal", "-lock", "-merging"})
+      if (path.ends_with(ending))
+        refuse(path, std::string("files that end with ") + ending + " belong to another recording",
+               "choose another name");
     struct stat there {};
     if (::lstat(path.c_str(), &there) == 0) refuse(path, "it is there already", "choose another name");
+    if (::lstat(made_.c_str(), &there) == 0 && !is_left_by_merge(made_))
+      refuse(made_, "it is there, and no merge that was killed has left it", "move it away");
     (void)Database::open(made_, Database::Mode::write);
     std::error_code failed;
     real_ = std::filesystem::canonical(made_, failed).string();

@@ -20,7 +20,7 @@ const std::string program_of_views = rtdata::test::built("rtdata_test_program");
 
 std::string rig_of_views(const std::string& sinks) {
   return R"({"name": "rig",
-    "sensors": [ {"name": "a", "type": "tallied", "rate": "50 Hz", "topic": "count/a"},
+    "sensors": [ {"name": "a", "type": "tallied", "rate": "50.0 Hz", "topic": "count/a"},
                  {"name": "b", "type": "tallied", "rate": "50 Hz", "topic": "count/a"} ],
     "sinks": [ )" +
          sinks + " ]}";

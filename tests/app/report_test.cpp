@@ -577,6 +577,11 @@ it was not forged.
     CHECK(second.page == "");
     CHECK(has(second.err, "cannot write the report: run.html: the file exists"));
     CHECK(folder.read("run.html") == "mine");
+    const std::string recording = folder.read("run.db");
+    const auto slip = ran({"-o", "run.db", "--overwrite"});
+    CHECK(slip.status == 1);
+    CHECK(has(slip.err, "this file is a recording"));
+    CHECK(folder.read("run.db") == recording);
     CHECK(ran({"--overwrite"}).status == 0);
     CHECK(folder.read("run.html").size() == page.size());
     const auto stream = ran({"-o", "-"});

@@ -13,7 +13,9 @@
 #include "has.hpp"
 #include "paths.hpp"
 #include "rtdata/recording/recording.hpp"
+#include "rtdata/recording/sqlite.hpp"
 #include "rtdata/recording/verify.hpp"
+#include "rtdata/sensors/feed.hpp"
 
 using namespace rtdata;
 using rtdata::app::ControlClient;
@@ -36,6 +38,11 @@ constexpr const char* rig = R"({
                {"name": "c", "type": "tallied", "rate": "20 Hz", "topic": "other"} ],
   "sinks": [ {"type": "sqlite", "name": "rec", "path": "rig.db"} ]
 })";
+
+struct PastRow {
+  std::uint64_t number = 0;
+  RTDATA_FIELDS(PastRow, (number))
+};
 
 /// An alarm or a gap, which every reader gets.
 bool is_beside(const json& line) { return line["topic"].get<std::string>().starts_with("$"); }
@@ -211,6 +218,39 @@ TEST_SUITE("app") {
     Listener none(R"({"request":"subscribe","topics":["count/a"],"from":0,"of":"other"})");
     CHECK(has(none.next("error").dump(), "there is no recording of a sink"));
     end_well(run, folder, "rig.db");
+  }
+
+  TEST_CASE("NFR-5 a reader that is still in the past when the run ends is told so, and where the rest is") {
+    const RuntimeFolder runtime;
+    const Folder folder;
+    {
+      Loop loop{Loop::Manual{}};
+      SqliteSink sink(loop, {.path = folder.path() + "/rig.db"});
+      Feed<PastRow> feed(loop, {.name = "past"});
+      for (std::uint64_t i = 0; i < 50'000; ++i) {
+        feed.publish({i});
+        if (i % 100 == 0) loop.advance(10ms);
+      }
+      CHECK(loop.close(5s) == 0);
+    }
+    folder.write("rig.json", rig);
+    Process run(folder, program, {"run", "rig.json"});
+    REQUIRE(run.wait_for("running rig"));
+    Listener slow(R"({"request":"subscribe","from":0})");
+    Listener live(R"({"request":"subscribe"})");
+    slow.next("subscribed");
+    while (live.next_event("other")["sequence"] < 10) {
+    }
+    end_well(run, folder, "rig.db");
+    json last;
+    std::uint64_t rows = 0;
+    while (const auto line = slow.next()) {
+      last = *line;
+      if (line->contains("data") && (*line)["topic"] == "past") ++rows;
+    }
+    CHECK(rows < 50'000);
+    REQUIRE(last.contains("error"));
+    CHECK(has(last["error"].get<std::string>(), "the recording has the rest"));
   }
 
   TEST_CASE("NFR-5 readers that stop reading cost nothing, the one too many is refused, and who goes makes room") {

@@ -373,6 +373,22 @@ try {
     await run.child.ended;
   });
 
+  await test("BY-1 the recorder is killed while its recording is viewed: it is at rest, and what is not known is said", async () => {
+    configure("killed.json", {page: {listen: "127.0.0.1:0", token}, sensors: [cpu], sinks: recorded("killed.db")});
+    const recorder = start("run", "killed.json", "--quiet");
+    await recorder.address;
+    const viewing = start("view", "killed.db", "--listen", "127.0.0.1:0");
+    const viewed = await open(await viewing.address);
+    await isLive(viewed);
+    recorder.child.kill("SIGKILL");
+    await recorder.child.ended;
+    await until(viewed, () => document.getElementById("connection").textContent === "recording at rest");
+    await until(viewed, () => /as far as is known/.test(document.getElementById("lost").textContent));
+    await viewed.close();
+    viewing.child.kill("SIGTERM");
+    assert.equal(await viewing.child.ended, 0, viewing.child.said);
+  });
+
   await test("BY-1 a clock that runs too fast does not make the present run away", async () => {
     const ahead = await fast.evaluate(() => [Server.utc(Server.now()), performance.now()]);
     assert.ok(ahead[1] > 40e3, "it was not open for long enough");

@@ -49,6 +49,31 @@ std::vector<std::uint64_t> from_to(std::uint64_t first, std::uint64_t last) {
 
 TEST_SUITE_BEGIN("sinks");
 
+TEST_CASE(
+    "FW-5 who follows from an instant on gets the rows of each run, also where a later run has an earlier clock") {
+  const Folder folder;
+  const std::string path = folder / "run.db";
+  for (int run = 1; run <= 3; ++run) {
+    Loop loop{Loop::Manual{}};
+    SqliteSink sink(loop, {.path = path});
+    Feed<Counted> a(loop, {.name = "a"});
+    if (run == 2) loop.advance(24h);
+    for (std::uint64_t i = 1; i <= 100; ++i) {
+      a.publish({i});
+      loop.advance(100ms);
+    }
+    CHECK(loop.close(5s) == 0);
+  }
+  const auto runs = Recording::open(path).or_throw().runs().or_throw();
+  REQUIRE(runs.size() == 3);
+  auto rows = RecordingFollower::open(path, {.from = runs[1].started + 1h}).or_throw();
+  CHECK(read_all(rows) == Came{{"a", from_to(1, 100)}});
+  auto all = RecordingFollower::open(path, {.from = runs[0].started}).or_throw();
+  CHECK(read_all(all)["a"].size() == 300);
+  auto none = RecordingFollower::open(path, {.from = runs[1].started + 48h}).or_throw();
+  CHECK(read_all(none).empty());
+}
+
 TEST_CASE("FW-5 who follows a recording gets each row once, while it is written, and of tables that come later") {
   const Folder folder;
   const std::string path = folder / "run.db";

@@ -618,6 +618,20 @@ TEST_SUITE("sinks") {
     for (const auto& entry : std::filesystem::directory_iterator(folder / ""))
       CHECK_MESSAGE(!has(entry.path().string(), "all.db"), entry.path());
     check_good(a);
+    // What has the name of the file that a merge makes first is not its own, and what belongs to another recording is
+    // no name.
+    const std::string beside = merged + "-merging";
+    std::filesystem::copy_file(a, beside);
+    CHECK(has(refusal({beside}, merged), "no merge that was killed has left it"));
+    check_good(beside);
+    std::filesystem::remove(beside);
+    std::ofstream(beside) << "a text";
+    CHECK(has(refusal({a}, merged), "move it away"));
+    CHECK(std::filesystem::file_size(beside) == 6);
+    std::filesystem::remove(beside);
+    for (const char* const ending : {"-wal", "-shm", "-journal", "-lock", "-merging"})
+      CHECK(has(refusal({a}, a + ending), "belong to another recording"));
+    CHECK(has(refusal({a}, ":memory:"), "not a path of a file"));
   }
 
   TEST_CASE("US-26 killed while it merges: there is no recording, or a whole one; and it can be done again") {

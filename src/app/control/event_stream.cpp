@@ -4,6 +4,7 @@
 #include <array>
 #include <charconv>
 #include <cmath>
+#include <limits>
 #include <nlohmann/json.hpp>
 #include <variant>
 
@@ -65,7 +66,9 @@ Result<Duration> step_of(const Json& given) {
 
 /// "-10 min", an instant in ISO 8601, or ns since 1970 as events have them.
 Result<void> set_beginning(const Json& given, StreamRequest& request) {
-  if (given.is_number_integer()) {
+  const bool is_too_large = given.is_number_unsigned() &&
+                            given.get<std::uint64_t>() > std::uint64_t{std::numeric_limits<std::int64_t>::max()};
+  if (given.is_number_integer() && !is_too_large) {
     request.from = from_nanoseconds(given.get<std::int64_t>());
     return {};
   }

@@ -32,6 +32,7 @@ constexpr Duration end_patience = std::chrono::milliseconds{300};
 constexpr Duration thread_patience = std::chrono::seconds{2};
 constexpr std::size_t sent_at_once = std::size_t{64} << 10;  // while more is made
 constexpr std::size_t most_kept = std::size_t{4} << 20;
+constexpr std::size_t most_beside = std::size_t{256} << 10;
 
 }  // namespace
 
@@ -121,6 +122,14 @@ struct Readers::Shared::Connection {
     kept.insert(kept.end(), bytes, bytes + event.bytes);
   }
 
+  /// Keeps what is of this run, and not of the one that is being read. False: there is no room.
+  bool keep_beside(const PackedEvent& event) {
+    if (beside.size() + event.bytes > most_beside) return false;
+    const auto* const bytes = reinterpret_cast<const std::byte*>(&event);
+    beside.insert(beside.end(), bytes, bytes + event.bytes);
+    return true;
+  }
+
   const int fd;
   EventStream stream;
   bool is_full = false;  // until the next turn
@@ -144,6 +153,8 @@ struct Readers::Shared::Connection {
   std::uint64_t mark = 0;
   std::vector<std::byte> kept;  // PackedEvents
   std::size_t given_of_kept = 0;
+  std::vector<std::byte> beside;  // gaps and changes of health that came meanwhile
+  std::size_t given_of_beside = 0;
 };
 
 /// One slice of a recording. The connection may be gone when it is done.
@@ -210,6 +221,7 @@ void Readers::Shared::take_events() {
     const StreamOrigin& origin = origins.of(event);
     line.set(event);
     for (Connection& one : connections) {
+      if (!one.stream.is_live() && one.stream.takes_beside(event.topic()) && one.keep_beside(event)) continue;
       if (one.stream.is_live() || one.stream.takes_beside(event.topic())) {
         one.stream.take(event, origin, line);
         if (one.stream.text().size() > sent_at_once) one.send();
@@ -271,7 +283,8 @@ void Readers::Shared::go_on_with_past(Connection& of) {
       of.step = Step::ends;
       return read();
     case Step::ends:
-      if (!give(of.kept, of.given_of_kept)) return;
+      if (!give(of.beside, of.given_of_beside) || !give(of.kept, of.given_of_kept)) return;
+      of.beside = {};
       of.kept = {};
       of.slice = {};
       of.stream.begin_run(of.current_run());
@@ -283,7 +296,12 @@ void Readers::Shared::end_all() {
   take_arrivals();
   take_events();
   for (Connection& one : connections) {
-    one.stream.end("ended", "the run has ended");
+    if (one.stream.is_live()) {
+      one.stream.end("ended", "the run has ended");
+    } else if (!one.has_ended) {
+      one.stream.end("error",
+                     "the run has ended before all that was recorded could be sent: the recording has the rest");
+    }
     one.send();
   }
   const auto until = std::chrono::steady_clock::now() + end_patience;

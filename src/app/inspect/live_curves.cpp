@@ -19,7 +19,11 @@ namespace {
 }
 
 std::string nearest_or_all(const std::string& name, const std::vector<std::string>& known) {
-  if (const std::string nearest = nearest_name(name, known); !nearest.empty()) return "did you mean " + nearest + "?";
+  // Of "cuont/a.number" the topic may be near.
+  for (std::string part = name;; part.resize(part.rfind('.'))) {
+    if (const std::string nearest = nearest_name(part, known); !nearest.empty()) return "did you mean " + nearest + "?";
+    if (part.find('.') == std::string::npos) break;
+  }
   constexpr std::size_t most = 10;
   std::string all;
   for (std::size_t i = 0; i < std::min(known.size(), most); ++i) all += (i == 0 ? "" : ", ") + known[i];

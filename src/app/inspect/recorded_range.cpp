@@ -24,19 +24,17 @@ std::string zone_at(Time time) {
   return std::string(text.data(), 3) + ":" + std::string(text.data() + 3, 2);
 }
 
-/// Behind the last row and the last account of a run that was not closed.
-Time end_of(const Recording& recording, const RunInfo& run, const UtcLine& line) {
-  const Time accounted = run.ended.value_or(run.started);
-  Time end = line.utc(accounted);
+}  // namespace
+
+Time last_instant(const Recording& recording, const RunInfo& run) {
+  Time end = run.ended.value_or(run.started);
   if (run.state != RunState::recording) return end;
   // The account is a second old at most: few rows came after it.
   constexpr Duration step = std::chrono::milliseconds{10};
-  auto steps = recording.steps({.run = run.run, .from = end, .times = RowFilter::Times::utc}, step).or_throw();
+  auto steps = recording.steps({.run = run.run, .from = end}, step).or_throw();
   while (const RecordedRow* row = steps.next().or_throw()) end = std::max(end, row->header().time + step);
   return end;
 }
-
-}  // namespace
 
 std::optional<Time> parse_time(const std::string& text) {
   if (text.empty()) return std::nullopt;
@@ -71,7 +69,7 @@ RecordedRange range_of(const Recording& recording, const PartOptions& options, c
   RecordedRange range;
   range.run = find_run(runs, options.run.value_or("-1"), recording.path()).or_throw();
   range.line = recording.utc_line(range.run.run).or_throw();
-  const Time start = range.line.utc(range.run.started), end = end_of(recording, range.run, range.line);
+  const Time start = range.line.utc(range.run.started), end = range.line.utc(last_instant(recording, range.run));
   const auto from = parse_time(options.from), until = parse_time(options.until);
   range.until = until.value_or(end + Duration{1});
   range.from = from.value_or(std::min(start, range.until));

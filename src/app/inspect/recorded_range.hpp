@@ -23,6 +23,9 @@ struct RecordedRange {
   bool is_whole = true;  ///< all of the run
 };
 
+/// Recorded time: the end of a run; of one that is being recorded, or was not closed, behind its last row.
+Time last_instant(const Recording& recording, const RunInfo& run);
+
 /// The end of a run that is being recorded, or was not closed, is behind its last row. `command`: "cannot plot". Throws
 /// SetupError: there is no such run, what is wrong with a time.
 RecordedRange range_of(const Recording& recording, const PartOptions& options, const char* command);

@@ -274,7 +274,12 @@
     $("since").textContent = (status.sinks.some((one) => one.path || isRecording) ? "recording since " : "running since ") + status.instance.started.slice(0, 19).replace("T", " ");
     const total = status.total, lost = lostOf(total);
     $("lost").textContent = "lost since the start: " + lost + (total.outages ? ` and ${total.outages} outages` : "");
-    $("lost").className = lost + total.outages > 0 ? "bad" : "good";
+    const notKnown = about.not_known || [];  // of a run that was not closed
+    if (notKnown.length) {
+      $("lost").textContent += ", as far as is known";
+      $("lost").title = "not known: " + notKnown.join("; ");
+    }
+    $("lost").className = lost + total.outages > 0 || notKnown.length ? "bad" : "good";
     const rank = ["low_low", "high_high", "low", "high", "unknown"];
     const alarms = status.sensors.filter((one) => one.alarm && one.alarm.active).sort((a, b) => rank.indexOf(a.alarm.alarm) - rank.indexOf(b.alarm.alarm));
     const alarm = alarms.length ? `alarm: ${alarms[0].name} ${alarms[0].alarm.alarm}` + (alarms.length > 1 ? ` and ${alarms.length - 1} more` : "") : "";

@@ -12,6 +12,7 @@
 #include "app/control/past_reader.hpp"
 #include "app/control/status.hpp"
 #include "app/core/recording_commands.hpp"
+#include "app/inspect/recorded_range.hpp"
 #include "app/page/disk_work.hpp"
 #include "app/page/page_history.hpp"
 #include "app/page/page_server.hpp"
@@ -32,9 +33,9 @@ constexpr Duration before_now = std::chrono::seconds{3};  // events that are sto
 
 double in_ms(Time time) { return static_cast<double>(to_nanoseconds(time)) / 1e6; }
 
-Status status_of_run(const std::string& path, std::int64_t number) {
-  const Recording recording = Recording::open(path).or_throw();
-  const RunReport report = account_of(recording, number).or_throw();
+Status status_of_run(const Recording& recording, const RunReport& report) {
+  const std::string& path = recording.path();
+  const std::int64_t number = report.info.run;
   Status status;
   status.instance = {report.info.name, report.info.pid, to_iso8601(report.line.utc(report.info.started)),
                      report.info.ended.value_or(report.info.started) - report.info.started, path};
@@ -84,22 +85,21 @@ class RecordedSource final : public PageSource {
       : path_(std::move(path)), disk_(loop, "recording") {
     const Recording recording = Recording::open(path_).or_throw();
     run_ = find_run(recording.runs().or_throw(), which.value_or("-1"), path_).or_throw();
-    const bool is_here = run_.boot_id == SystemClock().boot_id();
-    is_recording_ = run_.state == RunState::recording && is_here &&
-                    account_of(recording, run_.run).or_throw().verdict == Verdict::recording;
+    const RunReport report = account_of(recording, run_.run).or_throw();
+    is_recording_ = run_.boot_id == SystemClock().boot_id() && report.verdict == Verdict::recording;
     Json about{{"name", run_.name}, {"notes", run_.notes}, {"parts", Json::array()}};
     if (!run_.configuration.empty()) {
       const SystemPlan plan = plan_system(registry, parse_config(run_.configuration));
       about = Json::parse(page_setup(plan));
       about["name"] = run_.name;
     }
-    about["recording"] = is_recording_;
-    about["run"] = page_run(recording, run_);
+    tell_state(about, recording, report);
     if (is_recording_ && about["run"].contains("clock")) clock_ = about["run"]["clock"];
     for (const RecordedTopic& topic : recording.topics().or_throw())
       for (const Leaf& leaf : topic.description->leaves()) about["fields"][topic.topic][leaf.path] = leaf.unit;
     about_ = about.dump(-1, ' ', false, Json::error_handler_t::replace);
   }
+  RecordedSource(const RecordedSource&) = delete;
 
   void begin() override {
     if (!is_recording_) return;
@@ -113,6 +113,7 @@ class RecordedSource final : public PageSource {
   void lines(const std::function<void(std::string_view)>& take) override {
     take(is_recording_ ? Json{{"machine", {{"now", in_ms(now())}, {"clock", clock_}, {"disks", Json::array()}}}}.dump()
                        : std::string(R"({"now":0})"));
+    if (std::exchange(has_news_, false)) take("{\"about\":" + about_ + "}");
     if (past_ == nullptr) return;
     if (!is_reading_) read();
     for (EventStream* stream : {steps_.get(), changes_.get()}) {
@@ -129,12 +130,29 @@ class RecordedSource final : public PageSource {
   }
   std::string about() override { return about_; }
   void status(Told told) override {
+    // Its recorder may end, or be killed, while it is shown.
+    const auto over = std::make_shared<std::string>(is_recording_ ? about_ : std::string());
     disk_.submit(
-        [path = path_, run = run_.run] {
-          Status status = status_of_run(path, run);
+        [path = path_, run = run_.run, over] {
+          const Recording recording = Recording::open(path).or_throw();
+          const RunReport report = account_of(recording, run).or_throw();
+          if (!over->empty() && report.verdict == Verdict::recording) over->clear();
+          if (!over->empty()) {
+            Json about = Json::parse(*over);
+            tell_state(about, recording, report);
+            *over = about.dump(-1, ' ', false, Json::error_handler_t::replace);
+          }
+          Status status = status_of_run(recording, report);
           return json_of(status);
         },
-        std::move(told));
+        [this, over, told = std::move(told)](std::string text) {
+          if (is_recording_ && !over->empty()) {
+            is_recording_ = false;
+            has_news_ = true;
+            about_ = *over;
+          }
+          told(std::move(text));
+        });
   }
   void history(std::string request, Told told) override {
     disk_.submit(
@@ -148,6 +166,13 @@ class RecordedSource final : public PageSource {
   }
 
  private:
+  /// Whether it is recorded, its end, and what is not known of it.
+  static void tell_state(Json& about, const Recording& recording, const RunReport& report) {
+    about["recording"] = report.verdict == Verdict::recording && report.info.boot_id == SystemClock().boot_id();
+    about["run"] = page_run(recording, report.info);
+    if (about["recording"] == false) about["run"]["ended"] = in_ms(last_instant(recording, report.info));
+    about["not_known"] = report.not_known;
+  }
   Time now() const { return Time{std::chrono::steady_clock::now().time_since_epoch() + run_.clock_offset}; }
   void read() {
     is_reading_ = true;
@@ -179,6 +204,7 @@ class RecordedSource final : public PageSource {
   const std::string path_;
   RunInfo run_;
   bool is_recording_ = false;
+  bool has_news_ = false;  // in `about_`
   std::string about_;
   Json clock_ = nullptr;
   const std::vector<std::string> changing_ = {"#"};
