@@ -510,22 +510,19 @@ void Merge::add_senders(Database& to) {
   }
 }
 
-/// An empty file, or one of SQLite that is no recording yet: a merge writes last that its file is one.
+/// Empty, or of SQLite, as a merge that was killed leaves it.
 bool is_left_by_merge(const std::string& path) {
-  constexpr std::string_view magic("SQLite format 3\0", 16);
-  constexpr std::size_t place_of_id = 68;  // www.sqlite.org/fileformat.html: application_id
+  constexpr std::string_view magic = "SQLite format 3";
   std::ifstream file(path, std::ios::binary);
-  std::string header(100, '\0');
-  file.read(header.data(), static_cast<std::streamsize>(header.size()));
-  header.resize(static_cast<std::size_t>(file.gcount()));
-  return header.empty() ||
-         (header.size() == 100 && header.starts_with(magic) && header.substr(place_of_id, 4) == std::string(4, '\0'));
+  std::string begin(magic.size(), '\0');
+  file.read(begin.data(), static_cast<std::streamsize>(begin.size()));
+  return file.gcount() == 0 || begin == magic;
 }
 
 /// The file that is made beside `path`, and removed with the object unless it was renamed.
 class Beside {
  public:
-  explicit Beside(const std::string& path) : path_(path), made_(path + "-merging") {
+  Beside(const std::string& path, const std::vector<std::string>& sources) : path_(path), made_(path + "-merging") {
     for (const std::string& one : {path, made_}) sqlite::check_path(one).or_throw();
     for (const char* const ending : {"-wal", "-shm", "-journal", "-lock", "-merging"})
       if (path.ends_with(ending))
@@ -533,7 +530,11 @@ class Beside {
                "choose another name");
     struct stat there {};
     if (::lstat(path.c_str(), &there) == 0) refuse(path, "it is there already", "choose another name");
-    if (::lstat(made_.c_str(), &there) == 0 && !is_left_by_merge(made_))
+    std::error_code ignored;
+    const bool is_source = std::any_of(sources.begin(), sources.end(), [&](const std::string& source) {
+      return std::filesystem::equivalent(source, made_, ignored);
+    });
+    if (::lstat(made_.c_str(), &there) == 0 && (is_source || !is_left_by_merge(made_)))
       refuse(made_, "it is there, and no merge that was killed has left it", "move it away");
     (void)Database::open(made_, Database::Mode::write);
     std::error_code failed;
@@ -598,7 +599,7 @@ class Beside {
 Result<MergeReport> merge(const std::vector<std::string>& sources, const std::string& path) try {
   if (sources.empty()) refuse(path, "no recording is named", "name those to be merged");
   Merge merge(sources, path);
-  Beside made(path);
+  Beside made(path, sources);
   MergeReport report;
   try {
     report = merge.into(made.database);

@@ -20,7 +20,7 @@ const std::string program_of_views = rtdata::test::built("rtdata_test_program");
 
 std::string rig_of_views(const std::string& sinks) {
   return R"({"name": "rig",
-    "sensors": [ {"name": "a", "type": "tallied", "rate": "50.0 Hz", "topic": "count/a"},
+    "sensors": [ {"name": "a", "type": "tallied", "rate": "50 Hz", "topic": "count/a"},
                  {"name": "b", "type": "tallied", "rate": "50 Hz", "topic": "count/a"} ],
     "sinks": [ )" +
          sinks + " ]}";
@@ -86,7 +86,7 @@ TEST_SUITE("app") {
     CHECK_MESSAGE(shown.status == 0, shown.process.err);
     CHECK(has(shown.process.out, "number of a"));
     CHECK(has(shown.process.out, "number of b"));
-    CHECK(has(shown.process.out, "50 Hz"));
+    CHECK(has(shown.process.out, "50.0 Hz"));
     CHECK_FALSE(has(shown.process.out, "stored"));
     const Said wrong(folder, {"top", "--topic", "count/b", "--once"});
     CHECK(wrong.status == 1);

@@ -282,8 +282,10 @@ TEST_SUITE("app") {
       }
       loop.close();
     }
-    const json answer = json::parse(rtdata::app::page_history(
-        {{"rec", file}}, 1, R"({"topics":{"a":[]},"from":0,"until":4000000000000,"step":1000})"));
+    const auto started = to_nanoseconds(Recording::open(file).or_throw().runs().or_throw()[0].started) / 1'000'000;
+    const json question{
+        {"topics", {{"a", json::array()}}}, {"from", started}, {"until", started + 60'000}, {"step", 1000}};
+    const json answer = json::parse(rtdata::app::page_history({{"rec", file}}, 1, question.dump()));
     REQUIRE_MESSAGE(answer.contains("series"), answer.dump());
     REQUIRE(answer["series"].size() == 1);
     std::string kinds;  // of values, and of steps without one

@@ -246,7 +246,7 @@ it was not forged.
 <thead><tr><th>topic</th><th>of</th><th class="r">stored</th><th class="r">ticks</th><th class="r">missed</th><th class="r">failed</th><th class="r">late</th><th class="r">unreadable</th><th class="r">lost by source</th><th class="r">dropped</th><th class="r">pruned</th></tr></thead>
 <tr><td>room</td><td>room</td><td class="r">11</td><td class="r">11</td><td class="r">0</td><td class="r">0</td><td class="r">0</td><td class="r">0</td><td class="r">-</td><td class="r">0</td><td class="r">0</td></tr>
 </table>
-<p class="small">-: it has no schedule, or does not number its samples.</p>
+<p class="small">-: the sensor has no schedule, or does not number its samples.</p>
 
 <h2>Clock</h2>
 <p>The time of day was read 2 times (system 2). How far UTC is wrong is not known: the machine did not say how well its clock was set.</p>
