@@ -379,8 +379,8 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     for (Timer* timer : {&stale_, &lease_, &retry_, &patience_, &turning_}) timer->stop();
     if (was == State::taking) busy_.value = config_.safe;
     stop_order_ = {config_.safe, OutputCause::stop, {}, now()};
-    if (standing(was).busy) record(busy_, {}, "it ends");
-    if (next_) record(*std::exchange(next_, std::nullopt), {}, "it ends");
+    if (standing(was).busy) record(busy_, {}, "the output is being closed");
+    if (next_) record(*std::exchange(next_, std::nullopt), {}, "the output is being closed");
   }
   void note_given_back(const Result<void>& done) {
     if (const auto trip = port_->late_trip()) report_trip(*trip);

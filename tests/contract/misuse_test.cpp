@@ -209,7 +209,8 @@ TEST_SUITE("contract") {
           place->turn();
         });
         CHECK(has(end, "signal " + std::to_string(SIGABRT)));
-        CHECK(has(end, "rtdata: fatal: a loop is destroyed too early: loop main: this is one of its callbacks"));
+        CHECK(
+            has(end, "rtdata: fatal: a loop is destroyed too early: loop main: this happens in one of its callbacks"));
       }
     }
   }

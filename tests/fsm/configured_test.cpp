@@ -185,7 +185,7 @@ TEST_SUITE("fsm") {
     b.loop.advance(2s);
     CHECK(b.machine->now().state == "landed");
     CHECK(b.errors.size() == 1);  // the silence of two seconds
-    CHECK(b.errors.at(0).find("topic baro: it has had no event for more than 500 ms") != std::string::npos);
+    CHECK(b.errors.at(0).find("topic baro: the topic has had no event for more than 500 ms") != std::string::npos);
   }
 
   TEST_CASE("US-41 a value that is too old counts as absent, and does not hide another that is there") {

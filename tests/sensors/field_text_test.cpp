@@ -49,6 +49,7 @@ TEST_SUITE("sensors") {
     CHECK(values_of(scale, "US,-   0.5 kg") == "US -0.5");
     CHECK(values_of(scale, "ST,+  12.345 lb") == R"(bad-data: "+  12.345 lb" does not end with its `suffix`)");
     CHECK(has(values_of(scale, "ST,+  kg"), "not-a-number"));
+    CHECK(has(values_of(scale, "ST,   kg"), R"("kg" has no number)"));
 
     const SerialConfig german{.fields = {{.name = "t", .prefix = "T=", .decimal = ','},
                                          {.name = "p", .suffix = "Pa", .decimal = ',', .thousands = "."}},
@@ -56,6 +57,10 @@ TEST_SUITE("sensors") {
     CHECK(values_of(german, "T=-3,25; 101.325,5 Pa") == "-3.25 101325.5");
     CHECK(has(values_of(german, "T=-3.25;1 Pa"), "has a point, and its `decimal` is a comma"));
     CHECK(has(values_of(german, "t=1;1 Pa"), "does not begin with its `prefix`"));
+    // Never a number of another size: a point is either the mark of thousands or a mistake.
+    CHECK(values_of(german, "T=1;1.234.567,5 Pa") == "1 1234567.5");
+    for (const char* const wrong : {"1.23", "12.34.5", "1234.567", ".123", "1.234.", "1..234", "1.2345", "0.5"})
+      CHECK(has(values_of(german, "T=1;" + std::string(wrong) + " Pa"), "groups of three digits"));
 
     const SerialConfig hex{
         .fields = {{.name = "a", .type = Kind::u16, .base = 16}, {.name = "b", .scale = 0.5, .base = 16}}};
@@ -103,7 +108,10 @@ TEST_SUITE("sensors") {
     CHECK(has(refusal_of({.decimal = ',', .base = 16}), "no decimals"));
     CHECK(has(refusal_of({.type = Kind::text, .words = {{"a", 1}}}), "this is a text"));
     CHECK(has(refusal_of({.type = Kind::u8, .words = {{"a", 0.5}}}), "not whole"));
-    CHECK(refusal_of({.decimal = ',', .thousands = "'", .no_value = {""}}).empty());
+    CHECK(has(refusal_of({.decimal = ','}), "has it within its numbers"));  // the separator is a comma, too
+    CHECK(has(refusal_of({.thousands = ","}), "has it within its numbers"));
+    CHECK(has(refusal_of({.type = Kind::i32, .decimal = ','}), "a whole number has no `decimal`"));
+    CHECK(refusal_of({.thousands = "'", .no_value = {""}}).empty());
   }
 
   TEST_CASE("US-13 any bytes in such fields are a value or an error, and allocate nothing that lasts") {

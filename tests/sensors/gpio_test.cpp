@@ -478,7 +478,7 @@ TEST_CASE("US-36 NFR-5 two sensors on one line are a mistake that check tells, h
                              R"(}, {"name": "b", "type": "counter", "rate": "1 Hz", )" + second + "}]}";
     return plan_system(registry, parse_config(text, "f.json")).problems.text();
   };
-  const std::string mistake = "has the GPIO line gpiochip0:17 already; give each its own";
+  const std::string mistake = "has the GPIO line gpiochip0:17 already; give each part its own";
   CHECK(has(told(R"("line": "gpiochip0:17")", R"("line": "gpiochip0:17")"), mistake));
   CHECK(has(told(R"("line": "gpiochip0:17")", R"("line": 17, "chip": "/dev/gpiochip0")"), mistake));
   CHECK(has(told(R"("line": "GPIO17")", R"("line": "GPIO17")"), "has the GPIO line GPIO17 already"));

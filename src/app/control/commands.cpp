@@ -263,7 +263,7 @@ void CommandDesk::refuse(const std::shared_ptr<Asked>& asked, const std::string&
 
 void CommandDesk::end() {
   keeper_.end();
-  for (const auto& asked : std::vector(asked_)) refuse(asked, "it ends already");
+  for (const auto& asked : std::vector(asked_)) refuse(asked, "the program ends already");
 }
 
 void CommandDesk::run_here(const Words& words, std::string_view by, Told told) {

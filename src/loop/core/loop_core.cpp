@@ -168,7 +168,7 @@ void LoopCore::check_may_end() const noexcept {
   const bool is_called_by_it = is_in_user_code();
   const std::string user = is_called_by_it ? "" : runtime.user_of_loop();
   if (!is_called_by_it && user.empty()) return;
-  std::string why = "it is called in one of its callbacks, in one of a sink on it, or on another thread than its own";
+  std::string why = "this happens in one of its callbacks, in one of a sink on it, or on another thread than its own";
   if (!is_called_by_it) why = user + " still uses it";
   end_program({Errc::busy, "a loop is destroyed too early", "loop " + config.name, std::move(why),
                "use stop(), and destroy it where run() has returned, after its tiers"});

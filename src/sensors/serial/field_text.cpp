@@ -13,6 +13,7 @@ namespace rtdata::detail {
 namespace {
 
 constexpr std::size_t longest_text = 128;  // of a number with what stands in it
+constexpr const char* wrong_groups = "has its `thousands` not before groups of three digits";
 
 [[noreturn]] void refuse_field(const LineField& field, std::string why, std::string advice) {
   throw SetupError(
@@ -41,6 +42,8 @@ FieldText::FieldText(const LineField& field)
   if (decimal_ != '.' && decimal_ != ',') refuse_field(field, "`decimal` is a point or a comma", "choose one of them");
   if (thousands_ == decimal_ || (thousands_ >= '0' && thousands_ <= '9') || thousands_ == '-' || thousands_ == '+')
     refuse_field(field, "`thousands` has another meaning in a number", "choose another character");
+  if (decimal_ != '.' && is_number_ && field.type != Kind::f32 && field.type != Kind::f64)
+    refuse_field(field, "a whole number has no `decimal`", "make its `type` double, or leave `decimal` out");
   if (base_ != 10 && (decimal_ != '.' || thousands_ != '\0'))
     refuse_field(field, "a number of base " + std::to_string(base_) + " has no decimals and no thousands",
                  "leave `decimal` and `thousands` out");
@@ -62,27 +65,59 @@ FieldText::FieldText(const LineField& field)
   buffer_.reserve(longest_text);
 }
 
-bool FieldText::is_no_value(std::string_view text) const noexcept {
-  return std::any_of(no_value_.begin(), no_value_.end(), [&](const auto& one) { return one.first == text; });
-}
-
 FieldText::Found FieldText::read(std::string_view text) {
-  if (is_no_value(text)) return {.is_absent = true};
+  const std::string_view whole = text;
+  if (const auto found = known_text(whole)) return *found;
   if (!text.starts_with(prefix_)) return {.why = "does not begin with its `prefix`"};
   text.remove_prefix(prefix_.size());
   if (!text.ends_with(suffix_)) return {.why = "does not end with its `suffix`"};
   text.remove_suffix(suffix_.size());
   text = trimmed(text);
-  if (is_no_value(text)) return {.is_absent = true};
-  for (const auto& [word, number] : words_)
-    if (word == text) return {.text = number, .is_scaled = false};
+  if (const auto found = known_text(text)) return *found;
   if (!is_number_) return {.text = text};
+  if (text.empty()) return {.why = "has no number"};
   if (const char* const why = plain_number(text)) return {.why = why};
-  for (const auto& [word, number] : no_value_) {
-    double value = 0;
-    if (number && read_number(text, value) == std::errc{} && value == *number) return {.is_absent = true};
-  }
+  if (is_no_number(text)) return {.is_absent = true};
   return {.text = text};
+}
+
+/// A word, or one that stands for no value, which devices send with or without prefix and suffix.
+std::optional<FieldText::Found> FieldText::known_text(std::string_view text) const noexcept {
+  for (const auto& [none, number] : no_value_)
+    if (none == text) return Found{.is_absent = true};
+  for (const auto& [word, number] : words_)
+    if (word == text) return Found{.text = number, .is_scaled = false};
+  if (is_no_number(text)) return Found{.is_absent = true};
+  return std::nullopt;
+}
+
+bool FieldText::is_no_number(std::string_view text) const noexcept {
+  return std::any_of(no_value_.begin(), no_value_.end(), [&](const auto& none) {
+    double value = 0;
+    return none.second && read_number(text, value) == std::errc{} && value == *none.second;
+  });
+}
+
+/// Puts the digits before the mark into the buffer. `thousands` stands before groups of three of them, else it is
+/// another mark.
+const char* FieldText::take_thousands(std::string_view& text) {
+  if (thousands_ == '\0') return nullptr;
+  std::size_t digits = 0;  // of the group
+  bool has_groups = false;
+  for (; !text.empty(); text.remove_prefix(1)) {
+    const char c = text.front();
+    if (c == thousands_) {
+      if (has_groups ? digits != 3 : digits == 0 || digits > 3) return wrong_groups;
+      has_groups = true;
+      digits = 0;
+    } else if (c >= '0' && c <= '9') {
+      ++digits;
+      buffer_ += c;
+    } else {
+      break;
+    }
+  }
+  return has_groups && digits != 3 ? wrong_groups : nullptr;
 }
 
 /// Null: the text is a number as it is written everywhere, or none at all.
@@ -104,9 +139,9 @@ const char* FieldText::plain_number(std::string_view& text) {
     std::array<char, longest_number> digits{};
     buffer_.append(digits.data(), std::to_chars(digits.data(), digits.data() + digits.size(), number).ptr);
   } else {
+    if (const char* const why = take_thousands(text)) return why;
     bool is_behind_mark = false;
     for (const char c : text) {
-      if (c == thousands_ && thousands_ != '\0' && !is_behind_mark) continue;
       if (c == '.' && decimal_ == ',') return "has a point, and its `decimal` is a comma";
       is_behind_mark = is_behind_mark || c == decimal_ || c == 'e' || c == 'E';
       buffer_ += c == decimal_ ? '.' : c;

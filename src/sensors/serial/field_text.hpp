@@ -31,7 +31,9 @@ class FieldText {
   Found read(std::string_view text);
 
  private:
-  bool is_no_value(std::string_view text) const noexcept;
+  std::optional<Found> known_text(std::string_view text) const noexcept;
+  bool is_no_number(std::string_view text) const noexcept;
+  const char* take_thousands(std::string_view& text);
   const char* plain_number(std::string_view& text);
 
   bool is_used_;

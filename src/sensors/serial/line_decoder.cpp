@@ -188,6 +188,10 @@ LineDecoder::LineDecoder(const SerialConfig& config, AroundLine around)
           refused("field " + std::to_string(leaves_.size()), "a field of JSON has no name", "give it a `name`"));
     }
   }
+  for (const LineField& field : config.fields)
+    if (format_ == LineFormat::csv && (field.decimal == separator_ || field.thousands == std::string(1, separator_)))
+      throw SetupError(refused("separator", "field " + field.name + " has it within its numbers",
+                               "set another `separator`, such as \";\""));
   if (config.sequence_field.empty()) return;
   sequence_ = description_->find(config.sequence_field);
   if (sequence_ == nullptr || !is_integer_kind(sequence_->kind)) {
