@@ -375,7 +375,7 @@ try {
 
   await test("BY-1 the recorder is killed while its recording is viewed: it is at rest, and what is not known is said", async () => {
     configure("killed.json", {page: {listen: "127.0.0.1:0", token}, sensors: [cpu], sinks: recorded("killed.db")});
-    const recorder = start("run", "killed.json", "--quiet");
+    const recorder = start("run", "killed.json");
     await recorder.address;
     const viewing = start("view", "killed.db", "--listen", "127.0.0.1:0");
     const viewed = await open(await viewing.address);

@@ -468,7 +468,7 @@ TEST_SUITE("outputs") {
     hold(1min);
     set = command({"set", "far", "0"});
     desk.end();
-    CHECK(set->text == "it ends already");
+    CHECK(set->text == "the program ends already");
     loop.advance(1min);
   }
 
