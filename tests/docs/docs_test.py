@@ -119,6 +119,13 @@ def check_paths(source):
 
 def check_errors(source):
     ids = re.findall(r'case Errc::\w+: return "([a-z-]+)";', (source / "src/data/error.cpp").read_text())
+    header = (source / "include/rtdata/data/problem.hpp").read_text()
+    listed = re.search(r"Ids in use: (.*?)\. They do not", header, re.S)
+    ids += re.findall(r"[a-z-]+", listed[1].replace("///", " "))
+    header = (source / "include/rtdata/config/system.hpp").read_text()
+    listed = re.search(r"beside those of problem.hpp: (.*?); of warnings: (.*?)\.\n", header, re.S)
+    ids += re.findall(r"[a-z-]+", (listed[1] + "," + listed[2]).replace("///", " "))
+    # Those that these two headers leave out: of more than one word, where they are made.
     for path in (source / "src").rglob("*.[ch]pp"):
         for call in re.findall(r"\b(?:problem\w*|warn\w*|add|report|mistake|told)\(([^;]*?);", path.read_text()):
             ids += re.findall(r'"([a-z]+(?:-[a-z]+)+)"', call)
