@@ -9,10 +9,10 @@
 #include <cerrno>
 #include <cstdio>
 #include <filesystem>
-#include <fstream>
 #include <map>
 #include <memory>
 
+#include "data/sqlite_magic.hpp"
 #include "recording/account_sums.hpp"
 #include "recording/deleted_runs.hpp"
 #include "recording/recording_file.hpp"
@@ -512,11 +512,11 @@ void Merge::add_senders(Database& to) {
 
 /// Empty, or of SQLite, as a merge that was killed leaves it.
 bool is_left_by_merge(const std::string& path) {
-  constexpr std::string_view magic = "SQLite format 3";
-  std::ifstream file(path, std::ios::binary);
-  std::string begin(magic.size(), '\0');
-  file.read(begin.data(), static_cast<std::streamsize>(begin.size()));
-  return file.gcount() == 0 || begin == magic;
+  const int fd = ::open(path.c_str(), O_RDONLY | O_CLOEXEC);
+  struct stat about {};
+  const bool is_left = fd < 0 || (::fstat(fd, &about) == 0 && about.st_size == 0) || detail::is_sqlite_file(fd);
+  if (fd >= 0) ::close(fd);
+  return is_left;
 }
 
 /// The file that is made beside `path`, and removed with the object unless it was renamed.
@@ -524,10 +524,13 @@ class Beside {
  public:
   Beside(const std::string& path, const std::vector<std::string>& sources) : path_(path), made_(path + "-merging") {
     for (const std::string& one : {path, made_}) sqlite::check_path(one).or_throw();
-    for (const char* const ending : {"-wal", "-shm", "-journal", "-lock", "-merging"})
+    const auto refuse_ending = [&](std::string_view ending) {
       if (path.ends_with(ending))
-        refuse(path, std::string("files that end with ") + ending + " belong to another recording",
+        refuse(path, "files that end with " + std::string(ending) + " belong to another recording",
                "choose another name");
+    };
+    std::for_each(sqlite::companion_endings.begin(), sqlite::companion_endings.end(), refuse_ending);
+    refuse_ending(made_.substr(path.size()));
     struct stat there {};
     if (::lstat(path.c_str(), &there) == 0) refuse(path, "it is there already", "choose another name");
     std::error_code ignored;

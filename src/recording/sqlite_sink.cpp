@@ -9,6 +9,7 @@
 #include <system_error>
 
 #include "data/first_line.hpp"
+#include "data/sqlite_magic.hpp"
 #include "loop/runtime/runtime_core.hpp"
 #include "recording/recording_lock.hpp"
 #include "recording/schema.hpp"
@@ -96,12 +97,12 @@ std::vector<Error> refused_topics(const SqliteConfig&, std::span<const TopicToRe
 bool is_companion_file(const SqliteConfig&, const std::string& file, const std::string& other) {
   if (!other.starts_with(file)) return false;
   const std::string_view ending = std::string_view(other).substr(file.size());
-  return ending == "-wal" || ending == "-shm" || ending == "-journal" || ending == "-lock";
+  return std::find(sqlite::companion_endings.begin(), sqlite::companion_endings.end(), ending) !=
+         sqlite::companion_endings.end();
 }
 
 Result<void> check_recordable(const std::string& path) {
   if (auto is_path = sqlite::check_path(path); !is_path) return is_path;
-  constexpr std::string_view magic("SQLite format 3\0", 16);
   std::array<unsigned char, 100> head{};
   struct stat about {};
   if (::stat(path.c_str(), &about) != 0 || !S_ISREG(about.st_mode) || about.st_size == 0) return {};  // opening tells
@@ -115,7 +116,8 @@ Result<void> check_recordable(const std::string& path) {
   const auto refuse = [&](Errc code, std::string why, const char* advice) {
     return Error{code, "cannot record into", path, std::move(why), advice};
   };
-  if (got < static_cast<off_t>(head.size()) || std::memcmp(head.data(), magic.data(), magic.size()) != 0)
+  if (got < static_cast<off_t>(head.size()) ||
+      std::memcmp(head.data(), detail::sqlite_magic.data(), detail::sqlite_magic.size()) != 0)
     return refuse(Errc::not_a_recording, "it is not an SQLite file", "choose another path");
   struct stat log {};
   if (::stat((path + "-wal").c_str(), &log) == 0 && log.st_size > 0) return {};  // what holds is in there

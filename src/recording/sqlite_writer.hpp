@@ -1,6 +1,7 @@
 // Writes batches and accounts into a recording: one transaction a batch.
 #pragma once
 
+#include <array>
 #include <atomic>
 #include <chrono>
 #include <map>
@@ -8,6 +9,7 @@
 #include <mutex>
 #include <optional>
 #include <string>
+#include <string_view>
 #include <utility>
 #include <vector>
 
@@ -146,6 +148,9 @@ class SqliteWriter final : public RecordingWriter {
   bool is_log_lost_ = false;
   std::shared_ptr<const RunReport> recorded_;  // once it is closed
 };
+
+/// Of the files that SQLite and this library keep beside a recording.
+inline constexpr std::array<std::string_view, 4> companion_endings{"-wal", "-shm", "-journal", "-lock"};
 
 /// Checks that SQLite treats the path as a file path, and that the companion files' names are not too long.
 Result<void> check_path(const std::string& path);

@@ -13,6 +13,7 @@
 #include <span>
 #include <utility>
 
+#include "data/sqlite_magic.hpp"
 #include "data/utf8.hpp"
 #include "sinks/core/lock_holder.hpp"
 
@@ -53,13 +54,6 @@ Error no_such_format(const std::string& path, const Codec& codec) {
 Error database_there(const std::string& path) {
   return {Errc::bad_argument, "cannot record into", path, "it is a recording, or another SQLite database",
           "choose another path"};
-}
-
-/// What would be taken for half an event, and cut off.
-bool is_database(int fd) {
-  constexpr std::string_view magic("SQLite format 3\0", 16);
-  char begin[magic.size()];
-  return ::pread(fd, begin, sizeof begin, 0) == sizeof begin && std::string_view(begin, sizeof begin) == magic;
 }
 
 Result<void> compare_header(int fd, const std::string& path, const std::string& header) {
@@ -168,7 +162,7 @@ Result<void> OutputFile::open(const std::string& path, mode_t permissions) {
     const int reason = errno;
     result = reason == EWOULDBLOCK ? held(path, lock_holder(about)) : failed(reason, "cannot lock the file");
   }
-  if (result && is_database(fd_)) {
+  if (result && detail::is_sqlite_file(fd_)) {
     result = database_there(path);
   }
   if (result && mounted_at_.empty()) mounted_at_ = mount_point_of(path);
@@ -276,7 +270,7 @@ Result<void> OutputFile::check_content(const std::string& path, const Codec& cod
   file.path_ = path;
   file.fd_ = ::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NOCTTY | O_NONBLOCK);
   if (file.fd_ < 0) return {};  // opening it reports what is wrong
-  if (is_database(file.fd_)) return database_there(path);
+  if (detail::is_sqlite_file(file.fd_)) return database_there(path);
   if (is_by_lines(codec)) return {};
   std::vector<std::byte> begin(static_cast<std::size_t>(std::min<off_t>(about.st_size, window_bytes)));
   const ssize_t got = ::pread(file.fd_, begin.data(), begin.size(), 0);
