@@ -53,6 +53,7 @@ FieldText::FieldText(const LineField& field)
     double number = 0;
     const bool is_one = read_number(text, number) == std::errc{};
     no_value_.emplace_back(text, is_one && is_number_ ? std::optional(number) : std::nullopt);
+    has_numbers_of_none_ = has_numbers_of_none_ || no_value_.back().second;
   }
   const bool is_whole = is_number_ ? field.type != Kind::f32 && field.type != Kind::f64 : true;
   for (const auto& [word, number] : field.words) {
@@ -66,8 +67,7 @@ FieldText::FieldText(const LineField& field)
 }
 
 FieldText::Found FieldText::read(std::string_view text) {
-  const std::string_view whole = text;
-  if (const auto found = known_text(whole)) return *found;
+  if (const auto found = known_text(text)) return *found;
   if (!text.starts_with(prefix_)) return {.why = "does not begin with its `prefix`"};
   text.remove_prefix(prefix_.size());
   if (!text.ends_with(suffix_)) return {.why = "does not end with its `suffix`"};
@@ -92,10 +92,9 @@ std::optional<FieldText::Found> FieldText::known_text(std::string_view text) con
 }
 
 bool FieldText::is_no_number(std::string_view text) const noexcept {
-  return std::any_of(no_value_.begin(), no_value_.end(), [&](const auto& none) {
-    double value = 0;
-    return none.second && read_number(text, value) == std::errc{} && value == *none.second;
-  });
+  double value = 0;
+  return has_numbers_of_none_ && read_number(text, value) == std::errc{} &&
+         std::any_of(no_value_.begin(), no_value_.end(), [&](const auto& none) { return none.second == value; });
 }
 
 /// Puts the digits before the mark into the buffer. `thousands` stands before groups of three of them, else it is

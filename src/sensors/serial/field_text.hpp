@@ -44,6 +44,7 @@ class FieldText {
   int base_;
   bool has_sign_blanks_;
   std::vector<std::pair<std::string, std::optional<double>>> no_value_;  ///< with its number, if it is one
+  bool has_numbers_of_none_ = false;
   std::vector<std::pair<std::string, std::string>> words_;
   std::string buffer_;
 };
