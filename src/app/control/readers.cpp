@@ -28,7 +28,7 @@ constexpr Duration pace = std::chrono::milliseconds{10};        // of what is se
 constexpr Duration idle_pace = std::chrono::milliseconds{100};  // while nobody reads
 constexpr Duration look_pace = std::chrono::milliseconds{50};   // of the main loop, at what the thread wants of it
 constexpr Duration longest_reading = std::chrono::seconds{30};  // of a slice: a disk may stall
-constexpr Duration end_patience = std::chrono::seconds{1};
+constexpr Duration end_patience = std::chrono::milliseconds{300};
 constexpr Duration thread_patience = std::chrono::seconds{2};
 constexpr std::size_t sent_at_once = std::size_t{64} << 10;  // while more is made
 constexpr std::size_t most_kept = std::size_t{4} << 20;
@@ -122,7 +122,8 @@ struct Readers::Shared::Connection {
     kept.insert(kept.end(), bytes, bytes + event.bytes);
   }
 
-  /// Keeps what is of this run, and not of the one that is being read. False: there is no room.
+  /// Keeps what is of this run, and not of the one that is being read. False: there is no room; it is given at once,
+  /// under the name of that run.
   bool keep_beside(const PackedEvent& event) {
     if (beside.size() + event.bytes > most_beside) return false;
     const auto* const bytes = reinterpret_cast<const std::byte*>(&event);

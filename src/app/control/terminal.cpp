@@ -59,6 +59,13 @@ TerminalSize terminal_size() {
   return {size.ws_col, std::max<std::size_t>(size.ws_row, 4)};
 }
 
+HiddenCursor::HiddenCursor(bool is_hidden) : is_hidden_(is_hidden) {
+  if (is_hidden_) print("\x1b[?25l\x1b[2J");
+}
+HiddenCursor::~HiddenCursor() {
+  if (is_hidden_) print("\r\x1b[K\x1b[?25h");
+}
+
 void print(const std::string& text) { std::cout << text << std::flush; }
 
 }  // namespace rtdata::app

@@ -33,6 +33,19 @@ struct TerminalSize {
 };
 TerminalSize terminal_size();
 
+/// While a picture is drawn over and over: the cursor is hidden, and back afterwards, whatever ends it.
+class HiddenCursor {
+ public:
+  /// False: nothing is drawn over another.
+  explicit HiddenCursor(bool is_hidden);
+  HiddenCursor(const HiddenCursor&) = delete;
+  HiddenCursor& operator=(const HiddenCursor&) = delete;
+  ~HiddenCursor();
+
+ private:
+  const bool is_hidden_;
+};
+
 /// Writes at once.
 void print(const std::string& text);
 

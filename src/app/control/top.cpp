@@ -44,7 +44,7 @@ int show(FoundInstance& found, const TopOptions& options) {
                        ::isatty(STDOUT_FILENO) == 1;
   std::string failed;
   bool has_ended = false;  // normally, with its last answer
-  if (is_live) print("\x1b[?25l\x1b[2J");
+  std::optional<HiddenCursor> cursor(std::in_place, is_live);
   const Duration limit = options.how_often == HowOften::once ? once_limit : answer_limit;
   const auto next_answer = [&] {
     return receive(*found.client, terminal, limit, [&] {
@@ -84,7 +84,7 @@ int show(FoundInstance& found, const TopOptions& options) {
     }
     if (options.how_often == HowOften::once) return exit_good;
   }
-  if (is_live) print("\r\x1b[K\x1b[?25h");
+  cursor.reset();  // before what is said of the end
   if (failed.empty()) return options.how_often == HowOften::once ? exit_other : exit_good;
   if (has_ended && options.how_often == HowOften::live) {
     std::cerr << "rtdata: pid " << found.instance.pid << " has ended" << std::endl;

@@ -5,7 +5,7 @@
 #include <utility>
 
 #include "app/core/figures.hpp"
-#include "app/inspect/recorded_range.hpp"
+#include "app/inspect/names.hpp"
 #include "rtdata/data/problem.hpp"
 
 namespace rtdata::app {
@@ -13,12 +13,6 @@ namespace {
 
 [[noreturn]] void refuse(const std::string& name, std::string why, std::string advice) {
   throw SetupError({Errc::not_found, "cannot plot", name, std::move(why), std::move(advice)});
-}
-
-std::string nearest_or_all(const std::string& name, const std::vector<std::string>& known) {
-  const std::string nearest = nearest_name(name, known);
-  if (!nearest.empty()) return "did you mean " + nearest + "?";
-  return "there is " + list_of({known.begin(), known.end()});
 }
 
 /// The numbers that a path stands for; empty: none. `is_there`: there is something of that name.
@@ -63,7 +57,7 @@ std::vector<ChosenField> chosen(const std::string& name, const std::vector<Recor
           if (is_number(leaf.kind)) known.push_back(one.topic + "." + leaf.path);
       const std::string nearest = nearest_name(name, known);
       refuse(name, "there is no such topic",
-             nearest.empty() ? "there is " + list_of(names) : "did you mean " + nearest + "?");
+             nearest.empty() ? nearest_or_all(name, {names.begin(), names.end()}) : "did you mean " + nearest + "?");
     }
     topic.resize(point);
   }

@@ -173,4 +173,9 @@ void join(const CurveStep& step, CurveStep& to) {
   to.mean += (step.mean - to.mean) * (static_cast<double>(step.numbers) / static_cast<double>(to.numbers));
 }
 
+std::string gap_text(const std::string& kind, const std::string& reason) {
+  const std::string text = kind == "joined" ? "several gaps joined" : kind;
+  return reason.empty() || reason == kind ? text : text + ": " + reason;
+}
+
 }  // namespace rtdata::app

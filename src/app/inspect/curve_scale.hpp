@@ -10,6 +10,9 @@
 
 namespace rtdata::app {
 
+/// "missed: loop held"
+std::string gap_text(const std::string& kind, const std::string& reason);
+
 /// Adds what a step has to the one before, which becomes longer.
 void join(const CurveStep& step, CurveStep& to);
 

@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "app/core/table.hpp"
+#include "app/inspect/stream_line.hpp"
 #include "rtdata/data/time.hpp"
 #include "rtdata/loop/gaps.hpp"
 #include "rtdata/loop/runtime.hpp"
@@ -22,16 +23,6 @@ std::string shown(const Json& value) {
   std::array<char, 32> text{};
   std::snprintf(text.data(), text.size(), "%.6g", value.get<double>());
   return text.data();
-}
-
-std::string text_in(const Json& object, const char* key) {
-  const auto found = object.find(key);
-  return found != object.end() && found->is_string() ? found->get<std::string>() : std::string();
-}
-
-std::int64_t number_in(const Json& object, const char* key) {
-  const auto found = object.find(key);
-  return found != object.end() && found->is_number() ? found->get<std::int64_t>() : 0;
 }
 
 bool is_true(const Json& object, const char* key) {
@@ -55,7 +46,7 @@ std::string EventPrinter::text(std::string_view json) {
   std::string before = "             ";
   std::string result;
   if (line.contains("time")) {
-    const std::string utc = to_iso8601(from_nanoseconds(number_in(line, "time")));  // 2026-03-01T12:00:00.123456789Z
+    const std::string utc = to_iso8601(from_nanoseconds(whole_in(line, "time")));  // 2026-03-01T12:00:00.123456789Z
     if (std::string day = utc.substr(0, utc.find('T')); day != day_) {
       result = day + " UTC\n";
       day_ = std::move(day);
@@ -78,7 +69,7 @@ std::string EventPrinter::line_of(const Json& line) const {
   }
   if (text_in(line, "topic") == gap_topic) {
     const std::string count = data.contains("count") && data["count"] != 0 ? " " + data["count"].dump() : "";
-    const Duration length = from_nanoseconds(number_in(data, "last")) - from_nanoseconds(number_in(data, "first"));
+    const Duration length = from_nanoseconds(whole_in(data, "last")) - from_nanoseconds(whole_in(data, "first"));
     return "! gap of " + text_in(data, "name") + ":" + count + " " + text_in(data, "kind") + " in " +
            to_string(std::chrono::floor<std::chrono::milliseconds>(length)) + ": " + text_in(data, "reason");
   }

@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "app/core/recording_commands.hpp"
+#include "app/inspect/names.hpp"
 #include "app/inspect/recorded_range.hpp"
 #include "rtdata/loop/topic.hpp"
 #include "rtdata/recording/runs.hpp"

@@ -4,11 +4,11 @@
 #include <limits>
 #include <nlohmann/json.hpp>
 #include <set>
-#include <tuple>
 #include <utility>
 
 #include "app/inspect/curve_scale.hpp"
-#include "rtdata/data/problem.hpp"
+#include "app/inspect/names.hpp"
+#include "app/inspect/stream_line.hpp"
 #include "rtdata/loop/gaps.hpp"
 
 namespace rtdata::app {
@@ -18,27 +18,7 @@ namespace {
   throw SetupError({Errc::not_found, "cannot show", name, std::move(why), std::move(advice)});
 }
 
-std::string nearest_or_all(const std::string& name, const std::vector<std::string>& known) {
-  // Of "cuont/a.number" the topic may be near.
-  for (std::string part = name;; part.resize(part.rfind('.'))) {
-    if (const std::string nearest = nearest_name(part, known); !nearest.empty()) return "did you mean " + nearest + "?";
-    if (part.find('.') == std::string::npos) break;
-  }
-  constexpr std::size_t most = 10;
-  std::string all;
-  for (std::size_t i = 0; i < std::min(known.size(), most); ++i) all += (i == 0 ? "" : ", ") + known[i];
-  return "there is " + (all.empty() ? "nothing" : all) + (known.size() > most ? ", ..." : "");
-}
-
-std::string text_in(const nlohmann::ordered_json& object, const char* key) {
-  const auto found = object.find(key);
-  return found != object.end() && found->is_string() ? found->get<std::string>() : std::string();
-}
-
-Time time_in(const nlohmann::ordered_json& object, const char* key) {
-  const auto found = object.find(key);
-  return found != object.end() && found->is_number() ? from_nanoseconds(found->get<std::int64_t>()) : Time{};
-}
+Time time_in(const nlohmann::ordered_json& object, const char* key) { return from_nanoseconds(whole_in(object, key)); }
 
 /// What is not finite is a text in JSON.
 double number_in(const nlohmann::ordered_json& object, const char* key) {
@@ -153,8 +133,7 @@ void LiveCurves::take_step(const Json& line) {
 
 void LiveCurves::take_gap(const Json& data) {
   const std::string kind = text_in(data, "kind"), reason = text_in(data, "reason");
-  CurveGap gap{time_in(data, "first"), time_in(data, "last"), 0,
-               kind + (reason.empty() || reason == kind ? "" : ": " + reason)};
+  CurveGap gap{time_in(data, "first"), time_in(data, "last"), 0, gap_text(kind, reason)};
   if (kind == "missed" || kind == "failed") gap.lost = data.value("count", std::uint64_t{0});
   for (auto& [key, field] : curves_)
     if (field.curve.topic == text_in(data, "topic") && field.curve.origin == text_in(data, "name"))

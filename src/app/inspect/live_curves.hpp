@@ -6,6 +6,7 @@
 #include <nlohmann/json_fwd.hpp>
 #include <string>
 #include <string_view>
+#include <tuple>
 #include <vector>
 
 #include "app/control/status.hpp"
@@ -52,7 +53,7 @@ class LiveCurves {
   void prune();
 
   std::vector<Wanted> wanted_;
-  Duration window_, step_{1};
+  Duration window_;
   Time now_{};
   bool is_live_ = true;
   std::map<std::string, std::map<std::string, std::string>> units_;  // by topic and path

@@ -2,11 +2,10 @@
 #include <unistd.h>
 
 #include <algorithm>
-#include <array>
-#include <cstdio>
 #include <functional>
 #include <iostream>
 #include <nlohmann/json.hpp>
+#include <optional>
 #include <utility>
 
 #include "app/control/instances.hpp"
@@ -60,7 +59,7 @@ class Watch {
     const bool is_once = view_.how_often == HowOften::once;
     const bool is_live = !is_once && ::isatty(STDOUT_FILENO) == 1;
     Terminal terminal;
-    if (is_live) print("\x1b[?25l\x1b[2J");
+    std::optional<HiddenCursor> cursor(std::in_place, is_live);
     const Clock::time_point begun = Clock::now();
     for (bool goes_on = true; goes_on && std::cout.good();) {
       goes_on = take_lines(terminal, begun);
@@ -76,7 +75,7 @@ class Watch {
       print(text + (is_live ? "\x1b[Jq ends" : ""));
       if (is_once) break;
     }
-    if (is_live) print("\r\x1b[K\x1b[?25h");
+    cursor.reset();  // before what is said of the end
     if (failed_.empty() && has_ended_) std::cerr << "rtdata: pid " << pid_ << " has ended" << std::endl;
     if (failed_.empty()) return exit_good;
     std::cerr << "rtdata: pid " << pid_ << ": " << failed_ << std::endl;
@@ -106,8 +105,7 @@ class Watch {
       if (view_.how_often == HowOften::once && Clock::now() - begun >= view_.once_after) return true;
       const auto line = steps_.receive(most_deaf);
       if (!line) {
-        has_ended_ = line.error().code == make_error_code(Errc::closed);
-        if (!has_ended_) failed_ = line.error().text();
+        failed_ = line.error().text();  // killed, if it is closed without a word
         return false;
       }
       if (!*line) {
@@ -160,12 +158,6 @@ int show(const std::string& instance, const View& view) try {
   return exit_other;
 }
 
-std::string number_text(double number) {
-  std::array<char, 32> text{};
-  std::snprintf(text.data(), text.size(), "%.6g", number);
-  return text.data();
-}
-
 /// A number a line, over all that is kept.
 Lines table_of(const LiveCurves& curves, Time now) {
   Table table({"field", ">last", "unit", ">least", ">mean", ">most", ">age"});
@@ -177,11 +169,11 @@ Lines table_of(const LiveCurves& curves, Time now) {
     const bool has_several = std::any_of(fields.begin(), fields.end(), [&](const auto* other) {
       return other->curve.path == field->curve.path && other->curve.origin != field->curve.origin;
     });
-    const auto of_all = [&](const Number& number) { return all.numbers == 0 ? "-" : number_text(as_double(number)); };
+    const auto of_all = [&](const Number& number) { return all.numbers == 0 ? "-" : shown_value(as_double(number)); };
     const Duration age = std::max<Duration>(now - field->last_at, 0s);
     table.add({field->curve.path + (has_several ? " of " + field->curve.origin : ""),
-               field->has_last ? number_text(field->last) : "-", field->curve.unit, of_all(all.least),
-               all.numbers == 0 ? "-" : number_text(all.mean), of_all(all.most),
+               field->has_last ? shown_value(field->last) : "-", field->curve.unit, of_all(all.least),
+               all.numbers == 0 ? "-" : shown_value(all.mean), of_all(all.most),
                field->has_last ? to_string(std::chrono::floor<std::chrono::seconds>(age)) : "-"});
   }
   Lines lines;
@@ -214,7 +206,7 @@ Status status_of_topic(const Status& status, const std::string& topic) {
 }  // namespace
 
 int plot_instance(const LivePlotOptions& options) {
-  const PlotStyle first = style_of(STDOUT_FILENO);
+  const PlotStyle first = terminal_style();
   const Duration step = std::max<Duration>(step_for(Time{}, Time{} + options.window, first), 1ms);
   const bool is_terminal = ::isatty(STDOUT_FILENO) == 1;
   std::vector<std::string> fields = options.words;
@@ -226,7 +218,7 @@ int plot_instance(const LivePlotOptions& options) {
   return show(instance, {"plot", std::move(fields), options.window, step, is_terminal ? HowOften::live : HowOften::once,
                          options.window, [&](const LiveCurves& curves, const Status& status) -> Lines {
                            if (curves.is_empty()) return {"no events so far"};
-                           PlotStyle style = style_of(STDOUT_FILENO);
+                           PlotStyle style = terminal_style();
                            if (is_terminal) --style.rows;  // "q ends"
                            // A terminal that was made smaller has room for longer steps only.
                            const Duration least = step_for(Time{}, Time{} + options.window, style);

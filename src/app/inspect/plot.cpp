@@ -1,5 +1,3 @@
-#include <unistd.h>
-
 #include <ostream>
 #include <string>
 
@@ -18,7 +16,7 @@ int plot(const PlotOptions& options, std::ostream& out, std::ostream& err) try {
     return 2;
   }
   const Recording& recording = *opened;
-  const PlotStyle style = style_of(STDOUT_FILENO);
+  const PlotStyle style = terminal_style();
   const RecordedRange range = range_of(recording, options.part, "cannot plot");
   const auto topics = recording.topics().or_throw();
   const auto fields = chosen_fields(options.fields, topics);

@@ -1,6 +1,6 @@
 #include "app/inspect/plot_picture.hpp"
 
-#include <sys/ioctl.h>
+#include <unistd.h>
 
 #include <algorithm>
 #include <cmath>
@@ -10,6 +10,7 @@
 #include <set>
 #include <string_view>
 
+#include "app/control/terminal.hpp"
 #include "app/core/table.hpp"
 #include "app/core/terminal_text.hpp"
 #include "app/inspect/curve_scale.hpp"
@@ -402,18 +403,13 @@ Lines picture_of(const Plot& plot, const PlotStyle& style) {
   return lines;
 }
 
-PlotStyle style_of(int descriptor) {
+PlotStyle terminal_style() {
   PlotStyle style;
-  if (is_utf8_locale()) {
-    style.characters = PlotStyle::Characters::braille;
-  } else {
-    style.characters = PlotStyle::Characters::ascii;
-  }
-  const std::size_t columns = columns_of(descriptor);
+  style.characters = is_utf8_locale() ? PlotStyle::Characters::braille : PlotStyle::Characters::ascii;
+  const std::size_t columns = columns_of(STDOUT_FILENO);
   if (columns == 0) return style;
   style.columns = columns;
-  winsize size{};
-  if (::ioctl(descriptor, TIOCGWINSZ, &size) == 0 && size.ws_row != 0) style.rows = size.ws_row;
+  style.rows = terminal_size().rows;
   if (variable("NO_COLOR").empty() && variable("TERM") != "dumb") style.colours = PlotStyle::Colours::some;
   return style;
 }

@@ -17,8 +17,8 @@ struct PlotStyle {
   Colours colours = Colours::none;
 };
 
-/// Of the terminal of a file descriptor; none: 80 x 24 without colours. The locale says whether it has UTF-8.
-PlotStyle style_of(int descriptor);
+/// Of the terminal of standard output; none: 80 x 24 without colours. The locale says whether it has UTF-8.
+PlotStyle terminal_style();
 
 /// The shortest step of two digits of which a picture in that style has room for all that lie in this time.
 Duration step_for(Time from, Time until, const PlotStyle& style);

@@ -9,15 +9,13 @@
 #include "app/core/figures.hpp"
 #include "app/inspect/course.hpp"
 #include "app/inspect/curve_scale.hpp"
+#include "app/inspect/names.hpp"
 #include "rtdata/data/problem.hpp"
 #include "rtdata/recording/verify.hpp"
 
 namespace rtdata::app {
 
-std::string reason_of(const RecordedGap& gap) {
-  const std::string kind = gap.kind == "joined" ? "several gaps joined" : gap.kind;
-  return gap.reason.empty() || gap.reason == gap.kind ? kind : kind + ": " + gap.reason;
-}
+std::string reason_of(const RecordedGap& gap) { return gap_text(gap.kind, gap.reason); }
 
 namespace {
 

@@ -49,17 +49,6 @@ std::optional<Time> parse_time(const std::string& text) {
   return time.or_throw();
 }
 
-std::string list_of(const std::set<std::string>& names) {
-  constexpr std::size_t most = 10;
-  std::string text;
-  std::size_t count = 0;
-  for (const std::string& name : names) {
-    if (count++ == most) return text + ", ...";
-    text += (text.empty() ? "" : ", ") + name;
-  }
-  return text.empty() ? "nothing" : text;
-}
-
 RecordedRange range_of(const Recording& recording, const PartOptions& options, const char* command) {
   const auto refuse = [&](Errc id, std::string where, std::string why, std::string advice) {
     throw SetupError({id, command, std::move(where), std::move(why), std::move(advice)});

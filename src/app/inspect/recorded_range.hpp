@@ -2,7 +2,6 @@
 #pragma once
 
 #include <optional>
-#include <set>
 #include <string>
 
 #include "app/core/recording_commands.hpp"
@@ -12,9 +11,6 @@ namespace rtdata::app {
 
 /// ISO 8601, or ns since the epoch; none: an empty text. Throws SetupError.
 std::optional<Time> parse_time(const std::string& text);
-
-/// "room/climate, room/door": of many the first. "nothing": of none.
-std::string list_of(const std::set<std::string>& names);
 
 struct RecordedRange {
   RunInfo run;

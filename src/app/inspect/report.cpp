@@ -5,7 +5,6 @@
 #include <algorithm>
 #include <cerrno>
 #include <filesystem>
-#include <fstream>
 #include <ostream>
 #include <set>
 #include <string_view>
@@ -108,11 +107,13 @@ ReportContent content_of(const Recording& recording, const ReportOptions& option
 
 /// Nothing is left of a file that cannot be written whole.
 void write_file(const std::string& file, std::string_view text, ReportOptions::Existing existing) {
-  std::string begin(15, '\0');
-  if (std::filesystem::is_regular_file(file) && std::ifstream(file, std::ios::binary).read(begin.data(), 15) &&
-      begin == "SQLite format 3")
-    throw SetupError({Errc::bad_argument, "cannot write the report", file, "this file is a recording, or a database",
-                      "name another file: -o FILE"});
+  std::error_code ignored;
+  if (std::filesystem::is_regular_file(file, ignored)) {
+    const auto there = Recording::open(file);
+    if (there || there.error().code == Errc::damaged || there.error().code == Errc::newer_version)
+      throw SetupError({Errc::bad_argument, "cannot write the report", file, "this file is a recording",
+                        "name another file: -o FILE"});
+  }
   const int how = existing == ReportOptions::Existing::refuse ? O_EXCL : O_TRUNC;
   const int to = ::open(file.c_str(), O_WRONLY | O_CREAT | O_CLOEXEC | how, 0666);
   if (to < 0) cannot_write(file, errno);

@@ -13,6 +13,7 @@
 
 #include "app/core/recording_commands.hpp"
 #include "app/inspect/event_printer.hpp"
+#include "app/inspect/names.hpp"
 #include "app/inspect/recorded_range.hpp"
 #include "rtdata/data/codec.hpp"
 #include "rtdata/data/problem.hpp"

@@ -171,7 +171,7 @@ class RecordedSource final : public PageSource {
     about["recording"] = report.verdict == Verdict::recording && report.info.boot_id == SystemClock().boot_id();
     about["run"] = page_run(recording, report.info);
     if (about["recording"] == false) about["run"]["ended"] = in_ms(last_instant(recording, report.info));
-    about["not_known"] = report.not_known;
+    about["not_known"] = about["recording"] == true ? std::vector<std::string>() : report.not_known;
   }
   Time now() const { return Time{std::chrono::steady_clock::now().time_since_epoch() + run_.clock_offset}; }
   void read() {
