@@ -280,16 +280,19 @@ std::string page_history(const std::vector<PageRecording>& recordings, std::opti
       answer["run"]["sink"] = one->sink;
     }
     Answer of(recording, *chosen, *request);
-    const Duration slice = request->step * steps_of_slice;
+    Duration slice = request->step * steps_of_slice;
     Time end = request->until;
     // Before the run there is nothing; a run of hours is not looked for in a window of a month.
     const Time begin = std::max(reached, whole_steps(chosen->started, request->step, false));
     while (end > begin) {
+      const auto asked = std::chrono::steady_clock::now();
       const Time start = std::max(begin, whole_steps(end - slice, request->step, false));
       bool has_room = true;
       for (const std::string& topic : topics) has_room = of.read(topic, start, end) && has_room;
       end = start;
-      if (!has_room || std::chrono::steady_clock::now() > until) break;
+      const auto now = std::chrono::steady_clock::now();
+      if (!has_room || now > until) break;
+      if (now - asked < patience / 16) slice *= 2;  // to prepare a slice takes longer than to read a short one
     }
     if (end > begin) reached = end;
     of.read_gaps(end, request->until);
