@@ -379,8 +379,10 @@ TEST_SUITE("app") {
     REQUIRE(run.wait_for("running rig"));
     Process tail(folder, program, {"tail", "rig", "count/a"});
     REQUIRE(tail.wait_for(" count/a number="));
-    Process steps(folder, program, {"tail", "--step", "200ms", "--from", "-1min", "count/#"});
+    Process steps(folder, program, {"tail", "--step", "200ms", "count/#"});
     REQUIRE(steps.wait_for("events: number="));
+    Process past(folder, program, {"tail", "--step", "200ms", "--from", "-1min", "--json", "count/#"});
+    REQUIRE(past.wait_for("{\"live\":"));  // it could not end well before
     Process json_lines(folder, program, {"tail", "--json"});
     REQUIRE(json_lines.wait_for(R"("topic":"other")"));
     Process wrong(folder, program, {"tail", "--step", "soon"});
@@ -395,6 +397,8 @@ TEST_SUITE("app") {
     CHECK(has(tail.err, "has ended"));
     CHECK_FALSE(has(tail.out, "count/b"));
     CHECK(steps.end() == 0);
+    CHECK(past.end() == 0);
+    CHECK(has(past.out, R"("least":)"));
     CHECK(json_lines.end() == 0);
     CHECK(has(json_lines.out, R"({"ended":"the run has ended"})"));
   }

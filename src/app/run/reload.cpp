@@ -142,17 +142,28 @@ std::vector<const PartPlan*> Reload::closing_sinks(const Change& change) const {
   return sinks;
 }
 
-void Reload::report_removed_senders(Change& change) const {
-  std::set<std::string> removed;
-  for (const PartChange& part : change.steps->changes().all)
-    if (part.fate == Fate::removed) removed.insert(part.object);
-  for (const PartPlan* plan : system_.parts().plans()) {
-    if (!plan->stores || plan->stores->through.empty() || !removed.contains(plan->object())) continue;
-    const SinkStatus status = system_.sink(plan->name).status();
-    if (!status.backlog || status.counts.queued == 0) continue;
-    change.left.push_back(waiting_text({status.counts.queued, status.backlog->bytes, {}, {}}) + " in the recording " +
-                          plan->stores->through + " for the sink \"" + plan->name +
-                          "\", which is removed: they are not sent");
+std::vector<Reload::RemovedSender> Reload::removed_senders(const Change& change) const {
+  std::vector<RemovedSender> senders;
+  for (const PartChange& part : change.steps->changes().all) {
+    if (part.fate != Fate::removed) continue;
+    for (const PartPlan* plan : system_.parts().plans())
+      if (plan->stores && !plan->stores->through.empty() && plan->object() == part.object)
+        senders.push_back({plan->name, plan->stores->through});
+  }
+  return senders;
+}
+
+void Reload::report_removed_senders(Change& change) {
+  // Closed sinks are listed in the order in which they were closed.
+  const std::vector<SinkStatus> sinks = loop_.runtime().sinks();
+  for (const RemovedSender& sender : change.removed_senders) {
+    const auto last = std::find_if(sinks.rbegin(), sinks.rend(),
+                                   [&](const SinkStatus& sink) { return sink.name == sender.name; });
+    if (last == sinks.rend() || !last->backlog || last->counts.queued == 0) continue;
+    add(change, LogLevel::warning,
+        waiting_text({last->counts.queued, last->backlog->bytes, {}, {}}) + " in the recording " + sender.through +
+            " for the sink \"" + sender.name + "\", which is removed: they are not sent",
+        "left-backlog");
   }
 }
 
@@ -195,7 +206,7 @@ void Reload::begin(const std::shared_ptr<Change>& change) {
   if (!may_be_applied(*change)) return;
   under_way_ = change;
   change->left = recordings_left(system_.parts().plans(), change->read->plan);
-  report_removed_senders(*change);
+  change->removed_senders = removed_senders(*change);
   std::set<std::string> sinks;
   for (const PartPlan* sink : closing_sinks(*change)) sinks.insert(sink->name);
   change->waits_for = sinks;
@@ -325,6 +336,7 @@ void Reload::report_parts(const std::shared_ptr<Change>& change) {
     if (loop_.now() - begin >= step_time) return then(change, &Reload::report_parts);
   }
   for (const std::string& line : change->left) add(*change, LogLevel::warning, line, "left-backlog");
+  report_removed_senders(*change);
   if (!change->missing.empty())
     return conclude(*change, LogLevel::error, options_.file + " is applied, but for this: " + change->missing);
   conclude(*change, LogLevel::info,

@@ -64,6 +64,10 @@ class Reload {
   const std::set<std::string>& end();
 
  private:
+  struct RemovedSender {
+    std::string name;
+    std::string through;  ///< the recording that keeps what it has not sent
+  };
   /// A reload in progress.
   struct Change {
     std::shared_ptr<const NextPlan> read;
@@ -77,6 +81,7 @@ class Reload {
     std::set<std::string> waits_for = {};
     Timer patience = {};
     std::vector<std::string> left = {};  // what waits in recordings and is not sent afterwards, a line each
+    std::vector<RemovedSender> removed_senders = {};
     std::size_t reported_parts = 0;      // number of changed parts already logged
     std::string details = {};            // its messages, a line each
     std::string missing = {};            // parts that could not be made, although it is applied
@@ -89,8 +94,10 @@ class Reload {
   bool may_be_applied(Change& change);
   /// The sinks that the change closes.
   std::vector<const PartPlan*> closing_sinks(const Change& change) const;
-  /// Adds what waits in recordings for senders that the change removes. Their files are not read: a disk may hang.
-  void report_removed_senders(Change& change) const;
+  std::vector<RemovedSender> removed_senders(const Change& change) const;
+  /// Reports what waits in recordings for removed senders, as counted when they were closed: their files are not read,
+  /// because a disk may hang.
+  void report_removed_senders(Change& change);
   /// True if a sink that cannot store its queue may be left: nobody can mend its disk, and no other sink gets its file.
   bool may_be_left(const Change& change, const PartPlan& sink) const;
   void begin(const std::shared_ptr<Change>& change);
