@@ -296,7 +296,7 @@ struct OfSerialLineSensor {
   OfSerialLineSensor() { pty.plug_in(); }
   Type make(Loop& loop, Probe& probe) {
     Type made(loop, {.name = "l"},
-              {.device = pty.path(), .fields = {{.name = "value"}}, .first_line = FirstLine::keep});
+              {.device = pty.path(), .lines = {.fields = {{.name = "value"}}, .first_line = FirstLine::keep}});
     made.on_error([f = probe.callback()](const ErrorReport&) mutable { f(); });
     return made;
   }

@@ -18,7 +18,7 @@ using rtdata::LineField;
 using rtdata::detail::LineDecoder;
 
 LineDecoder decoder_for(rtdata::LineFormat format) {
-  rtdata::SerialConfig config;
+  rtdata::LineConfig config;
   config.format = format;
   config.fields = {LineField{.name = "level", .unit = "%"},
                    LineField{.name = "count", .type = Kind::i32, .optional = true},

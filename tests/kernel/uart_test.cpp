@@ -39,10 +39,10 @@ void check_lines(const std::string& sender, const std::string& receiver, LineFor
         loop, {.name = "board"},
         {.device = receiver,
          .serial = {.baud_rate = baud_rate},
-         .format = format,
-         .fields = {{.name = "count", .type = Kind::u32}, {.name = "ax", .unit = "m/s2", .key = "imu.ax"}},
-         .first_line = FirstLine::keep,
-         .sequence_field = "count",
+         .lines = {.format = format,
+                   .fields = {{.name = "count", .type = Kind::u32}, {.name = "ax", .unit = "m/s2", .key = "imu.ax"}},
+                   .first_line = FirstLine::keep,
+                   .sequence_field = "count"},
          .required = true});
     sensor.on_error([&](const ErrorReport& report) { errors.emplace_back(report.error.id()); });
     const auto heard = loop.subscribe("board", [&](const EventView& event) {

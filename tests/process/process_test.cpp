@@ -594,8 +594,8 @@ TEST_SUITE("process") {
     pty.plug_in();
     Loop loop;
     be_quiet(loop);
-    SerialConfig config{.device = pty.path(), .fields = {{.name = "volts", .unit = "V"}}};
-    config.first_line = FirstLine::keep;
+    SerialConfig config{.device = pty.path(), .lines = {.fields = {{.name = "volts", .unit = "V"}}}};
+    config.lines.first_line = FirstLine::keep;
     SerialLineSensor line(
         loop,
         {.name = "line",

@@ -15,7 +15,7 @@ using rtdata::test::has;
 namespace {
 
 /// The values of a line, with blanks between; or "ID: why".
-std::string values_of(const SerialConfig& config, std::string_view line) {
+std::string values_of(const LineConfig& config, std::string_view line) {
   detail::LineDecoder decoder(config);
   if (const Result<void> done = decoder.decode(line); !done)
     return std::string(done.error().id()) + ": " + done.error().why;
@@ -29,7 +29,7 @@ std::string values_of(const SerialConfig& config, std::string_view line) {
 std::string refusal_of(LineField field) {
   field.name = "x";
   try {
-    SerialConfig config;
+    LineConfig config;
     config.fields = {field};
     const detail::LineDecoder decoder(config);
   } catch (const SetupError& error) {
@@ -43,17 +43,17 @@ std::string refusal_of(LineField field) {
 TEST_SUITE("sensors") {
   TEST_CASE("US-13 text around a number is taken off, field by field") {
     // A scale of A&D: "ST,+  12.345 kg".
-    const SerialConfig scale{.fields = {{.name = "state", .type = Kind::text, .length = 2},
-                                        {.name = "weight", .unit = "kg", .suffix = "kg", .sign_blanks = true}}};
+    const LineConfig scale{.fields = {{.name = "state", .type = Kind::text, .length = 2},
+                                      {.name = "weight", .unit = "kg", .suffix = "kg", .sign_blanks = true}}};
     CHECK(values_of(scale, "ST,+  12.345 kg") == "ST 12.345");
     CHECK(values_of(scale, "US,-   0.5 kg") == "US -0.5");
     CHECK(values_of(scale, "ST,+  12.345 lb") == R"(bad-data: "+  12.345 lb" does not end with its `suffix`)");
     CHECK(has(values_of(scale, "ST,+  kg"), "not-a-number"));
     CHECK(has(values_of(scale, "ST,   kg"), R"("kg" has no number)"));
 
-    const SerialConfig german{.fields = {{.name = "t", .prefix = "T=", .decimal = ','},
-                                         {.name = "p", .suffix = "Pa", .decimal = ',', .thousands = "."}},
-                              .separator = ';'};
+    const LineConfig german{.fields = {{.name = "t", .prefix = "T=", .decimal = ','},
+                                       {.name = "p", .suffix = "Pa", .decimal = ',', .thousands = "."}},
+                            .separator = ';'};
     CHECK(values_of(german, "T=-3,25; 101.325,5 Pa") == "-3.25 101325.5");
     CHECK(has(values_of(german, "T=-3.25;1 Pa"), "has a point, and its `decimal` is a comma"));
     CHECK(has(values_of(german, "t=1;1 Pa"), "does not begin with its `prefix`"));
@@ -62,7 +62,7 @@ TEST_SUITE("sensors") {
     for (const char* const wrong : {"1.23", "12.34.5", "1234.567", ".123", "1.234.", "1..234", "1.2345", "0.5"})
       CHECK(has(values_of(german, "T=1;" + std::string(wrong) + " Pa"), "groups of three digits"));
 
-    const SerialConfig hex{
+    const LineConfig hex{
         .fields = {{.name = "a", .type = Kind::u16, .base = 16}, {.name = "b", .scale = 0.5, .base = 16}}};
     CHECK(values_of(hex, "ffff,0x10") == "65535 8");
     CHECK(has(values_of(hex, "10000,1"), "out-of-range"));
@@ -73,8 +73,8 @@ TEST_SUITE("sensors") {
   }
 
   TEST_CASE("US-13 texts and numbers that stand for no value make a field absent; words stand for numbers") {
-    const SerialConfig meter{.fields = {{.name = "v", .scale = 1000, .no_value = {"OL", "---", "-9999", "9.9e37"}},
-                                        {.name = "on", .type = Kind::u8, .words = {{"ON", 1}, {"OFF", 0}}}}};
+    const LineConfig meter{.fields = {{.name = "v", .scale = 1000, .no_value = {"OL", "---", "-9999", "9.9e37"}},
+                                      {.name = "on", .type = Kind::u8, .words = {{"ON", 1}, {"OFF", 0}}}}};
     CHECK(values_of(meter, "1.5,ON") == "1500 1");
     for (const char* const none : {"OL", " --- ", "-9999", "-9999.0", "+9.90000000E+37", ""})
       CHECK(values_of(meter, std::string(none) + ",OFF") == "absent 0");
@@ -90,8 +90,8 @@ TEST_SUITE("sensors") {
   }
 
   TEST_CASE("US-13 the same in JSON, where such a value may be a text or a number") {
-    const SerialConfig json{.format = LineFormat::json,
-                            .fields = {{.name = "w", .suffix = " W", .no_value = {"n/a", "-1"}}, {.name = "plain"}}};
+    const LineConfig json{.format = LineFormat::json,
+                          .fields = {{.name = "w", .suffix = " W", .no_value = {"n/a", "-1"}}, {.name = "plain"}}};
     CHECK(values_of(json, R"({"w": "12.5 W", "plain": 1})") == "12.5 1");
     CHECK(values_of(json, R"({"w": "n/a", "plain": 1})") == "absent 1");
     CHECK(values_of(json, R"({"w": -1, "plain": 1})") == "absent 1");
@@ -115,15 +115,15 @@ TEST_SUITE("sensors") {
   }
 
   TEST_CASE("US-13 any bytes in such fields are a value or an error, and allocate nothing that lasts") {
-    const SerialConfig config{.fields = {{.name = "a",
-                                          .prefix = "x",
-                                          .suffix = "y",
-                                          .decimal = ',',
-                                          .thousands = ".",
-                                          .sign_blanks = true,
-                                          .no_value = {"-", "1,5"}},
-                                         {.name = "b", .type = Kind::i8, .base = 16, .words = {{"z", 3}}}},
-                              .separator = ';'};
+    const LineConfig config{.fields = {{.name = "a",
+                                        .prefix = "x",
+                                        .suffix = "y",
+                                        .decimal = ',',
+                                        .thousands = ".",
+                                        .sign_blanks = true,
+                                        .no_value = {"-", "1,5"}},
+                                       {.name = "b", .type = Kind::i8, .base = 16, .words = {{"z", 3}}}},
+                            .separator = ';'};
     detail::LineDecoder decoder(config);
     std::uint64_t state = 1;
     constexpr std::string_view alphabet = "xy,.;-+ 0159aFzE\"\0\xff";

@@ -438,12 +438,10 @@ TEST_CASE("US-13 US-14 a serial line with format nmea publishes fixes, counts wh
   std::vector<GpsFix> got;
   std::vector<std::string> errors;
   const auto heard = loop.subscribe<GpsFix>("gps", [&](const Event<GpsFix>& fix) { got.push_back(*fix); });
-  SerialLineSensor gps(loop, {.name = "gps"},
-                       {.device = pty.path(),
-                        .format = LineFormat::nmea,
-                        .first_line = FirstLine::keep,
-                        .retry_first = 2ms,
-                        .retry_longest = 4ms});
+  SerialLineSensor gps(
+      loop, {.name = "gps"},
+      {.device = pty.path(),
+       .lines = {.format = LineFormat::nmea, .first_line = FirstLine::keep, .retry_first = 2ms, .retry_longest = 4ms}});
   gps.on_error([&](const ErrorReport& report) { errors.emplace_back(report.error.id()); });
   const auto until = [&](const std::function<bool()>& is_so) {
     bool done = false;

@@ -141,9 +141,7 @@ class FakeLine final : public Fake {
   AnySensor make(Loop& loop, bool is_required) override {
     return SerialLineSensor(loop, {.name = "s", .topic = "t"},
                             {.device = pty_.path(),
-                             .fields = {{.name = "v"}},
-                             .retry_first = 2ms,
-                             .retry_longest = 4ms,
+                             .lines = {.fields = {{.name = "v"}}, .retry_first = 2ms, .retry_longest = 4ms},
                              .required = is_required});
   }
 
@@ -176,9 +174,7 @@ class FakeNmea final : public Fake {
   AnySensor make(Loop& loop, bool is_required) override {
     return SerialLineSensor(loop, {.name = "s", .topic = "t"},
                             {.device = pty_.path(),
-                             .format = LineFormat::nmea,
-                             .retry_first = 2ms,
-                             .retry_longest = 4ms,
+                             .lines = {.format = LineFormat::nmea, .retry_first = 2ms, .retry_longest = 4ms},
                              .required = is_required});
   }
 

@@ -36,16 +36,15 @@ namespace {
 
 /// A loop with a serial sensor at the end of a pty, and what comes out.
 struct SerialLineBench {
-  explicit SerialLineBench(SerialConfig config = {}) : pty(directory.file("tty")) {
+  explicit SerialLineBench(LineConfig lines = {}, SerialSettings settings = {}) : pty(directory.file("tty")) {
     be_quiet(loop);
     pty.plug_in();
-    make(std::move(config));
+    make(std::move(lines), settings);
   }
   explicit SerialLineBench(std::nullptr_t) : pty(directory.file("tty")) { be_quiet(loop); }
-  void make(SerialConfig config) {
-    config.device = pty.path();
-    if (config.fields.empty()) config.fields = {{.name = "value"}};
-    config.retry_first = config.retry_longest = 2ms;
+  void make(LineConfig lines, SerialSettings settings = {}) {
+    if (lines.fields.empty()) lines.fields = {{.name = "value"}};
+    lines.retry_first = lines.retry_longest = 2ms;
     heard = loop.subscribe("line", [this](const EventView& event) {
       std::string text;
       for (const Leaf& leaf : event.description().leaves())
@@ -53,7 +52,8 @@ struct SerialLineBench {
       events.push_back(text);
       times.push_back(event.time());
     });
-    sensor = SerialLineSensor(loop, {.name = "line"}, std::move(config));
+    sensor = SerialLineSensor(loop, {.name = "line"},
+                              {.device = pty.path(), .serial = settings, .lines = std::move(lines)});
     sensor.on_error([this](const ErrorReport& report) { errors.emplace_back(report.error.id()); });
   }
   /// Sends it all, running the loop, until `done`; gives up when nothing more happens for 10 s.
@@ -341,23 +341,23 @@ TEST_CASE("US-17 fields and settings that cannot work are refused") {
   const auto refuses = [&](SerialConfig config) {
     CHECK_THROWS_AS(SerialLineSensor(loop, {.name = "bad"}, std::move(config)), SetupError);
   };
-  refuses({.fields = {{.name = "a"}}});
+  refuses({.lines = {.fields = {{.name = "a"}}}});
   refuses({.device = "/dev/x"});
-  refuses({.device = "/dev/x", .fields = {{}}});
-  refuses({.device = "/dev/x", .fields = {{.name = "a"}, {.name = "A"}}});
-  refuses({.device = "/dev/x", .fields = {{.name = "time"}}});
-  refuses({.device = "/dev/x", .fields = {{.name = "a", .type = Kind::record}}});
-  refuses({.device = "/dev/x", .fields = {{.name = "a", .type = Kind::i32, .scale = 2}}});
-  refuses({.device = "/dev/x", .fields = {{.name = "a"}}, .sequence_field = "a"});
-  refuses({.device = "/dev/x", .fields = {{.name = "a"}}, .sequence_field = "b"});
-  refuses({.device = "/dev/x", .serial = {.character_size = 4}, .fields = {{.name = "a"}}});
-  refuses({.device = "/nowhere/tty", .fields = {{.name = "a"}}, .required = true});
+  refuses({.device = "/dev/x", .lines = {.fields = {{}}}});
+  refuses({.device = "/dev/x", .lines = {.fields = {{.name = "a"}, {.name = "A"}}}});
+  refuses({.device = "/dev/x", .lines = {.fields = {{.name = "time"}}}});
+  refuses({.device = "/dev/x", .lines = {.fields = {{.name = "a", .type = Kind::record}}}});
+  refuses({.device = "/dev/x", .lines = {.fields = {{.name = "a", .type = Kind::i32, .scale = 2}}}});
+  refuses({.device = "/dev/x", .lines = {.fields = {{.name = "a"}}, .sequence_field = "a"}});
+  refuses({.device = "/dev/x", .lines = {.fields = {{.name = "a"}}, .sequence_field = "b"}});
+  refuses({.device = "/dev/x", .serial = {.character_size = 4}, .lines = {.fields = {{.name = "a"}}}});
+  refuses({.device = "/nowhere/tty", .lines = {.fields = {{.name = "a"}}}, .required = true});
 }
 
 TEST_CASE("US-13 the line is raw, at any speed, and this program's alone") {
   for (const unsigned speed : {9600u, 115200u, 250000u, 74880u}) {
     CAPTURE(speed);
-    SerialLineBench bench({.serial = {.baud_rate = speed}});
+    SerialLineBench bench({}, {.baud_rate = speed});
     const TerminalSettings settings = terminal_settings(bench.pty.device());
     CHECK(settings.output_speed == speed);
     CHECK(settings.input_speed == speed);
@@ -688,9 +688,8 @@ TEST_CASE("lines that are not there are not tried in step, after delays that dou
   std::map<std::string, std::vector<Duration>> delays;
   std::vector<SerialLineSensor> sensors;
   for (const std::string& name : names) {
-    SerialConfig config{.device = "/nowhere/tty", .fields = {{.name = "value"}}};
-    config.retry_first = 1s;
-    config.retry_longest = 4s;
+    SerialConfig config{.device = "/nowhere/tty",
+                        .lines = {.fields = {{.name = "value"}}, .retry_first = 1s, .retry_longest = 4s}};
     auto& sensor = sensors.emplace_back(SerialLineSensor(loop, {.name = name}, std::move(config)));
     sensor.on_error([&, name, last = loop.now()](const ErrorReport&) mutable {
       delays[name].push_back(loop.now() - std::exchange(last, loop.now()));
@@ -751,24 +750,25 @@ TEST_CASE("US-17 every parameter of a serial line can be set from a file") {
   CHECK(config.serial.character_size == 7);
   CHECK(config.serial.parity == Parity::mark);
   CHECK(config.serial.stop_bits == 2);
-  CHECK(config.format == LineFormat::json);
-  REQUIRE(config.fields.size() == 3);
-  CHECK(config.fields[0].type == Kind::u32);
-  CHECK(config.fields[0].key == "x.a");
-  CHECK(config.fields[1].scale == 0.1);
-  CHECK(config.fields[2].length == 9);
-  CHECK(config.separator == ';');
-  CHECK(config.comment == "//");
-  CHECK(config.skip_lines == 3);
-  CHECK(config.first_line == FirstLine::keep);
-  CHECK(config.max_line == 128);
-  CHECK(config.sequence_field == "a");
-  CHECK(config.silence == 10s);
-  CHECK(config.retry_first == 1s);
-  CHECK(config.retry_longest == 1min);
+  const LineConfig& lines = config.lines;
+  CHECK(lines.format == LineFormat::json);
+  REQUIRE(lines.fields.size() == 3);
+  CHECK(lines.fields[0].type == Kind::u32);
+  CHECK(lines.fields[0].key == "x.a");
+  CHECK(lines.fields[1].scale == 0.1);
+  CHECK(lines.fields[2].length == 9);
+  CHECK(lines.separator == ';');
+  CHECK(lines.comment == "//");
+  CHECK(lines.skip_lines == 3);
+  CHECK(lines.first_line == FirstLine::keep);
+  CHECK(lines.max_line == 128);
+  CHECK(lines.sequence_field == "a");
+  CHECK(lines.silence == 10s);
+  CHECK(lines.retry_first == 1s);
+  CHECK(lines.retry_longest == 1min);
   CHECK(config.required);
-  CHECK(!config.start);
-  CHECK(parameters_of<SerialConfig>().size() == 18);
+  CHECK(!lines.start);
+  CHECK(parameters_of<SerialConfig>().size() == 23);
 }
 
 TEST_CASE("US-5 every row of a real flight comes out of the line") {
@@ -783,12 +783,12 @@ TEST_CASE("US-5 every row of a real flight comes out of the line") {
   Texts rows;
   for (std::string line; std::getline(file, line); text += line + "\n") rows.push_back(line);
   rows.erase(rows.begin());  // the heading, thrown away as the half line that it could be
-  SerialLineBench bench({.serial = {.baud_rate = 115200},
-                         .fields = {{.name = "stamp", .type = Kind::u64, .unit = "us"},
+  SerialLineBench bench({.fields = {{.name = "stamp", .type = Kind::u64, .unit = "us"},
                                     {.name = "has_data", .type = Kind::boolean},
                                     {.name = "temperature", .unit = "Cel"},
                                     {.name = "altitude", .unit = "m"},
-                                    {.name = "pressure", .unit = "hPa"}}});
+                                    {.name = "pressure", .unit = "hPa"}}},
+                        {.baud_rate = 115200});
   bench.run(text, rows.size());
   REQUIRE(bench.events.size() == rows.size());
   for (std::size_t i = 0; i < rows.size(); ++i) {

@@ -206,8 +206,9 @@ TEST_SUITE("sinks") {
         loop.on_error([](const ErrorReport&) {});
         loop.runtime().on_log([](const LogRecord&) {});
         SqliteSink sink(loop, {.path = path, .sink = {.batch_time = 10ms}});
-        SerialConfig config{.device = pty.path(), .fields = {{.name = "value"}}, .first_line = FirstLine::keep};
-        if (!is_unplugged) config.silence = 50ms;
+        SerialConfig config{.device = pty.path(),
+                            .lines = {.fields = {{.name = "value"}}, .first_line = FirstLine::keep}};
+        if (!is_unplugged) config.lines.silence = 50ms;
         SerialLineSensor line(loop, {.name = "a", .topic = "a"}, config);
         line.on_error([](const ErrorReport&) {});
         pty.send("1\n2\n");

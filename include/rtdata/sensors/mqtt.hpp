@@ -35,7 +35,7 @@
 #include <vector>
 
 #include "rtdata/net/mqtt.hpp"
-#include "rtdata/sensors/serial_line.hpp"
+#include "rtdata/sensors/lines.hpp"
 
 namespace rtdata {
 

@@ -24,7 +24,7 @@
 
 #include "rtdata/io/serial.hpp"
 #include "rtdata/sensors/driver.hpp"
-#include "rtdata/sensors/serial_line.hpp"
+#include "rtdata/sensors/lines.hpp"
 
 namespace rtdata {
 

@@ -1,4 +1,5 @@
 #include "app/core/standard_drivers.hpp"
+#include "rtdata/sensors/command.hpp"
 #include "rtdata/sensors/serial_line.hpp"
 #include "rtdata/sensors/w1.hpp"
 
@@ -10,11 +11,15 @@ void add_line_sensors(Registry& registry) {
       [](const W1Config&) { return Result(description_of<W1Temperature>()); }, makes<W1Sensor>);
   registry.add_sensor<SerialConfig>(
       "serial", "a device that sends lines of CSV, JSON or NMEA over a serial line",
-      [](const SerialConfig& config) { return serial_description(config); }, makes<SerialLineSensor>,
+      [](const SerialConfig& config) { return description_of_lines(config.lines); }, makes<SerialLineSensor>,
       [](PartPlan& plan, const SerialConfig& config) {
         plan.place = {"", config.device, ""};
       },
       {.aliases = "arduino uart rs232 usb teensy esp32"});
+  registry.add_sensor<CommandConfig>(
+      "command", "a program of your own whose lines are events",
+      [](const CommandConfig& config) { return description_of_lines(config.lines); }, makes<CommandSensor>,
+      [](PartPlan&, const CommandConfig&) {}, {.aliases = "script python program exec shell stdout"});
 }
 
 }  // namespace rtdata::app

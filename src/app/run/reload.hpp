@@ -82,9 +82,9 @@ class Reload {
     Timer patience = {};
     std::vector<std::string> left = {};  // what waits in recordings and is not sent afterwards, a line each
     std::vector<RemovedSender> removed_senders = {};
-    std::size_t reported_parts = 0;      // number of changed parts already logged
-    std::string details = {};            // its messages, a line each
-    std::string missing = {};            // parts that could not be made, although it is applied
+    std::size_t reported_parts = 0;  // number of changed parts already logged
+    std::string details = {};        // its messages, a line each
+    std::string missing = {};        // parts that could not be made, although it is applied
   };
   using Weak = std::weak_ptr<Change>;
   void conclude(Change& change, LogLevel level, const std::string& text, std::string_view id = {});

@@ -19,8 +19,8 @@ constexpr Duration look_after = std::chrono::milliseconds{5};
 constexpr const char* topic_key = "$topic";
 constexpr const char* retained_key = "$retained";
 
-SerialConfig line_config(const MqttSensorConfig& config) {
-  SerialConfig line;
+LineConfig line_config(const MqttSensorConfig& config) {
+  LineConfig line;
   line.format = config.format == MqttFormat::csv ? LineFormat::csv : LineFormat::json;
   line.fields = config.fields;
   line.separator = config.separator;

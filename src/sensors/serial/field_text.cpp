@@ -93,8 +93,11 @@ std::optional<FieldText::Found> FieldText::known_text(std::string_view text) con
 
 bool FieldText::is_no_number(std::string_view text) const noexcept {
   double value = 0;
-  return has_numbers_of_none_ && read_number(text, value) == std::errc{} &&
-         std::any_of(no_value_.begin(), no_value_.end(), [&](const auto& none) { return none.second == value; });
+  return has_numbers_of_none_ && read_number(text, value) == std::errc{} && is_none(value);
+}
+
+bool FieldText::is_none(double number) const noexcept {
+  return std::any_of(no_value_.begin(), no_value_.end(), [&](const auto& none) { return none.second == number; });
 }
 
 /// Puts the digits before the mark into the buffer. `thousands` stands before groups of three of them, else it is

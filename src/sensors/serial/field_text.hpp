@@ -8,7 +8,7 @@
 #include <utility>
 #include <vector>
 
-#include "rtdata/sensors/serial_line.hpp"
+#include "rtdata/sensors/lines.hpp"
 
 namespace rtdata::detail {
 
@@ -29,6 +29,8 @@ class FieldText {
   };
   /// No allocation.
   Found read(std::string_view text);
+  /// True if it is one of the numbers in `no_value`.
+  bool is_none(double number) const noexcept;
 
  private:
   std::optional<Found> known_text(std::string_view text) const noexcept;

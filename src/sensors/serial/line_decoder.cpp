@@ -7,10 +7,14 @@
 #include <utility>
 
 #include "data/character.hpp"
+#include "data/field_layout.hpp"
 #include "data/lower_case.hpp"
 #include "data/number_text.hpp"
 #include "data/utf8.hpp"
+#include "rtdata/data/config_item.hpp"
+#include "rtdata/sensors/gps.hpp"
 #include "sensors/core/sysfs_file.hpp"
+#include "sensors/serial/frame_cutter.hpp"
 
 namespace rtdata {
 namespace {
@@ -27,8 +31,6 @@ std::string type_name(Kind kind) {
 Error refused(std::string where, std::string why, std::string advice) {
   return {Errc::bad_argument, "cannot use these fields", std::move(where), std::move(why), std::move(advice)};
 }
-
-bool is_integer_kind(Kind kind) noexcept { return kind >= Kind::i8 && kind <= Kind::u64; }
 
 }  // namespace
 
@@ -128,13 +130,20 @@ bool begins_a_boolean(std::string_view text) noexcept {
   return false;
 }
 
-void check_marks(const SerialConfig& config) {
+void check_marks(const LineConfig& config) {
   const auto refuse = [](const char* key, std::string why, const char* advice) {
     throw SetupError(refused(key, std::move(why), advice));
   };
   constexpr std::string_view ends("\n\r\0", 3);
   const std::string& comment = config.comment;
   const bool is_csv = config.format == LineFormat::csv;
+  if (config.frame && config.line_end != '\n') refuse("line_end", "events are frames", "leave it out, or `frame`");
+  if (config.format == LineFormat::binary && !config.frame)
+    refuse("frame", "bytes without a frame have no beginning", "set `frame`");
+  if (config.frame && config.format == LineFormat::nmea) refuse("frame", "NMEA has lines", "leave `frame` out");
+  if (config.checksum && config.checksum->of == ChecksumOf::row && config.format != LineFormat::labels)
+    refuse("checksum", "only labels have rows", "leave `of` out");
+  if (config.format == LineFormat::labels) return;
   if (comment.find_first_of(ends) != std::string::npos)
     refuse("comment", "no line begins with the end of a line", "such as \"#\", or \"\" for none");
   if (!comment.empty() && comment.find_first_not_of(" \t") == std::string::npos)
@@ -163,7 +172,7 @@ std::string shown(std::string_view text) {
 
 }  // namespace
 
-LineDecoder::LineDecoder(const SerialConfig& config, AroundLine around)
+LineDecoder::LineDecoder(const LineConfig& config, AroundLine around)
     : around_(std::move(around)),
       bad_line_("cannot use a " + around_.what),
       fields_(config.fields),
@@ -171,6 +180,8 @@ LineDecoder::LineDecoder(const SerialConfig& config, AroundLine around)
       format_(config.format),
       separator_(config.separator),
       comment_(config.comment),
+      only_(config.only),
+      unreadable_if_(config.unreadable_if),
       payload_((description_->size() + sizeof(std::max_align_t) - 1) / sizeof(std::max_align_t)),
       seen_(fields_.size()) {
   check_marks(config);
@@ -183,10 +194,35 @@ LineDecoder::LineDecoder(const SerialConfig& config, AroundLine around)
     const auto& given = around_.given;
     is_given_.push_back(std::find(given.begin(), given.end(), field.key) != given.end());
     if (!is_given_.back()) ++columns_;
-    if (format_ == LineFormat::json && field.key.empty()) {
-      throw SetupError(
-          refused("field " + std::to_string(leaves_.size()), "a field of JSON has no name", "give it a `name`"));
+    if ((format_ == LineFormat::json || format_ == LineFormat::labels) && field.key.empty()) {
+      throw SetupError(refused("field " + std::to_string(leaves_.size()),
+                               format_ == LineFormat::json ? "a field of JSON has no name" : "a field has no name",
+                               "give it a `name`"));
     }
+    if (format_ != LineFormat::binary && (field.at || field.wire))
+      throw SetupError(refused("field " + field.name, "`at` and `wire` are of binary frames", "leave them out"));
+    if (format_ != LineFormat::labels && field.column != 1)
+      throw SetupError(refused("field " + field.name, "`column` is of labels", "leave it out"));
+  }
+  if (config.checksum) {
+    checksum_.emplace(*config.checksum);
+    has_row_checksums_ = config.checksum->of == ChecksumOf::row;
+  }
+  for (const auto* match : {&only_, &unreadable_if_}) {
+    if (!*match) continue;
+    const char* const key = match == &only_ ? "only" : "unreadable_if";
+    const LineMatch& of = **match;
+    const auto refuse = [&](const char* why, const char* advice) { throw SetupError(refused(key, why, advice)); };
+    if (of.is.empty() && of.begins.empty() && of.contains.empty())
+      refuse("it does not say what the text is", "set `is`, `begins` or `contains`");
+    if (of.column != 0 && format_ != LineFormat::csv) refuse("only CSV has columns", "use `key`, or the whole line");
+    if (!of.key.empty() && format_ != LineFormat::json && format_ != LineFormat::labels)
+      refuse("only JSON and labels have keys", "use `column`, or the whole line");
+    if (format_ == LineFormat::binary) refuse("frames of bytes have no text", "leave it out");
+  }
+  if (format_ == LineFormat::binary) {
+    if (config.separator != ',') throw SetupError(refused("separator", "bytes have none", "leave it out"));
+    binary_.emplace(fields_, *description_, config.frame->byte_order);
   }
   for (const LineField& field : config.fields)
     if (format_ == LineFormat::csv && (field.decimal == separator_ || field.thousands == std::string(1, separator_)))
@@ -208,9 +244,26 @@ bool LineDecoder::is_skipped(std::string_view line) const noexcept {
   return trimmed(line).empty() || (!comment_.empty() && line.starts_with(comment_));
 }
 
+bool LineDecoder::is_meant(std::string_view line) { return !only_ || matches(*only_, line); }
+
+Result<std::string_view> LineDecoder::checked(std::string_view line) const {
+  return checksum_ && !has_row_checksums_ ? checksum_->checked(line) : Result(line);
+}
+
+bool LineDecoder::matches(const LineMatch& match, std::string_view line) {
+  const auto text = text_in_question(match, line);
+  return text && text->starts_with(match.begins) && text->find(match.contains) != std::string_view::npos &&
+         (match.is.empty() || std::find(match.is.begin(), match.is.end(), *text) != match.is.end());
+}
+
 Result<void> LineDecoder::decode(std::string_view line) {
   std::memset(payload_.data(), 0, payload_.size() * sizeof payload_[0]);
+  if (unreadable_if_ && matches(*unreadable_if_, line))
+    return Error{Errc::bad_data, bad_line_, shown(line), "the device says that it has no value (`unreadable_if`)",
+                 "check the device"};
+  if (binary_) return binary_->decode(line, texts_, payload());
   if (format_ == LineFormat::json) return decode_json(line);
+  if (format_ == LineFormat::labels) return decode_labels(line);
   Result<void> done = decode_csv(line);
   if (done) return done;
   Error error = std::move(done).error();
@@ -359,6 +412,54 @@ Result<void> LineDecoder::decode_csv(std::string_view line) {
   return {};
 }
 
+/// The first row with this label; empty: there is none.
+static std::optional<std::string_view> row_of(std::string_view rows, std::string_view label, char separator) {
+  while (!rows.empty()) {
+    const std::size_t end = std::min(rows.find('\n'), rows.size());
+    const std::string_view row = trimmed(rows.substr(0, end));
+    rows.remove_prefix(std::min(end + 1, rows.size()));
+    const std::size_t mark = row.find(separator);
+    if (mark != std::string_view::npos && trimmed(row.substr(0, mark)) == label) return row.substr(mark + 1);
+  }
+  return std::nullopt;
+}
+
+/// Rows of a label and values.
+Result<void> LineDecoder::decode_labels(std::string_view rows) {
+  std::fill(seen_.begin(), seen_.end(), false);
+  while (!rows.empty()) {
+    const std::size_t end = std::min(rows.find('\n'), rows.size());
+    std::string_view row = rows.substr(0, end);
+    rows.remove_prefix(std::min(end + 1, rows.size()));
+    if (row.ends_with('\r')) row.remove_suffix(1);
+    const std::size_t mark = row.find(separator_);
+    if (mark == std::string_view::npos) continue;
+    const std::string_view label = trimmed(row.substr(0, mark));
+    bool is_checked = false;
+    for (std::size_t i = 0; i < fields_.size(); ++i) {
+      if (is_given(i) || fields_[i].key != label) continue;
+      if (has_row_checksums_ && !std::exchange(is_checked, true)) {
+        const Result<std::string_view> good = checksum_->checked(row);
+        if (!good) return failure(Errc::bad_data, i, good.error().why);
+        row = *good;
+      }
+      if (seen_[i]) return failure(Errc::bad_data, i, "it is there twice");
+      std::string_view rest = row.substr(mark + 1);
+      Result<Column> column = next_column(i, rest);
+      for (std::size_t n = 1; column && n < fields_[i].column; ++n) {
+        if (rest.data() == nullptr)
+          return failure(Errc::bad_data, i, "its row has only " + std::to_string(n) + " columns");
+        column = next_column(i, rest);
+      }
+      if (!column) return column.error();
+      seen_[i] = true;
+      if (fields_[i].optional && column->text.empty() && !column->is_quoted) continue;
+      if (Result<void> done = put(i, column->text); !done) return done;
+    }
+  }
+  return all_seen();
+}
+
 /// Follows the parser through one object, and takes the values whose path is a field's key.
 class LineDecoder::JsonHandler {
  public:
@@ -367,7 +468,9 @@ class LineDecoder::JsonHandler {
   using number_float_t = nlohmann::json::number_float_t;
   using string_t = nlohmann::json::string_t;
   using binary_t = nlohmann::json::binary_t;
-  explicit JsonHandler(LineDecoder& decoder) : decoder_(decoder) {}
+  /// `wanted`: only looks for this value; empty: takes the fields.
+  explicit JsonHandler(LineDecoder& decoder, std::string_view wanted = {}) : decoder_(decoder), wanted_(wanted) {}
+  bool has_found() const noexcept { return has_found_; }
 
   bool null() { return take(Form::null, "null"); }
   bool boolean(bool is_true) { return take(Form::boolean, is_true ? "true" : "false"); }
@@ -426,6 +529,8 @@ class LineDecoder::JsonHandler {
   }
 
   LineDecoder& decoder_;
+  const std::string_view wanted_;
+  bool has_found_ = false;
   std::string path_;                 // of the key last seen
   std::vector<std::size_t> starts_;  // where in it the key of each open object starts
   std::size_t arrays_ = 0;           // open ones
@@ -435,6 +540,12 @@ class LineDecoder::JsonHandler {
 bool LineDecoder::JsonHandler::take(Form form, std::string_view text) {
   if (arrays_ != 0) return true;
   if (starts_.empty()) return false;
+  if (!wanted_.empty()) {
+    if (path_ != wanted_) return true;
+    decoder_.found_ = text;
+    has_found_ = true;
+    return false;  // no more is needed
+  }
   for (std::size_t i = 0; i < decoder_.fields_.size(); ++i) {
     if (decoder_.fields_[i].key != path_ || decoder_.is_given(i)) continue;
     const Kind kind = decoder_.fields_[i].type;
@@ -470,11 +581,35 @@ Result<void> LineDecoder::decode_json(std::string_view line) {
     if (error.where.empty()) error.where = shown(line);
     return error;
   }
+  return all_seen();
+}
+
+Result<void> LineDecoder::all_seen() const {
   for (std::size_t i = 0; i < fields_.size(); ++i) {
     if (!seen_[i] && !fields_[i].optional && !is_given(i))
       return failure(Errc::bad_data, i, "the " + around_.what + " has no \"" + fields_[i].key + "\"");
   }
   return {};
+}
+
+std::optional<std::string_view> LineDecoder::text_in_question(const LineMatch& match, std::string_view line) {
+  if (!match.key.empty() && format_ == LineFormat::labels) {
+    const auto row = row_of(line, match.key, separator_);
+    return row ? std::optional(trimmed(row->substr(0, row->find(separator_)))) : std::nullopt;
+  }
+  if (!match.key.empty()) {
+    JsonHandler handler(*this, match.key);
+    nlohmann::json::sax_parse(line.begin(), line.end(), &handler);
+    return handler.has_found() ? std::optional<std::string_view>(found_) : std::nullopt;
+  }
+  if (match.column == 0) return trimmed(line);
+  std::string_view rest = separator_ == ' ' ? trimmed(line) : line;
+  for (unsigned i = 1;; ++i) {
+    const Result<Column> column = next_column(0, rest);
+    if (!column) return std::nullopt;
+    if (i == match.column) return column->text;
+    if (rest.data() == nullptr) return std::nullopt;
+  }
 }
 
 std::uint64_t LineDecoder::number() const noexcept {
@@ -513,4 +648,31 @@ bool LineDecoder::takes_back() const noexcept {
 }
 
 }  // namespace detail
+
+Result<std::shared_ptr<const Description>> description_of_lines(const LineConfig& config) {
+  if (config.format == LineFormat::nmea) return description_of<GpsFix>();
+  return line_description(config.fields);
+}
+
+void check_config(const LineConfig& config, const ConfigItem& item, Problems& problems) {
+  if (config.format == LineFormat::nmea) return;
+  try {
+    const detail::LineDecoder decoder(config);
+    if (config.frame) detail::FrameCutter(*config.frame, config.max_line);
+  } catch (const SetupError& error) {
+    const Error& e = error.error();
+    const std::string_view keys[] = {"sequence_field", "separator", "comment",       "line_end",
+                                     "frame",          "only",      "unreadable_if", "checksum"};
+    const bool is_of_key = std::find(std::begin(keys), std::end(keys), e.where) != std::end(keys);
+    const std::string key = is_of_key ? e.where : "fields";
+    const ConfigItem* at = item.find(key);
+    if (at == nullptr && key == "comment") at = item.find("separator");  // which is that of the default
+    const bool is_key = e.where.empty() || e.where == key;
+    problems.add(
+        (at != nullptr ? *at : item).problem("bad-value", (is_key ? "" : e.where + ": ") + e.why + "; " + e.advice));
+  }
+}
+
+ReadTime read_time(const LineConfig&) { return {.on_loop = std::chrono::microseconds{500}}; }
+
 }  // namespace rtdata

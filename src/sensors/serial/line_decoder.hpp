@@ -7,7 +7,9 @@
 #include <string_view>
 #include <vector>
 
-#include "rtdata/sensors/serial_line.hpp"
+#include "rtdata/sensors/lines.hpp"
+#include "sensors/serial/binary_fields.hpp"
+#include "sensors/serial/checksum.hpp"
 #include "sensors/serial/field_text.hpp"
 
 namespace rtdata::detail {
@@ -22,11 +24,15 @@ struct AroundLine {
 class LineDecoder {
  public:
   /// SetupError (bad-argument, bad-description).
-  explicit LineDecoder(const SerialConfig& config, AroundLine around = {});
+  explicit LineDecoder(const LineConfig& config, AroundLine around = {});
 
   const std::shared_ptr<const Description>& description() const noexcept { return description_; }
   /// True if the line is empty or a comment.
   bool is_skipped(std::string_view line) const noexcept;
+  /// False if `only` leaves the line out.
+  bool is_meant(std::string_view line);
+  /// The line or frame without its checksum. Errors: bad-data.
+  Result<std::string_view> checked(std::string_view line) const;
   /// Afterwards `payload` is the line's. Errors: bad-data, not-a-number, out-of-range, does-not-fit; no allocation when
   /// good.
   Result<void> decode(std::string_view line);
@@ -55,6 +61,10 @@ class LineDecoder {
   Result<void> decode_csv(std::string_view line);
   std::string advice_on(std::string_view line) const;
   Result<void> decode_json(std::string_view line);
+  Result<void> decode_labels(std::string_view rows);
+  Result<void> all_seen() const;
+  bool matches(const LineMatch& match, std::string_view line);
+  std::optional<std::string_view> text_in_question(const LineMatch& match, std::string_view line);
   /// Puts the text of column or key `index` in its place.
   Result<void> put(std::size_t index, std::string_view text);
   Result<void> put_value(std::size_t index, const Leaf& leaf, std::string_view text, double scale);
@@ -81,11 +91,16 @@ class LineDecoder {
   const Leaf* sequence_ = nullptr;
   std::optional<std::uint64_t> last_;    // the bits of the number
   std::optional<std::uint64_t> before_;  // of the line before that
+  std::optional<LineMatch> only_, unreadable_if_;
+  std::optional<Checksum> checksum_;
+  bool has_row_checksums_ = false;
+  std::optional<BinaryFields> binary_;
   std::vector<std::max_align_t> payload_;
   std::vector<bool> seen_;
   std::vector<bool> is_given_;
   std::size_t columns_ = 0;
-  std::string cell_;  // without its quotes
+  std::string cell_;   // without its quotes
+  std::string found_;  // the value in JSON that a match looks at
 };
 
 }  // namespace rtdata::detail

@@ -3,32 +3,11 @@
 #include <optional>
 
 #include "rtdata/data/config_item.hpp"
+#include "sensors/serial/hex_bytes.hpp"
 #include "sensors/serial/line_decoder.hpp"
 
 namespace rtdata {
 namespace {
-
-/// Bytes written as two hexadecimal digits each, with blanks between them or not.
-std::optional<std::string> bytes_of_hex(std::string_view text) {
-  std::string bytes;
-  int high = -1;
-  for (const char c : text) {
-    if (c == ' ' && high < 0) continue;
-    const int digit = c >= '0' && c <= '9'   ? c - '0'
-                      : c >= 'a' && c <= 'f' ? c - 'a' + 10
-                      : c >= 'A' && c <= 'F' ? c - 'A' + 10
-                                             : -1;
-    if (digit < 0) return std::nullopt;
-    if (high < 0) {
-      high = digit;
-    } else {
-      bytes += static_cast<char>(high * 16 + digit);
-      high = -1;
-    }
-  }
-  if (high >= 0) return std::nullopt;
-  return bytes;
-}
 
 struct Mistake {
   const char* key;
@@ -40,15 +19,15 @@ std::optional<Mistake> mistake_in_request(const Query::Config& config) {
     return Mistake{"request", "there is no request", "set `request` or `request_hex`"};
   if (!config.request.empty() && !config.request_hex.empty())
     return Mistake{"request_hex", "there is a `request` too", "remove one of them"};
-  const auto bytes = bytes_of_hex(config.request_hex);
+  const auto bytes = detail::bytes_of_hex(config.request_hex);
   if (!bytes || (config.request.empty() && bytes->empty()))
     return Mistake{"request_hex", "these are not bytes", "two hexadecimal digits each, such as \"02 4d 0d\""};
   return std::nullopt;
 }
 
 /// The answer, as lines that come by themselves.
-SerialConfig as_lines(const Query::Config& config) {
-  SerialConfig lines;
+LineConfig as_lines(const Query::Config& config) {
+  LineConfig lines;
   lines.format = config.format;
   lines.fields = config.fields;
   lines.separator = config.separator;
@@ -60,7 +39,7 @@ SerialConfig as_lines(const Query::Config& config) {
 std::string request_of(const Query::Config& config) {
   if (const auto mistake = mistake_in_request(config))
     throw SetupError({Errc::bad_argument, "cannot use this query", mistake->key, mistake->why, mistake->advice});
-  return config.request.empty() ? *bytes_of_hex(config.request_hex) : config.request;
+  return config.request.empty() ? *detail::bytes_of_hex(config.request_hex) : config.request;
 }
 
 }  // namespace

@@ -1,0 +1,304 @@
+/// LineConfig: what devices that send lines of text have in common, whatever the lines come through (serial_line.hpp).
+/// Query (query.hpp) and MqttSensor (mqtt.hpp) decode with the same fields.
+///
+/// Each line becomes one event with the configured fields; its time is the time of the read that completed the line.
+///
+/// - CSV as in RFC 4180, one row a line: one column for each field, in order; a field without a name skips its column.
+///   Blanks and double quotes around a column are removed; within quotes a separator belongs to the column and a quote
+///   is written twice. JSON: one object a line, keys in any order, other keys ignored; "imu.ax" as a field's `key`
+///   selects from nested objects.
+/// - An empty column (JSON: null, or no such key) makes an `optional` field absent and a text empty; for other fields
+///   it is an error. Numbers are rounded to the nearest representable one: 1e-400 is 0. A bool is true, false, 1 or 0,
+///   in upper or lower case. A byte order mark at the beginning is ignored.
+/// - Text around a number is taken off by a field's `prefix`, `suffix`, `decimal`, `thousands`, `base` and
+///   `sign_blanks`; `no_value` and `words` name texts that stand for no value, and for numbers. In JSON, such a field
+///   may be a text.
+/// - A line ends with a newline; a carriage return before it is ignored. The sensor skips empty lines, lines that begin
+///   with `comment`, and the first `skip_lines` lines after opening.
+/// - The bytes up to the first newline after opening may be half a line: they are discarded and counted
+///   (`SensorCounts::first_lines`), unless `first_line` is `keep` or no byte came for 100 ms after opening.
+/// - An unusable line (a missing column, not a number, out of its type's range, longer than `max_line`) is counted as
+///   unreadable and reported; other lines are not affected.
+/// - `sequence_field` names an integer with which the device numbers its lines: a jump counts as lost, minus the
+///   unusable lines in between; an equal number counts as repeated and is not published. A number that goes back is a
+///   restart of the device, unless the field's type wraps around. A line whose number makes a jump is held until the
+///   next one, for `silence` or a second at most: when that takes the jump back, as after a wrong digit, the line is
+///   unreadable; else both are published with their own times.
+/// - Without a line for longer than `silence` the sensor is degraded until a good line comes, with a gap (silent).
+/// - Without a line end for max(4 KiB, `max_line`), for example at the wrong speed, the sensor is degraded, and this
+///   counts as one unreadable line.
+///
+/// `format` nmea: a satellite receiver (GPS or others) without gpsd, which sends NMEA 0183 sentences. `fields` is not
+/// used: events are `GpsFix` (gps.hpp), as of GpsSensor.
+///
+/// - The sentences of one instant become one event: GGA, RMC, VTG and GSA; the number of visible satellites is that of
+///   the GSV sentences before. It is published with the last of them, which is learned from the instant before, or when
+///   the first of the next instant comes; its time is that of the read which brought the last. Sentences without a time
+///   (VTG, GSA) belong to the last with one; RMC's velocity is used before VTG's.
+/// - A value that a sentence does not give is absent, never 0; without a fix (GGA 0, RMC V) there is no position and no
+///   velocity.
+/// - A sentence with a wrong or missing checksum, or with unreadable content, is counted as unreadable; its values are
+///   absent. `received` counts fixes and unreadable sentences; sentences of other kinds are not counted.
+///
+/// Values.
+#pragma once
+
+#include <cstddef>
+#include <map>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "rtdata/data/parameter.hpp"
+#include "rtdata/data/error.hpp"
+#include "rtdata/sensors/feed.hpp"
+
+namespace rtdata {
+
+/// One field of a line.
+struct LineField {
+  std::string name = {};       ///< of the payload's field; empty (CSV only): skip the column
+  Kind type = Kind::f64;       ///< any but enumeration and record
+  std::string unit = {};       ///< UCUM
+  double scale = 1;            ///< a float or double is multiplied by it
+  std::string key = {};        ///< JSON: where it is in the object, levels separated by dots; empty: as the name
+  std::size_t length = 32;     ///< of a text: the most bytes it may have
+  bool optional = false;       ///< an empty column, null or a missing key makes the field absent; otherwise an error
+  std::string prefix = {};     ///< what a value begins with, such as "T="; without it the line is unreadable
+  std::string suffix = {};     ///< what it ends with, such as " kg"
+  char decimal = '.';          ///< the decimal mark: a point or a comma
+  std::string thousands = {};  ///< one character that may stand between digits; empty: none
+  unsigned base = 10;          ///< of whole numbers, 2 to 16: 16 reads "0x1f" and "1F"
+  bool sign_blanks = false;    ///< blanks may stand between sign and digits: "-  12.5"
+  std::size_t column = 1;      ///< labels: which of the columns after the label
+  std::optional<std::size_t> at = {};        ///< binary: the first byte in the frame, from 0
+  std::optional<Kind> wire = {};             ///< binary: the type in the frame; empty: as `type`
+  std::vector<std::string> no_value = {};    ///< texts or numbers that stand for no value; makes the field optional
+  std::map<std::string, double> words = {};  ///< words that stand for numbers, which are not scaled
+
+  friend constexpr auto parameters(type_tag<LineField>) {
+    return parameter_list(
+        parameter("name", &LineField::name, "name of the field; without one the column is not kept", TextIs::field),
+        parameter("type", &LineField::type, "type of the value",
+                  choices(value("bool", Kind::boolean), value("char", Kind::character), value("int8", Kind::i8),
+                          value("int16", Kind::i16), value("int32", Kind::i32), value("int64", Kind::i64),
+                          value("uint8", Kind::u8), value("uint16", Kind::u16), value("uint32", Kind::u32),
+                          value("uint64", Kind::u64), value("float", Kind::f32), value("double", Kind::f64),
+                          value("text", Kind::text))),
+        parameter("unit", &LineField::unit, "unit of the value (UCUM)", TextIs::unit),
+        parameter("scale", &LineField::scale, "factor, for float and double", not_zero,
+                  only_with("type", "float", "double")),
+        parameter("key", &LineField::key,
+                  "JSON: where it is, levels separated by dots; labels: the label; empty: as the name"),
+        parameter("column", &LineField::column, "labels: which of the columns after the label", range(1, 64)),
+        parameter("at", &LineField::at, "binary: the first byte in the frame, from 0", range(0, 65535)),
+        parameter("wire", &LineField::wire, "binary: its type in the frame, if it is scaled into another",
+                  choices(value("int8", Kind::i8), value("int16", Kind::i16), value("int32", Kind::i32),
+                          value("int64", Kind::i64), value("uint8", Kind::u8), value("uint16", Kind::u16),
+                          value("uint32", Kind::u32), value("uint64", Kind::u64), value("float", Kind::f32),
+                          value("double", Kind::f64))),
+        parameter("length", &LineField::length, "of a text: the most bytes it may have", range(1, 255),
+                  only_with("type", "text")),
+        parameter("optional", &LineField::optional, "an empty column, null or a missing key is no value"),
+        parameter("prefix", &LineField::prefix, "what the value begins with, such as \"T=\""),
+        parameter("suffix", &LineField::suffix, "what the value ends with, such as \" kg\""),
+        parameter("decimal", &LineField::decimal, "the decimal mark: a point or a comma"),
+        parameter("thousands", &LineField::thousands, "a character that may stand between the digits of a number"),
+        parameter("base", &LineField::base, "of whole numbers: 16 for \"1F\" and \"0x1f\"", range(2, 16)),
+        parameter("sign_blanks", &LineField::sign_blanks, "blanks may stand between sign and digits"),
+        parameter(
+            "no_value", &LineField::no_value,
+            "texts, also of numbers, that stand for no value, such as [\"-9999\", \"OL\"]; the field is optional"),
+        parameter("words", &LineField::words, "numbers for words: {\"ON\": 1, \"OFF\": 0}; they are not scaled"));
+  }
+};
+
+enum class LineFormat { csv, json, nmea, labels, binary };
+constexpr auto describe(type_tag<LineFormat>) {
+  return enumeration("format", value("csv", LineFormat::csv), value("json", LineFormat::json),
+                     value("nmea", LineFormat::nmea), value("labels", LineFormat::labels),
+                     value("binary", LineFormat::binary));
+}
+enum class FirstLine { discard, keep };
+constexpr auto describe(type_tag<FirstLine>) {
+  return enumeration("first_line", value("discard", FirstLine::discard), value("keep", FirstLine::keep));
+}
+
+enum class WireOrder { little, big };
+constexpr auto describe(type_tag<WireOrder>) {
+  return enumeration("byte_order", value("little", WireOrder::little), value("big", WireOrder::big));
+}
+
+/// Chooses lines by what stands in them.
+struct LineMatch {
+  unsigned column = 0;               ///< CSV: in this column, from 1; 0: in the whole line
+  std::string key = {};              ///< JSON: in the value there; labels: in the first column after this label
+  std::vector<std::string> is = {};  ///< one of these texts is all of it
+  std::string begins = {};           ///< it begins with this
+  std::string contains = {};         ///< this is in it
+
+  friend constexpr auto parameters(type_tag<LineMatch>) {
+    return parameter_list(
+        parameter("column", &LineMatch::column, "CSV: the column that is looked at, from 1; 0: the whole line",
+                  range(0, 1000)),
+        parameter("key", &LineMatch::key, "JSON: the value that is looked at; labels: the label"),
+        parameter("is", &LineMatch::is, "it is one of these"),
+        parameter("begins", &LineMatch::begins, "it begins with this"),
+        parameter("contains", &LineMatch::contains, "it contains this"));
+  }
+};
+
+/// The names of CRCs are those of Greg Cook's catalogue; `sum6` is that of Teleinfo (EDF, Enedis-NOI-CPT_02E): the sum
+/// of the bytes, its lowest 6 bits, plus 0x20. `lrc`: with it all bytes make 0 (the two's complement of their sum).
+enum class ChecksumType {
+  xor8,
+  sum8,
+  sum16,
+  sum6,
+  lrc,
+  crc8,
+  crc8_maxim,
+  crc16_arc,
+  crc16_modbus,
+  crc16_ccitt,  ///< CRC-16/IBM-3740: 0x1021, begun with 0xffff
+  crc16_xmodem,
+  crc32
+};
+constexpr auto describe(type_tag<ChecksumType>) {
+  return enumeration("checksum", value("xor8", ChecksumType::xor8), value("sum8", ChecksumType::sum8),
+                     value("sum16", ChecksumType::sum16), value("sum6", ChecksumType::sum6),
+                     value("lrc", ChecksumType::lrc), value("crc8", ChecksumType::crc8),
+                     value("crc8_maxim", ChecksumType::crc8_maxim), value("crc16_arc", ChecksumType::crc16_arc),
+                     value("crc16_modbus", ChecksumType::crc16_modbus),
+                     value("crc16_ccitt", ChecksumType::crc16_ccitt),
+                     value("crc16_xmodem", ChecksumType::crc16_xmodem), value("crc32", ChecksumType::crc32));
+}
+enum class ChecksumForm { hex, big, little, character };
+constexpr auto describe(type_tag<ChecksumForm>) {
+  return enumeration("form", value("hex", ChecksumForm::hex), value("big", ChecksumForm::big),
+                     value("little", ChecksumForm::little), value("character", ChecksumForm::character));
+}
+enum class ChecksumOf { all, row };
+constexpr auto describe(type_tag<ChecksumOf>) {
+  return enumeration("of", value("all", ChecksumOf::all), value("row", ChecksumOf::row));
+}
+
+/// How a line or a frame is protected. It stands at the end, or behind the last `after`.
+struct LineChecksum {
+  ChecksumType type = ChecksumType::xor8;
+  ChecksumForm form = ChecksumForm::hex;  ///< hexadecimal digits; bytes, the high one first or last; a character
+  std::string after = {};                 ///< what stands before it, such as "*"; empty: nothing
+  bool covers_after = false;              ///< it covers `after`, too
+  std::size_t from = 0;                   ///< bytes at the beginning that it does not cover
+  std::size_t before = 0;                 ///< bytes before it (and `after`) that it does not cover
+  bool optional = false;                  ///< a line without `after` has none
+  ChecksumOf of = ChecksumOf::all;        ///< labels: each row has its own
+
+  friend constexpr auto parameters(type_tag<LineChecksum>) {
+    return parameter_list(
+        parameter("type", &LineChecksum::type, "how it is computed", rtdata::required),
+        parameter("form", &LineChecksum::form,
+                  "how it is written: digits, bytes with the high one first (big) or last (little), one character"),
+        parameter("after", &LineChecksum::after, "what stands before it, such as \"*\""),
+        parameter("covers_after", &LineChecksum::covers_after, "it covers `after` too"),
+        parameter("from", &LineChecksum::from, "bytes at the beginning that it does not cover", range(0, 65535)),
+        parameter("before", &LineChecksum::before, "bytes before it that it does not cover", range(0, 65535)),
+        parameter("optional", &LineChecksum::optional, "a line without `after` has none"),
+        parameter("of", &LineChecksum::of, "what it protects: all, or each row of labels"));
+  }
+};
+
+/// What one event is in a stream of bytes that are not lines. A frame has a start or an end, or both, or a start and a
+/// length. What is between frames is thrown away; but for ends of lines it is counted as unreadable.
+struct LineFrame {
+  std::string start = {}, start_hex = {};  ///< text or bytes that it begins with
+  std::string end = {}, end_hex = {};      ///< and ends with
+  std::size_t after_end = 0;               ///< bytes behind `end` that belong to it, such as a checksum
+  std::size_t length = 0;                  ///< of all of it, in bytes; 0: not always the same
+  std::size_t length_at = 0;               ///< where it says how long it is; 0: it does not
+  std::size_t length_bytes = 1;
+  std::size_t length_adds = 0;  ///< bytes of it that its length does not count
+  WireOrder byte_order = WireOrder::big;
+
+  friend constexpr auto parameters(type_tag<LineFrame>) {
+    return parameter_list(
+        parameter("start", &LineFrame::start, "what a frame begins with"),
+        parameter("start_hex", &LineFrame::start_hex, "the same as bytes, such as \"42 4d\""),
+        parameter("end", &LineFrame::end, "what it ends with"),
+        parameter("end_hex", &LineFrame::end_hex, "the same as bytes"),
+        parameter("after_end", &LineFrame::after_end, "bytes behind `end` that belong to it", range(0, 64)),
+        parameter("length", &LineFrame::length, "how long all of it is", rtdata::unit("By"), range(0, 65536)),
+        parameter("length_at", &LineFrame::length_at, "the byte where it says how long it is, from 0; 0: nowhere",
+                  range(0, 64)),
+        parameter("length_bytes", &LineFrame::length_bytes, "bytes of that number", range(1, 2)),
+        parameter("length_adds", &LineFrame::length_adds, "bytes of the frame that it does not count", range(0, 64)),
+        parameter("byte_order", &LineFrame::byte_order, "of that number, and of binary fields"));
+  }
+};
+
+struct LineConfig {
+  LineFormat format = LineFormat::csv;
+  std::vector<LineField> fields = {};
+  char separator = ',';       ///< between the columns of CSV; a blank stands for any number of blanks
+  std::string comment = "#";  ///< lines that begin with it are skipped; empty: none
+  char line_end = '\n';       ///< what ends a line; without a newline some devices send a carriage return
+  std::optional<LineFrame> frame = {};         ///< events are frames of bytes, not lines
+  std::optional<LineMatch> only = {};          ///< the lines that are meant; others count as filtered
+  std::optional<LineMatch> unreadable_if = {};  ///< lines by which the device says that it has no value
+  std::optional<LineChecksum> checksum = {};
+  unsigned skip_lines = 0;    ///< lines skipped after each opening, such as a heading
+  FirstLine first_line = FirstLine::discard;
+  std::size_t max_line = 4096;                            ///< bytes; a longer line is unreadable
+  std::string sequence_field = {};                        ///< the field that numbers the lines; empty: none
+  Duration silence{0};                                    ///< without a line for longer, it has a gap; 0: no limit
+  Duration retry_first = std::chrono::milliseconds{100};  ///< wait before a lost device is opened again
+  Duration retry_longest = std::chrono::seconds{10};      ///< the wait doubles up to this
+  bool start = true;                                      ///< start when made
+
+  friend constexpr auto parameters(type_tag<LineConfig>) {
+    using namespace std::chrono_literals;
+    return parameter_list(
+        parameter("format", &LineConfig::format, "how a line is written"),
+        parameter("fields", &LineConfig::fields, "what is in a line; not with `format` nmea",
+                  only_with("format", "csv", "json", "labels", "binary")),
+        parameter("separator", &LineConfig::separator, "between the columns of CSV, or label and value",
+                  only_with("format", "csv", "labels")),
+        parameter("comment", &LineConfig::comment, "lines that begin with it are skipped",
+                  only_with("format", "csv", "json", "labels", "binary")),
+        parameter("line_end", &LineConfig::line_end, "the character that ends a line"),
+        parameter("frame", &LineConfig::frame, "what an event is, if it is not a line"),
+        parameter("only", &LineConfig::only, "the lines that are meant; others are left out, and count as filtered"),
+        parameter("unreadable_if", &LineConfig::unreadable_if, "lines by which the device says that it has no value"),
+        parameter("checksum", &LineConfig::checksum, "how a line is protected; a wrong one makes it unreadable"),
+        parameter("skip_lines", &LineConfig::skip_lines, "lines skipped after each opening, such as a heading",
+                  range(0, 1000000)),
+        parameter("first_line", &LineConfig::first_line,
+                  "what comes first after opening may be half a line: discard or keep it"),
+        parameter("max_line", &LineConfig::max_line, "a longer line is unreadable", rtdata::unit("By"),
+                  range(16, 65536)),
+        parameter("sequence_field", &LineConfig::sequence_field, "the field by which the device numbers its lines",
+                  TextIs::field, only_with("format", "csv", "json", "labels", "binary")),
+        parameter("silence", &LineConfig::silence, "silent for longer, it is degraded and has a gap; 0: never",
+                  range(Duration{0}, Duration{24h})),
+        parameter("retry_first", &LineConfig::retry_first, "wait before a lost device is opened again",
+                  range(Duration{1ms}, Duration{1h})),
+        parameter("retry_longest", &LineConfig::retry_longest, "the wait doubles up to this",
+                  range(Duration{1ms}, Duration{24h})),
+        parameter("start", &LineConfig::start, "start it with the system"));
+  }
+};
+
+/// The description ("line") of the events that lines with these fields make. Errors: bad-description, bad-argument.
+Result<std::shared_ptr<const Description>> line_description(const std::vector<LineField>& fields);
+
+/// The description of the events: from the fields, or of a fix. Errors: as `line_description`.
+Result<std::shared_ptr<const Description>> description_of_lines(const LineConfig& config);
+
+/// Checks that `fields` and `sequence_field` go together, and that `separator` and `comment`
+/// are none of what columns hold.
+void check_config(const LineConfig& config, const ConfigItem& item, Problems& problems);
+/// How long the longest read takes: 1 KiB of short lines.
+ReadTime read_time(const LineConfig& config);
+
+}  // namespace rtdata

@@ -1,0 +1,220 @@
+#include "io/child_process.hpp"
+
+#include <fcntl.h>
+#include <poll.h>
+#include <pthread.h>
+#include <sched.h>
+#include <signal.h>
+#include <stdlib.h>
+#include <sys/ioctl.h>
+#include <sys/resource.h>
+#include <sys/syscall.h>
+#include <sys/wait.h>
+#include <termios.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <array>
+#include <atomic>
+#include <cerrno>
+#include <cstring>
+#include <list>
+#include <mutex>
+#include <thread>
+#include <utility>
+
+
+namespace rtdata::detail {
+namespace {
+
+constexpr int patience = 2000;  // ms
+constexpr const char* what = "cannot start the program";
+
+/// Closes itself.
+class Descriptor {
+ public:
+  Descriptor() = default;
+  explicit Descriptor(int fd) : fd_(fd) {}
+  Descriptor(const Descriptor&) = delete;
+  Descriptor& operator=(const Descriptor&) = delete;
+  ~Descriptor() { set(-1); }
+  void set(int fd) {
+    if (fd_ >= 0) ::close(fd_);
+    fd_ = fd;
+  }
+  int get() const { return fd_; }
+  int release() { return std::exchange(fd_, -1); }
+
+ private:
+  int fd_ = -1;
+};
+
+bool open_pipe(Descriptor& read, Descriptor& write) {
+  int ends[2];
+  if (::pipe2(ends, O_CLOEXEC) != 0) return false;
+  read.set(ends[0]);
+  write.set(ends[1]);
+  return ::fcntl(ends[0], F_SETFL, O_NONBLOCK) == 0;
+}
+
+/// Both sides of a raw terminal.
+bool open_terminal(Descriptor& master, Descriptor& slave) {
+  master.set(::posix_openpt(O_RDWR | O_NOCTTY | O_CLOEXEC | O_NONBLOCK));
+  std::array<char, 128> name{};
+  if (master.get() < 0 || ::grantpt(master.get()) != 0 || ::unlockpt(master.get()) != 0 ||
+      ::ptsname_r(master.get(), name.data(), name.size()) != 0)
+    return false;
+  slave.set(::open(name.data(), O_RDWR | O_NOCTTY | O_CLOEXEC));
+  if (slave.get() < 0) return false;
+  struct termios raw {};
+  if (::tcgetattr(slave.get(), &raw) != 0) return false;
+  ::cfmakeraw(&raw);
+  return ::tcsetattr(slave.get(), TCSANOW, &raw) == 0;
+}
+
+struct Start {
+  char* const* arguments;
+  int terminal, input, output, errors;
+};
+
+/// In the new process, which shares the memory of this one until it is another program: calls of the system only.
+[[noreturn]] void become(const Start& start, volatile int& error_number) {
+  struct sigaction usual {};
+  usual.sa_handler = SIG_DFL;
+  for (int number = 1; number < NSIG; ++number) ::sigaction(number, &usual, nullptr);
+  ::setsid();
+  ::ioctl(start.terminal, TIOCSCTTY, 0);
+  const sched_param none{};
+  ::sched_setscheduler(0, SCHED_OTHER, &none);
+  ::setpriority(PRIO_PROCESS, 0, 0);
+  cpu_set_t all;
+  std::memset(&all, 0xff, sizeof all);
+  ::sched_setaffinity(0, sizeof all, &all);
+  if (::dup2(start.input, 0) >= 0 && ::dup2(start.output, 1) >= 0 && ::dup2(start.errors, 2) >= 0) {
+    ::syscall(SYS_close_range, 3U, ~0U, 1U << 2);  // closed on exec; an older kernel has O_CLOEXEC of each
+    sigset_t empty;
+    ::sigemptyset(&empty);
+    ::sigprocmask(SIG_SETMASK, &empty, nullptr);
+    ::execvp(start.arguments[0], start.arguments);
+  }
+  error_number = errno;
+  ::_exit(127);
+}
+
+/// The pages of a large program are not copied; this thread waits until the new process is another program.
+[[gnu::noinline]] pid_t spawn(const Start& start, volatile int& error_number) {
+  const pid_t pid = ::vfork();
+  if (pid == 0) become(start, error_number);
+  return pid;
+}
+
+/// Blocks. Not yet reaped, so that the number of the process is nobody else's.
+void finish(const Child& child) noexcept {
+  struct pollfd ended {
+    child.ended, POLLIN, 0
+  };
+  const auto wait = [&] {
+    while (::poll(&ended, 1, patience) < 0 && errno == EINTR) {
+    }
+  };
+  wait();
+  ::kill(-child.pid, SIGKILL);  // also what it has started
+  wait();                       // in vain if its disk hangs
+  ::waitpid(child.pid, nullptr, WNOHANG);
+  for (const int fd : {child.output, child.errors, child.terminal, child.ended}) ::close(fd);
+}
+
+/// The threads that wait for the end of programs.
+class Endings {
+ public:
+  ~Endings() {
+    for (Ending& one : all_) one.thread.join();
+  }
+  void add(const Child& child) noexcept {
+    try {
+      const std::lock_guard guard(lock_);
+      all_.remove_if([](Ending& one) {
+        if (one.is_over) one.thread.join();
+        return !one.thread.joinable();
+      });
+      Ending& one = all_.emplace_back();
+      one.thread = std::thread([&one, child] {
+        finish(child);
+        one.is_over = true;
+      });
+    } catch (...) {  // no memory, no thread
+      finish(child);
+    }
+  }
+
+ private:
+  struct Ending {
+    std::thread thread;
+    std::atomic<bool> is_over{false};
+  };
+  std::mutex lock_;
+  std::list<Ending> all_;
+};
+
+}  // namespace
+
+Result<Child> start_child(const std::vector<std::string>& run, bool prints_to_terminal) {
+  const auto failure = [&](int error_number) {
+    return system_error(error_number, what, run.front(),
+                        error_number == ENOENT ? "check the first word of `run`: it is a program, not a shell's line"
+                                               : "check `run`");
+  };
+  Descriptor master, slave, read_output, write_output, read_errors, write_errors;
+  const Descriptor input(::open("/dev/null", O_RDONLY | O_CLOEXEC));
+  if (input.get() < 0 || !open_terminal(master, slave) || !open_pipe(read_errors, write_errors)) return failure(errno);
+  if (!prints_to_terminal && !open_pipe(read_output, write_output)) return failure(errno);
+  if (prints_to_terminal) {
+    read_output.set(::fcntl(master.get(), F_DUPFD_CLOEXEC, 3));
+    if (read_output.get() < 0) return failure(errno);
+  }
+  std::vector<char*> arguments;
+  for (const std::string& argument : run) arguments.push_back(const_cast<char*>(argument.c_str()));
+  arguments.push_back(nullptr);
+  const Start start{arguments.data(), slave.get(), input.get(),
+                    prints_to_terminal ? slave.get() : write_output.get(), write_errors.get()};
+  sigset_t all, before;
+  ::sigfillset(&all);
+  ::pthread_sigmask(SIG_SETMASK, &all, &before);  // no handler of this program runs in the new process
+  volatile int error_number = 0;
+  const pid_t pid = spawn(start, error_number);
+  const int fork_error = errno;
+  ::pthread_sigmask(SIG_SETMASK, &before, nullptr);
+  if (pid < 0) return failure(fork_error);
+  if (error_number != 0) {
+    ::waitpid(pid, nullptr, 0);
+    return failure(error_number);
+  }
+  Child child{pid, static_cast<int>(::syscall(SYS_pidfd_open, pid, 0)), -1, -1, -1};
+  if (child.ended < 0) {
+    const int no_pidfd = errno;
+    ::kill(-pid, SIGKILL);
+    ::waitpid(pid, nullptr, 0);
+    return failure(no_pidfd);
+  }
+  child.output = read_output.release();
+  child.errors = read_errors.release();
+  child.terminal = master.release();
+  return child;
+}
+
+void end_child(const Child& child) noexcept {
+  ::kill(-child.pid, SIGTERM);
+  static Endings endings;
+  endings.add(child);
+}
+
+std::string end_of(const Child& child) {
+  siginfo_t how{};
+  if (::waitid(P_PID, static_cast<id_t>(child.pid), &how, WEXITED | WNOHANG | WNOWAIT) != 0 || how.si_pid == 0)
+    return {};
+  if (how.si_code == CLD_EXITED) return "it has ended with status " + std::to_string(how.si_status);
+  const char* const name = ::sigabbrev_np(how.si_status);
+  return "it was ended by " + (name != nullptr ? "SIG" + std::string(name) : "signal " + std::to_string(how.si_status));
+}
+
+}  // namespace rtdata::detail

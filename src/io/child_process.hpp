@@ -1,0 +1,32 @@
+// A program of the user's own, in a session of its own.
+#pragma once
+
+#include <sys/types.h>
+
+#include <string>
+#include <vector>
+
+#include "rtdata/data/error.hpp"
+
+namespace rtdata::detail {
+
+/// Its descriptors do not block. `end_child` closes them.
+struct Child {
+  pid_t pid = -1;     ///< also of its session and process group
+  int ended = -1;     ///< a pidfd: readable when the program has ended
+  int output = -1;    ///< what it prints
+  int errors = -1;    ///< what it writes to its standard error
+  int terminal = -1;  ///< the other side of its controlling terminal: when it is closed, the session gets SIGHUP
+};
+
+/// May block: the program lies on a disk. Errors: not-found, not-permitted, and others of the system.
+Result<Child> start_child(const std::vector<std::string>& run, bool prints_to_terminal);
+
+/// Sends SIGTERM to the process group, SIGKILL when the program has ended or after 2 s, and closes the descriptors. A
+/// thread of its own waits for that; the end of this program waits for the thread.
+void end_child(const Child& child) noexcept;
+
+/// How it has ended, such as "it has ended with status 1"; empty: it runs.
+std::string end_of(const Child& child);
+
+}  // namespace rtdata::detail

@@ -1,0 +1,33 @@
+// Fields of a frame by their place in it.
+#pragma once
+
+#include <cstddef>
+#include <string_view>
+#include <vector>
+
+#include "rtdata/sensors/lines.hpp"
+#include "sensors/serial/field_text.hpp"
+
+namespace rtdata::detail {
+
+class BinaryFields {
+ public:
+  /// SetupError (bad-argument): a field without a place, or whose types do not go together. `order`: of their bytes.
+  BinaryFields(const std::vector<LineField>& fields, const Description& description, WireOrder order);
+
+  /// Errors: bad-data (the frame is too short). No allocation when good.
+  Result<void> decode(std::string_view frame, const std::vector<FieldText>& texts, std::byte* payload) const;
+
+ private:
+  struct Place {
+    const Leaf* leaf = nullptr;
+    std::size_t at = 0, size = 0;
+    Kind wire = Kind::f64;
+    double scale = 1;
+    bool is_converted = false;
+  };
+  std::vector<Place> places_;
+  bool is_big_;
+};
+
+}  // namespace rtdata::detail

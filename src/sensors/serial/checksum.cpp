@@ -1,0 +1,186 @@
+#include "sensors/serial/checksum.hpp"
+
+#include <algorithm>
+#include <charconv>
+#include <optional>
+
+#include "sensors/core/sysfs_file.hpp"
+
+namespace rtdata::detail {
+namespace {
+
+using Type = ChecksumType;
+using Form = ChecksumForm;
+
+/// By the names of the catalogue of Greg Cook: CRC-8/SMBUS, CRC-8/MAXIM-DOW, CRC-16/ARC, /MODBUS, /IBM-3740, /XMODEM,
+/// CRC-32/ISO-HDLC.
+struct Crc {
+  unsigned bits = 0;
+  std::uint32_t polynomial = 0, first = 0, last_xor = 0;
+  bool is_reflected = false;
+};
+std::optional<Crc> crc_of(Type type) noexcept {
+  switch (type) {
+    case Type::crc8:
+      return Crc{8, 0x07, 0, 0, false};
+    case Type::crc8_maxim:
+      return Crc{8, 0x31, 0, 0, true};
+    case Type::crc16_arc:
+      return Crc{16, 0x8005, 0, 0, true};
+    case Type::crc16_modbus:
+      return Crc{16, 0x8005, 0xffff, 0, true};
+    case Type::crc16_ccitt:
+      return Crc{16, 0x1021, 0xffff, 0, false};
+    case Type::crc16_xmodem:
+      return Crc{16, 0x1021, 0, 0, false};
+    case Type::crc32:
+      return Crc{32, 0x04c11db7, 0xffffffff, 0xffffffff, true};
+    default:
+      return std::nullopt;
+  }
+}
+
+std::uint32_t reflected(std::uint32_t value, unsigned bits) noexcept {
+  std::uint32_t result = 0;
+  for (unsigned i = 0; i < bits; ++i)
+    if ((value >> i & 1) != 0) result |= std::uint32_t{1} << (bits - 1 - i);
+  return result;
+}
+
+[[noreturn]] void refuse_checksum(const char* why, const char* advice) {
+  throw SetupError({Errc::bad_argument, "cannot use this checksum", "checksum", why, advice});
+}
+
+Error wrong_checksum(std::string why) { return {Errc::bad_data, "cannot use a line", "", std::move(why), "check `checksum`"}; }
+
+}  // namespace
+
+Checksum::Checksum(const LineChecksum& config) : config_(config) {
+  if (config.type == Type::sum6 && config.form != Form::character)
+    refuse_checksum("`sum6` is one character", "set `form` to character");
+  if (config.type != Type::sum6 && config.form == Form::character) refuse_checksum("only `sum6` is one character", "set `form`");
+  if (config.covers_after && config.after.empty()) refuse_checksum("there is no `after` to cover", "leave `covers_after` out");
+  if (config.optional && config.after.empty())
+    refuse_checksum("without `after` nothing says whether there is one", "set `after`, or leave `optional` out");
+  const auto crc = crc_of(config.type);
+  if (!crc) return;
+  first_ = crc->first;
+  last_xor_ = crc->last_xor;
+  is_reflected_ = crc->is_reflected;
+  const std::uint32_t polynomial = is_reflected_ ? reflected(crc->polynomial, crc->bits) : crc->polynomial;
+  const std::uint32_t top = std::uint32_t{1} << (crc->bits - 1);
+  for (std::uint32_t byte = 0; byte < table_.size(); ++byte) {
+    std::uint32_t value = is_reflected_ ? byte : byte << (crc->bits - 8);
+    for (int bit = 0; bit < 8; ++bit) {
+      if (is_reflected_) {
+        value = (value & 1) != 0 ? value >> 1 ^ polynomial : value >> 1;
+      } else {
+        value = (value & top) != 0 ? value << 1 ^ polynomial : value << 1;
+      }
+    }
+    table_[byte] = value;
+  }
+}
+
+std::size_t Checksum::bytes() const noexcept {
+  switch (config_.type) {
+    case Type::sum16:
+    case Type::crc16_arc:
+    case Type::crc16_modbus:
+    case Type::crc16_ccitt:
+    case Type::crc16_xmodem:
+      return 2;
+    case Type::crc32:
+      return 4;
+    default:
+      return 1;
+  }
+}
+
+/// How long it is in the text.
+std::size_t Checksum::width() const noexcept { return config_.form == Form::hex ? 2 * bytes() : bytes(); }
+
+std::uint32_t Checksum::crc(std::string_view of) const noexcept {
+  const std::size_t size = bytes();
+  std::uint32_t value = first_;
+  for (const char c : of) {
+    const auto byte = static_cast<unsigned char>(c);
+    if (is_reflected_) {
+      value = value >> 8 ^ table_[(value ^ byte) & 0xff];
+    } else if (size == 1) {
+      value = table_[(value ^ byte) & 0xff];
+    } else {
+      value = value << 8 ^ table_[(value >> (8 * size - 8) ^ byte) & 0xff];
+    }
+  }
+  return (value ^ last_xor_) & (size == 4 ? ~std::uint32_t{0} : (std::uint32_t{1} << (8 * size)) - 1);
+}
+
+std::uint32_t Checksum::of(std::string_view of) const noexcept {
+  std::uint32_t sum = 0, parity = 0;
+  for (const char c : of) {
+    const auto byte = static_cast<unsigned char>(c);
+    sum += byte;
+    parity ^= byte;
+  }
+  switch (config_.type) {
+    case Type::xor8:
+      return parity;
+    case Type::sum8:
+      return sum & 0xff;
+    case Type::sum16:
+      return sum & 0xffff;
+    case Type::lrc:
+      return (0u - sum) & 0xff;
+    case Type::sum6:
+      return (sum & 0x3f) + 0x20;
+    default:
+      return crc(of);
+  }
+}
+
+bool Checksum::read(std::string_view written, std::uint32_t& number) const noexcept {
+  if (config_.form == Form::hex) {
+    const auto [end, status] = std::from_chars(written.data(), written.data() + written.size(), number, 16);
+    return status == std::errc{} && end == written.data() + written.size();
+  }
+  number = 0;
+  for (std::size_t i = 0; i < written.size(); ++i) {
+    const auto byte = static_cast<unsigned char>(written[i]);
+    number |= static_cast<std::uint32_t>(byte)
+              << (config_.form == Form::little ? 8 * i : 8 * (written.size() - 1 - i));
+  }
+  return true;
+}
+
+Result<std::string_view> Checksum::checked(std::string_view text) const {
+  std::size_t end = text.size() < width() ? 0 : text.size() - width();  // of what is kept
+  std::string_view written = text.substr(end);
+  std::size_t covered = end;
+  if (!config_.after.empty()) {
+    end = text.rfind(config_.after);
+    if (end == std::string_view::npos) {
+      if (config_.optional) return text;
+      return wrong_checksum("it has no checksum after \"" + config_.after + "\"");
+    }
+    const std::size_t begin = end + config_.after.size();
+    written = text.substr(begin);
+    if (config_.form == Form::hex) written = trimmed(written);
+    covered = config_.covers_after ? begin : end;
+  }
+  std::uint32_t number = 0;
+  covered -= std::min(covered, config_.before);
+  if (written.size() != width() || covered < config_.from || !read(written, number))
+    return wrong_checksum("it has no checksum, or one that is cut off");
+  if (const std::uint32_t right = of(text.substr(config_.from, covered - config_.from)); number != right) {
+    const auto shown = [&](std::uint32_t value) {
+      char digits[9];
+      const auto last = std::to_chars(digits, digits + sizeof digits, value, 16).ptr;
+      return std::string(digits, last);
+    };
+    return wrong_checksum("its checksum is " + shown(number) + ", and should be " + shown(right) + " (hexadecimal)");
+  }
+  return text.substr(0, end);
+}
+
+}  // namespace rtdata::detail

@@ -1,0 +1,36 @@
+// The checksum of a line or a frame.
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <string>
+#include <string_view>
+
+#include "rtdata/sensors/lines.hpp"
+
+namespace rtdata::detail {
+
+/// A value; its calls allocate nothing but for an error.
+class Checksum {
+ public:
+  /// SetupError (bad-argument): settings that exclude each other.
+  explicit Checksum(const LineChecksum& config);
+
+  /// The text without its checksum. Errors: bad-data (it is wrong, or there is none).
+  Result<std::string_view> checked(std::string_view text) const;
+  std::uint32_t of(std::string_view bytes) const noexcept;
+
+ private:
+  std::size_t bytes() const noexcept;
+  std::size_t width() const noexcept;
+  bool read(std::string_view written, std::uint32_t& number) const noexcept;
+  std::uint32_t crc(std::string_view bytes) const noexcept;
+
+  const LineChecksum config_;
+  std::uint32_t first_ = 0, last_xor_ = 0;  // of a CRC
+  bool is_reflected_ = false;
+  std::array<std::uint32_t, 256> table_{};
+};
+
+}  // namespace rtdata::detail

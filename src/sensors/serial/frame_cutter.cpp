@@ -1,0 +1,89 @@
+#include "sensors/serial/frame_cutter.hpp"
+
+#include <algorithm>
+
+#include "sensors/serial/hex_bytes.hpp"
+
+namespace rtdata::detail {
+namespace {
+
+[[noreturn]] void refuse_frame(std::string why, const char* advice) {
+  throw SetupError({Errc::bad_argument, "cannot use these frames", "frame", std::move(why), advice});
+}
+
+std::string bytes_of(const char* key, const std::string& text, const std::string& hex) {
+  if (!text.empty() && !hex.empty())
+    refuse_frame("there are both `" + std::string(key) + "` and `" + key + "_hex`", "remove one of them");
+  auto bytes = bytes_of_hex(hex);
+  if (!bytes) refuse_frame("`" + std::string(key) + "_hex` is not bytes", "two hexadecimal digits each, such as \"42 4d\"");
+  return text.empty() ? *bytes : text;
+}
+
+}  // namespace
+
+FrameCutter::FrameCutter(const LineFrame& config, std::size_t longest)
+    : config_(config),
+      longest_(longest),
+      start_(bytes_of("start", config.start, config.start_hex)),
+      end_(bytes_of("end", config.end, config.end_hex)) {
+  if (start_.empty() && end_.empty())
+    refuse_frame("nothing says where a frame begins or ends", "set `start` or `end`, or `start_hex` or `end_hex`");
+  const bool has_length = config.length != 0 || config.length_at != 0;
+  if (end_.empty() && !has_length) refuse_frame("nothing says where a frame ends", "set `end`, `length` or `length_at`");
+  if (start_.empty() && has_length) refuse_frame("a frame of a known length has a start", "set `start` or `start_hex`");
+  if (config.length != 0 && config.length_at != 0) refuse_frame("there are two lengths", "remove `length` or `length_at`");
+  if (config.length > longest) refuse_frame("`length` is longer than `max_line`", "set a larger `max_line`");
+  if (config.length != 0 && config.length <= start_.size()) refuse_frame("`length` is that of the start", "count all bytes");
+  if (config.after_end != 0 && (end_.empty() || has_length))
+    refuse_frame("`after_end` belongs to an `end` without a length", "leave it out");
+}
+
+/// The length that a frame says it has; 0: its bytes are still to come.
+std::size_t FrameCutter::announced(std::string_view frame) const noexcept {
+  if (config_.length_at == 0) return config_.length;
+  if (frame.size() < config_.length_at + config_.length_bytes) return 0;
+  std::size_t length = 0;
+  for (std::size_t i = 0; i < config_.length_bytes; ++i) {
+    const std::size_t at = config_.byte_order == WireOrder::big ? i : config_.length_bytes - 1 - i;
+    length = length << 8 | static_cast<unsigned char>(frame[config_.length_at + at]);
+  }
+  return length + config_.length_adds;
+}
+
+FrameCutter::Found FrameCutter::next(std::string_view bytes) const noexcept {
+  for (std::size_t begin = 0;;) {
+    const std::size_t start = start_.empty() ? begin : bytes.find(start_, begin);
+    if (start == std::string_view::npos) {
+      // Its first bytes may be at the end.
+      const std::size_t kept = std::min(bytes.size() - begin, start_.size() - 1);
+      return {bytes.size() - kept, 0};
+    }
+    const std::string_view frame = bytes.substr(start);
+    begin = start + 1;
+    if (config_.length != 0 || config_.length_at != 0) {
+      const std::size_t size = announced(frame);
+      if (size == 0) return {start, 0};
+      if (size > longest_ || size < config_.length_at + config_.length_bytes || size < start_.size() + end_.size()) continue;
+      if (frame.size() < size) return {start, 0};
+      if (!frame.substr(0, size).ends_with(end_)) continue;
+      return {start, size};
+    }
+    const std::size_t end = frame.find(end_, start_.size());
+    if (end == std::string_view::npos ? frame.size() > longest_ : end + end_.size() + config_.after_end > longest_) {
+      if (start_.empty()) return {end == std::string_view::npos ? bytes.size() : end + end_.size(), 0};
+      continue;
+    }
+    if (end == std::string_view::npos) return {start, 0};
+    const std::size_t size = end + end_.size() + config_.after_end;
+    return frame.size() < size ? Found{start, 0} : Found{start, size};
+  }
+}
+
+std::string_view FrameCutter::body(std::string_view text) const noexcept {
+  text.remove_prefix(std::min(start_.size(), text.size()));
+  if (!end_.empty())
+    if (const std::size_t end = text.rfind(end_); end != std::string_view::npos) text = text.substr(0, end);
+  return text;
+}
+
+}  // namespace rtdata::detail

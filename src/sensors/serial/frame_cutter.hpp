@@ -1,0 +1,37 @@
+// Finds frames in a stream of bytes.
+#pragma once
+
+#include <cstddef>
+#include <string>
+#include <string_view>
+
+#include "rtdata/sensors/lines.hpp"
+
+namespace rtdata::detail {
+
+class FrameCutter {
+ public:
+  /// `longest`: bytes; a longer frame is none. SetupError (bad-argument): settings that exclude each other.
+  FrameCutter(const LineFrame& config, std::size_t longest);
+
+  struct Found {
+    std::size_t skipped = 0;  ///< bytes that belong to no frame
+    std::size_t size = 0;     ///< of the frame behind them; 0: more bytes are needed
+  };
+  bool has_start() const noexcept { return !start_.empty(); }
+  /// Looks at the bytes that have come and are not used. No allocation.
+  Found next(std::string_view bytes) const noexcept;
+  /// What stands between the start and the end of a frame. `text`: from its start, the checksum may be cut off.
+  std::string_view body(std::string_view text) const noexcept;
+  /// After a frame that cannot be used, a start within it may be the true one: how many bytes to go on.
+  std::size_t step_from(std::size_t size) const noexcept { return start_.empty() ? size : 1; }
+
+ private:
+  std::size_t announced(std::string_view frame) const noexcept;
+
+  const LineFrame config_;
+  const std::size_t longest_;
+  std::string start_, end_;
+};
+
+}  // namespace rtdata::detail

@@ -1,0 +1,431 @@
+#include "sensors/serial/line_node.hpp"
+
+#include <sys/ioctl.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <cstring>
+#include <utility>
+
+#include "data/utf8.hpp"
+
+namespace rtdata::detail {
+namespace {
+
+// Read at once, and so per turn of the loop; the most lines that this can be stay below the capacity of a topic's ring.
+constexpr std::size_t most_read = 1024;
+// This many bytes without a line end mean that the device sends no lines at this speed.
+constexpr std::size_t least_unended = 4096;
+// A device that was silent for so long after the opening was not in the middle of a line.
+constexpr Duration silence_before_a_line = std::chrono::milliseconds{100};
+
+bool is_same(const GpsFix& a, const GpsFix& b) noexcept {
+  return a.gps_time == b.gps_time && a.lat == b.lat && a.lon == b.lon && a.alt_msl == b.alt_msl &&
+         a.speed == b.speed && a.track == b.track && a.mode == b.mode && a.satellites_used == b.satellites_used;
+}
+/// Publishes the last fix when no more sentences will come.
+
+std::unique_ptr<LineDecoder> decoder_of(const LineConfig& config) {
+  return config.format == LineFormat::nmea ? nullptr : std::make_unique<LineDecoder>(config);
+}
+
+}  // namespace
+
+LineNode::LineNode(LoopCore& loop, const FeedConfig& feed, LineConfig config, std::string place, const char* advice)
+    : LineNode(loop, feed, config, std::move(place), advice, decoder_of(config)) {}
+
+LineNode::LineNode(LoopCore& loop, const FeedConfig& feed, LineConfig config, std::string place, const char* advice,
+                   std::unique_ptr<LineDecoder> decoder)
+    : StreamNode(loop, feed, decoder != nullptr ? described_type(decoder->description()) : payload_type<GpsFix>(),
+                 {config.silence, config.retry_first, config.retry_longest}),
+      config_(std::move(config)),
+      place_(std::move(place)),
+      advice_(advice),
+      decoder_(std::move(decoder)) {
+  line_.reserve(config_.max_line + most_read);
+  if (config_.frame) cutter_.emplace(*config_.frame, config_.max_line);
+  if (config_.first_line == FirstLine::discard) {
+    quiet_ = Timer(loop.face, [this] {
+      int waiting = 0;
+      if (fd_ >= 0 && unended_ == 0 && ::ioctl(fd_, FIONREAD, &waiting) == 0 && waiting == 0) is_first_ = false;
+    });
+  }
+  if (decoder_ != nullptr) {
+    origin_.counts.lost_is_known = decoder_->has_sequence();
+    if (decoder_->has_sequence()) {
+      held_.size = decoder_->description()->size();
+      held_.storage.resize(held_.size / sizeof(std::max_align_t) + 1);
+      hold_ = Timer(loop.face, [this] { let_go(); });
+    }
+  } else {
+    fixes_ = std::make_unique<NmeaFixes>(place_);
+  }
+}
+
+void LineNode::start() {
+  if (!is_open() || is_running()) return;
+  begin_lines();
+  open_stream();
+}
+
+void LineNode::begin_lines() {
+  begin();
+  if (decoder_ != nullptr) decoder_->forget_sequence();
+  last_fix_.reset();
+  unusable_lines_ = 0;
+}
+
+void LineNode::expect_rest_of_line() {
+  quiet_.stop();
+  is_first_ = true;
+}
+
+void LineNode::stop() {
+  if (is_open()) {
+    let_go();
+    finish_fix();
+    report_unended();
+  }
+  StreamNode::stop();
+}
+
+void LineNode::stop_schedule(MonotonicTime end) {
+  let_go();
+  finish_fix();
+  report_unended();
+  StreamNode::stop_schedule(end);
+}
+
+std::optional<SensorLoad> LineNode::load() const {
+  return SensorLoad{origin_.name, Duration{0}, {}, read_time(config_)};
+}
+
+void LineNode::take(Result<int> fd) {
+  if (fd) {
+    use(*fd);
+  } else {
+    lose(fd.error(), loop()->now());
+  }
+}
+
+void LineNode::use(int fd) {
+  fd_ = fd;
+  if (fixes_ != nullptr) fixes_->reset();
+  ++openings_;
+  line_.clear();
+  is_overlong_ = false;
+  unended_ = skipped_ = reported_bytes_ = 0;
+  is_unended_reported_ = false;
+  opened();
+  is_first_ = config_.first_line == FirstLine::discard;
+  if (is_first_) quiet_.start(silence_before_a_line);
+  is_beginning_ = true;
+  lines_to_skip_ = config_.skip_lines;
+  watch_ = FdWatch(loop()->face, fd_, FdWatch::readable, object_name(),
+                   [this](const FdEvent& event) { on_ready(event); });
+}
+
+void LineNode::on_close() noexcept {
+  hold_.close();
+  quiet_.close();
+  if (std::exchange(held_.is_there, false)) {
+    origin_.counts.lost += held_.lost;
+    take_sample(held_.payload(), held_.time);
+  }
+  StreamNode::on_close();
+}
+
+void LineNode::close_stream() noexcept {
+  watch_.close();  // before the descriptor
+  if (fd_ >= 0) close_source(fd_);
+  fd_ = -1;
+}
+
+void LineNode::on_ready(const FdEvent& event) {
+  Call call(*this);
+  const std::size_t before = line_.size();
+  line_.resize(before + most_read);
+  const ssize_t got = ::read(fd_, line_.data() + before, most_read);
+  const int error_number = got < 0 ? errno : 0;
+  line_.resize(before + static_cast<std::size_t>(std::max<ssize_t>(got, 0)));
+  if (got > 0) {
+    heard_bytes();
+    time_ = loop()->runtime.event_time(heard_at());
+    cutter_ ? take_frames() : take_lines(before);
+  } else if (got == 0 || (error_number != EAGAIN && error_number != EINTR) || event.hung_up) {
+    const unsigned opening = openings_;
+    let_go();
+    finish_fix();
+    if (fd_ < 0 || openings_ != opening) return;
+    source_ended(error_number);
+  }
+}
+
+void LineNode::source_ended(int error_number) { lose(lost(error_number), loop()->now()); }
+
+/// Takes the complete lines out of the buffer, whose bytes from `from` on are new.
+void LineNode::take_lines(std::size_t from) {
+  std::size_t begin = 0;
+  const std::size_t last_end = line_.rfind(config_.line_end);  // those before `from` were taken
+  if (last_end == std::string::npos) {
+    unended_ += line_.size() - from;
+  } else {
+    unended_ = line_.size() - last_end - 1;
+    is_unended_reported_ = false;
+  }
+  // A callback may stop the sensor, and start it again.
+  const auto is_same = [this, opening = openings_] { return fd_ >= 0 && openings_ == opening; };
+  while (is_same()) {
+    const auto end = line_.find(config_.line_end, std::max(begin, from));
+    if (end == std::string::npos) break;
+    std::string_view line(line_.data() + begin, end - begin);
+    begin = end + 1;
+    if (std::exchange(is_beginning_, false) && line.starts_with(byte_order_mark))
+      line.remove_prefix(byte_order_mark.size());
+    if (std::exchange(is_first_, false)) {
+      ++origin_.counts.first_lines;
+      is_overlong_ = false;
+    } else if (!std::exchange(is_overlong_, false)) {
+      take_line(line);
+    }
+  }
+  if (!is_same()) return;
+  line_.erase(0, begin);
+  if (line_.size() > config_.max_line) {
+    line_.clear();
+    if (!is_first_ && !std::exchange(is_overlong_, true)) {
+      is_unended_reported_ = lines_to_skip_ == 0;
+      fail_overlong();
+      if (!is_same()) return;
+    }
+  }
+  if (unended_ > std::max(config_.max_line, least_unended) && !std::exchange(is_unended_reported_, true)) {
+    fail_unended();
+  }
+}
+
+/// Takes the complete frames out of the buffer.
+void LineNode::take_frames() {
+  std::size_t begin = 0;
+  const auto is_same = [this, opening = openings_] { return fd_ >= 0 && openings_ == opening; };
+  while (is_same()) {
+    const std::string_view rest = std::string_view(line_).substr(begin);
+    const FrameCutter::Found found = cutter_->next(rest);
+    skip(rest.substr(0, found.skipped), found.skipped < rest.size());
+    begin += found.skipped;
+    if (!is_same() || found.size == 0) break;
+    const std::string_view frame = rest.substr(found.skipped, found.size);
+    const bool is_first = std::exchange(is_first_, false) && !cutter_->has_start();  // its beginning is not known
+    if (is_first) ++origin_.counts.first_lines;
+    if (is_first || take_frame(frame)) {
+      begin += found.size;
+      reported_bytes_ = 0;
+    } else {
+      const std::size_t step = cutter_->step_from(found.size);
+      begin += step;
+      reported_bytes_ = found.size - step;
+    }
+  }
+  if (is_same()) line_.erase(0, begin);
+}
+
+/// Bytes that belong to no frame; those of a frame that could not be used have been reported. `are_all`: a frame seems
+/// to begin behind them.
+void LineNode::skip(std::string_view bytes, bool are_all) {
+  const std::size_t reported = std::min(bytes.size(), reported_bytes_);
+  reported_bytes_ -= reported;
+  bytes.remove_prefix(reported);
+  const auto blank = [](char c) { return c == '\r' || c == '\n' || c == '\0'; };
+  if (!std::all_of(bytes.begin(), bytes.end(), blank)) skipped_ += bytes.size();
+  const bool is_much = skipped_ > std::max(config_.max_line, least_unended);
+  if (skipped_ == 0 || (!is_much && !are_all)) return;
+  const std::size_t size = std::exchange(skipped_, 0);
+  if (std::exchange(is_first_, false)) {
+    ++origin_.counts.first_lines;
+    if (!is_much) return;
+  }
+  fail_line({Errc::bad_data, "bytes outside of a frame", place_, std::to_string(size) + " bytes are thrown away",
+             advice_});
+}
+
+/// False: it cannot be used.
+bool LineNode::take_frame(std::string_view frame) {
+  if (lines_to_skip_ != 0) {
+    --lines_to_skip_;
+    return true;
+  }
+  const Result<std::string_view> checked = decoder_->checked(frame);
+  if (!checked) {
+    fail_line(checked.error());
+    return false;
+  }
+  const std::string_view text = config_.format == LineFormat::binary ? *checked : cutter_->body(*checked);
+  if (!decoder_->is_meant(text)) {
+    leave_out();
+    return true;
+  }
+  if (const Result<void> decoded = decoder_->decode(text); !decoded) {
+    fail_line(decoded.error());
+    return false;
+  }
+  take_decoded();
+  return true;
+}
+
+void LineNode::fail_unended() {
+  fail_line({Errc::bad_data, "no end of a line", place_, std::to_string(unended_) + " bytes came without one",
+             advice_});
+}
+
+/// Reports at the end that bytes came but never a usable line.
+void LineNode::report_unended() {
+  if (!is_running() || unended_ == 0 || !is_beginning_ || origin_.counts.received != 0) return;
+  if (!std::exchange(is_unended_reported_, true)) fail_unended();
+}
+
+Error LineNode::silence_error() const {
+  return {Errc::timed_out, "nothing comes", place_, "it has been silent for " + to_string(config_.silence),
+          "check the device; `silence` sets how long it may be silent"};
+}
+
+void LineNode::take_line(std::string_view line) {
+  if (config_.line_end == '\r' && line.starts_with('\n')) line.remove_prefix(1);
+  while (!line.empty() && line.back() == '\r') line.remove_suffix(1);  // some send two of them
+  if (lines_to_skip_ != 0) {
+    --lines_to_skip_;
+    return;
+  }
+  if (line.size() > config_.max_line) return fail_overlong();
+  if (fixes_ != nullptr) return take_sentence(line);
+  if (decoder_->is_skipped(line)) return;
+  if (!decoder_->is_meant(line)) return leave_out();
+  const Result<std::string_view> text = decoder_->checked(line);
+  if (!text) return fail_line(text.error());
+  const Result<void> decoded = decoder_->decode(*text);
+  if (!decoded) return fail_line(decoded.error());
+  take_decoded();
+}
+
+/// A line that is not meant.
+void LineNode::leave_out() {
+  ++origin_.counts.received;
+  ++origin_.counts.filtered;
+  heard();
+}
+
+void LineNode::take_decoded() {
+  if (held_.is_there) {
+    const unsigned opening = openings_;
+    decoder_->takes_back() ? refuse_held() : let_go();
+    if (fd_ < 0 || openings_ != opening) return;
+  }
+  const LineDecoder::NumberComparison step = decoder_->step();
+  // Left-out numbers of lines that came but could not be used are not lost.
+  const std::uint64_t unusable = std::exchange(unusable_lines_, 0);
+  const std::uint64_t lost = step.lost - std::min(step.lost, unusable);
+  if (lost != 0 || step.goes_back) return hold(lost, unusable);
+  if (step.is_repeated) {
+    ++origin_.counts.received;
+    ++origin_.counts.repeated;
+  } else if (!take_or_fail(decoder_->payload(), time_)) {
+    return;
+  }
+  succeed();
+}
+
+/// A line whose number has made a jump is kept until the next one says whether that was a wrong digit.
+void LineNode::hold(std::uint64_t lost, std::uint64_t unusable) {
+  constexpr Duration most_held = std::chrono::seconds{1};
+  held_.is_there = true;
+  held_.lost = lost;
+  held_.unusable = unusable;
+  held_.time = time_;
+  std::memcpy(held_.payload(), decoder_->payload(), held_.size);
+  hold_.start(config_.silence > Duration{0} ? std::min(config_.silence, most_held) : most_held);
+}
+
+/// The jump stands: what is between is lost.
+void LineNode::let_go() {
+  if (!std::exchange(held_.is_there, false)) return;
+  hold_.stop();
+  if (!is_running()) return;
+  Call call(*this);
+  origin_.counts.lost += held_.lost;
+  if (take_or_fail(held_.payload(), held_.time) && !is_silent()) succeed();
+}
+
+void LineNode::refuse_held() {
+  held_.is_there = false;
+  hold_.stop();
+  decoder_->drop_last();
+  unusable_lines_ += held_.unusable;
+  fail_line({Errc::bad_data, "cannot use a line", place_,
+             "its number makes a jump that the next line takes back",
+             "a digit was lost or changed on the way: check the wires, and which other device writes to the line"});
+}
+
+void LineNode::take_sentence(std::string_view line) {
+  // Tag blocks of a multiplexer, "\\s:station,c:1796040000*00\\", say where it came from.
+  while (line.starts_with('\\')) {
+    const std::size_t end = line.find('\\', 1);
+    if (end == std::string_view::npos) break;
+    line.remove_prefix(end + 1);
+  }
+  if (line.empty()) return;
+  // Bytes before the sentence, such as a manufacturer's own data, are skipped.
+  const std::size_t begin = line.rfind('$');
+  const bool has_more = line.front() != '!' && begin != 0 && begin != std::string_view::npos;
+  const unsigned opening = openings_;
+  if (has_more) {
+    fail_line({Errc::bad_data, "cannot use the bytes before a sentence", place_,
+               std::to_string(begin) + " bytes outside of an NMEA sentence", "let the receiver send NMEA only"});
+    if (fd_ < 0 || openings_ != opening) return;
+    line.remove_prefix(begin);
+  }
+  const Result<void> taken = fixes_->take(line, time_, publish_fix_);
+  if (!taken) return fail_line(taken.error());
+  if (!has_more) succeed();
+}
+
+void LineNode::publish(GpsFix fix, Time time) {
+  ++origin_.counts.received;
+  // A receiver that says the same instant again has nothing new; without a time, each fix may be.
+  const bool is_repeated = fix.gps_time && last_fix_ && is_same(*last_fix_, fix);
+  last_fix_ = fix;
+  if (is_repeated) {
+    ++origin_.counts.repeated;
+  } else {
+    ++origin_.counts.published;
+    origin_.topic.publish(origin_, time, &fix);
+  }
+}
+
+void LineNode::finish_fix() {
+  if (fixes_ != nullptr && is_running()) fixes_->finish(publish_fix_);
+}
+
+void LineNode::fail_overlong() {
+  if (lines_to_skip_ != 0) {
+    --lines_to_skip_;
+    return;
+  }
+  fail_line({Errc::does_not_fit, "cannot use a line", place_,
+             "it is longer than " + std::to_string(config_.max_line) + " bytes",
+             std::string(advice_) + "; `max_line` sets how long a line may be"});
+}
+
+void LineNode::fail_line(const Error& error) {
+  ++unusable_lines_;
+  fail(error);
+}
+
+void check_lines(const LineConfig& config, const std::string& sensor) {
+  const auto refuse = [&](const char* why, const char* advice) {
+    throw SetupError({Errc::bad_argument, "cannot take these lines", "sensor " + sensor, why, advice});
+  };
+  if (config.max_line == 0) refuse("max_line is 0", "such as 4096");
+  if (config.retry_first <= Duration{0}) refuse("retry_first is not positive", "such as 100 ms");
+}
+
+}  // namespace rtdata::detail

@@ -1,0 +1,117 @@
+// The node of sensors that take lines of text from a descriptor: a serial line, a program's output.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "rtdata/loop/timer.hpp"
+#include "rtdata/loop/watch.hpp"
+#include "rtdata/sensors/lines.hpp"
+#include "sensors/core/stream_node.hpp"
+#include "sensors/serial/frame_cutter.hpp"
+#include "sensors/serial/line_decoder.hpp"
+#include "sensors/serial/nmea.hpp"
+
+namespace rtdata::detail {
+
+class LineNode : public StreamNode {
+ public:
+  void start() override;
+  void stop() override;
+  void stop_schedule(MonotonicTime end) override;
+  std::optional<SensorLoad> load() const override;
+
+ protected:
+  /// `place`: what the lines come from, in messages. `advice`: what to check if what comes is not lines. SetupError:
+  /// as LineDecoder.
+  LineNode(LoopCore& loop, const FeedConfig& feed, LineConfig config, std::string place, const char* advice);
+
+  // A derived class overrides `open_stream`, whose result goes to `take`, now or later: a descriptor that does not
+  // block, closed with `close_source`, or the reason why there is none.
+  void take(Result<int> fd);
+  virtual void close_source(int fd) noexcept = 0;
+  /// The error when the source has ended. `error_number` is that of `read`; 0: the end of the stream.
+  virtual Error lost(int error_number) const = 0;
+  /// Starts running; the caller opens the source.
+  void begin_lines();
+  /// What comes first is the rest of a line, however long the source is silent.
+  void expect_rest_of_line();
+  bool has_source() const noexcept { return fd_ >= 0; }
+  /// Calls `lose` with `lost`, now or later.
+  virtual void source_ended(int error_number);
+  /// No more is read from the source.
+  void pause_reading() { watch_.close(); }
+  void close_stream() noexcept override;
+  const std::string& place() const noexcept { return place_; }
+  const LineConfig& config() const noexcept { return config_; }
+  void on_close() noexcept override;
+
+ private:
+  LineNode(LoopCore& loop, const FeedConfig& feed, LineConfig config, std::string place, const char* advice,
+           std::unique_ptr<LineDecoder> decoder);
+  Error silence_error() const override;
+  void use(int fd);
+  void on_ready(const FdEvent& event);
+  void take_lines(std::size_t from);
+  void take_line(std::string_view line);
+  void take_frames();
+  bool take_frame(std::string_view frame);
+  void skip(std::string_view bytes, bool are_all);
+  void leave_out();
+  void take_decoded();
+  void take_sentence(std::string_view line);
+  void publish(GpsFix fix, Time time);
+  void finish_fix();
+  void hold(std::uint64_t lost, std::uint64_t unusable);
+  void let_go();
+  void refuse_held();
+  void fail_unended();
+  void report_unended();
+  void fail_overlong();
+  void fail_line(const Error& error);
+
+  const LineConfig config_;
+  const std::string place_;
+  const char* const advice_;
+  std::unique_ptr<LineDecoder> decoder_;  // null: NMEA
+  std::unique_ptr<NmeaFixes> fixes_;
+  std::optional<FrameCutter> cutter_;  // none: lines
+  std::size_t skipped_ = 0;            // bytes outside of frames that are not yet reported
+  std::size_t reported_bytes_ = 0;     // of a frame that could not be used
+  const NmeaFixes::Publish publish_fix_ = [this](const GpsFix& fix, Time time) { publish(fix, time); };
+  std::optional<GpsFix> last_fix_;
+  struct Held {
+    bool is_there = false;
+    std::uint64_t lost = 0;
+    std::uint64_t unusable = 0;  // lines before it
+    Time time{};
+    std::vector<std::max_align_t> storage = {};
+    std::size_t size = 0;
+    std::byte* payload() noexcept { return reinterpret_cast<std::byte*>(storage.data()); }
+  };
+  Held held_;
+  Timer hold_;
+  Timer quiet_;  // since the opening
+  FdWatch watch_;
+  int fd_ = -1;
+  std::string line_;  // the bytes of the lines that are not complete, never more than max_line + most_read
+  Time time_{};       // of the last read
+  unsigned openings_ = 0;
+  std::size_t unended_ = 0;           // bytes since the last end of a line
+  bool is_unended_reported_ = false;  // that there are too many
+  unsigned lines_to_skip_ = 0;
+  std::uint64_t unusable_lines_ = 0;  // since the last good one
+  bool is_first_ = true;              // nothing but the rest of a line may have come yet
+  bool is_beginning_ = true;          // no line has come yet
+  bool is_overlong_ = false;          // the rest of the line is thrown away
+};
+
+/// SetupError (bad-argument): settings that no source can have.
+void check_lines(const LineConfig& config, const std::string& sensor);
+
+}  // namespace rtdata::detail

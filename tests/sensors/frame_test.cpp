@@ -1,0 +1,295 @@
+// Checksums, chosen lines, frames: by their published examples, and broken in every way.
+#include <doctest/doctest.h>
+
+#include <random>
+#include <string>
+#include <vector>
+
+#include "has.hpp"
+#include "paths.hpp"
+#include "rtdata/data/event.hpp"
+#include "rtdata/sensors/serial_line.hpp"
+#include "sensors/fixture.hpp"
+#include "sensors/pty.hpp"
+#include "sensors/serial/checksum.hpp"
+#include "sensors/serial/frame_cutter.hpp"
+#include "sensors/serial/line_decoder.hpp"
+#include "sensors/termios2.hpp"
+
+using namespace rtdata;
+using rtdata::test::has;
+using namespace std::chrono_literals;
+
+namespace {
+
+std::string values_of_line(const LineConfig& config, std::string_view line) {
+  detail::LineDecoder decoder(config);
+  if (!decoder.is_meant(line)) return "left out";
+  const auto text = decoder.checked(line);
+  if (!text) return text.error().why;
+  if (const Result<void> done = decoder.decode(*text); !done) return done.error().why;
+  const EventView event("line", {}, *decoder.description(), {decoder.payload(), decoder.description()->size()}, "");
+  std::string all;
+  for (const Leaf& leaf : event.description().leaves()) all += (all.empty() ? "" : " ") + to_string(event.value(leaf));
+  return all;
+}
+
+/// Why such settings are refused.
+std::string refusal_of(const LineConfig& config) {
+  try {
+    const detail::LineDecoder decoder(config);
+    if (config.frame) detail::FrameCutter(*config.frame, config.max_line);
+  } catch (const SetupError& error) {
+    return error.error().where + ": " + error.error().why;
+  }
+  return "";
+}
+
+/// What a sensor makes of bytes that come in pieces of `piece` bytes: its events, and its counts at the end.
+struct Heard {
+  std::vector<std::string> events = {};
+  SensorCounts counts = {};
+  std::vector<std::string> errors = {};
+};
+Heard hear(LineConfig config, const std::string& bytes, std::size_t piece, std::uint64_t expected) {
+  ScratchDirectory folder;
+  Pty pty(folder.file("tty"));
+  pty.plug_in();
+  Loop loop;
+  be_quiet(loop);
+  Heard heard;
+  config.first_line = FirstLine::keep;
+  const auto subscription = loop.subscribe("line", [&](const EventView& event) {
+    std::string text;
+    for (const Leaf& leaf : event.description().leaves())
+      text += (text.empty() ? "" : " ") + to_string(event.value(leaf));
+    heard.events.push_back(text);
+  });
+  SerialLineSensor sensor(loop, {.name = "line"}, {.device = pty.path(), .lines = std::move(config)});
+  sensor.on_error([&](const ErrorReport& report) { heard.errors.push_back(report.error.why); });
+  for (std::size_t at = 0; at < bytes.size();) {
+    at += pty.send(bytes.substr(at, piece));
+    loop.poll();
+  }
+  for (int i = 0; i < 5000 && sensor.counts().received < expected; ++i) loop.run_for(1ms);
+  loop.run_for(5ms);
+  heard.counts = sensor.counts();
+  CHECK(heard.counts.balances());
+  return heard;
+}
+
+/// A frame of a PMS5003 (data manual V2.3, appendix I): 0x42 0x4d, length 28, thirteen words, the sum of all before.
+std::string particles(unsigned pm25) {
+  std::string frame("\x42\x4d\x00\x1c", 4);
+  const unsigned words[13] = {1, 2, 3, 4, pm25, 6, 700, 8, 9, 10, 11, 12, 0x9700};
+  for (const unsigned word : words) {
+    frame += static_cast<char>(word >> 8);
+    frame += static_cast<char>(word & 0xff);
+  }
+  unsigned sum = 0;
+  for (const char c : frame) sum += static_cast<unsigned char>(c);
+  frame += static_cast<char>(sum >> 8);
+  frame += static_cast<char>(sum & 0xff);
+  return frame;
+}
+const LineConfig pms5003{.format = LineFormat::binary,
+                         .fields = {{.name = "pm25", .type = Kind::u16, .at = 12},
+                                    {.name = "ten", .unit = "1", .scale = 0.1, .at = 16, .wire = Kind::u16}},
+                         .frame = LineFrame{.start_hex = "42 4d", .length_at = 2, .length_bytes = 2, .length_adds = 4},
+                         .checksum = LineChecksum{.type = ChecksumType::sum16, .form = ChecksumForm::big}};
+
+}  // namespace
+
+TEST_SUITE("sensors" * doctest::skip(!terminals_can_be_set_up())) {
+  TEST_CASE("US-13 checksums are those of the catalogue") {
+    // The check values for "123456789" of Greg Cook's catalogue of CRC algorithms.
+    const auto of = [](ChecksumType type) {
+      return detail::Checksum({.type = type, .form = ChecksumForm::hex}).of("123456789");
+    };
+    CHECK(of(ChecksumType::crc8) == 0xf4);
+    CHECK(of(ChecksumType::crc8_maxim) == 0xa1);
+    CHECK(of(ChecksumType::crc16_arc) == 0xbb3d);
+    CHECK(of(ChecksumType::crc16_modbus) == 0x4b37);
+    CHECK(of(ChecksumType::crc16_ccitt) == 0x29b1);
+    CHECK(of(ChecksumType::crc16_xmodem) == 0x31c3);
+    CHECK(of(ChecksumType::crc32) == 0xcbf43926);
+    CHECK(of(ChecksumType::sum8) == 0xdd);
+    CHECK(of(ChecksumType::sum16) == 0x1dd);
+    CHECK(of(ChecksumType::xor8) == 0x31);
+    CHECK(of(ChecksumType::lrc) == 0x23);
+  }
+
+  TEST_CASE("US-13 a line with a wrong checksum is unreadable, never a value") {
+    // A sentence of NMEA read as CSV: any sentence's fields by their place.
+    const LineConfig wind{.fields = {{.name = "kind", .type = Kind::text}, {.name = "angle"}, {}, {.name = "speed"}, {}, {}},
+                          .comment = "",
+                          .only = LineMatch{.column = 1, .is = {"$WIMWV", "$IIMWV"}},
+                          .checksum = LineChecksum{.type = ChecksumType::xor8, .after = "*", .from = 1}};
+    CHECK(values_of_line(wind, "$WIMWV,214.8,R,0.1,K,A*28") == "$WIMWV 214.8 0.1");
+    CHECK(has(values_of_line(wind, "$WIMWV,214.9,R,0.1,K,A*28"), "its checksum is 28, and should be 29"));
+    CHECK(has(values_of_line(wind, "$WIMWV,214.8,R,0.1,K,A"), "it has no checksum after \"*\""));
+    CHECK(has(values_of_line(wind, "$WIMWV,214.8,R,0.1,K,A*2"), "cut off"));
+    CHECK(has(values_of_line(wind, "$WIMWV,214.8,R,0.1,K,A*2x"), "cut off"));
+    CHECK(values_of_line(wind, "$WIXDR,A,1*00") == "left out");
+    LineConfig lenient = wind;
+    lenient.checksum->optional = true;
+    CHECK(values_of_line(lenient, "$WIMWV,214.8,R,0.1,K,A") == "$WIMWV 214.8 0.1");
+    CHECK(has(values_of_line(lenient, "$WIMWV,214.8,R,0.1,K,A*00"), "should be 28"));
+  }
+
+  TEST_CASE("US-13 lines are chosen by a column, a key or their text, and some say that there is no value") {
+    const LineConfig scale{.fields = {{}, {.name = "weight", .suffix = "g", .sign_blanks = true}},
+                           .unreadable_if = LineMatch{.column = 1, .is = {"OL", "US"}}};
+    CHECK(values_of_line(scale, "ST,+ 12.5 g") == "12.5");
+    CHECK(has(values_of_line(scale, "US,+ 12.5 g"), "unreadable_if"));
+    const LineConfig board{.format = LineFormat::json,
+                           .fields = {{.name = "value"}},
+                           .only = LineMatch{.key = "sensor.kind", .is = {"t"}}};
+    CHECK(values_of_line(board, R"({"value": 1, "sensor": {"kind": "t"}})") == "1");
+    CHECK(values_of_line(board, R"({"value": "x", "sensor": {"kind": "p"}})") == "left out");
+    CHECK(values_of_line(board, R"({"value": 1})") == "left out");
+    CHECK(values_of_line(board, "{") == "left out");
+    const LineConfig text{.fields = {{.name = "t", .prefix = "T="}}, .only = LineMatch{.begins = "T=", .contains = "1"}};
+    CHECK(values_of_line(text, "T=1") == "1");
+    CHECK(values_of_line(text, "T=2") == "left out");
+    CHECK(values_of_line(text, "P=1") == "left out");
+  }
+
+  TEST_CASE("US-13 rows of labels: DSMR, Teleinfo, VE.Direct") {
+    // DSMR 5.0.2 P1, chapter 6: a telegram from "/" to "!", then CRC16 over both.
+    const LineConfig meter{
+        .format = LineFormat::labels,
+        .fields = {{.name = "power", .unit = "kW", .key = "1-0:1.7.0", .suffix = "*kW)"},
+                   {.name = "gas", .unit = "m3", .key = "0-1:24.2.1", .suffix = "*m3)", .column = 2}},
+        .separator = '(',
+        .frame = LineFrame{.start = "/", .end = "!", .after_end = 4},
+        .checksum = LineChecksum{.type = ChecksumType::crc16_arc, .after = "!", .covers_after = true}};
+    const std::string body = "/ISk5\\2MT382-1000\r\n\r\n1-0:1.7.0(01.193*kW)\r\n0-1:24.2.1(101209112500W)(12785.123*m3)\r\n!";
+    char crc[5];
+    std::snprintf(crc, sizeof crc, "%04X",
+                  detail::Checksum({.type = ChecksumType::crc16_arc}).of(body));
+    const std::string telegram = body + crc + "\r\n";
+    Heard heard = hear(meter, telegram + telegram + telegram, 7, 3);
+    CHECK(heard.events == std::vector<std::string>(3, "1.193 12785.123"));
+    CHECK(heard.errors.empty());
+    std::string wrong = telegram;
+    wrong[body.find("193")] = '7';
+    heard = hear(meter, wrong + telegram, 1000, 2);
+    CHECK(heard.events == std::vector<std::string>{"1.193 12785.123"});
+    CHECK(heard.counts.unreadable == 1);
+
+    // Teleinfo in its historic mode (Enedis-NOI-CPT_02E, 5.3): STX, rows of label, value and checksum, ETX.
+    const LineConfig teleinfo{
+        .format = LineFormat::labels,
+        .fields = {{.name = "base", .type = Kind::u32, .key = "BASE"}, {.name = "power", .type = Kind::u16, .key = "PAPP"}},
+        .separator = ' ',
+        .frame = LineFrame{.start_hex = "02", .end_hex = "03"},
+        .checksum = LineChecksum{.type = ChecksumType::sum6, .form = ChecksumForm::character, .before = 1, .of = ChecksumOf::row}};
+    const auto row = [](const std::string& text) {
+      return "\n" + text + " " +
+             static_cast<char>(detail::Checksum({.type = ChecksumType::sum6, .form = ChecksumForm::character}).of(text)) +
+             "\r";
+    };
+    CHECK(row("PAPP 00430") == "\nPAPP 00430 (\r");
+    const std::string frame = "\x02" + row("ADCO 031528254512") + row("BASE 002815235") + row("PAPP 00430") + "\x03";
+    heard = hear(teleinfo, frame + frame, 5, 2);
+    CHECK(heard.events == std::vector<std::string>(2, "2815235 430"));
+    std::string broken = frame;
+    broken[broken.find("00430") + 3] = '9';
+    heard = hear(teleinfo, broken + frame, 100, 2);
+    CHECK(heard.events == std::vector<std::string>{"2815235 430"});
+    CHECK(heard.counts.unreadable == 1);
+    REQUIRE_FALSE(heard.errors.empty());
+    CHECK(has(heard.errors.front(), "its checksum is"));
+
+    // VE.Direct's text mode: rows, the last "Checksum" and a byte which makes the sum of all 0.
+    const LineConfig battery{.format = LineFormat::labels,
+                             .fields = {{.name = "voltage", .unit = "V", .scale = 0.001, .key = "V"},
+                                        {.name = "current", .unit = "A", .scale = 0.001, .key = "I"}},
+                             .separator = '\t',
+                             .frame = LineFrame{.end = "Checksum\t", .after_end = 1},
+                             .checksum = LineChecksum{.type = ChecksumType::lrc, .form = ChecksumForm::big}};
+    std::string block = "\r\nPID\t0x203\r\nV\t26201\r\nI\t-150\r\nChecksum\t";
+    block += static_cast<char>(detail::Checksum({.type = ChecksumType::lrc}).of(block));
+    heard = hear(battery, block + block + block, 11, 3);
+    CHECK(heard.events == std::vector<std::string>(3, "26.201 -0.15"));
+    CHECK(heard.errors.empty());
+  }
+
+  TEST_CASE("US-13 frames of bytes: cut anywhere, after garbage, damaged, one within another") {
+    const std::string a = particles(35), b = particles(36);
+    for (const std::size_t piece : {1, 2, 3, 31, 32, 33, 500}) {
+      CAPTURE(piece);
+      const Heard heard = hear(pms5003, a + b + a, piece, 3);
+      CHECK(heard.events == std::vector<std::string>{"35 70", "36 70", "35 70"});
+      CHECK(heard.errors.empty());
+    }
+    Heard heard = hear(pms5003, "junk" + a + "xx\x42yy" + b, 6, 4);
+    CHECK(heard.events == std::vector<std::string>{"35 70", "36 70"});
+    CHECK(heard.counts.unreadable == 2);
+    REQUIRE(heard.errors.size() == 2);
+    CHECK(heard.errors[0] == "4 bytes are thrown away");
+    CHECK(heard.errors[1] == "5 bytes are thrown away");
+    for (std::size_t at = 0; at < a.size(); ++at) {  // one byte is wrong, or missing: the next frame is there
+      CAPTURE(at);
+      std::string wrong = a;
+      wrong[at] = static_cast<char>(wrong[at] ^ 0x10);
+      heard = hear(pms5003, b + wrong + b + b, 64, 4);
+      CHECK(heard.events.size() >= 2);
+      for (const std::string& event : heard.events) CHECK(event == "36 70");
+      CHECK(heard.counts.unreadable >= 1);
+    }
+    heard = hear(pms5003, a.substr(0, 20) + b, 1000, 2);  // the device started again
+    CHECK(heard.events == std::vector<std::string>{"36 70"});
+    CHECK(heard.counts.unreadable == 1);
+  }
+
+  TEST_CASE("US-13 any bytes in frames are values or counted, and nothing is lost behind them") {
+    std::mt19937 random(7);
+    for (int round = 0; round < 20; ++round) {
+      std::string bytes;
+      while (bytes.size() < 3000) bytes += static_cast<char>(random() & 0xff);
+      const Heard heard = hear(pms5003, bytes + std::string(64, '\n') + particles(35) + particles(35), 700, 2);
+      REQUIRE(heard.events.size() >= 1);
+      CHECK(heard.events.back() == "35 70");
+    }
+    // A length that never comes true ends at the longest frame.
+    LineConfig small = pms5003;
+    small.max_line = 64;
+    const Heard heard = hear(small, std::string("\x42\x4d\xff\xff", 4) + particles(35), 3, 2);
+    CHECK(heard.events == std::vector<std::string>{"35 70"});
+  }
+
+  TEST_CASE("US-13 a line may end with another character") {
+    const LineConfig lines{.fields = {{.name = "v"}}, .line_end = '\r'};
+    CHECK(hear(lines, "1\r2\r\n3\r", 2, 3).events == std::vector<std::string>{"1", "2", "3"});
+    const LineConfig marks{.fields = {{.name = "v"}}, .line_end = ';'};
+    CHECK(hear(marks, "1;2;3;", 4, 3).events == std::vector<std::string>{"1", "2", "3"});
+  }
+
+  TEST_CASE("US-13 lines that are not meant count as filtered; settings that exclude each other are refused") {
+    const LineConfig chosen{.fields = {{}, {.name = "v"}}, .only = LineMatch{.column = 1, .is = {"a"}}};
+    const Heard heard = hear(chosen, "a,1\nb,x\na,2\n", 100, 3);
+    CHECK(heard.events == std::vector<std::string>{"1", "2"});
+    CHECK(heard.counts.filtered == 1);
+    CHECK(heard.counts.unreadable == 0);
+
+    const LineField field{.name = "v"};
+    CHECK(has(refusal_of({.format = LineFormat::binary, .fields = {field}}), "frame: bytes without a frame"));
+    CHECK(has(refusal_of({.format = LineFormat::binary, .fields = {field}, .frame = LineFrame{.start = "x", .length = 9}}),
+              "it has no place in the frame"));
+    CHECK(refusal_of({.fields = {field}, .frame = LineFrame{}}) == "frame: nothing says where a frame begins or ends");
+    CHECK(has(refusal_of({.fields = {field}, .frame = LineFrame{.start = "x"}}), "where a frame ends"));
+    CHECK(has(refusal_of({.fields = {field}, .frame = LineFrame{.start = "x", .start_hex = "78", .end = "y"}}), "both"));
+    CHECK(has(refusal_of({.fields = {field}, .frame = LineFrame{.start_hex = "7", .end = "y"}}), "not bytes"));
+    CHECK(has(refusal_of({.fields = {field}, .only = LineMatch{}}), "only: it does not say"));
+    CHECK(has(refusal_of({.fields = {field}, .only = LineMatch{.key = "x", .is = {"1"}}}), "only JSON and labels"));
+    CHECK(has(refusal_of({.format = LineFormat::json, .fields = {field}, .only = LineMatch{.column = 1, .is = {"1"}}}),
+              "only CSV has columns"));
+    CHECK(has(refusal_of({.fields = {field}, .checksum = LineChecksum{.type = ChecksumType::sum6}}), "one character"));
+    CHECK(has(refusal_of({.fields = {field}, .checksum = LineChecksum{.optional = true}}), "whether there is one"));
+    CHECK(has(refusal_of({.fields = {field}, .checksum = LineChecksum{.of = ChecksumOf::row}}), "only labels have rows"));
+    CHECK(has(refusal_of({.fields = {{.name = "v", .at = 1}}}), "are of binary frames"));
+    CHECK(has(refusal_of({.fields = {{.name = "v", .column = 2}}}), "`column` is of labels"));
+  }
+}
