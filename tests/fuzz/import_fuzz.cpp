@@ -34,7 +34,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   }
   rtdata::app::ImportOptions options;
   options.file = table;
-  options.time_column = (data[0] & 1) != 0 ? "t" : "time";
+  options.time_columns = {(data[0] & 1) != 0 ? "t" : "time"};
   options.database = database;
   options.separator = (data[0] & 2) != 0 ? ";" : ",";
   options.decimal = (data[0] & 4) != 0 ? "," : ".";
