@@ -191,9 +191,29 @@ Action prepare_export(CLI::App& command) {
   add_flag(command, "--utc", options->times, Export::Times::utc,
            "Times in UTC, corrected where the clock was wrong; --from and --until are UTC, too");
   add_flag(command, "--units", options->header, Export::Header::names_and_units, "Units in the heading of CSV");
+  command
+      .add_option("--join", options->join,
+                  "Columns of other topics beside those of --topic: their last event at or before each row")
+      ->expected(1, -1)
+      ->type_name("TOPIC");
+  command.add_option("--within", options->within, "Of --join: not events that are older, such as 1s")
+      ->type_name("DURATION");
+  command.add_option("--separator", options->separator, "Of CSV: a character, such as \";\", or tab; default: \",\"")
+      ->type_name("CHARACTER");
+  command.add_option("--decimal", options->decimal, "Of CSV: the decimal mark; default: \".\"")
+      ->type_name("CHARACTER")
+      ->check(CLI::IsMember({".", ","}));
+  command.add_option("--digits", options->digits, "Of CSV: digits after the decimal mark; default: all that there are")
+      ->check(CLI::Range(0, 17))
+      ->type_name("NUMBER");
+  command.add_option("--time", options->time, "Of CSV: seconds, since the first row of each run or --start")
+      ->check(CLI::IsMember({"seconds"}))
+      ->type_name("seconds");
+  command.add_option("--start", options->start, "The time of 0 s")->type_name("TIME");
   command.footer(
       "examples:\n  rtdata export bench.db --topic host/cpu --format csv --utc > cpu.csv\n"
-      "  rtdata export bench.db --topic host/cpu --step 1min");
+      "  rtdata export bench.db --topic host/cpu --step 1min\n"
+      "  rtdata export flight.db --topic baro --join gps --time seconds --separator tab");
   return [options](const Registry&) {
     // Rows on the same terminal already show the progress.
     if (::isatty(STDERR_FILENO) == 1 && (::isatty(STDOUT_FILENO) != 1 || !options->folder.empty()))

@@ -108,6 +108,14 @@ struct ExportOptions {
   Times times = Times::recorded;  // utc: --utc, corrected times, as ISO 8601 in CSV
   enum class Header { names, names_and_units };
   Header header = Header::names;
+  // Of CSV, for people and their programs; those of a topic, to `out`.
+  std::vector<std::string> join = {};  // topics whose last event at or before each row stands in it
+  std::string within = {};             // how old that may be; empty: any age
+  std::string separator = {};          // a character, or "tab"; empty: ","
+  std::string decimal = {};            // "." or ","; empty: "."
+  std::int64_t digits = -1;            // of numbers after the decimal mark; -1: as many as they have
+  std::string time = {};               // "seconds": since `start`; empty: ns, or with `times` ISO 8601
+  std::string start = {};              // ISO 8601 or ns; empty: the time of each run's first row
 };
 /// 0; 1 if the export is not possible, or there is no such run, topic or origin; 2 unreadable.
 int export_recording(const ExportOptions& options, std::ostream& out, std::ostream& err);
