@@ -263,6 +263,18 @@ TEST_SUITE("app") {
         "1970-01-01T00:00:02.000000000Z,newest,3,c\n1970-01-01T00:00:03.000000000Z,newest,4,\"a\nb\"\n");
   }
 
+  TEST_CASE("import: rows are sorted also where nothing but them stands in the file") {
+    const Folder folder;
+    folder.write("a.csv",
+                 "\xef\xbb\xbf"
+                 "2,b\n1,a\n");
+    import(folder, {"a.csv", "--time", "t", "--columns", "t,v", "--sort"});
+    CHECK(has(rows_of(folder, "a.db"), "01.000000000Z,a,1,a\n1970-01-01T00:00:02.000000000Z,a,2,b\n"));
+    folder.write("b.csv", "of July\n2,b\n1,a\n");
+    import(folder, {"b.csv", "--time", "t", "--columns", "t,v", "--sort", "--skip", "1"});
+    CHECK(has(rows_of(folder, "b.db"), "01.000000000Z,b,1,a\n1970-01-01T00:00:02.000000000Z,b,2,b\n"));
+  }
+
   TEST_CASE("import: a table without heading has its columns named by hand") {
     const Folder folder;
     folder.write("bare.csv", "0.00\t3\t9.1\t\r\n0.05\t5\t9.1\t\r\n");

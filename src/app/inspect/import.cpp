@@ -31,7 +31,7 @@ namespace {
 /// A row, where rows are sorted.
 struct Place {
   Time time{};
-  std::uint64_t position = 0;  // in the file
+  std::uint64_t position = 0, line = 0;  // in the file
 };
 
 /// The structure of the table, found by reading it once.
@@ -173,7 +173,7 @@ Found look_at(const ImportOptions& options, const ImportNotation& notation) {
                         column_of_time(options) + " is before the time of the row above it",
                     "sort the rows by time: write --sort");
     if (*time < before) ++found.out_of_order;
-    if (is_sorted) found.places.push_back({*time, table.position()});
+    if (is_sorted) found.places.push_back({*time, table.position(), table.line()});
     before = *time;
     found.first = std::min(found.first, *time);
     found.last = std::max(found.last, *time);
@@ -232,7 +232,7 @@ std::uint64_t record(const ImportOptions& options, const Found& found, const Imp
   Time last = found.first - Duration{1};
   std::vector<std::byte> payload;
   for (std::uint64_t row = 0; row < found.rows; ++row) {
-    if (!found.places.empty()) table.go_to(found.places[row].position);
+    if (!found.places.empty()) table.go_to(found.places[row].position, found.places[row].line);
     if (!table.next(cells).or_throw()) changed();
     if (!is_of_columns(cells, found.columns)) {
       if (!notation.takes_partial || cells.size() > found.columns.size()) changed();

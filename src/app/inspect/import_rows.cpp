@@ -32,10 +32,11 @@ bool ImportRows::next_line(std::string& line) {
   return true;
 }
 
-void ImportRows::go_to(std::uint64_t position) {
+void ImportRows::go_to(std::uint64_t position, std::uint64_t line) {
   in_.clear();
   in_.seekg(static_cast<std::streamoff>(position));
   next_position_ = position;
+  next_line_ = line;
 }
 
 bool ImportRows::is_none(const detail::CsvCell& cell) const {

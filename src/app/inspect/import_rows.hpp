@@ -28,9 +28,9 @@ class ImportRows {
   std::uint64_t cut_line() const noexcept { return cut_line_; }
   /// True if nothing follows the last row.
   bool is_at_end() { return in_.peek() == std::ifstream::traits_type::eof(); }
-  /// Where the last row begins in the file; and goes back there.
+  /// Where the last row begins in the file; and goes back there, to that line.
   std::uint64_t position() const noexcept { return position_; }
-  void go_to(std::uint64_t position);
+  void go_to(std::uint64_t position, std::uint64_t line);
 
   /// False: there are no more. Errors: bad-data (a quote that does not end, a row of more than 1 MiB).
   Result<bool> next(std::vector<detail::CsvCell>& cells);
