@@ -129,26 +129,31 @@ TEST_SUITE("app") {
   TEST_CASE("export: options of tables that do not go together are refused, before anything is written") {
     const Folder folder;
     const std::string path = make(folder);
-    const auto refuses = [&](app::ExportOptions options, const std::string& why) {
-      options.database = path;
+    const auto refuses = [&](const app::ExportOptions& options, const std::string& why) {
       std::ostringstream out, err;
       CHECK(app::export_recording(options, out, err) == 1);
       CHECK_MESSAGE(has(err.str(), why), err.str());
       CHECK(out.str().empty());
     };
-    refuses({.separator = ";"}, "the rows of a table are of one topic, and there are air and gps/fix");
-    refuses({.topic = "air", .join = {"gps"}}, "--join gps: it has no such topic");
-    refuses({.topic = "air", .join = {"air"}}, "--join air: the topic is in the table already");
-    refuses({.topic = "air", .join = {"gps/fix", "gps/fix"}}, "the topic is in the table already");
-    refuses({.topic = "air", .format = "jsonl", .separator = ";"}, "--separator: it is of CSV, and not of jsonl");
-    refuses({.topic = "air", .folder = folder.path() + "/out", .digits = 2}, "--digits: it is of one topic");
-    refuses({.topic = "air", .step = "1s", .decimal = ","}, "--decimal: it is of events, and --step of steps");
-    refuses({.topic = "air", .start = "1970-01-01T00:00:00Z"}, "--start 1970-01-01T00:00:00Z: it is of --time seconds");
-    refuses({.topic = "air", .within = "1s"}, "--within 1s: it is of --join");
-    refuses({.topic = "air", .join = {"gps/fix"}, .within = "soon"}, "soon");
-    refuses({.topic = "air", .separator = ",", .decimal = ","}, "--separator ,: it is the decimal mark, too");
-    refuses({.topic = "air", .separator = "ab"}, "it must be one character");
-    refuses({.topic = "air", .time = "seconds", .start = "noon"}, "noon");
+    refuses({.database = path, .separator = ";"},
+            "the rows of a table are of one topic, and there are air and gps/fix");
+    refuses({.database = path, .topic = "air", .join = {"gps"}}, "--join gps: it has no such topic");
+    refuses({.database = path, .topic = "air", .join = {"air"}}, "--join air: the topic is in the table already");
+    refuses({.database = path, .topic = "air", .join = {"gps/fix", "gps/fix"}}, "the topic is in the table already");
+    refuses({.database = path, .topic = "air", .format = "jsonl", .separator = ";"},
+            "--separator: it is of CSV, and not of jsonl");
+    refuses({.database = path, .topic = "air", .folder = folder.path() + "/out", .digits = 2},
+            "--digits: it is of one topic");
+    refuses({.database = path, .topic = "air", .step = "1s", .decimal = ","},
+            "--decimal: it is of events, and --step of steps");
+    refuses({.database = path, .topic = "air", .start = "1970-01-01T00:00:00Z"},
+            "--start 1970-01-01T00:00:00Z: it is of --time seconds");
+    refuses({.database = path, .topic = "air", .within = "1s"}, "--within 1s: it is of --join");
+    refuses({.database = path, .topic = "air", .join = {"gps/fix"}, .within = "soon"}, "soon");
+    refuses({.database = path, .topic = "air", .separator = ",", .decimal = ","},
+            "--separator ,: it is the decimal mark, too");
+    refuses({.database = path, .topic = "air", .separator = "ab"}, "it must be one character");
+    refuses({.database = path, .topic = "air", .time = "seconds", .start = "noon"}, "noon");
     CHECK_FALSE(folder.has("out"));
   }
 }
