@@ -173,6 +173,7 @@ class TcpServer {
         }
         std::uint8_t request[MODBUS_TCP_MAX_ADU_LENGTH];
         for (int length = 0; (length = ::modbus_receive(context_, request)) >= 0;) {
+          if (length > 0) note(request + ::modbus_get_header_length(context_));
           if (length > 0 && !is_silent_) ::modbus_reply(context_, request, length, mapping_);
         }
         const std::lock_guard lock(mutex_);
@@ -199,8 +200,19 @@ class TcpServer {
   }
   void set_silent(bool is_silent) { is_silent_ = is_silent; }
   std::uint16_t port() const { return port_; }
+  /// To be set before it is asked.
+  modbus_mapping_t& mapping() { return *mapping_; }
+  unsigned requests() const { return requests_; }
+  /// Of one request.
+  unsigned most_asked() const { return most_asked_; }
 
  private:
+  void note(const std::uint8_t* pdu) {
+    const auto count = static_cast<unsigned>(pdu[3] << 8 | pdu[4]);
+    if (pdu[0] <= 4) most_asked_ = std::max(most_asked_.load(), count);
+    ++requests_;
+  }
+  std::atomic<unsigned> requests_{0}, most_asked_{0};
   modbus_t* context_;
   modbus_mapping_t* mapping_;
   int listening_ = -1;
@@ -369,17 +381,122 @@ TEST_SUITE("sensors") {
     bus.device({.unit = 1}).write_registers(20, words).or_throw();
     DriverSensor<Modbus> meter(
         stage.loop, common("meter"), bus, {.unit = 1},
-        {.fields = {{.name = "a", .address = 20, .type = Kind::i16, .scale = 0.1, .no_value = 32768},
-                    {.name = "b", .address = 21, .type = Kind::i16, .no_value = -32768},
-                    {.name = "c", .address = 22, .type = Kind::u16, .no_value = -1},
-                    {.name = "d", .address = 22, .type = Kind::i16, .no_value = 65535},
-                    {.name = "e", .address = 22, .type = Kind::i32, .no_value = 4294967295},
-                    {.name = "f", .address = 24, .type = Kind::f32, .no_value = -9999.9},
-                    {.name = "g", .address = 26, .type = Kind::u64, .no_value = -1},
-                    {.name = "h", .address = 26, .type = Kind::u64, .no_value = 18446744073709551615.0},
-                    {.name = "is", .address = 20, .type = Kind::i16, .no_value = 32767}}});
+        {.fields = {{.name = "a", .address = 20, .type = Kind::i16, .scale = 0.1, .no_value = {32768}},
+                    {.name = "b", .address = 21, .type = Kind::i16, .no_value = {-32768}},
+                    {.name = "c", .address = 22, .type = Kind::u16, .no_value = {-1}},
+                    {.name = "d", .address = 22, .type = Kind::i16, .no_value = {65535}},
+                    {.name = "e", .address = 22, .type = Kind::i32, .no_value = {4294967295}},
+                    {.name = "f", .address = 24, .type = Kind::f32, .no_value = {-9999.9}},
+                    {.name = "g", .address = 26, .type = Kind::u64, .no_value = {-1}},
+                    {.name = "h", .address = 26, .type = Kind::u64, .no_value = {18446744073709551615.0}},
+                    {.name = "is", .address = 20, .type = Kind::i16, .no_value = {32767}}}});
     stage.until([&] { return !stage.values.empty(); });
     CHECK(stage.values[0] == "meter: absent absent absent absent absent absent absent absent -32768");
+  }
+
+  TEST_CASE("US-42 Modbus: texts, single bits, masks, an order for each field, several numbers for none") {
+    TcpServer server;
+    const auto raw = std::bit_cast<std::uint32_t>(-12.75f);
+    const std::array<std::uint16_t, 15> words{0x5761,  // "Wa"
+                                              0x7474,  // "tt"
+                                              0x2000,  // " ", then NUL
+                                              0x4142,  // not part of the text
+                                              0xa5c3,  // bits
+                                              0x8000,
+                                              0xffff,
+                                              0x0007,                                    // none, none, and a number
+                                              static_cast<std::uint16_t>(raw & 0xffff),  // cdab
+                                              static_cast<std::uint16_t>(raw >> 16),
+                                              0x0001,
+                                              0x0002,  // abcd
+                                              0x6157,
+                                              0x7474,  // "Watt" with its bytes swapped
+                                              0x2020};
+    std::copy(words.begin(), words.end(), server.mapping().tab_registers + 20);
+    Stage stage;
+    ModbusBus bus("plc", {.host = "127.0.0.1", .port = server.port()});
+    const auto none = [](const char* name, unsigned address) {
+      return ModbusField{.name = name, .address = static_cast<std::uint16_t>(address), .no_value = {32768, 65535}};
+    };
+    DriverSensor<Modbus> meter(
+        stage.loop, common("meter"), bus, {.unit = 1},
+        {.fields = {
+             {.name = "text", .address = 20, .type = Kind::text, .registers = 4},
+             {.name = "bit0", .address = 24, .bit = 0},
+             {.name = "bit2", .address = 24, .bit = 2},
+             {.name = "bit15", .address = 24, .type = Kind::i16, .bit = 15},
+             {.name = "of_two", .address = 30, .type = Kind::u32, .bit = 16},
+             {.name = "high", .address = 24, .mask = 0xff00},
+             {.name = "nibble", .address = 24, .scale = 0.5, .mask = 0x00f0},
+             none("a", 25),
+             none("b", 26),
+             none("c", 27),
+             {.name = "word", .address = 28, .type = Kind::f32, .word_order = WordOrder::cdab},
+             {.name = "number", .address = 30, .type = Kind::u32},
+             {.name = "swapped", .address = 32, .type = Kind::text, .word_order = WordOrder::badc, .registers = 3},
+             {.name = "blank", .address = 34, .type = Kind::text, .registers = 1},
+             {.name = "gone", .address = 25, .no_value = {0x8000}, .bit = 15}}});
+    stage.until([&] { return !stage.values.empty(); });
+    CHECK(stage.values[0] == "meter: Watt true false true true 165 6 absent absent 7 -12.75 65538 Watt  absent");
+    CHECK(server.requests() == 1);
+  }
+
+  TEST_CASE("US-42 Modbus: a scale factor from another register, which is there, is none or makes no sense") {
+    TcpServer server;
+    std::uint16_t* const registers = server.mapping().tab_registers;
+    registers[10] = 2301;
+    registers[50] = 0xffff;  // -1
+    registers[11] = 12;
+    registers[51] = 3;
+    registers[12] = 7;
+    registers[52] = 0x8000;  // not implemented
+    Stage stage;
+    ModbusBus bus("inverter", {.host = "127.0.0.1", .port = server.port()});
+    const Modbus::Config config{.fields = {{.name = "v", .address = 10, .unit = "V", .scale_from = 50},
+                                           {.name = "w", .address = 11, .scale = 2, .offset = 1, .scale_from = 51},
+                                           {.name = "none", .address = 12, .scale_from = 52},
+                                           {.name = "gone", .address = 12, .no_value = {7}, .scale_from = 50}}};
+    DriverSensor<Modbus> sun(stage.loop, common("sun"), bus, {.unit = 126}, config);
+    stage.until([&] { return !stage.values.empty(); });
+    CHECK(stage.values[0] == "sun: 230.1 24001 absent absent");
+    CHECK(server.requests() == 2);  // 10 to 12, and 50 to 52
+    sun.close();
+    const std::array<std::uint16_t, 1> wrong{11};
+    bus.device({.unit = 126}).write_registers(50, wrong).or_throw();
+    DriverSensor<Modbus> other(stage.loop, common("other"), bus, {.unit = 126}, config);
+    stage.until([&] { return other.counts().unreadable > 0; });
+    CHECK(other.counts().published == 0);
+    CHECK(stage.has_error("field v: its scale factor is 11, and those of SunSpec are -10 to 10: check `scale_from`"));
+  }
+
+  TEST_CASE("US-42 Modbus: no request asks for more registers than the device gives, and none ends within a field") {
+    TcpServer server;
+    Modbus::Config config;
+    for (unsigned i = 0; i < 40; ++i)
+      config.fields.push_back({.name = "f" + std::to_string(i),
+                               .address = static_cast<std::uint16_t>(2 * i + 1),
+                               .type = Kind::u32,
+                               .word_order = i % 2 == 0 ? std::nullopt : std::optional(WordOrder::cdab)});
+    config.most_registers = 9;
+    const auto requests = Modbus::requests(config);
+    CHECK(requests.size() == 10);
+    CHECK(std::all_of(requests.begin(), requests.end(), [](const auto& one) { return one.count == 8; }));
+    Stage stage;
+    ModbusBus bus("plc", {.host = "127.0.0.1", .port = server.port()});
+    DriverSensor<Modbus> meter(stage.loop, common("meter"), bus, {.unit = 1}, config);
+    stage.until([&] { return !stage.values.empty(); });
+    std::string expected = "meter:";
+    for (std::uint32_t i = 0; i < 40; ++i) {
+      const std::uint32_t first = 1001 + 2 * i, second = first + 1;
+      expected += " " + std::to_string(i % 2 == 0 ? first << 16 | second : second << 16 | first);
+    }
+    CHECK(stage.values[0] == expected);
+    CHECK(server.most_asked() == 8);
+    config.most_registers = 1;
+    CHECK(Modbus::describe(config).error().text().find("it has 2 registers, and a request may have 1") !=
+          std::string::npos);
+    config.most_registers = 126;
+    CHECK_FALSE(Modbus::describe(config));
   }
 
   TEST_CASE("US-42 NFR-1 Modbus TCP: a server that is absent, silent, closes and comes back") {
@@ -435,7 +552,7 @@ TEST_SUITE("sensors") {
     CHECK(has(report(tcp, field + R"(, "unit": 248)"), "unit"));
     const auto none = [&](const std::string& kind, const std::string& number) {
       return report(
-          tcp, R"("fields": [{"name": "x", "address": 0, "type": ")" + kind + R"(", "no_value": )" + number + "}]");
+          tcp, R"("fields": [{"name": "x", "address": 0, "type": ")" + kind + R"(", "no_value": [)" + number + "]}]");
     };
     using Said = std::pair<const char*, const char*>;
     for (const Said& said :
@@ -446,6 +563,31 @@ TEST_SUITE("sensors") {
                              Said{"int32", "4294967295"}, Said{"int64", "-1"}, Said{"uint64", "1.8446744073709552e19"},
                              Said{"float", "-9999.9"}, Said{"double", "1e39"}})
       CHECK(none(said.first, said.second).empty());
+    const auto one = [&](const std::string& members) {
+      return report(tcp, R"("fields": [{"name": "x", "address": 0, )" + members + "}]");
+    };
+    for (const Said& said :
+         {Said{R"("type": "text")", "a text needs its `registers`"},
+          Said{R"("type": "text", "registers": 126)", "registers"},
+          Said{R"("type": "text", "registers": 8, "scale": 2)", "a text is no number"},
+          Said{R"("type": "text", "registers": 8, "no_value": [0])", "a text is no number"},
+          Said{R"("registers": 2)", "only a text has `registers`"}, Said{R"("bit": 16)", "a uint16 has no bit 16"},
+          Said{R"("bit": 64)", "bit"}, Said{R"("type": "float", "bit": 1)", "a float has no bit 1"},
+          Said{R"("bit": 1, "scale": 2)", "a single bit is no number"},
+          Said{R"("bit": 1, "mask": 2)", "a single bit is no number"},
+          Said{R"("mask": 65536)", "has none of the bits of its `mask`, or not all"}, Said{R"("mask": 0)", "mask"},
+          Said{R"("type": "int16", "mask": 1)", "a `mask` is for numbers without a sign"},
+          Said{R"("scale_from": 65536)", "scale_from"}, Said{R"("word_order": "acbd")", "word_order"},
+          Said{R"("no_value": [1, 65536])", "never hold its `no_value`"}})
+      CHECK_MESSAGE(has(one(said.first), said.second), said.first);
+    for (const char* good : {R"("type": "text", "registers": 125)", R"("type": "uint64", "bit": 63)",
+                             R"("mask": 65280, "scale": 0.1)", R"("scale_from": 65535, "scale": 0.1)",
+                             R"("type": "float", "word_order": "cdab")", R"("no_value": [32768, -1])"})
+      CHECK_MESSAGE(one(good).empty(), good);
+    CHECK(has(report(tcp, field + R"(, "most_registers": 0)"), "most_registers"));
+    CHECK(has(report(tcp, field + R"(, "most_registers": 126)"), "most_registers"));
+    CHECK(has(report(tcp, R"("most_registers": 3, "fields": [{"name": "x", "address": 0, "type": "double"}])"),
+              "it has 4 registers, and a request may have 3"));
     CHECK(has(report(tcp, R"("fields": [])"), "there are none"));
     CHECK(has(report(tcp, R"("fields": [{"name": "x", "address": 65535, "type": "float"}])"), "beyond address 65535"));
     CHECK(has(report(tcp, R"("fields": [{"name": "x", "address": 0}, {"name": "x", "address": 1}])"), "x"));
@@ -466,7 +608,7 @@ TEST_CASE("US-42 Modbus RTU: units on one line share it; broken, half and missin
       {.device = line.path(), .serial = {.baud_rate = 115200, .parity = Parity::even}, .answer_timeout = 50ms});
   DriverSensor<Modbus> one(stage.loop, common("one"), bus, {.unit = 1},
                            {.fields = {{.name = "a", .address = 20, .type = Kind::i16},
-                                       {.name = "none", .address = 21, .no_value = 0x8000},
+                                       {.name = "none", .address = 21, .no_value = {0x8000}},
                                        {.name = "b", .address = 22}}});
   DriverSensor<Modbus> three(stage.loop, common("three"), bus, {.unit = 3},
                              {.fields = {{.name = "x", .table = ModbusTable::input, .address = 2, .type = Kind::u32},
