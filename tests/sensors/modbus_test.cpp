@@ -22,6 +22,7 @@ TEST_CASE("US-42 Modbus is tested where libmodbus is") {
 #include <mutex>
 #include <thread>
 
+#include "app/run/data_at_risk.hpp"
 #include "has.hpp"
 #include "rtdata/app/standard.hpp"
 #include "rtdata/config/system.hpp"
@@ -91,41 +92,34 @@ class Unit {
   std::thread thread_;
 };
 
-/// An RS-485 line. A unit hears what is for it alone: libmodbus takes what comes after another's request for the answer
-/// to that. A thread carries it, since both ends of it block.
-class Rs485 {
+/// Carries what is sent on a line to the units, and their answers back, with faults. A unit hears what is for it alone:
+/// libmodbus takes what comes after another's request for the answer to that.
+class Carrier {
  public:
-  enum class Fault { none, silent, broken, half };
-  explicit Rs485(std::vector<Unit*> units) : pty_(directory_.file("tty")), units_(std::move(units)) { plug_in(); }
-  Rs485(const Rs485&) = delete;
-  Rs485& operator=(const Rs485&) = delete;
-  ~Rs485() { unplug(); }
-  void plug_in() {
-    pty_.plug_in();
-    REQUIRE(::pipe(stop_) == 0);
-    thread_ = std::thread([this] { carry(); });
-  }
-  void unplug() {
-    if (!thread_.joinable()) return;
-    ::close(stop_[1]);
-    thread_.join();
-    ::close(stop_[0]);
-    pty_.unplug();
-  }
+  enum class Fault { none, silent, broken, half, noise };
+  enum class Echo { none, right, wrong };
+  explicit Carrier(std::vector<Unit*> units) : units_(std::move(units)) {}
   void set(Fault fault) { fault_ = fault; }
-  const std::string& path() const { return pty_.path(); }
-  int device() const { return pty_.device(); }
+  void set(Echo echo) { echo_ = echo; }
   unsigned requests() const { return requests_; }
 
- private:
-  void carry() {
-    std::vector<pollfd> ends{{stop_[0], POLLIN, 0}, {pty_.master(), POLLIN, 0}};
+ protected:
+  /// Until `stop` is closed, or the end is.
+  void carry(int end, int stop) {
+    std::vector<pollfd> ends{{stop, POLLIN, 0}, {end, POLLIN, 0}};
     for (const Unit* unit : units_) ends.push_back({unit->line(), POLLIN, 0});
     while (::poll(ends.data(), ends.size(), -1) >= 0 && ends[0].revents == 0) {
       std::uint8_t bytes[300];
       if (ends[1].revents != 0) {
-        const ssize_t got = ::read(pty_.master(), bytes, sizeof bytes);
+        const ssize_t got = ::read(end, bytes, sizeof bytes);
+        if (got == 0) return;
         if (got > 0) ++requests_;
+        if (const Echo echo = echo_; echo != Echo::none && got > 0) {
+          std::uint8_t back[300];
+          std::copy_n(bytes, got, back);
+          if (echo == Echo::wrong) back[2] ^= 0x01;
+          send(end, back, got);
+        }
         for (const Unit* unit : units_) {
           if (got > 0 && bytes[0] == unit->number()) send(unit->line(), bytes, got);
         }
@@ -137,7 +131,11 @@ class Rs485 {
         if (fault == Fault::silent || got <= 0) continue;
         if (fault == Fault::broken) bytes[3] = static_cast<std::uint8_t>(bytes[3] ^ 0x10);
         if (fault == Fault::half) got /= 2;
-        send(pty_.master(), bytes, got);
+        if (fault == Fault::noise) {
+          const std::uint8_t noise[] = {0x00, 0xff, bytes[0]};
+          send(end, noise, sizeof noise);
+        }
+        send(end, bytes, got);
       }
     }
   }
@@ -145,11 +143,91 @@ class Rs485 {
     if (size > 0) [[maybe_unused]]
       const ssize_t sent = ::write(fd, bytes, static_cast<std::size_t>(size));
   }
-  ScratchDirectory directory_;
-  Pty pty_;
+
+ private:
   std::vector<Unit*> units_;
   std::atomic<Fault> fault_{Fault::none};
+  std::atomic<Echo> echo_{Echo::none};
   std::atomic<unsigned> requests_{0};
+};
+
+/// An RS-485 line. A thread carries it, since both ends of it block.
+class Rs485Line : public Carrier {
+ public:
+  explicit Rs485Line(std::vector<Unit*> units) : Carrier(std::move(units)), pty_(directory_.file("tty")) { plug_in(); }
+  Rs485Line(const Rs485Line&) = delete;
+  Rs485Line& operator=(const Rs485Line&) = delete;
+  ~Rs485Line() { unplug(); }
+  void plug_in() {
+    pty_.plug_in();
+    REQUIRE(::pipe(stop_) == 0);
+    thread_ = std::thread([this] { carry(pty_.master(), stop_[0]); });
+  }
+  void unplug() {
+    if (!thread_.joinable()) return;
+    ::close(stop_[1]);
+    thread_.join();
+    ::close(stop_[0]);
+    pty_.unplug();
+  }
+  const std::string& path() const { return pty_.path(); }
+  int device() const { return pty_.device(); }
+
+ private:
+  ScratchDirectory directory_;
+  Pty pty_;
+  int stop_[2] = {-1, -1};
+  std::thread thread_;
+};
+
+/// A serial server that passes bytes on and converts nothing, one connection at a time.
+class SerialServer : public Carrier {
+ public:
+  explicit SerialServer(std::vector<Unit*> units, std::uint16_t port = 0) : Carrier(std::move(units)) {
+    listening_ = ::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
+    const int on = 1;
+    ::setsockopt(listening_, SOL_SOCKET, SO_REUSEADDR, &on, sizeof on);
+    sockaddr_in address{};
+    address.sin_family = AF_INET;
+    address.sin_port = htons(port);
+    address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+    socklen_t size = sizeof address;
+    REQUIRE(::bind(listening_, reinterpret_cast<sockaddr*>(&address), size) == 0);
+    REQUIRE(::listen(listening_, 4) == 0);
+    ::getsockname(listening_, reinterpret_cast<sockaddr*>(&address), &size);
+    port_ = ntohs(address.sin_port);
+    REQUIRE(::pipe(stop_) == 0);
+    thread_ = std::thread([this] {
+      for (int peer = -1; (peer = ::accept(listening_, nullptr, nullptr)) >= 0;) {
+        ++connections_;
+        peer_ = peer;
+        carry(peer, stop_[0]);
+        peer_ = -1;
+        ::close(peer);
+      }
+    });
+  }
+  SerialServer(const SerialServer&) = delete;
+  SerialServer& operator=(const SerialServer&) = delete;
+  ~SerialServer() {
+    ::shutdown(listening_, SHUT_RDWR);
+    ::close(stop_[1]);
+    thread_.join();
+    ::close(stop_[0]);
+    ::close(listening_);
+  }
+  /// Ends the connection.
+  void drop() {
+    if (const int peer = peer_; peer >= 0) ::shutdown(peer, SHUT_RDWR);
+  }
+  std::uint16_t port() const { return port_; }
+  unsigned connections() const { return connections_; }
+
+ private:
+  int listening_ = -1;
+  std::uint16_t port_ = 0;
+  std::atomic<int> peer_{-1};
+  std::atomic<unsigned> connections_{0};
   int stop_[2] = {-1, -1};
   std::thread thread_;
 };
@@ -365,7 +443,12 @@ TEST_SUITE("sensors") {
     CHECK(device.read_registers(ModbusTable::coil, 0, words).error().code == Errc::bad_argument);
     CHECK(bus.counts(7).failed == 1);
     CHECK(bus.counts(7).transfers == 11);
-    CHECK_THROWS_AS((void)bus.device({.unit = 0}), SetupError);
+    CHECK_THROWS_AS((void)bus.device({.unit = 256}), SetupError);
+    for (const unsigned unit : {0u, 248u, 255u}) {
+      bus.device({.unit = unit}).read_registers(ModbusTable::input, 1, words).or_throw();
+      CHECK(words == std::array<std::uint16_t, 3>{2001, 2002, 2003});
+      CHECK(bus.counts(unit).transfers == 1);
+    }
     device.abandon();
     CHECK(device.read_registers(ModbusTable::holding, 0, words).error().code == Errc::closed);
   }
@@ -531,6 +614,83 @@ TEST_SUITE("sensors") {
     CHECK(meter.counts().balances());
   }
 
+  TEST_CASE("US-42 US-17 check warns of units that no device has by RTU") {
+    const auto warned = [](const std::string& bus, const char* unit) {
+      SystemPlan plan = plan_system(
+          standard_registry(),
+          parse_config(R"({"buses": {"b": {"type": "modbus", )" + bus +
+                           R"(}}, "sensors": [{"name": "m", "type": "modbus", "rate": "1 Hz", "bus": "b", "unit": )" +
+                           unit + R"(, "fields": [{"name": "x", "address": 0}]}], "sinks": [{"type": "console"}]})",
+                       "f.json"));
+      REQUIRE_MESSAGE(plan.good(), plan.report());
+      app::warn_of_losses(plan);
+      return plan.warnings.empty() ? std::string() : plan.warnings[0].id + " " + plan.warnings[0].path;
+    };
+    for (const char* rtu : {R"("device": "/dev/ttyUSB0")", R"("host": "10.0.0.1", "rtu_over_tcp": true)"}) {
+      for (const char* unit : {"0", "248", "255"}) CHECK(warned(rtu, unit) == "unlikely-address sensors[0].unit");
+      for (const char* unit : {"1", "9", "99", "247"}) CHECK(warned(rtu, unit).empty());
+    }
+    for (const char* tcp : {R"("host": "10.0.0.1")", R"("host": "10.0.0.1", "rtu_over_tcp": false)"})
+      for (const char* unit : {"0", "1", "255"}) CHECK(warned(tcp, unit).empty());
+  }
+
+  TEST_CASE(
+      "US-42 NFR-1 Modbus RTU over TCP: noise, broken, half and missing answers, a server that closes or is away") {
+    Unit first(1), last(247);
+    auto server = std::make_unique<SerialServer>(std::vector<Unit*>{&first, &last});
+    const std::uint16_t port = server->port();
+    Stage stage;
+    ModbusBus bus("server", {.host = "127.0.0.1", .port = port, .rtu_over_tcp = true, .answer_timeout = 60ms});
+    std::array<std::uint16_t, 1> none{};
+    CHECK(bus.device({.unit = 1}).read_registers(ModbusTable::holding, 200, none).error().code == Errc::bad_argument);
+    DriverSensor<Modbus> one(stage.loop, common("one"), bus, {.unit = 1},
+                             {.fields = {{.name = "a", .address = 20}, {.name = "b", .address = 120}}});
+    DriverSensor<Modbus> other(stage.loop, common("other"), bus, {.unit = 247},
+                               {.fields = {{.name = "x", .table = ModbusTable::input, .address = 2}}});
+    const auto are_back = [&] {
+      const std::uint64_t a = one.counts().published, b = other.counts().published;
+      stage.until([&, a, b] { return one.counts().published > a + 3 && other.counts().published > b + 3; });
+    };
+    are_back();
+    CHECK(server->connections() == 1);
+    CHECK(bus.counts(1).skipped_bytes == 0);
+
+    server->set(Carrier::Fault::noise);
+    stage.until([&] { return bus.counts(1).skipped_bytes >= 9 && bus.counts(247).skipped_bytes >= 9; });
+    const std::uint64_t failed = one.counts().failed;
+    CHECK(failed == 0);
+    CHECK(one.counts().unreadable == 0);
+    server->set(Carrier::Fault::broken);
+    stage.until([&] { return one.counts().unreadable > 0; });
+    CHECK(stage.has_error("bus server, unit 1: the checksum of its answer is wrong"));
+    server->set(Carrier::Fault::half);
+    stage.until([&] { return stage.has_error("unit 247: its answer was not complete in 60 ms"); });
+    CHECK(server->connections() == 1);
+    server->set(Carrier::Fault::silent);
+    stage.until([&] { return server->connections() > 1; });  // after three requests in a row
+    CHECK(stage.has_error("no answer in 60 ms"));
+    server->set(Carrier::Fault::none);
+    are_back();
+
+    const std::uint64_t before = one.counts().failed + other.counts().failed;
+    const unsigned connections = server->connections();
+    server->drop();
+    stage.until([&] { return server->connections() > connections; });
+    are_back();
+    CHECK(one.counts().failed + other.counts().failed <= before + 1);  // one may have been on its way
+    server.reset();
+    stage.until([&] { return one.health() == Health::faulted && stage.has_error("cannot connect: 127.0.0.1 port"); });
+    server = std::make_unique<SerialServer>(std::vector<Unit*>{&first, &last}, port);
+    are_back();
+    for (const std::string& value : stage.values)
+      CHECK_MESSAGE((value == "one: 1020 1120" || value == "other: 2002"), value);
+    one.stop();
+    other.stop();
+    CHECK(one.counts().balances());
+    CHECK(other.counts().balances());
+    CHECK(stage.loop.runtime().balances());
+  }
+
   TEST_CASE("US-42 US-17 check refuses what a Modbus bus or sensor cannot be") {
     const auto report = [](const std::string& bus, const std::string& sensor) {
       return plan_system(
@@ -548,8 +708,18 @@ TEST_SUITE("sensors") {
     CHECK(has(report(R"("port": 502)", field), "neither a `device` (RTU) nor a `host` (TCP)"));
     CHECK(has(report(R"("device": "/dev/x", "host": "h")", field), "there is a `device` too"));
     CHECK(has(report(tcp + R"(, "answer_timeout": "5 s")", field), "make `timeout` longer"));
-    CHECK(has(report(tcp, field + R"(, "unit": 0)"), "unit"));
-    CHECK(has(report(tcp, field + R"(, "unit": 248)"), "unit"));
+    CHECK(report(tcp, field + R"(, "unit": 0)").empty());
+    CHECK(report(tcp, field + R"(, "unit": 255)").empty());
+    CHECK(has(report(tcp, field + R"(, "unit": 256)"), "unit"));
+    CHECK(has(report(tcp, field + R"(, "unit": -1)"), "unit"));
+    const std::string rtu = R"("device": "/dev/ttyUSB0")";
+    CHECK(report(tcp + R"(, "rtu_over_tcp": true, "echo": true)", field).empty());
+    CHECK(report(rtu + R"(, "echo": true, "hangup": true, "dtr": false, "rs485": "rts_high")", field).empty());
+    CHECK(has(report(rtu + R"(, "rtu_over_tcp": true)", field), "a serial line always has RTU"));
+    CHECK(has(report(tcp + R"(, "echo": true)", field), "Modbus TCP has no echo"));
+    CHECK(has(report(rtu + R"(, "rts": true, "rs485": "rts_low")", field), "with `rs485` the kernel sets RTS"));
+    for (const char* line : {R"("dtr": true)", R"("rts": false)", R"("hangup": true)", R"("rs485": "rts_low")"})
+      CHECK_MESSAGE(has(report(tcp + ", " + line, field), "only a serial line (`device`) has it"), line);
     const auto none = [&](const std::string& kind, const std::string& number) {
       return report(
           tcp, R"("fields": [{"name": "x", "address": 0, "type": ")" + kind + R"(", "no_value": [)" + number + "]}]");
@@ -601,7 +771,7 @@ TEST_CASE("US-42 Modbus RTU: units on one line share it; broken, half and missin
   Unit first(1), third(3);
   first.mapping().tab_registers[20] = 0xffff;
   first.mapping().tab_registers[21] = 0x8000;
-  Rs485 line({&first, &third});
+  Rs485Line line({&first, &third});
   Stage stage;
   ModbusBus bus(
       "rs485",
@@ -626,13 +796,13 @@ TEST_CASE("US-42 Modbus RTU: units on one line share it; broken, half and missin
   CHECK(bus.counts(9).transfers == bus.counts(9).failed);
   nobody.close();
 
-  line.set(Rs485::Fault::broken);
+  line.set(Rs485Line::Fault::broken);
   stage.until([&] { return one.counts().unreadable > 0 && three.counts().unreadable > 0; });
   CHECK(stage.has_error("bus rs485, unit 1: the checksum of its answer is wrong"));
-  line.set(Rs485::Fault::half);
+  line.set(Rs485Line::Fault::half);
   const std::uint64_t failed = one.counts().failed;
   stage.until([&] { return one.counts().failed > failed + 1; });
-  line.set(Rs485::Fault::none);
+  line.set(Rs485Line::Fault::none);
   const auto are_back = [&] {
     const std::uint64_t a = one.counts().published, b = three.counts().published;
     stage.until([&, a, b] {
@@ -655,6 +825,43 @@ TEST_CASE("US-42 Modbus RTU: units on one line share it; broken, half and missin
   CHECK(one.counts().balances());
   CHECK(three.counts().balances());
   CHECK(stage.loop.runtime().balances());
+}
+
+TEST_CASE("US-42 Modbus RTU: an adapter's echo is dropped, and told where it differs or is missing; noise is skipped") {
+  Unit third(3);
+  Rs485Line line({&third});
+  Stage stage;
+  line.set(Carrier::Echo::right);
+  ModbusBus bus("rs485", {.device = line.path(), .echo = true, .answer_timeout = 50ms});
+  ModbusDevice device = bus.device({.unit = 3});
+  const std::array<std::uint16_t, 1> one{7};
+  device.write_registers(30, one).or_throw();  // answered by what was asked
+  std::array<std::uint16_t, 1> back{};
+  device.read_registers(ModbusTable::holding, 30, back).or_throw();
+  CHECK(back == one);
+  DriverSensor<Modbus> meter(stage.loop, common("meter"), bus, {.unit = 3},
+                             {.fields = {{.name = "a", .address = 20}, {.name = "b", .address = 21}}});
+  stage.until([&] { return meter.counts().published > 5; });
+  CHECK(stage.errors.empty());
+  CHECK(bus.counts(3).skipped_bytes == 0);
+  line.set(Carrier::Fault::noise);
+  stage.until([&] { return bus.counts(3).skipped_bytes >= 9; });
+  CHECK(stage.errors.empty());
+  line.set(Carrier::Fault::none);
+
+  line.set(Carrier::Echo::wrong);
+  stage.until([&] { return stage.has_error("bus rs485: what came back is not what was sent"); });
+  CHECK(meter.counts().unreadable > 0);
+  line.set(Carrier::Fault::silent);
+  line.set(Carrier::Echo::none);
+  stage.until([&] { return stage.has_error("bus rs485: what was sent did not come back in 50 ms"); });
+  line.set(Carrier::Fault::none);
+  line.set(Carrier::Echo::right);
+  const std::uint64_t published = meter.counts().published;
+  stage.until([&] { return meter.counts().published > published + 3; });
+  for (const std::string& value : stage.values) CHECK_MESSAGE(value == "meter: 1020 1021", value);
+  meter.stop();
+  CHECK(meter.counts().balances());
 }
 
 TEST_SUITE_END();

@@ -386,6 +386,7 @@ Result<std::shared_ptr<const Description>> serial_description(const SerialConfig
 }
 
 void check_config(const SerialConfig& config, const ConfigItem& item, Problems& problems) {
+  check_config(config.serial, item, problems);
   if (config.format == LineFormat::nmea) return;
   try {
     const detail::LineDecoder decoder(config);
