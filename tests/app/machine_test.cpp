@@ -267,7 +267,7 @@ TEST_SUITE("app") {
         }
       }
     }
-    CHECK(known == 53);
+    CHECK(known == 57);
   }
 
   TEST_CASE("FW-2 scan names the chips that an address may have, without an identity and without a driver") {
@@ -298,6 +298,7 @@ TEST_SUITE("app") {
              {0x40, 0x00, 0x00, "perhaps INA219, HDC1080, PCA9685", 1},
              {0x40, 0xff, 0x22, "INA226", 1},
              {0x45, 0x3f, 0x22, "INA228", 1},
+             {0x41, 0xff, 0x32, "INA3221", 1},
              {0x44, 0x00, 0x00, "perhaps SHT3x, SHT4x, INA219", 3},
              {0x48, 0x00, 0x00, "perhaps LM75, TMP75, ADS1115, ADS1015, TMP102", 2},
              {0x4f, 0x00, 0x00, "perhaps LM75, TMP75", 1},

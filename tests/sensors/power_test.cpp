@@ -1,4 +1,4 @@
-// Power monitors with more bits than those of driver_test.cpp, by their data sheets and on a fake bus.
+// Power monitors with more bits or more channels than those of driver_test.cpp, by their data sheets and on a fake bus.
 #include <doctest/doctest.h>
 
 #include <array>
@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "rtdata/chips/ina.hpp"
+#include "rtdata/chips/ina3221.hpp"
 #include "sensors/bus_bench.hpp"
 
 using namespace rtdata;
@@ -85,5 +86,87 @@ TEST_SUITE("sensors") {
     CHECK(sensor.health() == Health::ok);
     CHECK(all.size() >= 6);
     CHECK(bench.loop.runtime().balances());
+  }
+
+  TEST_CASE("US-12 US-27 INA3221: the data sheet's codes; a channel beyond its range; identity, settings, unplugged") {
+    // 8.6.2.2: 80 mV is 0x3e80, -80 mV 0xc180; 8 mV of the bus a code, in the upper 13 bits.
+    CHECK(Ina3221::decode(0x3e80, 0x2ee0, 0.1).or_throw().current == doctest::Approx(0.8));
+    CHECK(Ina3221::decode(0x3e80, 0x2ee0, 0.1).or_throw().voltage == doctest::Approx(12));
+    CHECK(Ina3221::decode(0x3e80, 0x2ee0, 0.1).or_throw().power == doctest::Approx(9.6));
+    CHECK(Ina3221::decode(0xc180, 0, 0.01).or_throw().current == doctest::Approx(-8));
+    CHECK(Ina3221::decode(0xfff8, 0x0008, 0.1).or_throw().current == doctest::Approx(-0.0004));
+    CHECK(Ina3221::decode(0x7ff0, 0, 0.1).or_throw().current == doctest::Approx(1.6376));
+    CHECK(Ina3221::decode(0x7ff8, 0, 0.1).error().code == Errc::out_of_range);
+    CHECK(Ina3221::decode(0x8000, 0, 0.1).error().code == Errc::out_of_range);
+    CHECK(Ina3221::decode(0, 0x7ff8, 0.1).error().code == Errc::out_of_range);
+    CHECK(Ina3221::decode(0, 0xfff8, 0.1).error().code == Errc::out_of_range);
+
+    I2cBench bench;
+    FakeI2cChip& chip = bench.wires->chip(0x41);
+    chip.set_width(FakeI2cChip::Width::words);
+    chip.set_word(0xfe, 0x5449);
+    chip.set_word(0xff, 0x2260);  // an INA226
+    DriverSensor<Ina3221> rails(bench.loop, {.name = "rails", .rate = 10_Hz, .retry_longest = 200ms}, bench.bus, {0x41},
+                                {.shunt_resistance_2 = 0.01});
+    CHECK(rails.health() == Health::faulted);
+    CHECK(bench.told("cannot use the chip as an INA3221"));
+    chip.set_word(0xff, 0x3220);
+    chip.set_word(1, 0x3e80);
+    chip.set_word(2, 0x2ee0);
+    chip.set_word(3, 0xc180);
+    chip.set_word(4, 0x3e80);
+    std::vector<ThreePowersReading> all;
+    const auto heard = bench.loop.subscribe<ThreePowersReading>(
+        "rails", [&](const Event<ThreePowersReading>& e) { all.push_back(*e); });
+    bench.loop.advance(450ms);
+    CHECK(rails.health() == Health::ok);
+    CHECK(chip.word(0) == 0x7127);
+    CHECK(all.empty());  // no measurement is ready
+    CHECK(rails.counts().repeated > 0);
+    chip.set_word(0x0f, 0x0003);
+    bench.loop.advance(100ms);
+    REQUIRE(all.size() == 1);
+    CHECK(all[0].power_1 == doctest::Approx(9.6));
+    CHECK(all[0].current_2 == doctest::Approx(-8));
+    CHECK(all[0].power_2 == doctest::Approx(-128));
+    CHECK(all[0].voltage_3 == 0.0);
+    chip.set_word(5, 0x7ff8);
+    bench.loop.advance(100ms);
+    REQUIRE(all.size() == 2);
+    CHECK(all[1].power_1 == doctest::Approx(9.6));
+    CHECK_FALSE(all[1].voltage_3);
+    CHECK_FALSE(all[1].current_3);
+    CHECK_FALSE(all[1].power_3);
+    CHECK(rails.counts().unreadable == 1);
+    CHECK(rails.status().reason.find("channel 3: the current is beyond what it can measure") != std::string::npos);
+    chip.set_word(1, 0x8000);
+    chip.set_word(4, 0x7ff8);
+    bench.loop.advance(100ms);
+    CHECK(all.size() == 2);  // none of the three
+    CHECK(rails.counts().unreadable == 4);
+    chip.set_word(1, 0);
+    chip.set_word(4, 0);
+    chip.set_word(5, 0);
+    chip.set_word(0, 0x0000);
+    bench.loop.advance(100ms);
+    CHECK(rails.status().reason.find("it has lost its settings") != std::string::npos);
+    CHECK(chip.word(0) == 0x7127);
+    chip.set_word(0x0f, 0x0002);
+    bench.loop.advance(1500ms);
+    CHECK(bench.told("it has stopped measuring"));
+    chip.unplug();
+    const std::size_t before = all.size();
+    bench.loop.advance(1s);
+    CHECK(rails.health() == Health::faulted);
+    CHECK(all.size() == before);
+    chip.plug_in();
+    chip.set_word(0x0f, 0x0003);
+    bench.loop.advance(1s);
+    CHECK(rails.health() == Health::ok);
+    CHECK(all.size() >= before + 5);
+    CHECK(bench.loop.runtime().balances());
+    CHECK_THROWS_AS(
+        DriverSensor<Ina3221>(bench.loop, {.name = "b", .rate = 1_Hz}, bench.bus, {0x42}, {.shunt_resistance_3 = 0}),
+        SetupError);
   }
 }
