@@ -299,6 +299,7 @@ TEST_SUITE("app") {
              {0x40, 0xff, 0x22, "INA226", 1},
              {0x45, 0x3f, 0x22, "INA228", 1},
              {0x41, 0xff, 0x32, "INA3221", 1},
+             {0x62, 0x00, 0x00, "perhaps SCD40, SCD41", 1},
              {0x44, 0x00, 0x00, "perhaps SHT3x, SHT4x, INA219", 3},
              {0x48, 0x00, 0x00, "perhaps LM75, TMP75, ADS1115, ADS1015, TMP102", 2},
              {0x4f, 0x00, 0x00, "perhaps LM75, TMP75", 1},

@@ -1,0 +1,169 @@
+// Sensors of gases and particles, by their data sheets and on a bus made of memory.
+#include <doctest/doctest.h>
+
+#include <algorithm>
+#include <array>
+#include <cerrno>
+#include <cstdint>
+#include <map>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "rtdata/chips/scd4x.hpp"
+#include "sensors/fixture.hpp"
+#include "sensors/sample_chip.hpp"
+
+using namespace rtdata;
+using namespace rtdata::literals;
+
+namespace {
+
+/// A chip that answers commands, and acknowledges no other read.
+class Answers final : public I2cTransport {
+ public:
+  void set(std::string_view request, std::string_view answer) { answers_[bytes_of(request)] = bytes_of(answer); }
+  void forget(std::string_view request) { answers_.erase(bytes_of(request)); }
+  std::size_t count(std::string_view request) const {
+    return static_cast<std::size_t>(std::count(requests_.begin(), requests_.end(), bytes_of(request)));
+  }
+  bool is_plugged_in = true;
+
+  int transfer(unsigned, std::span<const std::uint8_t> write, std::span<std::uint8_t> read) noexcept override {
+    if (!is_plugged_in) return ENXIO;
+    if (!write.empty()) requests_.emplace_back(write.begin(), write.end());
+    if (read.empty()) return 0;
+    const auto answer = requests_.empty() ? answers_.end() : answers_.find(requests_.back());
+    if (answer == answers_.end() || answer->second.size() < read.size()) return ENXIO;
+    std::copy_n(answer->second.begin(), read.size(), read.begin());
+    return 0;
+  }
+
+ private:
+  std::map<std::vector<std::uint8_t>, std::vector<std::uint8_t>> answers_;
+  std::vector<std::vector<std::uint8_t>> requests_;
+};
+
+template <class Driver>
+struct AnswersBench {
+  std::shared_ptr<Answers> chip = std::make_shared<Answers>();
+  I2cBus bus{"i2c1", chip};
+  Loop loop{Loop::Manual{}};
+  std::vector<std::string> errors;
+  std::vector<typename Driver::Value> all;
+  Subscription heard;
+  DriverSensor<Driver> sensor;
+  AnswersBench() {
+    be_quiet(loop);
+    loop.on_error([this](const ErrorReport& report) { errors.push_back(report.error.text()); });
+    for (const ChipBytes& one : Driver::samples[0].bytes)
+      if (!one.at.empty()) chip->set(one.at, one.bytes);
+  }
+  void open(typename Driver::Config config = {}) {
+    heard = loop.subscribe<typename Driver::Value>(
+        "air", [this](const Event<typename Driver::Value>& e) { all.push_back(*e); });
+    sensor = DriverSensor<Driver>(loop, {.name = "air", .rate = 1_Hz, .retry_longest = 200ms}, bus, Driver::place,
+                                  config);
+    loop.advance(500ms);  // between two ticks
+  }
+  bool says(const std::string& part) { return sensor.status().reason.find(part) != std::string::npos; }
+  bool told(const std::string& part) const {
+    return std::any_of(errors.begin(), errors.end(),
+                       [&](const std::string& error) { return error.find(part) != std::string::npos; });
+  }
+  /// Unplugged, it gives nothing; plugged in again, it gives something.
+  void expect_recovery() {
+    chip->is_plugged_in = false;
+    loop.advance(1s);
+    const std::size_t before = all.size();
+    loop.advance(9s);
+    CHECK(sensor.health() == Health::faulted);
+    CHECK(all.size() == before);
+    chip->is_plugged_in = true;
+    loop.advance(10s);
+    CHECK(sensor.health() == Health::ok);
+    CHECK(all.size() >= before + 5);
+    CHECK(loop.runtime().balances());
+  }
+};
+
+}  // namespace
+
+TEST_SUITE("sensors") {
+  TEST_CASE("US-12 Sensirion's words: the data sheets' checksums, and each wrong bit") {
+    CHECK(detail::sensirion_command(0x3682) == std::array<std::uint8_t, 2>{0x36, 0x82});
+    // SGP40, table 9; SCD4x, 3.7.2: 1 has the checksum 0xb0.
+    CHECK(detail::sensirion_command(0x260f, std::uint16_t{0x8000}, std::uint16_t{0x6666}) ==
+          std::array<std::uint8_t, 8>{0x26, 0x0f, 0x80, 0x00, 0xa2, 0x66, 0x66, 0x93});
+    CHECK(detail::sensirion_command(0x2416, std::uint16_t{1}) ==
+          std::array<std::uint8_t, 5>{0x24, 0x16, 0x00, 0x01, 0xb0});
+    constexpr std::array<std::uint8_t, 6> good{0xbe, 0xef, 0x92, 0x01, 0xe0, 0xb4};  // SHT3x, 4.12; SCD4x, 3.7.1
+    REQUIRE(detail::sensirion_words(good));
+    CHECK(*detail::sensirion_words(good) == std::array<std::uint16_t, 2>{0xbeef, 0x01e0});
+    for (std::size_t byte = 0; byte < good.size(); ++byte) {
+      for (int bit = 0; bit < 8; ++bit) {
+        auto wrong = good;
+        wrong[byte] = static_cast<std::uint8_t>(wrong[byte] ^ 1 << bit);
+        CHECK_FALSE(detail::sensirion_words(wrong));
+      }
+    }
+  }
+
+  TEST_CASE("US-12 US-27 SCD4x: the data sheet's example; altitude, not ready, checksums, another chip, unplugged") {
+    const Scd4xReading example = Scd4x::decode({0x01f4, 0x6667, 0x5eb9}).or_throw();
+    CHECK(example.co2 == 500);
+    CHECK(example.temperature == doctest::Approx(25).epsilon(2e-4));
+    CHECK(example.humidity == doctest::Approx(37).epsilon(1e-4));
+    CHECK(Scd4x::decode({0x9c40, 0, 0}).or_throw().temperature == -45);
+    CHECK(Scd4x::decode({1, 0xffff, 0xffff}).or_throw().temperature == 130);
+    CHECK(Scd4x::decode({1, 0xffff, 0xffff}).or_throw().humidity == 100);
+    CHECK(Scd4x::decode({0, 0x6667, 0x5eb9}).error().code == Errc::bad_data);
+
+    AnswersBench<Scd4x> bench;
+    bench.chip->set("36 82", "f8 96 30 9f 07 c2 3b be 89");
+    bench.open({.altitude = 520});
+    CHECK(bench.told("cannot use the chip as an SCD40 or SCD41: bus i2c1, 0x62: its serial number"));
+    CHECK(bench.chip->count("21 b1") == 0);
+    bench.chip->set("36 82", "f8 96 31 9f 07 c2 3b be 89");
+    bench.chip->set("e4 b8", "80 00 a2");
+    bench.loop.advance(10s);
+    CHECK(bench.sensor.health() == Health::ok);
+    CHECK(bench.chip->count("24 27 02 08 e1") == 1);  // 520 m, before it measures
+    CHECK(bench.chip->count("21 b1") == 1);
+    CHECK(bench.all.empty());
+    CHECK(bench.sensor.counts().repeated > 5);
+    CHECK(bench.chip->count("ec 05") == 0);
+    bench.chip->set("e4 b8", "80 06 04");
+    bench.loop.advance(1s);
+    REQUIRE(bench.all.size() == 1);
+    CHECK(bench.all[0].co2 == 500);
+    bench.chip->set("ec 05", "01 f4 33 66 67 a2 5e b9 3d");
+    bench.loop.advance(1s);
+    CHECK(bench.says("a checksum is wrong"));
+    bench.chip->set("e4 b8", "80 06 05");
+    bench.loop.advance(1s);
+    CHECK(bench.says("a checksum is wrong"));
+    CHECK(bench.sensor.counts().unreadable == 2);
+    bench.chip->set("e4 b8", "80 06 04");
+    bench.chip->set("ec 05", "00 00 81 66 67 a2 5e b9 3c");
+    bench.loop.advance(1s);
+    CHECK(bench.says("it says 0 ppm"));
+    CHECK(bench.all.size() == 1);
+    bench.chip->set("e4 b8", "80 00 a2");  // as after a reset
+    bench.loop.advance(14s);
+    CHECK_FALSE(bench.told("it has stopped measuring"));
+    bench.loop.advance(3s);
+    CHECK(bench.told("it has stopped measuring"));
+    bench.chip->set("e4 b8", "80 06 04");
+    bench.chip->set("ec 05", "01 f4 33 66 67 a2 5e b9 3c");
+    bench.expect_recovery();
+    const std::size_t stops = bench.chip->count("3f 86");
+    bench.sensor.stop();
+    bench.loop.advance(10ms);
+    CHECK(bench.chip->count("3f 86") == stops + 1);
+    CHECK_THROWS_AS(DriverSensor<Scd4x>(bench.loop, {.name = "b", .rate = 1_Hz}, bench.bus, {0x63}, {.altitude = -1}),
+                    SetupError);
+    I2cBus quick("quick", bench.chip, {.timeout = 400ms});
+    CHECK_THROWS_AS(DriverSensor<Scd4x>(bench.loop, {.name = "c", .rate = 1_Hz}, quick), SetupError);
+  }
+}
