@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "rtdata/chips/scd4x.hpp"
+#include "rtdata/chips/sgp.hpp"
 #include "sensors/fixture.hpp"
 #include "sensors/sample_chip.hpp"
 
@@ -165,5 +166,85 @@ TEST_SUITE("sensors") {
                     SetupError);
     I2cBus quick("quick", bench.chip, {.timeout = 400ms});
     CHECK_THROWS_AS(DriverSensor<Scd4x>(bench.loop, {.name = "c", .rate = 1_Hz}, quick), SetupError);
+  }
+
+  TEST_CASE("US-12 US-27 SGP30: no air quality while it warms up; product type, checksums, unplugged") {
+    const Sgp30Reading warm = Sgp30::decode(std::array<std::uint16_t, 2>{450, 12}, {0x3408, 0x4801});
+    CHECK(warm.co2_equivalent == 450.0);
+    CHECK(warm.tvoc == 12.0);
+    CHECK(warm.hydrogen_signal == 0x3408);
+    CHECK(warm.ethanol_signal == 0x4801);
+    CHECK_FALSE(Sgp30::decode({}, {1, 2}).co2_equivalent);
+
+    AnswersBench<Sgp30> bench;
+    bench.chip->set("20 2f", "10 22 0b");  // an SGPC3
+    bench.open();
+    CHECK(bench.told("it does not answer with its product type"));
+    bench.chip->set("20 2f", "00 22 65");
+    bench.loop.advance(1s);
+    CHECK(bench.sensor.health() == Health::ok);
+    CHECK(bench.chip->count("20 03") == 1);
+    bench.loop.advance(13s);
+    REQUIRE(bench.all.size() >= 13);
+    for (const Sgp30Reading& one : bench.all) {
+      CHECK_FALSE(one.co2_equivalent);
+      CHECK_FALSE(one.tvoc);
+      CHECK(one.hydrogen_signal == 0x3408);
+    }
+    bench.loop.advance(3s);
+    CHECK(bench.all.back().co2_equivalent == 400.0);
+    CHECK(bench.all.back().tvoc == 0.0);
+    CHECK(bench.chip->count("20 08") == bench.all.size());  // one a second, and no more
+    const std::size_t before = bench.all.size();
+    bench.chip->set("20 08", "01 90 4d 00 00 81");
+    bench.loop.advance(1s);
+    CHECK(bench.says("a checksum is wrong"));
+    bench.chip->set("20 08", "01 90 4c 00 00 81");
+    bench.chip->set("20 50", "34 08 09 48 01 0f");
+    bench.loop.advance(1s);
+    CHECK(bench.sensor.counts().unreadable == 2);
+    CHECK(bench.all.size() == before);
+    bench.chip->set("20 50", "34 08 09 48 01 0e");
+    bench.loop.advance(1s);
+    CHECK(bench.all.size() == before + 1);
+    CHECK(bench.all.back().co2_equivalent == 400.0);
+    bench.expect_recovery();
+    CHECK_FALSE(bench.all.back().co2_equivalent);  // its baseline began anew
+  }
+
+  TEST_CASE("US-12 US-27 SGP40: the data sheet's corrections; its heater, checksums, another chip, unplugged") {
+    const auto bytes = [](double temperature, double humidity) {
+      return Sgp40::request({.temperature = temperature, .humidity = humidity});
+    };
+    // Table 10.
+    CHECK(bytes(25, 50) == std::array<std::uint8_t, 8>{0x26, 0x0f, 0x80, 0x00, 0xa2, 0x66, 0x66, 0x93});
+    CHECK(bytes(-45, 0) == std::array<std::uint8_t, 8>{0x26, 0x0f, 0x00, 0x00, 0x81, 0x00, 0x00, 0x81});
+    CHECK(bytes(130, 100) == std::array<std::uint8_t, 8>{0x26, 0x0f, 0xff, 0xff, 0xac, 0xff, 0xff, 0xac});
+
+    AnswersBench<Sgp40> bench;
+    bench.chip->set("36 82", "00 00 00 00 00 00 00 00 00");
+    bench.open();
+    CHECK(bench.told("cannot use the chip as an SGP40"));
+    bench.chip->set("36 82", "00 00 81 01 a2 eb 31 c2 e2");
+    bench.loop.advance(3s);
+    CHECK(bench.sensor.health() == Health::ok);
+    REQUIRE(bench.all.size() >= 2);
+    CHECK(bench.all[0].signal == 30000);
+    const std::size_t before = bench.all.size();
+    bench.chip->set("26 0f 80 00 a2 66 66 93", "75 30 09");
+    bench.loop.advance(1s);
+    CHECK(bench.says("a checksum is wrong"));
+    CHECK(bench.all.size() == before);
+    bench.chip->set("26 0f 80 00 a2 66 66 93", "75 30 08");
+    bench.expect_recovery();
+    const std::size_t offs = bench.chip->count("36 15");
+    bench.sensor.stop();
+    bench.loop.advance(10ms);
+    CHECK(bench.chip->count("36 15") == offs + 1);
+    CHECK_THROWS_AS(DriverSensor<Sgp40>(bench.loop, {.name = "b", .rate = 1_Hz}, bench.bus, {0x58}, {.humidity = 101}),
+                    SetupError);
+    CHECK_THROWS_AS(
+        DriverSensor<Sgp40>(bench.loop, {.name = "b", .rate = 1_Hz}, bench.bus, {0x58}, {.temperature = -46}),
+        SetupError);
   }
 }

@@ -6,6 +6,7 @@
 #include "rtdata/chips/lm75.hpp"
 #include "rtdata/chips/nau7802.hpp"
 #include "rtdata/chips/scd4x.hpp"
+#include "rtdata/chips/sgp.hpp"
 #include "rtdata/chips/sht.hpp"
 
 namespace rtdata::app {
@@ -17,6 +18,8 @@ void add_i2c_drivers(Registry& registry) {
   registry.add_driver<Ina>();
   registry.add_driver<Ina3221>();
   registry.add_driver<Scd4x>();
+  registry.add_driver<Sgp30>();
+  registry.add_driver<Sgp40>();
   registry.add_driver<Ads1x15>();
   registry.add_driver<Nau7802>();
 }
