@@ -12,6 +12,7 @@
 
 #include "rtdata/chips/scd4x.hpp"
 #include "rtdata/chips/sgp.hpp"
+#include "rtdata/chips/sps30.hpp"
 #include "sensors/fixture.hpp"
 #include "sensors/sample_chip.hpp"
 
@@ -246,5 +247,70 @@ TEST_SUITE("sensors") {
     CHECK_THROWS_AS(
         DriverSensor<Sgp40>(bench.loop, {.name = "b", .rate = 1_Hz}, bench.bus, {0x58}, {.temperature = -46}),
         SetupError);
+  }
+
+  TEST_CASE("US-12 US-27 SPS30: numbers of 32 bits; fan and laser, not ready, checksums, another chip, unplugged") {
+    std::array<std::uint16_t, 20> words{};
+    words[2] = 0x42f6;  // 123.456
+    words[3] = 0xe979;
+    CHECK(Sps30::decode(words).or_throw().mass_2_5 == doctest::Approx(123.456));
+    CHECK(Sps30::decode(words).or_throw().typical_size == 0);
+    for (const int wrong : {0xbf80, 0x7fc0, 0x7f80, 0xff80}) {  // -1, no number, infinities
+      words[0] = static_cast<std::uint16_t>(wrong);
+      CHECK(Sps30::decode(words).error().code == Errc::bad_data);
+    }
+
+    AnswersBench<Sps30> bench;
+    bench.chip->set("d1 00", "02 02 3b");
+    bench.open();
+    CHECK(bench.told("cannot use the chip as an SPS30"));
+    bench.chip->set("d1 00", "02 02 3a");
+    bench.chip->set("02 02", "00 00 81");
+    bench.loop.advance(5s);
+    CHECK(bench.sensor.health() == Health::ok);
+    CHECK(bench.chip->count("00 10 03 00 ac") == 1);
+    CHECK(bench.all.empty());
+    CHECK(bench.sensor.counts().repeated >= 4);
+    bench.chip->set("02 02", "00 01 b0");
+    bench.loop.advance(1s);
+    REQUIRE(bench.all.size() == 1);
+    const ParticleReading& one = bench.all[0];
+    CHECK(one.mass_1_0 == 1);
+    CHECK(one.mass_2_5 == 2);
+    CHECK(one.mass_4_0 == 3);
+    CHECK(one.mass_10 == 4);
+    CHECK(one.number_0_5 == 5);
+    CHECK(one.number_1_0 == 6);
+    CHECK(one.number_2_5 == 7);
+    CHECK(one.number_4_0 == 8);
+    CHECK(one.number_10 == 9);
+    CHECK(one.typical_size == 0.5);
+    bench.chip->set("d2 06", "00 00 81 00 10 c2");
+    bench.loop.advance(1s);
+    CHECK(bench.says("its fan does not turn"));
+    bench.chip->set("d2 06", "00 00 81 00 20 07");
+    bench.loop.advance(1s);
+    CHECK(bench.says("its laser fails"));
+    bench.chip->set("d2 06", "00 20 07 00 00 81");
+    bench.loop.advance(1s);
+    CHECK(bench.says("its fan turns too fast or too slowly"));
+    bench.chip->set("d2 06", "00 20 08 00 00 81");
+    bench.loop.advance(1s);
+    CHECK(bench.says("a checksum is wrong"));
+    CHECK(bench.sensor.counts().unreadable == 4);
+    CHECK(bench.all.size() == 1);
+    bench.chip->set("d2 06", "00 00 81 00 00 81");
+    bench.expect_recovery();
+    bench.chip->set("02 02", "00 00 81");
+    bench.loop.advance(17s);
+    CHECK(bench.told("it has stopped measuring"));
+    const std::size_t stops = bench.chip->count("01 04");
+    bench.chip->set("d1 00", "02 01 69");  // firmware that has no status
+    bench.chip->set("02 02", "00 01 b0");
+    bench.chip->forget("d2 06");
+    bench.expect_recovery();
+    bench.sensor.stop();
+    bench.loop.advance(10ms);
+    CHECK(bench.chip->count("01 04") == stops + 1);
   }
 }

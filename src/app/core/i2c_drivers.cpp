@@ -8,6 +8,7 @@
 #include "rtdata/chips/scd4x.hpp"
 #include "rtdata/chips/sgp.hpp"
 #include "rtdata/chips/sht.hpp"
+#include "rtdata/chips/sps30.hpp"
 
 namespace rtdata::app {
 
@@ -20,6 +21,7 @@ void add_i2c_drivers(Registry& registry) {
   registry.add_driver<Scd4x>();
   registry.add_driver<Sgp30>();
   registry.add_driver<Sgp40>();
+  registry.add_driver<Sps30>();
   registry.add_driver<Ads1x15>();
   registry.add_driver<Nau7802>();
 }
