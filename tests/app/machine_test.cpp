@@ -267,7 +267,7 @@ TEST_SUITE("app") {
         }
       }
     }
-    CHECK(known == 59);
+    CHECK(known == 61);
   }
 
   TEST_CASE("FW-2 scan names the chips that an address may have, without an identity and without a driver") {
@@ -301,6 +301,7 @@ TEST_SUITE("app") {
              {0x41, 0xff, 0x32, "INA3221", 1},
              {0x19, 0x0f, 0x33, "LIS3DH", 1},
              {0x62, 0x00, 0x00, "perhaps SCD40, SCD41", 1},
+             {0x77, 0xd0, 0x61, "BME680, BME688", 1},
              {0x44, 0x00, 0x00, "perhaps SHT3x, SHT4x, INA219", 3},
              {0x48, 0x00, 0x00, "perhaps LM75, TMP75, ADS1115, ADS1015, TMP102", 2},
              {0x4f, 0x00, 0x00, "perhaps LM75, TMP75", 1},

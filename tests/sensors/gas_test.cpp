@@ -4,15 +4,19 @@
 #include <algorithm>
 #include <array>
 #include <cerrno>
+#include <cmath>
 #include <cstdint>
 #include <map>
 #include <memory>
 #include <string>
 #include <vector>
 
+#include "rtdata/chips/barometer.hpp"
+#include "rtdata/chips/bme680.hpp"
 #include "rtdata/chips/scd4x.hpp"
 #include "rtdata/chips/sgp.hpp"
 #include "rtdata/chips/sps30.hpp"
+#include "rtdata/testing/fake_i2c.hpp"
 #include "sensors/fixture.hpp"
 #include "sensors/sample_chip.hpp"
 
@@ -20,6 +24,21 @@ using namespace rtdata;
 using namespace rtdata::literals;
 
 namespace {
+
+constexpr std::string_view field_of_bme680 = "80 00 4b 1d 40 75 c8 40 4d 2c 00 00 00 7f b4 00 00";
+template <std::size_t size>
+std::array<std::uint8_t, size> array_of(std::string_view hexadecimal) {
+  const std::vector<std::uint8_t> bytes = bytes_of(hexadecimal);
+  std::array<std::uint8_t, size> all{};
+  REQUIRE(bytes.size() == size);
+  std::copy(bytes.begin(), bytes.end(), all.begin());
+  return all;
+}
+Bme680Trimming trimming_of_sample() {
+  const auto& bytes = Bme680::samples[0].bytes;
+  return Bme680Trimming::decode(array_of<23>(bytes[2].bytes), array_of<14>(bytes[3].bytes),
+                                array_of<5>(bytes[4].bytes));
+}
 
 /// A chip that answers commands, and acknowledges no other read.
 class Answers final : public I2cTransport {
@@ -312,5 +331,162 @@ TEST_SUITE("sensors") {
     bench.sensor.stop();
     bench.loop.advance(10ms);
     CHECK(bench.chip->count("01 04") == stops + 1);
+  }
+
+  TEST_CASE("US-12 BME680, BME688: compensation, gas in all ranges, and the heater, by Bosch's formulas for integers") {
+    const Bme680Trimming trimming = trimming_of_sample();
+    CHECK(trimming.t1 == 26004);
+    CHECK(trimming.t2 == 26429);
+    CHECK(trimming.p2 == -10560);
+    CHECK(trimming.p6 == 30);
+    CHECK(trimming.p7 == 33);
+    CHECK(trimming.h1 == 748);
+    CHECK(trimming.h2 == 1012);
+    CHECK(trimming.heater1 == -22);
+    CHECK(trimming.heater2 == -9185);
+    CHECK(trimming.heater_range == 1);
+    CHECK(trimming.switching_error == 1);
+    CHECK_FALSE(Bme680Trimming{}.is_usable());
+    struct Case {
+      const char* bytes;
+      double temperature, pressure, humidity;  // by the other formulas, which round
+    };
+    for (const Case& one : {Case{"80 00 4b 1d 40 75 c8 40 4d 2c 00 00 00 00 00 00 00", 20.91, 105873, 38.531},
+                            {"80 00 58 00 00 6a 00 00 50 00 00 00 00 00 00 00 00", 5.71, 94437, 41.251},
+                            {"80 00 40 00 00 7d 00 00 60 00 00 00 00 00 00 00 00", 30.23, 115420, 70.428}}) {
+      CAPTURE(one.bytes);
+      const Bme680Reading reading = trimming.measurement(array_of<17>(one.bytes), true).or_throw();
+      CHECK(std::abs(reading.temperature - one.temperature) < 0.01);
+      CHECK(std::abs(reading.pressure - one.pressure) < 6);
+      CHECK(std::abs(reading.humidity - one.humidity) < 0.02);
+      CHECK_FALSE(reading.gas_resistance);  // not valid
+    }
+    for (const char* skipped :
+         {"80 00 80 00 00 75 c8 40 4d 2c 00 00 00 7f b4 00 00", "80 00 4b 1d 40 80 00 00 4d 2c 00 00 00 7f b4 00 00",
+          "80 00 4b 1d 40 75 c8 40 80 00 00 00 00 7f b4 00 00"})
+      CHECK(trimming.measurement(array_of<17>(skipped), true).error().code == Errc::bad_data);
+    CHECK(trimming.gas(510, 4) == doctest::Approx(500244).epsilon(1e-5));
+    CHECK(trimming.gas(700, 5) == doctest::Approx(217547).epsilon(1e-5));
+    CHECK(trimming.gas(100, 7) == doctest::Approx(91150).epsilon(1e-5));
+    CHECK(trimming.gas(1000, 13) == doctest::Approx(714.65).epsilon(1e-5));
+    CHECK(trimming.gas(0, 15) == doctest::Approx(394.2).epsilon(1e-4));
+    Bme680Trimming other = trimming;
+    other.is_bme688 = true;
+    CHECK(other.gas(512, 0) == doctest::Approx(64e6));
+    CHECK(other.gas(700, 5) == doctest::Approx(1757939.9));
+    CHECK(other.gas(0, 15) == doctest::Approx(3125));
+    CHECK(std::abs(trimming.heater_code(320, 25) - 119) <= 1);
+    CHECK(std::abs(trimming.heater_code(200, 25) - 86) <= 2);
+    // BME680, 3.2.1: 0x59 is 100 ms.
+    CHECK(Bme680::wait_code(100ms) == 0x59);
+    CHECK(Bme680::wait_code(63ms) == 0x3f);
+    CHECK(Bme680::wait_code(64ms) == 0x50);
+    CHECK(Bme680::wait_code(4032ms) == 0xff);
+  }
+
+  TEST_CASE("US-12 US-27 BME680: heater, its settings, a heater that is cold, a BME688, another chip, unplugged") {
+    auto wires = std::make_shared<FakeI2c>();
+    I2cBus bus("i2c1", wires);
+    Loop loop{Loop::Manual{}};
+    be_quiet(loop);
+    std::vector<std::string> errors;
+    loop.on_error([&](const ErrorReport& report) { errors.push_back(report.error.text()); });
+    FakeI2cChip& chip = wires->chip(0x77);
+    const auto put = [&chip](std::string_view at, std::string_view hexadecimal) {
+      std::uint8_t number = bytes_of(at)[0];
+      for (const std::uint8_t byte : bytes_of(hexadecimal)) chip.set(number++, {byte});
+    };
+    for (const ChipBytes& one : Bme680::samples[0].bytes)
+      if (!one.at.empty()) put(one.at, one.bytes);
+    chip.set(0xd0, {0x60});  // a BME280
+    std::vector<Bme680Reading> all;
+    const auto heard = loop.subscribe<Bme680Reading>("air", [&](const Event<Bme680Reading>& e) { all.push_back(*e); });
+    DriverSensor<Bme680> sensor(loop, {.name = "air", .rate = 1_Hz, .retry_longest = 200ms}, bus, {0x77});
+    REQUIRE_FALSE(errors.empty());
+    CHECK(errors.back().find("cannot use the chip as a BME680 or BME688") != std::string::npos);
+    CHECK(errors.back().find("its identity is 0x60, that of these chips is 0x61") != std::string::npos);
+    chip.set(0xd0, {0x61});
+    loop.advance(2500ms);
+    CHECK(sensor.health() == Health::ok);
+    CHECK(chip.get(0xe0) == 0xb6);
+    CHECK(chip.get(0x5a) == trimming_of_sample().heater_code(320, 20.91345));
+    CHECK(chip.get(0x64) == 0x65);  // 37 times 4 ms
+    CHECK(chip.get(0x71) == 0x10);
+    CHECK(chip.get(0x72) == 0x01);
+    CHECK(chip.get(0x74) == 0x4d);
+    REQUIRE_FALSE(all.empty());
+    CHECK(all.back().temperature == doctest::Approx(20.91345));
+    CHECK(all.back().gas_resistance == doctest::Approx(500244.36));
+    std::size_t before = all.size();
+    put("1d", "80 00 4b 1d 40 75 c8 40 4d 2c 00 00 00 7f a4 00 00");  // valid, not stable
+    loop.advance(1s);
+    CHECK(all.size() == before + 1);
+    CHECK_FALSE(all.back().gas_resistance);
+    CHECK(sensor.status().reason.find("heater has not reached its temperature") != std::string::npos);
+    put("1d", "80 00 80 00 00 80 00 00 80 00 00 00 00 7f b4 00 00");
+    loop.advance(1s);
+    CHECK(sensor.status().reason.find("a measurement was skipped") != std::string::npos);
+    put("1d", field_of_bme680);
+    loop.advance(1s);
+    CHECK(sensor.health() == Health::ok);
+    put("1d", "00 00 4b 1d 40 75 c8 40 4d 2c 00 00 00 7f b4 00 00");
+    before = all.size();
+    loop.advance(1s);
+    CHECK(sensor.status().reason.find("the measurement takes too long") != std::string::npos);
+    CHECK(all.size() == before);
+    put("1d", field_of_bme680);
+    chip.unplug();
+    loop.advance(10s);
+    CHECK(sensor.health() == Health::faulted);
+    CHECK(all.size() == before);
+    chip.set(0xf0, {0x02});
+    chip.plug_in();
+    loop.advance(2s);
+    CHECK(sensor.status().reason.find("its variant is 0x02") != std::string::npos);
+    chip.set(0xf0, {0x01});
+    put("1d", "80 00 4b 1d 40 75 c8 40 4d 2c 00 00 00 00 00 7f b4");
+    loop.advance(3s);
+    CHECK(sensor.health() == Health::ok);
+    CHECK(chip.get(0x71) == 0x20);
+    REQUIRE(all.size() > before);
+    CHECK(all.back().gas_resistance == doctest::Approx(1e6 * (262144 >> 4) / (4096 + 3 * (510 - 512))));
+    chip.on_read(0x71, [] { return std::uint8_t{0}; });  // as after a reset
+    before = all.size();
+    loop.advance(1s);
+    CHECK(sensor.status().reason.find("it has lost its settings") != std::string::npos);
+    CHECK(all.size() == before);
+    put("8a", "00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00");
+    chip.unplug();
+    loop.advance(10s);
+    chip.plug_in();
+    loop.advance(2s);
+    CHECK(sensor.status().reason.find("its trimming parameters are all 0x00") != std::string::npos);
+    CHECK(loop.runtime().balances());
+    for (const Bme680::Config& wrong : {Bme680::Config{.heater_temperature = 401},
+                                        {.heater_duration = Duration{4033ms}},
+                                        {.pressure_oversampling = 3},
+                                        {.humidity_oversampling = 32}})
+      CHECK_THROWS_AS(DriverSensor<Bme680>(loop, {.name = "b", .rate = 1_Hz}, bus, {0x76}, wrong), SetupError);
+
+    FakeI2cChip& plain = wires->chip(0x76);  // without gas
+    for (const ChipBytes& one : Bme680::samples[0].bytes) {
+      if (one.at.empty()) continue;
+      std::uint8_t number = bytes_of(one.at)[0];
+      for (const std::uint8_t byte : bytes_of(one.bytes)) plain.set(number++, {byte});
+    }
+    std::vector<Bme680Reading> others;
+    const auto heard_too = loop.subscribe<Bme680Reading>("hall",
+                                                         [&](const Event<Bme680Reading>& e) { others.push_back(*e); });
+    DriverSensor<Bme680> hall(loop, {.name = "hall", .rate = 1_Hz}, bus, {0x76}, {.heater_duration = Duration{0}});
+    loop.advance(3500ms);
+    CHECK(hall.health() == Health::ok);
+    CHECK(plain.get(0x71) == 0);
+    CHECK(plain.get(0x5a) == 0);
+    REQUIRE(others.size() >= 3);
+    CHECK_FALSE(others.back().gas_resistance);
+    CHECK(hall.counts().unreadable == 0);
+    hall.close();
+    const DriverSensor<Barometer> mistaken(loop, {.name = "mistaken", .rate = 1_Hz}, bus, {0x76});
+    CHECK(errors.back().find("it seems to be a BME680 or BME688: use the type `bme680`") != std::string::npos);
   }
 }

@@ -1,5 +1,6 @@
 #include "app/core/standard_drivers.hpp"
 #include "rtdata/chips/ads1x15.hpp"
+#include "rtdata/chips/bme680.hpp"
 #include "rtdata/chips/bno055.hpp"
 #include "rtdata/chips/ina.hpp"
 #include "rtdata/chips/ina3221.hpp"
@@ -14,6 +15,7 @@ namespace rtdata::app {
 
 void add_i2c_drivers(Registry& registry) {
   registry.add_driver<Bno055>();
+  registry.add_driver<Bme680>();
   registry.add_driver<Lm75>();
   registry.add_driver<Sht>();
   registry.add_driver<Ina>();
