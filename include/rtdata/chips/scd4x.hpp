@@ -43,7 +43,7 @@ struct Scd4xReading {
 class Scd4x {
  public:
   static constexpr std::string_view type = "scd4x";
-  static constexpr std::string_view aliases = "co2 scd40 scd41";
+  static constexpr std::string_view aliases = "scd40 scd41";
   static constexpr std::string_view description = "CO2, temperature and humidity of an SCD40 or SCD41 on I2C";
   static constexpr std::string_view notes = R"(
 - Wires: 3.3 V (in a measurement 0.2 A for a moment), ground, SDA, SCL. One address: 0x62.

@@ -51,7 +51,7 @@ struct ParticleReading {
 class Sps30 {
  public:
   static constexpr std::string_view type = "sps30";
-  static constexpr std::string_view aliases = "dust particles pm2.5 pm10";
+  static constexpr std::string_view aliases = "dust particles pm25 pm10";
   static constexpr std::string_view description = "particles in the air (PM1, PM2.5, PM4, PM10) of an SPS30 on I2C";
   static constexpr std::string_view notes = R"(
 - Wires: 5 V, ground, SDA, SCL (3.3 V levels), the pin SEL to ground. One address: 0x69. To 100 kHz.
