@@ -1,8 +1,9 @@
 """Holds docs/recipes to the product:  recipes_test.py SOURCE_DIR PROGRAM [PAGE...]
 
-Each page has a configuration with one sensor, a sample of what its device sends, and the values that come of it. The
-test is the device: a pseudo terminal, a program, or a client of a real broker. `rtdata run` must store exactly the
-values of the page, without a fault, though it begins in the middle of a line.
+Each page has a configuration, a sample of what its device sends, and the values that come of it. The device is that of
+its first sensor, and the values are those of its last; fields that the page leaves out have none. The test is the
+device: a pseudo terminal, a program, or a client of a real broker. `rtdata run` must store exactly the values of the
+page, and refuse nothing, though it begins in the middle of a line.
 
 Samples are ```hex, or ```text, whose lines end with CR LF and in which <02> stands for the byte 2. Of a device that
 answers, "> " begins what it is asked and "< " what it answers; of one at a broker, each line has the topic first.
@@ -75,7 +76,7 @@ class Talker(Terminal):
 
     def __init__(self, sensor, language, text):
         super().__init__()
-        sensor["device"] = self.path
+        self.name, sensor["device"] = sensor["device"], self.path
         frame = sensor.get("frame", {})
         without_start = frame and not ("start" in frame or "start_hex" in frame)
         last = bytes_of(language, text.splitlines(keepends=True)[-1])  # of text a line, of bytes a frame
@@ -184,6 +185,13 @@ def device_of(config, language, text, folder):
     return Talker(sensor, language, text)
 
 
+def refused(database):
+    """What was unreadable, thrown away as a first line, or lost."""
+    with sqlite3.connect(f"file:{database}?mode=ro", uri=True) as connection:
+        counts = "sum(unreadable) + sum(coalesce(first_lines, 0)) + sum(coalesce(lost, 0))"
+        return connection.execute(f"SELECT {counts} FROM rtdata_ledger").fetchone()[0]
+
+
 def rows_stored(database, table):
     try:
         with sqlite3.connect(f"file:{database}?mode=ro", uri=True) as connection:
@@ -214,6 +222,7 @@ def try_page(program, page, folder):
 
     (folder / "page.json").write_text(configurations[0]["text"])
     database = folder / "recipe.db"
+    table = config["sensors"][-1].get("topic", config["sensors"][-1]["name"])
     device = device_of(config, samples[0]["language"], samples[0]["text"], folder)
     config["sinks"][0]["path"] = str(database)
     (folder / "recipe.json").write_text(json.dumps(config))
@@ -236,8 +245,6 @@ def try_page(program, page, folder):
             process = subprocess.Popen([program, "run", folder / "recipe.json"], cwd=folder, stdout=output, stderr=output)
         try:
             player.start()
-            sensor = config["sensors"][0]
-            table = sensor.get("topic", sensor["name"])
             try:
                 until(lambda: failures or process.poll() is not None or rows_stored(database, table) >= len(expected) - 1,
                       "not all rows came")
@@ -250,12 +257,19 @@ def try_page(program, page, folder):
     finally:
         if isinstance(device, Publisher):
             device.close()
-    exported = run([program, "export", database])
+    exported = run([program, "export", database, "--topic", table])
     verified = run([program, "verify", database])
     said = (folder / "output").read_text()
     if failures or status != 0 or verified.returncode != 0:
         raise Wrong(f"{failures}, `run` ended with {status}, `verify` with {verified.returncode}:\n{said}{exported.stdout}")
+    is_talker = isinstance(device, Talker)
+    if refused(database) > (1 if is_talker else 0):  # the end of what was sent before
+        raise Wrong(f"not all of the sample is used:\n{said}")
     got = [row[3:] for row in csv.reader(io.StringIO(exported.stdout))]  # without time, origin and sequence
+    shown = [column for column, name in enumerate(got[0]) if name in expected[0] or any(row[column] for row in got[1:])]
+    got = [[row[column] for column in shown] for row in got]
+    if is_talker:
+        got = [[device.name if value == device.path else value for value in row] for row in got]
     if got != expected:
         raise Wrong(f"the values are\n{got}\nand the page says\n{expected}\n{said}")
     return None
