@@ -90,9 +90,10 @@ class Talker(Terminal):
 class Answerer(Terminal):
     """Answers requests, each with the next of its answers; nothing to others."""
 
-    def __init__(self, bus, text):
+    def __init__(self, sensor, bus, text):
         super().__init__()
         bus["device"] = self.path
+        self.end = sensor.get("answer_end", "\r\n").encode()
         self.turns = [(line[:2], line[2:]) for line in text.splitlines()]
 
     def play(self, stopped):
@@ -101,7 +102,7 @@ class Answerer(Terminal):
         turns = list(self.turns)
         while turns and not stopped.is_set():
             if turns[0][0] == "< ":
-                self.send(turns.pop(0)[1].encode() + b"\r\n")
+                self.send(turns.pop(0)[1].encode() + self.end)
             elif re.search(rb"(^|[\r\n])" + re.escape(turns[0][1].encode()) + rb"[\r\n]", heard):
                 turns.pop(0)
                 heard = b""
@@ -177,7 +178,7 @@ class Publisher:
 def device_of(config, language, text, folder):
     sensor = config["sensors"][0]
     if sensor["type"] == "query":
-        return Answerer(config["buses"][sensor["bus"]], text)
+        return Answerer(sensor, config["buses"][sensor["bus"]], text)
     if sensor["type"] == "mqtt":
         return Publisher(sensor, text, folder)
     if sensor["type"] == "command":
