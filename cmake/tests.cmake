@@ -140,6 +140,13 @@ if(Python3_FOUND)
   set_tests_properties(docs PROPERTIES TIMEOUT 900)
 endif()
 
+# The recipes give the values of their pages.
+if(Python3_FOUND AND TARGET rtdata_main)
+  add_test(NAME recipes COMMAND ${Python3_EXECUTABLE} ${CMAKE_CURRENT_SOURCE_DIR}/tests/docs/recipes_test.py
+    ${CMAKE_CURRENT_SOURCE_DIR} $<TARGET_FILE:rtdata_main>)
+  set_tests_properties(recipes PROPERTIES TIMEOUT 900 SKIP_RETURN_CODE 77)
+endif()
+
 # Projects of others find and use what is installed. Sanitized libraries would want sanitized users.
 if(NOT RTDATA_SANITIZE)
   add_test(NAME install COMMAND sh ${CMAKE_CURRENT_SOURCE_DIR}/tests/install/install_test.sh

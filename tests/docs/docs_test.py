@@ -38,7 +38,8 @@ def python_with(modules):
 
 
 def pages(source):
-    return sorted(source.glob("*.md")) + sorted((source / "docs").glob("*.md")) + [source / "examples/README.md"]
+    folders = (source, source / "docs", source / "docs/recipes")
+    return [page for folder in folders for page in sorted(folder.glob("*.md"))] + [source / "examples/README.md"]
 
 
 def has_type(program, name):
