@@ -181,6 +181,10 @@ def documented(source):
     return sections
 
 
+# Types whose common parameters have a section of their own.
+OF_LINES = ("serial", "tcp", "command")
+
+
 def check_types(source, program, elsewhere):
     """`elsewhere`: types whose parameters another page has."""
     if program is None:
@@ -202,7 +206,8 @@ def check_types(source, program, elsewhere):
             key, default = match[2], line[columns["default"]:columns["meaning"]].strip()
             is_member = len(match[1]) > 2  # of the parameter before it
             parent = parent if is_member else key
-            places = [f"{name}`: `{parent}", f"{group}`: `{parent}"] if is_member else [name, group]
+            groups = [name, group] + (["Lines of text"] if name in OF_LINES else [])
+            places = [f"{one}`: `{parent}" for one in groups] if is_member else groups
             wanted = [one for s in places for one in sections.get(s, {}).get(key, [])]
             if not wanted:
                 problem("docs/configuration.md", f"nothing of the parameter {key} of {name}")

@@ -274,6 +274,16 @@ TEST_SUITE("sensors" * doctest::skip(!terminals_can_be_set_up())) {
     CHECK(heard.events == std::vector<std::string>{"35 70"});
   }
 
+  TEST_CASE("US-13 the rest of a frame that is too long is none, whatever the pieces are") {
+    const LineConfig marks{.fields = {{.name = "v"}}, .frame = LineFrame{.end = "#"}, .max_line = 32};
+    for (const std::size_t piece : {1, 7, 33, 200}) {
+      CAPTURE(piece);
+      const Heard heard = hear(marks, "1#" + std::string(60, '8') + "2#3#", piece, 3);
+      CHECK(heard.events == std::vector<std::string>{"1", "3"});
+      CHECK(heard.counts.unreadable == 1);
+    }
+  }
+
   TEST_CASE("US-13 a line may end with another character") {
     const LineConfig lines{.fields = {{.name = "v"}}, .line_end = '\r'};
     CHECK(hear(lines, "1\r2\r\n3\r", 2, 3).events == std::vector<std::string>{"1", "2", "3"});

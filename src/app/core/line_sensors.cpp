@@ -21,6 +21,10 @@ void add_line_sensors(Registry& registry) {
       "command", "a program of your own whose lines are events",
       [](const CommandConfig& config) { return description_of_lines(config.lines); }, makes<CommandSensor>,
       [](PartPlan&, const CommandConfig&) {}, {.aliases = "script python program exec shell stdout"});
+  registry.add_sensor<TcpLinesConfig>(
+      "tcp", "a device that sends lines over a TCP connection, such as an ESP32 or ser2net",
+      [](const TcpLinesConfig& config) { return description_of_lines(config.lines); }, makes<TcpLines>,
+      [](PartPlan&, const TcpLinesConfig&) {}, {.aliases = "socket network wifi esp32 ser2net telnet nmea"});
 }
 
 }  // namespace rtdata::app

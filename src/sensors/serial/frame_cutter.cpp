@@ -1,6 +1,7 @@
 #include "sensors/serial/frame_cutter.hpp"
 
 #include <algorithm>
+#include <utility>
 
 #include "sensors/serial/hex_bytes.hpp"
 
@@ -50,32 +51,48 @@ std::size_t FrameCutter::announced(std::string_view frame) const noexcept {
   return length + config_.length_adds;
 }
 
-FrameCutter::Found FrameCutter::next(std::string_view bytes) const noexcept {
+FrameCutter::Found FrameCutter::next(std::string_view bytes) noexcept {
+  if (start_.empty()) return next_end(bytes);
   for (std::size_t begin = 0;;) {
-    const std::size_t start = start_.empty() ? begin : bytes.find(start_, begin);
+    const std::size_t start = bytes.find(start_, begin);
     if (start == std::string_view::npos) {
-      // Its first bytes may be at the end.
-      const std::size_t kept = std::min(bytes.size() - begin, start_.size() - 1);
+      const std::size_t kept = std::min(bytes.size() - begin, start_.size() - 1);  // may be the first bytes of a start
       return {bytes.size() - kept, 0};
     }
     const std::string_view frame = bytes.substr(start);
     begin = start + 1;
+    std::size_t size = 0;
     if (config_.length != 0 || config_.length_at != 0) {
-      const std::size_t size = announced(frame);
+      size = announced(frame);
       if (size == 0) return {start, 0};
-      if (size > longest_ || size < config_.length_at + config_.length_bytes || size < start_.size() + end_.size()) continue;
-      if (frame.size() < size) return {start, 0};
-      if (!frame.substr(0, size).ends_with(end_)) continue;
-      return {start, size};
+      if (size < config_.length_at + config_.length_bytes || size < start_.size() + end_.size()) continue;
+    } else {
+      const std::size_t end = frame.find(end_, start_.size());
+      if (end == std::string_view::npos && frame.size() <= longest_) return {start, 0};
+      size = end == std::string_view::npos ? longest_ + 1 : end + end_.size() + config_.after_end;
     }
-    const std::size_t end = frame.find(end_, start_.size());
-    if (end == std::string_view::npos ? frame.size() > longest_ : end + end_.size() + config_.after_end > longest_) {
-      if (start_.empty()) return {end == std::string_view::npos ? bytes.size() : end + end_.size(), 0};
-      continue;
+    if (size > longest_) continue;
+    if (frame.size() < size) return {start, 0};
+    if (config_.after_end == 0 && !frame.substr(0, size).ends_with(end_)) continue;
+    return {start, size};
+  }
+}
+
+/// Frames without a start begin where the last one ended.
+FrameCutter::Found FrameCutter::next_end(std::string_view bytes) noexcept {
+  for (std::size_t begin = 0;;) {
+    const std::size_t end = bytes.find(end_, begin);
+    if (end == std::string_view::npos) {
+      is_overlong_ = is_overlong_ || bytes.size() - begin > longest_;
+      if (!is_overlong_) return {begin, 0};
+      const std::size_t kept = std::min(bytes.size() - begin, end_.size() - 1);  // may be the first bytes of an end
+      return {bytes.size() - kept, 0};
     }
-    if (end == std::string_view::npos) return {start, 0};
-    const std::size_t size = end + end_.size() + config_.after_end;
-    return frame.size() < size ? Found{start, 0} : Found{start, size};
+    const std::size_t next = end + end_.size() + config_.after_end;
+    if (next - begin > longest_) is_overlong_ = true;
+    if (next > bytes.size()) return {is_overlong_ ? end : begin, 0};
+    if (!std::exchange(is_overlong_, false)) return {begin, next - begin};
+    begin = next;
   }
 }
 

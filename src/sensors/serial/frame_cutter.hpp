@@ -20,18 +20,22 @@ class FrameCutter {
   };
   bool has_start() const noexcept { return !start_.empty(); }
   /// Looks at the bytes that have come and are not used. No allocation.
-  Found next(std::string_view bytes) const noexcept;
+  Found next(std::string_view bytes) noexcept;
+  /// The bytes that come next are the first of a stream.
+  void reset() noexcept { is_overlong_ = false; }
   /// What stands between the start and the end of a frame. `text`: from its start, the checksum may be cut off.
   std::string_view body(std::string_view text) const noexcept;
   /// After a frame that cannot be used, a start within it may be the true one: how many bytes to go on.
   std::size_t step_from(std::size_t size) const noexcept { return start_.empty() ? size : 1; }
 
  private:
+  Found next_end(std::string_view bytes) noexcept;
   std::size_t announced(std::string_view frame) const noexcept;
 
   const LineFrame config_;
   const std::size_t longest_;
   std::string start_, end_;
+  bool is_overlong_ = false;  // the end of a frame that is too long is still to come
 };
 
 }  // namespace rtdata::detail

@@ -112,6 +112,7 @@ void LineNode::take(Result<int> fd) {
 void LineNode::use(int fd) {
   fd_ = fd;
   if (fixes_ != nullptr) fixes_->reset();
+  if (cutter_) cutter_->reset();
   ++openings_;
   line_.clear();
   is_overlong_ = false;
