@@ -8,17 +8,19 @@
 namespace rtdata::detail {
 
 AskedLine::AskedLine(std::string bus, std::shared_ptr<SerialTransport> transport, Duration answer_timeout,
-                     Duration timeout)
+                     Duration timeout, bool has_echo)
     : bus_(std::move(bus)),
       transport_(std::move(transport)),
       answer_timeout_(answer_timeout),
       spare_((timeout - answer_timeout) / 2),
-      most_late_(timeout / 2) {}
+      most_late_(timeout / 2),
+      has_echo_(has_echo) {}
 
 Duration AskedLine::patience() const noexcept { return std::max({answer_timeout_, least_patience, longest_late_}); }
 
-Result<void> AskedLine::settle(Partner& partner, Duration silence) {
+Result<std::size_t> AskedLine::settle(Partner& partner, Duration silence) {
   const MonotonicTime limit = lane_now() + spare_;
+  std::size_t all_dropped = 0;
   for (bool is_drained = false;;) {  // drop older bytes
     MonotonicTime still_from;
     {
@@ -33,6 +35,7 @@ Result<void> AskedLine::settle(Partner& partner, Duration silence) {
     const Result<std::size_t> got = transport_->read(dropped,
                                                      waits ? std::max(still_from - now, Duration{0}) : Duration{0});
     if (!got) return got.error();
+    all_dropped += *got;
     const std::lock_guard lock(mutex_);
     if (*got > 0) {
       last_use_ = lane_now();
@@ -51,7 +54,7 @@ Result<void> AskedLine::settle(Partner& partner, Duration silence) {
                        " from now; find out why answers come late, or what sends without being asked"};
     if (*got == 0 && lane_now() >= still_from) {
       is_restless_ = false;
-      return {};
+      return all_dropped;
     }
     is_drained = is_drained || *got == 0;
   }
@@ -62,7 +65,30 @@ Result<void> AskedLine::write(Partner& partner, std::span<const std::uint8_t> by
     const std::lock_guard lock(mutex_);
     partner.asked = lane_now();
   }
-  return transport_->write(bytes, answer_timeout_);
+  Result<void> written = transport_->write(bytes, answer_timeout_);
+  return written && has_echo_ ? drop_echo(partner, bytes) : written;
+}
+
+Result<void> AskedLine::drop_echo(Partner& partner, std::span<const std::uint8_t> sent) {
+  const MonotonicTime until = lane_now() + answer_timeout_;
+  const auto failure = [&](Errc code, std::string why, std::string advice) {
+    distrust(partner);
+    return Error{code, "cannot ask the device", "bus " + bus_, std::move(why), std::move(advice)};
+  };
+  std::array<std::uint8_t, 512> bytes{};
+  while (!sent.empty()) {
+    // No more than the echo: the answer may follow at once.
+    const auto got = read(partner, std::span(bytes).first(std::min(bytes.size(), sent.size())), until);
+    if (!got) return got.error();
+    if (*got == 0)
+      return failure(Errc::timed_out, "what was sent did not come back in " + to_string(answer_timeout_),
+                     "`echo` is for adapters that send back what they are given; check its wires");
+    if (!std::equal(bytes.begin(), bytes.begin() + static_cast<std::ptrdiff_t>(*got), sent.begin()))
+      return failure(Errc::bad_data, "what came back is not what was sent",
+                     "check whether something else sends at the same time, the termination of the line, and `echo`");
+    sent = sent.subspan(*got);
+  }
+  return {};
 }
 
 Result<std::size_t> AskedLine::read(Partner& partner, std::span<std::uint8_t> bytes, MonotonicTime until) {

@@ -22,7 +22,9 @@ class AskedLine {
   /// After this time, bytes directly after an answer (a copy, a prompt, the rest of a USB packet) have arrived.
   static constexpr Duration stillness = std::chrono::milliseconds{20};
 
-  AskedLine(std::string bus, std::shared_ptr<SerialTransport> transport, Duration answer_timeout, Duration timeout);
+  /// `has_echo`: what is sent comes back, and is dropped.
+  AskedLine(std::string bus, std::shared_ptr<SerialTransport> transport, Duration answer_timeout, Duration timeout,
+            bool has_echo);
 
   /// Devices whose answers cannot be distinguished: all of a line, or one unit of it. The line's lock protects it.
   struct Partner {
@@ -33,9 +35,10 @@ class AskedLine {
   };
 
   /// Before a request: waits until no earlier answer or copy can arrive. `silence`: the pause that the line needs
-  /// between two frames. Errors: timed-out (the wait would be longer than a reading may take), and those of the
-  /// transport.
-  Result<void> settle(Partner& partner, Duration silence = Duration{0});
+  /// between two frames. Returns how many bytes were dropped. Errors: timed-out (the wait would be longer than a
+  /// reading may take), and those of the transport.
+  Result<std::size_t> settle(Partner& partner, Duration silence = Duration{0});
+  /// Errors, with an echo: timed-out (it does not come), bad-data (it is not what was sent).
   Result<void> write(Partner& partner, std::span<const std::uint8_t> bytes);
   /// 0: nothing came by then.
   Result<std::size_t> read(Partner& partner, std::span<std::uint8_t> bytes, MonotonicTime until);
@@ -48,12 +51,14 @@ class AskedLine {
 
  private:
   Duration patience() const noexcept;
+  Result<void> drop_echo(Partner& partner, std::span<const std::uint8_t> sent);
 
   const std::string bus_;
   const std::shared_ptr<SerialTransport> transport_;
   const Duration answer_timeout_;
   const Duration spare_;      // of a reading's time, to wait in
   const Duration most_late_;  // that is remembered
+  const bool has_echo_;
   std::mutex mutex_;          // of what follows, and of partners; not while it waits
   Duration longest_late_{0};  // after `answer_timeout`
   MonotonicTime last_use_{};

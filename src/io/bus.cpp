@@ -21,8 +21,9 @@ void TransferCounter::add(Duration took, bool is_good, std::uint64_t retries) no
 
 TransferCounts TransferCounter::counts() const noexcept {
   constexpr auto relaxed = std::memory_order_relaxed;
-  return {transfers_.load(relaxed), failed_.load(relaxed), retried_.load(relaxed), Duration{busy_.load(relaxed)},
-          Duration{longest_.load(relaxed)}};
+  return {transfers_.load(relaxed),         failed_.load(relaxed),
+          retried_.load(relaxed),           Duration{busy_.load(relaxed)},
+          Duration{longest_.load(relaxed)}, skipped_.load(relaxed)};
 }
 
 struct Bus::Places {

@@ -1,4 +1,5 @@
-// Modbus: TCP (modbus_tcp.hpp) with connections made here within a time limit, and RTU (modbus_rtu.hpp).
+// Modbus: TCP (modbus_tcp.hpp) with connections made here within a time limit, and RTU (modbus_rtu.hpp) over a serial
+// line or such a connection.
 #include "rtdata/io/modbus.hpp"
 
 #include <fcntl.h>
@@ -21,6 +22,7 @@
 #include "io/libmodbus.hpp"
 #include "io/modbus_rtu.hpp"
 #include "io/modbus_tcp.hpp"
+#include "io/stream_line.hpp"
 #include "io/tty.hpp"
 #include "rtdata/data/config_item.hpp"
 #include "rtdata/detail/loop/lane.hpp"
@@ -31,8 +33,7 @@ namespace {
 
 constexpr const char* cannot_ask = "cannot read the device";
 constexpr const char* cannot_connect = "cannot connect";
-constexpr unsigned last_unit = 247;
-constexpr int most_silences = 3;  // consecutive missing answers before a new connection is made
+constexpr unsigned last_unit = 255;
 
 /// Why a bus cannot be made of it; empty: it can.
 struct Mistake {
@@ -44,6 +45,18 @@ Mistake mistake_in(const ModbusConfig& config) {
     return {"device", "there is neither a `device` (RTU) nor a `host` (TCP); set one of them"};
   if (!config.device.empty() && !config.host.empty())
     return {"host", "there is a `device` too; a bus is a serial line (RTU) or a server (TCP)"};
+  if (config.rtu_over_tcp && config.host.empty())
+    return {"rtu_over_tcp", "only a connection (`host`) has it; a serial line always has RTU"};
+  if (config.echo && config.device.empty() && !config.rtu_over_tcp)
+    return {"echo", "Modbus TCP has no echo; only RTU has one, on a serial line or with `rtu_over_tcp`"};
+  if (!config.host.empty()) {
+    const SerialSettings& serial = config.serial;
+    for (const auto& [key, is_set] : {std::pair("dtr", serial.dtr.has_value()),
+                                      {"rts", serial.rts.has_value()},
+                                      {"hangup", serial.hangup},
+                                      {"rs485", serial.rs485.has_value()}})
+      if (is_set) return {key, "only a serial line (`device`) has it; a connection has none"};
+  }
   if (!config.device.empty() && config.serial.character_size != 8)
     return {"character_size", std::to_string(config.serial.character_size) +
                                   " bits hold no byte, which RTU sends; Modbus ASCII, which has 7, is not there"};
@@ -107,6 +120,7 @@ Result<int> connect_to(const std::string& host, std::uint16_t port, Duration tim
 
 void check_config(const ModbusConfig& config, const ConfigItem& item, Problems& problems) {
   if (!detail::add_not_installed(detail::libmodbus.load(), item, problems)) return;
+  check_config(config.serial, item, problems);
   const Mistake mistake = mistake_in(config);
   if (mistake.why.empty()) return;
   const ConfigItem* at = item.find(mistake.key);
@@ -157,10 +171,22 @@ struct ModbusDevice::Core {
   };
   using Use = std::shared_ptr<Connection>;
 
-  /// `line`: of RTU; null: TCP.
+  /// `line`: of RTU; null: a connection.
   Core(std::string bus_, ModbusConfig config_, std::shared_ptr<SerialTransport> line)
       : bus(std::move(bus_)), config(std::move(config_)) {
-    if (line != nullptr) rtu.emplace(bus, std::move(line), config);
+    if (line != nullptr) {
+      rtu.emplace(bus, std::move(line), config);
+    } else if (config.rtu_over_tcp) {
+      auto stream = std::make_shared<detail::StreamLine>(
+          detail::StreamLine::Kind{config.host + " port " + std::to_string(config.port),
+                                   [of = config]() -> Result<int> {
+                                     Result<int> fd = connect_to(of.host, of.port, of.answer_timeout);
+                                     if (fd) detail::lane_sleep(of.connect_delay);
+                                     return fd;
+                                   },
+                                   [](int fd) noexcept { ::close(fd); }, true});
+      rtu.emplace(bus, stream, config, [stream] { stream->drop(); });
+    }
   }
 
   Result<Use> connect() {
@@ -244,7 +270,7 @@ Error ModbusDevice::failure(int number) const {
                    "check whether two devices have this address, or answer later than `answer_timeout`");
     case detail::modbus_echo:
       return error(Errc::bad_data, cannot_ask, "it echoes the request",
-                   "switch off the echo of the adapter (many have a jumper for it), and check its wires");
+                   "switch off the echo of the adapter (many have a jumper for it) or set `echo`, and check its wires");
     case detail::modbus_incomplete:
       return error(Errc::timed_out, cannot_ask,
                    "its answer was not complete in " + to_string(core_->config.answer_timeout),
@@ -294,7 +320,8 @@ Result<void> ModbusDevice::ask_by_tcp(const Request& request, Take&& take) {
       if (number == 0) take(connection.tcp.answer().data());
       connection.silences = number == ETIMEDOUT ? connection.silences + 1 : 0;
       const bool is_exception = number > MODBUS_ENOBASE && number < EMBBADCRC;
-      core_->release(*use, number == 0 || is_exception || (number == ETIMEDOUT && connection.silences < most_silences));
+      core_->release(
+          *use, number == 0 || is_exception || (number == ETIMEDOUT && connection.silences < detail::most_silences));
     }
     if (!is_new && (number == ECONNRESET || number == EPIPE)) continue;
     count(detail::lane_now() - began, number == 0);
@@ -309,11 +336,12 @@ Result<void> ModbusDevice::ask(const Request& request, Take&& take) {
   if (is_abandoned()) return error(Errc::closed, cannot_ask, "this reading was given up before");
   if (!core_->rtu) return ask_by_tcp(request, take);
   const MonotonicTime began = detail::lane_now();
-  std::vector<std::uint8_t> answer;
+  detail::ModbusRtu::Answer answer;
   const Result<int> number = core_->rtu->ask(*this, unit_, request.bytes(), request.answer_size(), answer);
   const bool is_good = number && *number == 0;
-  if (is_good) take(answer.data());
+  if (is_good) take(answer.bytes.data());
   count(detail::lane_now() - began, is_good);
+  count_skipped(answer.skipped);
   if (!number) return number.error();
   return is_good ? Result<void>() : Result<void>(failure(*number));
 }
@@ -387,9 +415,9 @@ ModbusBus::ModbusBus(std::string name, std::shared_ptr<SerialTransport> line, Mo
 }
 
 ModbusDevice ModbusBus::device(const ModbusDevice::Place& place) const {
-  if (place.unit < 1 || place.unit > last_unit)
+  if (place.unit > last_unit)
     throw SetupError({Errc::bad_argument, "cannot use this unit", "bus " + name(),
-                      "units have the numbers 1 to 247, not " + std::to_string(place.unit), ""});
+                      "units have the numbers 0 to 255, not " + std::to_string(place.unit), ""});
   return {core_, place.unit, counter_of("unit " + std::to_string(place.unit))};
 }
 

@@ -42,7 +42,7 @@ bool begins_with(RtuBytes bytes, RtuBytes beginning) {
 
 /// True for a complete read answer of another unit.
 bool is_of_another_unit(RtuBytes bytes, unsigned unit) {
-  if (bytes.size() < 5 || bytes[0] == unit || bytes[0] == 0 || bytes[0] > 247) return false;
+  if (bytes.size() < 5 || bytes[0] == unit) return false;
   const std::size_t size = (bytes[1] & exception_flag) != 0 ? 5 : 5 + std::size_t{bytes[2]};
   return bytes.size() >= size && has_right_checksum(bytes.first(size));
 }
@@ -98,15 +98,21 @@ std::uint16_t modbus_checksum(RtuBytes bytes) noexcept {
   return static_cast<std::uint16_t>(sum);
 }
 
-ModbusRtu::ModbusRtu(const std::string& bus, std::shared_ptr<SerialTransport> transport, const ModbusConfig& config)
+ModbusRtu::ModbusRtu(const std::string& bus, std::shared_ptr<SerialTransport> transport, const ModbusConfig& config,
+                     std::function<void()> reconnect)
     : silence_(silence_between_frames(config.serial)),
       answer_timeout_(config.answer_timeout),
-      line_(bus, std::move(transport), config.answer_timeout, config.timeout) {}
+      reconnect_(std::move(reconnect)),
+      line_(bus, std::move(transport), config.answer_timeout, config.timeout, config.echo) {}
 
 Result<int> ModbusRtu::ask(const BusDevice& device, unsigned number, RtuBytes request, std::size_t size,
-                           Bytes& answer) {
+                           Answer& answer) {
   AskedLine::Partner& unit = units_[number];
-  if (auto settled = line_.settle(unit, silence_); !settled) return std::move(settled).error();
+  Result<std::size_t> settled = line_.settle(unit, silence_);
+  // The server has closed an idle connection: this opens it again.
+  if (!settled && settled.error().code == Errc::disconnected && reconnect_) settled = line_.settle(unit, silence_);
+  if (!settled) return std::move(settled).error();
+  answer.skipped = *settled;
   if (device.is_abandoned()) return Error{Errc::closed, "cannot ask the device", "", "this was given up before", ""};
 
   WantedAnswer wanted{{static_cast<std::uint8_t>(number)}, {static_cast<std::uint8_t>(number)}, size + 3};
@@ -130,11 +136,13 @@ Result<int> ModbusRtu::ask(const BusDevice& device, unsigned number, RtuBytes re
       return got.error();
     }
     came.insert(came.end(), bytes.begin(), bytes.begin() + static_cast<std::ptrdiff_t>(*got));
+    if (*got > 0) silences_ = 0;
     RtuBytes frame;
     const int found = wanted.find_in(came, frame);
     const bool is_exception = found > MODBUS_ENOBASE && found < EMBBADCRC;
     if (found == 0 || is_exception) {
-      answer.assign(frame.begin() + 1, frame.end() - 2);
+      answer.bytes.assign(frame.begin() + 1, frame.end() - 2);
+      answer.skipped += came.size() - frame.size();
       line_.answered(unit, &frame.back() != &came.back());
       return found;
     }
@@ -142,6 +150,11 @@ Result<int> ModbusRtu::ask(const BusDevice& device, unsigned number, RtuBytes re
         came.size() <= 4 * longest_frame)
       continue;
     line_.distrust(unit);
+    answer.skipped += came.size();
+    if (found == ETIMEDOUT && reconnect_ && ++silences_ >= most_silences) {
+      silences_ = 0;
+      reconnect_();
+    }
     return found;
   }
 }

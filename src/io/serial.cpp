@@ -19,7 +19,14 @@ std::span<const std::uint8_t> bytes_of(std::string_view text) {
 
 }  // namespace
 
+void check_config(const SerialSettings& settings, const ConfigItem& item, Problems& problems) {
+  const Result<unsigned> flags = detail::control_flags(settings);
+  const ConfigItem* const at = item.find("rts");
+  if (!flags && at != nullptr) problems.add(at->problem("bad-value", flags.error().why + "; " + flags.error().advice));
+}
+
 void check_config(const SerialPortConfig& config, const ConfigItem& item, Problems& problems) {
+  check_config(config.serial, item, problems);
   if (config.answer_timeout < config.timeout) return;
   const ConfigItem* at = item.find("answer_timeout");
   if (at == nullptr) at = item.find("timeout");
@@ -34,7 +41,7 @@ struct SerialDevice::Core {
   Core(std::string bus_, std::shared_ptr<SerialTransport> transport, SerialPortConfig config_)
       : bus(std::move(bus_)),
         config(std::move(config_)),
-        line(bus, std::move(transport), config.answer_timeout, config.timeout) {}
+        line(bus, std::move(transport), config.answer_timeout, config.timeout, config.echo) {}
   const std::string bus;
   const SerialPortConfig config;
   detail::AskedLine line;
@@ -60,7 +67,10 @@ Result<void> SerialDevice::look_at() {
 Result<void> SerialDevice::drop_input() {
   pending_.clear();
   if (auto wanted = check_wanted(); !wanted) return wanted;
-  return core_->line.settle(core_->all);
+  const Result<std::size_t> dropped = core_->line.settle(core_->all);
+  if (!dropped) return dropped.error();
+  count_skipped(*dropped);
+  return {};
 }
 
 void SerialDevice::distrust() {

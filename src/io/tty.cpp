@@ -4,6 +4,7 @@
 #include <asm/ioctls.h>
 #include <asm/termbits.h>
 #include <fcntl.h>
+#include <linux/serial.h>
 #include <sys/file.h>
 #include <sys/ioctl.h>
 #include <sys/stat.h>
@@ -14,6 +15,8 @@
 #include <cstdio>
 #include <fstream>
 #include <sstream>
+#include <tuple>
+
 #include "io/enabling.hpp"
 
 namespace rtdata::detail {
@@ -92,6 +95,38 @@ bool is_pseudo_terminal(int fd) noexcept {
   return ::fstat(fd, &status) == 0 && major(status.st_rdev) >= 136 && major(status.st_rdev) <= 143;
 }
 
+Error cannot_do(const std::string& path, std::string why, const char* advice) {
+  return {Errc::out_of_range, "cannot set up the serial line", path, std::move(why), advice};
+}
+
+/// The modem lines, and how the driver of an RS-485 line is switched.
+Result<void> set_lines(int fd, const std::string& path, const SerialSettings& settings) {
+  if (settings.rs485) {
+    const bool is_high = *settings.rs485 == Rs485::rts_high;
+    const unsigned wanted = SER_RS485_ENABLED | (is_high ? SER_RS485_RTS_ON_SEND : SER_RS485_RTS_AFTER_SEND);
+    constexpr unsigned ours = SER_RS485_ENABLED | SER_RS485_RTS_ON_SEND | SER_RS485_RTS_AFTER_SEND;
+    struct serial_rs485 mode {};  // delays and the rest stay as the machine's description has them
+    bool done = ::ioctl(fd, TIOCGRS485, &mode) == 0;
+    mode.flags = (mode.flags & ~ours) | wanted;
+    done = done && ::ioctl(fd, TIOCSRS485, &mode) == 0 && ::ioctl(fd, TIOCGRS485, &mode) == 0;
+    if (!done || (mode.flags & ours) != wanted)
+      return cannot_do(path, "its driver cannot switch an RS-485 line so",
+                       "leave out `rs485`; most adapters switch by themselves");
+  }
+  int lines = 0;
+  if (settings.hangup && ::ioctl(fd, TIOCMGET, &lines) != 0)
+    return cannot_do(path, "it has no lines that `hangup` could clear", "leave it out");
+  for (const auto& [is_set, bit, key] :
+       {std::tuple{settings.dtr, TIOCM_DTR, "dtr"}, std::tuple{settings.rts, TIOCM_RTS, "rts"}}) {
+    if (!is_set) continue;
+    int bits = bit;
+    if (::ioctl(fd, *is_set ? TIOCMBIS : TIOCMBIC, &bits) == 0) continue;
+    if (errno == EIO || errno == ENODEV) return open_error(errno, path);
+    return cannot_do(path, std::string("it has no line that `") + key + "` could set", "leave it out");
+  }
+  return {};
+}
+
 Result<void> set_up(int fd, const std::string& path, const SerialSettings& settings, unsigned flags) {
   struct termios2 tty {};
   if (::ioctl(fd, TCGETS2, &tty) != 0) {
@@ -114,7 +149,7 @@ Result<void> set_up(int fd, const std::string& path, const SerialSettings& setti
   if (::ioctl(fd, TCGETS2, &now) != 0) return system_error(errno, "cannot set up the serial line", path);
   // A driver sets the nearest possible speed and reports it. Pseudo terminals have no speed.
   const double off = static_cast<double>(now.c_ospeed) / settings.baud_rate - 1;
-  const unsigned format = CSIZE | CSTOPB | PARENB | PARODD | CMSPAR;
+  const unsigned format = CSIZE | CSTOPB | PARENB | PARODD | CMSPAR | HUPCL;
   if (off > 0.03 || off < -0.03) {
     return Error{Errc::out_of_range, "cannot set up the serial line", path,
                  "it cannot do " + std::to_string(settings.baud_rate) + " Bd, only " + std::to_string(now.c_ospeed),
@@ -122,10 +157,10 @@ Result<void> set_up(int fd, const std::string& path, const SerialSettings& setti
   }
   if ((now.c_cflag & format) != (flags & format) && !is_pseudo_terminal(fd)) {
     return Error{Errc::out_of_range, "cannot set up the serial line", path,
-                 "it cannot do this character size, parity or stop bits",
-                 "change `character_size`, `parity` or `stop_bits`"};
+                 "it cannot do this character size, parity, stop bits or hang-up",
+                 "change `character_size`, `parity`, `stop_bits` or `hangup`"};
   }
-  return {};
+  return set_lines(fd, path, settings);
 }
 
 }  // namespace
@@ -138,7 +173,10 @@ Result<unsigned> control_flags(const SerialSettings& settings) {
   if (settings.stop_bits < 1 || settings.stop_bits > 2)
     return bad_setting("there are 1 or 2 stop bits", "set `stop_bits`");
   unsigned flags = CREAD | CLOCAL | sizes[settings.character_size - 5];
+  if (settings.rts && settings.rs485)
+    return bad_setting("with `rs485` the kernel sets RTS", "leave out one of `rts` and `rs485`");
   if (settings.stop_bits == 2) flags |= CSTOPB;
+  if (settings.hangup) flags |= HUPCL;
   switch (settings.parity) {
     case Parity::none:
       break;

@@ -112,6 +112,11 @@ void TcpStream::done(const Result<void>& result) {
   opened_(result);
 }
 
+int TcpStream::release() noexcept {
+  watch_.close();
+  return std::exchange(fd_, -1);
+}
+
 void TcpStream::wait(Duration at_most) {
   const auto end = std::chrono::steady_clock::now() + at_most;
   while (is_connecting_) {

@@ -39,6 +39,8 @@ class TcpStream {
   /// Blocks until `opened` has been called, for `at_most`. For set-up only.
   void wait(Duration at_most);
   void close() noexcept;
+  /// The socket of an open connection, which is the caller's from now on; the stream is closed.
+  int release() noexcept;
   /// As read(2), never blocks.
   ssize_t read(char* to, std::size_t most) noexcept;
   /// False: the peer is gone, or takes no more now.

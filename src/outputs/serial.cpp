@@ -65,6 +65,7 @@ Unsent& unsent() {
 }  // namespace
 
 void SerialActuatorConfig::check(const SerialActuatorConfig& config, const ConfigItem& item, Problems& problems) {
+  check_config(config.serial, item, problems);
   detail::check_words(config.words, item, problems);
   if (detail::has_value_mark(config.text)) return;
   const ConfigItem* const text = item.find("text");

@@ -292,6 +292,8 @@ TEST_SUITE("app") {
           lost += event.sequence - (next - 1);
         } else {
           REQUIRE(event.sequence == next);
+          // It outlives its topic, and the program's statics: the readers may come late.
+          REQUIRE(feed.ring()->descriptions.at(event.description).get() == event.description);
           RoomReading reading;
           REQUIRE(event.payload_bytes == sizeof reading);
           std::memcpy(&reading, event.payload(), sizeof reading);

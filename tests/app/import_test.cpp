@@ -184,7 +184,7 @@ TEST_SUITE("app") {
       CHECK(run.end() == status);
       return run.out + run.err;
     };
-    const std::string advice = "if they are thousands, take them out of the file (1,234 becomes 1234)";
+    const std::string advice = "if they are thousands, write --thousands , and if they are decimals, --decimal ,";
     CHECK(has(import({"a.csv", "--time", "time", "--separator", ";"}, 1), advice));
     CHECK(has(import({"b.csv", "--time", "time"}, 1), advice));
     const std::string decimals = import({"c.csv", "--time", "time", "--separator", ";"}, 1);

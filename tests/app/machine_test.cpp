@@ -267,7 +267,7 @@ TEST_SUITE("app") {
         }
       }
     }
-    CHECK(known == 37);
+    CHECK(known == 61);
   }
 
   TEST_CASE("FW-2 scan names the chips that an address may have, without an identity and without a driver") {
@@ -295,8 +295,14 @@ TEST_SUITE("app") {
              {0x2a, 0x1f, 0x0f, "NAU7802", 1},
              {0x2a, 0x1f, 0xff, "perhaps NAU7802", 1},
              {0x23, 0x00, 0x00, "perhaps a port expander (PCF8574, MCP23017), BH1750", 0},
-             {0x40, 0x00, 0x00, "perhaps INA219, INA226, HDC1080, PCA9685", 2},
-             {0x44, 0x00, 0x00, "perhaps SHT3x, SHT4x, INA219, INA226", 4},
+             {0x40, 0x00, 0x00, "perhaps INA219, HDC1080, PCA9685", 1},
+             {0x40, 0xff, 0x22, "INA226", 1},
+             {0x45, 0x3f, 0x22, "INA228", 1},
+             {0x41, 0xff, 0x32, "INA3221", 1},
+             {0x19, 0x0f, 0x33, "LIS3DH", 1},
+             {0x62, 0x00, 0x00, "perhaps SCD40, SCD41", 1},
+             {0x77, 0xd0, 0x61, "BME680, BME688", 1},
+             {0x44, 0x00, 0x00, "perhaps SHT3x, SHT4x, INA219", 3},
              {0x48, 0x00, 0x00, "perhaps LM75, TMP75, ADS1115, ADS1015, TMP102", 2},
              {0x4f, 0x00, 0x00, "perhaps LM75, TMP75", 1},
              {0x50, 0x00, 0x00, "perhaps an EEPROM (24Cxx)", 0},

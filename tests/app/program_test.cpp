@@ -631,7 +631,7 @@ TEST_SUITE("app") {
     const Folder folder;
     Process lines(folder, program, {"types"});
     CHECK(lines.end() == 0);
-    CHECK(has(lines.out, "\n  accelerometer  acceleration of an ADXL345 or ADXL375"));
+    CHECK(has(lines.out, "\n  accelerometer  acceleration of an ADXL345, ADXL375 or LIS3DH"));
     CHECK(lines.out.starts_with("sensor types\n"));
     CHECK(has(lines.out, "\nsink types\n  console "));
     CHECK_FALSE(has(lines.out, "quantization_bits"));

@@ -64,7 +64,7 @@ private = {
         "app/inspect/types_markdown.cpp", "app/machine/doctor_rules.cpp", "app/run/data_at_risk.cpp",
         "app/run/init.cpp", "app/run/reload.cpp", "app/run/run.cpp"},
     "data/lower_case.hpp": {"app/inspect/import_columns.cpp"},
-    "data/nearest.hpp": {"app/inspect/import.cpp"},
+    "data/nearest.hpp": {"app/inspect/import_head.cpp"},
     "data/number_text.hpp": {"app/control/commands.cpp", "app/control/control_socket.cpp",
         "app/core/recording_arguments.cpp", "app/inspect/import_columns.cpp", "app/inspect/import_time.cpp",
         "app/run/service.cpp"},

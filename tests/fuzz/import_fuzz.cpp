@@ -34,12 +34,22 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   }
   rtdata::app::ImportOptions options;
   options.file = table;
-  options.time_column = (data[0] & 1) != 0 ? "t" : "time";
+  options.time_columns = {(data[0] & 1) != 0 ? "t" : "time"};
   options.database = database;
   options.separator = (data[0] & 2) != 0 ? ";" : ",";
   options.decimal = (data[0] & 4) != 0 ? "," : ".";
   const char* const scales[] = {"", "1s", "10us", "1ns"};
   options.scale = scales[data[1] % 4];
+  if ((data[0] & 16) != 0) options.order = rtdata::app::ImportOptions::Order::sorted;
+  if ((data[0] & 32) != 0) options.partial = rtdata::app::ImportOptions::Partial::taken;
+  if ((data[0] & 64) != 0) options.columns = "t,a,b [V]";
+  if ((data[0] & 128) != 0) options.time_format = "%d.%m.%y %H:%M:%S%z";
+  options.skip = data[1] >> 2 & 1;
+  options.head = (data[1] & 8) != 0 && options.columns.empty() ? 2 : 1;
+  if ((data[1] & 16) != 0) options.units = "row";
+  if ((data[1] & 32) != 0) options.comment = "#";
+  if ((data[1] & 64) != 0) options.none = {"-9999", "x"};
+  if ((data[1] & 128) != 0) options.thousands = "'";
   std::ostringstream out, err;
   const int status = rtdata::app::import_table(options, out, err);
   if (status != 0) {

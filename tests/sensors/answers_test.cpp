@@ -228,6 +228,28 @@ TEST_SUITE("sensors") {
     CHECK(stage.has_error("bus meter: it echoes the request"));
   }
 
+  TEST_CASE("US-42 an echo is dropped where the port says that there is one, and told where it differs") {
+    Stage stage;
+    bool differs = false;
+    stage.line->on_request = [&](const std::string& request) {
+      stage.line->send(0ms, differs ? "8" + request.substr(1) : request);
+      stage.line->send(4ms, "230.1\n");
+    };
+    SerialPort port("meter", stage.line, {.echo = true});
+    DriverSensor<Query> meter(stage.loop, patient("volt", 1_Hz), port, {},
+                              {.request = "7\n", .fields = {{.name = "v"}}});
+    stage.loop.advance(5500ms);
+    CHECK(stage.values.size() >= 4);
+    CHECK(stage.errors.empty());
+    const std::size_t before = stage.values.size();
+    differs = true;
+    stage.loop.advance(10s);
+    CHECK(stage.values.size() == before);
+    CHECK(stage.count_of("volt", 230.1) == before);
+    CHECK(stage.has_error("bus meter: what came back is not what was sent"));
+    CHECK(stage.loop.runtime().balances());
+  }
+
   TEST_CASE("US-42 queries of devices with any habit publish the answer to what was asked, or nothing") {
     const auto [from, count] = seeds();
     std::size_t published = 0;
@@ -333,6 +355,12 @@ TEST_SUITE("sensors") {
     device.write_registers(1, two).or_throw();
     CHECK(asked.back().substr(0, 11) == std::string("\x11\x10\x00\x01\x00\x02\x04\x00\x0a\x01\x02", 11));
     CHECK(bus.counts(17).failed == 1);
+    for (const unsigned unit : {0u, 248u, 255u}) {
+      answer = answer_of(unit, {7}, 4);
+      bus.device({.unit = unit}).read_registers(ModbusTable::input, 8, one).or_throw();
+      CHECK(one[0] == 7);
+      CHECK(unit_of(asked.back()) == unit);
+    }
   }
 
   TEST_CASE("US-42 Modbus RTU: the late answer of one unit moves no value of another to the wrong register") {

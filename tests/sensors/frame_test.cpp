@@ -155,6 +155,20 @@ TEST_SUITE("sensors" * doctest::skip(!terminals_can_be_set_up())) {
     CHECK(values_of_line(text, "P=1") == "left out");
   }
 
+  TEST_CASE("US-13 JSON: values in arrays have their index in the key") {
+    const LineConfig meter{.format = LineFormat::json,
+                           .fields = {{.name = "a", .key = "emeters.0.power"}, {.name = "b", .key = "emeters.1.power"},
+                                      {.name = "c", .key = "list.1.0"}}};
+    CHECK(values_of_line(meter, R"({"x": [1, {"y": 2}], "emeters": [{"power": 1.5}, {"power": -2}], "list": [[7], [8, 9], 10]})") ==
+          "1.5 -2 8");
+    CHECK(has(values_of_line(meter, R"({"emeters": [{"power": 1}], "list": [[], [3]]})"), "has no \"emeters.1.power\""));
+    const LineConfig top{.format = LineFormat::json, .fields = {{.name = "a", .key = "1.v"}, {.name = "b", .key = "2"}}};
+    CHECK(values_of_line(top, R"([{"v": 1}, {"v": 2}, 3])") == "2 3");
+    CHECK(has(values_of_line(top, "[]"), "has no"));
+    CHECK(has(values_of_line(top, "3"), "not a JSON object"));
+    CHECK(has(values_of_line(top, "[[[["), "not JSON"));
+  }
+
   TEST_CASE("US-13 rows of labels: DSMR, Teleinfo, VE.Direct") {
     // DSMR 5.0.2 P1, chapter 6: a telegram from "/" to "!", then CRC16 over both.
     const LineConfig meter{

@@ -17,6 +17,7 @@
 #include "rtdata/config/system.hpp"
 #include "rtdata/detail/loop/lane.hpp"
 #include "rtdata/testing/fake_i2c.hpp"
+#include "sensors/bus_bench.hpp"
 #include "sensors/fixture.hpp"
 #include "sensors/spi_bridge.hpp"
 
@@ -268,6 +269,62 @@ TEST_SUITE("sensors") {
     CHECK(small.acceleration_y == doctest::Approx(-gravity));
     CHECK(Accelerometer::decode(g, {.model = AccelerometerModel::adxl375}).acceleration_z ==
           doctest::Approx(20 * 0.049 * gravity));
+    // LIS3DH, AN3308, 4.2.3: at 2 g and high resolution 350 mg, -350 mg, and 1024 counts of 1 mg.
+    const std::array<std::uint8_t, 6> tilted{0xe0, 0x15, 0x20, 0xea, 0x00, 0x40};
+    const AccelerometerReading fine = Accelerometer::decode(
+        tilted, {.model = AccelerometerModel::lis3dh, .acceleration_range = 2});
+    CHECK(fine.acceleration_x == doctest::Approx(0.35 * gravity));
+    CHECK(fine.acceleration_y == doctest::Approx(-0.35 * gravity));
+    CHECK(fine.acceleration_z == doctest::Approx(1.024 * gravity));
+    CHECK(Accelerometer::decode(tilted, {.model = AccelerometerModel::lis3dh}).acceleration_x ==
+          doctest::Approx(350 * 0.012 * gravity));
+  }
+
+  TEST_CASE(
+      "US-15 US-27 LIS3DH: its settings, another chip, the samples in which it settles, lost settings, unplugged") {
+    I2cBench bench;
+    FakeI2cChip& chip = bench.wires->chip(0x18);
+    chip.set(0x0f, {0x32});                                // an LIS331DLH
+    chip.set(0xa8, {0xe0, 0x15, 0x20, 0xea, 0x00, 0x40});  // from 0x28 on, with the bit of several registers
+    std::vector<AccelerometerReading> all;
+    const auto heard = bench.loop.subscribe<AccelerometerReading>(
+        "s", [&](const Event<AccelerometerReading>& event) { all.push_back(*event); });
+    DriverSensor<Accelerometer> sensor(bench.loop, {.name = "s", .rate = 10_Hz, .retry_longest = 100ms}, bench.bus,
+                                       {.address = 0x18},
+                                       {.model = AccelerometerModel::lis3dh, .acceleration_range = 2});
+    CHECK(bench.told("its identity is 0x32, that of an LIS3DH is 0x33"));
+    chip.set(0x0f, {0x33});
+    bench.loop.advance(150ms);
+    CHECK(sensor.health() == Health::ok);
+    CHECK(chip.get(0x20) == 0x57);  // 100 Hz, three axes
+    CHECK(chip.get(0x23) == 0x88);  // 2 g, high resolution
+    CHECK(chip.get(0x24) == 0x40);
+    CHECK(chip.get(0x2e) == 0x80);
+    CHECK(all.empty());
+    chip.set(0x2f, {9});
+    bench.loop.advance(100ms);
+    REQUIRE(all.size() == 2);  // without the first seven
+    CHECK(all[0].acceleration_x == doctest::Approx(0.35 * gravity));
+    bench.loop.advance(100ms);
+    CHECK(all.size() == 11);
+    chip.set(0x2f, {0x20});  // empty
+    bench.loop.advance(100ms);
+    CHECK(all.size() == 11);
+    chip.set(0x2e, {0});
+    bench.loop.advance(100ms);
+    CHECK(sensor.status().reason.find("it has lost its settings") != std::string::npos);
+    CHECK(sensor.counts().unreadable == 1);
+    CHECK(chip.get(0x2e) == 0x80);
+    chip.unplug();
+    bench.loop.advance(1s);
+    CHECK(sensor.health() == Health::faulted);
+    CHECK(all.size() == 11);
+    chip.plug_in();
+    chip.set(0x2f, {9});
+    bench.loop.advance(1s);
+    CHECK(sensor.health() == Health::ok);
+    CHECK(all.size() > 11);
+    CHECK(bench.loop.runtime().balances());
   }
 
   TEST_CASE("US-15 each sample in the FIFO of each model is an event, in order, whole, with a time of its own") {

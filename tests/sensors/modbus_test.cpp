@@ -22,6 +22,7 @@ TEST_CASE("US-42 Modbus is tested where libmodbus is") {
 #include <mutex>
 #include <thread>
 
+#include "app/run/data_at_risk.hpp"
 #include "has.hpp"
 #include "rtdata/app/standard.hpp"
 #include "rtdata/config/system.hpp"
@@ -91,41 +92,34 @@ class Unit {
   std::thread thread_;
 };
 
-/// An RS-485 line. A unit hears what is for it alone: libmodbus takes what comes after another's request for the answer
-/// to that. A thread carries it, since both ends of it block.
-class Rs485 {
+/// Carries what is sent on a line to the units, and their answers back, with faults. A unit hears what is for it alone:
+/// libmodbus takes what comes after another's request for the answer to that.
+class Carrier {
  public:
-  enum class Fault { none, silent, broken, half };
-  explicit Rs485(std::vector<Unit*> units) : pty_(directory_.file("tty")), units_(std::move(units)) { plug_in(); }
-  Rs485(const Rs485&) = delete;
-  Rs485& operator=(const Rs485&) = delete;
-  ~Rs485() { unplug(); }
-  void plug_in() {
-    pty_.plug_in();
-    REQUIRE(::pipe(stop_) == 0);
-    thread_ = std::thread([this] { carry(); });
-  }
-  void unplug() {
-    if (!thread_.joinable()) return;
-    ::close(stop_[1]);
-    thread_.join();
-    ::close(stop_[0]);
-    pty_.unplug();
-  }
+  enum class Fault { none, silent, broken, half, noise };
+  enum class Echo { none, right, wrong };
+  explicit Carrier(std::vector<Unit*> units) : units_(std::move(units)) {}
   void set(Fault fault) { fault_ = fault; }
-  const std::string& path() const { return pty_.path(); }
-  int device() const { return pty_.device(); }
+  void set(Echo echo) { echo_ = echo; }
   unsigned requests() const { return requests_; }
 
- private:
-  void carry() {
-    std::vector<pollfd> ends{{stop_[0], POLLIN, 0}, {pty_.master(), POLLIN, 0}};
+ protected:
+  /// Until `stop` is closed, or the end is.
+  void carry(int end, int stop) {
+    std::vector<pollfd> ends{{stop, POLLIN, 0}, {end, POLLIN, 0}};
     for (const Unit* unit : units_) ends.push_back({unit->line(), POLLIN, 0});
     while (::poll(ends.data(), ends.size(), -1) >= 0 && ends[0].revents == 0) {
       std::uint8_t bytes[300];
       if (ends[1].revents != 0) {
-        const ssize_t got = ::read(pty_.master(), bytes, sizeof bytes);
+        const ssize_t got = ::read(end, bytes, sizeof bytes);
+        if (got == 0) return;
         if (got > 0) ++requests_;
+        if (const Echo echo = echo_; echo != Echo::none && got > 0) {
+          std::uint8_t back[300];
+          std::copy_n(bytes, got, back);
+          if (echo == Echo::wrong) back[2] ^= 0x01;
+          send(end, back, got);
+        }
         for (const Unit* unit : units_) {
           if (got > 0 && bytes[0] == unit->number()) send(unit->line(), bytes, got);
         }
@@ -137,7 +131,11 @@ class Rs485 {
         if (fault == Fault::silent || got <= 0) continue;
         if (fault == Fault::broken) bytes[3] = static_cast<std::uint8_t>(bytes[3] ^ 0x10);
         if (fault == Fault::half) got /= 2;
-        send(pty_.master(), bytes, got);
+        if (fault == Fault::noise) {
+          const std::uint8_t noise[] = {0x00, 0xff, bytes[0]};
+          send(end, noise, sizeof noise);
+        }
+        send(end, bytes, got);
       }
     }
   }
@@ -145,11 +143,91 @@ class Rs485 {
     if (size > 0) [[maybe_unused]]
       const ssize_t sent = ::write(fd, bytes, static_cast<std::size_t>(size));
   }
-  ScratchDirectory directory_;
-  Pty pty_;
+
+ private:
   std::vector<Unit*> units_;
   std::atomic<Fault> fault_{Fault::none};
+  std::atomic<Echo> echo_{Echo::none};
   std::atomic<unsigned> requests_{0};
+};
+
+/// An RS-485 line. A thread carries it, since both ends of it block.
+class Rs485Line : public Carrier {
+ public:
+  explicit Rs485Line(std::vector<Unit*> units) : Carrier(std::move(units)), pty_(directory_.file("tty")) { plug_in(); }
+  Rs485Line(const Rs485Line&) = delete;
+  Rs485Line& operator=(const Rs485Line&) = delete;
+  ~Rs485Line() { unplug(); }
+  void plug_in() {
+    pty_.plug_in();
+    REQUIRE(::pipe(stop_) == 0);
+    thread_ = std::thread([this] { carry(pty_.master(), stop_[0]); });
+  }
+  void unplug() {
+    if (!thread_.joinable()) return;
+    ::close(stop_[1]);
+    thread_.join();
+    ::close(stop_[0]);
+    pty_.unplug();
+  }
+  const std::string& path() const { return pty_.path(); }
+  int device() const { return pty_.device(); }
+
+ private:
+  ScratchDirectory directory_;
+  Pty pty_;
+  int stop_[2] = {-1, -1};
+  std::thread thread_;
+};
+
+/// A serial server that passes bytes on and converts nothing, one connection at a time.
+class SerialServer : public Carrier {
+ public:
+  explicit SerialServer(std::vector<Unit*> units, std::uint16_t port = 0) : Carrier(std::move(units)) {
+    listening_ = ::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
+    const int on = 1;
+    ::setsockopt(listening_, SOL_SOCKET, SO_REUSEADDR, &on, sizeof on);
+    sockaddr_in address{};
+    address.sin_family = AF_INET;
+    address.sin_port = htons(port);
+    address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+    socklen_t size = sizeof address;
+    REQUIRE(::bind(listening_, reinterpret_cast<sockaddr*>(&address), size) == 0);
+    REQUIRE(::listen(listening_, 4) == 0);
+    ::getsockname(listening_, reinterpret_cast<sockaddr*>(&address), &size);
+    port_ = ntohs(address.sin_port);
+    REQUIRE(::pipe(stop_) == 0);
+    thread_ = std::thread([this] {
+      for (int peer = -1; (peer = ::accept(listening_, nullptr, nullptr)) >= 0;) {
+        ++connections_;
+        peer_ = peer;
+        carry(peer, stop_[0]);
+        peer_ = -1;
+        ::close(peer);
+      }
+    });
+  }
+  SerialServer(const SerialServer&) = delete;
+  SerialServer& operator=(const SerialServer&) = delete;
+  ~SerialServer() {
+    ::shutdown(listening_, SHUT_RDWR);
+    ::close(stop_[1]);
+    thread_.join();
+    ::close(stop_[0]);
+    ::close(listening_);
+  }
+  /// Ends the connection.
+  void drop() {
+    if (const int peer = peer_; peer >= 0) ::shutdown(peer, SHUT_RDWR);
+  }
+  std::uint16_t port() const { return port_; }
+  unsigned connections() const { return connections_; }
+
+ private:
+  int listening_ = -1;
+  std::uint16_t port_ = 0;
+  std::atomic<int> peer_{-1};
+  std::atomic<unsigned> connections_{0};
   int stop_[2] = {-1, -1};
   std::thread thread_;
 };
@@ -173,6 +251,7 @@ class TcpServer {
         }
         std::uint8_t request[MODBUS_TCP_MAX_ADU_LENGTH];
         for (int length = 0; (length = ::modbus_receive(context_, request)) >= 0;) {
+          if (length > 0) note(request + ::modbus_get_header_length(context_));
           if (length > 0 && !is_silent_) ::modbus_reply(context_, request, length, mapping_);
         }
         const std::lock_guard lock(mutex_);
@@ -199,8 +278,19 @@ class TcpServer {
   }
   void set_silent(bool is_silent) { is_silent_ = is_silent; }
   std::uint16_t port() const { return port_; }
+  /// To be set before it is asked.
+  modbus_mapping_t& mapping() { return *mapping_; }
+  unsigned requests() const { return requests_; }
+  /// Of one request.
+  unsigned most_asked() const { return most_asked_; }
 
  private:
+  void note(const std::uint8_t* pdu) {
+    const auto count = static_cast<unsigned>(pdu[3] << 8 | pdu[4]);
+    if (pdu[0] <= 4) most_asked_ = std::max(most_asked_.load(), count);
+    ++requests_;
+  }
+  std::atomic<unsigned> requests_{0}, most_asked_{0};
   modbus_t* context_;
   modbus_mapping_t* mapping_;
   int listening_ = -1;
@@ -353,7 +443,12 @@ TEST_SUITE("sensors") {
     CHECK(device.read_registers(ModbusTable::coil, 0, words).error().code == Errc::bad_argument);
     CHECK(bus.counts(7).failed == 1);
     CHECK(bus.counts(7).transfers == 11);
-    CHECK_THROWS_AS((void)bus.device({.unit = 0}), SetupError);
+    CHECK_THROWS_AS((void)bus.device({.unit = 256}), SetupError);
+    for (const unsigned unit : {0u, 248u, 255u}) {
+      bus.device({.unit = unit}).read_registers(ModbusTable::input, 1, words).or_throw();
+      CHECK(words == std::array<std::uint16_t, 3>{2001, 2002, 2003});
+      CHECK(bus.counts(unit).transfers == 1);
+    }
     device.abandon();
     CHECK(device.read_registers(ModbusTable::holding, 0, words).error().code == Errc::closed);
   }
@@ -369,17 +464,122 @@ TEST_SUITE("sensors") {
     bus.device({.unit = 1}).write_registers(20, words).or_throw();
     DriverSensor<Modbus> meter(
         stage.loop, common("meter"), bus, {.unit = 1},
-        {.fields = {{.name = "a", .address = 20, .type = Kind::i16, .scale = 0.1, .no_value = 32768},
-                    {.name = "b", .address = 21, .type = Kind::i16, .no_value = -32768},
-                    {.name = "c", .address = 22, .type = Kind::u16, .no_value = -1},
-                    {.name = "d", .address = 22, .type = Kind::i16, .no_value = 65535},
-                    {.name = "e", .address = 22, .type = Kind::i32, .no_value = 4294967295},
-                    {.name = "f", .address = 24, .type = Kind::f32, .no_value = -9999.9},
-                    {.name = "g", .address = 26, .type = Kind::u64, .no_value = -1},
-                    {.name = "h", .address = 26, .type = Kind::u64, .no_value = 18446744073709551615.0},
-                    {.name = "is", .address = 20, .type = Kind::i16, .no_value = 32767}}});
+        {.fields = {{.name = "a", .address = 20, .type = Kind::i16, .scale = 0.1, .no_value = {32768}},
+                    {.name = "b", .address = 21, .type = Kind::i16, .no_value = {-32768}},
+                    {.name = "c", .address = 22, .type = Kind::u16, .no_value = {-1}},
+                    {.name = "d", .address = 22, .type = Kind::i16, .no_value = {65535}},
+                    {.name = "e", .address = 22, .type = Kind::i32, .no_value = {4294967295}},
+                    {.name = "f", .address = 24, .type = Kind::f32, .no_value = {-9999.9}},
+                    {.name = "g", .address = 26, .type = Kind::u64, .no_value = {-1}},
+                    {.name = "h", .address = 26, .type = Kind::u64, .no_value = {18446744073709551615.0}},
+                    {.name = "is", .address = 20, .type = Kind::i16, .no_value = {32767}}}});
     stage.until([&] { return !stage.values.empty(); });
     CHECK(stage.values[0] == "meter: absent absent absent absent absent absent absent absent -32768");
+  }
+
+  TEST_CASE("US-42 Modbus: texts, single bits, masks, an order for each field, several numbers for none") {
+    TcpServer server;
+    const auto raw = std::bit_cast<std::uint32_t>(-12.75f);
+    const std::array<std::uint16_t, 15> words{0x5761,  // "Wa"
+                                              0x7474,  // "tt"
+                                              0x2000,  // " ", then NUL
+                                              0x4142,  // not part of the text
+                                              0xa5c3,  // bits
+                                              0x8000,
+                                              0xffff,
+                                              0x0007,                                    // none, none, and a number
+                                              static_cast<std::uint16_t>(raw & 0xffff),  // cdab
+                                              static_cast<std::uint16_t>(raw >> 16),
+                                              0x0001,
+                                              0x0002,  // abcd
+                                              0x6157,
+                                              0x7474,  // "Watt" with its bytes swapped
+                                              0x2020};
+    std::copy(words.begin(), words.end(), server.mapping().tab_registers + 20);
+    Stage stage;
+    ModbusBus bus("plc", {.host = "127.0.0.1", .port = server.port()});
+    const auto none = [](const char* name, unsigned address) {
+      return ModbusField{.name = name, .address = static_cast<std::uint16_t>(address), .no_value = {32768, 65535}};
+    };
+    DriverSensor<Modbus> meter(
+        stage.loop, common("meter"), bus, {.unit = 1},
+        {.fields = {
+             {.name = "text", .address = 20, .type = Kind::text, .registers = 4},
+             {.name = "bit0", .address = 24, .bit = 0},
+             {.name = "bit2", .address = 24, .bit = 2},
+             {.name = "bit15", .address = 24, .type = Kind::i16, .bit = 15},
+             {.name = "of_two", .address = 30, .type = Kind::u32, .bit = 16},
+             {.name = "high", .address = 24, .mask = 0xff00},
+             {.name = "nibble", .address = 24, .scale = 0.5, .mask = 0x00f0},
+             none("a", 25),
+             none("b", 26),
+             none("c", 27),
+             {.name = "word", .address = 28, .type = Kind::f32, .word_order = WordOrder::cdab},
+             {.name = "number", .address = 30, .type = Kind::u32},
+             {.name = "swapped", .address = 32, .type = Kind::text, .word_order = WordOrder::badc, .registers = 3},
+             {.name = "blank", .address = 34, .type = Kind::text, .registers = 1},
+             {.name = "gone", .address = 25, .no_value = {0x8000}, .bit = 15}}});
+    stage.until([&] { return !stage.values.empty(); });
+    CHECK(stage.values[0] == "meter: Watt true false true true 165 6 absent absent 7 -12.75 65538 Watt  absent");
+    CHECK(server.requests() == 1);
+  }
+
+  TEST_CASE("US-42 Modbus: a scale factor from another register, which is there, is none or makes no sense") {
+    TcpServer server;
+    std::uint16_t* const registers = server.mapping().tab_registers;
+    registers[10] = 2301;
+    registers[50] = 0xffff;  // -1
+    registers[11] = 12;
+    registers[51] = 3;
+    registers[12] = 7;
+    registers[52] = 0x8000;  // not implemented
+    Stage stage;
+    ModbusBus bus("inverter", {.host = "127.0.0.1", .port = server.port()});
+    const Modbus::Config config{.fields = {{.name = "v", .address = 10, .unit = "V", .scale_from = 50},
+                                           {.name = "w", .address = 11, .scale = 2, .offset = 1, .scale_from = 51},
+                                           {.name = "none", .address = 12, .scale_from = 52},
+                                           {.name = "gone", .address = 12, .no_value = {7}, .scale_from = 50}}};
+    DriverSensor<Modbus> sun(stage.loop, common("sun"), bus, {.unit = 126}, config);
+    stage.until([&] { return !stage.values.empty(); });
+    CHECK(stage.values[0] == "sun: 230.1 24001 absent absent");
+    CHECK(server.requests() == 2);  // 10 to 12, and 50 to 52
+    sun.close();
+    const std::array<std::uint16_t, 1> wrong{11};
+    bus.device({.unit = 126}).write_registers(50, wrong).or_throw();
+    DriverSensor<Modbus> other(stage.loop, common("other"), bus, {.unit = 126}, config);
+    stage.until([&] { return other.counts().unreadable > 0; });
+    CHECK(other.counts().published == 0);
+    CHECK(stage.has_error("field v: its scale factor is 11, and those of SunSpec are -10 to 10: check `scale_from`"));
+  }
+
+  TEST_CASE("US-42 Modbus: no request asks for more registers than the device gives, and none ends within a field") {
+    TcpServer server;
+    Modbus::Config config;
+    for (unsigned i = 0; i < 40; ++i)
+      config.fields.push_back({.name = "f" + std::to_string(i),
+                               .address = static_cast<std::uint16_t>(2 * i + 1),
+                               .type = Kind::u32,
+                               .word_order = i % 2 == 0 ? std::nullopt : std::optional(WordOrder::cdab)});
+    config.most_registers = 9;
+    const auto requests = Modbus::requests(config);
+    CHECK(requests.size() == 10);
+    CHECK(std::all_of(requests.begin(), requests.end(), [](const auto& one) { return one.count == 8; }));
+    Stage stage;
+    ModbusBus bus("plc", {.host = "127.0.0.1", .port = server.port()});
+    DriverSensor<Modbus> meter(stage.loop, common("meter"), bus, {.unit = 1}, config);
+    stage.until([&] { return !stage.values.empty(); });
+    std::string expected = "meter:";
+    for (std::uint32_t i = 0; i < 40; ++i) {
+      const std::uint32_t first = 1001 + 2 * i, second = first + 1;
+      expected += " " + std::to_string(i % 2 == 0 ? first << 16 | second : second << 16 | first);
+    }
+    CHECK(stage.values[0] == expected);
+    CHECK(server.most_asked() == 8);
+    config.most_registers = 1;
+    CHECK(Modbus::describe(config).error().text().find("it has 2 registers, and a request may have 1") !=
+          std::string::npos);
+    config.most_registers = 126;
+    CHECK_FALSE(Modbus::describe(config));
   }
 
   TEST_CASE("US-42 NFR-1 Modbus TCP: a server that is absent, silent, closes and comes back") {
@@ -414,6 +614,83 @@ TEST_SUITE("sensors") {
     CHECK(meter.counts().balances());
   }
 
+  TEST_CASE("US-42 US-17 check warns of units that no device has by RTU") {
+    const auto warned = [](const std::string& bus, const char* unit) {
+      SystemPlan plan = plan_system(
+          standard_registry(),
+          parse_config(R"({"buses": {"b": {"type": "modbus", )" + bus +
+                           R"(}}, "sensors": [{"name": "m", "type": "modbus", "rate": "1 Hz", "bus": "b", "unit": )" +
+                           unit + R"(, "fields": [{"name": "x", "address": 0}]}], "sinks": [{"type": "console"}]})",
+                       "f.json"));
+      REQUIRE_MESSAGE(plan.good(), plan.report());
+      app::warn_of_losses(plan);
+      return plan.warnings.empty() ? std::string() : plan.warnings[0].id + " " + plan.warnings[0].path;
+    };
+    for (const char* rtu : {R"("device": "/dev/ttyUSB0")", R"("host": "10.0.0.1", "rtu_over_tcp": true)"}) {
+      for (const char* unit : {"0", "248", "255"}) CHECK(warned(rtu, unit) == "unlikely-address sensors[0].unit");
+      for (const char* unit : {"1", "9", "99", "247"}) CHECK(warned(rtu, unit).empty());
+    }
+    for (const char* tcp : {R"("host": "10.0.0.1")", R"("host": "10.0.0.1", "rtu_over_tcp": false)"})
+      for (const char* unit : {"0", "1", "255"}) CHECK(warned(tcp, unit).empty());
+  }
+
+  TEST_CASE(
+      "US-42 NFR-1 Modbus RTU over TCP: noise, broken, half and missing answers, a server that closes or is away") {
+    Unit first(1), last(247);
+    auto server = std::make_unique<SerialServer>(std::vector<Unit*>{&first, &last});
+    const std::uint16_t port = server->port();
+    Stage stage;
+    ModbusBus bus("server", {.host = "127.0.0.1", .port = port, .rtu_over_tcp = true, .answer_timeout = 60ms});
+    std::array<std::uint16_t, 1> none{};
+    CHECK(bus.device({.unit = 1}).read_registers(ModbusTable::holding, 200, none).error().code == Errc::bad_argument);
+    DriverSensor<Modbus> one(stage.loop, common("one"), bus, {.unit = 1},
+                             {.fields = {{.name = "a", .address = 20}, {.name = "b", .address = 120}}});
+    DriverSensor<Modbus> other(stage.loop, common("other"), bus, {.unit = 247},
+                               {.fields = {{.name = "x", .table = ModbusTable::input, .address = 2}}});
+    const auto are_back = [&] {
+      const std::uint64_t a = one.counts().published, b = other.counts().published;
+      stage.until([&, a, b] { return one.counts().published > a + 3 && other.counts().published > b + 3; });
+    };
+    are_back();
+    CHECK(server->connections() == 1);
+    CHECK(bus.counts(1).skipped_bytes == 0);
+
+    server->set(Carrier::Fault::noise);
+    stage.until([&] { return bus.counts(1).skipped_bytes >= 9 && bus.counts(247).skipped_bytes >= 9; });
+    const std::uint64_t failed = one.counts().failed;
+    CHECK(failed == 0);
+    CHECK(one.counts().unreadable == 0);
+    server->set(Carrier::Fault::broken);
+    stage.until([&] { return one.counts().unreadable > 0; });
+    CHECK(stage.has_error("bus server, unit 1: the checksum of its answer is wrong"));
+    server->set(Carrier::Fault::half);
+    stage.until([&] { return stage.has_error("unit 247: its answer was not complete in 60 ms"); });
+    CHECK(server->connections() == 1);
+    server->set(Carrier::Fault::silent);
+    stage.until([&] { return server->connections() > 1; });  // after three requests in a row
+    CHECK(stage.has_error("no answer in 60 ms"));
+    server->set(Carrier::Fault::none);
+    are_back();
+
+    const std::uint64_t before = one.counts().failed + other.counts().failed;
+    const unsigned connections = server->connections();
+    server->drop();
+    stage.until([&] { return server->connections() > connections; });
+    are_back();
+    CHECK(one.counts().failed + other.counts().failed <= before + 1);  // one may have been on its way
+    server.reset();
+    stage.until([&] { return one.health() == Health::faulted && stage.has_error("cannot connect: 127.0.0.1 port"); });
+    server = std::make_unique<SerialServer>(std::vector<Unit*>{&first, &last}, port);
+    are_back();
+    for (const std::string& value : stage.values)
+      CHECK_MESSAGE((value == "one: 1020 1120" || value == "other: 2002"), value);
+    one.stop();
+    other.stop();
+    CHECK(one.counts().balances());
+    CHECK(other.counts().balances());
+    CHECK(stage.loop.runtime().balances());
+  }
+
   TEST_CASE("US-42 US-17 check refuses what a Modbus bus or sensor cannot be") {
     const auto report = [](const std::string& bus, const std::string& sensor) {
       return plan_system(
@@ -431,11 +708,21 @@ TEST_SUITE("sensors") {
     CHECK(has(report(R"("port": 502)", field), "neither a `device` (RTU) nor a `host` (TCP)"));
     CHECK(has(report(R"("device": "/dev/x", "host": "h")", field), "there is a `device` too"));
     CHECK(has(report(tcp + R"(, "answer_timeout": "5 s")", field), "make `timeout` longer"));
-    CHECK(has(report(tcp, field + R"(, "unit": 0)"), "unit"));
-    CHECK(has(report(tcp, field + R"(, "unit": 248)"), "unit"));
+    CHECK(report(tcp, field + R"(, "unit": 0)").empty());
+    CHECK(report(tcp, field + R"(, "unit": 255)").empty());
+    CHECK(has(report(tcp, field + R"(, "unit": 256)"), "unit"));
+    CHECK(has(report(tcp, field + R"(, "unit": -1)"), "unit"));
+    const std::string rtu = R"("device": "/dev/ttyUSB0")";
+    CHECK(report(tcp + R"(, "rtu_over_tcp": true, "echo": true)", field).empty());
+    CHECK(report(rtu + R"(, "echo": true, "hangup": true, "dtr": false, "rs485": "rts_high")", field).empty());
+    CHECK(has(report(rtu + R"(, "rtu_over_tcp": true)", field), "a serial line always has RTU"));
+    CHECK(has(report(tcp + R"(, "echo": true)", field), "Modbus TCP has no echo"));
+    CHECK(has(report(rtu + R"(, "rts": true, "rs485": "rts_low")", field), "with `rs485` the kernel sets RTS"));
+    for (const char* line : {R"("dtr": true)", R"("rts": false)", R"("hangup": true)", R"("rs485": "rts_low")"})
+      CHECK_MESSAGE(has(report(tcp + ", " + line, field), "only a serial line (`device`) has it"), line);
     const auto none = [&](const std::string& kind, const std::string& number) {
       return report(
-          tcp, R"("fields": [{"name": "x", "address": 0, "type": ")" + kind + R"(", "no_value": )" + number + "}]");
+          tcp, R"("fields": [{"name": "x", "address": 0, "type": ")" + kind + R"(", "no_value": [)" + number + "]}]");
     };
     using Said = std::pair<const char*, const char*>;
     for (const Said& said :
@@ -446,6 +733,31 @@ TEST_SUITE("sensors") {
                              Said{"int32", "4294967295"}, Said{"int64", "-1"}, Said{"uint64", "1.8446744073709552e19"},
                              Said{"float", "-9999.9"}, Said{"double", "1e39"}})
       CHECK(none(said.first, said.second).empty());
+    const auto one = [&](const std::string& members) {
+      return report(tcp, R"("fields": [{"name": "x", "address": 0, )" + members + "}]");
+    };
+    for (const Said& said :
+         {Said{R"("type": "text")", "a text needs its `registers`"},
+          Said{R"("type": "text", "registers": 126)", "registers"},
+          Said{R"("type": "text", "registers": 8, "scale": 2)", "a text is no number"},
+          Said{R"("type": "text", "registers": 8, "no_value": [0])", "a text is no number"},
+          Said{R"("registers": 2)", "only a text has `registers`"}, Said{R"("bit": 16)", "a uint16 has no bit 16"},
+          Said{R"("bit": 64)", "bit"}, Said{R"("type": "float", "bit": 1)", "a float has no bit 1"},
+          Said{R"("bit": 1, "scale": 2)", "a single bit is no number"},
+          Said{R"("bit": 1, "mask": 2)", "a single bit is no number"},
+          Said{R"("mask": 65536)", "has none of the bits of its `mask`, or not all"}, Said{R"("mask": 0)", "mask"},
+          Said{R"("type": "int16", "mask": 1)", "a `mask` is for numbers without a sign"},
+          Said{R"("scale_from": 65536)", "scale_from"}, Said{R"("word_order": "acbd")", "word_order"},
+          Said{R"("no_value": [1, 65536])", "never hold its `no_value`"}})
+      CHECK_MESSAGE(has(one(said.first), said.second), said.first);
+    for (const char* good : {R"("type": "text", "registers": 125)", R"("type": "uint64", "bit": 63)",
+                             R"("mask": 65280, "scale": 0.1)", R"("scale_from": 65535, "scale": 0.1)",
+                             R"("type": "float", "word_order": "cdab")", R"("no_value": [32768, -1])"})
+      CHECK_MESSAGE(one(good).empty(), good);
+    CHECK(has(report(tcp, field + R"(, "most_registers": 0)"), "most_registers"));
+    CHECK(has(report(tcp, field + R"(, "most_registers": 126)"), "most_registers"));
+    CHECK(has(report(tcp, R"("most_registers": 3, "fields": [{"name": "x", "address": 0, "type": "double"}])"),
+              "it has 4 registers, and a request may have 3"));
     CHECK(has(report(tcp, R"("fields": [])"), "there are none"));
     CHECK(has(report(tcp, R"("fields": [{"name": "x", "address": 65535, "type": "float"}])"), "beyond address 65535"));
     CHECK(has(report(tcp, R"("fields": [{"name": "x", "address": 0}, {"name": "x", "address": 1}])"), "x"));
@@ -459,14 +771,14 @@ TEST_CASE("US-42 Modbus RTU: units on one line share it; broken, half and missin
   Unit first(1), third(3);
   first.mapping().tab_registers[20] = 0xffff;
   first.mapping().tab_registers[21] = 0x8000;
-  Rs485 line({&first, &third});
+  Rs485Line line({&first, &third});
   Stage stage;
   ModbusBus bus(
       "rs485",
       {.device = line.path(), .serial = {.baud_rate = 115200, .parity = Parity::even}, .answer_timeout = 50ms});
   DriverSensor<Modbus> one(stage.loop, common("one"), bus, {.unit = 1},
                            {.fields = {{.name = "a", .address = 20, .type = Kind::i16},
-                                       {.name = "none", .address = 21, .no_value = 0x8000},
+                                       {.name = "none", .address = 21, .no_value = {0x8000}},
                                        {.name = "b", .address = 22}}});
   DriverSensor<Modbus> three(stage.loop, common("three"), bus, {.unit = 3},
                              {.fields = {{.name = "x", .table = ModbusTable::input, .address = 2, .type = Kind::u32},
@@ -484,13 +796,13 @@ TEST_CASE("US-42 Modbus RTU: units on one line share it; broken, half and missin
   CHECK(bus.counts(9).transfers == bus.counts(9).failed);
   nobody.close();
 
-  line.set(Rs485::Fault::broken);
+  line.set(Rs485Line::Fault::broken);
   stage.until([&] { return one.counts().unreadable > 0 && three.counts().unreadable > 0; });
   CHECK(stage.has_error("bus rs485, unit 1: the checksum of its answer is wrong"));
-  line.set(Rs485::Fault::half);
+  line.set(Rs485Line::Fault::half);
   const std::uint64_t failed = one.counts().failed;
   stage.until([&] { return one.counts().failed > failed + 1; });
-  line.set(Rs485::Fault::none);
+  line.set(Rs485Line::Fault::none);
   const auto are_back = [&] {
     const std::uint64_t a = one.counts().published, b = three.counts().published;
     stage.until([&, a, b] {
@@ -513,6 +825,43 @@ TEST_CASE("US-42 Modbus RTU: units on one line share it; broken, half and missin
   CHECK(one.counts().balances());
   CHECK(three.counts().balances());
   CHECK(stage.loop.runtime().balances());
+}
+
+TEST_CASE("US-42 Modbus RTU: an adapter's echo is dropped, and told where it differs or is missing; noise is skipped") {
+  Unit third(3);
+  Rs485Line line({&third});
+  Stage stage;
+  line.set(Carrier::Echo::right);
+  ModbusBus bus("rs485", {.device = line.path(), .echo = true, .answer_timeout = 50ms});
+  ModbusDevice device = bus.device({.unit = 3});
+  const std::array<std::uint16_t, 1> one{7};
+  device.write_registers(30, one).or_throw();  // answered by what was asked
+  std::array<std::uint16_t, 1> back{};
+  device.read_registers(ModbusTable::holding, 30, back).or_throw();
+  CHECK(back == one);
+  DriverSensor<Modbus> meter(stage.loop, common("meter"), bus, {.unit = 3},
+                             {.fields = {{.name = "a", .address = 20}, {.name = "b", .address = 21}}});
+  stage.until([&] { return meter.counts().published > 5; });
+  CHECK(stage.errors.empty());
+  CHECK(bus.counts(3).skipped_bytes == 0);
+  line.set(Carrier::Fault::noise);
+  stage.until([&] { return bus.counts(3).skipped_bytes >= 9; });
+  CHECK(stage.errors.empty());
+  line.set(Carrier::Fault::none);
+
+  line.set(Carrier::Echo::wrong);
+  stage.until([&] { return stage.has_error("bus rs485: what came back is not what was sent"); });
+  CHECK(meter.counts().unreadable > 0);
+  line.set(Carrier::Fault::silent);
+  line.set(Carrier::Echo::none);
+  stage.until([&] { return stage.has_error("bus rs485: what was sent did not come back in 50 ms"); });
+  line.set(Carrier::Fault::none);
+  line.set(Carrier::Echo::right);
+  const std::uint64_t published = meter.counts().published;
+  stage.until([&] { return meter.counts().published > published + 3; });
+  for (const std::string& value : stage.values) CHECK_MESSAGE(value == "meter: 1020 1021", value);
+  meter.stop();
+  CHECK(meter.counts().balances());
 }
 
 TEST_SUITE_END();

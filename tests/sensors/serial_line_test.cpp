@@ -768,7 +768,7 @@ TEST_CASE("US-17 every parameter of a serial line can be set from a file") {
   CHECK(lines.retry_longest == 1min);
   CHECK(config.required);
   CHECK(!lines.start);
-  CHECK(parameters_of<SerialConfig>().size() == 23);
+  CHECK(parameters_of<SerialConfig>().size() == 27);
 }
 
 TEST_CASE("US-5 every row of a real flight comes out of the line") {

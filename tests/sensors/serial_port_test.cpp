@@ -214,6 +214,23 @@ TEST_CASE("US-13 NFR-1 a silent device on a real port holds its lane alone; an u
   CHECK(meter.counts().balances());
 }
 
+TEST_CASE("US-13 settings that a line cannot do are refused, and leave it free") {
+  Line line;
+  const auto refused = [&](const SerialSettings& settings) {
+    const auto opened = detail::open_tty(line.pty.path(), settings);
+    REQUIRE_FALSE(opened);
+    CHECK(opened.error().code == Errc::out_of_range);
+    return opened.error().text();
+  };
+  CHECK(has(refused({.dtr = false}), "it has no line that `dtr` could set"));
+  CHECK(has(refused({.rts = true}), "it has no line that `rts` could set"));
+  CHECK(has(refused({.hangup = true}), "it has no lines that `hangup` could clear"));
+  CHECK(has(refused({.rs485 = Rs485::rts_low}), "its driver cannot switch an RS-485 line so: leave out `rs485`"));
+  const auto opened = detail::open_tty(line.pty.path(), {});
+  REQUIRE(opened);
+  detail::close_tty(*opened);
+}
+
 TEST_SUITE_END();
 
 namespace {
@@ -410,6 +427,15 @@ TEST_SUITE("sensors") {
     CHECK(has(
         report(R"("m": {"type": "serial", "device": "/dev/x", "answer_timeout": "9 s"})", query(R"(, "request": "?")")),
         "make `timeout` longer"));
+    const std::string both = R"("rts": true, "rs485": "rts_high")", why = "with `rs485` the kernel sets RTS";
+    CHECK(
+        has(report(R"("m": {"type": "serial", "device": "/dev/x", )" + both + "}", query(R"(, "request": "?")")), why));
+    CHECK(has(
+        report("", R"({"name": "l", "type": "serial", "device": "/dev/x", "fields": [{"name": "x"}], )" + both + "}"),
+        why));
+    CHECK(report(R"("m": {"type": "serial", "device": "/dev/x", "echo": true, "dtr": false, "hangup": true})",
+                 query(R"(, "request": "?")"))
+              .empty());
     const std::string line = R"({"name": "l", "type": "serial", "device": "/dev/ttyUSB0", "fields": [{"name": "x"}]})";
     CHECK(has(report(bus, line), "bus m, at f.json:1:"));
     CHECK(has(report(bus, line), "has this device already; a device is one sensor's or one bus's alone"));

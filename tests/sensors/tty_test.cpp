@@ -46,6 +46,10 @@ TEST_CASE("US-13 every character size, parity and number of stop bits becomes th
   CHECK(!detail::control_flags({9600, 9, Parity::none, 1}));
   CHECK(!detail::control_flags({9600, 8, Parity::none, 3}));
   CHECK(!detail::control_flags({9600, 8, Parity::none, 0}));
+  CHECK((detail::control_flags({.hangup = true}).value() & HUPCL) != 0);
+  CHECK((detail::control_flags({}).value() & HUPCL) == 0);
+  CHECK(detail::control_flags({.rts = true}));
+  CHECK(detail::control_flags({.rts = true, .rs485 = Rs485::rts_high}).error().code == Errc::bad_argument);
 }
 
 TEST_CASE("US-13 serial lines are tested where they can be") {

@@ -1,15 +1,17 @@
-/// Accelerometer: acceleration of an ADXL345 (16 g) or ADXL375 (200 g) on I2C or SPI.
+/// Accelerometer: acceleration of an ADXL345 (16 g), ADXL375 (200 g) or LIS3DH (16 g) on I2C or SPI.
 ///
 ///     rtdata::DriverSensor<rtdata::Accelerometer> shock(loop, {.name = "shock", .rate = 100_Hz}, bus, {.address =
 ///     0x53},
 ///                                                       {.model = AccelerometerModel::adxl375, .sample_rate = 800});
 ///
 /// The chip measures by itself at `sample_rate` and keeps up to 32 samples in a FIFO, which each tick of the sensor
-/// empties. Times, losses, settings that are lost: inertial.hpp. Both chips have the same identity, so the driver
-/// cannot tell which one it is; a wrong `model` gives wrong values.
+/// empties. Times, losses, settings that are lost: inertial.hpp. Both ADXL have the same identity, so the driver cannot
+/// tell which one it is; a wrong `model` gives wrong values. An LIS3DH measures in its mode of high resolution, 12
+/// bits; the first seven samples after it is switched on, in which it settles, are left out.
 ///
 /// Sources: Analog Devices ADXL345, data sheet rev. E: table 1 scale and self-test, "FIFO", register map (table 19);
-/// ADXL375, rev. B: table 1 scale, register map.
+/// ADXL375, rev. B: table 1 scale, register map. STMicroelectronics LIS3DH, DocID17530 rev. 2: table 4 scale, "high
+/// resolution", turn-on time (table 11), "FIFO", register description.
 ///
 /// Driver (driver.hpp): used on the bus's lane.
 #pragma once
@@ -36,7 +38,7 @@ struct AccelerometerReading {
   }
 };
 
-enum class AccelerometerModel { adxl345, adxl375 };
+enum class AccelerometerModel { adxl345, adxl375, lis3dh };
 
 /// The models, in the order of `AccelerometerModel`.
 namespace accelerometer_models {
@@ -89,8 +91,42 @@ inline constexpr InertialSelfTest adxl345_self_test{.acceleration_register = 0x3
                                                                 {0.2 * standard_gravity, 3.72 * standard_gravity},
                                                                 {0.3 * standard_gravity, 5.0 * standard_gravity}}}};
 
+// At 1344 a second, too, with 12 bits. 1, 2, 4 and 12 mg a count of these, which are the upper ones of 16.
+inline constexpr InertialChoice lis3dh_rates[] = {{10, 2}, {25, 3}, {50, 4}, {100, 5}, {200, 6}, {400, 7}, {1344, 9}};
+inline constexpr InertialChoice lis3dh_ranges[] = {{2, 0, 0.001 / 16 * standard_gravity},
+                                                   {4, 1, 0.002 / 16 * standard_gravity},
+                                                   {8, 2, 0.004 / 16 * standard_gravity},
+                                                   {16, 3, 0.012 / 16 * standard_gravity}};
+// Off; no filter, no interrupts; block data update, range, high resolution; FIFO; rate and axes. There is no reset.
+inline constexpr InertialWrite lis3dh_setting_up[] = {{.number = 0x20},
+                                                      {.number = 0x21},
+                                                      {.number = 0x22},
+                                                      {.number = 0x23, .value = 0x88, .by_acceleration = 1 << 4},
+                                                      {.number = 0x24, .value = 0x40},
+                                                      {.number = 0x20, .value = 0x07, .by_rate = 1 << 4}};
+inline constexpr InertialWrite lis3dh_sleeping[] = {{.number = 0x20}};
+inline constexpr InertialModel lis3dh{
+    .chip = {.name = "LIS3DH", .model = "lis3dh", .addresses = {0x18, 0x19}, .identity = {{0x0f, 0x33}}},
+    .rates = lis3dh_rates,
+    .accelerations = lis3dh_ranges,
+    .angles = {},
+    .filters = {},
+    .setting_up = lis3dh_setting_up,
+    .sleeping = lis3dh_sleeping,
+    .fifo = {.off = {.number = 0x2e},
+             .on = {.number = 0x2e, .value = 0x80},
+             .status = 0x2f,
+             .count_mask = 0x1f,
+             .over_mask = 0x40,
+             .count_bytes = 6,
+             .capacity = 32 * 6,
+             .keeps_whole_samples = true,
+             .data = 0x28,
+             .to_discard = 7},
+    .addressing = {.i2c_burst_bit = 0x80, .spi_burst_bit = 0x40}};
+
 inline constexpr InertialModel all[] = {adxl("ADXL345", "adxl345", adxl345_ranges, adxl345_self_test),
-                                        adxl("ADXL375", "adxl375", adxl375_ranges, {})};
+                                        adxl("ADXL375", "adxl375", adxl375_ranges, {}), lis3dh};
 
 }  // namespace accelerometer_models
 
@@ -101,15 +137,16 @@ struct AccelerometerConfig {
   bool self_test = false;                      ///< at each start, of an ADXL345
   friend constexpr auto parameters(type_tag<AccelerometerConfig>) {
     return parameter_list(
+        parameter("model", &AccelerometerConfig::model, "which chip it is",
+                  choices(value("adxl345", AccelerometerModel::adxl345), value("adxl375", AccelerometerModel::adxl375),
+                          value("lis3dh", AccelerometerModel::lis3dh))),
         parameter(
-            "model", &AccelerometerConfig::model, "which chip it is",
-            choices(value("adxl345", AccelerometerModel::adxl345), value("adxl375", AccelerometerModel::adxl375))),
-        parameter("sample_rate", &AccelerometerConfig::sample_rate,
-                  "samples a second of the chip: 6.25, 12.5, 25, 50, 100, 200, 400, 800 or 1600; `rate` says how often "
-                  "they are fetched; default: 100",
-                  unit("Hz"), range(6.25, 1600.0)),
+            "sample_rate", &AccelerometerConfig::sample_rate,
+            "samples a second of the chip: 6.25, 12.5, 25, 50, 100, 200, 400, 800 or 1600; LIS3DH: 10, 25, 50, 100, "
+            "200, 400 or 1344; `rate` says how often they are fetched; default: 100",
+            unit("Hz"), range(6.25, 1600.0)),
         parameter("acceleration_range", &AccelerometerConfig::acceleration_range,
-                  "in 9.80665 m/s2. ADXL345: 2, 4, 8 or 16; ADXL375: 200; default: the widest", range(2, 200)),
+                  "in 9.80665 m/s2. ADXL345, LIS3DH: 2, 4, 8 or 16; ADXL375: 200; default: the widest", range(2, 200)),
         parameter("self_test", &AccelerometerConfig::self_test,
                   "tests the chip at each start, in which it must lie still", only_with("model", "adxl345")));
   }
@@ -124,9 +161,10 @@ struct AccelerometerConfig {
 class Accelerometer : public InertialDriver<AccelerometerConfig, AccelerometerReading> {
  public:
   static constexpr std::string_view type = "accelerometer";
-  static constexpr std::string_view description = "acceleration of an ADXL345 or ADXL375 on I2C or SPI";
+  static constexpr std::string_view description = "acceleration of an ADXL345, ADXL375 or LIS3DH on I2C or SPI";
   static constexpr std::string_view notes =
-      R"(- Wires: 3.3 V, ground, SDA, SCL; CS on 3.3 V for I2C. Address: 0x53, with SDO (ALT ADDRESS) high 0x1d.
+      R"(- Wires: 3.3 V, ground, SDA, SCL; CS on 3.3 V for I2C. Address: 0x53, with SDO (ALT ADDRESS) high 0x1d; LIS3DH:
+  0x18, with SDO (SA0) high 0x19.
   On SPI: SDO, SDI (SDA), SCK (SCL), CS; `chip_select` in place of `address`; to 1.6 MHz, at which the FIFO has the time
   between two readings that it needs.
 - The chip takes `sample_rate` samples a second by itself and keeps up to 32 in its FIFO; `rate` says how often it is
@@ -134,23 +172,30 @@ class Accelerometer : public InertialDriver<AccelerometerConfig, AccelerometerRe
 - What does not fit is counted as `lost`, by the time and the chip's rate, within one each time.
 - Times are right within a period: the chip's clock is not read, its rate is learned.
 - An ADXL345 and an ADXL375 have one identity: a wrong `model` is not noticed, and its values are wrong by a factor of
-  12.5.
+  12.5. So have an LIS3DH and an LIS2DH12, whose values differ little.
 - `"self_test": true` (ADXL345) takes 0.35 s at each start, in which the chip must lie still, and so needs a `timeout`
   of the bus above that.
 - A read on a bus of 400 kHz takes 0.25 ms a sample.
 )";
   static constexpr RegisterPlace place{0x53};
   static constexpr auto chips = chips_of(accelerometer_models::all);
-  // 20 samples in the FIFO (0.2 s at 100 Hz), of 256 counts a g.
+  // 20 samples in the FIFO (0.2 s at 100 Hz), of 256 counts a g; -32, 20 and 127 counts of 12 mg.
   static constexpr ChipSample samples[] = {{.bytes = {{{"00", "e5"}, {"32", "80 ff 40 00 00 01"}, {"39", "14"}}},
                                             .values = {{{"acceleration_x", -0.5 * standard_gravity},
                                                         {"acceleration_y", 0.25 * standard_gravity},
                                                         {"acceleration_z", standard_gravity}}},
                                             .has_proof = true,
-                                            .addressing = &accelerometer_models::all[0].addressing}};
+                                            .addressing = &accelerometer_models::all[0].addressing},
+                                           {.members = R"("model": "lis3dh")",
+                                            .bytes = {{{"0f", "33"}, {"28", "00 fe 40 01 f0 07"}, {"2f", "14"}}},
+                                            .values = {{{"acceleration_x", -0.384 * standard_gravity},
+                                                        {"acceleration_y", 0.24 * standard_gravity},
+                                                        {"acceleration_z", 1.524 * standard_gravity}}},
+                                            .has_proof = true,
+                                            .addressing = &accelerometer_models::all[2].addressing}};
 
   using InertialDriver::InertialDriver;
-  /// `bytes`: the registers 0x32 to 0x37.
+  /// `bytes`: the registers 0x32 to 0x37; LIS3DH: 0x28 to 0x2d.
   using InertialDriver::decode;
 };
 

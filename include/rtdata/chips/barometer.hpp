@@ -469,7 +469,7 @@ class Barometer {
     }
     const Result<std::uint8_t> found = chip.read_register(0xd0);
     if (found && *found == 0x55) return "it seems to be a BMP180, which has no driver here";
-    if (found && *found == 0x61) return "it seems to be a BME680, which has no driver here";
+    if (found && *found == 0x61) return "it seems to be a BME680 or BME688: use the type `bme680`";
     return "check which chip is at this address, and `model`";
   }
 

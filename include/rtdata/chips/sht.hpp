@@ -23,6 +23,7 @@
 #include <string_view>
 
 #include "rtdata/data/describe.hpp"
+#include "rtdata/detail/chips/sensirion.hpp"
 #include "rtdata/io/i2c.hpp"
 #include "rtdata/sensors/driver.hpp"
 
@@ -106,12 +107,7 @@ class Sht {
 
   /// Polynomial 0x31, begun with 0xff (data sheet of the SHT3x, 4.12): 0x92 for 0xbe, 0xef.
   static std::uint8_t checksum(std::span<const std::uint8_t, 2> bytes) noexcept {
-    unsigned sum = 0xff;
-    for (const std::uint8_t byte : bytes) {
-      sum ^= byte;
-      for (int bit = 0; bit < 8; ++bit) sum = (sum & 0x80) != 0 ? (sum << 1 ^ 0x31) & 0xff : sum << 1 & 0xff;
-    }
-    return static_cast<std::uint8_t>(sum);
+    return detail::sensirion_checksum(bytes);
   }
   /// `bytes`: temperature, checksum, humidity, checksum. Errors: bad-data (a checksum).
   static Result<HumidityReading> decode(std::span<const std::uint8_t, 6> bytes, ShtModel model) {

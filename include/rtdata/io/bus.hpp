@@ -51,17 +51,20 @@ struct TransferCounts {
   std::uint64_t retried = 0;
   Duration busy{0};  ///< time on the bus
   Duration longest{0};
+  std::uint64_t skipped_bytes = 0;  ///< noise and late answers on a serial line, which belong to no answer
 };
 
 /// The counts of one place: its devices add to them, `Bus::place_counts` reads them. Any thread; without a lock.
 class TransferCounter {
  public:
   void add(Duration took, bool is_good, std::uint64_t retries = 0) noexcept;
+  void add_skipped(std::uint64_t bytes) noexcept { skipped_.fetch_add(bytes, std::memory_order_relaxed); }
   TransferCounts counts() const noexcept;
 
  private:
   std::atomic<std::uint64_t> transfers_{0}, failed_{0}, retried_{0};
   std::atomic<std::int64_t> busy_{0}, longest_{0};  // ns
+  std::atomic<std::uint64_t> skipped_{0};
 };
 
 /// A place, such as "address 0x76", and its counts.
@@ -117,6 +120,9 @@ class BusDevice {
   /// Counts a finished transfer.
   void count(Duration took, bool is_good, std::uint64_t retries = 0) const noexcept {
     if (counter_ != nullptr) counter_->add(took, is_good, retries);
+  }
+  void count_skipped(std::uint64_t bytes) const noexcept {
+    if (counter_ != nullptr && bytes != 0) counter_->add_skipped(bytes);
   }
 
  private:

@@ -1,4 +1,4 @@
-/// ModbusBus, ModbusDevice: devices that speak Modbus, RTU over a serial line (RS-485) or TCP.
+/// ModbusBus, ModbusDevice: devices that speak Modbus, RTU over a serial line (RS-485) or over TCP, or Modbus TCP.
 ///
 ///     rtdata::ModbusBus bus({.device = "/dev/ttyUSB0", .serial = {.baud_rate = 19200, .parity = Parity::even}});
 ///     rtdata::ModbusDevice meter = bus.device({.unit = 3});
@@ -16,10 +16,16 @@
 /// The line or connection is opened by the first call, and again after it was lost. A serial line is this program's
 /// alone, as of SerialPort (serial.hpp).
 ///
+/// RTU over TCP (`rtu_over_tcp`) is for serial servers that pass bytes on and convert nothing: the frames and rules are
+/// those of RTU. There, bytes of noise before an answer are skipped and counted (TransferCounts::skipped_bytes).
+///
+/// Units are 0 to 255. By RTU, no device answers 0, which is for all of them, and few have 248 to 255.
+///
 /// Errors: timed-out (no answer, an incomplete one, or an earlier answer may still come), bad-data (a wrong checksum,
-/// an answer to another request, an echo of the request), bad-argument (the device's exceptions 1 to 3: it has no such
-/// function, address or number), busy, io-failed (its other exceptions), disconnected (the line was unplugged, the
-/// server refuses or has closed), closed (of a job that was given up); and those of opening a serial line.
+/// an answer to another request, an echo of the request, or with `echo` one that differs), bad-argument (the device's
+/// exceptions 1 to 3: it has no such function, address or number), busy, io-failed (its other exceptions), disconnected
+/// (the line was unplugged, the server refuses or has closed), closed (of a job that was given up); and those of
+/// opening a serial line.
 ///
 /// In the library rtdata::modbus, which needs libmodbus. Thread: ModbusBus: any. The devices of one bus: one at a time.
 #pragma once
@@ -51,6 +57,8 @@ struct ModbusConfig {
   SerialSettings serial = {};
   std::string host = {};      ///< TCP: a name or an address; empty: RTU
   std::uint16_t port = 502;   ///< TCP
+  bool rtu_over_tcp = false;  ///< TCP: the frames are those of RTU
+  bool echo = false;          ///< RTU: what is sent comes back: it is dropped, or an error where it differs
   Duration connect_delay{0};  ///< TCP: wait before the first request; some servers ignore an early one
   Duration answer_timeout = std::chrono::milliseconds{500};  ///< longest wait for an answer
   Duration timeout = std::chrono::seconds{5};                ///< limit of each job of a sensor on the bus
@@ -61,6 +69,9 @@ struct ModbusConfig {
         parameter("device", &ModbusConfig::device, "RTU: the serial device", TextIs::device),
         include_member(&ModbusConfig::serial), parameter("host", &ModbusConfig::host, "TCP: a name or an address"),
         parameter("port", &ModbusConfig::port, "TCP: the port", range(1, 65535)),
+        parameter("rtu_over_tcp", &ModbusConfig::rtu_over_tcp,
+                  "TCP: the server passes bytes to a serial line, and they are those of RTU"),
+        parameter("echo", &ModbusConfig::echo, "RTU: the adapter sends back what it is given, which is dropped"),
         parameter("connect_delay", &ModbusConfig::connect_delay,
                   "TCP: how long a server takes no requests after a connection was made",
                   range(Duration{0}, Duration{1min})),
@@ -70,7 +81,8 @@ struct ModbusConfig {
                   range(Duration{2ms}, Duration{1h})));
   }
   friend Duration give_up_after(const ModbusConfig& config) { return config.timeout; }
-  /// Checks that there is a device or a host, and that `timeout` is longer than `answer_timeout`.
+  /// Checks that there is a device or a host, that the settings are of it, and that `timeout` is longer than
+  /// `answer_timeout`.
   friend void check_config(const ModbusConfig& config, const ConfigItem& item, Problems& problems);
 };
 
@@ -81,9 +93,9 @@ class ModbusDevice : public BusDevice {
  public:
   using Bus = ModbusBus;
   struct Place {
-    unsigned unit = 1;  ///< address of the device, 1 to 247
+    unsigned unit = 1;  ///< address of the device, 0 to 255
     friend constexpr auto parameters(type_tag<Place>) {
-      return parameter_list(parameter("unit", &Place::unit, "address of the device (\"slave\")", range(1, 247)));
+      return parameter_list(parameter("unit", &Place::unit, "address of the device (\"slave\")", range(0, 255)));
     }
   };
   static constexpr std::size_t most_registers = 125;  ///< of one request
@@ -128,7 +140,7 @@ class ModbusBus : public Bus {
   /// RTU over another transport, such as a FakeSerial; `device`, `serial` and `host` are not used.
   ModbusBus(std::string name, std::shared_ptr<SerialTransport> line, ModbusConfig config);
 
-  /// SetupError (bad-argument): the unit is not 1 to 247.
+  /// SetupError (bad-argument): the unit is not 0 to 255.
   ModbusDevice device(const ModbusDevice::Place& place) const;
   /// Always empty: several sensors may read one device.
   static std::string text_of(const ModbusDevice::Place&) { return {}; }

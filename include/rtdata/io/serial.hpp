@@ -16,9 +16,10 @@
 /// - Several devices on one line (RS-485) share the port and its lane: one request at a time.
 ///
 /// Errors: timed-out (no answer, or an incomplete one; an earlier answer may still come for longer than a reading may
-/// take), disconnected (the adapter was unplugged), does-not-fit (no delimiter within the most bytes), closed (of a job
-/// that was given up), and of opening: not-found, not-permitted, busy (the error names the other program), bad-argument
-/// (not a serial line), out-of-range (the line does not support these settings).
+/// take), bad-data (with `echo`: what came back is not what was sent), disconnected (the adapter was unplugged),
+/// does-not-fit (no delimiter within the most bytes), closed (of a job that was given up), and of opening: not-found,
+/// not-permitted, busy (the error names the other program), bad-argument (not a serial line), out-of-range (the line
+/// does not support these settings).
 ///
 /// Thread: SerialPort: any. SerialDevice: one at a time.
 #pragma once
@@ -44,6 +45,12 @@ constexpr auto describe(type_tag<Parity>) {
                      value("mark", Parity::mark), value("space", Parity::space));
 }
 
+/// The level of RTS while the kernel sends on an RS-485 line.
+enum class Rs485 { rts_high, rts_low };
+constexpr auto describe(type_tag<Rs485>) {
+  return enumeration("rs485", value("rts_high", Rs485::rts_high), value("rts_low", Rs485::rts_low));
+}
+
 /// How the bits go over a serial line. Default: 9600 8N1.
 ///
 ///     rtdata::SerialSettings settings{.baud_rate = 115200, .parity = rtdata::Parity::even};
@@ -52,6 +59,10 @@ struct SerialSettings {
   unsigned character_size = 8;     ///< bits of a character, 5 to 8
   Parity parity = Parity::none;
   unsigned stop_bits = 1;  ///< 1 or 2
+  /// The lines after opening. The kernel sets both for a moment when it opens a line that was closed; unset: they stay.
+  std::optional<bool> dtr = {}, rts = {};
+  bool hangup = false;              ///< closing clears both; else they stay as they are
+  std::optional<Rs485> rs485 = {};  ///< the kernel switches the driver of an RS-485 line by RTS
 
   friend constexpr auto parameters(type_tag<SerialSettings>) {
     return parameter_list(parameter("baud_rate", &SerialSettings::baud_rate, "speed, any that the device can do",
@@ -59,8 +70,15 @@ struct SerialSettings {
                           parameter("character_size", &SerialSettings::character_size, "bits of a character",
                                     rtdata::unit("bit"), range(5, 8)),
                           parameter("parity", &SerialSettings::parity, "parity bit"),
-                          parameter("stop_bits", &SerialSettings::stop_bits, "stop bits", range(1, 2)));
+                          parameter("stop_bits", &SerialSettings::stop_bits, "stop bits", range(1, 2)),
+                          parameter("dtr", &SerialSettings::dtr, "the line DTR after opening; default: set"),
+                          parameter("rts", &SerialSettings::rts, "the line RTS after opening; default: set"),
+                          parameter("hangup", &SerialSettings::hangup, "closing clears DTR and RTS"),
+                          parameter("rs485", &SerialSettings::rs485,
+                                    "the kernel switches an RS-485 driver by RTS: its level while sending"));
   }
+  /// Checks that `rts` and `rs485` are not both there. Called by the checks of the types that include these settings.
+  friend void check_config(const SerialSettings& settings, const ConfigItem& item, Problems& problems);
 };
 
 /// The transport: the kernel's serial line, the fake for tests (fake_serial.hpp), or your own. Thread: the bus's lane;
@@ -81,6 +99,7 @@ struct SerialPortConfig {
   SerialSettings serial = {};
   Duration answer_timeout = std::chrono::milliseconds{500};  ///< longest wait for an answer
   Duration timeout = std::chrono::seconds{5};                ///< limit of each job of a sensor on the port
+  bool echo = false;  ///< the adapter sends back what it is given: it is dropped, or an error where it differs
 
   friend constexpr auto parameters(type_tag<SerialPortConfig>) {
     using namespace std::chrono_literals;
@@ -90,7 +109,8 @@ struct SerialPortConfig {
         parameter("answer_timeout", &SerialPortConfig::answer_timeout,
                   "an answer that is not complete by then is missed", range(Duration{1ms}, Duration{10min})),
         parameter("timeout", &SerialPortConfig::timeout, "a reading that takes the port for longer is given up",
-                  range(Duration{2ms}, Duration{1h})));
+                  range(Duration{2ms}, Duration{1h})),
+        parameter("echo", &SerialPortConfig::echo, "the adapter sends back what it is given, which is dropped"));
   }
   friend Duration give_up_after(const SerialPortConfig& config) { return config.timeout; }
   /// Checks that `timeout` is longer than `answer_timeout`.

@@ -5,8 +5,8 @@
 ///
 /// - CSV as in RFC 4180, one row a line: one column for each field, in order; a field without a name skips its column.
 ///   Blanks and double quotes around a column are removed; within quotes a separator belongs to the column and a quote
-///   is written twice. JSON: one object a line, keys in any order, other keys ignored; "imu.ax" as a field's `key`
-///   selects from nested objects.
+///   is written twice. JSON: one object or array a line, keys in any order, other keys ignored; "imu.ax" as a field's
+///   `key` selects from nested objects, "emeters.0.power" from arrays.
 /// - An empty column (JSON: null, or no such key) makes an `optional` field absent and a text empty; for other fields
 ///   it is an error. Numbers are rounded to the nearest representable one: 1e-400 is 0. A bool is true, false, 1 or 0,
 ///   in upper or lower case. A byte order mark at the beginning is ignored.

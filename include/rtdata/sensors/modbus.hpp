@@ -6,14 +6,21 @@
 ///                     {.name = "energy", .address = 10, .type = Kind::f32, .unit = "kW.h"}}});
 ///
 /// - Each tick reads all fields: consecutive ones in one request, others in separate requests; with `gap`, a request
-///   may include that many unused registers between two fields. If a request fails, the reading fails.
-/// - Numbers are assembled in `word_order`, by default high word and high byte first ("abcd"). An order with the low
-///   byte of a register first also applies to numbers of one register.
-/// - A number with a `scale` or an `offset` is published as a double, raw * scale + offset; others unchanged. Coils and
-///   discrete inputs are bools.
-/// - `no_value` is the raw number that the device sends for a missing value (0x8000, 65535 ...), for integers as signed
-///   or unsigned number: the field is then absent. With `no_value` a float that is NaN is absent too; without it, NaN
-///   makes the reading unreadable.
+///   may include that many unused registers between two fields. No request has more than `most_registers`, and none
+///   ends within a field. If a request fails, the reading fails.
+/// - Numbers are assembled in `word_order`, by default high word and high byte first ("abcd"), of the sensor or of the
+///   field. An order with the low byte of a register first also applies to numbers of one register and to texts.
+/// - A number with a `scale`, an `offset` or a `scale_from` is published as a double, raw * scale + offset; others
+///   unchanged. Coils and discrete inputs are bools.
+/// - `scale_from` is the register, in the same table, of a signed power of ten by which the number is multiplied too
+///   (SunSpec's scale factor, -10 to 10), read with each reading. With 0x8000 in it the field is absent; with another
+///   number the reading is unreadable.
+/// - `bit` publishes one bit of an integer as a bool, `mask` some bits of an unsigned one, moved down to bit 0.
+/// - A text has two bytes in each of its `registers`, the high one first, up to the first NUL, without blanks at the
+///   end.
+/// - `no_value` lists the raw numbers, of all bits, that the device sends for a missing value (0x8000, 65535 ...), for
+///   integers as signed or unsigned number: the field is then absent. With `no_value` a float that is NaN is absent
+///   too; without it, NaN makes the reading unreadable.
 /// - An answer with a wrong checksum, or to another request, is unreadable; the device's exceptions are reported by
 ///   name.
 ///
@@ -33,16 +40,28 @@
 
 namespace rtdata {
 
+/// The order of the bytes of a number in the registers; a is the highest of four.
+enum class WordOrder { abcd, cdab, badc, dcba };
+constexpr auto describe(type_tag<WordOrder>) {
+  return enumeration("word_order", value("abcd", WordOrder::abcd), value("cdab", WordOrder::cdab),
+                     value("badc", WordOrder::badc), value("dcba", WordOrder::dcba));
+}
+
 /// One value of a device.
 struct ModbusField {
   std::string name = {};
   ModbusTable table = ModbusTable::holding;
   std::uint16_t address = 0;  ///< of its first register, from 0
-  Kind type = Kind::u16;      ///< of the registers: integers of 16 to 64 bits, float, double
+  Kind type = Kind::u16;      ///< of the registers: integers of 16 to 64 bits, float, double, text
   double scale = 1;
-  double offset = 0;                    ///< added after scaling
-  std::string unit = {};                ///< UCUM
-  std::optional<double> no_value = {};  ///< the raw number for a missing value
+  double offset = 0;                             ///< added after scaling
+  std::string unit = {};                         ///< UCUM
+  std::vector<double> no_value = {};             ///< the raw numbers for a missing value
+  std::optional<WordOrder> word_order = {};      ///< unset: the sensor's
+  std::optional<unsigned> registers = {};        ///< of a text: how many it has
+  std::optional<unsigned> bit = {};              ///< the only bit to publish, 0 is the lowest
+  std::optional<std::uint64_t> mask = {};        ///< the bits to publish; unset: all
+  std::optional<std::uint16_t> scale_from = {};  ///< address of the register with its power of ten
 
   friend constexpr auto parameters(type_tag<ModbusField>) {
     return parameter_list(
@@ -52,22 +71,26 @@ struct ModbusField {
         parameter("type", &ModbusField::type, "type of the value in the registers",
                   choices(value("int16", Kind::i16), value("int32", Kind::i32), value("int64", Kind::i64),
                           value("uint16", Kind::u16), value("uint32", Kind::u32), value("uint64", Kind::u64),
-                          value("float", Kind::f32), value("double", Kind::f64)),
+                          value("float", Kind::f32), value("double", Kind::f64), value("text", Kind::text)),
                   only_with("table", "holding", "input")),
         parameter("scale", &ModbusField::scale, "factor", not_zero, only_with("table", "holding", "input")),
         parameter("offset", &ModbusField::offset, "added after scaling", only_with("table", "holding", "input")),
         parameter("unit", &ModbusField::unit, "unit of the value (UCUM)", TextIs::unit),
-        parameter("no_value", &ModbusField::no_value, "the raw number that means no value",
+        parameter("no_value", &ModbusField::no_value, "the raw numbers that mean no value, such as [-32768]",
+                  only_with("table", "holding", "input")),
+        parameter("word_order", &ModbusField::word_order, "default: the sensor's",
+                  only_with("table", "holding", "input")),
+        parameter("registers", &ModbusField::registers, "of a text: how many it has", range(1, 125),
+                  only_with("type", "text")),
+        parameter("bit", &ModbusField::bit, "the only bit of the number to publish, as a bool; 0 is the lowest",
+                  range(0, 63), only_with("table", "holding", "input")),
+        parameter("mask", &ModbusField::mask, "the bits of the number to publish, moved down to bit 0; default: all",
+                  at_least(1), only_with("table", "holding", "input")),
+        parameter("scale_from", &ModbusField::scale_from,
+                  "address of the register with the power of ten to multiply by (SunSpec's scale factor)",
                   only_with("table", "holding", "input")));
   }
 };
-
-/// The order of the bytes of a number in the registers; a is the highest of four.
-enum class WordOrder { abcd, cdab, badc, dcba };
-constexpr auto describe(type_tag<WordOrder>) {
-  return enumeration("word_order", value("abcd", WordOrder::abcd), value("cdab", WordOrder::cdab),
-                     value("badc", WordOrder::badc), value("dcba", WordOrder::dcba));
-}
 
 class Modbus {
  public:
@@ -82,13 +105,16 @@ class Modbus {
     std::vector<ModbusField> fields = {};
     WordOrder word_order = WordOrder::abcd;  ///< badc and dcba: also for numbers of one register
     unsigned gap = 0;                        ///< how many unused registers or bits a request may include
+    unsigned most_registers = ModbusDevice::most_registers;  ///< of one request
     friend constexpr auto parameters(type_tag<Config>) {
       return parameter_list(
           parameter("fields", &Config::fields, "what is read", required),
           parameter(
               "word_order", &Config::word_order,
               "the bytes of numbers, the highest of four called a; badc and dcba swap those of one register, too"),
-          parameter("gap", &Config::gap, "addresses that may be read along though no field has them", range(0, 120)));
+          parameter("gap", &Config::gap, "addresses that may be read along though no field has them", range(0, 120)),
+          parameter("most_registers", &Config::most_registers,
+                    "registers of a request at most; requests are divided by it, fields are not", range(1, 125)));
     }
     /// Checks that the fields can be read and described.
     friend void check_config(const Config& config, const ConfigItem& item, Problems& problems);
@@ -112,16 +138,26 @@ class Modbus {
     std::vector<std::size_t> fields = {};  ///< the fields that it reads, as indexes in the list
   };
   static std::vector<Request> requests(const Config& config);
-  /// The number in these registers: as many as the type needs, one after the other. Errors: not-a-number.
-  static Result<double> decode(const ModbusField& field, std::span<const std::uint16_t> words, WordOrder order);
+  /// The number in these registers: as many as the type needs, one after the other, in the field's order or this one.
+  /// `exponent`: its power of ten. Errors: not-a-number.
+  static Result<double> decode(const ModbusField& field, std::span<const std::uint16_t> words, WordOrder order,
+                               int exponent = 0);
   /// The bits of the number, the lowest in the lowest.
   static std::uint64_t bits_of(std::span<const std::uint16_t> words, WordOrder order) noexcept;
 
  private:
-  Result<void> put(DescribedValue& value, std::size_t index, std::span<const std::uint16_t> words) const;
+  /// Where a field's registers are among all that are read.
+  struct Source {
+    const Leaf* leaf = nullptr;
+    std::size_t first = 0;
+    std::size_t exponent = 0;  ///< the register of `scale_from`
+  };
+  Result<void> put(DescribedValue& value, std::size_t index) const;
   const Config config_;
   const std::shared_ptr<const Description> description_;
   const std::vector<Request> requests_;
+  std::vector<Source> sources_;       // of each field
+  std::vector<std::uint16_t> words_;  // of all requests, one after the other; a bit is a word
 };
 
 }  // namespace rtdata

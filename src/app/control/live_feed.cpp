@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <utility>
 
+#include "rtdata/loop/runtime.hpp"
+
 namespace rtdata::app {
 
 bool covers(std::string_view outer, std::string_view inner) noexcept {
@@ -26,7 +28,13 @@ void LiveFeed::end() {
   ring_->has_lost.store(false, std::memory_order_relaxed);
 }
 
+void LiveFeed::keep(const Description& description) {
+  for (const TopicStatus& topic : loop_.runtime().topics())
+    if (topic.description.get() == &description) ring_->descriptions.emplace(&description, topic.description);
+}
+
 void LiveFeed::take(const EventView& event) {
+  if (!ring_->descriptions.contains(&event.description())) keep(event.description());
   if (!lost_.empty()) tell_lost();
   // Of an origin that lost some, the loss is told before the next one.
   if (lost_.empty() && ring_->put(event.topic(), event.header(), &event.description(), event.payload())) return;

@@ -6,6 +6,7 @@
 #include <memory>
 #include <string>
 #include <string_view>
+#include <unordered_map>
 #include <vector>
 
 #include "app/control/event_ring.hpp"
@@ -26,6 +27,9 @@ class LiveFeed {
  public:
   struct Ring : EventRing {
     std::atomic<bool> has_lost{false};  ///< something had no room, and is not told yet
+    /// Of all events that it has brought: a topic may be gone, and the program may end, before the readers come to its
+    /// events. The loop's side only.
+    std::unordered_map<const Description*, std::shared_ptr<const Description>> descriptions = {};
   };
 
   explicit LiveFeed(Loop& loop) : loop_(loop) {}
@@ -41,6 +45,7 @@ class LiveFeed {
 
  private:
   void take(const EventView& event);
+  void keep(const Description& description);
 
   Loop& loop_;
   std::shared_ptr<Ring> ring_ = std::make_shared<Ring>();

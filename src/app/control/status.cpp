@@ -87,7 +87,7 @@ void fields(Visit& visit, Status::Sink& of) {
 template <class Visit>
 void fields(Visit& visit, Status::Place& of) {
   visit("place", of.place), visit("transfers", of.transfers), visit("failed", of.failed), visit("retried", of.retried);
-  visit("busy_ns", of.busy), visit("longest_ns", of.longest);
+  visit("busy_ns", of.busy), visit("longest_ns", of.longest), visit("skipped_bytes", of.skipped_bytes);
 }
 
 template <class Visit>

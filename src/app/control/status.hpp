@@ -100,6 +100,7 @@ struct Status {
     std::string place;
     std::uint64_t transfers = 0, failed = 0, retried = 0;
     Duration busy{0}, longest{0};
+    std::uint64_t skipped_bytes = 0;
   };
   /// A part of a kind without its own status, such as a bus.
   struct Part {

@@ -159,7 +159,8 @@ Status StatusSource::take(std::uint64_t client) {
     Status::Part& one = status.parts.emplace_back(part);
     if (part.bus == nullptr) continue;
     for (const auto& [place, counts] : part.bus->place_counts())
-      one.places.push_back({place, counts.transfers, counts.failed, counts.retried, counts.busy, counts.longest});
+      one.places.push_back(
+          {place, counts.transfers, counts.failed, counts.retried, counts.busy, counts.longest, counts.skipped_bytes});
   }
   add_callbacks(status);
   return status;

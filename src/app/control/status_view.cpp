@@ -192,7 +192,8 @@ Lines parts_of(const Status& status) {
       if (place.transfers > 0)
         tail.push_back("  - " + place.place + ": " + std::to_string(place.transfers) + " transfers, " +
                        std::to_string(place.failed) + " failed, " + std::to_string(place.retried) +
-                       " retries, held it for " + time_text(place.busy));
+                       " retries, held it for " + time_text(place.busy) +
+                       (place.skipped_bytes > 0 ? ", " + std::to_string(place.skipped_bytes) + " bytes skipped" : ""));
   }
   return tail;
 }

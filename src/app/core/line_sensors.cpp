@@ -1,6 +1,7 @@
 #include "app/core/standard_drivers.hpp"
 #include "rtdata/sensors/command.hpp"
 #include "rtdata/sensors/serial_line.hpp"
+#include "rtdata/sensors/tcp_lines.hpp"
 #include "rtdata/sensors/w1.hpp"
 
 namespace rtdata::app {

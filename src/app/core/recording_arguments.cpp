@@ -191,9 +191,29 @@ Action prepare_export(CLI::App& command) {
   add_flag(command, "--utc", options->times, Export::Times::utc,
            "Times in UTC, corrected where the clock was wrong; --from and --until are UTC, too");
   add_flag(command, "--units", options->header, Export::Header::names_and_units, "Units in the heading of CSV");
+  command
+      .add_option("--join", options->join,
+                  "Columns of other topics beside those of --topic: their last event at or before each row")
+      ->expected(1, -1)
+      ->type_name("TOPIC");
+  command.add_option("--within", options->within, "Of --join: not events that are older, such as 1s")
+      ->type_name("DURATION");
+  command.add_option("--separator", options->separator, "Of CSV: a character, such as \";\", or tab; default: \",\"")
+      ->type_name("CHARACTER");
+  command.add_option("--decimal", options->decimal, "Of CSV: the decimal mark; default: \".\"")
+      ->type_name("CHARACTER")
+      ->check(CLI::IsMember({".", ","}));
+  command.add_option("--digits", options->digits, "Of CSV: digits after the decimal mark; default: all that there are")
+      ->check(CLI::Range(0, 17))
+      ->type_name("NUMBER");
+  command.add_option("--time", options->time, "Of CSV: seconds, since the first row of each run or --start")
+      ->check(CLI::IsMember({"seconds"}))
+      ->type_name("seconds");
+  command.add_option("--start", options->start, "The time of 0 s")->type_name("TIME");
   command.footer(
       "examples:\n  rtdata export bench.db --topic host/cpu --format csv --utc > cpu.csv\n"
-      "  rtdata export bench.db --topic host/cpu --step 1min");
+      "  rtdata export bench.db --topic host/cpu --step 1min\n"
+      "  rtdata export flight.db --topic baro --join gps --time seconds --separator tab");
   return [options](const Registry&) {
     // Rows on the same terminal already show the progress.
     if (::isatty(STDERR_FILENO) == 1 && (::isatty(STDOUT_FILENO) != 1 || !options->folder.empty()))
@@ -314,28 +334,56 @@ Action prepare_import(CLI::App& command) {
   const auto options = std::make_shared<ImportOptions>();
   command.add_option("FILE", options->file, "CSV; its first row names the columns, units as in: speed [m/s]")
       ->required();
-  command.add_option("--time", options->time_column, "Heading of the column of time")->type_name("COLUMN")->required();
+  command.add_option("--time", options->time_columns, "Heading of the column of time, or of those of date and time")
+      ->expected(1, 2)
+      ->type_name("COLUMN")
+      ->required();
+  command.add_option("--time-format", options->time_format, "How its times are written, such as \"%d.%m.%Y %H:%M:%S\"")
+      ->type_name("FORMAT");
   command.add_option("--scale", options->scale, "What 1 in that column is")
       ->capture_default_str()
       ->type_name("DURATION");
   command.add_option("--start", options->start, "What 0 in that column is, as 2026-03-01T12:00:00Z; default: 1970")
       ->type_name("TIME");
-  command.add_option("--separator", options->separator, "What separates the cells: a character, such as \";\", or tab")
-      ->capture_default_str()
+  command.add_option("--zone", options->zone, "Time zone of times that name none: Z (UTC), +01:00, Europe/Berlin")
+      ->type_name("ZONE");
+  command.add_option("--skip", options->skip, "How many lines stand before the heading")
+      ->check(at_least(0))
+      ->type_name("LINES");
+  command.add_option("--head", options->head, "How many rows the heading has, which are joined: 1 or 2")
+      ->check(CLI::IsMember({1, 2}))
+      ->type_name("ROWS");
+  command.add_option("--units", options->units, "row: the row after the heading has the units")
+      ->check(CLI::IsMember({"heading", "row"}))
+      ->type_name("WHERE");
+  command.add_option("--columns", options->columns, "The names of the columns of a table without heading: t,\"v [V]\"")
+      ->type_name("NAMES");
+  command.add_option("--comment", options->comment, "Leave out lines that begin with this, such as \"#\"")
+      ->type_name("TEXT");
+  command.add_option("--none", options->none, "Texts and numbers that stand for no value, such as N/A -9999")
+      ->expected(1, -1)
+      ->type_name("TEXT");
+  command
+      .add_option("--separator", options->separator,
+                  "What separates the cells: a character, such as \";\", or tab; default: \",\"")
       ->type_name("CHARACTER");
   command.add_option("--decimal", options->decimal, "The decimal mark of its numbers; default: \".\"")
       ->type_name("CHARACTER")
       ->check(CLI::IsMember({".", ","}));
   command
-      .add_option("--zone", options->zone, "Time zone of times that name none: Z (UTC), or an offset such as +01:00")
-      ->type_name("ZONE");
+      .add_option("--thousands", options->thousands, "What separates thousands, such as \",\"; default: nothing does")
+      ->type_name("CHARACTER");
+  add_flag(command, "--sort", options->order, ImportOptions::Order::sorted, "Sort rows that are not in order of time");
+  add_flag(command, "--partial", options->partial, ImportOptions::Partial::taken,
+           "Take rows that end early; leave out a last row that is cut off");
   command.add_option("--topic", options->topic, "Topic; default: the file's name");
   command.add_option("--origin", options->origin, "The sensor that the events are from; default: the file's name")
       ->type_name("NAME");
   command.add_option("--into", options->database, "The recording; default: FILE with .db")->type_name("DB");
   command.footer(
       "examples:\n  rtdata import flight.csv --time ticks --scale 10us --into flight.db\n"
-      "  rtdata import lab.csv --time Zeit --separator \";\" --decimal , --zone +01:00");
+      "  rtdata import lab.csv --time Zeit --separator \";\" --decimal , --zone +01:00\n"
+      "  rtdata import logger.txt --skip 11 --time Time --none -9999 ---");
   return [options](const Registry&) {
     const ForPeople wrapped;
     return import_table(*options, std::cout, std::cerr);

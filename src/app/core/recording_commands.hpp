@@ -108,6 +108,14 @@ struct ExportOptions {
   Times times = Times::recorded;  // utc: --utc, corrected times, as ISO 8601 in CSV
   enum class Header { names, names_and_units };
   Header header = Header::names;
+  // Of CSV, for people and their programs; those of a topic, to `out`.
+  std::vector<std::string> join = {};  // topics whose last event at or before each row stands in it
+  std::string within = {};             // how old that may be; empty: any age
+  std::string separator = {};          // a character, or "tab"; empty: ","
+  std::string decimal = {};            // "." or ","; empty: "."
+  std::int64_t digits = -1;            // of numbers after the decimal mark; -1: as many as they have
+  std::string time = {};               // "seconds": since `start`; empty: ns, or with `times` ISO 8601
+  std::string start = {};              // ISO 8601 or ns; empty: the time of each run's first row
 };
 /// 0; 1 if the export is not possible, or there is no such run, topic or origin; 2 unreadable.
 int export_recording(const ExportOptions& options, std::ostream& out, std::ostream& err);
@@ -153,16 +161,28 @@ struct RecordedTailOptions {
 int tail_recording(const RecordedTailOptions& options, std::ostream& out, std::ostream& err);
 
 struct ImportOptions {
-  std::string file;             // CSV with column names in the first row, and units as in "speed [m/s]"
-  std::string time_column;      // its heading
-  std::string scale = "1 s";    // duration of 1 in that column; not used for ISO 8601
-  std::string start = {};       // time of 0 in that column, ISO 8601; empty: 1970
-  std::string separator = ",";  // a character, or "tab"
-  std::string decimal = {};     // "." or ","; empty: ".", and numbers that look like "," are refused
-  std::string zone = {};        // "Z", "+01:00": for times without a zone; empty: these are refused
-  std::string topic = {};       // empty: the file's name
-  std::string origin = {};      // empty: the file's name
-  std::string database = {};    // empty: FILE.db; adds to an existing one
+  std::string file;                       // CSV with column names in the first row, and units as in "speed [m/s]"
+  std::vector<std::string> time_columns;  // its heading, or those of date and time
+  std::string time_format = {};           // as strptime has it; empty: ISO 8601 and numbers
+  std::string scale = "1 s";              // duration of 1 in that column; not used for ISO 8601
+  std::string start = {};                 // time of 0 in that column, ISO 8601; empty: 1970
+  std::string separator = {};             // a character, or "tab"; empty: that of a line "sep=;", or ","
+  std::string decimal = {};               // "." or ","; empty: ".", and numbers that look like "," are refused
+  std::string thousands = {};             // between groups of three digits; empty: nothing is
+  std::string zone = {};     // "Z", "+01:00", "Europe/Berlin": for times without a zone; empty: these are refused
+  std::uint64_t skip = 0;    // lines before the heading
+  std::string comment = {};  // what lines begin with that are left out; empty: none are
+  std::uint64_t head = 1;    // rows of the heading, 1 or 2
+  std::string units = {};    // "row": a row after the heading has them; else they are in the heading
+  std::string columns = {};  // the names, as a row of CSV, of a table without heading; empty: it has one
+  std::vector<std::string> none = {};  // texts, and numbers however they are written, that stand for no value
+  enum class Order { refused, sorted };
+  Order order = Order::refused;  // of rows that are not in order of time; sorted: --sort
+  enum class Partial { refused, taken };
+  Partial partial = Partial::refused;  // of rows that end early; taken: --partial
+  std::string topic = {};              // empty: the file's name
+  std::string origin = {};             // empty: the file's name
+  std::string database = {};           // empty: FILE.db; adds to an existing one
 };
 /// 0; 1 if nothing, or not all, was imported: the error names the row.
 int import_table(const ImportOptions& options, std::ostream& out, std::ostream& err);

@@ -1,12 +1,15 @@
 #include "rtdata/recording/export.hpp"
 
 #include <algorithm>
+#include <cctype>
 #include <chrono>
+#include <optional>
 #include <ostream>
 #include <set>
 #include <utility>
 
 #include "app/core/recording_commands.hpp"
+#include "app/inspect/export_table.hpp"
 #include "app/inspect/names.hpp"
 #include "app/inspect/recorded_range.hpp"
 #include "rtdata/loop/topic.hpp"
@@ -58,6 +61,47 @@ void report_runs(std::ostream& err, const Recording& recording, const ExportOpti
       << (options.format == "csv" ? "" : ", by its uuid") << "; --run takes one\n";
 }
 
+/// How the table for people is written; none: the plain export is wanted. Throws SetupError.
+std::optional<TableFormat> table_format_of(const ExportOptions& options) {
+  const auto refuse_option = [](std::string option, std::string why, std::string advice) {
+    throw SetupError({Errc::bad_argument, "cannot export", std::move(option), std::move(why), std::move(advice)});
+  };
+  TableFormat format;
+  format.has_seconds = options.time == "seconds";
+  if (!options.start.empty() && !format.has_seconds)
+    refuse_option("--start " + options.start, "it is of --time seconds", "");
+  if (!options.within.empty() && options.join.empty())
+    refuse_option("--within " + options.within, "it is of --join", "");
+  const std::string option = !options.join.empty()        ? "--join"
+                             : !options.separator.empty() ? "--separator"
+                             : !options.decimal.empty()   ? "--decimal"
+                             : options.digits >= 0        ? "--digits"
+                             : format.has_seconds         ? "--time"
+                                                          : "";
+  if (option.empty()) return {};
+  if (options.format != "csv")
+    refuse_option(option, "it is of CSV, and not of " + options.format, "leave --format out");
+  if (!options.folder.empty())
+    refuse_option(option, "it is of one topic, and --folder of all", "choose one by --topic");
+  if (!options.step.empty()) refuse_option(option, "it is of events, and --step of steps", "choose one of them");
+  const std::string& said = options.separator;
+  const char separator = said.empty() ? ',' : said == "tab" || said == "\\t" ? '\t' : said.size() == 1 ? said[0] : '\0';
+  const bool is_wrong = separator != '\t' && (separator < ' ' || separator == '"' || separator == '-' ||
+                                              separator == '.' || std::isalnum(static_cast<unsigned char>(separator)));
+  if (is_wrong)
+    refuse_option("--separator " + said, "it must be one character, which separates cells", "such as \";\", or tab");
+  format.separator = separator;
+  if (options.decimal == ",") format.decimal = ',';
+  if (said.empty() && format.decimal == ',') format.separator = ';';
+  if (format.separator == format.decimal)
+    refuse_option("--separator " + said, "it is the decimal mark, too", "such as \";\", or tab");
+  format.digits = static_cast<int>(options.digits);
+  if (!options.start.empty()) format.start = parse_time(options.start);
+  format.join = options.join;
+  if (!options.within.empty()) format.within = parse_duration(options.within).or_throw();
+  return format;
+}
+
 /// A progress line on the terminal, shown after one second.
 class Progress {
  public:
@@ -102,6 +146,7 @@ int export_recording(const ExportOptions& options, std::ostream& out, std::ostre
       throw SetupError(
           {Errc::bad_argument, "cannot export", "--step " + options.step, "it is not above 0", "such as 1s"});
   }
+  const std::optional<TableFormat> table_format = table_format_of(options);
   Progress progress(err, options.progress == ExportOptions::Progress::shown);
   config.on_progress = [&](const ExportProgress& at) { progress.show(at); };
   config.existing = options.existing == ExportOptions::Existing::replace ? ExportConfig::Existing::replace
@@ -112,7 +157,8 @@ int export_recording(const ExportOptions& options, std::ostream& out, std::ostre
                                                                  : ExportConfig::Header::names_and_units;
   find(recording, config.filter);
   if (options.folder.empty()) {
-    auto made = export_rows(recording, config, out);
+    auto made = table_format ? export_table(recording, config, *table_format, out)
+                             : export_rows(recording, config, out);
     progress.clear();
     if (!made && !out) return 1;
     const ExportCount& count = made.or_throw();

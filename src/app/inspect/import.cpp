@@ -12,9 +12,11 @@
 
 #include "app/core/recording_commands.hpp"
 #include "app/inspect/import_columns.hpp"
+#include "app/inspect/import_head.hpp"
 #include "app/inspect/import_rows.hpp"
 #include "app/inspect/import_time.hpp"
-#include "data/nearest.hpp"
+#include "app/inspect/import_time_format.hpp"
+#include "app/inspect/import_zone.hpp"
 #include "data/saturating.hpp"
 #include "data/utf8.hpp"
 #include "rtdata/loop/clock.hpp"
@@ -26,150 +28,185 @@
 namespace rtdata::app {
 namespace {
 
+/// A row, where rows are sorted.
+struct Place {
+  Time time{};
+  std::uint64_t position = 0, line = 0;  // in the file
+};
+
 /// The structure of the table, found by reading it once.
 struct Found {
   std::vector<ImportColumn> columns;  // all of the file
-  std::size_t time_column = 0;
+  std::vector<std::size_t> time_columns;
   Time first{}, last{};  // the earliest, the latest
   std::uint64_t rows = 0;
+  std::uint64_t short_rows = 0, first_short_line = 0;  // rows that end early
+  std::uint64_t cut_line = 0;                          // of a last row that is left out; 0: none is
+  std::uint64_t out_of_order = 0, twice = 0;
+  std::vector<Place> places;  // only if rows are sorted
   std::shared_ptr<const Description> description;
 };
 
-/// How to write a separator on the command line.
-std::string shown_separator(char separator) { return separator == '\t' ? "tab" : std::string("\"") + separator + "\""; }
+/// True if the row has as many cells as there are columns; a separator at its end makes no cell.
+bool is_of_columns(std::vector<detail::CsvCell>& cells, const std::vector<ImportColumn>& columns) {
+  const auto is_empty = [](const detail::CsvCell& cell) { return cell.text.empty() && !cell.quoted; };
+  if (cells.size() == columns.size() + 1 && is_empty(cells.back())) cells.pop_back();
+  if (cells.size() + 1 == columns.size() && columns.back().heading.empty()) cells.emplace_back();
+  return cells.size() == columns.size();
+}
 
-/// The option for the probable separator, if the given one is wrong. Empty: unknown.
-std::string separator_advice(const ImportOptions& options, char said) {
-  ImportRows table(options.file, said);
-  std::string head, row;
-  table.next_line(head);
-  table.next_line(row);
-  const auto count = [](const std::string& text, char c) { return std::count(text.begin(), text.end(), c); };
-  char best = said;
-  for (const char one : {',', ';', '\t', '|'})
-    if (one != said && count(head, one) > count(head, best) && count(head, one) <= count(row, one)) best = one;
-  if (best == said) return {};
-  std::string advice = "its columns seem to be separated by " + shown_separator(best) + ": write --separator " +
-                       shown_separator(best);
-  const auto is_digit = [](char c) { return c >= '0' && c <= '9'; };
-  for (std::size_t i = 1; best != ',' && options.decimal.empty() && i + 1 < row.size(); ++i) {
-    if (row[i] != ',' || !is_digit(row[i - 1]) || !is_digit(row[i + 1])) continue;
-    const std::size_t before = row.find_last_of(std::string("\"") + best, i),
-                      end = row.find_first_of(std::string("\"\r") + best, i);
-    if (!may_have_thousands(row.substr(before + 1, end - before - 1))) return advice + " --decimal ,";
+/// Of a row that looks like a comment. Empty: it does not.
+std::string comment_advice(const std::vector<detail::CsvCell>& cells) {
+  for (const char* const begin : {"#", "//", ";", "%", "!"})
+    if (cells.front().text.starts_with(begin))
+      return std::string("if it is a comment, write --comment \"") + begin + "\"";
+  return {};
+}
+
+/// For messages.
+std::string column_of_time(const ImportOptions& options) {
+  return options.time_columns.front() + (options.time_columns.size() > 1 ? " and " + options.time_columns.back() : "");
+}
+
+/// The text of the time in a row, of which date and time may be two cells.
+std::string time_text(const std::vector<detail::CsvCell>& cells, const Found& found) {
+  std::string text = cells[found.time_columns.front()].text;
+  if (found.time_columns.size() > 1) (text += ' ') += cells[found.time_columns.back()].text;
+  return text;
+}
+
+/// Refuses a row whose time cannot be read.
+[[noreturn]] void refuse_time(const ImportOptions& options, const ImportNotation& notation, const Error& error,
+                              const std::string& where, const std::vector<detail::CsvCell>& cells, const Found& found) {
+  const std::string when = time_text(cells, found);
+  double number = 0;
+  const bool is_beyond = options.time_format.empty() && is_number(when, notation.numbers, number) &&
+                         std::isfinite(number);
+  ImportNotation without_start = notation;
+  without_start.start = Time{};
+  const bool is_start = is_beyond && ImportClock(without_start).read(when);
+  const bool has_comma = options.decimal.empty() && when.find(',') != std::string::npos &&
+                         is_number(when, {','}, number) && !may_have_thousands(when);
+  const bool has_date = when.size() >= 10 && when[4] == '-' && when[7] == '-';
+  const bool has_reason = has_date || !options.time_format.empty();
+  const bool has_digits = when.find_first_of("0123456789") != std::string::npos;
+  std::string advice;
+  if (is_start) {
+    advice = "check --start";
+  } else if (is_beyond) {
+    advice = "check --scale" + scale_of(number);
+  } else if (has_comma) {
+    advice = "its numbers have decimal commas: write --decimal ,";
+  } else if (has_reason && !error.advice.empty()) {
+    advice = error.advice;
+  } else if (advice = comment_advice(cells); !advice.empty()) {
+  } else if (found.rows == 0 && !has_digits && !when.empty()) {
+    advice = "if the row has the units, write --units row; if the heading has two rows, --head 2";
+  } else {
+    advice = "a number, or a time as 2026-03-01T12:00:00Z";
+    if (options.time_format.empty() && has_digits)
+      advice += "; for another notation write --time-format, such as \"%d.%m.%Y %H:%M:%S\"";
   }
-  return advice;
+  refuse_import(where,
+                "\"" + detail::readable(when.substr(0, 64)) + "\" in column " + column_of_time(options) +
+                    " is not a time" +
+                    (is_beyond    ? " that can be recorded, which are those from 1678 to 2261"
+                     : has_reason ? ": " + error.why
+                                  : ""),
+                advice);
 }
 
-[[noreturn]] void refuse(std::string where, std::string why, std::string advice) {
-  throw SetupError(import_refused(std::move(where), std::move(why), std::move(advice)));
-}
-
-void check_text(const ImportRows& table, const ImportColumn& column, const std::string& text, const std::string& file) {
-  if (detail::is_readable(text)) return;
-  refuse(table.where(),
-         "the text \"" + detail::readable(text.substr(0, 40)) + "\" in column " + column.heading + " is not UTF-8",
-         "convert the file: iconv -f WINDOWS-1252 -t UTF-8 " + file);
+/// Refuses a row that has not as many cells as there are columns.
+[[noreturn]] void refuse_row(const ImportOptions& options, ImportRows& table, const std::vector<detail::CsvCell>& cells,
+                             const Found& found) {
+  const bool is_short = cells.size() < found.columns.size();
+  std::string advice = comment_advice(cells);
+  if (advice.empty() && is_short)
+    advice = table.is_at_end() ? "if the file is cut off there, write --partial, which leaves the row out"
+                               : "if rows may end early, write --partial: what they lack is absent";
+  refuse_import(table.where(),
+                std::to_string(cells.size()) + (cells.size() == 1 ? " cell" : " cells") + ", where " +
+                    (options.columns.empty() ? "the first row has " : "--columns names ") +
+                    std::to_string(found.columns.size()),
+                advice);
 }
 
 Found look_at(const ImportOptions& options, const ImportNotation& notation) {
-  ImportRows table(options.file, notation.separator);
+  ImportRows table(options.file, notation);
   if (!table.is_open())
     throw SetupError(system_error(errno, "cannot read", options.file, "give the path of a CSV file"));
-  std::vector<detail::CsvCell> cells;
-  if (!table.next(cells).or_throw()) refuse(options.file, "it is empty", "its first row names the columns");
   Found found;
-  std::vector<std::string_view> headings;
-  for (const detail::CsvCell& cell : cells) {
-    if (!detail::is_readable(cell.text))
-      refuse(table.where(), "the heading \"" + detail::readable(cell.text.substr(0, 40)) + "\" is not UTF-8",
-             "convert the file: iconv -f WINDOWS-1252 -t UTF-8 " + options.file);
-    ImportColumn& column = found.columns.emplace_back();
-    column.heading = cell.text;
-    column.decimal = notation.decimal;
+  found.columns = read_head(table, options);
+  for (ImportColumn& column : found.columns) column.numbers = notation.numbers;
+  for (const std::string& heading : options.time_columns) {
+    found.time_columns.push_back(find_column(found.columns, heading, options, notation));
+    found.columns[found.time_columns.back()].is_time = true;
   }
-  for (const ImportColumn& column : found.columns) headings.push_back(column.heading);
-  const auto is_it = [&](std::string_view heading) {  // with its unit or without
-    return heading == options.time_column || heading.substr(0, heading.find(" [")) == options.time_column;
-  };
-  const auto exact = std::count(headings.begin(), headings.end(), options.time_column);
-  const auto matching = std::count_if(headings.begin(), headings.end(), is_it);
-  if (exact > 1 || (exact == 0 && matching > 1))
-    refuse(options.file, "it has " + std::to_string(std::max(exact, matching)) + " columns " + options.time_column,
-           exact > 1 ? "give one of them another heading" : "write --time with the unit, as its heading has it");
-  const auto at = exact == 1 ? std::find(headings.begin(), headings.end(), options.time_column)
-                             : std::find_if(headings.begin(), headings.end(), is_it);
-  if (at == headings.end()) {
-    const std::string advice = separator_advice(options, notation.separator);
-    refuse(options.file, "it has no column " + options.time_column,
-           advice.empty() ? detail::suggestion(options.time_column, headings) : advice);
-  }
-  found.time_column = static_cast<std::size_t>(at - headings.begin());
-  name_columns(found.columns);
+  ImportClock clock(notation);
+  std::vector<detail::CsvCell> cells;
   Time before{};  // of the row above
   while (table.next(cells).or_throw()) {
-    if (cells.size() != found.columns.size())
-      refuse(table.where(),
-             std::to_string(cells.size()) + " cells, where the first row has " + std::to_string(found.columns.size()),
-             "");
-    const std::string& when = cells[found.time_column].text;
-    const auto time = time_of(when, notation);
-    if (!time) {
-      double number = 0;
-      const bool is_beyond = is_number(when, notation.decimal, number) && std::isfinite(number);
-      ImportNotation without_start = notation;
-      without_start.start = Time{};
-      const bool is_start = is_beyond && time_of(when, without_start);
-      const bool has_comma = options.decimal.empty() && when.find(',') != std::string::npos &&
-                             is_number(when, ',', number) && !may_have_thousands(when);
-      const bool has_date = when.size() >= 10 && when[4] == '-' && when[7] == '-';
-      refuse(table.where(),
-             "\"" + detail::readable(when.substr(0, 64)) + "\" in column " + options.time_column + " is not a time" +
-                 (is_beyond  ? " that can be recorded, which are those from 1678 to 2261"
-                  : has_date ? ": " + time.error().why
-                             : ""),
-             is_start                                   ? "check --start"
-             : is_beyond                                ? "check --scale" + scale_of(number)
-             : has_comma                                ? "its numbers have decimal commas: write --decimal ,"
-             : has_date && !time.error().advice.empty() ? time.error().advice
-                                                        : "a number, or a time as 2026-03-01T12:00:00Z");
+    if (!is_of_columns(cells, found.columns)) {
+      const bool is_short = cells.size() < found.columns.size();
+      if (!is_short || !notation.takes_partial) refuse_row(options, table, cells, found);
+      // The only row that ends early, and the last one: the file ends within it.
+      if (found.short_rows == 0 && table.is_at_end()) {
+        found.cut_line = table.line();
+        break;
+      }
+      if (found.short_rows++ == 0) found.first_short_line = table.line();
+      cells.resize(found.columns.size());
     }
+    const std::uint64_t twice = clock.twice();
+    const auto time = clock.read(time_text(cells, found));
+    if (!time) refuse_time(options, notation, time.error(), table.where(), cells, found);
+    const bool is_sorted = options.order == ImportOptions::Order::sorted;
+    if (clock.twice() > twice && is_sorted)
+      refuse_import(table.where(),
+                    time_text(cells, found) + " comes twice in " + notation.zone +
+                        ", and which it is cannot be known of rows that are not in order of time",
+                    "write --zone with an offset such as +01:00, or sort the file");
     if (found.rows++ == 0) found.first = found.last = before = *time;
-    if (*time < before)
-      refuse(table.where(),
-             "\"" + detail::readable(when.substr(0, 64)) + "\" in column " + options.time_column +
-                 " is before the time of the row above it",
-             "sort the rows by time: a table with the newest row first is turned round by "
-             "(head -n 1 " +
-                 options.file + "; tail -n +2 " + options.file + " | tac)");
+    if (*time < before && !is_sorted)
+      refuse_import(table.where(),
+                    "\"" + detail::readable(time_text(cells, found).substr(0, 64)) + "\" in column " +
+                        column_of_time(options) + " is before the time of the row above it",
+                    "sort the rows by time: write --sort");
+    if (*time < before) ++found.out_of_order;
+    if (is_sorted) found.places.push_back({*time, table.position(), table.line()});
     before = *time;
     found.first = std::min(found.first, *time);
     found.last = std::max(found.last, *time);
     for (std::size_t i = 0; i < cells.size(); ++i) {
-      check_text(table, found.columns[i], cells[i].text, options.file);
-      found.columns[i].look_at(cells[i]);
+      table.check_text(cells[i].text, &found.columns[i].heading);
+      found.columns[i].look_at(cells[i], table.line());
     }
   }
-  if (found.rows == 0) refuse(options.file, "it has no rows", "");
+  if (table.cut_line() != 0) found.cut_line = table.cut_line();
+  found.twice = clock.twice();
+  std::stable_sort(found.places.begin(), found.places.end(),
+                   [](const Place& a, const Place& b) { return a.time < b.time; });
+  if (found.rows == 0) refuse_import(options.file, "it has no rows", "");
   if (detail::span_between(found.first, found.last) == Duration::max())
-    refuse(options.file, "its times span more than 292 years", "check --scale");
+    refuse_import(options.file, "its times span more than 292 years", "check --scale");
   for (ImportColumn& column : found.columns) {
     column.look_at_all();
-    if (options.decimal.empty() && column.seems_to_have_decimal_commas())
-      refuse(options.file, "the numbers in column " + column.heading + " seem to have decimal commas",
-             "write --decimal , or, if they are texts, --decimal .");
-    if (options.decimal.empty() && column.seems_to_have_thousands())
-      refuse(options.file,
-             "the numbers in column " + column.heading +
-                 " have commas before three digits, which may be "
-                 "thousands or decimals",
-             "if they are thousands, take them out of the file (1,234 becomes 1234); if they are decimals, "
-             "write --decimal , and if they are texts, --decimal .");
+    if (options.decimal.empty() && options.thousands.empty() && column.seems_to_have_decimal_commas())
+      refuse_import(options.file, "the numbers in column " + column.heading + " seem to have decimal commas",
+                    "write --decimal , or, if they are texts, --decimal .");
+    if (options.decimal.empty() && options.thousands.empty() && column.seems_to_have_thousands())
+      refuse_import(
+          options.file,
+          "the numbers in column " + column.heading +
+              " have commas before three digits, which may be "
+              "thousands or decimals",
+          "if they are thousands, write --thousands , and if they are decimals, --decimal , and if they are texts, "
+          "--decimal .");
   }
-  found.description = describe_columns(found.columns, found.time_column, options.file).or_throw();
+  found.description = describe_columns(found.columns, options.file).or_throw();
   const TopicToRecord topic{options.topic, found.description.get()};
   const auto refusals = refused_topics(SqliteConfig{.path = options.database}, std::span(&topic, 1));
-  if (!refusals.empty()) refuse(options.file, refusals.front().why, refusals.front().advice);
+  if (!refusals.empty()) refuse_import(options.file, refusals.front().why, refusals.front().advice);
   return found;
 }
 
@@ -187,20 +224,26 @@ std::uint64_t record(const ImportOptions& options, const Found& found, const Imp
   AnyFeed feed(loop, {.name = options.origin, .topic = options.topic}, found.description);
   // Virtual time passes as fast as possible, so batches are limited by memory, not by time.
   SqliteSink sink(loop, {.path = options.database, .sink = {.batch_time = std::chrono::hours{1}}});
-  ImportRows table(options.file, notation.separator);
+  ImportRows table(options.file, notation);
   std::vector<detail::CsvCell> cells;
-  (void)table.next(cells);
-  const auto changed = [&] { refuse(table.where(), "the file has changed while it was read", "try again"); };
+  (void)read_head(table, options);
+  const auto changed = [&] { refuse_import(table.where(), "the file has changed while it was read", "try again"); };
+  ImportClock times(notation);
   Time last = found.first - Duration{1};
   std::vector<std::byte> payload;
-  while (table.next(cells).or_throw()) {
-    if (cells.size() != found.columns.size()) changed();
-    const auto time = time_of(cells[found.time_column].text, notation);
+  for (std::uint64_t row = 0; row < found.rows; ++row) {
+    if (!found.places.empty()) table.go_to(found.places[row].position, found.places[row].line);
+    if (!table.next(cells).or_throw()) changed();
+    if (!is_of_columns(cells, found.columns)) {
+      if (!notation.takes_partial || cells.size() > found.columns.size()) changed();
+      cells.resize(found.columns.size());
+    }
+    const auto time = times.read(time_text(cells, found));
     if (!time || *time < found.first || *time > found.last) changed();
     payload.assign(found.description->size(), std::byte{0});
     std::size_t leaf = 0;
     for (std::size_t i = 0; i < cells.size(); ++i) {
-      if (i == found.time_column || !found.columns[i].has_any) continue;
+      if (found.columns[i].is_time || !found.columns[i].has_any) continue;
       const Value value = value_of(found.columns[i], cells[i]);
       if (!write(found.description->leaves()[leaf++], payload.data(), value)) changed();
     }
@@ -223,18 +266,67 @@ ImportNotation notation_of(const ImportOptions& options) {
   ImportNotation notation;
   notation.zone = options.zone;
   notation.scale = parse_duration(options.scale).or_throw();
-  if (notation.scale <= Duration{0}) refuse("--scale " + options.scale, "it is not above 0", "such as 10us");
+  if (notation.scale <= Duration{0}) refuse_import("--scale " + options.scale, "it is not above 0", "such as 10us");
   if (!options.start.empty()) notation.start = parse_iso8601(options.start).or_throw();
+  const std::optional<char> in_file = separator_line(options.file);
+  notation.skip = std::max<std::uint64_t>(options.skip, in_file ? 1 : 0);
+  notation.comment = options.comment;
+  notation.none = options.none;
   const std::string& said = options.separator;
-  const char separator = said == "tab" || said == "\\t" ? '\t' : said.size() == 1 ? said[0] : '\0';
+  const char separator = said.empty()                     ? in_file.value_or(',')
+                         : said == "tab" || said == "\\t" ? '\t'
+                         : said.size() == 1               ? said[0]
+                                                          : '\0';
   if (separator != '\t' && (separator < ' ' || separator == '"' || std::isalnum(static_cast<unsigned char>(separator))))
-    refuse("--separator " + said, "it must be one character, which separates cells", "such as \";\", or tab");
+    refuse_import("--separator " + said, "it must be one character, which separates cells", "such as \";\", or tab");
   notation.separator = separator;
-  if (options.decimal == ",") notation.decimal = ',';
-  if (separator == notation.decimal) refuse("--separator " + said, "it is the decimal mark, too", "set --decimal");
-  if (!notation.zone.empty() && !parse_iso8601("2026-03-01T12:00:00" + notation.zone))
-    refuse("--zone " + notation.zone, "it is not a time zone", "write Z for UTC, or an offset such as +01:00");
+  ImportNumbers& numbers = notation.numbers;
+  if (options.decimal == ",") numbers.decimal = ',';
+  if (separator == numbers.decimal)
+    refuse_import("--separator " + shown_separator(separator), "it is the decimal mark, too", "set --decimal");
+  numbers.thousands = options.thousands;
+  if (numbers.thousands == std::string(1, numbers.decimal))
+    refuse_import("--thousands " + numbers.thousands, "it is the decimal mark, too", "set --decimal");
+  if (numbers.thousands.find_first_of("0123456789+-eE\"") != std::string::npos)
+    refuse_import("--thousands " + numbers.thousands, "it may be part of a number", "such as \",\" or \" \"");
+  if (!notation.zone.empty() && !parse_iso8601("2026-03-01T12:00:00" + notation.zone)) {
+    notation.has_named_zone = use_zone(notation.zone);
+    if (!notation.has_named_zone)
+      refuse_import("--zone " + notation.zone, "it is not a time zone",
+                    "write Z for UTC, an offset such as +01:00, or a name such as Europe/Berlin");
+  }
+  notation.time_format = options.time_format;
+  if (const std::string mistake = format_mistake(options.time_format); !mistake.empty() && !options.time_format.empty())
+    refuse_import("--time-format " + options.time_format, mistake, "such as \"%d.%m.%Y %H:%M:%S\"");
+  notation.takes_partial = options.partial == ImportOptions::Partial::taken;
+  if (!options.columns.empty() && options.head > 1)
+    refuse_import("--columns " + options.columns, "the table has no heading, and --head is of headings",
+                  "choose one of them");
   return notation;
+}
+
+/// What is not as it stands in the table, or may not be as it was meant.
+void tell_warnings(std::ostream& err, const Found& found, const ImportNotation& notation, std::uint64_t moved) {
+  const auto warn = [&](const std::string& text) { err << "rtdata: warning: " << text << "\n"; };
+  const auto rows = [](std::uint64_t count) { return std::to_string(count) + (count == 1 ? " row" : " rows"); };
+  for (const ImportColumn& column : found.columns) {
+    if (column.is_time || !column.is_text_for_few()) continue;
+    const std::string text = "\"" + detail::readable(column.first_text) + "\"";
+    warn("column " + column.heading + " is text because of " + std::to_string(column.texts) + " of its " +
+         std::to_string(column.values) + " values, the first " + text + " in line " +
+         std::to_string(column.first_text_line) + ": if it stands for no value, write --none " + text);
+  }
+  if (found.short_rows > 0)
+    warn(rows(found.short_rows) + " ended early, the first in line " + std::to_string(found.first_short_line) +
+         "; what they lack is absent");
+  if (found.cut_line > 0)
+    warn("line " + std::to_string(found.cut_line) + ", the last row, is cut off and was left out");
+  if (found.out_of_order > 0) warn(rows(found.out_of_order) + " had a time before the row above; the rows were sorted");
+  if (found.twice > 0)
+    warn(rows(found.twice) + " are in an hour that comes twice in " + notation.zone +
+         "; each is taken as the first that is not before the row above");
+  if (moved > 0)
+    warn(std::to_string(moved) + " rows were not later than the row before; each got a time 1 ns after the row before");
 }
 
 }  // namespace
@@ -247,9 +339,9 @@ int import_table(const ImportOptions& options, std::ostream& out, std::ostream& 
   if (named.origin.empty()) named.origin = stem;
   if (named.database.empty()) named.database = std::filesystem::path(options.file).replace_extension(".db").string();
   const Found found = look_at(named, notation);
-  const ImportColumn& time = found.columns[found.time_column];
+  const ImportColumn& time = found.columns[found.time_columns.front()];
   if (const auto unit = parse_duration("1 " + time.unit); unit && *unit != notation.scale && time.can_be_number)
-    refuse(
+    refuse_import(
         named.file,
         "its column " + time.heading + " says " + time.unit + ", and --scale 1 in it is " + to_string(notation.scale),
         "write --scale \"1 " + time.unit + "\", or change the heading");
@@ -259,12 +351,9 @@ int import_table(const ImportOptions& options, std::ostream& out, std::ostream& 
       << named.topic << ", from " << to_iso8601(found.first) << " on\n";
   for (std::size_t i = 0; i < found.columns.size(); ++i) {
     const ImportColumn& column = found.columns[i];
-    out << "  " << column.heading << ": " << (i == found.time_column ? "the time" : column.name + ", " + column.type())
-        << "\n";
+    out << "  " << column.heading << ": " << (column.is_time ? "the time" : column.name + ", " + column.type()) << "\n";
   }
-  if (moved > 0)
-    err << "rtdata: warning: " << moved
-        << " rows were not later than the row before; each got a time 1 ns after the row before\n";
+  tell_warnings(err, found, notation, moved);
   return 0;
 } catch (const SetupError& error) {
   err << "rtdata: " << error.what() << "\n";

@@ -21,14 +21,22 @@ std::string_view array_of(std::string_view heading, std::size_t& index) {
   return detail::read_number(number, index) == std::errc{} ? heading.substr(0, open) : std::string_view();
 }
 
-/// The position of the bracket that the last character closes; units contain brackets too, such as [m[H2O]].
-std::size_t opening_bracket(std::string_view heading) {
+/// The position of the bracket that the last character closes, which is `close`; units contain brackets too, such as
+/// [m[H2O]].
+std::size_t opening_bracket(std::string_view heading, char open, char close) {
   int depth = 0;
-  for (std::size_t at = heading.ends_with(']') ? heading.size() : 0; at-- > 0;) {
-    if (heading[at] == ']') ++depth;
-    if (heading[at] == '[' && --depth == 0) return at;
+  for (std::size_t at = heading.ends_with(close) ? heading.size() : 0; at-- > 0;) {
+    if (heading[at] == close) ++depth;
+    if (heading[at] == open && --depth == 0) return at;
   }
   return std::string_view::npos;
+}
+
+/// Of what may stand in ( ): a short word, such as feet or m/s, is; "at nozzle" and "2" are not.
+bool is_unit(std::string_view text) {
+  constexpr std::size_t longest = 10;
+  return !text.empty() && text.size() <= longest && text.find(' ') == std::string_view::npos &&
+         text.find_first_not_of("0123456789") != std::string_view::npos;
 }
 
 void make_name(std::string& text) {
@@ -63,7 +71,7 @@ std::string free_name(const std::string& name, const std::vector<ImportColumn>& 
 
 }  // namespace
 
-void ImportColumn::look_at(const detail::CsvCell& cell) {
+void ImportColumn::look_at(const detail::CsvCell& cell, std::uint64_t line) {
   if (cell.text.empty() && !cell.quoted) {
     has_empty = true;
     return;
@@ -72,18 +80,25 @@ void ImportColumn::look_at(const detail::CsvCell& cell) {
   longest = std::max(longest, cell.text.size());
   std::int64_t integer = 0;
   double number = 0;
-  const std::errc as_integer = detail::read_number(cell.text, integer);
+  std::string buffer;
+  const std::errc as_integer = detail::read_number(usual_number(cell.text, numbers, buffer), integer);
   const bool is_integer = as_integer == std::errc{};
   constexpr std::int64_t exact = std::int64_t{1} << 53;  // a double holds all integers up to this
   has_large = has_large || as_integer == std::errc::result_out_of_range ||
               (is_integer && (integer > exact || integer < -exact));
   can_be_integer = can_be_integer && is_integer;
-  can_be_number = can_be_number && is_number(cell.text, decimal, number);
-  can_be_with_comma = can_be_with_comma && is_number(cell.text, ',', number);
+  const bool is_a_number = is_number(cell.text, numbers, number);
+  can_be_number = can_be_number && is_a_number;
+  ++values;
+  if (!is_a_number && texts++ == 0) {
+    first_text = cell.text.substr(0, 40);
+    first_text_line = line;
+  }
+  can_be_with_comma = can_be_with_comma && is_number(cell.text, {','}, number);
   const bool is_with_comma = cell.text.find(',') != std::string::npos;
   has_comma = has_comma || is_with_comma;
   can_be_thousands = can_be_thousands && (!is_with_comma || may_have_thousands(cell.text));
-  are_whole = are_whole && (is_with_comma ? may_have_thousands(cell.text) : is_number(cell.text, '.', number));
+  are_whole = are_whole && (is_with_comma ? may_have_thousands(cell.text) : is_number(cell.text, {}, number));
 }
 std::string ImportColumn::type() const {
   const std::string absent = has_empty ? ", may be absent" : "";
@@ -100,12 +115,24 @@ void name_columns(std::vector<ImportColumn>& columns) {
   const auto key = [&](const std::string& text) { return detail::lower_case(tail(text)); };
   for (ImportColumn& column : columns) {
     std::string text = column.heading;
+    // As many programs begin the heading, for those that take it as a comment.
+    if (&column == &columns.front()) text.erase(0, std::min(text.find_first_not_of("# "), text.size()));
     std::size_t index = 0;
-    if (const std::size_t open = opening_bracket(text); open != std::string::npos && array_of(text, index).empty()) {
+    std::size_t open = opening_bracket(text, '[', ']');
+    if (open != std::string::npos && !array_of(text, index).empty()) open = std::string::npos;
+    if (open == std::string::npos) {
+      open = opening_bracket(text, '(', ')');
+      column.is_round = open != std::string::npos && open > 0 && is_unit(text.substr(open + 1, text.size() - open - 2));
+      if (!column.is_round) open = std::string::npos;
+    }
+    if (open != std::string::npos) {
       column.unit = text.substr(open + 1, text.size() - open - 2);
       text.resize(open);
+      if (column.is_round)
+        while (text.ends_with('_')) text.pop_back();  // Flight_Time_(s)
     }
     while (!text.empty() && text.back() == ' ') text.pop_back();
+    column.bare = text;
     column.array = array_of(text, column.index);
     if (!column.array.empty()) {
       make_name(column.array);
@@ -113,6 +140,12 @@ void name_columns(std::vector<ImportColumn>& columns) {
     }
     column.name = text;
     if (!all.insert(key(text)).second) twice.insert(key(text));
+  }
+  // "altitude (baro)" and "altitude (GPS)": what tells them apart is no unit.
+  for (ImportColumn& column : columns) {
+    if (!column.is_round || !column.array.empty() || !twice.contains(key(column.name))) continue;
+    column.name = column.bare + "_" + column.unit;
+    column.unit.clear();
   }
   std::set<std::string> names;
   for (ImportColumn& column : columns) {
@@ -124,13 +157,19 @@ void name_columns(std::vector<ImportColumn>& columns) {
   }
 }
 
-Result<std::shared_ptr<const Description>> describe_columns(std::vector<ImportColumn>& columns, std::size_t time_column,
+std::string unit_of(std::string text) {
+  if (text == "-") return {};
+  const bool is_in_brackets = opening_bracket(text, '[', ']') == 0 || opening_bracket(text, '(', ')') == 0;
+  return is_in_brackets ? text.substr(1, text.size() - 2) : text;
+}
+
+Result<std::shared_ptr<const Description>> describe_columns(std::vector<ImportColumn>& columns,
                                                             const std::string& file) {
   DescriptionBuilder builder("import");
   const std::span<ImportColumn> all(columns);
   for (std::size_t i = 0; i < columns.size(); ++i) {
     const ImportColumn& column = columns[i];
-    if (i == time_column || !column.has_any) continue;
+    if (column.is_time || !column.has_any) continue;
     if (const std::size_t size = array_size(all.subspan(i)); size > 0) {
       const auto elements = all.subspan(i, size);
       const bool is_integer = std::all_of(elements.begin(), elements.end(),
@@ -162,9 +201,12 @@ Result<std::shared_ptr<const Description>> describe_columns(std::vector<ImportCo
 Value value_of(const ImportColumn& column, const detail::CsvCell& cell) {
   if (cell.text.empty() && !cell.quoted) return {};
   std::int64_t integer = 0;
-  if (column.can_be_integer && detail::read_number(cell.text, integer) == std::errc{}) return Value(integer);
+  std::string buffer;
+  if (column.can_be_integer &&
+      detail::read_number(usual_number(cell.text, column.numbers, buffer), integer) == std::errc{})
+    return Value(integer);
   double number = 0;
-  if (column.can_be_number && is_number(cell.text, column.decimal, number)) return Value(number);
+  if (column.can_be_number && is_number(cell.text, column.numbers, number)) return Value(number);
   return Value(cell.text);
 }
 

@@ -2,11 +2,13 @@
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
 #include <memory>
 #include <span>
 #include <string>
 #include <vector>
 
+#include "app/inspect/import_time.hpp"
 #include "data/csv_row.hpp"
 #include "rtdata/data/description.hpp"
 #include "rtdata/data/value.hpp"
@@ -15,10 +17,12 @@ namespace rtdata::app {
 
 /// A column, and the types that all its cells so far can have.
 struct ImportColumn {
-  std::string heading, name, unit;
-  std::string array;  // its array, as for "accel[0]"; empty: none
+  std::string heading, bare, name, unit;  // bare: the heading without its unit
+  std::string array;                      // its array, as for "accel[0]"; empty: none
   std::size_t index = 0;
-  char decimal = '.';
+  bool is_round = false;  // its unit stands in ( )
+  bool is_time = false;
+  ImportNumbers numbers = {};
   // The types that all its cells can have.
   bool can_be_integer = true, can_be_number = true, has_empty = false, has_any = false;
   bool has_large = false;
@@ -26,6 +30,10 @@ struct ImportColumn {
   bool can_be_thousands = true;                      // its commas may be thousands separators
   bool are_whole = true;                             // no fractions; commas may separate thousands
   std::size_t longest = 1;
+  // Why it is text.
+  std::uint64_t values = 0, texts = 0;
+  std::string first_text = {};
+  std::uint64_t first_text_line = 0;
 
   /// Integers that are not exact as doubles stay texts.
   void look_at_all() { can_be_number = can_be_number && (can_be_integer || !has_large); }
@@ -35,17 +43,23 @@ struct ImportColumn {
   bool seems_to_have_thousands() const {
     return has_any && !can_be_number && has_comma && can_be_thousands && are_whole;
   }
-  void look_at(const detail::CsvCell& cell);
+  /// True if it would have numbers but for a few of its cells.
+  bool is_text_for_few() const { return !can_be_number && texts > 0 && texts < values - texts; }
+  void look_at(const detail::CsvCell& cell, std::uint64_t line);
   /// For people: "integer, may be absent".
   std::string type() const;
 };
 
-/// "chamber temperature [Cel]" is the field chamber_temperature in Cel; of "imu.ax", ax where that is unique.
+/// "chamber temperature [Cel]", or with ( ), is the field chamber_temperature in Cel; of "imu.ax", ax where that is
+/// unique.
 void name_columns(std::vector<ImportColumn>& columns);
 
-/// The description of all columns with values, without the time column; number columns "accel[0]", "accel[1]" become an
+/// The unit of a row of units: "[m]", "(m)" and "m" are the same.
+std::string unit_of(std::string text);
+
+/// The description of all columns with values, without those of time; number columns "accel[0]", "accel[1]" become an
 /// array. `file`: for error messages. Errors: bad-argument and those of DescriptionBuilder.
-Result<std::shared_ptr<const Description>> describe_columns(std::vector<ImportColumn>& columns, std::size_t time_column,
+Result<std::shared_ptr<const Description>> describe_columns(std::vector<ImportColumn>& columns,
                                                             const std::string& file);
 
 /// The value of the cell, in the type of its column.

@@ -1,6 +1,7 @@
 #include "app/inspect/import_rows.hpp"
 
 #include <algorithm>
+#include <string_view>
 #include <utility>
 
 #include "app/inspect/import_time.hpp"
@@ -8,51 +9,113 @@
 
 namespace rtdata::app {
 
+ImportRows::ImportRows(std::string path, const ImportNotation& notation)
+    : path_(std::move(path)), notation_(notation), in_(path_, std::ios::binary), buffer_(longest_row + 1) {
+  for (const std::string& text : notation_.none) {
+    double number = 0;
+    if (is_number(text, notation_.numbers, number)) no_numbers_.push_back(number);
+  }
+}
+
 bool ImportRows::next_line(std::string& line) {
   in_.getline(buffer_.data(), static_cast<std::streamsize>(buffer_.size()));
   const auto got = static_cast<std::size_t>(in_.gcount());
   if (got == 0) return false;
   const bool is_cut = in_.fail() && !in_.eof();
   if (is_cut) in_.clear();
-  line.assign(buffer_.data(), is_cut || in_.eof() ? got : got - 1);  // without its end
+  has_line_end_ = !is_cut && !in_.eof();
+  line.assign(buffer_.data(), has_line_end_ ? got - 1 : got);
+  next_position_ += got;
+  if (next_line_++ > 1) return true;
+  if (line.starts_with(detail::byte_order_mark)) line.erase(0, detail::byte_order_mark.size());
+  is_utf16_ = line.starts_with("\xff\xfe") || line.starts_with("\xfe\xff");
   return true;
+}
+
+void ImportRows::go_to(std::uint64_t position, std::uint64_t line) {
+  in_.clear();
+  in_.seekg(static_cast<std::streamoff>(position));
+  next_position_ = position;
+  next_line_ = line;
+}
+
+bool ImportRows::is_none(const detail::CsvCell& cell) const {
+  if (std::find(notation_.none.begin(), notation_.none.end(), cell.text) != notation_.none.end()) return true;
+  double number = 0;
+  return !no_numbers_.empty() && is_number(cell.text, notation_.numbers, number) &&
+         std::find(no_numbers_.begin(), no_numbers_.end(), number) != no_numbers_.end();
 }
 
 Result<bool> ImportRows::next(std::vector<detail::CsvCell>& cells) {
   std::string row, line;
   bool is_quoted = false;  // the row continues on the next line, because this one ends within quotes
-  line_ = next_line_;
+  while (next_line_ <= notation_.skip && next_line(line)) {
+  }
+  const auto begin = [&] {
+    row.clear();
+    line_ = next_line_;
+    position_ = next_position_;
+  };
+  begin();
   while (next_line(line)) {
-    ++next_line_;
+    if (is_utf16_) return import_refused(path_, "it is UTF-16", "convert the file: iconv -f UTF-16 -t UTF-8 " + path_);
+    // A line of blanks is none, but for a table whose cells tabs separate.
+    const std::size_t text = line.find_first_not_of(notation_.separator == '\t' ? " \r" : " \t\r");
+    const bool is_comment = !notation_.comment.empty() && text != std::string::npos &&
+                            line.compare(text, notation_.comment.size(), notation_.comment) == 0;
+    if (!is_quoted && (text == std::string::npos || is_comment)) {
+      begin();
+      continue;
+    }
     row += line;
     row += '\n';
-    if (line_ == 1 && row.starts_with(detail::byte_order_mark)) row.erase(0, detail::byte_order_mark.size());
-    if (line_ == 1 && (row.starts_with("\xff\xfe") || row.starts_with("\xfe\xff")))
-      return import_refused(path_, "it is UTF-16", "convert the file: iconv -f UTF-16 -t UTF-8 " + path_);
     if (row.size() > longest_row)
       return Error{Errc::bad_data, "cannot import", where(), "the row is longer than 1 MiB", ""};
     if (std::count(line.begin(), line.end(), '"') % 2 != 0) is_quoted = !is_quoted;
     if (is_quoted) continue;
-    if (row == "\n" || row == "\r\n") {
-      row.clear();
-      line_ = next_line_;
-      continue;
+    if (!has_line_end_ && notation_.takes_partial) break;
+    auto split = detail::split_csv(row, notation_.separator);
+    if (!split) {
+      const bool has_other_ends = line.find('\r') < line.size() - 1;
+      return Error{Errc::bad_data, "cannot import", where(), split.error().where + ": " + split.error().why,
+                   has_other_ends ? "if its lines end with CR alone: tr '\\r' '\\n' <" + path_ + " >lines.csv" : ""};
     }
-    auto split = detail::split_csv(row, separator_);
-    if (!split)
-      return Error{Errc::bad_data, "cannot import", where(), split.error().where + ": " + split.error().why, ""};
     cells = *std::move(split);
     for (detail::CsvCell& cell : cells) {
-      if (cell.quoted) continue;
-      // Blanks around a cell are removed, as on a serial line.
-      cell.text.erase(0, std::min(cell.text.find_first_not_of(" \t"), cell.text.size()));
-      cell.text.erase(cell.text.find_last_not_of(" \t") + 1);
+      if (!cell.quoted) {
+        // Blanks around a cell are removed, as on a serial line.
+        cell.text.erase(0, std::min(cell.text.find_first_not_of(" \t"), cell.text.size()));
+        cell.text.erase(cell.text.find_last_not_of(" \t") + 1);
+      }
+      if (!notation_.none.empty() && is_none(cell)) cell = {};
     }
     return true;
   }
   if (in_.bad()) return Error{Errc::io_failed, "cannot read", path_, "", ""};
-  if (!row.empty()) return Error{Errc::bad_data, "cannot import", where(), "a quoted cell does not end", ""};
+  if (row.empty()) return false;
+  if (!notation_.takes_partial)
+    return Error{Errc::bad_data, "cannot import", where(), "a quoted cell does not end",
+                 "if the file is cut off there, write --partial"};
+  cut_line_ = line_;
   return false;
+}
+
+void ImportRows::check_text(const std::string& text, const std::string* column) const {
+  if (detail::is_readable(text)) return;
+  refuse_import(where(),
+                (column == nullptr ? "the heading \"" : "the text \"") + detail::readable(text.substr(0, 40)) + "\"" +
+                    (column == nullptr ? "" : " in column " + *column) + " is not UTF-8",
+                "convert the file: iconv -f WINDOWS-1252 -t UTF-8 " + path_);
+}
+
+std::optional<char> separator_line(const std::string& path) {
+  ImportRows table(path, {});
+  std::string line;
+  if (!table.next_line(line)) return {};
+  std::erase(line, '"');
+  std::erase(line, '\r');
+  constexpr std::string_view says = "sep=";
+  return line.size() == says.size() + 1 && line.starts_with(says) ? std::optional(line.back()) : std::nullopt;
 }
 
 }  // namespace rtdata::app

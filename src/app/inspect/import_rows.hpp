@@ -4,36 +4,57 @@
 #include <cstddef>
 #include <cstdint>
 #include <fstream>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
 
+#include "app/inspect/import_time.hpp"
 #include "data/csv_row.hpp"
 
 namespace rtdata::app {
 
-/// The rows of a file, one after the other.
+/// The rows of a file, one after the other, from `notation.skip` on, without comments. A cell that stands for no value
+/// is empty.
 class ImportRows {
  public:
-  ImportRows(std::string path, char separator)
-      : path_(std::move(path)), separator_(separator), in_(path_, std::ios::binary), buffer_(longest_row + 1) {}
+  ImportRows(std::string path, const ImportNotation& notation);
   bool is_open() const { return in_.is_open(); }
   /// The number of the line on which the last row begins.
   std::uint64_t line() const noexcept { return line_; }
   std::string where() const { return path_ + ":" + std::to_string(line_); }
 
+  /// The line of the last row, which is left out because it is cut off; 0: none is.
+  std::uint64_t cut_line() const noexcept { return cut_line_; }
+  /// True if nothing follows the last row.
+  bool is_at_end() { return in_.peek() == std::ifstream::traits_type::eof(); }
+  /// Where the last row begins in the file; and goes back there, to that line.
+  std::uint64_t position() const noexcept { return position_; }
+  void go_to(std::uint64_t position, std::uint64_t line);
+
   /// False: there are no more. Errors: bad-data (a quote that does not end, a row of more than 1 MiB).
   Result<bool> next(std::vector<detail::CsvCell>& cells);
-  /// The next line as it is; one of more than 1 MiB ends there. False: there are no more.
+  /// Throws SetupError, bad-argument, unless the text of the last row is UTF-8. `column`: its heading; null: it is one.
+  void check_text(const std::string& text, const std::string* column) const;
+  /// The next line as it is, without a byte order mark; one of more than 1 MiB ends there. False: there are no more.
   bool next_line(std::string& line);
 
  private:
+  bool is_none(const detail::CsvCell& cell) const;
+
   static constexpr std::size_t longest_row = std::size_t{1} << 20;
   std::string path_;
-  char separator_;
+  ImportNotation notation_;
+  std::vector<double> no_numbers_;  // those texts for no value that are numbers
   std::ifstream in_;
   std::vector<char> buffer_;  // of one line
-  std::uint64_t line_ = 1, next_line_ = 1;
+  std::uint64_t line_ = 1, next_line_ = 1, cut_line_ = 0;
+  std::uint64_t position_ = 0, next_position_ = 0;
+  bool has_line_end_ = true;  // the last line
+  bool is_utf16_ = false;
 };
+
+/// The separator that the first line says, as Excel writes it: "sep=;". Empty: it says none.
+std::optional<char> separator_line(const std::string& path);
 
 }  // namespace rtdata::app

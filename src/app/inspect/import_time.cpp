@@ -7,6 +7,8 @@
 #include <string_view>
 #include <utility>
 
+#include "app/inspect/import_time_format.hpp"
+#include "app/inspect/import_zone.hpp"
 #include "data/number_text.hpp"
 
 namespace rtdata::app {
@@ -14,10 +16,10 @@ namespace {
 
 /// `scale` times a number such as "1795665132.554291437", exact to the nanosecond (a double would be wrong by up to 119
 /// ns). Empty: another notation, or too large.
-std::optional<Duration> exact_time(std::string_view text, char decimal, Duration scale) {
+std::optional<Duration> exact_time(std::string_view text, Duration scale) {
   const bool is_negative = text.starts_with('-');
   if (is_negative || text.starts_with('+')) text.remove_prefix(1);
-  const std::size_t mark = text.find(decimal);
+  const std::size_t mark = text.find('.');
   const std::string_view whole_part = text.substr(0, mark);
   std::string_view part = mark == std::string_view::npos ? std::string_view() : text.substr(mark + 1);
   const auto is_digits = [](std::string_view digits) {
@@ -51,13 +53,34 @@ std::optional<Time> later_than(Time start, Duration by) {
 
 }  // namespace
 
-/// Whether the text is a number, and which.
-bool is_number(const std::string& text, char decimal, double& number) {
-  if (decimal == '.') return detail::read_number(text, number) == std::errc{};
-  if (text.find('.') != std::string::npos) return false;
-  std::string usual = text;
-  if (const std::size_t comma = usual.find(','); comma != std::string::npos) usual[comma] = '.';
-  return detail::read_number(usual, number) == std::errc{};
+std::string_view usual_number(std::string_view text, const ImportNumbers& written, std::string& buffer) {
+  const std::string& between = written.thousands;
+  if (written.decimal == '.' && between.empty()) return text;
+  if (written.decimal != '.' && between != "." && text.find('.') != std::string_view::npos) return {};
+  const std::size_t mark = text.find(written.decimal);
+  std::string_view whole = text.substr(0, mark);
+  buffer.clear();
+  for (bool is_first = true;; is_first = false) {
+    const std::size_t next = between.empty() ? std::string_view::npos : whole.find(between);
+    const bool is_last = next == std::string_view::npos;
+    const std::string_view group = whole.substr(0, next);
+    if (!is_first || !is_last) {  // "1,234" is a number, "12,34" is none
+      std::string_view digits = group;
+      if (is_first && (digits.starts_with('-') || digits.starts_with('+'))) digits.remove_prefix(1);
+      const bool has_digits = digits.find_first_not_of("0123456789") == std::string_view::npos && !digits.empty();
+      if (!has_digits || digits.size() > 3 || (!is_first && digits.size() != 3)) return {};
+    }
+    buffer += group;
+    if (is_last) break;
+    whole.remove_prefix(next + between.size());
+  }
+  if (mark != std::string_view::npos) (buffer += '.') += text.substr(mark + 1);
+  return buffer;
+}
+
+bool is_number(std::string_view text, const ImportNumbers& written, double& number) {
+  std::string buffer;
+  return detail::read_number(usual_number(text, written, buffer), number) == std::errc{};
 }
 
 bool may_have_thousands(const std::string& text) {
@@ -84,13 +107,31 @@ std::string scale_of(double number) {
   return "";
 }
 
-Result<Time> time_of(const std::string& text, const ImportNotation& notation) {
-  std::optional<Duration> since_start = exact_time(text, notation.decimal, notation.scale);
+Result<Time> ImportClock::read(const std::string& text) {
+  auto time = notation_.time_format.empty() ? read_usual(text) : read_formatted(text);
+  if (time) before_ = *time;
+  return time;
+}
+
+Result<Time> ImportClock::read_formatted(const std::string& text) {
+  auto written = read_time(text, notation_.time_format);
+  if (!written) return std::move(written).error();
+  if (!written->has_date) {
+    const auto time = later_than(notation_.start, written->time.time_since_epoch());
+    return time ? Result<Time>(*time)
+                : import_refused("", text + " is not a time that can be recorded", "check --start");
+  }
+  return written->has_zone ? Result<Time>(written->time) : of_zone(written->time);
+}
+
+Result<Time> ImportClock::read_usual(const std::string& text) {
+  std::string buffer;
+  std::optional<Duration> since_start = exact_time(usual_number(text, notation_.numbers, buffer), notation_.scale);
   double number = 0;
-  if (since_start || is_number(text, notation.decimal, number)) {
-    const double ns = number * static_cast<double>(notation.scale.count());
+  if (since_start || is_number(text, notation_.numbers, number)) {
+    const double ns = number * static_cast<double>(notation_.scale.count());
     if (!since_start && std::abs(ns) < 9.2e18) since_start = Duration{std::llround(ns)};
-    const auto time = since_start ? later_than(notation.start, *since_start) : std::nullopt;
+    const auto time = since_start ? later_than(notation_.start, *since_start) : std::nullopt;
     if (time) return *time;
     return import_refused("", text + " is not a time that can be recorded", "check --scale and --start");
   }
@@ -106,16 +147,34 @@ Result<Time> time_of(const std::string& text, const ImportNotation& notation) {
   };
   const auto time = parse_iso8601(usual);
   if (time) return on_its_day(time);
-  const auto with_zone = parse_iso8601(usual + (notation.zone.empty() ? "Z" : notation.zone));
-  if (!with_zone) return usual.find_first_of("Zz+", hour) == std::string::npos ? with_zone : time;
-  if (notation.zone.empty())
+  const auto shown = parse_iso8601(usual + "Z");
+  if (!shown) return usual.find_first_of("Zz+", hour) == std::string::npos ? shown : time;
+  return of_zone(on_its_day(shown).or_throw());
+}
+
+Result<Time> ImportClock::of_zone(Time shown) {
+  if (notation_.zone.empty())
     return import_refused("", "it says no time zone",
-                          "write --zone Z if it is UTC, or an offset such as --zone +01:00");
-  return on_its_day(with_zone);
+                          "write --zone Z if it is UTC, an offset such as --zone +01:00, or --zone Europe/Berlin");
+  if (!notation_.has_named_zone) {
+    const auto offset = parse_iso8601("1970-01-01T00:00:00" + notation_.zone);
+    const auto time = offset ? later_than(shown, offset->time_since_epoch()) : std::nullopt;
+    return time ? Result<Time>(*time) : import_refused("", "it is not a time that can be recorded", "check --zone");
+  }
+  const std::vector<Time> instants = instants_of(shown);
+  if (instants.empty())
+    return import_refused("", "there is no such time in " + notation_.zone + ", where clocks are put forward",
+                          "if those of the table were not, write --zone with an offset such as +01:00");
+  if (instants.size() > 1) ++twice_;
+  return instants.front() < before_ ? instants.back() : instants.front();
 }
 
 Error import_refused(std::string where, std::string why, std::string advice) {
   return {Errc::bad_argument, "cannot import", std::move(where), std::move(why), std::move(advice)};
+}
+
+void refuse_import(std::string where, std::string why, std::string advice) {
+  throw SetupError(import_refused(std::move(where), std::move(why), std::move(advice)));
 }
 
 }  // namespace rtdata::app

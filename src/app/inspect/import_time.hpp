@@ -1,36 +1,73 @@
 // Numbers and times in the cells of an imported table. Private to the program.
 #pragma once
 
+#include <cstdint>
 #include <string>
+#include <string_view>
+#include <vector>
 
 #include "rtdata/data/error.hpp"
 #include "rtdata/data/time.hpp"
 
 namespace rtdata::app {
 
-/// How cells, numbers and times are written.
-struct ImportNotation {
-  char separator = ',';
+struct ImportNumbers {
   char decimal = '.';
-  std::string zone = {};          ///< for times without a zone; empty: these are refused
-  Duration scale{1'000'000'000};  ///< duration of 1, for times that are numbers
-  Time start{};                   ///< time of 0, for times that are numbers
+  std::string thousands = {};  ///< between groups of three digits; empty: nothing is
 };
 
+/// How rows, cells, numbers and times are written.
+struct ImportNotation {
+  std::uint64_t skip = 0;    ///< lines before the first row
+  std::string comment = {};  ///< what lines begin with that are no rows; empty: nothing
+  char separator = ',';
+  ImportNumbers numbers = {};
+  std::vector<std::string> none = {};  ///< texts, and numbers however they are written, that stand for no value
+  bool takes_partial = false;          ///< a last row without a line end is left out
+  std::string time_format = {};        ///< see `read_time`; empty: ISO 8601 and numbers
+  std::string zone = {};               ///< for times without a zone; empty: these are refused
+  bool has_named_zone = false;         ///< that of the process
+  Duration scale{1'000'000'000};       ///< duration of 1, for times that are numbers
+  Time start{};                        ///< time of 0, for times that are numbers or have no date
+};
+
+/// The number as C++ writes it: without separators of thousands, with a decimal point. Empty: it is none. `buffer` may
+/// hold it.
+std::string_view usual_number(std::string_view text, const ImportNumbers& written, std::string& buffer);
+
 /// Whether the text is a number, and which.
-bool is_number(const std::string& text, char decimal, double& number);
+bool is_number(std::string_view text, const ImportNumbers& written, double& number);
 
 /// True if its commas may separate thousands: "1,234", "12,500,000"; not "0,250" or "1,5".
 bool may_have_thousands(const std::string& text);
 
-/// The time in a cell. Absolute times are ISO 8601, also with 24:00 for the end of a day; numbers count in `scale` from
-/// `start`. Errors: bad-argument, bad-data.
-Result<Time> time_of(const std::string& text, const ImportNotation& notation);
+/// Reads the times of the rows, one after the other.
+class ImportClock {
+ public:
+  explicit ImportClock(const ImportNotation& notation) : notation_(notation) {}
+  /// The time in a cell. Absolute times are ISO 8601, also with 24:00 for the end of a day, or of the format; numbers
+  /// count in `scale` from `start`. Of an hour that comes twice it is the first that is not before the time of the row
+  /// above. Errors: bad-argument, bad-data.
+  Result<Time> read(const std::string& text);
+  /// How many times were in an hour that comes twice.
+  std::uint64_t twice() const noexcept { return twice_; }
+
+ private:
+  Result<Time> read_usual(const std::string& text);
+  Result<Time> read_formatted(const std::string& text);
+  Result<Time> of_zone(Time shown);
+
+  const ImportNotation notation_;
+  Time before_ = Time::min();
+  std::uint64_t twice_ = 0;
+};
 
 /// A scale that gives a time in these decades, counted from 1970: "; with --scale 1ns it is 2026-03-01". Empty: none.
 std::string scale_of(double number);
 
 /// An error that says that nothing was imported, and why.
 Error import_refused(std::string where, std::string why, std::string advice);
+/// Throws that, as SetupError.
+[[noreturn]] void refuse_import(std::string where, std::string why, std::string advice);
 
 }  // namespace rtdata::app

@@ -24,6 +24,27 @@ bool may_go_quiet(const PartPlan& part, const std::vector<ParameterInfo>& parame
   return !span || *span <= Duration{0};
 }
 
+/// Units that no device has by RTU, or few. What is no key of a bus or sensor of another type is not found.
+void warn_of_units(SystemPlan& plan) {
+  for (const PartPlan& part : plan.parts) {
+    if (part.kind != "sensor" || part.type != "modbus") continue;
+    const ConfigItem* const unit = part.item.find("unit");
+    const auto bus = std::find_if(plan.parts.begin(), plan.parts.end(), [&](const PartPlan& other) {
+      return other.kind == "bus" && other.name == part.place.bus;
+    });
+    if (unit == nullptr || bus == plan.parts.end()) continue;
+    const ConfigItem* const over_tcp = bus->item.find("rtu_over_tcp");
+    const bool is_rtu = bus->item.find("device") != nullptr || (over_tcp != nullptr && over_tcp->to_json() == "true");
+    const std::string number = unit->to_json();
+    const bool is_reserved = number.size() == 3 && number >= "248";
+    if (is_rtu && (number == "0" || is_reserved))
+      plan.warnings.add(unit->problem(
+          "unlikely-address", number == "0" ? "by RTU unit 0 is for all devices, and none of them answers; "
+                                              "devices have 1 to 247"
+                                            : "by RTU the units 248 to 255 are reserved: devices have 1 to 247"));
+  }
+}
+
 }  // namespace
 
 std::string unnoticed_silence(const Registry& registry, const SystemPlan& plan) {
@@ -75,6 +96,7 @@ std::string only_in_memory(const SystemPlan& plan) {
 }
 
 void warn_of_losses(SystemPlan& plan) {
+  warn_of_units(plan);
   for (const PartPlan& part : plan.parts) {
     if (part.stores && part.stores->is_recording && part.stores->close_deadline <= Duration{0}) {
       plan.warnings.add(child_or_self(part.item, "close_deadline")

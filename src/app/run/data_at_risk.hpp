@@ -9,7 +9,7 @@
 namespace rtdata::app {
 
 /// Adds the warning loses-data for every sensor that is read too seldom for its FIFO, or more often than a reading
-/// takes.
+/// takes, and unlikely-address for those of a Modbus unit that may never answer.
 void warn_of_losses(SystemPlan& plan);
 
 /// One line for each recording used by `through`: its time between commits, and the sink that requires it.

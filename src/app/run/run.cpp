@@ -405,7 +405,10 @@ class Run {
         log_.write(counts.failed > 0 ? LogLevel::warning : LogLevel::info, "bus " + name,
                    place + ": " + std::to_string(counts.transfers) + " transfers, " + std::to_string(counts.failed) +
                        " failed, " + std::to_string(counts.retried) + " retries; they held it for " +
-                       to_string(counts.busy) + ", the longest for " + to_string(counts.longest));
+                       to_string(counts.busy) + ", the longest for " + to_string(counts.longest) +
+                       (counts.skipped_bytes > 0 ? "; " + std::to_string(counts.skipped_bytes) +
+                                                       " bytes of noise or late answers were skipped"
+                                                 : ""));
       }
     }
   }

@@ -7,10 +7,12 @@
 #include <cmath>
 #include <cstring>
 #include <limits>
-#include <numeric>
+#include <optional>
+#include <utility>
 
 #include "data/field_layout.hpp"
 #include "rtdata/data/config_item.hpp"
+#include "rtdata/data/text.hpp"
 
 namespace rtdata {
 namespace {
@@ -21,16 +23,20 @@ bool is_of_bits(ModbusTable table) { return table == ModbusTable::coil || table 
 
 /// Addresses that the field takes.
 unsigned width_of(const ModbusField& field) {
-  return is_of_bits(field.table) ? 1 : static_cast<unsigned>(detail::size_of(field.type) / 2);
+  if (is_of_bits(field.table)) return 1;
+  return field.type == Kind::text ? field.registers.value_or(0)
+                                  : static_cast<unsigned>(detail::size_of(field.type) / 2);
 }
-bool is_computed(const ModbusField& field) { return field.scale != 1 || field.offset != 0; }
-bool may_be_absent(const ModbusField& field) { return field.no_value && !is_of_bits(field.table); }
+bool is_computed(const ModbusField& field) { return field.scale != 1 || field.offset != 0 || field.scale_from; }
+bool may_be_absent(const ModbusField& field) {
+  return !is_of_bits(field.table) && (!field.no_value.empty() || field.scale_from);
+}
 Kind published_kind(const ModbusField& field) {
-  if (is_of_bits(field.table)) return Kind::boolean;
+  if (is_of_bits(field.table) || field.bit) return Kind::boolean;
   return is_computed(field) ? Kind::f64 : field.type;
 }
 
-bool is_integer(Kind kind) { return kind != Kind::f32 && kind != Kind::f64; }
+bool is_integer(Kind kind) { return detail::is_integer_kind(kind); }
 
 /// The same number of bits, with a sign for one without, and the other way round.
 Kind other_sign(Kind kind) {
@@ -66,23 +72,64 @@ Error refused(const ModbusField& field, std::string why, std::string advice) {
   return {Errc::bad_argument, "cannot use this field", "field " + field.name, std::move(why), std::move(advice)};
 }
 
+/// What registers cannot be, beside where they are.
+Result<void> check_registers(const ModbusField& field) {
+  const std::string type(name_of(field.type));
+  if (field.type == Kind::text) {
+    if (width_of(field) == 0) return refused(field, "a text needs its `registers`", "set how many it has");
+    if (is_computed(field) || field.bit || field.mask || !field.no_value.empty())
+      return refused(field, "a text is no number", "leave out what is for numbers: `scale`, `bit`, `no_value` ...");
+    return {};
+  }
+  if (detail::size_of(field.type) < 2) return refused(field, "registers hold no " + type, "choose another `type`");
+  if (field.registers)
+    return refused(field, "only a text has `registers`", "leave it out; a " + type + " has its size");
+  const auto bits = static_cast<unsigned>(8 * detail::size_of(field.type));
+  if (field.bit && (!is_integer(field.type) || *field.bit >= bits))
+    return refused(field, "a " + type + " has no bit " + std::to_string(*field.bit), "set `bit` or `type`");
+  if (field.bit && (is_computed(field) || field.mask))
+    return refused(field, "a single bit is no number", "leave out what is for numbers: `scale`, `mask` ...");
+  if (field.mask) {
+    const bool is_unsigned = field.type == Kind::u16 || field.type == Kind::u32 || field.type == Kind::u64;
+    if (!is_unsigned)
+      return refused(field, "a `mask` is for numbers without a sign", "set `type` to uint16 or the like");
+    if (*field.mask == 0 || (bits < 64 && *field.mask >> bits != 0))
+      return refused(field, "a " + type + " has none of the bits of its `mask`, or not all", "set `mask`");
+  }
+  if (!std::isfinite(field.scale) || field.scale == 0 || !std::isfinite(field.offset))
+    return refused(field, "its scale is 0, or it is not a number", "set `scale`");
+  for (const double none : field.no_value)
+    if (!can_be_raw(field.type, none))
+      return refused(field, "registers of type " + type + " never hold its `no_value`",
+                     "set the raw number, before `scale` and `offset`");
+  return {};
+}
+
 }  // namespace
 
 Result<std::shared_ptr<const Description>> Modbus::describe(const Config& config) {
+  if (config.most_registers > ModbusDevice::most_registers)
+    return Error{Errc::bad_argument, "cannot use these fields", "", "a request has up to 125 registers",
+                 "set `most_registers`"};
   DescriptionBuilder builder("modbus");
   for (const ModbusField& field : config.fields) {
-    if (!is_of_bits(field.table) && detail::size_of(field.type) < 2)
-      return refused(field, "registers hold no " + std::string(name_of(field.type)), "choose another `type`");
-    if (field.address + width_of(field) > most_addresses)
+    if (!is_of_bits(field.table))
+      if (auto good = check_registers(field); !good) return std::move(good).error();
+    const unsigned width = width_of(field);
+    if (field.address + width > most_addresses)
       return refused(field, "it goes beyond address 65535", "set another `address`");
-    if (!std::isfinite(field.scale) || field.scale == 0 || !std::isfinite(field.offset))
-      return refused(field, "its scale is 0, or it is not a number", "set `scale`");
-    if (may_be_absent(field) && !can_be_raw(field.type, *field.no_value))
-      return refused(field, "registers of type " + std::string(name_of(field.type)) + " never hold its `no_value`",
-                     "set the raw number, before `scale` and `offset`");
+    if (!is_of_bits(field.table) && width > config.most_registers)
+      return refused(field,
+                     "it has " + std::to_string(width) + " registers, and a request may have " +
+                         std::to_string(config.most_registers),
+                     "set `most_registers`; what changes between two requests would be half of each");
     using Presence = DescriptionBuilder::Presence;
-    builder.field(field.name, published_kind(field), field.unit,
-                  may_be_absent(field) ? Presence::optional : Presence::always);
+    if (published_kind(field) == Kind::text) {
+      builder.text(field.name, 2 * std::size_t{width});
+    } else {
+      builder.field(field.name, published_kind(field), field.unit,
+                    may_be_absent(field) ? Presence::optional : Presence::always);
+    }
   }
   if (config.fields.empty())
     return Error{Errc::bad_argument, "cannot use these fields", "", "there are none", "list them in `fields`"};
@@ -104,38 +151,64 @@ void check_config(const Modbus::Config& config, const ConfigItem& item, Problems
 }
 
 std::vector<Modbus::Request> Modbus::requests(const Config& config) {
-  std::vector<std::size_t> order(config.fields.size());
-  std::iota(order.begin(), order.end(), std::size_t{0});
-  const auto key = [&](std::size_t i) { return std::pair(config.fields[i].table, config.fields[i].address); };
-  std::stable_sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) { return key(a) < key(b); });
-  std::vector<Request> made;
-  for (const std::size_t i : order) {
+  struct Item {
+    ModbusTable table;
+    unsigned first, width;
+    std::optional<std::size_t> field;  // unset: a register of `scale_from`
+  };
+  std::vector<Item> items;
+  for (std::size_t i = 0; i < config.fields.size(); ++i) {
     const ModbusField& field = config.fields[i];
-    const unsigned end = field.address + width_of(field);
-    const std::size_t most = is_of_bits(field.table) ? ModbusDevice::most_bits : ModbusDevice::most_registers;
-    if (!made.empty() && made.back().table == field.table &&
-        field.address <= made.back().first + made.back().count + config.gap && end - made.back().first <= most) {
-      made.back().count = std::max(made.back().count, end - made.back().first);
-      made.back().fields.push_back(i);
-    } else {
-      made.push_back({field.table, field.address, width_of(field), {i}});
-    }
+    items.push_back({field.table, field.address, width_of(field), i});
+    if (field.scale_from && !is_of_bits(field.table)) items.push_back({field.table, *field.scale_from, 1, {}});
+  }
+  std::stable_sort(items.begin(), items.end(), [](const Item& a, const Item& b) {
+    return std::pair(a.table, a.first) < std::pair(b.table, b.first);
+  });
+  std::vector<Request> made;
+  for (const Item& item : items) {
+    const unsigned end = item.first + item.width;
+    const std::size_t most = is_of_bits(item.table) ? ModbusDevice::most_bits : config.most_registers;
+    if (made.empty() || made.back().table != item.table ||
+        item.first > made.back().first + made.back().count + config.gap || end - made.back().first > most)
+      made.push_back({item.table, static_cast<std::uint16_t>(item.first), 0, {}});
+    made.back().count = std::max(made.back().count, end - made.back().first);
+    if (item.field) made.back().fields.push_back(*item.field);
   }
   return made;
 }
 
+namespace {
+
+/// The register with its bytes in this order.
+std::uint16_t ordered(std::uint16_t word, WordOrder order) {
+  const bool is_swapped = order == WordOrder::badc || order == WordOrder::dcba;
+  return is_swapped ? static_cast<std::uint16_t>(word >> 8 | (word & 0xff) << 8) : word;
+}
+
+}  // namespace
+
 std::uint64_t Modbus::bits_of(std::span<const std::uint16_t> words, WordOrder order) noexcept {
   const bool is_reversed = order == WordOrder::cdab || order == WordOrder::dcba;
-  const bool is_swapped = order == WordOrder::badc || order == WordOrder::dcba;
   std::uint64_t bits = 0;
-  for (std::size_t i = 0; i < words.size(); ++i) {
-    const std::uint16_t word = words[is_reversed ? words.size() - 1 - i : i];
-    bits = bits << 16 | (is_swapped ? static_cast<std::uint16_t>(word >> 8 | (word & 0xff) << 8) : word);
-  }
+  for (std::size_t i = 0; i < words.size(); ++i)
+    bits = bits << 16 | ordered(words[is_reversed ? words.size() - 1 - i : i], order);
   return bits;
 }
 
 namespace {
+
+/// Up to the first NUL, without blanks at the end.
+std::string text_of(std::span<const std::uint16_t> words, WordOrder order) {
+  std::string text;
+  for (const std::uint16_t word : words) {
+    text += static_cast<char>(ordered(word, order) >> 8);
+    text += static_cast<char>(ordered(word, order) & 0xff);
+  }
+  text.resize(std::min(text.find('\0'), text.size()));
+  text.resize(text.find_last_not_of(' ') + 1);
+  return text;
+}
 
 /// The number of this kind that has these bits.
 double number_of(Kind kind, std::uint64_t bits) {
@@ -159,69 +232,121 @@ double number_of(Kind kind, std::uint64_t bits) {
   }
 }
 
+constexpr std::uint16_t no_exponent = 0x8000;
+constexpr int most_exponent = 10;  // SunSpec Device Information Model Specification, sunssf
+
 /// Whether the bits of a field are those by which the device says that it has none.
 bool is_none(const ModbusField& field, std::uint64_t bits) {
-  if (!field.no_value) return false;
+  if (field.no_value.empty()) return false;
   const double raw = number_of(field.type, bits);
-  if (field.type == Kind::f32)
-    return std::isnan(raw) || raw == static_cast<double>(static_cast<float>(*field.no_value));
-  return std::isnan(raw) || raw == *field.no_value || number_of(other_sign(field.type), bits) == *field.no_value;
+  return std::isnan(raw) || std::any_of(field.no_value.begin(), field.no_value.end(), [&](double none) {
+           if (field.type == Kind::f32) return raw == static_cast<double>(static_cast<float>(none));
+           return raw == none || number_of(other_sign(field.type), bits) == none;
+         });
+}
+
+/// Those of the mask, moved down to the lowest.
+std::uint64_t masked(const ModbusField& field, std::uint64_t bits) {
+  return field.mask ? (bits & *field.mask) >> std::countr_zero(*field.mask) : bits;
 }
 
 }  // namespace
 
-Result<double> Modbus::decode(const ModbusField& field, std::span<const std::uint16_t> words, WordOrder order) {
-  const double raw = number_of(field.type, bits_of(words, order));
-  const double number = raw * field.scale + field.offset;
+Result<double> Modbus::decode(const ModbusField& field, std::span<const std::uint16_t> words, WordOrder order,
+                              int exponent) {
+  const double raw = number_of(field.type, masked(field, bits_of(words, field.word_order.value_or(order))));
+  const double power = std::pow(10.0, std::abs(exponent));
+  const double scaled = raw * field.scale;
+  // A division rounds once: 2301 of -1 is 230.1.
+  const double number = (exponent < 0 ? scaled / power : scaled * power) + field.offset;
   if (!std::isfinite(number))
     return Error{Errc::not_a_number, "cannot use a value", "field " + field.name, "it is not a number",
-                 "check `address`, `type` and `word_order`; `no_value` names the raw number that means \"no value\""};
+                 "check `address`, `type` and `word_order`; `no_value` names the raw numbers that mean \"no value\""};
   return number;
 }
 
 Modbus::Modbus(const Config& config)
-    : config_(config), description_(describe(config).or_throw()), requests_(requests(config)) {}
+    : config_(config), description_(describe(config).or_throw()), requests_(requests(config)) {
+  std::size_t size = 0;
+  for (const Request& request : requests_) size += request.count;
+  words_.resize(size);
+  /// The first of these addresses, which one request reads.
+  const auto find = [&](ModbusTable table, unsigned first, unsigned width) {
+    std::size_t at = 0;
+    for (const Request& request : requests_) {
+      if (request.table == table && first >= request.first && first + width <= request.first + request.count)
+        return at + first - request.first;
+      at += request.count;
+    }
+    return size;  // there is none such
+  };
+  for (const ModbusField& field : config_.fields) {
+    sources_.push_back({description_->find(field.name), find(field.table, field.address, width_of(field)),
+                        field.scale_from ? find(field.table, *field.scale_from, 1) : 0});
+  }
+}
 
-Result<void> Modbus::put(DescribedValue& value, std::size_t index, std::span<const std::uint16_t> words) const {
+Result<void> Modbus::put(DescribedValue& value, std::size_t index) const {
   const ModbusField& field = config_.fields[index];
-  const Leaf& leaf = *description_->find(field.name);
-  const std::uint64_t bits = bits_of(words, config_.word_order);
+  const auto [leaf, first, exponent_at] = sources_[index];
+  std::byte* const to = value.data() + leaf->offset;
+  if (is_of_bits(field.table)) {
+    *to = std::byte{static_cast<std::uint8_t>(words_[first] != 0)};
+    return {};
+  }
+  const std::span words = std::span(words_).subspan(first, width_of(field));
+  const WordOrder order = field.word_order.value_or(config_.word_order);
+  if (field.type == Kind::text) {
+    const std::string text = text_of(words, order);
+    to[0] = static_cast<std::byte>(text.size() & 0xff);
+    to[1] = static_cast<std::byte>(text.size() >> 8);
+    std::memcpy(to + text_length_bytes, text.data(), text.size());
+    return {};
+  }
+  const std::uint64_t bits = bits_of(words, order);
   if (is_none(field, bits)) return {};
-  const Result<double> number = decode(field, words, config_.word_order);
+  int exponent = 0;
+  if (field.scale_from) {
+    const std::uint16_t word = ordered(words_[exponent_at], order);
+    if (word == no_exponent) return {};
+    exponent = static_cast<std::int16_t>(word);
+    if (std::abs(exponent) > most_exponent)
+      return Error{Errc::not_a_number, "cannot use a value", "field " + field.name,
+                   "its scale factor is " + std::to_string(exponent) + ", and those of SunSpec are -10 to 10",
+                   "check `scale_from`"};
+  }
+  const Result<double> number = decode(field, words, order, exponent);
   if (!number) return number.error();
-  std::byte* const to = value.data() + leaf.offset;
-  if (is_computed(field)) {
+  if (field.bit) {
+    *to = std::byte{static_cast<std::uint8_t>(bits >> *field.bit & 1)};
+  } else if (is_computed(field)) {
     std::memcpy(to, &*number, sizeof(double));
   } else {
-    std::memcpy(to, &bits, leaf.size);  // the machines that we run on put the low byte first
+    const std::uint64_t kept = masked(field, bits);
+    std::memcpy(to, &kept, detail::size_of(field.type));  // the machines that we run on put the low byte first
   }
-  if (leaf.optional != nullptr) value.data()[leaf.offset + leaf.optional->value_size] = std::byte{1};
+  if (leaf->optional != nullptr) value.data()[leaf->offset + leaf->optional->value_size] = std::byte{1};
   return {};
 }
 
 Reading<DescribedValue> Modbus::read(ModbusDevice& device) {
-  DescribedValue value(*description_);
-  std::array<std::uint16_t, ModbusDevice::most_registers> words{};
   std::array<std::uint8_t, ModbusDevice::most_bits> flags{};
+  std::size_t at = 0;
   for (const Request& request : requests_) {
-    const bool has_bits = is_of_bits(request.table);
-    const Result<void> done = has_bits ? device.read_bits(request.table, request.first,
-                                                          std::span(flags).first(request.count))
-                                       : device.read_registers(request.table, request.first,
-                                                               std::span(words).first(request.count));
+    const std::span words = std::span(words_).subspan(at, request.count);
+    const std::span bits = std::span(flags).first(is_of_bits(request.table) ? request.count : 0);
+    const Result<void> done = is_of_bits(request.table) ? device.read_bits(request.table, request.first, bits)
+                                                        : device.read_registers(request.table, request.first, words);
     if (!done && done.error().code == Errc::bad_data) return Unreadable{done.error()};
     if (!done) return done.error();
-    for (const std::size_t i : request.fields) {
-      const ModbusField& field = config_.fields[i];
-      const std::size_t at = field.address - request.first;
-      if (has_bits) {
-        value.data()[description_->find(field.name)->offset] = std::byte{static_cast<std::uint8_t>(flags[at] != 0)};
-        continue;
-      }
-      if (auto put_in = put(value, i, std::span(words).subspan(at, width_of(field))); !put_in) {
-        const Error& e = put_in.error();
-        return Unreadable{device.error(Errc::not_a_number, e.what, e.where + ": " + e.why, e.advice)};
-      }
+    std::copy(bits.begin(), bits.end(), words.begin());
+    at += request.count;
+  }
+  DescribedValue value(*description_);
+  for (std::size_t i = 0; i < sources_.size(); ++i) {
+    if (auto put_in = put(value, i); !put_in) {
+      const Error& e = put_in.error();
+      return Unreadable{device.error(Errc::not_a_number, e.what, e.where + ": " + e.why, e.advice)};
     }
   }
   return value;

@@ -480,31 +480,15 @@ class LineDecoder::JsonHandler {
   bool number_float(number_float_t, const string_t& text) { return take(Form::number, text); }
   bool string(string_t& text) { return take(Form::string, text); }
   bool binary(binary_t&) { return false; }
-  bool start_object(std::size_t) {
-    if (arrays_ != 0) return true;
-    if (!starts_.empty()) path_ += '.';
-    starts_.push_back(path_.size());
-    return true;
-  }
+  bool start_object(std::size_t) { return open(false); }
   bool key(string_t& name) {
-    if (arrays_ != 0) return true;
-    path_.resize(starts_.back());
+    path_.resize(levels_.back().start);
     path_ += name;
     return true;
   }
-  bool end_object() {
-    if (arrays_ == 0) starts_.pop_back();
-    return true;
-  }
-  // What is in arrays is not looked at; a line that is an array is no object.
-  bool start_array(std::size_t) {
-    ++arrays_;
-    return !starts_.empty();
-  }
-  bool end_array() {
-    --arrays_;
-    return true;
-  }
+  bool end_object() { return close(); }
+  bool start_array(std::size_t) { return open(true); }
+  bool end_array() { return close(); }
   bool parse_error(std::size_t position, const std::string& token, const nlohmann::detail::exception& why) {
     constexpr int number_overflow = 406;
     error_ = why.id == number_overflow
@@ -521,6 +505,23 @@ class LineDecoder::JsonHandler {
  private:
   enum class Form { number, boolean, string, null };
   bool take(Form form, std::string_view text);
+  /// A value begins: in an array its path ends with its index.
+  void begin_value() {
+    if (levels_.empty() || !levels_.back().is_array) return;
+    path_.resize(levels_.back().start);
+    char digits[24];
+    path_.append(digits, std::to_chars(digits, digits + sizeof digits, levels_.back().index++).ptr);
+  }
+  bool open(bool is_array) {
+    begin_value();
+    if (!levels_.empty()) path_ += '.';
+    levels_.push_back({path_.size(), is_array, 0});
+    return true;
+  }
+  bool close() {
+    levels_.pop_back();
+    return true;
+  }
   template <class T>
   bool take_number(T number) {
     char text[24];
@@ -531,15 +532,19 @@ class LineDecoder::JsonHandler {
   LineDecoder& decoder_;
   const std::string_view wanted_;
   bool has_found_ = false;
-  std::string path_;                 // of the key last seen
-  std::vector<std::size_t> starts_;  // where in it the key of each open object starts
-  std::size_t arrays_ = 0;           // open ones
+  std::string path_;           // of the value last seen
+  struct Level {
+    std::size_t start;  // where in the path the key or index begins
+    bool is_array;
+    std::size_t index;  // of the next value
+  };
+  std::vector<Level> levels_;  // objects and arrays that are open
   std::optional<Error> error_;
 };
 
 bool LineDecoder::JsonHandler::take(Form form, std::string_view text) {
-  if (arrays_ != 0) return true;
-  if (starts_.empty()) return false;
+  if (levels_.empty()) return false;
+  begin_value();
   if (!wanted_.empty()) {
     if (path_ != wanted_) return true;
     decoder_.found_ = text;

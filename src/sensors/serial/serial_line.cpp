@@ -69,6 +69,7 @@ class SerialLineNode final : public LineNode {
 }  // namespace detail
 
 void check_config(const SerialConfig& config, const ConfigItem& item, Problems& problems) {
+  check_config(config.serial, item, problems);
   check_config(config.lines, item, problems);
 }
 

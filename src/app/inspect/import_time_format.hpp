@@ -1,0 +1,27 @@
+// Times in another notation than ISO 8601, of an imported table. Private to the program.
+#pragma once
+
+#include <string>
+#include <string_view>
+
+#include "rtdata/data/error.hpp"
+#include "rtdata/data/time.hpp"
+
+namespace rtdata::app {
+
+/// A time as it is written: without a zone it is that of a clock which shows it.
+struct WrittenTime {
+  Time time{};           // since 1970, or without a date since midnight
+  bool has_date = true;  // false: only a time of day
+  bool has_zone = false;
+};
+
+/// Reads the whole text. %Y %y %m %b %d %j, %H %I %p %M %S (with decimals), %f (decimals of the second), %L
+/// (milliseconds), %z, %s (seconds since 1970), %a (ignored), %F is %Y-%m-%d, %T is %H:%M:%S; %B and %A are %b and %a.
+/// A blank stands for any number of them. Errors: bad-argument.
+Result<WrittenTime> read_time(std::string_view text, std::string_view format);
+
+/// What is wrong with a format. Empty: nothing.
+std::string format_mistake(std::string_view format);
+
+}  // namespace rtdata::app

@@ -1,0 +1,43 @@
+// A line of bytes on a descriptor, with blocking calls: a serial line of the kernel, or a connection to a server.
+#pragma once
+
+#include <functional>
+#include <memory>
+#include <mutex>
+#include <string>
+
+#include "rtdata/io/serial.hpp"
+
+namespace rtdata::detail {
+
+/// Thread: as SerialTransport.
+class StreamLine final : public SerialTransport {
+ public:
+  struct Kind {
+    std::string name;                        ///< in errors: "/dev/ttyUSB0", "192.168.1.20 port 502"
+    std::function<Result<int>()> open = {};  ///< a descriptor that does not block
+    void (*close)(int) noexcept = nullptr;
+    bool is_connection = false;  ///< a socket
+  };
+  explicit StreamLine(Kind kind) : kind_(std::move(kind)) {}
+
+  Result<void> open() override;
+  Result<void> write(std::span<const std::uint8_t> bytes, Duration timeout) override;
+  Result<std::size_t> read(std::span<std::uint8_t> bytes, Duration timeout) override;
+  /// The next call opens it again.
+  void drop();
+
+ private:
+  /// An open line. Shared with a call that hangs in it.
+  struct Line;
+  Result<std::shared_ptr<Line>> opened();
+  Error gone(const std::shared_ptr<Line>& line, int number);
+  Result<bool> wait(const std::shared_ptr<Line>& line, short what, Duration left);
+
+  const Kind kind_;
+  std::mutex mutex_;  // not while it is opened
+  bool is_opening_ = false;
+  std::shared_ptr<Line> line_;
+};
+
+}  // namespace rtdata::detail

@@ -1,0 +1,381 @@
+// rtdata import: tables as programs and devices write them, with lines, marks and texts of their own.
+#include <doctest/doctest.h>
+
+#include <filesystem>
+#include <string>
+#include <vector>
+
+#include "app/process.hpp"
+#include "has.hpp"
+#include "paths.hpp"
+
+using namespace rtdata;
+using test::Folder;
+using test::has;
+using test::Process;
+using test::program;
+
+namespace {
+
+/// What the import says, on both outputs.
+std::string import(const Folder& folder, std::vector<std::string> arguments, int status = 0) {
+  arguments.insert(arguments.begin(), "import");
+  Process run(folder, program, arguments);
+  CHECK_MESSAGE(run.end() == status, (run.out + run.err));
+  return run.out + run.err;
+}
+
+std::string rows_of(const Folder& folder, const std::string& recording) {
+  Process verify(folder, program, {"verify", recording});
+  CHECK_MESSAGE(verify.end() == 0, verify.out);
+  Process rows(folder, program, {"export", recording, "--utc", "--units"});
+  CHECK_MESSAGE(rows.end() == 0, rows.err);
+  return rows.out;
+}
+
+void check_nothing_made(const Folder& folder) {
+  for (const auto& entry : std::filesystem::directory_iterator(folder.path()))
+    CHECK_MESSAGE(entry.path().extension() != ".db", entry.path().string());
+}
+
+}  // namespace
+
+TEST_SUITE("app") {
+  TEST_CASE("import: a table of AltOS, with blanks before its numbers and a heading that begins with #") {
+    const Folder folder;
+    folder.write("altos.csv",
+                 "#version,serial,flight,time,state,state_name,acceleration,pressure,altitude,latitude,altitude\n"
+                 "6, 5581, 1,    -0.30, 3,   boost,   -0.98,  99130.00,  184.34,  41.4877,  184\n"
+                 "6, 5581, 1,    -0.29, 3,   boost,   12.50,  99128.00,  184.51,  41.4877,  184\n");
+    const std::string said = import(folder, {"altos.csv", "--time", "time", "--start", "2026-03-01T12:00:00Z"});
+    CHECK(has(said, "  #version: version, integer\n"));
+    CHECK(has(said, "  state_name: state_name, text of up to 5 bytes\n"));
+    CHECK(rows_of(folder, "altos.db") ==
+          "utc,origin,sequence,version,serial,flight,state,state_name,acceleration,pressure,altitude,latitude,altitude_"
+          "2\n"
+          "2026-03-01T11:59:59.700000000Z,altos,1,6,5581,1,3,boost,-0.98,99130,184.34,41.4877,184\n"
+          "2026-03-01T11:59:59.710000000Z,altos,2,6,5581,1,3,boost,12.5,99128,184.51,41.4877,184\n");
+  }
+
+  TEST_CASE("import: lines before the heading are skipped, and who does not say so is told how many") {
+    const Folder folder;
+    folder.write("strato.csv",
+                 "PerfectFlite SL100\r\nFirmware: 1.1\r\nApogee: 1281' AGL\r\nComments: \"windy\" day\r\n\r\n"
+                 "Time, Altitude, Temperature (F), Voltage\r\n0.00, 0, 70.25, 9.10\r\n0.05, 3, 70.25, 9.10\r\n");
+    CHECK(has(import(folder, {"strato.csv", "--time", "Time"}, 1),
+              "it has no column Time: line 6 has it: write --skip 5"));
+    CHECK(
+        has(import(folder, {"strato.csv", "--time", "Zeit"}, 1), "line 1 has 1 column, line 6 has 4: write --skip 5"));
+    CHECK(has(import(folder, {"strato.csv", "--time", "Time", "--skip", "40"}, 1), "it has no more than 40 lines"));
+    CHECK(has(import(folder, {"strato.csv", "--time", "Time", "--skip", "-1"}, 1), "whole number from 0 on"));
+    check_nothing_made(folder);
+    import(folder, {"strato.csv", "--time", "Time", "--skip", "5"});
+    CHECK(rows_of(folder, "strato.db") ==
+          "utc,origin,sequence,Altitude,Temperature [F],Voltage\n"
+          "1970-01-01T00:00:00.000000000Z,strato,1,0,70.25,9.1\n"
+          "1970-01-01T00:00:00.050000000Z,strato,2,3,70.25,9.1\n");
+  }
+
+  TEST_CASE("import: units in round brackets; what tells two columns apart is no unit") {
+    const Folder folder;
+    folder.write("raven.csv",
+                 "Flight_Time_(s),Baro_Altitude_AGL_(feet),Accel (m/s2),alt (baro),alt (GPS),V (at pad),cell (2),(x)\n"
+                 "-0.02,1,2,3,4,5,6,7\n0,2,3,4,5,6,7,8\n");
+    import(folder, {"raven.csv", "--time", "Flight_Time"});
+    CHECK(has(rows_of(folder, "raven.db"),
+              "utc,origin,sequence,Baro_Altitude_AGL [feet],Accel [m/s2],alt_baro,alt_GPS,V__at_pad_,cell__2_,_x_\n"));
+    folder.write("cats.csv", "ts (ms),T (degC),P (Pa)\n0,21.5,101325\n10,21.5,101320\n");
+    CHECK(has(import(folder, {"cats.csv", "--time", "ts"}, 1), "write --scale \"1 ms\""));
+    import(folder, {"cats.csv", "--time", "ts (ms)", "--scale", "1 ms"});
+    CHECK(has(rows_of(folder, "cats.db"), "1970-01-01T00:00:00.010000000Z,cats,2,21.5,101320\n"));
+  }
+
+  TEST_CASE("import: headings of two rows, and rows of units") {
+    const Folder folder;
+    folder.write("two.csv", "time,accel,,baro,\n,x,y,alt [m],\n0,1,2,3,4\n1,5,6,7,8\n");
+    import(folder, {"two.csv", "--time", "time", "--head", "2"});
+    CHECK(has(rows_of(folder, "two.db"), "utc,origin,sequence,accel_x,accel_y,baro_alt [m],baro\n"));
+    folder.write("units.csv", "time,speed,mass,count,note\ns,[m/s],(kg),-,\n0,1,2,3,a\n1,5,6,7,b\n");
+    CHECK(has(import(folder, {"units.csv", "--time", "time"}, 1), "write --units row"));
+    import(folder, {"units.csv", "--time", "time", "--units", "row"});
+    CHECK(has(rows_of(folder, "units.db"), "utc,origin,sequence,speed [m/s],mass [kg],count,note\n"));
+    CHECK(has(import(folder, {"units.csv", "--time", "time", "--units", "column"}, 1), "column"));
+    CHECK(has(import(folder, {"units.csv", "--time", "time", "--head", "3"}, 1), "--head"));
+    folder.write("one.csv", "time,v\n");
+    CHECK(has(import(folder, {"one.csv", "--time", "time", "--head", "2"}, 1), "it has one row"));
+    CHECK(has(import(folder, {"one.csv", "--time", "time", "--units", "row"}, 1), "it has no row of units"));
+    CHECK_FALSE(folder.has("one.db"));
+  }
+
+  TEST_CASE("import: comments, also within the table and before its heading") {
+    const Folder folder;
+    folder.write("log.csv", "# logger 3\ntime,v,note\n0,1,\"a\n# b\"\n # restart, again\n1,2,#c\n");
+    CHECK(has(import(folder, {"log.csv", "--time", "time"}, 1), "line 2 has it: write --skip 1"));
+    CHECK(has(import(folder, {"log.csv", "--time", "time", "--skip", "1"}, 1),
+              "log.csv:5: 2 cells, where the first row has 3: if it is a comment, write --comment \"#\""));
+    import(folder, {"log.csv", "--time", "time", "--comment", "#"});
+    CHECK(rows_of(folder, "log.db") ==
+          "utc,origin,sequence,v,note\n1970-01-01T00:00:00.000000000Z,log,1,1,\"a\n# b\"\n"
+          "1970-01-01T00:00:01.000000000Z,log,2,2,#c\n");
+  }
+
+  TEST_CASE("import: the line sep= that Excel writes is no heading, and says the separator") {
+    const Folder folder;
+    folder.write("excel.csv", "\xef\xbb\xbfsep=;\r\ntime;a\r\n0;1,5\r\n1;2,5\r\n");
+    import(folder, {"excel.csv", "--time", "time", "--decimal", ","});
+    CHECK(has(rows_of(folder, "excel.db"), "1970-01-01T00:00:01.000000000Z,excel,2,2.5\n"));
+    folder.write("tab.csv", "sep=\t\ntime\ta\n0\t1\n");
+    import(folder, {"tab.csv", "--time", "time"});
+    folder.write("other.csv", "sep=;\ntime|a\n0|1\n");
+    import(folder, {"other.csv", "--time", "time", "--separator", "|"});
+    folder.write("bad.csv", "sep=,\ntime,a\n0,1\n");
+    CHECK(has(import(folder, {"bad.csv", "--time", "time", "--decimal", ","}, 1),
+              "--separator \",\": it is the decimal"));
+  }
+
+  TEST_CASE("import: thousands are taken off where they are in their places, and only there") {
+    const Folder folder;
+    folder.write("a.csv", "time [s];energy [W.h];n\n0;987,5;1.000\n1;1.234,25;-12.345.678\n2;12.500;7\n");
+    CHECK(has(import(folder, {"a.csv", "--time", "time", "--separator", ";", "--thousands", "."}, 1),
+              "--thousands .: it is the decimal mark, too: set --decimal"));
+    import(folder, {"a.csv", "--time", "time", "--separator", ";", "--thousands", ".", "--decimal", ","});
+    CHECK(rows_of(folder, "a.db") ==
+          "utc,origin,sequence,energy [W.h],n\n1970-01-01T00:00:00.000000000Z,a,1,987.5,1000\n"
+          "1970-01-01T00:00:01.000000000Z,a,2,1234.25,-12345678\n1970-01-01T00:00:02.000000000Z,a,3,12500,7\n");
+    folder.write("b.csv",
+                 "time,a,b,c\n0,\"1,234\",\"12,34\",1\xc2\xa0"
+                 "000\n\"1,000\",\"1,234.5\",7,2\n");
+    const std::string said = import(folder, {"b.csv", "--time", "time", "--thousands", ","});
+    CHECK(has(said, "a: a, number"));
+    CHECK(has(said, "b: b, text"));
+    CHECK(has(rows_of(folder, "b.db"), "1970-01-01T00:16:40.000000000Z,b,2,1234.5,7,2\n"));
+    import(folder, {"b.csv", "--time", "a", "--thousands", "\xc2\xa0"}, 1);
+    CHECK(has(import(folder, {"b.csv", "--time", "time", "--thousands", "0"}, 1), "it may be part of a number"));
+  }
+
+  TEST_CASE("import: texts and numbers that stand for no value are none, however the number is written") {
+    const Folder folder;
+    folder.write("n.csv", "time,a,b,c\n0,-9999.00,---,1\n1,2.5,N/A,\"\"\n2,3,4,5\n");
+    import(folder, {"--time", "time", "--none", "-9999", "---", "N/A", "", "n.csv"});
+    CHECK(rows_of(folder, "n.db") ==
+          "utc,origin,sequence,a,b,c\n1970-01-01T00:00:00.000000000Z,n,1,,,1\n"
+          "1970-01-01T00:00:01.000000000Z,n,2,2.5,,\n1970-01-01T00:00:02.000000000Z,n,3,3,4,5\n");
+  }
+
+  TEST_CASE("import: a separator at the end of a row or of the heading makes no column") {
+    const Folder folder;
+    folder.write("rows.csv", "t,a\n0,1,\n1,2,\n");
+    import(folder, {"rows.csv", "--time", "t"});
+    CHECK(has(rows_of(folder, "rows.db"), "utc,origin,sequence,a\n"));
+    folder.write("head.csv", "t,a,\n0,1\n \t\n1,2,\n");
+    import(folder, {"head.csv", "--time", "t"});
+    CHECK(has(rows_of(folder, "head.db"), "utc,origin,sequence,a\n"));
+    folder.write("more.csv", "t,a\n0,1,2\n");
+    CHECK(has(import(folder, {"more.csv", "--time", "t"}, 1), "more.csv:2: 3 cells, where the first row has 2"));
+  }
+
+  TEST_CASE("import: a time of two columns, and times in other notations") {
+    const Folder folder;
+    folder.write("two.csv", "date,time,v\n2026-03-01,12:00:00,1\n2026-03-01,12:00:01.5,2\n");
+    CHECK(has(import(folder, {"--time", "date", "time", "--zone", "Z", "two.csv"}),
+              "  date: the time\n  time: the time\n"));
+    CHECK(rows_of(folder, "two.db") ==
+          "utc,origin,sequence,v\n2026-03-01T12:00:00.000000000Z,two,1,1\n2026-03-01T12:00:01.500000000Z,two,2,2\n");
+    const auto is_read = [&](const std::string& text, const std::string& format, const std::string& as) {
+      CAPTURE(text);
+      folder.write("t.csv", "t;v\n" + text + ";1\n");
+      std::filesystem::remove(folder.path() + "/t.db");
+      import(folder, {"t.csv", "--time", "t", "--separator", ";", "--time-format", format, "--zone", "+01:00",
+                      "--start", "2026-01-01T00:00:00Z"});
+      const std::string rows = rows_of(folder, "t.db");
+      CHECK_MESSAGE(has(rows, "\n" + as + "Z,t,1,1\n"), rows);
+    };
+    is_read("1.3.26 7:05:09,25", "%d.%m.%y %H:%M:%S", "2026-03-01T06:05:09.250000000");
+    is_read("Sun Mar  1 12:00:00 2026", "%a %b %d %T %Y", "2026-03-01T11:00:00.000000000");
+    is_read("03/01/2026 12:30 am", "%m/%d/%Y %I:%M %p", "2026-02-28T23:30:00.000000000");
+    is_read("2022-5-7--11-24-56-7", "%Y-%m-%d--%H-%M-%S-%L", "2022-05-07T10:24:56.007000000");
+    is_read("2022-5-7--11-24-56-7", "%Y-%m-%d--%H-%M-%S-%f", "2022-05-07T10:24:56.700000000");
+    is_read("2024-366 24:00:00", "%Y-%j %T", "2024-12-31T23:00:00.000000000");
+    is_read("2026-03-01T12:00:00 -0330", "%FT%T %z", "2026-03-01T15:30:00.000000000");
+    is_read("1767225600.5", "%s.%f", "2026-01-01T00:00:00.500000000");
+    is_read("1:02:03.4", "%H:%M:%S", "2026-01-01T01:02:03.400000000");
+    const auto is_refused = [&](const std::string& text, const std::string& format, const std::string& why) {
+      folder.write("bad.csv", "t;v\n" + text + ";1\n");
+      CHECK(
+          has(import(folder, {"bad.csv", "--time", "t", "--separator", ";", "--time-format", format, "--zone", "Z"}, 1),
+              why));
+    };
+    is_refused("30.2.2026", "%d.%m.%Y", "bad.csv:2: \"30.2.2026\" in column t is not a time: there is no such day");
+    is_refused("366 2026", "%j %Y", "there is no such day");
+    is_refused("1.3.2026 12:00:60", "%d.%m.%Y %H:%M:%S", "seconds go up to 59");
+    is_refused("1.3.2026 25:00", "%d.%m.%Y %H:%M", "there is no such time of day");
+    is_refused("13:00 pm", "%I:%M %p", "hours before noon or after it are 1 to 12");
+    is_refused("1.3.1500", "%d.%m.%Y", "from 1678 to 2261");
+    is_refused("1.3.2026 x", "%d.%m.%Y", "it is not written as --time-format has it");
+    is_refused("1", "%d", "its date is not whole");
+    is_refused("1", "%Q", "it has %Q, and there is %Y");
+    is_refused("1", "%I", "%I and %p go together");
+    is_refused("1", "t%", "it ends with %");
+    is_refused("1", "t", "it has neither a day nor a time of day");
+    CHECK_FALSE(folder.has("bad.db"));
+    folder.write("german.csv", "t,v\n1.3.2026 12:00,1\n");
+    CHECK(has(import(folder, {"german.csv", "--time", "t"}, 1), "for another notation write --time-format"));
+    CHECK(has(import(folder, {"german.csv", "--time", "t", "--time-format", "%d.%m.%Y %H:%M"}, 1),
+              "write --zone Z if it is UTC"));
+  }
+
+  TEST_CASE("import: zones by name, their hour that comes twice and the one that never comes") {
+    if (!std::filesystem::exists("/usr/share/zoneinfo/Europe/Berlin")) {
+      MESSAGE("skipped: there is no /usr/share/zoneinfo/Europe/Berlin (package tzdata)");
+      return;
+    }
+    const Folder folder;
+    folder.write("autumn.csv",
+                 "t,v\n2026-10-25 01:59,1\n2026-10-25 02:30,2\n2026-10-25 02:59,3\n2026-10-25 02:00,4\n"
+                 "2026-10-25 02:30,5\n2026-10-25 03:00,6\n");
+    const std::string said = import(folder, {"autumn.csv", "--time", "t", "--zone", "Europe/Berlin"});
+    CHECK(has(said, "4 rows are in an hour that comes twice in Europe/Berlin"));
+    const std::string rows = rows_of(folder, "autumn.db");
+    for (const char* const row : {"2026-10-24T23:59:00.000000000Z,autumn,1", "2026-10-25T00:30:00.000000000Z,autumn,2",
+                                  "2026-10-25T00:59:00.000000000Z,autumn,3", "2026-10-25T01:00:00.000000000Z,autumn,4",
+                                  "2026-10-25T01:30:00.000000000Z,autumn,5", "2026-10-25T02:00:00.000000000Z,autumn,6"})
+      CHECK_MESSAGE(has(rows, row), rows);
+    CHECK(has(import(folder, {"autumn.csv", "--time", "t", "--zone", "Europe/Berlin", "--sort", "--into", "s.db"}, 1),
+              "autumn.csv:3: 2026-10-25 02:30 comes twice in Europe/Berlin"));
+    folder.write("spring.csv", "t,v\n2026-03-29 01:59,1\n2026-03-29 02:30,2\n");
+    CHECK(has(import(folder, {"spring.csv", "--time", "t", "--zone", "Europe/Berlin"}, 1),
+              "spring.csv:3: \"2026-03-29 02:30\" in column t is not a time: there is no such time in Europe/Berlin"));
+    for (const char* const none : {"Europe/Paradise", "CEST", "../etc/passwd", "/etc/passwd", "Europe"})
+      CHECK(has(import(folder, {"spring.csv", "--time", "t", "--zone", none}, 1), "it is not a time zone"));
+    CHECK_FALSE(folder.has("s.db"));
+    CHECK_FALSE(folder.has("spring.db"));
+  }
+
+  TEST_CASE("import: rows out of order are sorted when it is said, and counted") {
+    const Folder folder;
+    folder.write("newest.csv", "t,v\n3,\"a\nb\"\n1,b\n2,c\n1,d\n");
+    CHECK(has(import(folder, {"newest.csv", "--time", "t"}, 1), "sort the rows by time: write --sort"));
+    CHECK_FALSE(folder.has("newest.db"));
+    CHECK(has(import(folder, {"newest.csv", "--time", "t", "--sort"}), "2 rows had a time before the row above"));
+    CHECK(
+        rows_of(folder, "newest.db") ==
+        "utc,origin,sequence,v\n1970-01-01T00:00:01.000000000Z,newest,1,b\n1970-01-01T00:00:01.000000001Z,newest,2,d\n"
+        "1970-01-01T00:00:02.000000000Z,newest,3,c\n1970-01-01T00:00:03.000000000Z,newest,4,\"a\nb\"\n");
+  }
+
+  TEST_CASE("import: rows are sorted also where nothing but them stands in the file") {
+    const Folder folder;
+    folder.write("a.csv",
+                 "\xef\xbb\xbf"
+                 "2,b\n1,a\n");
+    import(folder, {"a.csv", "--time", "t", "--columns", "t,v", "--sort"});
+    CHECK(has(rows_of(folder, "a.db"), "01.000000000Z,a,1,a\n1970-01-01T00:00:02.000000000Z,a,2,b\n"));
+    folder.write("b.csv", "of July\n2,b\n1,a\n");
+    import(folder, {"b.csv", "--time", "t", "--columns", "t,v", "--sort", "--skip", "1"});
+    CHECK(has(rows_of(folder, "b.db"), "01.000000000Z,b,1,a\n1970-01-01T00:00:02.000000000Z,b,2,b\n"));
+  }
+
+  TEST_CASE("import: a table without heading has its columns named by hand") {
+    const Folder folder;
+    folder.write("bare.csv", "0.00\t3\t9.1\t\r\n0.05\t5\t9.1\t\r\n");
+    CHECK(has(import(folder, {"bare.csv", "--time", "t"}, 1), "write --separator tab"));
+    CHECK(has(import(folder, {"bare.csv", "--time", "t", "--separator", "tab"}, 1),
+              "name its 4 columns by --columns t,..."));
+    CHECK(has(import(folder, {"bare.csv", "--time", "t", "--separator", "tab", "--columns", "t,alt"}, 1),
+              "bare.csv:1: 4 cells, where --columns names 2"));
+    CHECK(has(import(folder, {"bare.csv", "--time", "T", "--separator", "tab", "--columns", "t,alt,V"}, 1),
+              "there is no column T: did you mean t?"));
+    CHECK(has(import(folder, {"bare.csv", "--time", "t", "--columns", "t", "--head", "2"}, 1), "choose one of them"));
+    check_nothing_made(folder);
+    import(folder,
+           {"bare.csv", "--time", "t", "--separator", "tab", "--columns", "t [s],\"alt, AGL [ft]\",battery (V)"});
+    CHECK(has(rows_of(folder, "bare.db"),
+              "utc,origin,sequence,alt__AGL [ft],battery [V]\n"
+              "1970-01-01T00:00:00.000000000Z,bare,1,3,9.1\n"));
+  }
+
+  TEST_CASE("import: rows that end early and a file that is cut off are taken when it is said, and told") {
+    const Folder folder;
+    const auto is_cut = [&](const std::string& rows, const std::string& line, const std::string& last) {
+      CAPTURE(rows);
+      folder.write("cut.csv", "t,a,b\n" + rows);
+      std::filesystem::remove(folder.path() + "/cut.db");
+      const std::string refused = import(folder, {"cut.csv", "--time", "t"}, 1);
+      CHECK_MESSAGE(has(refused, "write --partial"), refused);
+      CHECK_FALSE(folder.has("cut.db"));
+      CHECK(
+          has(import(folder, {"cut.csv", "--time", "t", "--partial"}), "line " + line + ", the last row, is cut off"));
+      const std::string all = rows_of(folder, "cut.db");
+      CHECK_MESSAGE(all.ends_with(last), all);
+    };
+    is_cut("0,1,2\n1,2", "3", "00Z,cut,1,1,2\n");
+    is_cut("0,1,2\n1,2\n", "3", "00Z,cut,1,1,2\n");
+    is_cut("0,1,2\n1,2,\"x", "3", "00Z,cut,1,1,2\n");
+    is_cut(std::string("0,1,2\n1,2,3\n\0\0\0\0", 16), "4", "00Z,cut,2,2,3\n");
+    // Of a last number without a line end it cannot be known whether it is whole.
+    folder.write("end.csv", "t,a\n0,1\n1,2");
+    import(folder, {"end.csv", "--time", "t", "--into", "whole.db"});
+    CHECK(has(rows_of(folder, "whole.db"), "01.000000000Z,end,2,2\n"));
+    CHECK(has(import(folder, {"end.csv", "--time", "t", "--partial"}), "line 3, the last row, is cut off"));
+    folder.write("short.csv", "t,a,b\n0,1,2\n1,2\n2\n3,4,5\n4,5\n");
+    CHECK(has(import(folder, {"short.csv", "--time", "t"}, 1),
+              "short.csv:3: 2 cells, where the first row has 3: if rows"));
+    CHECK(has(import(folder, {"short.csv", "--time", "t", "--partial"}), "3 rows ended early, the first in line 3"));
+    CHECK(rows_of(folder, "short.db") ==
+          "utc,origin,sequence,a,b\n1970-01-01T00:00:00.000000000Z,short,1,1,2\n"
+          "1970-01-01T00:00:01.000000000Z,short,2,2,\n1970-01-01T00:00:02.000000000Z,short,3,,\n"
+          "1970-01-01T00:00:03.000000000Z,short,4,4,5\n1970-01-01T00:00:04.000000000Z,short,5,5,\n");
+  }
+
+  TEST_CASE("import: a column that is text because of a few cells is a warning, with the first of them") {
+    const Folder folder;
+    folder.write("few.csv", "t,temp,name,id\n0,1,a,1\n1,2,b,x\n2,ERR,c,y\n3,4,d,2\n4,OL,e,z\n5,6,f,3\n");
+    const std::string said = import(folder, {"few.csv", "--time", "t"});
+    CHECK(has(said,
+              "warning: column temp is text because of 2 of its 6 values, the first \"ERR\" in line 4: "
+              "if it stands for no value, write --none \"ERR\"\n"));
+    CHECK_FALSE(has(said, "column name is"));
+    CHECK_FALSE(has(said, "column id is"));
+    CHECK_FALSE(has(import(folder, {"few.csv", "--time", "t", "--none", "ERR", "OL", "--into", "n.db"}), "warning"));
+  }
+
+  TEST_CASE("import: what is no table is refused, whatever the options say") {
+    const Folder folder;
+    folder.write("empty.csv", "");
+    folder.write("head.csv", "t,v\r\n");
+    folder.write("nul.csv", std::string("t,v\n0,a\0b\n", 10));
+    folder.write("long.csv", "t,v\n0," + std::string(std::size_t{1} << 20, '1') + "\n");
+    folder.write("quote.csv", "t,v\n0,a\"b\"\n");
+    folder.write("mac.csv", "t,v\r0,1\r1,2\r");
+    for (const std::vector<std::string>& more :
+         std::vector<std::vector<std::string>>{{}, {"--partial", "--sort"}, {"--comment", "#", "--none", "x"}}) {
+      const auto is_refused = [&](const std::string& file, const std::string& why) {
+        std::vector<std::string> arguments{file, "--time", "t"};
+        arguments.insert(arguments.end(), more.begin(), more.end());
+        const std::string said = import(folder, arguments, 1);
+        CHECK_MESSAGE(has(said, why), said);
+      };
+      is_refused("empty.csv", "it is empty");
+      is_refused("head.csv", "it has no rows");
+      is_refused("nul.csv", "nul.csv:2: the text \"a\\x00b\" in column v is not UTF-8");
+      is_refused("long.csv", "long.csv:2: the row is longer than 1 MiB");
+      is_refused("quote.csv", "quote.csv:2");
+      is_refused("mac.csv", more.empty() ? "if its lines end with CR alone: tr" : "mac.csv");
+    }
+    check_nothing_made(folder);
+  }
+
+  TEST_CASE("import: real tables of a rocket club") {
+    const std::string flights = test::in_source("../shared/data/flight-fast");
+    if (!std::filesystem::exists(flights)) {
+      MESSAGE("skipped: there is no ../shared/data/flight-fast");
+      return;
+    }
+    const Folder folder;
+    for (const char* const name : {"irec_2023", "barometer_only_2023"}) {
+      const std::string recording = std::string(name) + ".db";
+      import(folder, {flights + "/" + name + ".csv", "--time", "t", "--into", recording});
+      CHECK(has(rows_of(folder, recording), "altitude [m]"));
+    }
+  }
+}

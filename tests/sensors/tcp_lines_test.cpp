@@ -1,0 +1,65 @@
+// Lines over TCP, from a server as a test scripts it.
+#include "rtdata/sensors/tcp_lines.hpp"
+
+#include <doctest/doctest.h>
+
+#include <string>
+#include <vector>
+
+#include "has.hpp"
+#include "rtdata/data/event.hpp"
+#include "sensors/fake_gpsd.hpp"
+#include "sensors/fixture.hpp"
+
+using namespace rtdata;
+using rtdata::test::has;
+using namespace std::chrono_literals;
+
+TEST_SUITE("sensors") {
+  TEST_CASE("US-17 US-7 a device behind a TCP port: its lines, its end, its return, and what it is told at first") {
+    FakeGpsd server;
+    Loop loop;
+    be_quiet(loop);
+    std::vector<std::string> events, errors;
+    const auto heard = loop.subscribe("t", [&](const EventView& event) {
+      events.push_back(to_string(event.value(event.description().leaves()[0])));
+    });
+    TcpLines sensor(loop, {.name = "t"},
+                    {.host = "127.0.0.1",
+                     .port = server.port(),
+                     .at_open = {"go\n"},
+                     .lines = {.fields = {{.name = "v"}},
+                               .first_line = FirstLine::keep,
+                               .retry_first = 10ms,
+                               .retry_longest = 10ms}});
+    sensor.on_error([&](const ErrorReport& report) { errors.push_back(report.error.why); });
+    const auto until = [&](auto done) {
+      for (int i = 0; i < 20000 && !done(); ++i) loop.run_for(1ms);
+      return done();
+    };
+    REQUIRE(until([&] { return server.accept(); }));
+    server.send("1\n2");
+    REQUIRE(until([&] { return events.size() == 1; }));
+    server.send("5\n");
+    REQUIRE(until([&] { return events.size() == 2; }));
+    CHECK(events == std::vector<std::string>{"1", "25"});
+    CHECK(has(server.received(), "go\n"));
+    server.hang_up();
+    REQUIRE(until([&] { return !errors.empty(); }));
+    CHECK(errors.front() == "the device has ended it");
+    CHECK(sensor.health() == Health::faulted);
+    REQUIRE(until([&] { return server.accept(); }));
+    server.send("3\n");
+    REQUIRE(until([&] { return events.size() == 3; }));
+    CHECK(sensor.health() == Health::ok);
+    server.vanish();  // nobody listens
+    const std::size_t before = errors.size();
+    REQUIRE(until([&] { return errors.size() >= before + 2; }));
+    CHECK(has(errors.back(), "refused"));
+    sensor.close();
+    CHECK(loop.runtime().balances());
+    CHECK_THROWS_AS(TcpLines(loop, {.name = "u"}, {.host = "127.0.0.1", .lines = {.fields = {{.name = "v"}}}}), SetupError);
+    CHECK_THROWS_AS(TcpLines(loop, {.name = "w"}, {.host = "a b", .port = 1, .lines = {.fields = {{.name = "v"}}}}),
+                    SetupError);
+  }
+}
