@@ -90,11 +90,13 @@ class Talker(Terminal):
 class Answerer(Terminal):
     """Answers requests, each with the next of its answers; nothing to others."""
 
-    def __init__(self, sensor, bus, text):
+    def __init__(self, sensor, bus, language, text):
         super().__init__()
         bus["device"] = self.path
-        self.end = sensor.get("answer_end", "\r\n").encode()
-        self.turns = [(line[:2], line[2:]) for line in text.splitlines()]
+        end = b"" if language == "hex" else sensor.get("answer_end", "\r\n").encode()
+        self.turns = [(line[:2], bytes_of(language, line[2:])) for line in text.splitlines()]
+        self.turns = [(kind, data + (end if kind == "< " else b"")) for kind, data in self.turns]
+        self.request_ends = b"$" if language == "hex" else rb"[\r\n]"
 
     def play(self, stopped):
         self.wait_until_opened()
@@ -102,8 +104,8 @@ class Answerer(Terminal):
         turns = list(self.turns)
         while turns and not stopped.is_set():
             if turns[0][0] == "< ":
-                self.send(turns.pop(0)[1].encode() + self.end)
-            elif re.search(rb"(^|[\r\n])" + re.escape(turns[0][1].encode()) + rb"[\r\n]", heard):
+                self.send(turns.pop(0)[1])
+            elif re.search(rb"(^|[\r\n])" + re.escape(turns[0][1]) + self.request_ends, heard):
                 turns.pop(0)
                 heard = b""
             elif select.select([self.device], [], [], 0.05)[0]:
@@ -177,8 +179,8 @@ class Publisher:
 
 def device_of(config, language, text, folder):
     sensor = config["sensors"][0]
-    if sensor["type"] == "query":
-        return Answerer(sensor, config["buses"][sensor["bus"]], text)
+    if "bus" in sensor:
+        return Answerer(sensor, config["buses"][sensor["bus"]], language, text)
     if sensor["type"] == "mqtt":
         return Publisher(sensor, text, folder)
     if sensor["type"] == "command":
