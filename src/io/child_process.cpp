@@ -23,7 +23,6 @@
 #include <thread>
 #include <utility>
 
-
 namespace rtdata::detail {
 namespace {
 
@@ -160,9 +159,9 @@ class Endings {
 
 Result<Child> start_child(const std::vector<std::string>& run, bool prints_to_terminal) {
   const auto failure = [&](int error_number) {
-    return system_error(error_number, what, run.front(),
-                        error_number == ENOENT ? "check the first word of `run`: it is a program, not a shell's line"
-                                               : "check `run`");
+    return system_error(
+        error_number, what, run.front(),
+        error_number == ENOENT ? "check the first word of `run`: it is a program, not a shell's line" : "check `run`");
   };
   Descriptor master, slave, read_output, write_output, read_errors, write_errors;
   const Descriptor input(::open("/dev/null", O_RDONLY | O_CLOEXEC));
@@ -175,8 +174,8 @@ Result<Child> start_child(const std::vector<std::string>& run, bool prints_to_te
   std::vector<char*> arguments;
   for (const std::string& argument : run) arguments.push_back(const_cast<char*>(argument.c_str()));
   arguments.push_back(nullptr);
-  const Start start{arguments.data(), slave.get(), input.get(),
-                    prints_to_terminal ? slave.get() : write_output.get(), write_errors.get()};
+  const Start start{arguments.data(), slave.get(), input.get(), prints_to_terminal ? slave.get() : write_output.get(),
+                    write_errors.get()};
   sigset_t all, before;
   ::sigfillset(&all);
   ::pthread_sigmask(SIG_SETMASK, &all, &before);  // no handler of this program runs in the new process

@@ -241,6 +241,8 @@ NOT_TRIED = {
     "VerticalSensor": "a FeedNode as that of LimitSensor; vertical_test.cpp tries it",
     "PpsSensor": "opened and closed by SourceNode, as GpsSensor is; sensor_contract_test.cpp tries it",
     "MqttSensor": "opened and closed by StreamNode, as GpsSensor is; mqtt_sensor_test.cpp tries it",
+    "CommandSensor": "a LineNode as that of SerialLineSensor; command_test.cpp tries it",
+    "TcpLines": "a LineNode as that of SerialLineSensor; tcp_lines_test.cpp tries it",
     "IioBufferSensor": "opened and closed by SourceNode, as GpsSensor is; sensor_contract_test.cpp tries it",
     "FileSink": "a Sink with a writer; sink_contract_test.cpp tries it",
     "ConsoleSink": "a Sink with a writer; sink_contract_test.cpp tries it",

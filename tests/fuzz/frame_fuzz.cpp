@@ -1,6 +1,6 @@
-/// Any bytes as a stream of frames, in pieces as the first byte says: cutting must come to its end, never claim bytes that
-/// are not there, and find the same frames whatever the pieces are; taking values from them, choosing and checking them
-/// must neither crash nor refuse one without a reason.
+/// Any bytes as a stream of frames, in pieces as the first byte says: cutting must come to its end, never claim bytes
+/// that are not there, and find the same frames whatever the pieces are; taking values from them, choosing and checking
+/// them must neither crash nor refuse one without a reason.
 ///
 ///     tests/fuzz/run.sh 60
 #include <algorithm>
@@ -43,8 +43,8 @@ std::vector<std::string> frames_of(Stream& stream, std::string_view bytes, std::
         const auto checked = stream.decoder.checked(frame);
         if (!checked && checked.error().why.empty()) std::abort();
         if (checked) {
-          const std::string_view text =
-              stream.config.format == LineFormat::binary ? *checked : stream.cutter.body(*checked);
+          const std::string_view text = stream.config.format == LineFormat::binary ? *checked
+                                                                                   : stream.cutter.body(*checked);
           if (stream.decoder.is_meant(text))
             if (const auto done = stream.decoder.decode(text); !done && done.error().why.empty()) std::abort();
         }
@@ -67,7 +67,8 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
               .frame = LineFrame{.start_hex = "42 4d", .length_at = 2, .length_bytes = 2, .length_adds = 4},
               .checksum = LineChecksum{.type = ChecksumType::sum16, .form = ChecksumForm::big}}),
       Stream({.format = LineFormat::labels,
-              .fields = {{.name = "a", .key = "A", .optional = true}, {.name = "b", .key = "B", .optional = true, .column = 2}},
+              .fields = {{.name = "a", .key = "A", .optional = true},
+                         {.name = "b", .key = "B", .optional = true, .column = 2}},
               .separator = '(',
               .frame = LineFrame{.start = "/", .end = "!", .after_end = 4},
               .only = LineMatch{.key = "A", .contains = "1"},

@@ -25,13 +25,12 @@ struct CommandBench {
     heard = loop.subscribe("c", [this](const EventView& event) {
       events.push_back(to_string(event.value(event.description().leaves()[0])));
     });
-    sensor = CommandSensor(loop, {.name = "c"},
-                           {.run = {"sh", "-c", std::move(script)},
-                            .pty = pty,
-                            .lines = {.fields = {{.name = "v"}},
-                                      .first_line = FirstLine::keep,
-                                      .retry_first = 20ms,
-                                      .retry_longest = 20ms}});
+    sensor = CommandSensor(
+        loop, {.name = "c"},
+        {.run = {"sh", "-c", std::move(script)},
+         .pty = pty,
+         .lines = {
+             .fields = {{.name = "v"}}, .first_line = FirstLine::keep, .retry_first = 20ms, .retry_longest = 20ms}});
     sensor.on_error([this](const ErrorReport& report) { errors.push_back(report.error.why); });
   }
   template <class Done>
@@ -59,8 +58,9 @@ TEST_SUITE("sensors" * doctest::skip(!terminals_can_be_set_up())) {
   TEST_CASE("US-17 lines of a program are events, through a terminal and through a pipe") {
     for (const bool pty : {true, false}) {
       CAPTURE(pty);
-      CommandBench bench(pty ? "test -t 1 && printf '1\\n2\\n' && exec sleep 100" : "test -t 1 || printf '1\\n2\\n'; exec sleep 100",
-                         pty);
+      CommandBench bench(
+          pty ? "test -t 1 && printf '1\\n2\\n' && exec sleep 100" : "test -t 1 || printf '1\\n2\\n'; exec sleep 100",
+          pty);
       REQUIRE(bench.until([&] { return bench.events.size() == 2; }));
       CHECK(bench.events == std::vector<std::string>{"1", "2"});
       CHECK(bench.errors.empty());

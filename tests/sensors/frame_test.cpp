@@ -121,10 +121,11 @@ TEST_SUITE("sensors" * doctest::skip(!terminals_can_be_set_up())) {
 
   TEST_CASE("US-13 a line with a wrong checksum is unreadable, never a value") {
     // A sentence of NMEA read as CSV: any sentence's fields by their place.
-    const LineConfig wind{.fields = {{.name = "kind", .type = Kind::text}, {.name = "angle"}, {}, {.name = "speed"}, {}, {}},
-                          .comment = "",
-                          .only = LineMatch{.column = 1, .is = {"$WIMWV", "$IIMWV"}},
-                          .checksum = LineChecksum{.type = ChecksumType::xor8, .after = "*", .from = 1}};
+    const LineConfig wind{
+        .fields = {{.name = "kind", .type = Kind::text}, {.name = "angle"}, {}, {.name = "speed"}, {}, {}},
+        .comment = "",
+        .only = LineMatch{.column = 1, .is = {"$WIMWV", "$IIMWV"}},
+        .checksum = LineChecksum{.type = ChecksumType::xor8, .after = "*", .from = 1}};
     CHECK(values_of_line(wind, "$WIMWV,214.8,R,0.1,K,A*28") == "$WIMWV 214.8 0.1");
     CHECK(has(values_of_line(wind, "$WIMWV,214.9,R,0.1,K,A*28"), "its checksum is 28, and should be 29"));
     CHECK(has(values_of_line(wind, "$WIMWV,214.8,R,0.1,K,A"), "it has no checksum after \"*\""));
@@ -149,7 +150,8 @@ TEST_SUITE("sensors" * doctest::skip(!terminals_can_be_set_up())) {
     CHECK(values_of_line(board, R"({"value": "x", "sensor": {"kind": "p"}})") == "left out");
     CHECK(values_of_line(board, R"({"value": 1})") == "left out");
     CHECK(values_of_line(board, "{") == "left out");
-    const LineConfig text{.fields = {{.name = "t", .prefix = "T="}}, .only = LineMatch{.begins = "T=", .contains = "1"}};
+    const LineConfig text{.fields = {{.name = "t", .prefix = "T="}},
+                          .only = LineMatch{.begins = "T=", .contains = "1"}};
     CHECK(values_of_line(text, "T=1") == "1");
     CHECK(values_of_line(text, "T=2") == "left out");
     CHECK(values_of_line(text, "P=1") == "left out");
@@ -157,12 +159,17 @@ TEST_SUITE("sensors" * doctest::skip(!terminals_can_be_set_up())) {
 
   TEST_CASE("US-13 JSON: values in arrays have their index in the key") {
     const LineConfig meter{.format = LineFormat::json,
-                           .fields = {{.name = "a", .key = "emeters.0.power"}, {.name = "b", .key = "emeters.1.power"},
+                           .fields = {{.name = "a", .key = "emeters.0.power"},
+                                      {.name = "b", .key = "emeters.1.power"},
                                       {.name = "c", .key = "list.1.0"}}};
-    CHECK(values_of_line(meter, R"({"x": [1, {"y": 2}], "emeters": [{"power": 1.5}, {"power": -2}], "list": [[7], [8, 9], 10]})") ==
-          "1.5 -2 8");
-    CHECK(has(values_of_line(meter, R"({"emeters": [{"power": 1}], "list": [[], [3]]})"), "has no \"emeters.1.power\""));
-    const LineConfig top{.format = LineFormat::json, .fields = {{.name = "a", .key = "1.v"}, {.name = "b", .key = "2"}}};
+    CHECK(
+        values_of_line(
+            meter, R"({"x": [1, {"y": 2}], "emeters": [{"power": 1.5}, {"power": -2}], "list": [[7], [8, 9], 10]})") ==
+        "1.5 -2 8");
+    CHECK(
+        has(values_of_line(meter, R"({"emeters": [{"power": 1}], "list": [[], [3]]})"), "has no \"emeters.1.power\""));
+    const LineConfig top{.format = LineFormat::json,
+                         .fields = {{.name = "a", .key = "1.v"}, {.name = "b", .key = "2"}}};
     CHECK(values_of_line(top, R"([{"v": 1}, {"v": 2}, 3])") == "2 3");
     CHECK(has(values_of_line(top, "[]"), "has no"));
     CHECK(has(values_of_line(top, "3"), "not a JSON object"));
@@ -178,10 +185,10 @@ TEST_SUITE("sensors" * doctest::skip(!terminals_can_be_set_up())) {
         .separator = '(',
         .frame = LineFrame{.start = "/", .end = "!", .after_end = 4},
         .checksum = LineChecksum{.type = ChecksumType::crc16_arc, .after = "!", .covers_after = true}};
-    const std::string body = "/ISk5\\2MT382-1000\r\n\r\n1-0:1.7.0(01.193*kW)\r\n0-1:24.2.1(101209112500W)(12785.123*m3)\r\n!";
+    const std::string
+        body = "/ISk5\\2MT382-1000\r\n\r\n1-0:1.7.0(01.193*kW)\r\n0-1:24.2.1(101209112500W)(12785.123*m3)\r\n!";
     char crc[5];
-    std::snprintf(crc, sizeof crc, "%04X",
-                  detail::Checksum({.type = ChecksumType::crc16_arc}).of(body));
+    std::snprintf(crc, sizeof crc, "%04X", detail::Checksum({.type = ChecksumType::crc16_arc}).of(body));
     const std::string telegram = body + crc + "\r\n";
     Heard heard = hear(meter, telegram + telegram + telegram, 7, 3);
     CHECK(heard.events == std::vector<std::string>(3, "1.193 12785.123"));
@@ -195,13 +202,16 @@ TEST_SUITE("sensors" * doctest::skip(!terminals_can_be_set_up())) {
     // Teleinfo in its historic mode (Enedis-NOI-CPT_02E, 5.3): STX, rows of label, value and checksum, ETX.
     const LineConfig teleinfo{
         .format = LineFormat::labels,
-        .fields = {{.name = "base", .type = Kind::u32, .key = "BASE"}, {.name = "power", .type = Kind::u16, .key = "PAPP"}},
+        .fields = {{.name = "base", .type = Kind::u32, .key = "BASE"},
+                   {.name = "power", .type = Kind::u16, .key = "PAPP"}},
         .separator = ' ',
         .frame = LineFrame{.start_hex = "02", .end_hex = "03"},
-        .checksum = LineChecksum{.type = ChecksumType::sum6, .form = ChecksumForm::character, .before = 1, .of = ChecksumOf::row}};
+        .checksum = LineChecksum{
+            .type = ChecksumType::sum6, .form = ChecksumForm::character, .before = 1, .of = ChecksumOf::row}};
     const auto row = [](const std::string& text) {
       return "\n" + text + " " +
-             static_cast<char>(detail::Checksum({.type = ChecksumType::sum6, .form = ChecksumForm::character}).of(text)) +
+             static_cast<char>(
+                 detail::Checksum({.type = ChecksumType::sum6, .form = ChecksumForm::character}).of(text)) +
              "\r";
     };
     CHECK(row("PAPP 00430") == "\nPAPP 00430 (\r");
@@ -300,11 +310,13 @@ TEST_SUITE("sensors" * doctest::skip(!terminals_can_be_set_up())) {
 
     const LineField field{.name = "v"};
     CHECK(has(refusal_of({.format = LineFormat::binary, .fields = {field}}), "frame: bytes without a frame"));
-    CHECK(has(refusal_of({.format = LineFormat::binary, .fields = {field}, .frame = LineFrame{.start = "x", .length = 9}}),
-              "it has no place in the frame"));
+    CHECK(has(
+        refusal_of({.format = LineFormat::binary, .fields = {field}, .frame = LineFrame{.start = "x", .length = 9}}),
+        "it has no place in the frame"));
     CHECK(refusal_of({.fields = {field}, .frame = LineFrame{}}) == "frame: nothing says where a frame begins or ends");
     CHECK(has(refusal_of({.fields = {field}, .frame = LineFrame{.start = "x"}}), "where a frame ends"));
-    CHECK(has(refusal_of({.fields = {field}, .frame = LineFrame{.start = "x", .start_hex = "78", .end = "y"}}), "both"));
+    CHECK(
+        has(refusal_of({.fields = {field}, .frame = LineFrame{.start = "x", .start_hex = "78", .end = "y"}}), "both"));
     CHECK(has(refusal_of({.fields = {field}, .frame = LineFrame{.start_hex = "7", .end = "y"}}), "not bytes"));
     CHECK(has(refusal_of({.fields = {field}, .only = LineMatch{}}), "only: it does not say"));
     CHECK(has(refusal_of({.fields = {field}, .only = LineMatch{.key = "x", .is = {"1"}}}), "only JSON and labels"));
@@ -312,7 +324,8 @@ TEST_SUITE("sensors" * doctest::skip(!terminals_can_be_set_up())) {
               "only CSV has columns"));
     CHECK(has(refusal_of({.fields = {field}, .checksum = LineChecksum{.type = ChecksumType::sum6}}), "one character"));
     CHECK(has(refusal_of({.fields = {field}, .checksum = LineChecksum{.optional = true}}), "whether there is one"));
-    CHECK(has(refusal_of({.fields = {field}, .checksum = LineChecksum{.of = ChecksumOf::row}}), "only labels have rows"));
+    CHECK(
+        has(refusal_of({.fields = {field}, .checksum = LineChecksum{.of = ChecksumOf::row}}), "only labels have rows"));
     CHECK(has(refusal_of({.fields = {{.name = "v", .at = 1}}}), "are of binary frames"));
     CHECK(has(refusal_of({.fields = {{.name = "v", .column = 2}}}), "`column` is of labels"));
   }

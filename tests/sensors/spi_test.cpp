@@ -57,12 +57,12 @@ struct Lever {
   }
 };
 
-struct SpiBench {
+struct SpiWireBench {
   std::shared_ptr<FakeSpi> wires = std::make_shared<FakeSpi>();
   SpiBus bus{"spi0", wires, {.timeout = 100ms}};
   Loop loop{Loop::Manual{}};
   std::vector<std::string> errors;
-  SpiBench() {
+  SpiWireBench() {
     be_quiet(loop);
     loop.on_error([this](const ErrorReport& report) {
       if (report.error.code != Errc::held_too_long) errors.push_back(report.error.text());
@@ -99,7 +99,7 @@ TEST_SUITE("sensors") {
   }
 
   TEST_CASE("US-11 two converters on one controller: volts, one message a tick, one after the other") {
-    SpiBench bench;
+    SpiWireBench bench;
     bench.wires->on_transfer(0, chip_of(AdcModel::mcp3208, {0, 1, 2, 2048, 4, 5, 6, 4095}));
     bench.wires->on_transfer(1, chip_of(AdcModel::mcp3008, {1023, 1, 2, 3, 4, 5, 6, 512}));
     bench.wires->set_duration(0, 1ms);
@@ -132,7 +132,7 @@ TEST_SUITE("sensors") {
 
   TEST_CASE(
       "US-11 inline: short transfers run on the sensor's loop, which waits for them; faults are told as on a lane") {
-    SpiBench bench;
+    SpiWireBench bench;
     SpiBus bus("spi0", bench.wires, {.reads_on_loop = true});
     bench.wires->on_transfer(0, chip_of(AdcModel::mcp3208, {7}));
     bench.wires->set_duration(0, 300us);
@@ -165,7 +165,7 @@ TEST_SUITE("sensors") {
   }
 
   TEST_CASE("US-11 US-27 no chip, a failing controller, one that hangs: told at the sensor, and over when it is") {
-    SpiBench bench;
+    SpiWireBench bench;
     bench.wires->on_transfer(1, chip_of(AdcModel::mcp3208, {}));
     Adc none(bench.loop, {.name = "none", .rate = 50_Hz, .retry_first = 10ms, .retry_longest = 20ms}, bench.bus);
     Adc good(bench.loop, {.name = "good", .rate = 50_Hz, .retry_first = 10ms, .retry_longest = 20ms}, bench.bus,
@@ -195,7 +195,7 @@ TEST_SUITE("sensors") {
   }
 
   TEST_CASE("US-11 what a transfer cannot be is told before it is tried") {
-    SpiBench bench;
+    SpiWireBench bench;
     SpiDevice chip = bench.bus.device({});
     std::vector<std::uint8_t> many(5000);
     const std::array<std::uint8_t, 2> two{};

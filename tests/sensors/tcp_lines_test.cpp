@@ -24,18 +24,20 @@ TEST_SUITE("sensors") {
     const auto heard = loop.subscribe("t", [&](const EventView& event) {
       events.push_back(to_string(event.value(event.description().leaves()[0])));
     });
-    TcpLines sensor(loop, {.name = "t"},
-                    {.host = "127.0.0.1",
-                     .port = server.port(),
-                     .at_open = {"go\n"},
-                     .lines = {.fields = {{.name = "v"}},
-                               .first_line = FirstLine::keep,
-                               .retry_first = 10ms,
-                               .retry_longest = 10ms}});
+    TcpLines sensor(
+        loop, {.name = "t"},
+        {.host = "127.0.0.1",
+         .port = server.port(),
+         .at_open = {"go\n"},
+         .lines = {
+             .fields = {{.name = "v"}}, .first_line = FirstLine::keep, .retry_first = 10ms, .retry_longest = 10ms}});
     sensor.on_error([&](const ErrorReport& report) { errors.push_back(report.error.why); });
     const auto until = [&](auto done) {
-      for (int i = 0; i < 20000 && !done(); ++i) loop.run_for(1ms);
-      return done();
+      for (int i = 0; i < 20000; ++i) {
+        if (done()) return true;
+        loop.run_for(1ms);
+      }
+      return false;
     };
     REQUIRE(until([&] { return server.accept(); }));
     server.send("1\n2");
@@ -58,7 +60,8 @@ TEST_SUITE("sensors") {
     CHECK(has(errors.back(), "refused"));
     sensor.close();
     CHECK(loop.runtime().balances());
-    CHECK_THROWS_AS(TcpLines(loop, {.name = "u"}, {.host = "127.0.0.1", .lines = {.fields = {{.name = "v"}}}}), SetupError);
+    CHECK_THROWS_AS(TcpLines(loop, {.name = "u"}, {.host = "127.0.0.1", .lines = {.fields = {{.name = "v"}}}}),
+                    SetupError);
     CHECK_THROWS_AS(TcpLines(loop, {.name = "w"}, {.host = "a b", .port = 1, .lines = {.fields = {{.name = "v"}}}}),
                     SetupError);
   }

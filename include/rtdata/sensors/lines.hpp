@@ -50,8 +50,8 @@
 #include <string>
 #include <vector>
 
-#include "rtdata/data/parameter.hpp"
 #include "rtdata/data/error.hpp"
+#include "rtdata/data/parameter.hpp"
 #include "rtdata/sensors/feed.hpp"
 
 namespace rtdata {
@@ -139,13 +139,12 @@ struct LineMatch {
   std::string contains = {};         ///< this is in it
 
   friend constexpr auto parameters(type_tag<LineMatch>) {
-    return parameter_list(
-        parameter("column", &LineMatch::column, "CSV: the column that is looked at, from 1; 0: the whole line",
-                  range(0, 1000)),
-        parameter("key", &LineMatch::key, "JSON: the value that is looked at; labels: the label"),
-        parameter("is", &LineMatch::is, "it is one of these"),
-        parameter("begins", &LineMatch::begins, "it begins with this"),
-        parameter("contains", &LineMatch::contains, "it contains this"));
+    return parameter_list(parameter("column", &LineMatch::column,
+                                    "CSV: the column that is looked at, from 1; 0: the whole line", range(0, 1000)),
+                          parameter("key", &LineMatch::key, "JSON: the value that is looked at; labels: the label"),
+                          parameter("is", &LineMatch::is, "it is one of these"),
+                          parameter("begins", &LineMatch::begins, "it begins with this"),
+                          parameter("contains", &LineMatch::contains, "it contains this"));
   }
 };
 
@@ -170,8 +169,7 @@ constexpr auto describe(type_tag<ChecksumType>) {
                      value("sum16", ChecksumType::sum16), value("sum6", ChecksumType::sum6),
                      value("lrc", ChecksumType::lrc), value("crc8", ChecksumType::crc8),
                      value("crc8_maxim", ChecksumType::crc8_maxim), value("crc16_arc", ChecksumType::crc16_arc),
-                     value("crc16_modbus", ChecksumType::crc16_modbus),
-                     value("crc16_ccitt", ChecksumType::crc16_ccitt),
+                     value("crc16_modbus", ChecksumType::crc16_modbus), value("crc16_ccitt", ChecksumType::crc16_ccitt),
                      value("crc16_xmodem", ChecksumType::crc16_xmodem), value("crc32", ChecksumType::crc32));
 }
 enum class ChecksumForm { hex, big, little, character };
@@ -240,14 +238,14 @@ struct LineFrame {
 struct LineConfig {
   LineFormat format = LineFormat::csv;
   std::vector<LineField> fields = {};
-  char separator = ',';       ///< between the columns of CSV; a blank stands for any number of blanks
-  std::string comment = "#";  ///< lines that begin with it are skipped; empty: none
-  char line_end = '\n';       ///< what ends a line; without a newline some devices send a carriage return
-  std::optional<LineFrame> frame = {};         ///< events are frames of bytes, not lines
-  std::optional<LineMatch> only = {};          ///< the lines that are meant; others count as filtered
+  char separator = ',';                 ///< between the columns of CSV; a blank stands for any number of blanks
+  std::string comment = "#";            ///< lines that begin with it are skipped; empty: none
+  char line_end = '\n';                 ///< what ends a line; without a newline some devices send a carriage return
+  std::optional<LineFrame> frame = {};  ///< events are frames of bytes, not lines
+  std::optional<LineMatch> only = {};   ///< the lines that are meant; others count as filtered
   std::optional<LineMatch> unreadable_if = {};  ///< lines by which the device says that it has no value
   std::optional<LineChecksum> checksum = {};
-  unsigned skip_lines = 0;    ///< lines skipped after each opening, such as a heading
+  unsigned skip_lines = 0;  ///< lines skipped after each opening, such as a heading
   FirstLine first_line = FirstLine::discard;
   std::size_t max_line = 4096;                            ///< bytes; a longer line is unreadable
   std::string sequence_field = {};                        ///< the field that numbers the lines; empty: none

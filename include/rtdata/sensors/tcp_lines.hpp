@@ -1,4 +1,4 @@
-/// TcpLines: a device behind a TCP port that sends lines: an ESP32, a serial line shared by ser2net, a multiplexer of NMEA.
+/// TcpLines: a device behind a TCP port that sends lines: an ESP32, a serial line shared by ser2net.
 ///
 ///     rtdata::TcpLines wind(loop, {.name = "wind"},
 ///                           {.host = "192.168.1.7", .port = 10110,
@@ -32,13 +32,12 @@ struct TcpLinesConfig {
 
   friend constexpr auto parameters(type_tag<TcpLinesConfig>) {
     using namespace std::chrono_literals;
-    return parameter_list(
-        parameter("host", &TcpLinesConfig::host, "name or address of the device", rtdata::required),
-        parameter("port", &TcpLinesConfig::port, "its TCP port", range(1, 65535), rtdata::required),
-        parameter("connect_timeout", &TcpLinesConfig::connect_timeout, "how long it may take to connect",
-                  range(Duration{10ms}, Duration{1min})),
-        parameter("at_open", &TcpLinesConfig::at_open, "what is sent after each connection"),
-        include_member(&TcpLinesConfig::lines));
+    return parameter_list(parameter("host", &TcpLinesConfig::host, "name or address of the device", rtdata::required),
+                          parameter("port", &TcpLinesConfig::port, "its TCP port", range(1, 65535), rtdata::required),
+                          parameter("connect_timeout", &TcpLinesConfig::connect_timeout,
+                                    "how long it may take to connect", range(Duration{10ms}, Duration{1min})),
+                          parameter("at_open", &TcpLinesConfig::at_open, "what is sent after each connection"),
+                          include_member(&TcpLinesConfig::lines));
   }
 };
 

@@ -37,9 +37,11 @@ void put_floating(Kind kind, double value, std::byte* to) noexcept {
 BinaryFields::BinaryFields(const std::vector<LineField>& fields, const Description& description, WireOrder order)
     : is_big_(order == WireOrder::big) {
   for (const LineField& field : fields) {
-    if (field.name.empty()) throw SetupError({Errc::bad_argument, "cannot use these fields", "fields",
-                                              "a binary field has no name", "leave out what is not kept"});
-    if (!field.at) refuse_binary(field, "it has no place in the frame", "set `at`, the number of its first byte, from 0");
+    if (field.name.empty())
+      throw SetupError({Errc::bad_argument, "cannot use these fields", "fields", "a binary field has no name",
+                        "leave out what is not kept"});
+    if (!field.at)
+      refuse_binary(field, "it has no place in the frame", "set `at`, the number of its first byte, from 0");
     const Kind wire = field.wire.value_or(field.type);
     const bool has_text_settings = !field.prefix.empty() || !field.suffix.empty() || field.decimal != '.' ||
                                    !field.thousands.empty() || field.base != 10 || field.sign_blanks ||
@@ -79,7 +81,7 @@ Result<void> BinaryFields::decode(std::string_view frame, const std::vector<Fiel
         const double number = number_at(place.wire, bytes);
         if (texts[i].is_none(number)) continue;  // absent, as it is from the beginning
         if (is_floating(leaf.kind)) {
-          put_floating(leaf.kind, number * place.scale, to);
+          put_floating(leaf.kind, scaled(number, place.scale), to);
         } else {
           std::memcpy(to, bytes, place.size);
         }

@@ -51,15 +51,19 @@ std::uint32_t reflected(std::uint32_t value, unsigned bits) noexcept {
   throw SetupError({Errc::bad_argument, "cannot use this checksum", "checksum", why, advice});
 }
 
-Error wrong_checksum(std::string why) { return {Errc::bad_data, "cannot use a line", "", std::move(why), "check `checksum`"}; }
+Error wrong_checksum(std::string why) {
+  return {Errc::bad_data, "cannot use a line", "", std::move(why), "check `checksum`"};
+}
 
 }  // namespace
 
 Checksum::Checksum(const LineChecksum& config) : config_(config) {
   if (config.type == Type::sum6 && config.form != Form::character)
     refuse_checksum("`sum6` is one character", "set `form` to character");
-  if (config.type != Type::sum6 && config.form == Form::character) refuse_checksum("only `sum6` is one character", "set `form`");
-  if (config.covers_after && config.after.empty()) refuse_checksum("there is no `after` to cover", "leave `covers_after` out");
+  if (config.type != Type::sum6 && config.form == Form::character)
+    refuse_checksum("only `sum6` is one character", "set `form`");
+  if (config.covers_after && config.after.empty())
+    refuse_checksum("there is no `after` to cover", "leave `covers_after` out");
   if (config.optional && config.after.empty())
     refuse_checksum("without `after` nothing says whether there is one", "set `after`, or leave `optional` out");
   const auto crc = crc_of(config.type);
@@ -147,8 +151,7 @@ bool Checksum::read(std::string_view written, std::uint32_t& number) const noexc
   number = 0;
   for (std::size_t i = 0; i < written.size(); ++i) {
     const auto byte = static_cast<unsigned char>(written[i]);
-    number |= static_cast<std::uint32_t>(byte)
-              << (config_.form == Form::little ? 8 * i : 8 * (written.size() - 1 - i));
+    number |= static_cast<std::uint32_t>(byte) << (config_.form == Form::little ? 8 * i : 8 * (written.size() - 1 - i));
   }
   return true;
 }

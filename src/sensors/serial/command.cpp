@@ -183,8 +183,8 @@ class CommandNode final : public LineNode {
 void check_config(const CommandConfig& config, const ConfigItem& item, Problems& problems) {
   if (config.run.empty() || config.run.front().empty()) {
     const ConfigItem* at = item.find("run");
-    problems.add((at != nullptr ? *at : item)
-                     .problem("bad-value", "it names no program; such as [\"python3\", \"hx711.py\"]"));
+    problems.add(
+        (at != nullptr ? *at : item).problem("bad-value", "it names no program; such as [\"python3\", \"hx711.py\"]"));
   }
   check_config(config.lines, item, problems);
 }
@@ -195,7 +195,8 @@ CommandSensor::CommandSensor(Loop& loop, FeedConfig feed, CommandConfig config) 
   const auto refuse = [&](const char* why, const char* what_helps) {
     throw SetupError({Errc::bad_argument, "cannot use this program", "sensor " + feed.name, why, what_helps});
   };
-  if (config.run.empty() || config.run.front().empty()) refuse("`run` names no program", "such as {\"python3\", \"x.py\"}");
+  if (config.run.empty() || config.run.front().empty())
+    refuse("`run` names no program", "such as {\"python3\", \"x.py\"}");
   detail::check_lines(config.lines, feed.name);
   const bool starts = config.lines.start;
   auto* node = new detail::CommandNode(loop.core(), feed, std::move(config));

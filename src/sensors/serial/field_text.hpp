@@ -1,6 +1,7 @@
 // How a device writes the value of one field of a line.
 #pragma once
 
+#include <cmath>
 #include <cstddef>
 #include <optional>
 #include <string>
@@ -11,6 +12,12 @@
 #include "rtdata/sensors/lines.hpp"
 
 namespace rtdata::detail {
+
+/// A decimal scale gives the number that the device means: 12530 by 0.001 is 12.53, the nearest double to it.
+inline double scaled(double number, double scale) noexcept {
+  const double inverse = 1 / scale;
+  return std::fabs(inverse) > 1 && inverse == std::nearbyint(inverse) ? number / inverse : number * scale;
+}
 
 /// Takes from the text of a column, or of a value in JSON, what stands around the number: `prefix`, `suffix`,
 /// `thousands` and so on of LineField. A value; one thread at a time.

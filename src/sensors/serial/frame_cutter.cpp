@@ -16,7 +16,8 @@ std::string bytes_of(const char* key, const std::string& text, const std::string
   if (!text.empty() && !hex.empty())
     refuse_frame("there are both `" + std::string(key) + "` and `" + key + "_hex`", "remove one of them");
   auto bytes = bytes_of_hex(hex);
-  if (!bytes) refuse_frame("`" + std::string(key) + "_hex` is not bytes", "two hexadecimal digits each, such as \"42 4d\"");
+  if (!bytes)
+    refuse_frame("`" + std::string(key) + "_hex` is not bytes", "two hexadecimal digits each, such as \"42 4d\"");
   return text.empty() ? *bytes : text;
 }
 
@@ -30,11 +31,14 @@ FrameCutter::FrameCutter(const LineFrame& config, std::size_t longest)
   if (start_.empty() && end_.empty())
     refuse_frame("nothing says where a frame begins or ends", "set `start` or `end`, or `start_hex` or `end_hex`");
   const bool has_length = config.length != 0 || config.length_at != 0;
-  if (end_.empty() && !has_length) refuse_frame("nothing says where a frame ends", "set `end`, `length` or `length_at`");
+  if (end_.empty() && !has_length)
+    refuse_frame("nothing says where a frame ends", "set `end`, `length` or `length_at`");
   if (start_.empty() && has_length) refuse_frame("a frame of a known length has a start", "set `start` or `start_hex`");
-  if (config.length != 0 && config.length_at != 0) refuse_frame("there are two lengths", "remove `length` or `length_at`");
+  if (config.length != 0 && config.length_at != 0)
+    refuse_frame("there are two lengths", "remove `length` or `length_at`");
   if (config.length > longest) refuse_frame("`length` is longer than `max_line`", "set a larger `max_line`");
-  if (config.length != 0 && config.length <= start_.size()) refuse_frame("`length` is that of the start", "count all bytes");
+  if (config.length != 0 && config.length <= start_.size())
+    refuse_frame("`length` is that of the start", "count all bytes");
   if (config.after_end != 0 && (end_.empty() || has_length))
     refuse_frame("`after_end` belongs to an `end` without a length", "leave it out");
 }

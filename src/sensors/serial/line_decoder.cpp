@@ -74,7 +74,7 @@ std::errc parse_into(std::string_view text, std::byte* to, double scale) noexcep
   T number{};
   if (const std::errc status = read_number(text, number); status != std::errc{}) return status;
   if constexpr (std::is_floating_point_v<T>) {
-    if (scale != 1) number = static_cast<T>(static_cast<double>(number) * scale);
+    if (scale != 1) number = static_cast<T>(scaled(static_cast<double>(number), scale));
   }
   std::memcpy(to, &number, sizeof number);
   return {};
@@ -532,7 +532,7 @@ class LineDecoder::JsonHandler {
   LineDecoder& decoder_;
   const std::string_view wanted_;
   bool has_found_ = false;
-  std::string path_;           // of the value last seen
+  std::string path_;  // of the value last seen
   struct Level {
     std::size_t start;  // where in the path the key or index begins
     bool is_array;

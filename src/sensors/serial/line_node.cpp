@@ -21,8 +21,8 @@ constexpr std::size_t least_unended = 4096;
 constexpr Duration silence_before_a_line = std::chrono::milliseconds{100};
 
 bool is_same(const GpsFix& a, const GpsFix& b) noexcept {
-  return a.gps_time == b.gps_time && a.lat == b.lat && a.lon == b.lon && a.alt_msl == b.alt_msl &&
-         a.speed == b.speed && a.track == b.track && a.mode == b.mode && a.satellites_used == b.satellites_used;
+  return a.gps_time == b.gps_time && a.lat == b.lat && a.lon == b.lon && a.alt_msl == b.alt_msl && a.speed == b.speed &&
+         a.track == b.track && a.mode == b.mode && a.satellites_used == b.satellites_used;
 }
 /// Publishes the last fix when no more sentences will come.
 
@@ -246,8 +246,8 @@ void LineNode::skip(std::string_view bytes, bool are_all) {
     ++origin_.counts.first_lines;
     if (!is_much) return;
   }
-  fail_line({Errc::bad_data, "bytes outside of a frame", place_, std::to_string(size) + " bytes are thrown away",
-             advice_});
+  fail_line(
+      {Errc::bad_data, "bytes outside of a frame", place_, std::to_string(size) + " bytes are thrown away", advice_});
 }
 
 /// False: it cannot be used.
@@ -275,8 +275,8 @@ bool LineNode::take_frame(std::string_view frame) {
 }
 
 void LineNode::fail_unended() {
-  fail_line({Errc::bad_data, "no end of a line", place_, std::to_string(unended_) + " bytes came without one",
-             advice_});
+  fail_line(
+      {Errc::bad_data, "no end of a line", place_, std::to_string(unended_) + " bytes came without one", advice_});
 }
 
 /// Reports at the end that bytes came but never a usable line.
@@ -361,8 +361,7 @@ void LineNode::refuse_held() {
   hold_.stop();
   decoder_->drop_last();
   unusable_lines_ += held_.unusable;
-  fail_line({Errc::bad_data, "cannot use a line", place_,
-             "its number makes a jump that the next line takes back",
+  fail_line({Errc::bad_data, "cannot use a line", place_, "its number makes a jump that the next line takes back",
              "a digit was lost or changed on the way: check the wires, and which other device writes to the line"});
 }
 

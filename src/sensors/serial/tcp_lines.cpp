@@ -21,7 +21,8 @@ class TcpLinesNode final : public LineNode {
         port_(config.port),
         limit_(config.connect_timeout),
         at_open_(std::move(config.at_open)),
-        stream_(loop, "sensor " + feed.name, [this](const Result<void>& done) { connected(done); }, [] {}) {}
+        stream_(
+            loop, "sensor " + feed.name, [this](const Result<void>& done) { connected(done); }, [] {}) {}
 
  private:
   void open_stream() override { stream_.connect(host_, port_, limit_); }
