@@ -64,8 +64,9 @@ Error busy_error(const std::string& path) {
     const std::string name = first_line_of("/proc/" + std::to_string(process) + "/comm");
     return {Errc::busy, cannot_open, path,
             (name.empty() ? "a program" : name) + " (process " + std::to_string(process) + ") uses it",
-            name == "rtdata-guard" ? "end the run that has the output, not the guard, which sets it safe"
-                                   : "end it: a serial line is for one program"};
+            name == "rtdata-guard"
+                ? "end the run that uses the output; the guard ends after it, when the output is safe"
+                : "end it: a serial line is for one program"};
   }
   return {Errc::busy, cannot_open, path, "another program uses it",
           "`fuser -v " + path + "` names it; end it (ModemManager and brltty are usual ones)"};

@@ -808,7 +808,7 @@ TEST_SUITE("app") {
     REQUIRE(run.wait_for("running bench"));
     for (const char* command :
          {"--version", "--help", "types", "types --schema", "check bench.json", "info run.db", "verify run.db",
-          "verify run.db --json", "export run.db", "top --once", "top --json", "bench --for 100ms --json -"}) {
+          "verify run.db --json", "export run.db --run 1", "top --once", "top --json", "bench --for 100ms --json -"}) {
       Process full(folder, "/bin/sh", {"-c", program + " " + command + " > /dev/full"});
       CHECK_MESSAGE(full.end() == 1, command);
       CHECK_MESSAGE(full.err == "rtdata: cannot write the output: No space left on device\n", command);

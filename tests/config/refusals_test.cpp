@@ -46,7 +46,9 @@ const std::map<std::string, std::string> right_sensors_without_driver{
     {"pps", R"({"name": "s", "type": "pps"})"},
     {"replay", R"({"name": "s", "type": "replay", "file": "FOLDER/old.db"})"},
     {"w1", R"({"name": "s", "type": "w1", "rate": "0.5 Hz"})"},
-    {"serial", R"({"name": "s", "type": "serial", "device": "FOLDER/tty", "fields": [{"name": "x"}]})"}};
+    {"serial", R"({"name": "s", "type": "serial", "device": "FOLDER/tty", "fields": [{"name": "x"}]})"},
+    {"tcp", R"({"name": "s", "type": "tcp", "host": "127.0.0.1", "port": 1, "fields": [{"name": "x"}]})"},
+    {"command", R"({"name": "s", "type": "command", "run": ["true"], "fields": [{"name": "x"}]})"}};
 const std::map<std::string, std::string> right_sinks{{"sqlite", R"({"type": "sqlite", "path": "FOLDER/run.db"})"},
                                                      {"file", R"({"type": "file", "path": "FOLDER/run.jsonl"})"},
                                                      {"console", R"({"type": "console", "descriptor": 2})"},
@@ -133,7 +135,9 @@ std::vector<ConfigItem> odd_values() {
       {"env": "RTDATA_TEST_NO_SUCH_VARIABLE"}, {"file": "/no/such/file"}, {"env": 3}, {"env": "A", "file": "B"},
       [{"name": ""}], [{"name": "time"}], [{"name": "x"}, {"name": "X"}], [{"name": "x", "type": "record"}],
       [{"name": "x", "type": "text", "length": 0}], [{"name": "x", "scale": 2, "type": "int8"}], [{"key": "x"}],
-      {"x": {"calibration": {}}}])",
+      {"x": {"calibration": {}}}, "labels", "binary", {"start": "x", "length": 9}, {"end": "y"}, {"begins": "x"},
+      {"column": 1, "is": ["x"]}, {"key": "x", "is": ["y"]}, {"type": "xor8"}, {"type": "sum6", "form": "character"},
+      {"type": "crc32", "form": "big", "after": "*", "optional": true}, "\r"])",
              "values.json")
       .or_throw()
       .get<std::vector<ConfigItem>>();

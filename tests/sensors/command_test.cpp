@@ -77,6 +77,13 @@ TEST_SUITE("sensors" * doctest::skip(!terminals_can_be_set_up())) {
     CHECK(bench.errors.front() == "it has ended with status 3; it said: no such sensor");
     bench.sensor.close();
 
+    CommandBench cut("echo 1; printf 2; printf fatal >&2; exit 3", false);
+    REQUIRE(cut.until([&] { return cut.errors.size() >= 2; }));
+    CHECK(cut.errors[0] == "1 byte came without an end");  // perhaps the beginning of another number
+    CHECK(cut.errors[1] == "it has ended with status 3; it said: fatal");
+    CHECK(cut.events.front() == "1");
+    cut.sensor.close();
+
     CommandBench killed("kill -9 $$");
     REQUIRE(killed.until([&] { return killed.errors.size() >= 2; }));
     CHECK(killed.errors.front() == "it was ended by SIGKILL");

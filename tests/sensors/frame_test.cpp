@@ -294,6 +294,93 @@ TEST_SUITE("sensors" * doctest::skip(!terminals_can_be_set_up())) {
     }
   }
 
+  TEST_CASE("US-13 what is damaged is unreadable and holds nothing up: no value, no length, many starts") {
+    // A row of a label and its checksum, whose value was lost.
+    const LineConfig rows{.format = LineFormat::labels,
+                          .fields = {{.name = "p", .key = "P"}},
+                          .separator = '=',
+                          .checksum = LineChecksum{.after = "=", .of = ChecksumOf::row}};
+    Heard heard = hear(rows, "P=50\nP=50\n", 100, 2);
+    CHECK(heard.counts.unreadable == 2);
+    CHECK(has(heard.errors.front(), "no value"));
+    // A length of 0.
+    const LineConfig lengths{.format = LineFormat::binary,
+                             .fields = {{.name = "v", .type = Kind::u8, .at = 2}},
+                             .frame = LineFrame{.start_hex = "aa", .length_at = 1}};
+    const std::string good("\xaa\x03\x07", 3);
+    heard = hear(lengths, good + std::string("\xaa\x00\x07", 3) + good + good, 4, 4);
+    CHECK(heard.events == std::vector<std::string>(3, "7"));
+    CHECK(heard.counts.unreadable == 1);
+    // A burst of starts: not all of them are tried.
+    const LineConfig many{.fields = {{.name = "v"}}, .frame = LineFrame{.start = "<", .end = ">"}};
+    heard = hear(many, std::string(3000, '<') + ">" + "<5>", 5000, 2);
+    CHECK(heard.events == std::vector<std::string>{"5"});
+    CHECK(heard.counts.unreadable >= 1);
+    CHECK(heard.counts.unreadable <= 20);
+    // A byte of the checksum that is as what stands before it.
+    const LineConfig stars{
+        .fields = {{.name = "v"}},
+        .checksum = LineChecksum{.type = ChecksumType::sum8, .form = ChecksumForm::big, .after = "*"}};
+    CHECK(values_of_line(stars, "9***") == "its checksum is 2a, and should be 63 (hexadecimal)");
+    std::string sum = "123400";
+    for (char last = '0'; last <= '9'; ++last)
+      for (char before = '0'; before <= '9'; ++before) {
+        sum[4] = before, sum[5] = last;
+        const std::string line = sum + "*" +
+                                 static_cast<char>(
+                                     detail::Checksum({.type = ChecksumType::sum8, .form = ChecksumForm::big}).of(sum));
+        CHECK(values_of_line(stars, line) == std::to_string(std::stoi(sum)));
+      }
+    // A damaged line is not one that is not meant.
+    const LineConfig chosen{.fields = {{}, {.name = "v"}},
+                            .only = LineMatch{.column = 1, .is = {"$W"}},
+                            .checksum = LineChecksum{.after = "*", .from = 1}};
+    heard = hear(chosen, "$V,2*00\n$V,2\n", 100, 2);
+    CHECK(heard.counts.unreadable == 1);
+    CHECK(heard.counts.filtered == 1);
+  }
+
+  TEST_CASE("US-13 frames that wait behind a wrong length are taken at the end, and what has no end is told") {
+    ScratchDirectory folder;
+    Pty pty(folder.file("tty"));
+    pty.plug_in();
+    Loop loop;
+    be_quiet(loop);
+    std::vector<std::string> events;
+    const auto subscription = loop.subscribe("line", [&](const EventView& event) {
+      events.push_back(to_string(event.value(event.description().leaves()[0])));
+    });
+    LineConfig config = pms5003;
+    config.first_line = FirstLine::keep;
+    SerialLineSensor sensor(loop, {.name = "line"}, {.device = pty.path(), .lines = config});
+    std::string wrong = particles(35);
+    wrong[2] = '\x0e';  // 3612 bytes
+    const std::string all = particles(34) + wrong + particles(36) + particles(37) + "\x42\x4d";
+    REQUIRE(pty.send(all) == all.size());
+    for (int i = 0; i < 5000 && events.empty(); ++i) loop.run_for(1ms);
+    loop.run_for(20ms);
+    CHECK(events == std::vector<std::string>{"34"});
+    pty.unplug();
+    for (int i = 0; i < 5000 && sensor.health() != Health::faulted; ++i) loop.run_for(1ms);
+    loop.run_for(5ms);
+    CHECK(events == std::vector<std::string>{"34", "36", "37"});
+    CHECK(sensor.counts().unreadable >= 1);
+    CHECK(sensor.counts().balances());
+  }
+
+  TEST_CASE("US-13 texts for no value are written as the device writes its numbers") {
+    const LineConfig german{
+        .fields = {{.name = "v", .decimal = ',', .thousands = ".", .no_value = {"-999,9", "9.999"}}}, .separator = ';'};
+    for (const char* const none : {"-999,9", "-999,90", "-0999,9", "9.999", "9999"})
+      CHECK(values_of_line(german, none) == "absent");
+    CHECK(values_of_line(german, "9,999") == "9.999");
+    const LineConfig hex{.fields = {{.name = "v", .type = Kind::u16, .base = 16, .no_value = {"FFFF", "10"}}}};
+    for (const char* const none : {"FFFF", "ffff", "0xFFFF", "10", "0x10"})
+      CHECK(values_of_line(hex, none) == "absent");
+    CHECK(values_of_line(hex, "0A") == "10");
+    CHECK(values_of_line(hex, "16") == "22");
+  }
+
   TEST_CASE("US-13 a line may end with another character") {
     const LineConfig lines{.fields = {{.name = "v"}}, .line_end = '\r'};
     CHECK(hear(lines, "1\r2\r\n3\r", 2, 3).events == std::vector<std::string>{"1", "2", "3"});
@@ -326,6 +413,25 @@ TEST_SUITE("sensors" * doctest::skip(!terminals_can_be_set_up())) {
     CHECK(has(refusal_of({.fields = {field}, .checksum = LineChecksum{.optional = true}}), "whether there is one"));
     CHECK(
         has(refusal_of({.fields = {field}, .checksum = LineChecksum{.of = ChecksumOf::row}}), "only labels have rows"));
+    const auto binary = [](LineField of) {
+      return LineConfig{
+          .format = LineFormat::binary, .fields = {std::move(of)}, .frame = LineFrame{.start = "x", .length = 4}};
+    };
+    CHECK(has(refusal_of(binary({.name = "v", .at = 1})), "it ends behind the frame"));
+    CHECK(has(refusal_of(binary({.name = "v", .type = Kind::u8, .at = 1, .no_value = {"256"}})),
+              "no number that its bytes"));
+    CHECK(has(refusal_of(binary({.name = "v", .type = Kind::u8, .at = 1, .no_value = {"0xff"}})),
+              "no number that its bytes"));
+    CHECK(has(refusal_of(binary({.name = "v", .type = Kind::u8, .optional = true, .at = 1})), "always there"));
+    CHECK(refusal_of(binary({.name = "v", .type = Kind::i8, .at = 1, .no_value = {"-128"}})).empty());
+    for (LineConfig nmea : {LineConfig{.frame = LineFrame{.start = "$", .end = "x"}}, LineConfig{.line_end = '\r'},
+                            LineConfig{.only = LineMatch{.begins = "$"}}, LineConfig{.checksum = LineChecksum{}}}) {
+      nmea.format = LineFormat::nmea;
+      CHECK_THROWS_AS((void)detail::decoder_of_lines(nmea), SetupError);
+    }
+    CHECK(has(refusal_of({.fields = {field}, .frame = LineFrame{.start = "xy", .length_at = 1}}), "within the start"));
+    CHECK(has(refusal_of({.fields = {{.name = "v", .suffix = "kg "}}}), "never comes"));
+    CHECK(has(refusal_of({.fields = {{.name = "v", .thousands = "e"}}}), "another meaning"));
     CHECK(has(refusal_of({.fields = {{.name = "v", .at = 1}}}), "are of binary frames"));
     CHECK(has(refusal_of({.fields = {{.name = "v", .column = 2}}}), "`column` is of labels"));
   }

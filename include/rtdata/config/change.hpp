@@ -53,7 +53,7 @@ struct PartChange {
 };
 
 struct PlanChange {
-  /// Settings that differ, then the parts of the next plan in the order of creation, then the removed parts.
+  /// In this order: settings that differ, the parts of the next plan in the order of creation, the removed parts.
   std::vector<PartChange> all;
 
   std::size_t count(Fate fate) const noexcept;

@@ -81,8 +81,8 @@ struct SerialSettings {
   friend void check_config(const SerialSettings& settings, const ConfigItem& item, Problems& problems);
 };
 
-/// The transport: the kernel's serial line, the fake for tests (fake_serial.hpp), or your own. Thread: the bus's lane;
-/// after a job was given up, a second thread may call it while the first still hangs in a call.
+/// The transport: the kernel's serial line, the fake for tests (fake_serial.hpp), or your own. The bus's lane calls it;
+/// after a job was given up, a new thread may call it while the old one still hangs in a call.
 class SerialTransport {
  public:
   virtual ~SerialTransport() = default;

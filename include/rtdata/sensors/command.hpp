@@ -14,8 +14,8 @@
 /// - What it writes to its standard error goes to the log, and the last line of it into the reason of its fault.
 /// - If it ends, or closes its output, or cannot be started, the sensor is faulted and starts it again after
 ///   `retry_first`, doubling to `retry_longest`. The time without it is a gap (disconnected).
-/// - It is a session of its own. When the sensor stops, the program and all that it has started get SIGTERM, and
-///   SIGKILL if the program has not ended after 2 s. If this program is killed, they get SIGHUP from their terminal.
+/// - It is a session of its own. When the sensor stops, its process group gets SIGTERM, and SIGKILL if the
+///   program has not ended after 2 s. If this program is killed, it gets SIGHUP from its terminal.
 /// - SIGCHLD is not used. Needs Linux 5.3 (pidfd_open).
 ///
 /// Programs are started on a lane, not on the loop.

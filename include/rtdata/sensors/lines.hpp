@@ -197,7 +197,7 @@ struct LineChecksum {
     return parameter_list(
         parameter("type", &LineChecksum::type, "how it is computed", rtdata::required),
         parameter("form", &LineChecksum::form,
-                  "how it is written: digits, bytes with the high one first (big) or last (little), one character"),
+                  "written as digits, as bytes with the high one first (big) or last (little), or as one character"),
         parameter("after", &LineChecksum::after, "what stands before it, such as \"*\""),
         parameter("covers_after", &LineChecksum::covers_after, "it covers `after` too"),
         parameter("from", &LineChecksum::from, "bytes at the beginning that it does not cover", range(0, 65535)),

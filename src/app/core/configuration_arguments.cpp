@@ -168,7 +168,7 @@ Action prepare_tail(CLI::App& command) {
       "examples:\n  rtdata tail                        all events of the only instance, until Ctrl-C\n"
       "  rtdata tail bench pressure/#       of these topics of the instance called bench\n"
       "  rtdata tail --step 1s --json       for programs\n"
-      "  rtdata tail bench.db --last 1min   what was recorded, in UTC");
+      "  rtdata tail bench.db --last 1min   its last minute, times in UTC");
 #ifdef RTDATA_WITH_SQLITE
   const auto of_recording = add_recorded_tail(command);
 #endif

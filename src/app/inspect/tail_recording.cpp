@@ -77,7 +77,7 @@ Json json_of(const Value& value) {
       value);
 }
 
-/// Of a row of Recording::steps: the number of events, then of each number the count, the least, the most and the mean.
+/// A row of Recording::steps as JSON: its events, then count, least, most and mean of the values of each numeric field.
 std::string json_of_step(const RecordedRow& row, Duration length) {
   const EventView event = row.event();
   const auto& leaves = event.description().leaves();

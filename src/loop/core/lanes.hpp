@@ -50,7 +50,7 @@ class Lanes {
   void hand_over(const std::shared_ptr<LanePool>& pool);
   /// Wakes pools with new jobs since the last call. Called after deadlines have fired, and before waiting.
   void wake_threads() noexcept;
-  /// Waits until jobs of lanes make the predicate true, and calls `while_waiting` meanwhile.
+  /// Waits until jobs of lanes make `is_so` true, but no longer than `at_most`; calls `while_waiting` meanwhile.
   template <class Predicate>
   void wait(Duration at_most, const Predicate& is_so) {
     constexpr Duration step = std::chrono::milliseconds{10};

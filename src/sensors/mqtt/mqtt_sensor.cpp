@@ -222,7 +222,7 @@ class MqttNode final : public StreamNode {
   }
   Error silence_error() const override {
     return {Errc::timed_out, "nothing comes", connection_->server(), "no message in " + to_string(config_.silence),
-            "check what sends; `silence` sets how long it may be silent"};
+            "check the sender; `silence` sets how long it may be silent"};
   }
   void on_close() noexcept override {
     StreamNode::on_close();

@@ -1,11 +1,13 @@
 #include "sensors/serial/binary_fields.hpp"
 
 #include <algorithm>
+#include <cmath>
 #include <cstdint>
 #include <cstring>
 
 #include "data/field_layout.hpp"
 #include "data/load.hpp"
+#include "data/number_text.hpp"
 
 namespace rtdata::detail {
 namespace {
@@ -23,6 +25,16 @@ double number_at(Kind kind, const std::byte* from) noexcept {
   return static_cast<double>(load_integer(kind, from));
 }
 
+/// Whether bytes of this kind can be the number.
+bool can_be(Kind kind, double number) noexcept {
+  if (is_floating(kind)) return true;
+  if (!is_integer_kind(kind)) return false;
+  const double range = std::ldexp(1.0, static_cast<int>(8 * size_of(kind)));  // how many numbers there are
+  const bool is_signed = kind <= Kind::i64;
+  return number == std::trunc(number) && number >= (is_signed ? -range / 2 : 0) &&
+         number < (is_signed ? range / 2 : range);
+}
+
 void put_floating(Kind kind, double value, std::byte* to) noexcept {
   if (kind == Kind::f64) {
     std::memcpy(to, &value, sizeof value);
@@ -34,7 +46,8 @@ void put_floating(Kind kind, double value, std::byte* to) noexcept {
 
 }  // namespace
 
-BinaryFields::BinaryFields(const std::vector<LineField>& fields, const Description& description, WireOrder order)
+BinaryFields::BinaryFields(const std::vector<LineField>& fields, const Description& description, WireOrder order,
+                           std::size_t length)
     : is_big_(order == WireOrder::big) {
   for (const LineField& field : fields) {
     if (field.name.empty())
@@ -50,6 +63,17 @@ BinaryFields::BinaryFields(const std::vector<LineField>& fields, const Descripti
     if (wire != field.type && !is_floating(field.type))
       refuse_binary(field, "it has a `wire` of another type", "make its `type` double, or leave `wire` out");
     const std::size_t size = field.type == Kind::text ? field.length : size_of(wire);
+    if (length != 0 && *field.at + size > length)
+      refuse_binary(field, "it ends behind the frame", "check `at`, `type` and the frame's `length`");
+    for (const std::string& none : field.no_value) {
+      double number = 0;
+      if (read_number(none, number) != std::errc{} || !can_be(wire, number))
+        refuse_binary(field, "one of `no_value` is no number that its bytes can be",
+                      "write the number of its bytes, before `scale`, in decimal digits");
+    }
+    if (field.optional && field.no_value.empty())
+      refuse_binary(field, "its bytes are always there",
+                    "leave `optional` out, or say by `no_value` what stands for none");
     places_.push_back({description.find(field.name), *field.at, size, wire, field.scale, wire != field.type});
   }
 }

@@ -13,7 +13,9 @@ namespace rtdata::detail {
 class BinaryFields {
  public:
   /// SetupError (bad-argument): a field without a place, or whose types do not go together. `order`: of their bytes.
-  BinaryFields(const std::vector<LineField>& fields, const Description& description, WireOrder order);
+  /// `length`: of all frames; 0: not always the same.
+  BinaryFields(const std::vector<LineField>& fields, const Description& description, WireOrder order,
+               std::size_t length);
 
   /// Errors: bad-data (the frame is too short). No allocation when good.
   Result<void> decode(std::string_view frame, const std::vector<FieldText>& texts, std::byte* payload) const;

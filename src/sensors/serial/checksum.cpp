@@ -156,12 +156,35 @@ bool Checksum::read(std::string_view written, std::uint32_t& number) const noexc
   return true;
 }
 
+/// Bytes of the checksum itself may be the same.
+std::size_t Checksum::place_of_after(std::string_view text) const noexcept {
+  if (config_.form == Form::hex) return text.rfind(config_.after);
+  const std::size_t behind = config_.after.size() + width();
+  if (text.size() < behind) return std::string_view::npos;
+  const std::size_t at = text.size() - behind;
+  return text.substr(at).starts_with(config_.after) ? at : std::string_view::npos;
+}
+
+bool Checksum::is_damaged(std::string_view text) const noexcept {
+  if (config_.after.empty()) return false;
+  const std::size_t at = place_of_after(text);
+  if (at == std::string_view::npos) return false;
+  const std::size_t begin = at + config_.after.size();
+  std::string_view written = text.substr(begin);
+  if (config_.form == Form::hex) written = trimmed(written);
+  std::size_t covered = config_.covers_after ? begin : at;
+  covered -= std::min(covered, config_.before);
+  std::uint32_t number = 0;
+  return written.size() != width() || covered < config_.from || !read(written, number) ||
+         number != of(text.substr(config_.from, covered - config_.from));
+}
+
 Result<std::string_view> Checksum::checked(std::string_view text) const {
   std::size_t end = text.size() < width() ? 0 : text.size() - width();  // of what is kept
   std::string_view written = text.substr(end);
   std::size_t covered = end;
   if (!config_.after.empty()) {
-    end = text.rfind(config_.after);
+    end = place_of_after(text);
     if (end == std::string_view::npos) {
       if (config_.optional) return text;
       return wrong_checksum("it has no checksum after \"" + config_.after + "\"");

@@ -19,9 +19,12 @@ class Checksum {
 
   /// The text without its checksum. Errors: bad-data (it is wrong, or there is none).
   Result<std::string_view> checked(std::string_view text) const;
+  /// True if it has a checksum behind `after` that is wrong.
+  bool is_damaged(std::string_view text) const noexcept;
   std::uint32_t of(std::string_view bytes) const noexcept;
 
  private:
+  std::size_t place_of_after(std::string_view text) const noexcept;
   std::size_t bytes() const noexcept;
   std::size_t width() const noexcept;
   bool read(std::string_view written, std::uint32_t& number) const noexcept;

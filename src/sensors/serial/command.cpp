@@ -35,7 +35,9 @@ class CommandNode final : public LineNode {
         run_(std::move(config.run)),
         is_terminal_(config.pty),
         lane_(loop, "program of " + feed.name, starting_limit),
-        over_(loop.face, [this] { be_over(); }) {}
+        over_(loop.face, [this] { be_over(); }) {
+    set_stream();
+  }
 
  private:
   class Starting final : public LaneJob {
@@ -123,6 +125,7 @@ class CommandNode final : public LineNode {
     if (child_.pid <= 0) return;
     Call call(*this);
     take_errors();
+    say(std::exchange(error_text_, {}));
     std::string why = end_of(child_);
     if (why.empty()) why = "it has closed its output, and is ended";
     if (!last_error_.empty()) why += "; it said: " + last_error_;
@@ -181,6 +184,11 @@ class CommandNode final : public LineNode {
 }  // namespace detail
 
 void check_config(const CommandConfig& config, const ConfigItem& item, Problems& problems) {
+  const bool has_nul = std::any_of(config.run.begin(), config.run.end(),
+                                   [](const std::string& word) { return word.find('\0') != std::string::npos; });
+  if (has_nul)
+    problems.add((item.find("run") != nullptr ? *item.find("run") : item)
+                     .problem("bad-value", "a word has a byte 0, which ends it; leave it out"));
   if (config.run.empty() || config.run.front().empty()) {
     const ConfigItem* at = item.find("run");
     problems.add(

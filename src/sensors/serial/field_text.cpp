@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <cctype>
 #include <charconv>
 #include <cmath>
 #include <cstdint>
@@ -33,14 +34,19 @@ FieldText::FieldText(const LineField& field)
       decimal_(field.decimal),
       base_(static_cast<int>(field.base)),
       has_sign_blanks_(field.sign_blanks) {
+  buffer_.reserve(longest_text);
   if (field.thousands.size() > 1)
     refuse_field(field, "`thousands` has more than one character", R"(such as "," or "'")");
   if (!field.thousands.empty()) thousands_ = field.thousands.front();
-  const bool has_notation = decimal_ != '.' || thousands_ != '\0' || base_ != 10 || has_sign_blanks_;
-  if (has_notation && !is_number_)
+  has_notation_ = decimal_ != '.' || thousands_ != '\0' || base_ != 10 || has_sign_blanks_;
+  if (has_notation_ && !is_number_)
     refuse_field(field, "`decimal`, `thousands`, `base` and `sign_blanks` are of numbers", "leave them out");
+  if (prefix_.starts_with(' ') || suffix_.ends_with(' '))
+    refuse_field(field, "blanks around the text of a field are taken off: its `prefix` or `suffix` never comes",
+                 "leave that blank out");
   if (decimal_ != '.' && decimal_ != ',') refuse_field(field, "`decimal` is a point or a comma", "choose one of them");
-  if (thousands_ == decimal_ || (thousands_ >= '0' && thousands_ <= '9') || thousands_ == '-' || thousands_ == '+')
+  if (thousands_ == decimal_ || thousands_ == '-' || thousands_ == '+' ||
+      (thousands_ != '\0' && std::isalnum(static_cast<unsigned char>(thousands_)) != 0))
     refuse_field(field, "`thousands` has another meaning in a number", "choose another character");
   if (decimal_ != '.' && is_number_ && field.type != Kind::f32 && field.type != Kind::f64)
     refuse_field(field, "a whole number has no `decimal`", "make its `type` double, or leave `decimal` out");
@@ -50,8 +56,10 @@ FieldText::FieldText(const LineField& field)
   if (!field.words.empty() && field.type == Kind::text)
     refuse_field(field, "`words` stand for numbers, and this is a text", "set another `type`, or leave `words` out");
   for (const std::string& text : field.no_value) {
+    // Written as the device writes its numbers.
     double number = 0;
-    const bool is_one = read_number(text, number) == std::errc{};
+    std::string_view plain = text;
+    const bool is_one = is_number_ && plain_number(plain) == nullptr && read_number(plain, number) == std::errc{};
     no_value_.emplace_back(text, is_one && is_number_ ? std::optional(number) : std::nullopt);
     has_numbers_of_none_ = has_numbers_of_none_ || no_value_.back().second;
   }
@@ -59,11 +67,12 @@ FieldText::FieldText(const LineField& field)
   for (const auto& [word, number] : field.words) {
     if (is_whole && number != std::trunc(number))
       refuse_field(field, "the number of the word \"" + word + "\" is not whole", "make its `type` double");
+    for (const auto& [none, number_of_none] : no_value_)
+      if (none == word) refuse_field(field, "\"" + word + "\" is a word and no value", "remove one of them");
     std::array<char, longest_number> text{};
     words_.emplace_back(word, std::string(text.data(), put_number(text.data(), number)));
   }
-  is_used_ = has_notation || !prefix_.empty() || !suffix_.empty() || !no_value_.empty() || !words_.empty();
-  buffer_.reserve(longest_text);
+  is_used_ = has_notation_ || !prefix_.empty() || !suffix_.empty() || !no_value_.empty() || !words_.empty();
 }
 
 FieldText::Found FieldText::read(std::string_view text) {
@@ -87,7 +96,7 @@ std::optional<FieldText::Found> FieldText::known_text(std::string_view text) con
     if (none == text) return Found{.is_absent = true};
   for (const auto& [word, number] : words_)
     if (word == text) return Found{.text = number, .is_scaled = false};
-  if (is_no_number(text)) return Found{.is_absent = true};
+  if (!has_notation_ && is_no_number(text)) return Found{.is_absent = true};
   return std::nullopt;
 }
 

@@ -39,14 +39,18 @@ FrameCutter::FrameCutter(const LineFrame& config, std::size_t longest)
   if (config.length > longest) refuse_frame("`length` is longer than `max_line`", "set a larger `max_line`");
   if (config.length != 0 && config.length <= start_.size())
     refuse_frame("`length` is that of the start", "count all bytes");
+  if (config.length_at != 0 && config.length_at < start_.size())
+    refuse_frame("`length_at` is within the start", "count from the first byte of the start");
+  if (config.length_adds != 0 && config.length_at == 0)
+    refuse_frame("`length_adds` belongs to `length_at`", "leave it out");
   if (config.after_end != 0 && (end_.empty() || has_length))
     refuse_frame("`after_end` belongs to an `end` without a length", "leave it out");
 }
 
-/// The length that a frame says it has; 0: its bytes are still to come.
-std::size_t FrameCutter::announced(std::string_view frame) const noexcept {
+/// The length that a frame says it has; empty: those bytes are still to come.
+std::optional<std::size_t> FrameCutter::announced(std::string_view frame) const noexcept {
   if (config_.length_at == 0) return config_.length;
-  if (frame.size() < config_.length_at + config_.length_bytes) return 0;
+  if (frame.size() < config_.length_at + config_.length_bytes) return std::nullopt;
   std::size_t length = 0;
   for (std::size_t i = 0; i < config_.length_bytes; ++i) {
     const std::size_t at = config_.byte_order == WireOrder::big ? i : config_.length_bytes - 1 - i;
@@ -67,9 +71,10 @@ FrameCutter::Found FrameCutter::next(std::string_view bytes) noexcept {
     begin = start + 1;
     std::size_t size = 0;
     if (config_.length != 0 || config_.length_at != 0) {
-      size = announced(frame);
-      if (size == 0) return {start, 0};
-      if (size < config_.length_at + config_.length_bytes || size < start_.size() + end_.size()) continue;
+      const auto length = announced(frame);
+      if (!length) return {start, 0};
+      size = *length;
+      if (size == 0 || size < config_.length_at + config_.length_bytes || size < start_.size() + end_.size()) continue;
     } else {
       const std::size_t end = frame.find(end_, start_.size());
       if (end == std::string_view::npos && frame.size() <= longest_) return {start, 0};

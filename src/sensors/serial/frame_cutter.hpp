@@ -1,7 +1,9 @@
 // Finds frames in a stream of bytes.
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
+#include <optional>
 #include <string>
 #include <string_view>
 
@@ -18,6 +20,8 @@ class FrameCutter {
     std::size_t skipped = 0;  ///< bytes that belong to no frame
     std::size_t size = 0;     ///< of the frame behind them; 0: more bytes are needed
   };
+  /// So many bytes at least are in a frame that has begun.
+  std::size_t least() const noexcept { return std::max<std::size_t>(start_.size(), 1); }
   bool has_start() const noexcept { return !start_.empty(); }
   /// Looks at the bytes that have come and are not used. No allocation.
   Found next(std::string_view bytes) noexcept;
@@ -30,7 +34,7 @@ class FrameCutter {
 
  private:
   Found next_end(std::string_view bytes) noexcept;
-  std::size_t announced(std::string_view frame) const noexcept;
+  std::optional<std::size_t> announced(std::string_view frame) const noexcept;
 
   const LineFrame config_;
   const std::size_t longest_;

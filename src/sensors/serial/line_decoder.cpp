@@ -130,6 +130,16 @@ bool begins_a_boolean(std::string_view text) noexcept {
   return false;
 }
 
+/// NMEA has lines of its own kind.
+void check_nmea(const LineConfig& config) {
+  for (const auto& [key, is_set] : {std::pair("frame", config.frame.has_value()),
+                                    {"only", config.only.has_value()},
+                                    {"unreadable_if", config.unreadable_if.has_value()},
+                                    {"checksum", config.checksum.has_value()},
+                                    {"line_end", config.line_end != '\n'}})
+    if (is_set) throw SetupError(refused(key, "`format` nmea reads its sentences by itself", "leave it out"));
+}
+
 void check_marks(const LineConfig& config) {
   const auto refuse = [](const char* key, std::string why, const char* advice) {
     throw SetupError(refused(key, std::move(why), advice));
@@ -140,7 +150,7 @@ void check_marks(const LineConfig& config) {
   if (config.frame && config.line_end != '\n') refuse("line_end", "events are frames", "leave it out, or `frame`");
   if (config.format == LineFormat::binary && !config.frame)
     refuse("frame", "bytes without a frame have no beginning", "set `frame`");
-  if (config.frame && config.format == LineFormat::nmea) refuse("frame", "NMEA has lines", "leave `frame` out");
+  if (config.line_end == config.separator && is_csv) refuse("line_end", "it is the separator", "set another one");
   if (config.checksum && config.checksum->of == ChecksumOf::row && config.format != LineFormat::labels)
     refuse("checksum", "only labels have rows", "leave `of` out");
   if (config.format == LineFormat::labels) return;
@@ -171,6 +181,12 @@ std::string shown(std::string_view text) {
 }
 
 }  // namespace
+
+std::unique_ptr<LineDecoder> decoder_of_lines(const LineConfig& config) {
+  if (config.format != LineFormat::nmea) return std::make_unique<LineDecoder>(config);
+  check_nmea(config);
+  return nullptr;
+}
 
 LineDecoder::LineDecoder(const LineConfig& config, AroundLine around)
     : around_(std::move(around)),
@@ -222,7 +238,7 @@ LineDecoder::LineDecoder(const LineConfig& config, AroundLine around)
   }
   if (format_ == LineFormat::binary) {
     if (config.separator != ',') throw SetupError(refused("separator", "bytes have none", "leave it out"));
-    binary_.emplace(fields_, *description_, config.frame->byte_order);
+    binary_.emplace(config.fields, *description_, config.frame->byte_order, config.frame->length);
   }
   for (const LineField& field : config.fields)
     if (format_ == LineFormat::csv && (field.decimal == separator_ || field.thousands == std::string(1, separator_)))
@@ -248,6 +264,10 @@ bool LineDecoder::is_meant(std::string_view line) { return !only_ || matches(*on
 
 Result<std::string_view> LineDecoder::checked(std::string_view line) const {
   return checksum_ && !has_row_checksums_ ? checksum_->checked(line) : Result(line);
+}
+
+bool LineDecoder::is_damaged(std::string_view line) const noexcept {
+  return checksum_ && !has_row_checksums_ && checksum_->is_damaged(line);
 }
 
 bool LineDecoder::matches(const LineMatch& match, std::string_view line) {
@@ -443,6 +463,7 @@ Result<void> LineDecoder::decode_labels(std::string_view rows) {
         if (!good) return failure(Errc::bad_data, i, good.error().why);
         row = *good;
       }
+      if (row.size() <= mark) return failure(Errc::bad_data, i, "its row has a checksum, and no value");
       if (seen_[i]) return failure(Errc::bad_data, i, "it is there twice");
       std::string_view rest = row.substr(mark + 1);
       Result<Column> column = next_column(i, rest);
@@ -660,9 +681,8 @@ Result<std::shared_ptr<const Description>> description_of_lines(const LineConfig
 }
 
 void check_config(const LineConfig& config, const ConfigItem& item, Problems& problems) {
-  if (config.format == LineFormat::nmea) return;
   try {
-    const detail::LineDecoder decoder(config);
+    (void)detail::decoder_of_lines(config);
     if (config.frame) detail::FrameCutter(*config.frame, config.max_line);
   } catch (const SetupError& error) {
     const Error& e = error.error();

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstddef>
+#include <memory>
 #include <optional>
 #include <string>
 #include <string_view>
@@ -31,6 +32,8 @@ class LineDecoder {
   bool is_skipped(std::string_view line) const noexcept;
   /// False if `only` leaves the line out.
   bool is_meant(std::string_view line);
+  /// True if the line has a checksum that is wrong.
+  bool is_damaged(std::string_view line) const noexcept;
   /// The line or frame without its checksum. Errors: bad-data.
   Result<std::string_view> checked(std::string_view line) const;
   /// Afterwards `payload` is the line's. Errors: bad-data, not-a-number, out-of-range, does-not-fit; no allocation when
@@ -102,5 +105,8 @@ class LineDecoder {
   std::string cell_;   // without its quotes
   std::string found_;  // the value in JSON that a match looks at
 };
+
+/// Null: NMEA. SetupError: as LineDecoder, and of settings that NMEA has not.
+std::unique_ptr<LineDecoder> decoder_of_lines(const LineConfig& config);
 
 }  // namespace rtdata::detail

@@ -17,6 +17,8 @@ namespace {
 constexpr std::size_t most_read = 1024;
 // This many bytes without a line end mean that the device sends no lines at this speed.
 constexpr std::size_t least_unended = 4096;
+// Starts within frames that cannot be used are tried; so many, then the whole frame is left out: a turn has an end.
+constexpr unsigned most_tries = 16;
 // A device that was silent for so long after the opening was not in the middle of a line.
 constexpr Duration silence_before_a_line = std::chrono::milliseconds{100};
 
@@ -26,14 +28,10 @@ bool is_same(const GpsFix& a, const GpsFix& b) noexcept {
 }
 /// Publishes the last fix when no more sentences will come.
 
-std::unique_ptr<LineDecoder> decoder_of(const LineConfig& config) {
-  return config.format == LineFormat::nmea ? nullptr : std::make_unique<LineDecoder>(config);
-}
-
 }  // namespace
 
 LineNode::LineNode(LoopCore& loop, const FeedConfig& feed, LineConfig config, std::string place, const char* advice)
-    : LineNode(loop, feed, config, std::move(place), advice, decoder_of(config)) {}
+    : LineNode(loop, feed, config, std::move(place), advice, decoder_of_lines(config)) {}
 
 LineNode::LineNode(LoopCore& loop, const FeedConfig& feed, LineConfig config, std::string place, const char* advice,
                    std::unique_ptr<LineDecoder> decoder)
@@ -48,7 +46,8 @@ LineNode::LineNode(LoopCore& loop, const FeedConfig& feed, LineConfig config, st
   if (config_.first_line == FirstLine::discard) {
     quiet_ = Timer(loop.face, [this] {
       int waiting = 0;
-      if (fd_ >= 0 && unended_ == 0 && ::ioctl(fd_, FIONREAD, &waiting) == 0 && waiting == 0) is_first_ = false;
+      if (fd_ >= 0 && unended_ == 0 && line_.empty() && ::ioctl(fd_, FIONREAD, &waiting) == 0 && waiting == 0)
+        is_first_ = false;
     });
   }
   if (decoder_ != nullptr) {
@@ -159,6 +158,8 @@ void LineNode::on_ready(const FdEvent& event) {
     let_go();
     finish_fix();
     if (fd_ < 0 || openings_ != opening) return;
+    if (cutter_ || is_stream_) report_rest();
+    if (fd_ < 0 || openings_ != opening) return;
     source_ended(error_number);
   }
 }
@@ -213,7 +214,7 @@ void LineNode::take_frames() {
   while (is_same()) {
     const std::string_view rest = std::string_view(line_).substr(begin);
     const FrameCutter::Found found = cutter_->next(rest);
-    skip(rest.substr(0, found.skipped), found.skipped < rest.size());
+    skip(rest.substr(0, found.skipped), rest.size() - found.skipped >= cutter_->least());
     begin += found.skipped;
     if (!is_same() || found.size == 0) break;
     const std::string_view frame = rest.substr(found.skipped, found.size);
@@ -222,8 +223,11 @@ void LineNode::take_frames() {
     if (is_first || take_frame(frame)) {
       begin += found.size;
       reported_bytes_ = 0;
+      tries_ = 0;
     } else {
-      const std::size_t step = cutter_->step_from(found.size);
+      const bool is_hopeless = ++tries_ > most_tries;
+      if (is_hopeless) tries_ = 0;
+      const std::size_t step = is_hopeless ? found.size : cutter_->step_from(found.size);
       begin += step;
       reported_bytes_ = found.size - step;
     }
@@ -246,8 +250,8 @@ void LineNode::skip(std::string_view bytes, bool are_all) {
     ++origin_.counts.first_lines;
     if (!is_much) return;
   }
-  fail_line(
-      {Errc::bad_data, "bytes outside of a frame", place_, std::to_string(size) + " bytes are thrown away", advice_});
+  fail_line({Errc::bad_data, "bytes outside of a frame", place_,
+             std::to_string(size) + (size == 1 ? " byte is" : " bytes are") + " thrown away", advice_});
 }
 
 /// False: it cannot be used.
@@ -281,8 +285,35 @@ void LineNode::fail_unended() {
 
 /// Reports at the end that bytes came but never a usable line.
 void LineNode::report_unended() {
+  if (cutter_) return report_rest();
   if (!is_running() || unended_ == 0 || !is_beginning_ || origin_.counts.received != 0) return;
   if (!std::exchange(is_unended_reported_, true)) fail_unended();
+}
+
+/// What comes no more has no end: a line, or frames behind a length that is wrong.
+void LineNode::report_rest() {
+  if (!is_running()) return;
+  const auto is_same = [this, opening = openings_] { return fd_ >= 0 && openings_ == opening; };
+  if (cutter_ && cutter_->has_start()) {
+    for (unsigned tries = 0; is_same() && !line_.empty() && tries < 16 * most_tries; ++tries) {
+      const std::size_t before = line_.size();
+      take_frames();
+      if (!is_same()) return;
+      if (line_.empty() || line_.size() != before) continue;
+      line_.erase(0, 1);
+      ++skipped_;
+    }
+  }
+  const std::size_t size = line_.size() + skipped_;
+  line_.clear();
+  skipped_ = 0;
+  if (!is_same() || size == 0) return;
+  if (std::exchange(is_first_, false)) {
+    ++origin_.counts.first_lines;
+    return;
+  }
+  fail_line({Errc::bad_data, "cannot use what came last", place_,
+             std::to_string(size) + (size == 1 ? " byte" : " bytes") + " came without an end", advice_});
 }
 
 Error LineNode::silence_error() const {
@@ -300,7 +331,8 @@ void LineNode::take_line(std::string_view line) {
   if (line.size() > config_.max_line) return fail_overlong();
   if (fixes_ != nullptr) return take_sentence(line);
   if (decoder_->is_skipped(line)) return;
-  if (!decoder_->is_meant(line)) return leave_out();
+  const bool is_meant = decoder_->is_meant(line);
+  if (!is_meant && !decoder_->is_damaged(line)) return leave_out();
   const Result<std::string_view> text = decoder_->checked(line);
   if (!text) return fail_line(text.error());
   const Result<void> decoded = decoder_->decode(*text);

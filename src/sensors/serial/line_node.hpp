@@ -42,6 +42,8 @@ class LineNode : public StreamNode {
   /// What comes first is the rest of a line, however long the source is silent.
   void expect_rest_of_line();
   bool has_source() const noexcept { return fd_ >= 0; }
+  /// The source has an end that it chooses: a line without an end is told then.
+  void set_stream() noexcept { is_stream_ = true; }
   /// Calls `lose` with `lost`, now or later.
   virtual void source_ended(int error_number);
   /// No more is read from the source.
@@ -72,6 +74,7 @@ class LineNode : public StreamNode {
   void refuse_held();
   void fail_unended();
   void report_unended();
+  void report_rest();
   void fail_overlong();
   void fail_line(const Error& error);
 
@@ -83,6 +86,7 @@ class LineNode : public StreamNode {
   std::optional<FrameCutter> cutter_;  // none: lines
   std::size_t skipped_ = 0;            // bytes outside of frames that are not yet reported
   std::size_t reported_bytes_ = 0;     // of a frame that could not be used
+  unsigned tries_ = 0;                 // frames that could not be used, one within another
   const NmeaFixes::Publish publish_fix_ = [this](const GpsFix& fix, Time time) { publish(fix, time); };
   std::optional<GpsFix> last_fix_;
   struct Held {
@@ -108,7 +112,8 @@ class LineNode : public StreamNode {
   std::uint64_t unusable_lines_ = 0;  // since the last good one
   bool is_first_ = true;              // nothing but the rest of a line may have come yet
   bool is_beginning_ = true;          // no line has come yet
-  bool is_overlong_ = false;          // the rest of the line is thrown away
+  bool is_stream_ = false;
+  bool is_overlong_ = false;  // the rest of the line is thrown away
 };
 
 /// SetupError (bad-argument): settings that no source can have.

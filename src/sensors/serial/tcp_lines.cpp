@@ -22,7 +22,9 @@ class TcpLinesNode final : public LineNode {
         limit_(config.connect_timeout),
         at_open_(std::move(config.at_open)),
         stream_(
-            loop, "sensor " + feed.name, [this](const Result<void>& done) { connected(done); }, [] {}) {}
+            loop, "sensor " + feed.name, [this](const Result<void>& done) { connected(done); }, [] {}) {
+    set_stream();
+  }
 
  private:
   void open_stream() override { stream_.connect(host_, port_, limit_); }

@@ -99,7 +99,8 @@ void SinkNode::rows_came() {
   if (!is_at_work()) note([&] { queue_->note_committed(); });
 }
 
-/// Called when it closes and its peer is away. Rows that the recording has still to commit also count as waiting.
+/// Called when this sink closes while its peer is away: what waits stays in the recording. Rows that the recording has
+/// still to commit wait, too, so that their number is known only after its last commit.
 void SinkNode::give_up() {
   if (recording_ == nullptr || recording_->life_ != Life::closing || recording_->has_all_rows_) return finish_drain();
   has_given_up_ = true;
