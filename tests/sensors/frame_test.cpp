@@ -368,6 +368,29 @@ TEST_SUITE("sensors" * doctest::skip(!terminals_can_be_set_up())) {
     CHECK(sensor.counts().balances());
   }
 
+  TEST_CASE("US-13 a sensor that is stopped within a frame loses nothing; bytes outside of frames are told then") {
+    CHECK(hear(pms5003, particles(35) + particles(36).substr(0, 20), 100, 1).counts.unreadable == 0);
+    Heard heard = hear(pms5003, particles(35) + "no frame", 100, 1);
+    CHECK(heard.counts.unreadable == 0);  // another may follow
+    ScratchDirectory folder;
+    Pty pty(folder.file("tty"));
+    pty.plug_in();
+    Loop loop;
+    be_quiet(loop);
+    LineConfig config = pms5003;
+    config.first_line = FirstLine::keep;
+    SerialLineSensor sensor(loop, {.name = "line"}, {.device = pty.path(), .lines = config});
+    REQUIRE(pty.send(particles(35) + "no frame" + particles(36).substr(0, 20)) > 0);
+    for (int i = 0; i < 5000 && sensor.counts().received < 2; ++i) loop.run_for(1ms);
+    CHECK(sensor.counts().unreadable == 1);  // when a frame seems to begin
+    REQUIRE(pty.send(particles(36).substr(20) + "garbage") > 0);
+    for (int i = 0; i < 5000 && sensor.counts().published < 2; ++i) loop.run_for(1ms);
+    loop.run_for(20ms);
+    sensor.stop();
+    CHECK(sensor.counts().published == 2);
+    CHECK(sensor.counts().unreadable == 2);
+  }
+
   TEST_CASE("US-13 texts for no value are written as the device writes its numbers") {
     const LineConfig german{
         .fields = {{.name = "v", .decimal = ',', .thousands = ".", .no_value = {"-999,9", "9.999"}}}, .separator = ';'};

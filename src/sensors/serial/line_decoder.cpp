@@ -150,7 +150,6 @@ void check_marks(const LineConfig& config) {
   if (config.frame && config.line_end != '\n') refuse("line_end", "events are frames", "leave it out, or `frame`");
   if (config.format == LineFormat::binary && !config.frame)
     refuse("frame", "bytes without a frame have no beginning", "set `frame`");
-  if (config.line_end == config.separator && is_csv) refuse("line_end", "it is the separator", "set another one");
   if (config.checksum && config.checksum->of == ChecksumOf::row && config.format != LineFormat::labels)
     refuse("checksum", "only labels have rows", "leave `of` out");
   if (config.format == LineFormat::labels) return;
@@ -164,6 +163,7 @@ void check_marks(const LineConfig& config) {
   }
   if (config.separator == '"' || ends.find(config.separator) != std::string_view::npos)
     refuse("separator", "it has another meaning in CSV", "such as \",\" or \";\"");
+  if (config.line_end == config.separator) refuse("line_end", "it is the separator", "set another one");
   if (std::string_view("0123456789+-.eEaAfFiInNtTyY").find(config.separator) != std::string_view::npos)
     refuse("separator", "numbers may have this character", "such as \",\" or \";\"");
   if (comment.empty()) return;

@@ -158,7 +158,7 @@ void LineNode::on_ready(const FdEvent& event) {
     let_go();
     finish_fix();
     if (fd_ < 0 || openings_ != opening) return;
-    if (cutter_ || is_stream_) report_rest();
+    if (cutter_ || is_stream_) report_rest(End::of_source);
     if (fd_ < 0 || openings_ != opening) return;
     source_ended(error_number);
   }
@@ -285,14 +285,17 @@ void LineNode::fail_unended() {
 
 /// Reports at the end that bytes came but never a usable line.
 void LineNode::report_unended() {
-  if (cutter_) return report_rest();
+  if (cutter_) return report_rest(End::ours);
   if (!is_running() || unended_ == 0 || !is_beginning_ || origin_.counts.received != 0) return;
   if (!std::exchange(is_unended_reported_, true)) fail_unended();
 }
 
-/// What comes no more has no end: a line, or frames behind a length that is wrong.
-void LineNode::report_rest() {
+/// What comes no more has no end: a line, or frames behind a length that is wrong. If the sensor is stopped within a
+/// frame, that is nobody's loss.
+void LineNode::report_rest(End end) {
   if (!is_running()) return;
+  const std::size_t outside = skipped_;
+  const std::uint64_t received = origin_.counts.received;
   const auto is_same = [this, opening = openings_] { return fd_ >= 0 && openings_ == opening; };
   if (cutter_ && cutter_->has_start()) {
     for (unsigned tries = 0; is_same() && !line_.empty() && tries < 16 * most_tries; ++tries) {
@@ -304,7 +307,8 @@ void LineNode::report_rest() {
       ++skipped_;
     }
   }
-  const std::size_t size = line_.size() + skipped_;
+  const bool has_found = origin_.counts.received != received;
+  const std::size_t size = end == End::of_source ? line_.size() + skipped_ : has_found ? 0 : outside;
   line_.clear();
   skipped_ = 0;
   if (!is_same() || size == 0) return;

@@ -74,7 +74,8 @@ class LineNode : public StreamNode {
   void refuse_held();
   void fail_unended();
   void report_unended();
-  void report_rest();
+  enum class End { of_source, ours };
+  void report_rest(End end);
   void fail_overlong();
   void fail_line(const Error& error);
 
