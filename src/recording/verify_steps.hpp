@@ -20,7 +20,7 @@ namespace rtdata::detail {
 class StepCheck {
  public:
   StepCheck(const RecordingFile& file, const RecordedTopic& topic, RunsRows& runs, std::vector<std::string>& problems);
-  /// Adds the next row of the topic's table, which `row` stands at; from its column `first` on it has the table's columns.
+  /// Adds the next row of the topic's table: `row` stands at it, and from column `first` on has the table's columns.
   void add(sqlite3_stmt* row, int first, const OriginRows& origin);
   /// After the last row.
   void end();
