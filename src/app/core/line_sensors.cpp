@@ -23,15 +23,14 @@ void add_line_sensors(Registry& registry) {
         plan.place = {"", config.device, ""};
       },
       {.notes = recipes,
-       .aliases = "arduino uart rs232 usb teensy esp32 scale balance multimeter pms5003 pms7003 sds011 ze08 dust dsmr "
-                  "p1 "
-                  "teleinfo linky ve.direct victron nmea wind windsonic wxt520 balloon geiger a02yyuw maxbotix lidar "
-                  "tf-luna tfmini ultrasonic jeelink ublox gps"});
+       .aliases = "arduino uart rs232 usb teensy esp32 scale balance pms5003 pms7003 sds011 ze08 dust dsmr p1 teleinfo "
+                  "linky ve.direct victron nmea wind windsonic wxt520 balloon geiger a02yyuw maxbotix lidar tf-luna "
+                  "tfmini jeelink ublox"});
   registry.add_sensor<CommandConfig>(
       "command", "a program of your own whose lines are events",
       [](const CommandConfig& config) { return description_of_lines(config.lines); }, makes<CommandSensor>,
       [](PartPlan&, const CommandConfig&) {},
-      {.notes = recipes, .aliases = "script python program exec shell stdout hx711 rtl_433 rtl-433 ping nvidia-smi"});
+      {.notes = recipes, .aliases = "script python program exec shell stdout rtl_433 rtl-433 ping nvidia-smi"});
   registry.add_sensor<TcpLinesConfig>(
       "tcp", "a device that sends lines over a TCP connection, such as an ESP32 or ser2net",
       [](const TcpLinesConfig& config) { return description_of_lines(config.lines); }, makes<TcpLines>,
