@@ -23,30 +23,13 @@
 #include <thread>
 #include <utility>
 
+#include "io/descriptor.hpp"
+
 namespace rtdata::detail {
 namespace {
 
 constexpr int patience = 2000;  // ms
 constexpr const char* what = "cannot start the program";
-
-/// Closes itself.
-class Descriptor {
- public:
-  Descriptor() = default;
-  explicit Descriptor(int fd) : fd_(fd) {}
-  Descriptor(const Descriptor&) = delete;
-  Descriptor& operator=(const Descriptor&) = delete;
-  ~Descriptor() { set(-1); }
-  void set(int fd) {
-    if (fd_ >= 0) ::close(fd_);
-    fd_ = fd;
-  }
-  int get() const { return fd_; }
-  int release() { return std::exchange(fd_, -1); }
-
- private:
-  int fd_ = -1;
-};
 
 bool open_pipe(Descriptor& read, Descriptor& write) {
   int ends[2];
@@ -60,15 +43,15 @@ bool open_pipe(Descriptor& read, Descriptor& write) {
 bool open_terminal(Descriptor& master, Descriptor& slave) {
   master.set(::posix_openpt(O_RDWR | O_NOCTTY | O_CLOEXEC | O_NONBLOCK));
   std::array<char, 128> name{};
-  if (master.get() < 0 || ::grantpt(master.get()) != 0 || ::unlockpt(master.get()) != 0 ||
-      ::ptsname_r(master.get(), name.data(), name.size()) != 0)
+  if (master.fd() < 0 || ::grantpt(master.fd()) != 0 || ::unlockpt(master.fd()) != 0 ||
+      ::ptsname_r(master.fd(), name.data(), name.size()) != 0)
     return false;
   slave.set(::open(name.data(), O_RDWR | O_NOCTTY | O_CLOEXEC));
-  if (slave.get() < 0) return false;
+  if (slave.fd() < 0) return false;
   struct termios raw {};
-  if (::tcgetattr(slave.get(), &raw) != 0) return false;
+  if (::tcgetattr(slave.fd(), &raw) != 0) return false;
   ::cfmakeraw(&raw);
-  return ::tcsetattr(slave.get(), TCSANOW, &raw) == 0;
+  return ::tcsetattr(slave.fd(), TCSANOW, &raw) == 0;
 }
 
 struct Start {
@@ -165,17 +148,17 @@ Result<Child> start_child(const std::vector<std::string>& run, bool prints_to_te
   };
   Descriptor master, slave, read_output, write_output, read_errors, write_errors;
   const Descriptor input(::open("/dev/null", O_RDONLY | O_CLOEXEC));
-  if (input.get() < 0 || !open_terminal(master, slave) || !open_pipe(read_errors, write_errors)) return failure(errno);
+  if (input.fd() < 0 || !open_terminal(master, slave) || !open_pipe(read_errors, write_errors)) return failure(errno);
   if (!prints_to_terminal && !open_pipe(read_output, write_output)) return failure(errno);
   if (prints_to_terminal) {
-    read_output.set(::fcntl(master.get(), F_DUPFD_CLOEXEC, 3));
-    if (read_output.get() < 0) return failure(errno);
+    read_output.set(::fcntl(master.fd(), F_DUPFD_CLOEXEC, 3));
+    if (read_output.fd() < 0) return failure(errno);
   }
   std::vector<char*> arguments;
   for (const std::string& argument : run) arguments.push_back(const_cast<char*>(argument.c_str()));
   arguments.push_back(nullptr);
-  const Start start{arguments.data(), slave.get(), input.get(), prints_to_terminal ? slave.get() : write_output.get(),
-                    write_errors.get()};
+  const Start start{arguments.data(), slave.fd(), input.fd(), prints_to_terminal ? slave.fd() : write_output.fd(),
+                    write_errors.fd()};
   sigset_t all, before;
   ::sigfillset(&all);
   ::pthread_sigmask(SIG_SETMASK, &all, &before);  // no handler of this program runs in the new process

@@ -9,24 +9,12 @@
 #include <cerrno>
 #include <memory>
 
+#include "io/descriptor.hpp"
+
 namespace rtdata::detail {
 namespace {
 
 constexpr const char* who_may = "`ls -l` shows who may; run as such a user, or add a udev rule (docs/iio.md)";
-
-class Descriptor {
- public:
-  explicit Descriptor(int fd) noexcept : fd_(fd) {}
-  Descriptor(const Descriptor&) = delete;
-  Descriptor& operator=(const Descriptor&) = delete;
-  ~Descriptor() {
-    if (fd_ >= 0) ::close(fd_);
-  }
-  int fd() const noexcept { return fd_; }
-
- private:
-  int fd_;
-};
 
 Error failure(int number, const char* what, const std::string& path) {
   if (number == ENODEV)

@@ -28,9 +28,11 @@ void LiveFeed::end() {
   ring_->has_lost.store(false, std::memory_order_relaxed);
 }
 
+/// Once for each description: it looks through all topics.
 void LiveFeed::keep(const Description& description) {
+  auto& kept = ring_->descriptions[&description];
   for (const TopicStatus& topic : loop_.runtime().topics())
-    if (topic.description.get() == &description) ring_->descriptions.emplace(&description, topic.description);
+    if (topic.description.get() == &description) kept = topic.description;
 }
 
 void LiveFeed::take(const EventView& event) {

@@ -12,6 +12,7 @@
 #include "app/inspect/export_table.hpp"
 #include "app/inspect/names.hpp"
 #include "app/inspect/recorded_range.hpp"
+#include "app/inspect/separator.hpp"
 #include "rtdata/loop/topic.hpp"
 #include "rtdata/recording/runs.hpp"
 
@@ -85,7 +86,7 @@ std::optional<TableFormat> table_format_of(const ExportOptions& options) {
     refuse_option(option, "it is of one topic, and --folder of all", "choose one by --topic");
   if (!options.step.empty()) refuse_option(option, "it is of events, and --step of steps", "choose one of them");
   const std::string& said = options.separator;
-  const char separator = said.empty() ? ',' : said == "tab" || said == "\\t" ? '\t' : said.size() == 1 ? said[0] : '\0';
+  const char separator = said.empty() ? ',' : separator_of(said);
   const bool is_wrong = separator != '\t' && (separator < ' ' || separator == '"' || separator == '-' ||
                                               separator == '.' || std::isalnum(static_cast<unsigned char>(separator)));
   if (is_wrong)

@@ -17,6 +17,7 @@
 #include "app/inspect/import_time.hpp"
 #include "app/inspect/import_time_format.hpp"
 #include "app/inspect/import_zone.hpp"
+#include "app/inspect/separator.hpp"
 #include "data/saturating.hpp"
 #include "data/utf8.hpp"
 #include "rtdata/loop/clock.hpp"
@@ -273,10 +274,7 @@ ImportNotation notation_of(const ImportOptions& options) {
   notation.comment = options.comment;
   notation.none = options.none;
   const std::string& said = options.separator;
-  const char separator = said.empty()                     ? in_file.value_or(',')
-                         : said == "tab" || said == "\\t" ? '\t'
-                         : said.size() == 1               ? said[0]
-                                                          : '\0';
+  const char separator = said.empty() ? in_file.value_or(',') : separator_of(said);
   if (separator != '\t' && (separator < ' ' || separator == '"' || std::isalnum(static_cast<unsigned char>(separator))))
     refuse_import("--separator " + said, "it must be one character, which separates cells", "such as \";\", or tab");
   notation.separator = separator;
@@ -326,7 +324,8 @@ void tell_warnings(std::ostream& err, const Found& found, const ImportNotation& 
     warn(rows(found.twice) + " are in an hour that comes twice in " + notation.zone +
          "; each is taken as the first that is not before the row above");
   if (moved > 0)
-    warn(std::to_string(moved) + " rows were not later than the row before; each got a time 1 ns after the row before");
+    warn(rows(moved) + (moved == 1 ? " was" : " were") +
+         " not later than the row before; each got a time 1 ns after the row before");
 }
 
 }  // namespace

@@ -36,8 +36,6 @@ Kind published_kind(const ModbusField& field) {
   return is_computed(field) ? Kind::f64 : field.type;
 }
 
-bool is_integer(Kind kind) { return detail::is_integer_kind(kind); }
-
 /// The same number of bits, with a sign for one without, and the other way round.
 Kind other_sign(Kind kind) {
   switch (kind) {
@@ -61,7 +59,7 @@ Kind other_sign(Kind kind) {
 /// Whether registers of this type can hold it.
 bool can_be_raw(Kind type, double number) {
   if (type == Kind::f32) return std::abs(number) <= std::numeric_limits<float>::max();
-  if (!is_integer(type)) return std::isfinite(number);
+  if (!detail::is_integer_kind(type)) return std::isfinite(number);
   const int bits = static_cast<int>(8 * detail::size_of(type));
   // 2^64 is the nearest double of the largest of 64 bits.
   const double most = bits == 64 ? std::ldexp(1.0, bits) : std::ldexp(1.0, bits) - 1;
@@ -85,7 +83,7 @@ Result<void> check_registers(const ModbusField& field) {
   if (field.registers)
     return refused(field, "only a text has `registers`", "leave it out; a " + type + " has its size");
   const auto bits = static_cast<unsigned>(8 * detail::size_of(field.type));
-  if (field.bit && (!is_integer(field.type) || *field.bit >= bits))
+  if (field.bit && (!detail::is_integer_kind(field.type) || *field.bit >= bits))
     return refused(field, "a " + type + " has no bit " + std::to_string(*field.bit), "set `bit` or `type`");
   if (field.bit && (is_computed(field) || field.mask))
     return refused(field, "a single bit is no number", "leave out what is for numbers: `scale`, `mask` ...");
