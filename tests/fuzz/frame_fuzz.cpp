@@ -11,8 +11,8 @@
 #include <string_view>
 #include <vector>
 
-#include "sensors/serial/frame_cutter.hpp"
-#include "sensors/serial/line_decoder.hpp"
+#include "sensors/lines/frame_cutter.hpp"
+#include "sensors/lines/line_decoder.hpp"
 
 namespace {
 

@@ -9,7 +9,7 @@
 #include <string_view>
 #include <vector>
 
-#include "sensors/serial/line_decoder.hpp"
+#include "sensors/lines/line_decoder.hpp"
 
 namespace {
 

@@ -7,7 +7,7 @@
 #include <string>
 #include <string_view>
 
-#include "sensors/serial/nmea.hpp"
+#include "sensors/lines/nmea.hpp"
 
 using rtdata::GpsFix;
 using rtdata::detail::NmeaFixes;

@@ -7,7 +7,7 @@
 
 #include "has.hpp"
 #include "rtdata/data/codec.hpp"
-#include "sensors/serial/line_decoder.hpp"
+#include "sensors/lines/line_decoder.hpp"
 
 using namespace rtdata;
 using rtdata::test::has;

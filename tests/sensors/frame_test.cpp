@@ -10,10 +10,11 @@
 #include "rtdata/data/event.hpp"
 #include "rtdata/sensors/serial_line.hpp"
 #include "sensors/fixture.hpp"
+#include "sensors/lines/checksum.hpp"
+#include "sensors/lines/frame_cutter.hpp"
+#include "sensors/lines/line_config.hpp"
+#include "sensors/lines/line_decoder.hpp"
 #include "sensors/pty.hpp"
-#include "sensors/serial/checksum.hpp"
-#include "sensors/serial/frame_cutter.hpp"
-#include "sensors/serial/line_decoder.hpp"
 #include "sensors/termios2.hpp"
 
 using namespace rtdata;
@@ -389,6 +390,13 @@ TEST_SUITE("sensors" * doctest::skip(!terminals_can_be_set_up())) {
     sensor.stop();
     CHECK(sensor.counts().published == 2);
     CHECK(sensor.counts().unreadable == 2);
+  }
+
+  TEST_CASE("US-13 bytes behind which no frame begins are told, though the device is not silent") {
+    const Heard heard = hear(pms5003, particles(35) + "this is no frame", 100, 2);
+    CHECK(heard.counts.unreadable == 1);
+    REQUIRE(heard.errors.size() == 1);
+    CHECK(heard.errors.front() == "16 bytes are thrown away");
   }
 
   TEST_CASE("US-13 texts for no value are written as the device writes its numbers") {

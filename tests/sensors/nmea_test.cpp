@@ -1,5 +1,5 @@
 // Receivers that send NMEA over a serial line.
-#include "sensors/serial/nmea.hpp"
+#include "sensors/lines/nmea.hpp"
 
 #include <doctest/doctest.h>
 

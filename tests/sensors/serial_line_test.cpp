@@ -22,8 +22,8 @@
 #include "rtdata/recording/sqlite.hpp"
 #include "rtdata/recording/verify.hpp"
 #include "sensors/fixture.hpp"
+#include "sensors/lines/line_decoder.hpp"
 #include "sensors/pty.hpp"
-#include "sensors/serial/line_decoder.hpp"
 #include "sensors/termios2.hpp"
 
 using namespace rtdata;

@@ -13,8 +13,10 @@
 /// - Text around a number is taken off by a field's `prefix`, `suffix`, `decimal`, `thousands`, `base` and
 ///   `sign_blanks`; `no_value` and `words` name texts that stand for no value, and for numbers. In JSON, such a field
 ///   may be a text.
-/// - A line ends with a newline; a carriage return before it is ignored. The sensor skips empty lines, lines that begin
-///   with `comment`, and the first `skip_lines` lines after opening.
+/// - `only` chooses lines by a column, a key or their text: others count as filtered, unless their checksum is wrong.
+///   Lines that match `unreadable_if`, and those with a wrong `checksum`, are unreadable.
+/// - A line ends with a newline, or with `line_end`; a carriage return before it is ignored. The sensor skips empty
+///   lines, lines that begin with `comment`, and the first `skip_lines` lines after opening.
 /// - The bytes up to the first newline after opening may be half a line: they are discarded and counted
 ///   (`SensorCounts::first_lines`), unless `first_line` is `keep` or no byte came for 100 ms after opening.
 /// - An unusable line (a missing column, not a number, out of its type's range, longer than `max_line`) is counted as
@@ -24,7 +26,11 @@
 ///   restart of the device, unless the field's type wraps around. A line whose number makes a jump is held until the
 ///   next one, for `silence` or a second at most: when that takes the jump back, as after a wrong digit, the line is
 ///   unreadable; else both are published with their own times.
-/// - Without a line for longer than `silence` the sensor is degraded until a good line comes, with a gap (silent).
+/// - With `frame`, events are frames of bytes instead of lines, of CSV or JSON, of rows with labels (`format` labels: a
+///   field's `key` is the label, `column` counts what follows), or of binary fields by their place (`format` binary:
+///   `at`, `wire`). Bytes outside of frames are unreadable, once for each stretch of them. After an unusable frame the
+///   next start is looked for within it, up to 16 times.
+/// - Without a byte for longer than `silence` the sensor is degraded until a good line comes, with a gap (silent).
 /// - Without a line end for max(4 KiB, `max_line`), for example at the wrong speed, the sensor is degraded, and this
 ///   counts as one unreadable line.
 ///

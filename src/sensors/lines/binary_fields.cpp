@@ -1,4 +1,4 @@
-#include "sensors/serial/binary_fields.hpp"
+#include "sensors/lines/binary_fields.hpp"
 
 #include <algorithm>
 #include <cmath>

@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "rtdata/sensors/lines.hpp"
-#include "sensors/serial/field_text.hpp"
+#include "sensors/lines/field_text.hpp"
 
 namespace rtdata::detail {
 

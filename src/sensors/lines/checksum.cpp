@@ -1,4 +1,4 @@
-#include "sensors/serial/checksum.hpp"
+#include "sensors/lines/checksum.hpp"
 
 #include <algorithm>
 #include <charconv>
@@ -165,48 +165,49 @@ std::size_t Checksum::place_of_after(std::string_view text) const noexcept {
   return text.substr(at).starts_with(config_.after) ? at : std::string_view::npos;
 }
 
+Checksum::Place Checksum::place_in(std::string_view text) const noexcept {
+  Place place;
+  if (config_.after.empty()) {
+    place.end = text.size() < width() ? 0 : text.size() - width();
+    place.written = text.substr(place.end);
+    place.covered = place.end;
+  } else {
+    place.end = place_of_after(text);
+    if (place.end == std::string_view::npos) return place;
+    const std::size_t begin = place.end + config_.after.size();
+    place.written = text.substr(begin);
+    if (config_.form == Form::hex) place.written = trimmed(place.written);
+    place.covered = config_.covers_after ? begin : place.end;
+  }
+  place.covered -= std::min(place.covered, config_.before);
+  place.is_whole = place.written.size() == width() && place.covered >= config_.from &&
+                   read(place.written, place.number);
+  if (place.is_whole) place.right = of(text.substr(config_.from, place.covered - config_.from));
+  return place;
+}
+
 bool Checksum::is_damaged(std::string_view text) const noexcept {
-  if (config_.after.empty()) return false;
-  const std::size_t at = place_of_after(text);
-  if (at == std::string_view::npos) return false;
-  const std::size_t begin = at + config_.after.size();
-  std::string_view written = text.substr(begin);
-  if (config_.form == Form::hex) written = trimmed(written);
-  std::size_t covered = config_.covers_after ? begin : at;
-  covered -= std::min(covered, config_.before);
-  std::uint32_t number = 0;
-  return written.size() != width() || covered < config_.from || !read(written, number) ||
-         number != of(text.substr(config_.from, covered - config_.from));
+  if (config_.after.empty()) return false;  // it may be of another kind, which has none
+  const Place place = place_in(text);
+  return place.end != std::string_view::npos && (!place.is_whole || place.number != place.right);
 }
 
 Result<std::string_view> Checksum::checked(std::string_view text) const {
-  std::size_t end = text.size() < width() ? 0 : text.size() - width();  // of what is kept
-  std::string_view written = text.substr(end);
-  std::size_t covered = end;
-  if (!config_.after.empty()) {
-    end = place_of_after(text);
-    if (end == std::string_view::npos) {
-      if (config_.optional) return text;
-      return wrong_checksum("it has no checksum after \"" + config_.after + "\"");
-    }
-    const std::size_t begin = end + config_.after.size();
-    written = text.substr(begin);
-    if (config_.form == Form::hex) written = trimmed(written);
-    covered = config_.covers_after ? begin : end;
+  const Place place = place_in(text);
+  if (place.end == std::string_view::npos) {
+    if (config_.optional) return text;
+    return wrong_checksum("it has no checksum after \"" + config_.after + "\"");
   }
-  std::uint32_t number = 0;
-  covered -= std::min(covered, config_.before);
-  if (written.size() != width() || covered < config_.from || !read(written, number))
-    return wrong_checksum("it has no checksum, or one that is cut off");
-  if (const std::uint32_t right = of(text.substr(config_.from, covered - config_.from)); number != right) {
+  if (!place.is_whole) return wrong_checksum("it has no checksum, or one that is cut off");
+  if (place.number != place.right) {
     const auto shown = [&](std::uint32_t value) {
       char digits[9];
-      const auto last = std::to_chars(digits, digits + sizeof digits, value, 16).ptr;
-      return std::string(digits, last);
+      return std::string(digits, std::to_chars(digits, digits + sizeof digits, value, 16).ptr);
     };
-    return wrong_checksum("its checksum is " + shown(number) + ", and should be " + shown(right) + " (hexadecimal)");
+    return wrong_checksum("its checksum is " + shown(place.number) + ", and should be " + shown(place.right) +
+                          " (hexadecimal)");
   }
-  return text.substr(0, end);
+  return text.substr(0, place.end);
 }
 
 }  // namespace rtdata::detail

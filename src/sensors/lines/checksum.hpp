@@ -24,6 +24,15 @@ class Checksum {
   std::uint32_t of(std::string_view bytes) const noexcept;
 
  private:
+  /// Where it stands in a text, what it is and should be.
+  struct Place {
+    std::size_t end = 0;      // of what is kept; npos: there is no `after`
+    std::size_t covered = 0;  // up to here
+    std::string_view written = {};
+    bool is_whole = false;
+    std::uint32_t number = 0, right = 0;
+  };
+  Place place_in(std::string_view text) const noexcept;
   std::size_t place_of_after(std::string_view text) const noexcept;
   std::size_t bytes() const noexcept;
   std::size_t width() const noexcept;

@@ -11,9 +11,10 @@
 #include <utility>
 
 #include "io/child_process.hpp"
+#include "loop/events/allowance.hpp"
 #include "rtdata/data/config_item.hpp"
 #include "rtdata/detail/loop/lane.hpp"
-#include "sensors/serial/line_node.hpp"
+#include "sensors/lines/line_node.hpp"
 
 namespace rtdata {
 namespace detail {
@@ -23,7 +24,6 @@ constexpr Duration starting_limit = std::chrono::seconds{5};
 // A program that ends closes its output; both are told within this time.
 constexpr Duration ending_limit = std::chrono::milliseconds{200};
 constexpr std::size_t longest_error_line = 500;
-constexpr unsigned most_error_lines = 20;  // in the log, each second
 constexpr const char* program_advice = "check the program: `run` it by hand";
 
 }  // namespace
@@ -153,21 +153,18 @@ class CommandNode final : public LineNode {
       if (static_cast<unsigned char>(c) < ' ') c = ' ';
     if (line.size() > longest_error_line) line.resize(longest_error_line);
     last_error_ = line;
-    const MonotonicTime now = loop()->now();
-    if (now - second_ >= std::chrono::seconds{1}) {
-      if (left_out_ > 0)
-        loop()->runtime.log(LogLevel::warning, object_name(), std::to_string(left_out_) + " lines were left out");
-      second_ = now;
-      said_ = left_out_ = 0;
-    }
-    if (++said_ > most_error_lines) {
+    const Duration now = loop()->now().time_since_epoch();
+    if (!allowance_.has_some(now)) {
       ++left_out_;
-    } else {
-      loop()->runtime.log(LogLevel::warning, object_name(), "the program says: " + line);
+      return;
     }
+    allowance_.spend(now);
+    const unsigned left_out = std::exchange(left_out_, 0);
+    loop()->runtime.log(
+        LogLevel::warning, object_name(),
+        "the program says: " + line +
+            (left_out > 0 ? " (lines before that were left out: " + std::to_string(left_out) + ")" : ""));
   }
-  Error lost(int) const override { return {}; }  // see be_over
-
   const std::vector<std::string> run_;
   const bool is_terminal_;
   Lane lane_;
@@ -177,8 +174,8 @@ class CommandNode final : public LineNode {
   Timer over_;
   bool is_output_over_ = false, has_ended_ = false;
   std::string error_text_, last_error_;
-  MonotonicTime second_{};
-  unsigned said_ = 0, left_out_ = 0;
+  Allowance allowance_;
+  unsigned left_out_ = 0;  // lines of its standard error, since the last that was logged
 };
 
 }  // namespace detail
@@ -205,7 +202,7 @@ CommandSensor::CommandSensor(Loop& loop, FeedConfig feed, CommandConfig config) 
   };
   if (config.run.empty() || config.run.front().empty())
     refuse("`run` names no program", "such as {\"python3\", \"x.py\"}");
-  detail::check_lines(config.lines, feed.name);
+  detail::check_source(config.lines, feed.name);
   const bool starts = config.lines.start;
   auto* node = new detail::CommandNode(loop.core(), feed, std::move(config));
   CommandSensor made(node);

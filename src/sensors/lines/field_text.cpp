@@ -1,4 +1,4 @@
-#include "sensors/serial/field_text.hpp"
+#include "sensors/lines/field_text.hpp"
 
 #include <algorithm>
 #include <array>

@@ -1,9 +1,9 @@
-#include "sensors/serial/frame_cutter.hpp"
+#include "sensors/lines/frame_cutter.hpp"
 
 #include <algorithm>
 #include <utility>
 
-#include "sensors/serial/hex_bytes.hpp"
+#include "sensors/lines/hex_bytes.hpp"
 
 namespace rtdata::detail {
 namespace {
@@ -19,6 +19,13 @@ std::string bytes_of(const char* key, const std::string& text, const std::string
   if (!bytes)
     refuse_frame("`" + std::string(key) + "_hex` is not bytes", "two hexadecimal digits each, such as \"42 4d\"");
   return text.empty() ? *bytes : text;
+}
+
+/// How many bytes at the end may be the first ones of this mark.
+std::size_t beginning_of(std::string_view mark, std::string_view bytes) noexcept {
+  std::size_t size = std::min(bytes.size(), mark.size() - 1);
+  while (!bytes.ends_with(mark.substr(0, size))) --size;
+  return size;
 }
 
 }  // namespace
@@ -64,8 +71,7 @@ FrameCutter::Found FrameCutter::next(std::string_view bytes) noexcept {
   for (std::size_t begin = 0;;) {
     const std::size_t start = bytes.find(start_, begin);
     if (start == std::string_view::npos) {
-      const std::size_t kept = std::min(bytes.size() - begin, start_.size() - 1);  // may be the first bytes of a start
-      return {bytes.size() - kept, 0};
+      return {bytes.size() - beginning_of(start_, bytes.substr(begin)), 0};
     }
     const std::string_view frame = bytes.substr(start);
     begin = start + 1;
@@ -94,8 +100,7 @@ FrameCutter::Found FrameCutter::next_end(std::string_view bytes) noexcept {
     if (end == std::string_view::npos) {
       is_overlong_ = is_overlong_ || bytes.size() - begin > longest_;
       if (!is_overlong_) return {begin, 0};
-      const std::size_t kept = std::min(bytes.size() - begin, end_.size() - 1);  // may be the first bytes of an end
-      return {bytes.size() - kept, 0};
+      return {bytes.size() - beginning_of(end_, bytes.substr(begin)), 0};
     }
     const std::size_t next = end + end_.size() + config_.after_end;
     if (next - begin > longest_) is_overlong_ = true;

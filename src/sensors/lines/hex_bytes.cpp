@@ -1,4 +1,4 @@
-#include "sensors/serial/hex_bytes.hpp"
+#include "sensors/lines/hex_bytes.hpp"
 
 namespace rtdata::detail {
 

@@ -9,9 +9,9 @@
 #include <vector>
 
 #include "rtdata/sensors/lines.hpp"
-#include "sensors/serial/binary_fields.hpp"
-#include "sensors/serial/checksum.hpp"
-#include "sensors/serial/field_text.hpp"
+#include "sensors/lines/binary_fields.hpp"
+#include "sensors/lines/checksum.hpp"
+#include "sensors/lines/field_text.hpp"
 
 namespace rtdata::detail {
 
@@ -64,6 +64,8 @@ class LineDecoder {
   Result<void> decode_csv(std::string_view line);
   std::string advice_on(std::string_view line) const;
   Result<void> decode_json(std::string_view line);
+  /// Puts the value into `found_`; false: there is none.
+  bool find_in_json(std::string_view key, std::string_view line);
   Result<void> decode_labels(std::string_view rows);
   Result<void> all_seen() const;
   bool matches(const LineMatch& match, std::string_view line);
@@ -105,8 +107,5 @@ class LineDecoder {
   std::string cell_;   // without its quotes
   std::string found_;  // the value in JSON that a match looks at
 };
-
-/// Null: NMEA. SetupError: as LineDecoder, and of settings that NMEA has not.
-std::unique_ptr<LineDecoder> decoder_of_lines(const LineConfig& config);
 
 }  // namespace rtdata::detail

@@ -1,4 +1,4 @@
-#include "sensors/serial/line_node.hpp"
+#include "sensors/lines/line_node.hpp"
 
 #include <sys/ioctl.h>
 #include <unistd.h>
@@ -9,6 +9,7 @@
 #include <utility>
 
 #include "data/utf8.hpp"
+#include "sensors/lines/line_config.hpp"
 
 namespace rtdata::detail {
 namespace {
@@ -17,6 +18,8 @@ namespace {
 constexpr std::size_t most_read = 1024;
 // This many bytes without a line end mean that the device sends no lines at this speed.
 constexpr std::size_t least_unended = 4096;
+// Bytes outside of frames, behind which no frame begins, are told after this time.
+constexpr Duration longest_untold = std::chrono::seconds{1};
 // Starts within frames that cannot be used are tried; so many, then the whole frame is left out: a turn has an end.
 constexpr unsigned most_tries = 16;
 // A device that was silent for so long after the opening was not in the middle of a line.
@@ -42,7 +45,14 @@ LineNode::LineNode(LoopCore& loop, const FeedConfig& feed, LineConfig config, st
       advice_(advice),
       decoder_(std::move(decoder)) {
   line_.reserve(config_.max_line + most_read);
-  if (config_.frame) cutter_.emplace(*config_.frame, config_.max_line);
+  if (config_.frame) {
+    cutter_.emplace(*config_.frame, config_.max_line);
+    outside_ = Timer(loop.face, [this] {
+      if (fd_ < 0) return;
+      Call call(*this);
+      report_outside(true);
+    });
+  }
   if (config_.first_line == FirstLine::discard) {
     quiet_ = Timer(loop.face, [this] {
       int waiting = 0;
@@ -129,6 +139,7 @@ void LineNode::use(int fd) {
 void LineNode::on_close() noexcept {
   hold_.close();
   quiet_.close();
+  outside_.close();
   if (std::exchange(held_.is_there, false)) {
     origin_.counts.lost += held_.lost;
     take_sample(held_.payload(), held_.time);
@@ -163,8 +174,6 @@ void LineNode::on_ready(const FdEvent& event) {
     source_ended(error_number);
   }
 }
-
-void LineNode::source_ended(int error_number) { lose(lost(error_number), loop()->now()); }
 
 /// Takes the complete lines out of the buffer, whose bytes from `from` on are new.
 void LineNode::take_lines(std::size_t from) {
@@ -244,8 +253,15 @@ void LineNode::skip(std::string_view bytes, bool are_all) {
   const auto blank = [](char c) { return c == '\r' || c == '\n' || c == '\0'; };
   if (!std::all_of(bytes.begin(), bytes.end(), blank)) skipped_ += bytes.size();
   const bool is_much = skipped_ > std::max(config_.max_line, least_unended);
-  if (skipped_ == 0 || (!is_much && !are_all)) return;
+  if (skipped_ == 0) return;
+  if (!is_much && !are_all) return outside_.start(longest_untold);
+  report_outside(is_much);
+}
+
+void LineNode::report_outside(bool is_much) {
+  outside_.stop();
   const std::size_t size = std::exchange(skipped_, 0);
+  if (size == 0) return;
   if (std::exchange(is_first_, false)) {
     ++origin_.counts.first_lines;
     if (!is_much) return;
@@ -456,7 +472,7 @@ void LineNode::fail_line(const Error& error) {
   fail(error);
 }
 
-void check_lines(const LineConfig& config, const std::string& sensor) {
+void check_source(const LineConfig& config, const std::string& sensor) {
   const auto refuse = [&](const char* why, const char* advice) {
     throw SetupError({Errc::bad_argument, "cannot take these lines", "sensor " + sensor, why, advice});
   };

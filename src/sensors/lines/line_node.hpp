@@ -13,9 +13,9 @@
 #include "rtdata/loop/watch.hpp"
 #include "rtdata/sensors/lines.hpp"
 #include "sensors/core/stream_node.hpp"
-#include "sensors/serial/frame_cutter.hpp"
-#include "sensors/serial/line_decoder.hpp"
-#include "sensors/serial/nmea.hpp"
+#include "sensors/lines/frame_cutter.hpp"
+#include "sensors/lines/line_decoder.hpp"
+#include "sensors/lines/nmea.hpp"
 
 namespace rtdata::detail {
 
@@ -35,8 +35,9 @@ class LineNode : public StreamNode {
   // block, closed with `close_source`, or the reason why there is none.
   void take(Result<int> fd);
   virtual void close_source(int fd) noexcept = 0;
-  /// The error when the source has ended. `error_number` is that of `read`; 0: the end of the stream.
-  virtual Error lost(int error_number) const = 0;
+  /// The source has ended: the derived class calls `lose`, now or later. `error_number` is that of `read`; 0: the end
+  /// of the stream.
+  virtual void source_ended(int error_number) = 0;
   /// Starts running; the caller opens the source.
   void begin_lines();
   /// What comes first is the rest of a line, however long the source is silent.
@@ -44,8 +45,6 @@ class LineNode : public StreamNode {
   bool has_source() const noexcept { return fd_ >= 0; }
   /// The source has an end that it chooses: a line without an end is told then.
   void set_stream() noexcept { is_stream_ = true; }
-  /// Calls `lose` with `lost`, now or later.
-  virtual void source_ended(int error_number);
   /// No more is read from the source.
   void pause_reading() { watch_.close(); }
   void close_stream() noexcept override;
@@ -64,6 +63,7 @@ class LineNode : public StreamNode {
   void take_frames();
   bool take_frame(std::string_view frame);
   void skip(std::string_view bytes, bool are_all);
+  void report_outside(bool is_much);
   void leave_out();
   void take_decoded();
   void take_sentence(std::string_view line);
@@ -101,7 +101,8 @@ class LineNode : public StreamNode {
   };
   Held held_;
   Timer hold_;
-  Timer quiet_;  // since the opening
+  Timer outside_;  // since bytes outside of frames came last
+  Timer quiet_;    // since the opening
   FdWatch watch_;
   int fd_ = -1;
   std::string line_;  // the bytes of the lines that are not complete, never more than max_line + most_read
@@ -118,6 +119,6 @@ class LineNode : public StreamNode {
 };
 
 /// SetupError (bad-argument): settings that no source can have.
-void check_lines(const LineConfig& config, const std::string& sensor);
+void check_source(const LineConfig& config, const std::string& sensor);
 
 }  // namespace rtdata::detail

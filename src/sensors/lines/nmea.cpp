@@ -1,5 +1,5 @@
 // NMEA 0183, as IEC 61162-1 has it: "$", talker and sentence, fields separated by commas, "*", checksum.
-#include "sensors/serial/nmea.hpp"
+#include "sensors/lines/nmea.hpp"
 
 #include <algorithm>
 #include <charconv>

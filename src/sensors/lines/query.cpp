@@ -3,8 +3,8 @@
 #include <optional>
 
 #include "rtdata/data/config_item.hpp"
-#include "sensors/serial/hex_bytes.hpp"
-#include "sensors/serial/line_decoder.hpp"
+#include "sensors/lines/hex_bytes.hpp"
+#include "sensors/lines/line_decoder.hpp"
 
 namespace rtdata {
 namespace {

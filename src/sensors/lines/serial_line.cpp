@@ -8,7 +8,7 @@
 #include <utility>
 
 #include "io/tty.hpp"
-#include "sensors/serial/line_node.hpp"
+#include "sensors/lines/line_node.hpp"
 
 namespace rtdata {
 namespace detail {
@@ -34,12 +34,12 @@ class SerialLineNode final : public LineNode {
  private:
   void open_stream() override { take(open_tty(place(), settings_)); }
   void close_source(int fd) noexcept override { close_tty(fd); }
-  Error lost(int error_number) const override {
+  void source_ended(int error_number) override {
     constexpr const char* what = "lost the serial line";
     constexpr const char* advice = "check the plug and the cable; it is opened again when it is back";
     if (error_number == 0 || error_number == EIO || error_number == EAGAIN)
-      return {Errc::disconnected, what, place(), "the device has disappeared", advice};
-    return system_error(error_number, what, place(), advice);
+      return lose({Errc::disconnected, what, place(), "the device has disappeared", advice}, loop()->now());
+    lose(system_error(error_number, what, place(), advice), loop()->now());
   }
 
   /// Drops old input from before the start, which exists only if another program had the line open; its age is unknown.
@@ -81,7 +81,7 @@ SerialLineSensor::SerialLineSensor(Loop& loop, FeedConfig feed, SerialConfig con
   };
   if (config.device.empty())
     refuse("it has no device", "set `device`, such as /dev/ttyUSB0; `ls /dev/serial/by-id` lists them");
-  detail::check_lines(config.lines, feed.name);
+  detail::check_source(config.lines, feed.name);
   if (const auto flags = detail::control_flags(config.serial); !flags) throw SetupError(flags.error());
   const bool starts = config.lines.start;
   auto* node = new detail::SerialLineNode(loop.core(), feed, std::move(config));

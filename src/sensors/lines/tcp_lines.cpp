@@ -7,7 +7,7 @@
 
 #include "net/tcp_stream.hpp"
 #include "rtdata/data/config_item.hpp"
-#include "sensors/serial/line_node.hpp"
+#include "sensors/lines/line_node.hpp"
 
 namespace rtdata {
 namespace detail {
@@ -39,7 +39,8 @@ class TcpLinesNode final : public LineNode {
       if (!stream_.send(text)) return take(lost(0));
     take(stream_.release());
   }
-  Error lost(int error_number) const override {
+  void source_ended(int error_number) override { lose(lost(error_number), loop()->now()); }
+  Error lost(int error_number) const {
     constexpr const char* what = "lost the connection";
     if (error_number == 0) return {Errc::disconnected, what, place(), "the device has ended it", "check the device"};
     return system_error(error_number, what, place(), "check the device and the network");
@@ -70,7 +71,7 @@ TcpLines::TcpLines(Loop& loop, FeedConfig feed, TcpLinesConfig config) {
   };
   if (std::string why = detail::obstacle_of_host(config.host); !why.empty()) refuse(std::move(why), "set `host`");
   if (config.port == 0) refuse("there is no port", "set `port`");
-  detail::check_lines(config.lines, feed.name);
+  detail::check_source(config.lines, feed.name);
   const bool starts = config.lines.start;
   auto* node = new detail::TcpLinesNode(loop.core(), feed, std::move(config));
   TcpLines made(node);

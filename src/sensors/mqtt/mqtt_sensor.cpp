@@ -8,7 +8,7 @@
 #include "rtdata/data/config_item.hpp"
 #include "rtdata/sensors/mqtt.hpp"
 #include "sensors/core/stream_node.hpp"
-#include "sensors/serial/line_decoder.hpp"
+#include "sensors/lines/line_decoder.hpp"
 
 namespace rtdata {
 namespace detail {

@@ -1,0 +1,212 @@
+#include "sensors/lines/line_config.hpp"
+
+#include <algorithm>
+#include <optional>
+#include <utility>
+
+#include "data/lower_case.hpp"
+#include "rtdata/data/config_item.hpp"
+#include "rtdata/sensors/gps.hpp"
+#include "sensors/lines/frame_cutter.hpp"
+#include "sensors/lines/line_decoder.hpp"
+
+namespace rtdata {
+namespace detail {
+namespace {
+
+/// True if the text may begin a CSV number ("12.", "-1e", "na", "INF"), so that such a line is not taken as a comment.
+bool begins_a_number(std::string_view text) noexcept {
+  if (!text.empty() && (text.front() == '+' || text.front() == '-')) text.remove_prefix(1);
+  const std::string lower = lower_case(text);
+  for (const std::string_view word : {"nan", "infinity"})
+    if (word.starts_with(lower)) return true;
+  if (lower.starts_with("nan(")) return true;
+  const std::size_t exponent = lower.find('e');
+  const std::string_view digits = std::string_view(lower).substr(0, exponent);
+  if (digits.find_first_not_of("0123456789.") != std::string_view::npos ||
+      std::count(digits.begin(), digits.end(), '.') > 1)
+    return false;
+  if (exponent == std::string::npos) return true;
+  std::string_view power = std::string_view(lower).substr(exponent + 1);
+  if (!power.empty() && (power.front() == '+' || power.front() == '-')) power.remove_prefix(1);
+  return digits.find_first_of("0123456789") != std::string_view::npos &&
+         power.find_first_not_of("0123456789") == std::string_view::npos;
+}
+
+bool begins_a_boolean(std::string_view text) noexcept {
+  for (const std::string_view word : {"true", "TRUE", "True", "false", "FALSE", "False"})
+    if (word.starts_with(text)) return true;
+  return false;
+}
+
+/// NMEA has lines of its own kind.
+void check_nmea(const LineConfig& config) {
+  for (const auto& [key, is_set] : {std::pair("frame", config.frame.has_value()),
+                                    {"only", config.only.has_value()},
+                                    {"unreadable_if", config.unreadable_if.has_value()},
+                                    {"checksum", config.checksum.has_value()},
+                                    {"line_end", config.line_end != '\n'}})
+    if (is_set) throw SetupError(refused_lines(key, "`format` nmea reads its sentences by itself", "leave it out"));
+}
+
+void check_marks(const LineConfig& config) {
+  const auto refuse = [](const char* key, std::string why, const char* advice) {
+    throw SetupError(refused_lines(key, std::move(why), advice));
+  };
+  constexpr std::string_view ends("\n\r\0", 3);
+  const std::string& comment = config.comment;
+  const bool is_csv = config.format == LineFormat::csv;
+  if (config.frame && config.line_end != '\n') refuse("line_end", "events are frames", "leave it out, or `frame`");
+  if (config.format == LineFormat::binary && !config.frame)
+    refuse("frame", "bytes without a frame have no beginning", "set `frame`");
+  if (config.checksum && config.checksum->of == ChecksumOf::row && config.format != LineFormat::labels)
+    refuse("checksum", "only labels have rows", "leave `of` out");
+  if (config.format == LineFormat::labels) return;
+  if (comment.find_first_of(ends) != std::string::npos)
+    refuse("comment", "no line begins with the end of a line", "such as \"#\", or \"\" for none");
+  if (!comment.empty() && comment.find_first_not_of(" \t") == std::string::npos)
+    refuse("comment", "lines of data may begin with a blank", "such as \"#\", or \"\" for none");
+  if (!is_csv) {
+    if (comment.starts_with('{')) refuse("comment", "each object begins with {", "such as \"#\", or \"\" for none");
+    return;
+  }
+  if (config.separator == '"' || ends.find(config.separator) != std::string_view::npos)
+    refuse("separator", "it has another meaning in CSV", "such as \",\" or \";\"");
+  if (config.line_end == config.separator) refuse("line_end", "it is the separator", "set another one");
+  if (std::string_view("0123456789+-.eEaAfFiInNtTyY").find(config.separator) != std::string_view::npos)
+    refuse("separator", "numbers may have this character", "such as \",\" or \";\"");
+  if (comment.empty()) return;
+  if (comment.front() == config.separator)
+    refuse("comment", "comments would begin with the separator", "set another `comment`, \"\" for none");
+  const bool begins_with_boolean = !config.fields.empty() && config.fields.front().type == Kind::boolean;
+  if (comment.front() == '"' || begins_a_number(comment) || (begins_with_boolean && begins_a_boolean(comment)))
+    refuse("comment", "lines of data may begin with it", "such as \"#\", or \"\" for none");
+}
+
+void check_fields_of(const LineConfig& config) {
+  for (std::size_t i = 0; i < config.fields.size(); ++i) {
+    const LineField& field = config.fields[i];
+    const bool has_keys = config.format == LineFormat::json || config.format == LineFormat::labels;
+    if (has_keys && field.name.empty() && field.key.empty())
+      throw SetupError(
+          refused_lines("field " + std::to_string(i + 1),
+                        config.format == LineFormat::json ? "a field of JSON has no name" : "a field has no name",
+                        "give it a `name`"));
+    if (config.format != LineFormat::binary && (field.at || field.wire))
+      throw SetupError(refused_lines("field " + field.name, "`at` and `wire` are of binary frames", "leave them out"));
+    if (config.format != LineFormat::labels && field.column != 1)
+      throw SetupError(refused_lines("field " + field.name, "`column` is of labels", "leave it out"));
+    const bool has_separator = field.decimal == config.separator || field.thousands == std::string(1, config.separator);
+    if (config.format == LineFormat::csv && has_separator)
+      throw SetupError(refused_lines("separator", "field " + field.name + " has it within its numbers",
+                                     "set another `separator`, such as \";\""));
+  }
+}
+
+void check_match(const LineConfig& config, const char* key, const std::optional<LineMatch>& match) {
+  if (!match) return;
+  const auto refuse = [&](const char* why, const char* advice) { throw SetupError(refused_lines(key, why, advice)); };
+  if (match->is.empty() && match->begins.empty() && match->contains.empty())
+    refuse("it does not say what the text is", "set `is`, `begins` or `contains`");
+  if (match->column != 0 && config.format != LineFormat::csv)
+    refuse("only CSV has columns", "use `key`, or the whole line");
+  if (!match->key.empty() && config.format != LineFormat::json && config.format != LineFormat::labels)
+    refuse("only JSON and labels have keys", "use `column`, or the whole line");
+  if (config.format == LineFormat::binary) refuse("frames of bytes have no text", "leave it out");
+}
+
+}  // namespace
+
+Error refused_lines(std::string where, std::string why, std::string advice) {
+  return {Errc::bad_argument, "cannot use these fields", std::move(where), std::move(why), std::move(advice)};
+}
+
+void check_lines(const LineConfig& config) {
+  check_marks(config);
+  check_fields_of(config);
+  check_match(config, "only", config.only);
+  check_match(config, "unreadable_if", config.unreadable_if);
+  if (config.format == LineFormat::binary && config.separator != ',')
+    throw SetupError(refused_lines("separator", "bytes have none", "leave it out"));
+}
+
+std::unique_ptr<LineDecoder> decoder_of_lines(const LineConfig& config) {
+  if (config.format != LineFormat::nmea) return std::make_unique<LineDecoder>(config);
+  check_nmea(config);
+  return nullptr;
+}
+
+std::string shown_line(std::string_view text) {
+  std::string shown = "\"";
+  for (const char c : text.substr(0, 40)) shown += c >= ' ' && c < 127 ? c : '?';
+  return shown + (text.size() > 40 ? "...\"" : "\"");
+}
+
+std::string type_with_article(Kind kind) {
+  if (kind == Kind::f64 || kind == Kind::f32) return "a number";
+  const std::string_view name = name_of(kind);
+  return std::string(name.starts_with('i') ? "an " : "a ").append(name);
+}
+
+}  // namespace detail
+
+Result<std::shared_ptr<const Description>> line_description(const std::vector<LineField>& fields) {
+  DescriptionBuilder builder("line");
+  std::size_t kept = 0;
+  for (const LineField& field : fields) {
+    if (field.name.empty()) continue;
+    ++kept;
+    if (field.type == Kind::enumeration || field.type == Kind::record) {
+      return detail::refused_lines("field " + field.name, "a line holds no " + std::string(name_of(field.type)),
+                                   "choose another `type`");
+    }
+    if (field.scale == 0)
+      return detail::refused_lines("field " + field.name, "a scale of 0 makes all of it 0", "set another `scale`");
+    if (field.scale != 1 && field.type != Kind::f32 && field.type != Kind::f64) {
+      return detail::refused_lines("field " + field.name, "only a float or double can be scaled",
+                                   "make its `type` double");
+    }
+    using Presence = DescriptionBuilder::Presence;
+    const bool is_optional = field.optional || !field.no_value.empty();
+    const Presence presence = is_optional ? Presence::optional : Presence::always;
+    if (field.type == Kind::text) {
+      if (field.length < 1 || field.length > 65535)
+        return detail::refused_lines("field " + field.name, "a length of 0", "set `length`");
+      builder.text(field.name, field.length, presence);
+    } else {
+      builder.field(field.name, field.type, field.unit, presence);
+    }
+  }
+  if (kept == 0) return detail::refused_lines("", "no field has a name", "list what is in a line in `fields`");
+  auto made = builder.build();
+  if (made && (*made)->size() > max_payload_size)
+    return detail::refused_lines("", "they need more than 4 KiB", "shorten the texts");
+  return made;
+}
+
+Result<std::shared_ptr<const Description>> description_of_lines(const LineConfig& config) {
+  if (config.format == LineFormat::nmea) return description_of<GpsFix>();
+  return line_description(config.fields);
+}
+
+void check_config(const LineConfig& config, const ConfigItem& item, Problems& problems) {
+  try {
+    (void)detail::decoder_of_lines(config);
+    if (config.frame) detail::FrameCutter(*config.frame, config.max_line);
+  } catch (const SetupError& error) {
+    const Error& e = error.error();
+    const std::string_view keys[] = {"sequence_field", "separator", "comment",       "line_end",
+                                     "frame",          "only",      "unreadable_if", "checksum"};
+    const bool is_of_key = std::find(std::begin(keys), std::end(keys), e.where) != std::end(keys);
+    const std::string key = is_of_key ? e.where : "fields";
+    const ConfigItem* at = item.find(key);
+    if (at == nullptr && key == "comment") at = item.find("separator");  // which is that of the default
+    const bool is_key = e.where.empty() || e.where == key;
+    problems.add(
+        (at != nullptr ? *at : item).problem("bad-value", (is_key ? "" : e.where + ": ") + e.why + "; " + e.advice));
+  }
+}
+
+ReadTime read_time(const LineConfig&) { return {.on_loop = std::chrono::microseconds{500}}; }
+
+}  // namespace rtdata

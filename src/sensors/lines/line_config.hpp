@@ -1,0 +1,27 @@
+// What settings of lines can be together, and words about lines.
+#pragma once
+
+#include <memory>
+#include <string>
+#include <string_view>
+
+#include "rtdata/sensors/lines.hpp"
+
+namespace rtdata::detail {
+
+class LineDecoder;
+
+inline constexpr const char* check_fields = "check `fields` and the other settings";
+/// `where`: the key, or "field NAME".
+Error refused_lines(std::string where, std::string why, std::string advice);
+/// SetupError (bad-argument): settings that exclude each other. Of lines that are not NMEA.
+void check_lines(const LineConfig& config);
+/// Null: NMEA. SetupError: as LineDecoder, and of settings that NMEA has not.
+std::unique_ptr<LineDecoder> decoder_of_lines(const LineConfig& config);
+
+/// The beginning of a line, in quotes.
+std::string shown_line(std::string_view text);
+/// Of numbers: "an int8", "a number".
+std::string type_with_article(Kind kind);
+
+}  // namespace rtdata::detail

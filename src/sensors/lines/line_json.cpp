@@ -1,0 +1,150 @@
+// LineDecoder: lines of JSON.
+#include <algorithm>
+#include <charconv>
+#include <nlohmann/json.hpp>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "sensors/lines/line_config.hpp"
+#include "sensors/lines/line_decoder.hpp"
+
+namespace rtdata::detail {
+
+/// Follows the parser through one object, and takes the values whose path is a field's key.
+class LineDecoder::JsonHandler {
+ public:
+  using number_integer_t = nlohmann::json::number_integer_t;
+  using number_unsigned_t = nlohmann::json::number_unsigned_t;
+  using number_float_t = nlohmann::json::number_float_t;
+  using string_t = nlohmann::json::string_t;
+  using binary_t = nlohmann::json::binary_t;
+  /// `wanted`: only looks for this value; empty: takes the fields.
+  explicit JsonHandler(LineDecoder& decoder, std::string_view wanted = {}) : decoder_(decoder), wanted_(wanted) {}
+  bool has_found() const noexcept { return has_found_; }
+
+  bool null() { return take(Form::null, "null"); }
+  bool boolean(bool is_true) { return take(Form::boolean, is_true ? "true" : "false"); }
+  // The parser takes a 0 without a sign for an unsigned number.
+  bool number_integer(number_integer_t number) { return number == 0 ? take(Form::number, "-0") : take_number(number); }
+  bool number_unsigned(number_unsigned_t number) { return take_number(number); }
+  bool number_float(number_float_t, const string_t& text) { return take(Form::number, text); }
+  bool string(string_t& text) { return take(Form::string, text); }
+  bool binary(binary_t&) { return false; }
+  bool start_object(std::size_t) { return open(false); }
+  bool key(string_t& name) {
+    path_.resize(levels_.back().start);
+    path_ += name;
+    return true;
+  }
+  bool end_object() { return close(); }
+  bool start_array(std::size_t) { return open(true); }
+  bool end_array() { return close(); }
+  bool parse_error(std::size_t position, const std::string& token, const nlohmann::detail::exception& why) {
+    constexpr int number_overflow = 406;
+    error_ = why.id == number_overflow
+                 ? Error{Errc::out_of_range, decoder_.bad_line_, "", shown_line(token) + " does not fit into a double",
+                         ""}
+                 : Error{Errc::bad_data, decoder_.bad_line_, "",
+                         "it is not JSON from byte " + std::to_string(position) + " on", check_fields};
+    return false;
+  }
+  Error take_error() {
+    return error_ ? std::move(*error_)
+                  : Error{Errc::bad_data, decoder_.bad_line_, "", "it is not a JSON object", check_fields};
+  }
+
+ private:
+  enum class Form { number, boolean, string, null };
+  bool take(Form form, std::string_view text);
+  /// A value begins: in an array its path ends with its index.
+  void begin_value() {
+    if (levels_.empty() || !levels_.back().is_array) return;
+    path_.resize(levels_.back().start);
+    char digits[24];
+    path_.append(digits, std::to_chars(digits, digits + sizeof digits, levels_.back().index++).ptr);
+  }
+  bool open(bool is_array) {
+    begin_value();
+    if (!levels_.empty()) path_ += '.';
+    levels_.push_back({path_.size(), is_array, 0});
+    return true;
+  }
+  bool close() {
+    levels_.pop_back();
+    return true;
+  }
+  template <class T>
+  bool take_number(T number) {
+    char text[24];
+    const auto end = std::to_chars(text, text + sizeof text, number).ptr;
+    return take(Form::number, {text, static_cast<std::size_t>(end - text)});
+  }
+
+  LineDecoder& decoder_;
+  const std::string_view wanted_;
+  bool has_found_ = false;
+  std::string path_;  // of the value last seen
+  struct Level {
+    std::size_t start;  // where in the path the key or index begins
+    bool is_array;
+    std::size_t index;  // of the next value
+  };
+  std::vector<Level> levels_;  // objects and arrays that are open
+  std::optional<Error> error_;
+};
+
+bool LineDecoder::JsonHandler::take(Form form, std::string_view text) {
+  if (levels_.empty()) return false;
+  begin_value();
+  if (!wanted_.empty()) {
+    if (path_ != wanted_) return true;
+    decoder_.found_ = text;
+    has_found_ = true;
+    return false;  // no more is needed
+  }
+  for (std::size_t i = 0; i < decoder_.fields_.size(); ++i) {
+    if (decoder_.fields_[i].key != path_ || decoder_.is_given(i)) continue;
+    const Kind kind = decoder_.fields_[i].type;
+    const bool is_textual = kind == Kind::text || kind == Kind::character;
+    // As our own JSON has them, since JSON has no such numbers.
+    if (form == Form::string && (kind == Kind::f32 || kind == Kind::f64) &&
+        (text == "NaN" || text == "Infinity" || text == "-Infinity"))
+      form = Form::number;
+    // What stands around a number makes it a text.
+    if (form == Form::string && !is_textual && decoder_.texts_[i].is_used()) form = Form::number;
+    if (decoder_.seen_[i]) {
+      error_ = decoder_.failure(Errc::bad_data, i, "it is there twice");
+    } else if (form == Form::null && decoder_.fields_[i].optional) {
+      // absent, as it is from the beginning
+    } else if (form == Form::null || is_textual != (form == Form::string) ||
+               (kind != Kind::boolean && form == Form::boolean)) {
+      error_ = decoder_.failure(is_textual ? Errc::bad_data : Errc::not_a_number, i,
+                                shown_line(text) + " is not " + type_with_article(kind));
+    } else if (Result<void> done = decoder_.put(i, text); !done) {
+      error_ = std::move(done).error();
+    }
+    if (error_) return false;
+    decoder_.seen_[i] = true;
+  }
+  return true;
+}
+
+Result<void> LineDecoder::decode_json(std::string_view line) {
+  std::fill(seen_.begin(), seen_.end(), false);
+  JsonHandler handler(*this);
+  if (!nlohmann::json::sax_parse(line.begin(), line.end(), &handler)) {
+    Error error = handler.take_error();
+    if (error.where.empty()) error.where = shown_line(line);
+    return error;
+  }
+  return all_seen();
+}
+
+bool LineDecoder::find_in_json(std::string_view key, std::string_view line) {
+  JsonHandler handler(*this, key);
+  nlohmann::json::sax_parse(line.begin(), line.end(), &handler);
+  return handler.has_found();
+}
+
+}  // namespace rtdata::detail
