@@ -399,6 +399,39 @@ TEST_SUITE("sensors" * doctest::skip(!terminals_can_be_set_up())) {
     CHECK(heard.errors.front() == "16 bytes are thrown away");
   }
 
+  TEST_CASE("US-9 a sensor of frames that its own callback stops, or stops and starts, takes nothing twice") {
+    for (const bool is_started_again : {false, true}) {
+      CAPTURE(is_started_again);
+      ScratchDirectory folder;
+      Pty pty(folder.file("tty"));
+      pty.plug_in();
+      Loop loop;
+      be_quiet(loop);
+      LineConfig config = pms5003;
+      config.first_line = FirstLine::keep;
+      SerialLineSensor sensor(loop, {.name = "line"}, {.device = pty.path(), .lines = config});
+      sensor.on_error([&](const ErrorReport&) {
+        sensor.stop();
+        if (is_started_again) sensor.start();
+      });
+      std::string wrong = particles(35);
+      wrong.back() = static_cast<char>(wrong.back() ^ 1);
+      const std::string all = particles(34) + wrong + particles(36);
+      REQUIRE(pty.send(all) == all.size());
+      for (int i = 0; i < 5000 && sensor.counts().received < 2; ++i) loop.run_for(1ms);
+      loop.run_for(5ms);
+      CHECK(sensor.counts().received == 2);
+      CHECK(sensor.counts().unreadable == 1);
+      if (is_started_again) {
+        REQUIRE(pty.send("junk" + particles(37)) > 0);
+        for (int i = 0; i < 5000 && sensor.counts().published < 2; ++i) loop.run_for(1ms);
+        CHECK(sensor.counts().published == 2);
+      }
+      sensor.close();
+      CHECK(loop.runtime().balances());
+    }
+  }
+
   TEST_CASE("US-13 texts for no value are written as the device writes its numbers") {
     const LineConfig german{
         .fields = {{.name = "v", .decimal = ',', .thousands = ".", .no_value = {"-999,9", "9.999"}}}, .separator = ';'};

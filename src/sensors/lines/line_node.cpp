@@ -219,7 +219,9 @@ void LineNode::take_lines(std::size_t from) {
 /// Takes the complete frames out of the buffer.
 void LineNode::take_frames() {
   std::size_t begin = 0;
+  // A callback may stop the sensor, and start it again.
   const auto is_same = [this, opening = openings_] { return fd_ >= 0 && openings_ == opening; };
+  is_taking_ = true;
   while (is_same()) {
     const std::string_view rest = std::string_view(line_).substr(begin);
     const FrameCutter::Found found = cutter_->next(rest);
@@ -229,7 +231,9 @@ void LineNode::take_frames() {
     const std::string_view frame = rest.substr(found.skipped, found.size);
     const bool is_first = std::exchange(is_first_, false) && !cutter_->has_start();  // its beginning is not known
     if (is_first) ++origin_.counts.first_lines;
-    if (is_first || take_frame(frame)) {
+    const bool is_used = is_first || take_frame(frame);
+    if (!is_same()) break;
+    if (is_used) {
       begin += found.size;
       reported_bytes_ = 0;
       tries_ = 0;
@@ -241,6 +245,7 @@ void LineNode::take_frames() {
       reported_bytes_ = found.size - step;
     }
   }
+  is_taking_ = false;
   if (is_same()) line_.erase(0, begin);
 }
 
@@ -301,7 +306,10 @@ void LineNode::fail_unended() {
 
 /// Reports at the end that bytes came but never a usable line.
 void LineNode::report_unended() {
-  if (cutter_) return report_rest(End::ours);
+  if (cutter_) {
+    if (!is_taking_) report_rest(End::ours);  // else a callback stops the sensor: what follows is not looked at
+    return;
+  }
   if (!is_running() || unended_ == 0 || !is_beginning_ || origin_.counts.received != 0) return;
   if (!std::exchange(is_unended_reported_, true)) fail_unended();
 }
@@ -323,6 +331,7 @@ void LineNode::report_rest(End end) {
       ++skipped_;
     }
   }
+  if (is_overlong_) line_.clear();  // the rest of a line that has been reported
   const bool has_found = origin_.counts.received != received;
   const std::size_t size = end == End::of_source ? line_.size() + skipped_ : has_found ? 0 : outside;
   line_.clear();

@@ -114,6 +114,7 @@ class LineNode : public StreamNode {
   std::uint64_t unusable_lines_ = 0;  // since the last good one
   bool is_first_ = true;              // nothing but the rest of a line may have come yet
   bool is_beginning_ = true;          // no line has come yet
+  bool is_taking_ = false;            // frames, just now
   bool is_stream_ = false;
   bool is_overlong_ = false;  // the rest of the line is thrown away
 };
