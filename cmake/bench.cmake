@@ -1,5 +1,5 @@
 # The benchmarks: `script/bench`.
-add_executable(rtdata_bench EXCLUDE_FROM_ALL tests/bench/disk_bench.cpp tests/bench/encode_bench.cpp tests/bench/export_bench.cpp tests/bench/expression_bench.cpp
+add_executable(rtdata_bench EXCLUDE_FROM_ALL tests/bench/decode_bench.cpp tests/bench/disk_bench.cpp tests/bench/encode_bench.cpp tests/bench/export_bench.cpp tests/bench/expression_bench.cpp
   tests/bench/filter_bench.cpp tests/bench/harness.cpp tests/bench/http_bench.cpp tests/bench/iio_bench.cpp tests/bench/lane_bench.cpp tests/bench/loop_bench.cpp tests/bench/machine_bench.cpp tests/bench/net_bench.cpp tests/bench/page_bench.cpp tests/bench/postgresql_bench.cpp tests/bench/program_bench.cpp tests/bench/publish_bench.cpp tests/bench/reaction_bench.cpp tests/bench/reload_bench.cpp tests/bench/retrieval_bench.cpp tests/bench/rocket_bench.cpp
   tests/bench/rt_bench.cpp tests/bench/sending_bench.cpp tests/bench/sink_bench.cpp tests/bench/verify_bench.cpp)
 target_link_libraries(rtdata_bench PRIVATE rtdata_options rtdata::rtdata PkgConfig::libuv)
@@ -10,6 +10,10 @@ if(libgps_FOUND)
   target_compile_definitions(rtdata_bench PRIVATE RTDATA_BENCH_LIBGPS)
 else()
   target_link_libraries(rtdata_bench PRIVATE nlohmann_json::nlohmann_json)
+endif()
+if(RTDATA_HAS_PATTERN)
+  target_link_libraries(rtdata_bench PRIVATE PkgConfig::libpcre2)
+  target_compile_definitions(rtdata_bench PRIVATE RTDATA_BENCH_PATTERN)
 endif()
 if(TARGET rtdata_postgresql)
   target_sources(rtdata_bench PRIVATE tests/sinks/postgresql_server.cpp)

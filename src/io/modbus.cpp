@@ -32,7 +32,6 @@ namespace rtdata {
 namespace {
 
 constexpr const char* cannot_ask = "cannot read the device";
-constexpr const char* cannot_connect = "cannot connect";
 constexpr unsigned last_unit = 255;
 
 /// Why a bus cannot be made of it; empty: it can.
@@ -73,48 +72,6 @@ Mistake mistake_in(const ModbusConfig& config) {
 }
 
 constexpr auto take_nothing = [](const std::uint8_t*) {};
-
-/// Connects within the limit, to the first address that accepts.
-Result<int> connect_to(const std::string& host, std::uint16_t port, Duration timeout) {
-  const std::string server = host + " port " + std::to_string(port);
-  addrinfo hints{};
-  hints.ai_socktype = SOCK_STREAM;
-  addrinfo* found = nullptr;
-  if (const int status = ::getaddrinfo(host.c_str(), std::to_string(port).c_str(), &hints, &found); status != 0)
-    return Error{Errc::not_found, cannot_connect, server, ::gai_strerror(status), "check `host`"};
-  const std::unique_ptr<addrinfo, void (*)(addrinfo*)> list(found, ::freeaddrinfo);
-  int number = ECONNREFUSED;
-  for (const addrinfo* one = list.get(); one != nullptr; one = one->ai_next) {
-    const int fd = ::socket(one->ai_family, one->ai_socktype | SOCK_NONBLOCK | SOCK_CLOEXEC, one->ai_protocol);
-    if (fd < 0) {
-      number = errno;
-      continue;
-    }
-    number = ::connect(fd, one->ai_addr, one->ai_addrlen) == 0 ? 0 : errno;
-    if (number == EINPROGRESS) {
-      struct pollfd ready {
-        fd, POLLOUT, 0
-      };
-      const auto ms = std::chrono::ceil<std::chrono::milliseconds>(timeout).count();
-      const int count = ::poll(&ready, 1, static_cast<int>(std::min<std::int64_t>(ms, 1'000'000)));
-      socklen_t size = sizeof number;
-      if (count == 0) {
-        number = ETIMEDOUT;
-      } else if (count < 0 || ::getsockopt(fd, SOL_SOCKET, SO_ERROR, &number, &size) != 0) {
-        number = errno;
-      }
-    }
-    if (number == 0) {
-      const int on = 1;
-      ::setsockopt(fd, IPPROTO_TCP, TCP_NODELAY, &on, sizeof on);
-      return fd;
-    }
-    ::close(fd);
-  }
-  Error error = system_error(number, cannot_connect, server, "check `host` and `port`, and whether the device is on");
-  if (number == ECONNREFUSED || number == EHOSTUNREACH || number == ENETUNREACH) error.code = Errc::disconnected;
-  return error;
-}
 
 }  // namespace
 
@@ -180,7 +137,7 @@ struct ModbusDevice::Core {
       auto stream = std::make_shared<detail::StreamLine>(
           detail::StreamLine::Kind{config.host + " port " + std::to_string(config.port),
                                    [of = config]() -> Result<int> {
-                                     Result<int> fd = connect_to(of.host, of.port, of.answer_timeout);
+                                     Result<int> fd = detail::connect_to(of.host, of.port, of.answer_timeout);
                                      if (fd) detail::lane_sleep(of.connect_delay);
                                      return fd;
                                    },
@@ -190,7 +147,7 @@ struct ModbusDevice::Core {
   }
 
   Result<Use> connect() {
-    const Result<int> fd = connect_to(config.host, config.port, config.answer_timeout);
+    const Result<int> fd = detail::connect_to(config.host, config.port, config.answer_timeout);
     if (!fd) return fd.error();
     return std::make_shared<Connection>(*fd);
   }

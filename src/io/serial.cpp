@@ -13,6 +13,32 @@ namespace {
 
 constexpr const char* cannot_read = "no answer";
 
+struct Mistake {
+  const char* key;
+  const char* why;
+  const char* advice;
+};
+/// A port is a line of the kernel, or a connection.
+std::optional<Mistake> mistake_in_place(const SerialPortConfig& config) {
+  if (config.device.empty() && config.host.empty())
+    return Mistake{"device", "there is neither a `device` nor a `host`", "set one of them"};
+  if (!config.device.empty() && !config.host.empty())
+    return Mistake{"host", "there is a `device` too", "remove one of them"};
+  if (!config.host.empty() && config.port == 0) return Mistake{"port", "there is no `port`", "such as 5025 for SCPI"};
+  if (config.host.empty() && config.port != 0) return Mistake{"port", "a serial device has none", "leave it out"};
+  const SerialSettings& serial = config.serial;
+  if (!config.host.empty() && (serial.dtr || serial.rts || serial.hangup || serial.rs485))
+    return Mistake{"host", "`dtr`, `rts`, `hangup` and `rs485` are of a serial device", "leave them out"};
+  return std::nullopt;
+}
+
+std::shared_ptr<SerialTransport> transport_of(const SerialPortConfig& config) {
+  if (const auto mistake = mistake_in_place(config))
+    throw SetupError({Errc::bad_argument, "cannot use this serial line", mistake->key, mistake->why, mistake->advice});
+  if (config.host.empty()) return make_kernel_serial(config.device, config.serial);
+  return make_tcp_line(config.host, config.port, config.answer_timeout);
+}
+
 std::span<const std::uint8_t> bytes_of(std::string_view text) {
   return {reinterpret_cast<const std::uint8_t*>(text.data()), text.size()};
 }
@@ -27,6 +53,12 @@ void check_config(const SerialSettings& settings, const ConfigItem& item, Proble
 
 void check_config(const SerialPortConfig& config, const ConfigItem& item, Problems& problems) {
   check_config(config.serial, item, problems);
+  if (const auto mistake = mistake_in_place(config)) {
+    const ConfigItem* const at = item.find(mistake->key);
+    problems.add(
+        (at != nullptr ? *at : item)
+            .problem(at != nullptr ? "bad-value" : "missing-key", std::string(mistake->why) + "; " + mistake->advice));
+  }
   if (config.answer_timeout < config.timeout) return;
   const ConfigItem* at = item.find("answer_timeout");
   if (at == nullptr) at = item.find("timeout");
@@ -184,11 +216,13 @@ Result<std::string> SerialDevice::transact(std::string_view request, char delimi
   return read_until(delimiter, timeout, most);
 }
 
-SerialPort::SerialPort(SerialPortConfig config) : SerialPort(std::string(config.device), config) {}
+SerialPort::SerialPort(SerialPortConfig config)
+    : SerialPort(config.device.empty() ? config.host + " port " + std::to_string(config.port) : config.device, config) {
+}
 
 // Not moved, because the order of argument evaluation is unspecified.
 SerialPort::SerialPort(std::string name, SerialPortConfig config)
-    : SerialPort(std::move(name), make_kernel_serial(config.device, config.serial), config) {}
+    : SerialPort(std::move(name), transport_of(config), config) {}
 
 SerialPort::SerialPort(std::string name, std::shared_ptr<SerialTransport> transport, SerialPortConfig config)
     : Bus(name, config.timeout),

@@ -1,5 +1,8 @@
 #include "io/stream_line.hpp"
 
+#include <netdb.h>
+#include <netinet/in.h>
+#include <netinet/tcp.h>
 #include <poll.h>
 #include <sys/socket.h>
 #include <unistd.h>
@@ -19,6 +22,8 @@ int milliseconds(Duration left) {
   const auto ms = std::chrono::ceil<std::chrono::milliseconds>(std::max(left, Duration{0})).count();
   return static_cast<int>(std::min<std::int64_t>(ms, 1'000'000));
 }
+
+constexpr const char* cannot_connect = "cannot connect";
 
 }  // namespace
 
@@ -133,7 +138,53 @@ Result<bool> StreamLine::wait(const std::shared_ptr<Line>& line, short what, Dur
   return ready > 0;
 }
 
+Result<int> connect_to(const std::string& host, std::uint16_t port, Duration limit) {
+  const std::string server = host + " port " + std::to_string(port);
+  addrinfo hints{};
+  hints.ai_socktype = SOCK_STREAM;
+  addrinfo* found = nullptr;
+  if (const int status = ::getaddrinfo(host.c_str(), std::to_string(port).c_str(), &hints, &found); status != 0)
+    return Error{Errc::not_found, cannot_connect, server, ::gai_strerror(status), "check `host`"};
+  const std::unique_ptr<addrinfo, void (*)(addrinfo*)> list(found, ::freeaddrinfo);
+  int number = ECONNREFUSED;
+  for (const addrinfo* one = list.get(); one != nullptr; one = one->ai_next) {
+    const int fd = ::socket(one->ai_family, one->ai_socktype | SOCK_NONBLOCK | SOCK_CLOEXEC, one->ai_protocol);
+    if (fd < 0) {
+      number = errno;
+      continue;
+    }
+    number = ::connect(fd, one->ai_addr, one->ai_addrlen) == 0 ? 0 : errno;
+    if (number == EINPROGRESS) {
+      struct pollfd ready {
+        fd, POLLOUT, 0
+      };
+      const int count = ::poll(&ready, 1, milliseconds(limit));
+      socklen_t size = sizeof number;
+      if (count == 0) {
+        number = ETIMEDOUT;
+      } else if (count < 0 || ::getsockopt(fd, SOL_SOCKET, SO_ERROR, &number, &size) != 0) {
+        number = errno;
+      }
+    }
+    if (number == 0) {
+      const int on = 1;
+      ::setsockopt(fd, IPPROTO_TCP, TCP_NODELAY, &on, sizeof on);
+      return fd;
+    }
+    ::close(fd);
+  }
+  Error error = system_error(number, cannot_connect, server, "check `host` and `port`, and whether the device is on");
+  if (number == ECONNREFUSED || number == EHOSTUNREACH || number == ENETUNREACH) error.code = Errc::disconnected;
+  return error;
+}
+
 }  // namespace detail
+
+std::shared_ptr<SerialTransport> make_tcp_line(std::string host, std::uint16_t port, Duration limit) {
+  return std::make_shared<detail::StreamLine>(detail::StreamLine::Kind{
+      host + " port " + std::to_string(port), [host, port, limit] { return detail::connect_to(host, port, limit); },
+      [](int fd) noexcept { ::close(fd); }, true});
+}
 
 std::shared_ptr<SerialTransport> make_kernel_serial(std::string device, SerialSettings settings) {
   return std::make_shared<detail::StreamLine>(detail::StreamLine::Kind{

@@ -1,6 +1,7 @@
 // A line of bytes on a descriptor, with blocking calls: a serial line of the kernel, or a connection to a server.
 #pragma once
 
+#include <cstdint>
 #include <functional>
 #include <memory>
 #include <mutex>
@@ -9,6 +10,10 @@
 #include "rtdata/io/serial.hpp"
 
 namespace rtdata::detail {
+
+/// Connects within the limit, to the first address that accepts; looking up a name takes as long as it takes. Returns a
+/// descriptor that does not block.
+Result<int> connect_to(const std::string& host, std::uint16_t port, Duration limit);
 
 /// Thread: as SerialTransport.
 class StreamLine final : public SerialTransport {

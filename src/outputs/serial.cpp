@@ -10,6 +10,7 @@
 #include <mutex>
 #include <string_view>
 
+#include "data/hex_bytes.hpp"
 #include "io/tty.hpp"
 #include "outputs/set_text.hpp"
 
@@ -17,6 +18,7 @@ namespace rtdata {
 namespace {
 
 constexpr const char* cannot_set_serial = "cannot set the device on the serial line";
+constexpr const char* not_bytes = "these are not bytes: two hexadecimal digits each, such as \"a0 01 00 a1\"";
 using Deadline = std::chrono::steady_clock::time_point;
 
 /// False: the time is over.
@@ -67,10 +69,41 @@ Unsent& unsent() {
 void SerialActuatorConfig::check(const SerialActuatorConfig& config, const ConfigItem& item, Problems& problems) {
   check_config(config.serial, item, problems);
   detail::check_words(config.words, item, problems);
+  const auto refuse = [&](const char* key, std::string why) {
+    const ConfigItem* const at = item.find(key);
+    problems.add((at != nullptr ? *at : item).problem("bad-value", std::move(why)));
+  };
+  if (!config.answer.empty() && !config.answer_hex.empty())
+    refuse("answer_hex", "there is an `answer` too; remove one of them");
+  if (const auto bytes = detail::bytes_of_hex(config.answer_hex); !bytes) refuse("answer_hex", not_bytes);
+  for (const auto& [value, hex] : config.words_hex) {
+    const auto bytes = detail::bytes_of_hex(hex);
+    if (!bytes || bytes->empty()) refuse("words_hex", "\"" + hex + "\": " + not_bytes);
+  }
+  if (!config.words_hex.empty()) {
+    detail::check_words(config.words_hex, item, problems, "words_hex");
+    if (!config.words.empty() || item.find("text") != nullptr)
+      refuse("words_hex", "there are `text` or `words` too; remove them, or this");
+    return;
+  }
   if (detail::has_value_mark(config.text)) return;
   const ConfigItem* const text = item.find("text");
   problems.add((text != nullptr ? *text : item)
                    .problem("bad-value", "each value would send the same text: write {value} where it belongs"));
+}
+
+SerialActuator::SerialActuator(SerialActuatorConfig config)
+    : config_(std::move(config)),
+      answer_(config_.answer.empty() ? detail::bytes_of_hex(config_.answer_hex).value_or("") : config_.answer) {}
+
+Result<std::string> SerialActuator::text_of(double value) const {
+  if (config_.words_hex.empty()) return detail::set_text(config_.text, value, config_.words);
+  const std::string number = detail::number_text(value);
+  const auto word = config_.words_hex.find(number);
+  if (word != config_.words_hex.end())
+    if (auto bytes = detail::bytes_of_hex(word->second)) return *std::move(bytes);
+  return Error{Errc::bad_argument, cannot_set_serial, config_.device, "`words_hex` has no bytes for " + number,
+               "add them"};
 }
 
 SerialActuator::~SerialActuator() {
@@ -95,9 +128,11 @@ Result<void> SerialActuator::set(double value) {
       return Error{Errc::disconnected, cannot_set_serial, config_.device, "the device has gone", ""};
     return system_error(errno, cannot_set_serial, config_.device);
   };
+  const Result<std::string> wanted = text_of(value);
+  if (!wanted) return wanted.error();
   drop_input(fd_);
   const std::string before = unsent().take(config_.device);
-  const std::string text = before + detail::set_text(config_.text, value, config_.words);
+  const std::string text = before + *wanted;
   for (std::string_view rest = text; !rest.empty();) {
     const ssize_t wrote = ::write(fd_, rest.data(), rest.size());
     if (wrote > 0) rest.remove_prefix(static_cast<std::size_t>(wrote));
@@ -110,10 +145,11 @@ Result<void> SerialActuator::set(double value) {
       unsent().keep(config_.device, sent > before.size() ? rest : std::string_view(before).substr(sent));
     return late("it takes nothing");
   }
-  if (config_.answer.empty()) return {};
+  if (answer_.empty()) return {};
   std::string got;
-  while (got.find(config_.answer) == std::string::npos) {
-    if (!wait_for(fd_, POLLIN, until)) return late("it did not answer `" + config_.answer + "`");
+  while (got.find(answer_) == std::string::npos) {
+    if (!wait_for(fd_, POLLIN, until))
+      return late("it did not answer `" + (config_.answer.empty() ? config_.answer_hex : config_.answer) + "`");
     std::array<char, 256> buffer;
     const ssize_t size = ::read(fd_, buffer.data(), buffer.size());
     if (size == 0) return Error{Errc::disconnected, cannot_set_serial, config_.device, "the device has gone", ""};

@@ -31,11 +31,12 @@ inline std::string set_text(std::string pattern, double value, const std::map<st
 inline bool has_value_mark(std::string_view pattern) { return pattern.find("{value}") != pattern.npos; }
 
 /// Reports keys that no value matches, and a word used for two values.
-inline void check_words(const std::map<std::string, std::string>& words, const ConfigItem& item, Problems& problems) {
+inline void check_words(const std::map<std::string, std::string>& words, const ConfigItem& item, Problems& problems,
+                        const char* name = "words") {
   std::map<std::string, std::string> values;  // by word
   for (const auto& [key, word] : words) {
     if (const auto [other, is_new] = values.try_emplace(word, key); !is_new) {
-      const ConfigItem* const twice = item.find("words");
+      const ConfigItem* const twice = item.find(name);
       problems.add((twice != nullptr ? *twice : item)
                        .problem("bad-value", other->second + " and " + key + " are both written \"" + word +
                                                  "\": the device could not tell them apart"));
@@ -44,7 +45,7 @@ inline void check_words(const std::map<std::string, std::string>& words, const C
     const auto [end, failed] = std::from_chars(key.data(), key.data() + key.size(), value);
     const bool is_number = failed == std::errc{} && end == key.data() + key.size();
     if (is_number && number_text(value) == key) continue;
-    const ConfigItem* const at = item.find("words");
+    const ConfigItem* const at = item.find(name);
     problems.add((at != nullptr ? *at : item)
                      .problem("bad-value", "\"" + key + "\" is no value" +
                                                (is_number ? ": it is written " + number_text(value) : std::string())));

@@ -76,6 +76,15 @@ const std::vector<Late>& late_libraries() {
        "libpq.so.",
        "libpq5",
        {R"({"sinks": [ {"type": "postgresql", "url": "postgresql://127.0.0.1:9/plant"} ]})"}},
+      {"pattern",
+       "`pattern`",
+       "PCRE2",
+       "libpcre2-8.so.",
+       "libpcre2-8-0",
+       {R"({"sensors": [ {"name": "scale", "type": "serial", "device": "/dev/none", "format": "pattern",
+                          "pattern": "(?<x>.+) V", "fields": [ {"name": "x"} ]} ]})",
+        R"({"sensors": [ {"name": "scale", "type": "udp", "port": 9, "only": {"pattern": "x"},
+                          "fields": [ {"name": "x"} ]} ]})"}},
       {"TLS",
        "`tls`",
        "OpenSSL",
@@ -100,7 +109,8 @@ TEST_SUITE("app") {
                                                                               {"HTTP", "libcurl"},
                                                                               {"MQTT", "libmosquitto"},
                                                                               {"TLS", "OpenSSL"},
-                                                                              {"page", "libmicrohttpd"}}) {
+                                                                              {"page", "libmicrohttpd"},
+                                                                              {"pattern", "PCRE2"}}) {
       const std::string part = named.first, library = named.second;  // no bindings: clang 14 lets no lambda have them
       const std::string in = "\n  " + part + ": " + library + " ";
       const std::size_t at = version.out.find(in);

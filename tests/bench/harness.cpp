@@ -195,6 +195,7 @@ int run(int count, char** arguments) {
   settle_thread();
   Report report(std::move(options));
   bench_publish(report);
+  bench_decoding(report);
   bench_expression(report);
   bench_machines(report);
   bench_reactions(report);

@@ -88,6 +88,7 @@ void bench_loop(Report& report);
 void bench_lanes(Report& report);
 void bench_publish(Report& report);
 void bench_iio(Report& report);
+void bench_decoding(Report& report);
 void bench_expression(Report& report);
 void bench_machines(Report& report);
 void bench_reactions(Report& report);

@@ -36,7 +36,7 @@ for path in sorted(root.glob("src/**/*.cpp")):
     if listed.count(name) != 1 and name != "src/app/main.cpp":
         problems.append(f"{name} is in {listed.count(name)} lists of sources")
 
-for package, least in re.findall(r"\b([a-z]\w+)>=(\d[\d.]*)", cmake):
+for package, least in re.findall(r"\b([a-z][\w-]+)>=(\d[\d.]*)", cmake):
     if not re.search(rf"dependency\('{package}', version: '>= ?{re.escape(least)}'", meson):
         problems.append(f"CMake needs {package} >= {least}, meson does not say so")
 
@@ -47,7 +47,7 @@ for path in sorted(p for folder in ("include", "src", "tests", "examples") for p
 for path in sorted(p for folder in ("src", "tests", "examples") for p in (root / folder).glob("**/*.cpp")):
     if "RTDATA_WITH_" in path.read_text() and path.relative_to(root).as_posix() not in listed:
         problems.append(f"{path.relative_to(root)} asks which parts are in, and is in no list of sources")
-parts = sorted(re.findall(r'"([A-Z]+) [a-z]\w+>=', cmake))
+parts = sorted(re.findall(r'"([A-Z]+) [a-z][\w-]+>=', cmake))
 told = re.search(r"foreach name, library : \{([^}]*)\}\n  if [^\n]*\n    add_project_arguments\('-DRTDATA_WITH_", meson)
 if not told or sorted(re.findall(r"'([A-Z]+)':", told.group(1))) != parts:
     problems.append(f"meson tells the sources of other parts than CMake does: {', '.join(parts)}")

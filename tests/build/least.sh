@@ -5,7 +5,7 @@
 set -eu
 cd "$(dirname "$0")/../.."
 refused() { echo "least.sh: $1" >&2; exit 1; }
-parts="SQLITE GPIO MODBUS POSTGRESQL HTTP MQTT OPENSSL PAGE"
+parts="SQLITE GPIO MODBUS POSTGRESQL HTTP MQTT OPENSSL PAGE PATTERN"
 program=$PWD/build/least/rtdata
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT

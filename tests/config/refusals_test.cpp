@@ -48,6 +48,7 @@ const std::map<std::string, std::string> right_sensors_without_driver{
     {"w1", R"({"name": "s", "type": "w1", "rate": "0.5 Hz"})"},
     {"serial", R"({"name": "s", "type": "serial", "device": "FOLDER/tty", "fields": [{"name": "x"}]})"},
     {"tcp", R"({"name": "s", "type": "tcp", "host": "127.0.0.1", "port": 1, "fields": [{"name": "x"}]})"},
+    {"udp", R"({"name": "s", "type": "udp", "port": 1, "fields": [{"name": "x"}]})"},
     {"command", R"({"name": "s", "type": "command", "run": ["true"], "fields": [{"name": "x"}]})"}};
 const std::map<std::string, std::string> right_sinks{{"sqlite", R"({"type": "sqlite", "path": "FOLDER/run.db"})"},
                                                      {"file", R"({"type": "file", "path": "FOLDER/run.jsonl"})"},

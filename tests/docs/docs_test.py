@@ -182,7 +182,7 @@ def documented(source):
 
 
 # Types whose common parameters have a section of their own.
-OF_LINES = ("serial", "tcp", "command")
+OF_LINES = ("serial", "tcp", "udp", "command", "mqtt")
 
 
 def check_types(source, program, elsewhere):
@@ -243,6 +243,7 @@ NOT_TRIED = {
     "MqttSensor": "opened and closed by StreamNode, as GpsSensor is; mqtt_sensor_test.cpp tries it",
     "CommandSensor": "a LineNode as that of SerialLineSensor; command_test.cpp tries it",
     "TcpLines": "a LineNode as that of SerialLineSensor; tcp_lines_test.cpp tries it",
+    "UdpLines": "a LineNode as that of SerialLineSensor; udp_lines_test.cpp tries it",
     "IioBufferSensor": "opened and closed by SourceNode, as GpsSensor is; sensor_contract_test.cpp tries it",
     "FileSink": "a Sink with a writer; sink_contract_test.cpp tries it",
     "ConsoleSink": "a Sink with a writer; sink_contract_test.cpp tries it",

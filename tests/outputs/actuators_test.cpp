@@ -9,6 +9,7 @@
 #include <string>
 #include <thread>
 
+#include "has.hpp"
 #include "outputs/terminal.hpp"
 #include "rtdata/outputs/gpio.hpp"
 #include "rtdata/outputs/pwm.hpp"
@@ -123,6 +124,27 @@ TEST_SUITE("outputs") {
     CHECK(PwmActuator(absent).open(0).error().code == Errc::not_found);
     absent.chip = 7;
     CHECK(PwmActuator(absent).open(0).error().code == Errc::not_found);
+  }
+
+  TEST_CASE("US-35 a serial device is sent bytes, and answers with bytes") {
+    Terminal line;
+    {
+      SerialActuator relay({.device = line.name, .words_hex = {{"0", "a0 01 00 a1"}, {"1", "A00101A2"}}});
+      CHECK(relay.open(1).has_value());
+      CHECK(line.read() == "\xa0\x01\x01\xa2");
+      CHECK(relay.set(0).has_value());
+      CHECK(line.read() == std::string("\xa0\x01\x00\xa1", 4));
+      CHECK(rtdata::test::has(relay.set(0.5).error().text(), "`words_hex` has no bytes for 0.5"));
+    }
+    SerialActuator asked({.device = line.name, .words_hex = {{"1", "01"}}, .answer_hex = "06 00", .timeout = 1500ms});
+    std::thread device([&] {
+      while (line.read().empty()) {
+      }
+      CHECK(::write(line.master, "\x06\x00", 2) == 2);
+    });
+    const auto opened = asked.open(1);
+    device.join();
+    CHECK(opened.has_value());
   }
 
   TEST_CASE("US-35 a serial device is sent its value, and one that answers is waited for") {

@@ -128,6 +128,11 @@ TEST_SUITE("outputs") {
     CHECK(is_refused(serial + R"("words": {"0": "a", "0.5": "b", "1": "a"}})",
                      "0 and 1 are both written \"a\": the device could not tell them apart"));
     CHECK(problems_of(serial + R"("words": {"0": "a", "1": "b"}})").empty());
+    CHECK(problems_of(serial + R"("words_hex": {"0": "a0 01", "1": "A002"}, "answer_hex": "06"})").empty());
+    CHECK(is_refused(serial + R"("words_hex": {"0": "a0", "1": "xy"}})", "\"xy\": these are not bytes"));
+    CHECK(is_refused(serial + R"("words_hex": {"0": "a0", "1": "a0"}})", "the device could not tell them apart"));
+    CHECK(is_refused(serial + R"("words_hex": {"0": "a0"}, "text": "{value}"})", "there are `text` or `words` too"));
+    CHECK(is_refused(serial + R"("answer": "OK", "answer_hex": "06"})", "there is an `answer` too"));
   }
 
   TEST_CASE("US-35 US-41 check finds the mistakes of machines that set outputs") {

@@ -197,6 +197,50 @@ TEST_SUITE("sensors") {
     CHECK(stage.has_error("the device sends without a request"));
   }
 
+  TEST_CASE("US-42 an answer may be a frame of bytes, with its checksum, after garbage, cut off, or damaged") {
+    // As a battery's controller answers: A5, what it is, 8 bytes of data, the sum of all.
+    Stage stage;
+    std::string before, answer;
+    stage.line->on_request = [&](const std::string& request) {
+      CHECK(request == std::string("\xa5\x40\x90", 3));
+      stage.line->send(0ms, before);
+      stage.line->send(5ms, answer);
+    };
+    SerialPort port("meter", stage.line);
+    DriverSensor<Query> battery(stage.loop, patient("pack", 1_Hz), port, {},
+                                {.request_hex = "a5 40 90",
+                                 .format = LineFormat::binary,
+                                 .fields = {{.name = "v", .unit = "V", .scale = 0.1, .at = 4, .wire = Kind::u16}},
+                                 .frame = LineFrame{.start_hex = "a5", .length = 13},
+                                 .checksum = LineChecksum{.type = ChecksumType::sum8, .form = ChecksumForm::big}});
+    const std::string good("\xa5\x01\x90\x08\x02\x10\x00\x00\x75\x30\x03\x84\x7c", 13);
+    answer = good;
+    stage.loop.advance(3s);
+    CHECK(stage.count_of("pack", 52.8) == 3);
+    CHECK(stage.errors.empty());
+    before = "xy";
+    stage.loop.advance(3s);
+    CHECK(stage.count_of("pack", 52.8) >= 5);
+    before.clear();
+    answer = good.substr(0, 7);
+    stage.loop.advance(6s);
+    CHECK(stage.has_error("7 bytes came in 500 ms, and no complete frame"));
+    const std::size_t count = stage.values.size();
+    answer = good;
+    answer[5] = '\x11';
+    stage.loop.advance(10s);
+    CHECK(stage.values.size() == count);
+    CHECK(stage.has_error("its checksum is 7c, and should be 7d"));
+    CHECK(battery.counts().unreadable > 0);
+    answer.clear();
+    stage.loop.advance(10s);
+    CHECK(stage.has_error("nothing came in 500 ms"));
+    answer = good;
+    stage.loop.advance(10s);
+    CHECK(stage.values.size() > count);
+    CHECK(battery.health() == Health::ok);
+  }
+
   TEST_CASE("US-42 a serial adapter that sends back what it is given is told, and nothing is taken from it") {
     Stage stage;
     std::string answer;

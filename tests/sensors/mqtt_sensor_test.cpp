@@ -233,7 +233,7 @@ TEST_SUITE("sensors") {
     Publisher publisher(broker.port());
     Hearing bench;
     MqttSensor sensor(bench.loop, {.name = "phone"},
-                      bench.from(broker.port(), {.topics = {"a/#"}, .format = MqttFormat::csv}));
+                      bench.from(broker.port(), {.topics = {"a/#"}, .format = LineFormat::csv}));
     int turn = 0;
     CHECK(bench.wait_for([&] {
       if (++turn % 10 == 0) publisher.publish("a/b", "21.5\n");
@@ -242,6 +242,29 @@ TEST_SUITE("sensors") {
     CHECK(bench.heard.at(0).level == 21.5);
     CHECK(bench.heard.at(1).from == "a/b");
     CHECK_MESSAGE(bench.errors.empty(), bench.first_error());
+  }
+
+  TEST_CASE("FW-4 messages that are not meant are left out and counted") {
+    NEEDS_BROKER();
+    Broker broker;
+    Publisher publisher(broker.port());
+    Hearing bench;
+    MqttSensor sensor(bench.loop, {.name = "phone"},
+                      bench.from(broker.port(), {.topics = {"a/#"},
+                                                 .only = LineMatch{.key = "kind", .is = {"battery"}},
+                                                 .unreadable_if = LineMatch{.key = "error", .begins = "E"}}));
+    int turn = 0;
+    CHECK(bench.wait_for([&] {
+      if (++turn % 10 == 0) {
+        publisher.publish("a/b", R"({"kind": "position", "level": 1})");
+        publisher.publish("a/b", R"({"kind": "battery", "level": 2})");
+        publisher.publish("a/b", R"({"kind": "battery", "level": 3, "error": "E7"})");
+      }
+      return bench.heard.size() >= 2 && sensor.counts().filtered >= 2 && sensor.counts().unreadable >= 2;
+    }));
+    for (const auto& one : bench.heard) CHECK(one.level == 2);
+    CHECK(bench.has_error("unreadable_if"));
+    CHECK(sensor.counts().balances());
   }
 
   TEST_CASE("retained messages make no event, or are told apart when they are asked for") {

@@ -768,7 +768,7 @@ TEST_CASE("US-17 every parameter of a serial line can be set from a file") {
   CHECK(lines.retry_longest == 1min);
   CHECK(config.required);
   CHECK(!lines.start);
-  CHECK(parameters_of<SerialConfig>().size() == 27);
+  CHECK(parameters_of<SerialConfig>().size() == 29);
 }
 
 TEST_CASE("US-5 every row of a real flight comes out of the line") {
@@ -808,4 +808,76 @@ TEST_CASE("US-5 every row of a real flight comes out of the line") {
   CHECK(bench.sensor.counts().balances());
 }
 
+TEST_CASE("US-13 sensors of one device share it: each takes its own lines, and none misses any when another stops") {
+  ScratchDirectory folder;
+  Pty pty(folder.file("tty"));
+  pty.plug_in();
+  Loop loop;
+  be_quiet(loop);
+  std::vector<std::string> events;
+  const auto heard = loop.subscribe("#", [&](const EventView& event) {
+    if (!event.topic().starts_with("$"))
+      events.push_back(std::string(event.topic()) + to_string(event.value(event.description().leaves()[0])));
+  });
+  const auto config = [&](const char* word) {
+    return SerialConfig{.device = pty.path(),
+                        .lines = {.fields = {{.name = ""}, {.name = "v"}},
+                                  .only = LineMatch{.column = 1, .is = {word}},
+                                  .first_line = FirstLine::keep,
+                                  .retry_first = 10ms,
+                                  .retry_longest = 10ms}};
+  };
+  SerialLineSensor wind(loop, {.name = "wind"}, config("W"));
+  SerialLineSensor depth(loop, {.name = "depth"}, config("D"));
+  SerialConfig other = config("X");
+  other.serial.baud_rate = 4800;
+  other.required = true;
+  CHECK_THROWS_AS(SerialLineSensor(loop, {.name = "other"}, other), SetupError);
+  const auto send = [&](const std::string& text, std::size_t count) {
+    REQUIRE(pty.send(text) == text.size());
+    for (int i = 0; i < 5000 && events.size() < count; ++i) loop.run_for(1ms);
+  };
+  send("W,1\nD,2\nW,3\nZ,0\nD,", 3);
+  send("4\n", 4);
+  std::sort(events.begin(), events.end());
+  CHECK(events == std::vector<std::string>{"depth2", "depth4", "wind1", "wind3"});
+  CHECK(wind.counts().filtered == 3);
+  CHECK(depth.counts().filtered == 3);
+  wind.stop();  // it has opened the line
+  send("D,5\nW,6\nD,7\n", 6);
+  CHECK(events.size() == 6);
+  CHECK(events.back() == "depth7");
+  wind.start();  // it finds the line open, and drops none of what the other one is still to read
+  send("W,8\nD,9\n", 8);
+  CHECK(std::count(events.begin(), events.end(), "wind8") == 1);
+  CHECK(std::count(events.begin(), events.end(), "depth9") == 1);
+  // One that closes another while bytes are given.
+  auto last = std::make_unique<SerialLineSensor>(loop, FeedConfig{.name = "last"}, config("L"));
+  const auto closing = loop.subscribe("wind", [&](const EventView&) { last.reset(); });
+  send("L,1\n", 9);
+  send("W,10\nL,2\nD,11\n", 12);
+  CHECK(last == nullptr);
+  CHECK(std::count(events.begin(), events.end(), "depth11") == 1);
+  pty.unplug();
+  for (int i = 0; i < 5000 && (wind.health() != Health::faulted || depth.health() != Health::faulted); ++i)
+    loop.run_for(1ms);
+  CHECK(wind.health() == Health::faulted);
+  CHECK(depth.health() == Health::faulted);
+  pty.plug_in();
+  const std::uint64_t wind_before = wind.counts().published, depth_before = depth.counts().published;
+  for (int i = 0; i < 500; ++i) {
+    pty.send("W,0\nD,0\n");
+    loop.run_for(10ms);
+    if (wind.counts().published > wind_before && depth.counts().published > depth_before) break;
+  }
+  loop.run_for(50ms);
+  CHECK(wind.health() == Health::ok);
+  CHECK(depth.health() == Health::ok);
+  const std::size_t before = events.size();
+  send("W,12\nD,13\n", before + 2);
+  CHECK(events.size() == before + 2);
+  wind.close();
+  depth.close();
+  CHECK(loop.runtime().balances());
+}
 TEST_SUITE_END();

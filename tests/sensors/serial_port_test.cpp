@@ -439,9 +439,22 @@ TEST_SUITE("sensors") {
     const std::string line = R"({"name": "l", "type": "serial", "device": "/dev/ttyUSB0", "fields": [{"name": "x"}]})";
     CHECK(has(report(bus, line), "bus m, at f.json:1:"));
     CHECK(has(report(bus, line), "has this device already; a device is one sensor's or one bus's alone"));
-    CHECK(has(
-        report("", line + R"(, {"name": "k", "type": "serial", "device": "/dev/ttyUSB0", "fields": [{"name": "x"}]})"),
-        "sensor l, at f.json:1:"));
+    // Sensors of one tier with the same settings share a device.
+    const auto second = [&](const std::string& more) {
+      return line + R"(, {"name": "k", "type": "serial", "device": "/dev/ttyUSB0", "fields": [{"name": "x"}])" + more +
+             "}";
+    };
+    CHECK(report("", second("")).empty());
+    CHECK(has(report("", second(R"(, "baud_rate": 4800)")), "sensor l, at f.json:1:"));
+    CHECK(has(report("", second(R"(, "baud_rate": 4800)")), "have the same `baud_rate` and so on, and the same tier"));
+    const std::string ask = query(R"(, "request": "?")");
+    CHECK(report(R"("m": {"type": "serial", "host": "scope.local", "port": 5025})", ask).empty());
+    CHECK(has(report(R"("m": {"type": "serial"})", ask), "there is neither a `device` nor a `host`"));
+    CHECK(has(report(R"("m": {"type": "serial", "host": "a"})", ask), "there is no `port`"));
+    CHECK(has(report(R"("m": {"type": "serial", "device": "/dev/x", "host": "a", "port": 1})", ask),
+              "there is a `device` too"));
+    CHECK(
+        has(report(R"("m": {"type": "serial", "host": "a", "port": 1, "dtr": true})", ask), "are of a serial device"));
     CHECK(has(report("", R"({"name": "l", "type": "serial", "device": "/dev/ttyUSB0"})"), "no field has a name"));
     CHECK(report("", R"({"name": "l", "type": "serial", "device": "/dev/ttyUSB0", "format": "nmea"})").empty());
   }

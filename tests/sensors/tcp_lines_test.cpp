@@ -3,11 +3,15 @@
 
 #include <doctest/doctest.h>
 
+#include <atomic>
 #include <string>
+#include <thread>
 #include <vector>
 
 #include "has.hpp"
 #include "rtdata/data/event.hpp"
+#include "rtdata/io/serial.hpp"
+#include "rtdata/sensors/query.hpp"
 #include "sensors/fake_gpsd.hpp"
 #include "sensors/fixture.hpp"
 
@@ -64,5 +68,44 @@ TEST_SUITE("sensors") {
                     SetupError);
     CHECK_THROWS_AS(TcpLines(loop, {.name = "w"}, {.host = "a b", .port = 1, .lines = {.fields = {{.name = "v"}}}}),
                     SetupError);
+  }
+
+  TEST_CASE("US-42 an instrument behind a TCP port answers as one on a serial line does, and again when it is back") {
+    FakeGpsd server;
+    std::atomic<bool> is_over = false, hangs_up = false;
+    std::thread instrument([&] {
+      while (!is_over) {
+        server.accept();
+        if (hangs_up.exchange(false)) server.hang_up();
+        if (has(server.received(), "MEAS?\n")) server.send("1.25\n");
+        std::this_thread::sleep_for(1ms);
+      }
+    });
+    {
+      Loop loop;
+      be_quiet(loop);
+      int values = 0, errors = 0;
+      const auto heard = loop.subscribe("scope", [&](const EventView& event) {
+        CHECK(std::get<double>(event.value("v").or_throw()) == 1.25);
+        ++values;
+      });
+      SerialPort port({.host = "127.0.0.1", .port = server.port()});
+      DriverSensor<Query> scope(loop,
+                                {.name = "scope", .rate = Rate::hertz(50), .faulted_after = 1, .retry_first = 10ms},
+                                port, {}, {.request = "MEAS?\n", .fields = {{.name = "v"}}});
+      scope.on_error([&](const ErrorReport&) { ++errors; });
+      for (int i = 0; i < 20000 && values < 3; ++i) loop.run_for(1ms);
+      CHECK(values >= 3);
+      hangs_up = true;
+      for (int i = 0; i < 20000 && errors == 0; ++i) loop.run_for(1ms);
+      CHECK(errors > 0);
+      const int before = values;
+      for (int i = 0; i < 20000 && values < before + 3; ++i) loop.run_for(1ms);
+      CHECK(values >= before + 3);
+    }
+    is_over = true;
+    instrument.join();
+    CHECK_THROWS_AS(SerialPort({.host = "127.0.0.1"}), SetupError);
+    CHECK_THROWS_AS(SerialPort(SerialPortConfig{}), SetupError);
   }
 }

@@ -138,6 +138,7 @@ struct PartPlan {
     std::string bus_type = {};         ///< type of bus with such places; empty: any type that the part allows
     std::string advice_on_other = {};  ///< advice for a bus of another type
     std::string more = {};             ///< further identity that is never shown, such as the path of a URL
+    std::string sharing = {};          ///< parts of one tier with the same text may use the place together; empty: none
   } place = {};
   std::vector<Place> more_places = {};  ///< further places, if the part takes several
   Duration give_up_after{0};            ///< of a bus: limit of a sensor's job; 0: unknown

@@ -10,6 +10,7 @@
 /// sensors (DriverSensor, driver.hpp), which use it on its lane. Lines of devices that send by themselves are for
 /// SerialLineSensor (serial_line.hpp).
 ///
+/// - With `host` and `port` instead of `device` it is a TCP connection to a serial server or an instrument.
 /// - 9600 8N1 unless `serial` says otherwise. No flow control.
 /// - The port is opened by the first call, for this program alone, and again after it was gone, by its path:
 ///   /dev/serial/by-id/... finds an adapter wherever it is plugged in.
@@ -96,6 +97,8 @@ class SerialTransport {
 
 struct SerialPortConfig {
   std::string device = {};  ///< "/dev/serial/by-id/...", "/dev/ttyUSB0"
+  std::string host = {};    ///< instead of `device`: a name or an address; the device answers on its TCP `port`
+  std::uint16_t port = 0;
   SerialSettings serial = {};
   Duration answer_timeout = std::chrono::milliseconds{500};  ///< longest wait for an answer
   Duration timeout = std::chrono::seconds{5};                ///< limit of each job of a sensor on the port
@@ -104,7 +107,10 @@ struct SerialPortConfig {
   friend constexpr auto parameters(type_tag<SerialPortConfig>) {
     using namespace std::chrono_literals;
     return parameter_list(
-        parameter("device", &SerialPortConfig::device, "the serial device", required, TextIs::device),
+        parameter("device", &SerialPortConfig::device, "the serial device", TextIs::device),
+        parameter("host", &SerialPortConfig::host,
+                  "instead of `device`: an instrument or a serial server in the network"),
+        parameter("port", &SerialPortConfig::port, "its TCP port, such as 5025 for SCPI", range(1, 65535)),
         include_member(&SerialPortConfig::serial),
         parameter("answer_timeout", &SerialPortConfig::answer_timeout,
                   "an answer that is not complete by then is missed", range(Duration{1ms}, Duration{10min})),
@@ -113,7 +119,7 @@ struct SerialPortConfig {
         parameter("echo", &SerialPortConfig::echo, "the adapter sends back what it is given, which is dropped"));
   }
   friend Duration give_up_after(const SerialPortConfig& config) { return config.timeout; }
-  /// Checks that `timeout` is longer than `answer_timeout`.
+  /// Checks that there is one of `device` and `host`, and that `timeout` is longer than `answer_timeout`.
   friend void check_config(const SerialPortConfig& config, const ConfigItem& item, Problems& problems);
 };
 
@@ -188,6 +194,8 @@ class SerialPort : public Bus {
   std::shared_ptr<SerialDevice::Core> core_;
 };
 
+/// A device that answers on a TCP port: a serial server (ser2net), an instrument. Connecting takes at most `limit`.
+std::shared_ptr<SerialTransport> make_tcp_line(std::string host, std::uint16_t port, Duration limit);
 /// The kernel's serial line.
 std::shared_ptr<SerialTransport> make_kernel_serial(std::string device, SerialSettings settings);
 

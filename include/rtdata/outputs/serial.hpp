@@ -5,6 +5,9 @@
 ///           rtdata::SerialActuatorConfig{.device = "/dev/ttyUSB0", .words = {{"0", "off"}, {"1", "on"}}});
 ///     });
 ///
+/// Devices that take bytes are set by `words_hex`: {{"0", "a0 01 00 a1"}, {"1", "a0 01 01 a2"}} is a USB relay. Then
+/// other values cannot be set, and `text` is not used.
+///
 /// A value is set when the kernel has sent the text and, with `answer`, the device has sent that answer within
 /// `timeout`. With `keep`, opening sends nothing. Other data from the device is discarded.
 ///
@@ -23,9 +26,11 @@ namespace rtdata {
 struct SerialActuatorConfig {
   std::string device = {};  ///< "/dev/serial/by-id/...", "/dev/ttyUSB0"
   SerialSettings serial = {};
-  std::string text = "{value}\n";                 ///< `{value}`: the shortest exact number: 1, 0.5
-  std::map<std::string, std::string> words = {};  ///< texts to send for values: {"0": "off", "1": "on"}
-  std::string answer = {};                        ///< the device's reply after a value; empty: do not wait for one
+  std::string text = "{value}\n";                     ///< `{value}`: the shortest exact number: 1, 0.5
+  std::map<std::string, std::string> words = {};      ///< texts to send for values: {"0": "off", "1": "on"}
+  std::map<std::string, std::string> words_hex = {};  ///< bytes to send for values, instead of `text`
+  std::string answer = {};                            ///< the device's reply after a value; empty: do not wait for one
+  std::string answer_hex = {};                        ///< the same as bytes
   Duration timeout = std::chrono::milliseconds{500};
 
   friend constexpr auto parameters(type_tag<SerialActuatorConfig>) {
@@ -37,8 +42,11 @@ struct SerialActuatorConfig {
                   placeholders("value")),
         parameter("words", &SerialActuatorConfig::words,
                   "the text in place of {value}, by value: {\"0\": \"off\", \"1\": \"on\"}"),
+        parameter("words_hex", &SerialActuatorConfig::words_hex,
+                  "instead of `text`: the bytes for each value: {\"0\": \"a0 01 00 a1\", \"1\": \"a0 01 01 a2\"}"),
         parameter("answer", &SerialActuatorConfig::answer,
                   "what the device sends when it has the value; empty: it is not waited for"),
+        parameter("answer_hex", &SerialActuatorConfig::answer_hex, "the same as bytes"),
         parameter("timeout", &SerialActuatorConfig::timeout, "for sending and the answer",
                   range(Duration{1ms}, Duration{1500ms})));
   }
@@ -50,7 +58,7 @@ struct SerialActuatorConfig {
 
 class SerialActuator : public CheckedActuator {
  public:
-  explicit SerialActuator(SerialActuatorConfig config) : config_(std::move(config)) {}
+  explicit SerialActuator(SerialActuatorConfig config);
   SerialActuator(const SerialActuator&) = delete;
   SerialActuator& operator=(const SerialActuator&) = delete;
   ~SerialActuator() override;
@@ -59,7 +67,10 @@ class SerialActuator : public CheckedActuator {
   Result<void> check() override;
 
  private:
+  Result<std::string> text_of(double value) const;
+
   SerialActuatorConfig config_;
+  std::string answer_;
   int fd_ = -1;
 };
 

@@ -26,6 +26,14 @@
 ///   restart of the device, unless the field's type wraps around. A line whose number makes a jump is held until the
 ///   next one, for `silence` or a second at most: when that takes the jump back, as after a wrong digit, the line is
 ///   unreadable; else both are published with their own times.
+/// - `format` pattern: `pattern` is a regular expression of Perl's kind (PCRE2), searched for in the line; each of its
+///   named groups is the text of the field with this name, or `key`: "T:(?<temp>[-0-9.]+)C". A group that takes part in
+///   no match is an empty column. Without a match the line is unreadable, and with one that takes more than 20 000
+///   steps of the search, too. `only` and `unreadable_if` may have a `pattern` as well.
+/// - `device_time` names the field that is the device's clock. The time of an event is then the device's, shifted by
+///   the shortest way that a line has taken from the device to the read, and never later than the read. A clock that
+///   wraps around goes on; one that goes back, or differs by more than before (a second ahead, a minute behind), has
+///   started again.
 /// - With `frame`, events are frames of bytes instead of lines, of CSV or JSON, of rows with labels (`format` labels: a
 ///   field's `key` is the label, `column` counts what follows), or of binary fields by their place (`format` binary:
 ///   `at`, `wire`). Bytes outside of frames are unreadable, once for each stretch of them. After an unusable frame the
@@ -120,11 +128,11 @@ struct LineField {
   }
 };
 
-enum class LineFormat { csv, json, nmea, labels, binary };
+enum class LineFormat { csv, json, nmea, labels, binary, pattern };
 constexpr auto describe(type_tag<LineFormat>) {
   return enumeration("format", value("csv", LineFormat::csv), value("json", LineFormat::json),
                      value("nmea", LineFormat::nmea), value("labels", LineFormat::labels),
-                     value("binary", LineFormat::binary));
+                     value("binary", LineFormat::binary), value("pattern", LineFormat::pattern));
 }
 enum class FirstLine { discard, keep };
 constexpr auto describe(type_tag<FirstLine>) {
@@ -143,6 +151,7 @@ struct LineMatch {
   std::vector<std::string> is = {};  ///< one of these texts is all of it
   std::string begins = {};           ///< it begins with this
   std::string contains = {};         ///< this is in it
+  std::string pattern = {};          ///< this regular expression (PCRE2) is found in it
 
   friend constexpr auto parameters(type_tag<LineMatch>) {
     return parameter_list(parameter("column", &LineMatch::column,
@@ -150,7 +159,8 @@ struct LineMatch {
                           parameter("key", &LineMatch::key, "JSON: the value that is looked at; labels: the label"),
                           parameter("is", &LineMatch::is, "it is one of these"),
                           parameter("begins", &LineMatch::begins, "it begins with this"),
-                          parameter("contains", &LineMatch::contains, "it contains this"));
+                          parameter("contains", &LineMatch::contains, "it contains this"),
+                          parameter("pattern", &LineMatch::pattern, "this regular expression is found in it"));
   }
 };
 
@@ -196,6 +206,7 @@ struct LineChecksum {
   bool covers_after = false;              ///< it covers `after`, too
   std::size_t from = 0;                   ///< bytes at the beginning that it does not cover
   std::size_t before = 0;                 ///< bytes before it (and `after`) that it does not cover
+  std::size_t behind = 0;                 ///< bytes of the frame that follow it
   bool optional = false;                  ///< a line without `after` has none
   ChecksumOf of = ChecksumOf::all;        ///< labels: each row has its own
 
@@ -208,6 +219,7 @@ struct LineChecksum {
         parameter("covers_after", &LineChecksum::covers_after, "it covers `after` too"),
         parameter("from", &LineChecksum::from, "bytes at the beginning that it does not cover", range(0, 65535)),
         parameter("before", &LineChecksum::before, "bytes before it that it does not cover", range(0, 65535)),
+        parameter("behind", &LineChecksum::behind, "bytes of the frame that follow it", range(0, 64)),
         parameter("optional", &LineChecksum::optional, "a line without `after` has none"),
         parameter("of", &LineChecksum::of, "what it protects: all, or each row of labels"));
   }
@@ -241,10 +253,25 @@ struct LineFrame {
   }
 };
 
+/// The clock of a device: a field counts in steps of `step` and wraps around as its type does.
+struct DeviceTime {
+  std::string field = {};                        ///< an integer, or a double, which never wraps
+  Duration step = std::chrono::milliseconds{1};  ///< what one more in the field is
+
+  friend constexpr auto parameters(type_tag<DeviceTime>) {
+    using namespace std::chrono_literals;
+    return parameter_list(
+        parameter("field", &DeviceTime::field, "the field that counts", TextIs::field, rtdata::required),
+        parameter("step", &DeviceTime::step, "what one more in it is, such as \"1 us\"",
+                  range(Duration{1ns}, Duration{1h})));
+  }
+};
+
 struct LineConfig {
   LineFormat format = LineFormat::csv;
   std::vector<LineField> fields = {};
   char separator = ',';                 ///< between the columns of CSV; a blank stands for any number of blanks
+  std::string pattern = {};             ///< of `format` pattern: a regular expression with a named group for each field
   std::string comment = "#";            ///< lines that begin with it are skipped; empty: none
   char line_end = '\n';                 ///< what ends a line; without a newline some devices send a carriage return
   std::optional<LineFrame> frame = {};  ///< events are frames of bytes, not lines
@@ -255,6 +282,7 @@ struct LineConfig {
   FirstLine first_line = FirstLine::discard;
   std::size_t max_line = 4096;                            ///< bytes; a longer line is unreadable
   std::string sequence_field = {};                        ///< the field that numbers the lines; empty: none
+  std::optional<DeviceTime> device_time = {};             ///< events have the device's times; none: of the reads
   Duration silence{0};                                    ///< without a line for longer, it has a gap; 0: no limit
   Duration retry_first = std::chrono::milliseconds{100};  ///< wait before a lost device is opened again
   Duration retry_longest = std::chrono::seconds{10};      ///< the wait doubles up to this
@@ -265,11 +293,13 @@ struct LineConfig {
     return parameter_list(
         parameter("format", &LineConfig::format, "how a line is written"),
         parameter("fields", &LineConfig::fields, "what is in a line; not with `format` nmea",
-                  only_with("format", "csv", "json", "labels", "binary")),
+                  only_with("format", "csv", "json", "labels", "binary", "pattern")),
+        parameter("pattern", &LineConfig::pattern, "a regular expression with a named group for each field",
+                  only_with("format", "pattern")),
         parameter("separator", &LineConfig::separator, "between the columns of CSV, or label and value",
                   only_with("format", "csv", "labels")),
         parameter("comment", &LineConfig::comment, "lines that begin with it are skipped",
-                  only_with("format", "csv", "json", "labels", "binary")),
+                  only_with("format", "csv", "json", "labels", "binary", "pattern")),
         parameter("line_end", &LineConfig::line_end, "the character that ends a line"),
         parameter("frame", &LineConfig::frame, "what an event is, if it is not a line"),
         parameter("only", &LineConfig::only, "the lines that are meant; others are left out, and count as filtered"),
@@ -282,7 +312,10 @@ struct LineConfig {
         parameter("max_line", &LineConfig::max_line, "a longer line is unreadable", rtdata::unit("By"),
                   range(16, 65536)),
         parameter("sequence_field", &LineConfig::sequence_field, "the field by which the device numbers its lines",
-                  TextIs::field, only_with("format", "csv", "json", "labels", "binary")),
+                  TextIs::field, only_with("format", "csv", "json", "labels", "binary", "pattern")),
+        parameter("device_time", &LineConfig::device_time,
+                  "the field that is the device's clock, by which events have times",
+                  only_with("format", "csv", "json", "labels", "binary", "pattern")),
         parameter("silence", &LineConfig::silence, "silent for longer, it is degraded and has a gap; 0: never",
                   range(Duration{0}, Duration{24h})),
         parameter("retry_first", &LineConfig::retry_first, "wait before a lost device is opened again",

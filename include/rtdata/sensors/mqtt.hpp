@@ -31,6 +31,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -39,10 +40,6 @@
 
 namespace rtdata {
 
-enum class MqttFormat { json, csv };
-constexpr auto describe(type_tag<MqttFormat>) {
-  return enumeration("format", value("json", MqttFormat::json), value("csv", MqttFormat::csv));
-}
 enum class MqttRetained { skip, take };
 constexpr auto describe(type_tag<MqttRetained>) {
   return enumeration("retained", value("skip", MqttRetained::skip), value("take", MqttRetained::take));
@@ -52,10 +49,13 @@ struct MqttSensorConfig {
   MqttBroker broker = {};
   std::vector<std::string> topics = {};  ///< subscriptions, with "+" and "#"; "$share/GROUP/..." for a shared one
   std::uint8_t qos = 1;
-  MqttFormat format = MqttFormat::json;
+  LineFormat format = LineFormat::json;
   std::vector<LineField> fields = {};
-  char separator = ',';             ///< between the columns of CSV
-  std::size_t max_message = 65536;  ///< bytes; a longer one is unreadable
+  char separator = ',';                         ///< between the columns of CSV
+  std::string pattern = {};                     ///< of `format` pattern (lines.hpp)
+  std::optional<LineMatch> only = {};           ///< the messages that are meant; others count as filtered
+  std::optional<LineMatch> unreadable_if = {};  ///< messages by which the device says that it has no value
+  std::size_t max_message = 65536;              ///< bytes; a longer one is unreadable
   MqttRetained retained = MqttRetained::skip;
   Duration session{0};         ///< how long the broker keeps messages for this sensor; 0: not at all
   std::string stored_by = {};  ///< name of a sink of this loop: acknowledge after it has stored the event
@@ -73,9 +73,17 @@ struct MqttSensorConfig {
                   rtdata::required),
         parameter("qos", &MqttSensorConfig::qos, "0: at most once, 1: at least once, 2: once for each connection",
                   range(0, 2)),
-        parameter("format", &MqttSensorConfig::format, "how a message is written; a number alone is csv"),
+        parameter("format", &MqttSensorConfig::format, "how a message is written; a number alone is csv",
+                  choices(value("json", LineFormat::json), value("csv", LineFormat::csv),
+                          value("labels", LineFormat::labels), value("pattern", LineFormat::pattern))),
         parameter("fields", &MqttSensorConfig::fields, "what is in a message", rtdata::required),
-        parameter("separator", &MqttSensorConfig::separator, "between the columns of CSV", only_with("format", "csv")),
+        parameter("separator", &MqttSensorConfig::separator, "between the columns of CSV, or label and value",
+                  only_with("format", "csv", "labels")),
+        parameter("pattern", &MqttSensorConfig::pattern, "a regular expression with a named group for each field",
+                  only_with("format", "pattern")),
+        parameter("only", &MqttSensorConfig::only, "the messages that are meant; others count as filtered"),
+        parameter("unreadable_if", &MqttSensorConfig::unreadable_if,
+                  "messages by which the device says that it has no value"),
         parameter("max_message", &MqttSensorConfig::max_message, "a longer message is unreadable", rtdata::unit("By"),
                   range(16, 1048576)),
         parameter("retained", &MqttSensorConfig::retained,

@@ -10,6 +10,7 @@
 ///
 /// - No complete answer within the port's `answer_timeout` is a failure; an answer that cannot be decoded is
 ///   unreadable.
+/// - With `frame` the answer is a frame of bytes (lines.hpp), such as binary fields at their places (`format` binary).
 /// - `at_open` is sent after each opening of the port, to set the device up.
 /// - `skip_lines`: lines before the answer, for devices that echo the request.
 ///
@@ -18,6 +19,7 @@
 
 #include <cstddef>
 #include <memory>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -48,7 +50,11 @@ class Query {
     unsigned skip_lines = 0;                ///< before the answer
     LineFormat format = LineFormat::csv;
     std::vector<LineField> fields = {};
-    char separator = ',';  ///< between the columns of CSV; a blank stands for any number of blanks
+    char separator = ',';                 ///< between the columns of CSV; a blank stands for any number of blanks
+    std::string pattern = {};             ///< of `format` pattern
+    std::optional<LineFrame> frame = {};  ///< the answer is a frame of bytes, not a line
+    std::optional<LineMatch> unreadable_if = {};  ///< answers by which the device says that it has no value
+    std::optional<LineChecksum> checksum = {};
     friend constexpr auto parameters(type_tag<Config>) {
       return parameter_list(
           parameter("request", &Config::request, "what is sent, with its end"),
@@ -57,9 +63,17 @@ class Query {
           parameter("answer_end", &Config::answer_end, "the character that ends an answer"),
           parameter("skip_lines", &Config::skip_lines, "lines before the answer, such as an echo", range(0, 100)),
           parameter("format", &Config::format, "how the answer is written",
-                    choices(value("csv", LineFormat::csv), value("json", LineFormat::json))),
+                    choices(value("csv", LineFormat::csv), value("json", LineFormat::json),
+                            value("labels", LineFormat::labels), value("binary", LineFormat::binary),
+                            value("pattern", LineFormat::pattern))),
           parameter("fields", &Config::fields, "what is in the answer", required),
-          parameter("separator", &Config::separator, "between the columns of CSV", only_with("format", "csv")));
+          parameter("separator", &Config::separator, "between the columns of CSV, or label and value",
+                    only_with("format", "csv", "labels")),
+          parameter("pattern", &Config::pattern, "a regular expression with a named group for each field",
+                    only_with("format", "pattern")),
+          parameter("frame", &Config::frame, "what the answer is, if it is not a line"),
+          parameter("unreadable_if", &Config::unreadable_if, "answers by which the device says that it has no value"),
+          parameter("checksum", &Config::checksum, "how the answer is protected; a wrong one makes it unreadable"));
     }
     /// Checks that there is one request, and that `fields` fit the other settings.
     friend void check_config(const Config& config, const ConfigItem& item, Problems& problems);
@@ -84,6 +98,10 @@ class Query {
 
  private:
   struct Decoding;
+  Result<std::string> ask_for_frame(SerialDevice& line);
+  Reading<DescribedValue> read_frame(SerialDevice& line);
+  Reading<DescribedValue> read_line(SerialDevice& line);
+  Reading<DescribedValue> decoded(SerialDevice& line, std::string_view answer);
   const Config config_;
   const std::string request_;
   const std::unique_ptr<Decoding> decoding_;

@@ -11,7 +11,8 @@
 /// - If the device disappears, the sensor is faulted and opens it again after `retry_first`, doubling to
 ///   `retry_longest`, by its path: /dev/serial/by-id/... finds it on any port. The same at the start, unless it is
 ///   `required`. The time without the device is a gap (disconnected).
-/// - The serial line is locked for this program.
+/// - The serial line is locked for this program. Sensors of one loop with the same `device` and settings share it: each
+///   takes the lines that its `only` means.
 ///
 /// Its `format` nmea is a satellite receiver (GPS or others) without gpsd:
 ///

@@ -2,6 +2,7 @@
 #include "rtdata/sensors/command.hpp"
 #include "rtdata/sensors/serial_line.hpp"
 #include "rtdata/sensors/tcp_lines.hpp"
+#include "rtdata/sensors/udp_lines.hpp"
 #include "rtdata/sensors/w1.hpp"
 
 namespace rtdata::app {
@@ -9,6 +10,14 @@ namespace {
 
 constexpr const char* recipes =
     "docs/recipes has a configuration to copy for each of many products, with what they send and what comes of it.";
+
+/// Sensors with the same settings may share a device.
+std::string shared_settings(const SerialSettings& of) {
+  const auto level = [](const std::optional<bool>& line) { return line ? *line ? "1" : "0" : "-"; };
+  return "serial " + std::to_string(of.baud_rate) + " " + std::to_string(of.character_size) + " " +
+         std::to_string(static_cast<int>(of.parity)) + " " + std::to_string(of.stop_bits) + level(of.dtr) +
+         level(of.rts) + (of.hangup ? "h" : "-") + (of.rs485 ? std::to_string(static_cast<int>(*of.rs485)) : "-");
+}
 
 }  // namespace
 
@@ -21,6 +30,7 @@ void add_line_sensors(Registry& registry) {
       [](const SerialConfig& config) { return description_of_lines(config.lines); }, makes<SerialLineSensor>,
       [](PartPlan& plan, const SerialConfig& config) {
         plan.place = {"", config.device, ""};
+        plan.place.sharing = shared_settings(config.serial);
       },
       {.notes = recipes,
        .aliases = "arduino uart rs232 usb teensy esp32 scale balance pms5003 pms7003 sds011 ze08 dust dsmr p1 teleinfo "
@@ -35,6 +45,10 @@ void add_line_sensors(Registry& registry) {
       "tcp", "a device that sends lines over a TCP connection, such as an ESP32 or ser2net",
       [](const TcpLinesConfig& config) { return description_of_lines(config.lines); }, makes<TcpLines>,
       [](PartPlan&, const TcpLinesConfig&) {}, {.aliases = "socket network wifi esp32 ser2net telnet nmea"});
+  registry.add_sensor<UdpLinesConfig>(
+      "udp", "devices that send lines or frames by UDP to this machine",
+      [](const UdpLinesConfig& config) { return description_of_lines(config.lines); }, makes<UdpLines>,
+      [](PartPlan&, const UdpLinesConfig&) {}, {.aliases = "datagram multicast broadcast telemetry listen esp8266"});
 }
 
 }  // namespace rtdata::app

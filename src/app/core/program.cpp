@@ -133,6 +133,11 @@ constexpr Part parts[] = {
      RTDATA_WITH_PAGE
 #endif
     },
+    {"pattern", "PCRE2", "libpcre2-dev",
+#ifdef RTDATA_WITH_PATTERN
+     RTDATA_WITH_PATTERN
+#endif
+    },
 };
 // clang-format on
 

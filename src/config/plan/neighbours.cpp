@@ -115,13 +115,16 @@ void Neighbours::check_place(const PartPlan& part, const PartPlan::Place& taken,
   const auto [known, is_new] = places_.try_emplace({taken.bus, (place.empty() ? taken.text : place) + taken.more},
                                                    &part);
   if (is_new) return;
+  const PartPlan& first = *known->second;
+  const bool may_share = !taken.sharing.empty() && !first.place.sharing.empty();
+  if (may_share && taken.sharing == first.place.sharing && part.tier() == first.tier()) return;
   if (!is_on_bus) {
+    const char* advice = "a device is one sensor's or one bus's alone";
+    if (part.kind == first.kind && part.kind == "bus") advice = "one bus is enough for all devices on it";
+    if (may_share) advice = "sensors that share a device have the same `baud_rate` and so on, and the same tier";
     problems.add(child_or_self(part.item, "device")
-                     .problem("duplicate-place", known->second->object() + ", at " + place_of(known->second->item) +
-                                                     ", has this device already; " +
-                                                     (part.kind == known->second->kind && part.kind == "bus"
-                                                          ? "one bus is enough for all devices on it"
-                                                          : "a device is one sensor's or one bus's alone")));
+                     .problem("duplicate-place", first.object() + ", at " + place_of(first.item) +
+                                                     ", has this device already; " + advice));
     return;
   }
   const std::string key = taken.text.substr(0, taken.text.find(' '));

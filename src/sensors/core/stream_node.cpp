@@ -102,6 +102,12 @@ void StreamNode::look_for_silence() {
   if (is_open() && is_running_ && is_silent_) fell_silent();
 }
 
+void StreamNode::leave_out() {
+  ++origin_.counts.received;
+  ++origin_.counts.filtered;
+  heard();
+}
+
 void StreamNode::succeed() {
   came();
   set_healthy();

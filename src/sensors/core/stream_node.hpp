@@ -50,6 +50,8 @@ class StreamNode : public SourceNode {
   void heard();
   /// Bytes, of which samples are made: that ends a silence.
   void heard_bytes();
+  /// A sample that is not meant: it counts as filtered.
+  void leave_out();
   /// A sample that could be used.
   void succeed();
   /// No sample, and it is well.

@@ -167,6 +167,7 @@ std::size_t Checksum::place_of_after(std::string_view text) const noexcept {
 
 Checksum::Place Checksum::place_in(std::string_view text) const noexcept {
   Place place;
+  text.remove_suffix(std::min(text.size(), config_.behind));
   if (config_.after.empty()) {
     place.end = text.size() < width() ? 0 : text.size() - width();
     place.written = text.substr(place.end);

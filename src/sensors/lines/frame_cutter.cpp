@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <utility>
 
-#include "sensors/lines/hex_bytes.hpp"
+#include "data/hex_bytes.hpp"
 
 namespace rtdata::detail {
 namespace {

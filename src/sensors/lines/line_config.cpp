@@ -6,7 +6,9 @@
 
 #include "data/lower_case.hpp"
 #include "rtdata/data/config_item.hpp"
+#include "rtdata/detail/io/loaded_library.hpp"
 #include "rtdata/sensors/gps.hpp"
+#include "sensors/lines/device_clock.hpp"
 #include "sensors/lines/frame_cutter.hpp"
 #include "sensors/lines/line_decoder.hpp"
 
@@ -45,6 +47,7 @@ void check_nmea(const LineConfig& config) {
                                     {"only", config.only.has_value()},
                                     {"unreadable_if", config.unreadable_if.has_value()},
                                     {"checksum", config.checksum.has_value()},
+                                    {"device_time", config.device_time.has_value()},
                                     {"line_end", config.line_end != '\n'}})
     if (is_set) throw SetupError(refused_lines(key, "`format` nmea reads its sentences by itself", "leave it out"));
 }
@@ -86,7 +89,8 @@ void check_marks(const LineConfig& config) {
 void check_fields_of(const LineConfig& config) {
   for (std::size_t i = 0; i < config.fields.size(); ++i) {
     const LineField& field = config.fields[i];
-    const bool has_keys = config.format == LineFormat::json || config.format == LineFormat::labels;
+    const bool has_keys = config.format == LineFormat::json || config.format == LineFormat::labels ||
+                          config.format == LineFormat::pattern;
     if (has_keys && field.name.empty() && field.key.empty())
       throw SetupError(
           refused_lines("field " + std::to_string(i + 1),
@@ -106,8 +110,8 @@ void check_fields_of(const LineConfig& config) {
 void check_match(const LineConfig& config, const char* key, const std::optional<LineMatch>& match) {
   if (!match) return;
   const auto refuse = [&](const char* why, const char* advice) { throw SetupError(refused_lines(key, why, advice)); };
-  if (match->is.empty() && match->begins.empty() && match->contains.empty())
-    refuse("it does not say what the text is", "set `is`, `begins` or `contains`");
+  if (match->is.empty() && match->begins.empty() && match->contains.empty() && match->pattern.empty())
+    refuse("it does not say what the text is", "set `is`, `begins`, `contains` or `pattern`");
   if (match->column != 0 && config.format != LineFormat::csv)
     refuse("only CSV has columns", "use `key`, or the whole line");
   if (!match->key.empty() && config.format != LineFormat::json && config.format != LineFormat::labels)
@@ -126,6 +130,8 @@ void check_lines(const LineConfig& config) {
   check_fields_of(config);
   check_match(config, "only", config.only);
   check_match(config, "unreadable_if", config.unreadable_if);
+  if (config.format != LineFormat::pattern && !config.pattern.empty())
+    throw SetupError(refused_lines("pattern", "it is of `format` pattern", "set that, or leave it out"));
   if (config.format == LineFormat::binary && config.separator != ',')
     throw SetupError(refused_lines("separator", "bytes have none", "leave it out"));
 }
@@ -191,12 +197,17 @@ Result<std::shared_ptr<const Description>> description_of_lines(const LineConfig
 
 void check_config(const LineConfig& config, const ConfigItem& item, Problems& problems) {
   try {
-    (void)detail::decoder_of_lines(config);
+    const auto decoder = detail::decoder_of_lines(config);
+    if (config.device_time && decoder) detail::DeviceClock(*config.device_time, *decoder->description());
     if (config.frame) detail::FrameCutter(*config.frame, config.max_line);
   } catch (const SetupError& error) {
     const Error& e = error.error();
-    const std::string_view keys[] = {"sequence_field", "separator", "comment",       "line_end",
-                                     "frame",          "only",      "unreadable_if", "checksum"};
+    if (e.code == Errc::not_found) {  // the library of patterns
+      detail::add_not_installed(e, item, problems);
+      return;
+    }
+    const std::string_view keys[] = {"sequence_field", "separator",     "comment",  "line_end", "frame",
+                                     "only",           "unreadable_if", "checksum", "pattern",  "device_time"};
     const bool is_of_key = std::find(std::begin(keys), std::end(keys), e.where) != std::end(keys);
     const std::string key = is_of_key ? e.where : "fields";
     const ConfigItem* at = item.find(key);

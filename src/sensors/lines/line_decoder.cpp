@@ -59,8 +59,6 @@ LineDecoder::LineDecoder(const LineConfig& config, AroundLine around)
       format_(config.format),
       separator_(config.separator),
       comment_(config.comment),
-      only_(config.only),
-      unreadable_if_(config.unreadable_if),
       payload_((description_->size() + sizeof(std::max_align_t) - 1) / sizeof(std::max_align_t)),
       seen_(fields_.size()) {
   cell_.reserve(config.max_line);
@@ -74,6 +72,9 @@ LineDecoder::LineDecoder(const LineConfig& config, AroundLine around)
     if (!is_given_.back()) ++columns_;
   }
   check_lines(config);
+  only_ = match_of(config.only, "only");
+  unreadable_if_ = match_of(config.unreadable_if, "unreadable_if");
+  if (format_ == LineFormat::pattern) use_pattern(config.pattern);
   if (config.checksum) {
     checksum_.emplace(*config.checksum);
     has_row_checksums_ = config.checksum->of == ChecksumOf::row;
@@ -107,10 +108,41 @@ bool LineDecoder::is_damaged(std::string_view line) const noexcept {
   return checksum_ && !has_row_checksums_ && checksum_->is_damaged(line);
 }
 
-bool LineDecoder::matches(const LineMatch& match, std::string_view line) {
-  const auto text = text_in_question(match, line);
-  return text && text->starts_with(match.begins) && text->find(match.contains) != std::string_view::npos &&
-         (match.is.empty() || std::find(match.is.begin(), match.is.end(), *text) != match.is.end());
+std::optional<LineDecoder::Match> LineDecoder::match_of(const std::optional<LineMatch>& config, const char* key) {
+  if (!config) return std::nullopt;
+  Match match{*config};
+  if (!config->pattern.empty()) match.pattern.emplace(config->pattern, key);
+  return match;
+}
+
+/// Also true if it would take too long to know.
+bool LineDecoder::matches(Match& match, std::string_view line) {
+  const LineMatch& wanted = match.config;
+  const auto text = text_in_question(wanted, line);
+  return text && text->starts_with(wanted.begins) && text->find(wanted.contains) != std::string_view::npos &&
+         (wanted.is.empty() || std::find(wanted.is.begin(), wanted.is.end(), *text) != wanted.is.end()) &&
+         (!match.pattern || match.pattern->search(*text) != LinePattern::Search::not_found);
+}
+
+/// Each group that has a name is a field's.
+void LineDecoder::use_pattern(const std::string& expression) {
+  pattern_.emplace(expression, "pattern");
+  groups_.resize(fields_.size());
+  for (const LinePattern::Group& group : pattern_->groups()) {
+    bool is_used = false;
+    for (std::size_t i = 0; i < fields_.size(); ++i) {
+      if (fields_[i].key != group.name) continue;
+      groups_[i].push_back(group.number);
+      is_used = true;
+    }
+    if (!is_used)
+      throw SetupError(refused_lines("pattern", "no field is named \"" + group.name + "\", as a group is",
+                                     "add it to `fields`, or write (...) without a name"));
+  }
+  for (std::size_t i = 0; i < fields_.size(); ++i)
+    if (groups_[i].empty() && !is_given(i))
+      throw SetupError(refused_lines("field " + fields_[i].name, "`pattern` has no group of this name",
+                                     "write (?<" + fields_[i].key + ">...) where its value stands"));
 }
 
 Result<void> LineDecoder::decode(std::string_view line) {
@@ -121,6 +153,7 @@ Result<void> LineDecoder::decode(std::string_view line) {
   if (binary_) return binary_->decode(line, texts_, payload());
   if (format_ == LineFormat::json) return decode_json(line);
   if (format_ == LineFormat::labels) return decode_labels(line);
+  if (pattern_) return decode_pattern(line);
   Result<void> done = decode_csv(line);
   if (done) return done;
   Error error = std::move(done).error();
@@ -266,6 +299,29 @@ Result<void> LineDecoder::decode_csv(std::string_view line) {
     if (Result<void> done = put(i, column->text); !done) return done;
   }
   if (rest.data() != nullptr) return count_error("more");
+  return {};
+}
+
+Result<void> LineDecoder::decode_pattern(std::string_view line) {
+  switch (pattern_->search(line)) {
+    case LinePattern::Search::found:
+      break;
+    case LinePattern::Search::not_found:
+      return Error{Errc::bad_data, bad_line_, shown_line(line), "`pattern` is not found in it",
+                   "check `pattern`; `only` leaves out lines of another kind"};
+    case LinePattern::Search::too_long:
+      return Error{Errc::bad_data, bad_line_, shown_line(line), "`pattern` takes too many steps",
+                   "write `pattern` with fewer ways to match, such as [^,]* instead of .*"};
+  }
+  for (std::size_t i = 0; i < fields_.size(); ++i) {
+    if (is_given(i)) continue;
+    std::optional<std::string_view> text;
+    for (std::size_t n = 0; n < groups_[i].size() && !text; ++n) text = pattern_->group(groups_[i][n]);
+    const std::string_view value = trimmed(text.value_or(""));
+    if (value.empty() && fields_[i].optional) continue;
+    if (!text) return failure(Errc::bad_data, i, "its group is in no part of " + shown_line(line) + " that matches");
+    if (Result<void> done = put(i, value); !done) return done;
+  }
   return {};
 }
 

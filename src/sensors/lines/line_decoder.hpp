@@ -12,6 +12,7 @@
 #include "sensors/lines/binary_fields.hpp"
 #include "sensors/lines/checksum.hpp"
 #include "sensors/lines/field_text.hpp"
+#include "sensors/lines/line_pattern.hpp"
 
 namespace rtdata::detail {
 
@@ -67,8 +68,15 @@ class LineDecoder {
   /// Puts the value into `found_`; false: there is none.
   bool find_in_json(std::string_view key, std::string_view line);
   Result<void> decode_labels(std::string_view rows);
+  Result<void> decode_pattern(std::string_view line);
   Result<void> all_seen() const;
-  bool matches(const LineMatch& match, std::string_view line);
+  /// LineMatch, with its regular expression ready for use.
+  struct Match {
+    LineMatch config;
+    std::optional<LinePattern> pattern = {};
+  };
+  static std::optional<Match> match_of(const std::optional<LineMatch>& config, const char* key);
+  bool matches(Match& match, std::string_view line);
   std::optional<std::string_view> text_in_question(const LineMatch& match, std::string_view line);
   /// Puts the text of column or key `index` in its place.
   Result<void> put(std::size_t index, std::string_view text);
@@ -82,6 +90,7 @@ class LineDecoder {
   std::uint64_t number() const noexcept;
   /// The distance between two numbers; empty: it goes back.
   std::optional<std::uint64_t> steps_between(std::uint64_t from, std::uint64_t to) const noexcept;
+  void use_pattern(const std::string& expression);
   bool is_given(std::size_t index) const noexcept { return is_given_[index]; }
 
   const AroundLine around_;
@@ -96,7 +105,9 @@ class LineDecoder {
   const Leaf* sequence_ = nullptr;
   std::optional<std::uint64_t> last_;    // the bits of the number
   std::optional<std::uint64_t> before_;  // of the line before that
-  std::optional<LineMatch> only_, unreadable_if_;
+  std::optional<Match> only_, unreadable_if_;
+  std::optional<LinePattern> pattern_;
+  std::vector<std::vector<unsigned>> groups_;  // of each field, their numbers in the pattern
   std::optional<Checksum> checksum_;
   bool has_row_checksums_ = false;
   std::optional<BinaryFields> binary_;

@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <cmath>
 #include <cstring>
 #include <utility>
 
@@ -67,6 +68,7 @@ LineNode::LineNode(LoopCore& loop, const FeedConfig& feed, LineConfig config, st
       held_.storage.resize(held_.size / sizeof(std::max_align_t) + 1);
       hold_ = Timer(loop.face, [this] { let_go(); });
     }
+    if (config_.device_time) clock_.emplace(*config_.device_time, *decoder_->description());
   } else {
     fixes_ = std::make_unique<NmeaFixes>(place_);
   }
@@ -122,6 +124,7 @@ void LineNode::use(int fd) {
   fd_ = fd;
   if (fixes_ != nullptr) fixes_->reset();
   if (cutter_) cutter_->reset();
+  if (clock_) clock_->forget();
   ++openings_;
   line_.clear();
   is_overlong_ = false;
@@ -132,7 +135,11 @@ void LineNode::use(int fd) {
   if (is_first_) quiet_.start(silence_before_a_line);
   is_beginning_ = true;
   lines_to_skip_ = config_.skip_lines;
-  watch_ = FdWatch(loop()->face, fd_, FdWatch::readable, object_name(),
+  watch_source(fd_);
+}
+
+void LineNode::watch_source(int fd) {
+  watch_ = FdWatch(loop()->face, fd, FdWatch::readable, object_name(),
                    [this](const FdEvent& event) { on_ready(event); });
 }
 
@@ -161,18 +168,33 @@ void LineNode::on_ready(const FdEvent& event) {
   const int error_number = got < 0 ? errno : 0;
   line_.resize(before + static_cast<std::size_t>(std::max<ssize_t>(got, 0)));
   if (got > 0) {
-    heard_bytes();
-    time_ = loop()->runtime.event_time(heard_at());
-    cutter_ ? take_frames() : take_lines(before);
+    take_read(before);
   } else if (got == 0 || (error_number != EAGAIN && error_number != EINTR) || event.hung_up) {
-    const unsigned opening = openings_;
-    let_go();
-    finish_fix();
-    if (fd_ < 0 || openings_ != opening) return;
-    if (cutter_ || is_stream_) report_rest(End::of_source);
-    if (fd_ < 0 || openings_ != opening) return;
-    source_ended(error_number);
+    take_end(error_number);
   }
+}
+
+void LineNode::take_bytes_read(std::string_view bytes, int error_number) {
+  Call call(*this);
+  if (bytes.empty()) return take_end(error_number);
+  const std::size_t before = line_.size();
+  line_ += bytes;
+  take_read(before);
+}
+
+/// The bytes from `before` on have been read just now.
+void LineNode::take_read(std::size_t before) {
+  heard_bytes();
+  time_ = loop()->runtime.event_time(heard_at());
+  cutter_ ? take_frames() : take_lines(before);
+}
+
+void LineNode::take_end(int error_number) {
+  const auto is_same = [this, opening = openings_] { return fd_ >= 0 && openings_ == opening; };
+  let_go();
+  finish_fix();
+  if (is_same() && (cutter_ || is_stream_)) report_rest(End::of_source);
+  if (is_same()) source_ended(error_number);
 }
 
 /// Takes the complete lines out of the buffer, whose bytes from `from` on are new.
@@ -369,13 +391,6 @@ void LineNode::take_line(std::string_view line) {
   take_decoded();
 }
 
-/// A line that is not meant.
-void LineNode::leave_out() {
-  ++origin_.counts.received;
-  ++origin_.counts.filtered;
-  heard();
-}
-
 void LineNode::take_decoded() {
   if (held_.is_there) {
     const unsigned opening = openings_;
@@ -386,23 +401,37 @@ void LineNode::take_decoded() {
   // Left-out numbers of lines that came but could not be used are not lost.
   const std::uint64_t unusable = std::exchange(unusable_lines_, 0);
   const std::uint64_t lost = step.lost - std::min(step.lost, unusable);
-  if (lost != 0 || step.goes_back) return hold(lost, unusable);
+  const Time time = clock_ ? time_of_decoded() : time_;
+  if (lost != 0 || step.goes_back) return hold(lost, unusable, time);
   if (step.is_repeated) {
     ++origin_.counts.received;
     ++origin_.counts.repeated;
-  } else if (!take_or_fail(decoder_->payload(), time_)) {
+  } else if (!take_or_fail(decoder_->payload(), time)) {
     return;
   }
   succeed();
 }
 
+/// The device's time of it.
+Time LineNode::time_of_decoded() {
+  const MonotonicTime at = clock_->time_of(decoder_->payload(), heard_at());
+  RuntimeCore& runtime = loop()->runtime;
+  if (clock_->take_restart())
+    runtime.log(LogLevel::info, object_name(), "the clock of the device has started again, or was set");
+  if (const auto drift = clock_->take_drift())
+    runtime.log(LogLevel::info, object_name(),
+                "the clock of the device is " + std::to_string(std::lround(std::fabs(*drift))) + " ppm " +
+                    (*drift < 0 ? "slower" : "faster") + " than ours, which its times follow");
+  return runtime.event_time(at);
+}
+
 /// A line whose number has made a jump is kept until the next one says whether that was a wrong digit.
-void LineNode::hold(std::uint64_t lost, std::uint64_t unusable) {
+void LineNode::hold(std::uint64_t lost, std::uint64_t unusable, Time time) {
   constexpr Duration most_held = std::chrono::seconds{1};
   held_.is_there = true;
   held_.lost = lost;
   held_.unusable = unusable;
-  held_.time = time_;
+  held_.time = time;
   std::memcpy(held_.payload(), decoder_->payload(), held_.size);
   hold_.start(config_.silence > Duration{0} ? std::min(config_.silence, most_held) : most_held);
 }

@@ -13,6 +13,7 @@
 #include "rtdata/loop/watch.hpp"
 #include "rtdata/sensors/lines.hpp"
 #include "sensors/core/stream_node.hpp"
+#include "sensors/lines/device_clock.hpp"
 #include "sensors/lines/frame_cutter.hpp"
 #include "sensors/lines/line_decoder.hpp"
 #include "sensors/lines/nmea.hpp"
@@ -34,6 +35,10 @@ class LineNode : public StreamNode {
   // A derived class overrides `open_stream`, whose result goes to `take`, now or later: a descriptor that does not
   // block, closed with `close_source`, or the reason why there is none.
   void take(Result<int> fd);
+  /// Reads the source from now on: calls `take_bytes` with what it reads. Overridden where nodes share a source.
+  virtual void watch_source(int fd);
+  /// Bytes that were read; empty: the source has ended, with the error of `read` or 0.
+  void take_bytes_read(std::string_view bytes, int error_number);
   virtual void close_source(int fd) noexcept = 0;
   /// The source has ended: the derived class calls `lose`, now or later. `error_number` is that of `read`; 0: the end
   /// of the stream.
@@ -43,6 +48,8 @@ class LineNode : public StreamNode {
   /// What comes first is the rest of a line, however long the source is silent.
   void expect_rest_of_line();
   bool has_source() const noexcept { return fd_ >= 0; }
+  /// Changes with each opening.
+  unsigned opening() const noexcept { return openings_; }
   /// The source has an end that it chooses: a line without an end is told then.
   void set_stream() noexcept { is_stream_ = true; }
   /// No more is read from the source.
@@ -58,18 +65,20 @@ class LineNode : public StreamNode {
   Error silence_error() const override;
   void use(int fd);
   void on_ready(const FdEvent& event);
+  void take_read(std::size_t before);
+  void take_end(int error_number);
   void take_lines(std::size_t from);
   void take_line(std::string_view line);
   void take_frames();
   bool take_frame(std::string_view frame);
   void skip(std::string_view bytes, bool are_all);
   void report_outside(bool is_much);
-  void leave_out();
   void take_decoded();
+  Time time_of_decoded();
   void take_sentence(std::string_view line);
   void publish(GpsFix fix, Time time);
   void finish_fix();
-  void hold(std::uint64_t lost, std::uint64_t unusable);
+  void hold(std::uint64_t lost, std::uint64_t unusable, Time time);
   void let_go();
   void refuse_held();
   void fail_unended();
@@ -85,9 +94,10 @@ class LineNode : public StreamNode {
   std::unique_ptr<LineDecoder> decoder_;  // null: NMEA
   std::unique_ptr<NmeaFixes> fixes_;
   std::optional<FrameCutter> cutter_;  // none: lines
-  std::size_t skipped_ = 0;            // bytes outside of frames that are not yet reported
-  std::size_t reported_bytes_ = 0;     // of a frame that could not be used
-  unsigned tries_ = 0;                 // frames that could not be used, one within another
+  std::optional<DeviceClock> clock_;
+  std::size_t skipped_ = 0;         // bytes outside of frames that are not yet reported
+  std::size_t reported_bytes_ = 0;  // of a frame that could not be used
+  unsigned tries_ = 0;              // frames that could not be used, one within another
   const NmeaFixes::Publish publish_fix_ = [this](const GpsFix& fix, Time time) { publish(fix, time); };
   std::optional<GpsFix> last_fix_;
   struct Held {

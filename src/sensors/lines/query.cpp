@@ -1,9 +1,13 @@
 #include "rtdata/sensors/query.hpp"
 
+#include <algorithm>
+#include <array>
 #include <optional>
 
+#include "data/hex_bytes.hpp"
 #include "rtdata/data/config_item.hpp"
-#include "sensors/lines/hex_bytes.hpp"
+#include "rtdata/detail/loop/lane.hpp"
+#include "sensors/lines/frame_cutter.hpp"
 #include "sensors/lines/line_decoder.hpp"
 
 namespace rtdata {
@@ -31,6 +35,10 @@ LineConfig as_lines(const Query::Config& config) {
   lines.format = config.format;
   lines.fields = config.fields;
   lines.separator = config.separator;
+  lines.pattern = config.pattern;
+  lines.frame = config.frame;
+  lines.unreadable_if = config.unreadable_if;
+  lines.checksum = config.checksum;
   lines.comment = "";
   lines.max_line = Query::longest_answer;
   return lines;
@@ -55,8 +63,11 @@ void check_config(const Query::Config& config, const ConfigItem& item, Problems&
 }
 
 struct Query::Decoding {
-  explicit Decoding(const Config& config) : decoder(as_lines(config)) {}
+  explicit Decoding(const Config& config) : decoder(as_lines(config)) {
+    if (config.frame) cutter.emplace(*config.frame, longest_answer);
+  }
   detail::LineDecoder decoder;
+  std::optional<detail::FrameCutter> cutter;  // none: the answer is a line
 };
 
 Query::Query(const Config& config)
@@ -71,7 +82,63 @@ Result<void> Query::open(SerialDevice& line) {
   return {};
 }
 
+/// The first frame that comes; what is before it is left out.
+Result<std::string> Query::ask_for_frame(SerialDevice& line) {
+  if (auto done = line.drop_input(); !done) return std::move(done).error();
+  if (auto done = line.write(request_); !done) return std::move(done).error();
+  detail::FrameCutter& cutter = *decoding_->cutter;
+  cutter.reset();
+  const MonotonicTime until = detail::lane_now() + line.answer_timeout();
+  std::string bytes;
+  std::size_t skipped = 0;
+  for (;;) {
+    const detail::FrameCutter::Found found = cutter.next(bytes);
+    skipped += found.skipped;
+    bytes.erase(0, found.skipped);
+    if (found.size != 0) {
+      if (auto done = line.read(std::span<std::uint8_t>()); !done) return std::move(done).error();  // it is complete
+      return bytes.substr(0, found.size);
+    }
+    std::array<std::uint8_t, 512> some{};
+    const Result<std::size_t> got = line.read_some(some, std::max(until - detail::lane_now(), Duration{0}));
+    if (got) {
+      bytes.append(reinterpret_cast<const char*>(some.data()), *got);
+    } else if (got.error().code == Errc::timed_out && bytes.size() + skipped != 0) {
+      return line.error(Errc::timed_out, "no answer",
+                        std::to_string(bytes.size() + skipped) + " bytes came in " + to_string(line.answer_timeout()) +
+                            ", and no complete frame",
+                        "check `frame`, and `baud_rate`");
+    } else {
+      return got.error();
+    }
+  }
+}
+
 Reading<DescribedValue> Query::read(SerialDevice& line) {
+  return decoding_->cutter ? read_frame(line) : read_line(line);
+}
+
+Reading<DescribedValue> Query::read_frame(SerialDevice& line) {
+  const Result<std::string> answer = ask_for_frame(line);
+  if (!answer) return answer.error();
+  return decoded(line, *answer);
+}
+
+Reading<DescribedValue> Query::decoded(SerialDevice& line, std::string_view answer) {
+  detail::LineDecoder& decoder = decoding_->decoder;
+  const Result<std::string_view> checked = decoder.checked(answer);
+  Result<void> done = checked ? Result<void>() : Result<void>(checked.error());
+  const bool has_marks = config_.frame && config_.format != LineFormat::binary;
+  if (done) done = decoder.decode(has_marks ? decoding_->cutter->body(*checked) : *checked);
+  if (!done) {
+    const Error& e = done.error();
+    return Unreadable{line.error(static_cast<Errc>(e.code.value()), "cannot use an answer",
+                                 (e.where.empty() ? "" : e.where + ": ") + e.why, "check `request` and `fields`")};
+  }
+  return DescribedValue(std::span<const std::byte>(decoder.payload(), decoder.description()->size()));
+}
+
+Reading<DescribedValue> Query::read_line(SerialDevice& line) {
   Result<std::string> answer = line.transact(request_, config_.answer_end, {}, longest_answer);
   for (unsigned i = 0; answer && i < config_.skip_lines; ++i) {
     answer = line.read_until(config_.answer_end, {}, longest_answer);
@@ -86,13 +153,7 @@ Reading<DescribedValue> Query::read(SerialDevice& line) {
   if (text == without_end(request_))
     return Unreadable{line.error(Errc::bad_data, "cannot use an answer", "it echoes the request",
                                  "switch its echo off, or that of the adapter, or set `skip_lines` to 1")};
-  detail::LineDecoder& decoder = decoding_->decoder;
-  if (auto done = decoder.decode(text); !done) {
-    const Error& e = done.error();
-    return Unreadable{line.error(static_cast<Errc>(e.code.value()), "cannot use an answer",
-                                 (e.where.empty() ? "" : e.where + ": ") + e.why, "check `request` and `fields`")};
-  }
-  return DescribedValue(std::span<const std::byte>(decoder.payload(), decoder.description()->size()));
+  return decoded(line, text);
 }
 
 }  // namespace rtdata

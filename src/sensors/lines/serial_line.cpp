@@ -9,11 +9,12 @@
 
 #include "io/tty.hpp"
 #include "sensors/lines/line_node.hpp"
+#include "sensors/lines/serial_source.hpp"
 
 namespace rtdata {
 namespace detail {
 
-class SerialLineNode final : public LineNode {
+class SerialLineNode final : public LineNode, private SerialSource::User {
  public:
   SerialLineNode(LoopCore& loop, const FeedConfig& feed, SerialConfig config)
       : LineNode(loop, feed, std::move(config.lines), std::move(config.device),
@@ -23,17 +24,28 @@ class SerialLineNode final : public LineNode {
 
   void start() override {
     if (!is_open() || is_running()) return;
-    Result<int> fd = open_tty(place(), settings_);
+    Result<int> fd = open();
     if (!fd && is_required_) throw SetupError(std::move(fd).error());
     begin_lines();
-    const bool is_within_line = fd && drop_waiting(*fd);
+    const bool is_within_line = fd && !source_->has_users() && drop_waiting(*fd);
     take(std::move(fd));
     if (is_within_line && has_source()) expect_rest_of_line();
   }
 
  private:
-  void open_stream() override { take(open_tty(place(), settings_)); }
-  void close_source(int fd) noexcept override { close_tty(fd); }
+  Result<int> open() {
+    auto source = SerialSource::open(*loop(), place(), settings_);
+    if (!source) return source.error();
+    source_ = *std::move(source);
+    return source_->fd();
+  }
+  void open_stream() override { take(open()); }
+  void watch_source(int) override { source_->add(*this); }
+  void take_bytes(std::string_view bytes, int error_number) override { take_bytes_read(bytes, error_number); }
+  void close_source(int) noexcept override {
+    source_->remove(*this);
+    source_ = nullptr;
+  }
   void source_ended(int error_number) override {
     constexpr const char* what = "lost the serial line";
     constexpr const char* advice = "check the plug and the cable; it is opened again when it is back";
@@ -64,6 +76,7 @@ class SerialLineNode final : public LineNode {
 
   const SerialSettings settings_;
   const bool is_required_;
+  std::shared_ptr<SerialSource> source_;
 };
 
 }  // namespace detail

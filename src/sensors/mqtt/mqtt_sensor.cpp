@@ -21,9 +21,12 @@ constexpr const char* retained_key = "$retained";
 
 LineConfig line_config(const MqttSensorConfig& config) {
   LineConfig line;
-  line.format = config.format == MqttFormat::csv ? LineFormat::csv : LineFormat::json;
+  line.format = config.format;
   line.fields = config.fields;
   line.separator = config.separator;
+  line.pattern = config.pattern;
+  line.only = config.only;
+  line.unreadable_if = config.unreadable_if;
   line.comment.clear();
   line.max_line = config.max_message;
   return line;
@@ -177,6 +180,7 @@ class MqttNode final : public StreamNode {
     }
     std::string_view text = message.payload;
     while (text.ends_with('\n') || text.ends_with('\r')) text.remove_suffix(1);
+    if (!decoder_.is_meant(text)) return leave_out();
     Result<void> done = decoder_.decode(text);
     if (done) done = decoder_.give(topic_key, message.topic);
     if (done) done = decoder_.give(retained_key, message.is_retained ? "true" : "false");
@@ -341,9 +345,10 @@ std::vector<Mistake> mistakes_of(const MqttSensorConfig& config) {
     const LineDecoder decoder = decoder_of(config);
   } catch (const SetupError& error) {
     const Error& e = error.error();
-    const bool is_separator = e.where == "separator";
-    add(is_separator ? "separator" : "fields",
-        (e.where.empty() || is_separator ? "" : e.where + ": ") + e.why + "; " + e.advice);
+    const char* key = "fields";
+    for (const char* const own : {"separator", "pattern", "only", "unreadable_if"})
+      if (e.where == own) key = own;
+    add(key, (e.where.empty() || e.where == key ? "" : e.where + ": ") + e.why + "; " + e.advice);
   }
   return all;
 }

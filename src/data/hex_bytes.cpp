@@ -1,4 +1,4 @@
-#include "sensors/lines/hex_bytes.hpp"
+#include "data/hex_bytes.hpp"
 
 namespace rtdata::detail {
 

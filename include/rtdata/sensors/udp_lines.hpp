@@ -1,0 +1,59 @@
+/// UdpLines: devices that send lines by UDP to this machine: an ESP32, a telemetry ground station, an NMEA gateway.
+///
+///     rtdata::UdpLines wind(loop, {.name = "wind"},
+///                           {.port = 5005, .address = "0.0.0.0", .lines = {.fields = {{.name = "speed", .unit = "m/s"}}}});
+///
+/// A datagram holds one line or several (or frames of bytes, with `frame`); each becomes one event; lines.hpp says how
+/// they are read. The end of a datagram ends its last line.
+///
+/// - It hears on the loopback address unless `address` says otherwise; "0.0.0.0" and "::" stand for all of the machine's
+///   addresses, and a group's address ("239.1.2.3") for what is sent to that group.
+/// - With `from`, datagrams of other senders are left out: they count as filtered.
+/// - UDP may lose datagrams on the way, which only a `sequence_field` shows. What the kernel drops because its buffer is
+///   full is counted as lost, by datagrams.
+/// - A datagram longer than `longest_datagram` is unreadable, once.
+/// - If the port is taken or the address is not there, the sensor is faulted and tries again after `retry_first`,
+///   doubling to `retry_longest`. UDP knows no connection: whether the sender lives, only `silence` says.
+///
+/// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's.
+#pragma once
+
+#include <cstdint>
+#include <string>
+
+#include "rtdata/sensors/lines.hpp"
+
+namespace rtdata {
+
+struct UdpLinesConfig {
+  std::uint16_t port = 0;
+  std::string address = "127.0.0.1";  ///< of this machine, or of a group
+  std::string from = {};              ///< an address: only this sender is meant; empty: all
+  LineConfig lines = {.first_line = FirstLine::keep, .retry_first = std::chrono::seconds{1}};
+
+  static constexpr std::size_t longest_datagram = 2048;  ///< bytes
+
+  friend constexpr auto parameters(type_tag<UdpLinesConfig>) {
+    return parameter_list(
+        parameter("port", &UdpLinesConfig::port, "the UDP port of this machine", range(1, 65535), rtdata::required),
+        parameter("address", &UdpLinesConfig::address,
+                  "of this machine, \"0.0.0.0\" for all of them, or of a multicast group"),
+        parameter("from", &UdpLinesConfig::from, "the address of the only sender that is meant; others are left out"),
+        include_member(&UdpLinesConfig::lines));
+  }
+};
+
+void check_config(const UdpLinesConfig& config, const ConfigItem& item, Problems& problems);
+ReadTime read_time(const UdpLinesConfig& config);
+
+class UdpLines : public AnySensor {
+ public:
+  UdpLines() noexcept = default;
+  /// SetupError: as `Feed`; bad-argument for a configuration that cannot work.
+  UdpLines(Loop& loop, FeedConfig feed, UdpLinesConfig config);
+
+ private:
+  explicit UdpLines(detail::Node* node) noexcept : AnySensor(node) {}
+};
+
+}  // namespace rtdata

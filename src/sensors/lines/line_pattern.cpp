@@ -1,0 +1,103 @@
+#include "sensors/lines/line_pattern.hpp"
+
+#include <utility>
+
+#include "sensors/lines/line_config.hpp"
+#ifdef RTDATA_WITH_PATTERN
+#include "sensors/lines/libpcre2.hpp"
+#endif
+
+namespace rtdata::detail {
+
+#ifdef RTDATA_WITH_PATTERN
+
+namespace {
+
+constexpr std::uint32_t most_pattern_memory = 1024;  // KiB, of a search
+
+std::string message_of(int number) {
+  unsigned char text[200];
+  if (pcre2_get_error_message(number, text, sizeof text) < 0) return "error " + std::to_string(number);
+  return reinterpret_cast<const char*>(text);
+}
+
+template <class T>
+T pattern_info(const pcre2_code* code, std::uint32_t what) {
+  T value{};
+  pcre2_pattern_info(code, what, &value);
+  return value;
+}
+
+}  // namespace
+
+struct LinePattern::Compiled {
+  Compiled() = default;
+  Compiled(const Compiled&) = delete;
+  Compiled& operator=(const Compiled&) = delete;
+  ~Compiled() {
+    pcre2_match_data_free(found);
+    pcre2_match_context_free(limits);
+    pcre2_code_free(code);
+  }
+  pcre2_code* code = nullptr;
+  pcre2_match_context* limits = nullptr;
+  pcre2_match_data* found = nullptr;
+};
+
+LinePattern::LinePattern(const std::string& expression, const char* key) {
+  if (expression.empty())
+    throw SetupError(refused_lines(key, "there is no regular expression", "such as \"T=(?<temp>[-0-9.]+)\""));
+  if (const Result<void> loaded = libpcre2.load(); !loaded) throw SetupError(loaded.error());
+  compiled_ = std::make_unique<Compiled>();
+  int number = 0;
+  std::size_t at = 0;
+  compiled_->code = pcre2_compile(reinterpret_cast<const unsigned char*>(expression.data()), expression.size(), 0,
+                                  &number, &at, nullptr);
+  if (compiled_->code == nullptr)
+    throw SetupError(refused_lines(key, "at character " + std::to_string(at) + ": " + message_of(number),
+                                   "it is a regular expression of Perl's kind; `man pcre2pattern` describes them"));
+  compiled_->limits = pcre2_match_context_create(nullptr);
+  compiled_->found = pcre2_match_data_create_from_pattern(compiled_->code, nullptr);
+  if (compiled_->limits == nullptr || compiled_->found == nullptr) throw std::bad_alloc();
+  pcre2_set_match_limit(compiled_->limits, most_steps);
+  pcre2_set_heap_limit(compiled_->limits, most_pattern_memory);
+  const auto count = pattern_info<std::uint32_t>(compiled_->code, PCRE2_INFO_NAMECOUNT);
+  const auto size = pattern_info<std::uint32_t>(compiled_->code, PCRE2_INFO_NAMEENTRYSIZE);
+  const unsigned char* entry = pattern_info<const unsigned char*>(compiled_->code, PCRE2_INFO_NAMETABLE);
+  for (std::uint32_t i = 0; i < count; ++i, entry += size)  // a number of two bytes, and a name
+    groups_.push_back({reinterpret_cast<const char*>(entry + 2), static_cast<unsigned>(entry[0] << 8 | entry[1])});
+}
+
+LinePattern::Search LinePattern::search(std::string_view text) noexcept {
+  text_ = text;
+  const int status = pcre2_match(compiled_->code, reinterpret_cast<const unsigned char*>(text.data()), text.size(), 0,
+                                 0, compiled_->found, compiled_->limits);
+  if (status > 0) return Search::found;
+  return status == PCRE2_ERROR_NOMATCH ? Search::not_found : Search::too_long;
+}
+
+std::optional<std::string_view> LinePattern::group(unsigned number) const noexcept {
+  const std::size_t* const ends = pcre2_get_ovector_pointer(compiled_->found);
+  const std::size_t begin = ends[2 * number], end = ends[2 * number + 1];
+  if (begin == PCRE2_UNSET || end < begin) return std::nullopt;  // \K may put an end before its beginning
+  return text_.substr(begin, end - begin);
+}
+
+#else
+
+struct LinePattern::Compiled {};
+
+LinePattern::LinePattern(const std::string&, const char* key) {
+  throw SetupError(
+      refused_lines(key, "this program was built without PCRE2", "install libpcre2-dev and build it again"));
+}
+LinePattern::Search LinePattern::search(std::string_view) noexcept { return Search::not_found; }
+std::optional<std::string_view> LinePattern::group(unsigned) const noexcept { return std::nullopt; }
+
+#endif
+
+LinePattern::LinePattern(LinePattern&&) noexcept = default;
+LinePattern& LinePattern::operator=(LinePattern&&) noexcept = default;
+LinePattern::~LinePattern() = default;
+
+}  // namespace rtdata::detail

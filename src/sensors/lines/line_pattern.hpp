@@ -1,0 +1,45 @@
+// A regular expression that is searched for in lines.
+#pragma once
+
+#include <cstddef>
+#include <memory>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+namespace rtdata::detail {
+
+/// A call allocates nothing once its first ones are over, and ends after `most_steps`: no text holds the loop.
+class LinePattern {
+ public:
+  static constexpr unsigned most_steps = 20'000;
+
+  /// SetupError: bad-argument (not such an expression, or built without PCRE2), not-found (PCRE2 is not installed).
+  /// `key`: of its setting, in errors.
+  LinePattern(const std::string& expression, const char* key);
+  LinePattern(LinePattern&&) noexcept;
+  LinePattern& operator=(LinePattern&&) noexcept;
+  ~LinePattern();
+
+  enum class Search { found, not_found, too_long };
+  /// The first place that matches.
+  Search search(std::string_view text) noexcept;
+  /// After `found`: the text of a group; empty: it took no part. Valid as long as the text.
+  std::optional<std::string_view> group(unsigned number) const noexcept;
+
+  struct Group {
+    std::string name;
+    unsigned number;
+  };
+  /// The named groups, in the order of their numbers.
+  const std::vector<Group>& groups() const noexcept { return groups_; }
+
+ private:
+  struct Compiled;
+  std::unique_ptr<Compiled> compiled_;
+  std::vector<Group> groups_;
+  std::string_view text_;  // of the last search
+};
+
+}  // namespace rtdata::detail

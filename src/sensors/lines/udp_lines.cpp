@@ -1,0 +1,225 @@
+#include "rtdata/sensors/udp_lines.hpp"
+
+#include <arpa/inet.h>
+#include <netinet/in.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include <array>
+#include <cerrno>
+#include <cstring>
+#include <optional>
+#include <string>
+#include <utility>
+
+#include "rtdata/data/config_item.hpp"
+#include "sensors/lines/line_node.hpp"
+
+namespace rtdata {
+namespace detail {
+namespace {
+
+// Read in one turn of the loop, at most: the lines in them stay below the capacity of a topic's ring.
+constexpr std::size_t most_turn_bytes = 512;
+constexpr int most_turn_datagrams = 16;
+constexpr int buffer_size = 1 << 20;  // of the kernel, which may give less
+
+struct IpAddress {
+  sockaddr_storage storage{};
+  socklen_t size = 0;
+  bool is_v6() const noexcept { return storage.ss_family == AF_INET6; }
+  const sockaddr_in& v4() const noexcept { return reinterpret_cast<const sockaddr_in&>(storage); }
+  const sockaddr_in6& v6() const noexcept { return reinterpret_cast<const sockaddr_in6&>(storage); }
+  bool is_group() const noexcept {
+    return is_v6() ? IN6_IS_ADDR_MULTICAST(&v6().sin6_addr) : IN_MULTICAST(ntohl(v4().sin_addr.s_addr));
+  }
+  bool is_same_host(const IpAddress& other) const noexcept {
+    if (storage.ss_family != other.storage.ss_family) return false;
+    return is_v6() ? std::memcmp(&v6().sin6_addr, &other.v6().sin6_addr, sizeof(in6_addr)) == 0
+                   : v4().sin_addr.s_addr == other.v4().sin_addr.s_addr;
+  }
+};
+
+std::optional<IpAddress> ip_address(const std::string& text, std::uint16_t port) {
+  IpAddress address;
+  auto& v4 = reinterpret_cast<sockaddr_in&>(address.storage);
+  auto& v6 = reinterpret_cast<sockaddr_in6&>(address.storage);
+  if (::inet_pton(AF_INET, text.c_str(), &v4.sin_addr) == 1) {
+    v4.sin_family = AF_INET;
+    v4.sin_port = htons(port);
+    address.size = sizeof v4;
+    return address;
+  }
+  if (::inet_pton(AF_INET6, text.c_str(), &v6.sin6_addr) != 1) return std::nullopt;
+  v6.sin6_family = AF_INET6;
+  v6.sin6_port = htons(port);
+  address.size = sizeof v6;
+  return address;
+}
+
+struct UdpMistake {
+  const char* key;
+  std::string why;
+};
+std::optional<UdpMistake> mistake_in_udp(const UdpLinesConfig& config) {
+  const auto address = ip_address(config.address, config.port);
+  if (!address) return UdpMistake{"address", "\"" + config.address + "\" is no address of IP, such as 0.0.0.0"};
+  if (config.from.empty()) return std::nullopt;
+  const auto from = ip_address(config.from, 0);
+  if (!from) return UdpMistake{"from", "\"" + config.from + "\" is no address of IP, such as 192.168.1.7"};
+  if (from->is_v6() != address->is_v6()) return UdpMistake{"from", "it is of another kind than `address`"};
+  return std::nullopt;
+}
+
+/// A socket that hears there, and does not block.
+Result<int> open_udp(const IpAddress& address, const std::string& place) {
+  const int fd = ::socket(address.storage.ss_family, SOCK_DGRAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
+  const auto failed = [&](const char* advice) {
+    const int number = errno;
+    if (fd >= 0) ::close(fd);
+    return system_error(number, "cannot hear on this port", place, advice);
+  };
+  if (fd < 0) return failed("does this machine have such addresses?");
+  const int on = 1;
+  ::setsockopt(fd, SOL_SOCKET, SO_RXQ_OVFL, &on, sizeof on);
+  ::setsockopt(fd, SOL_SOCKET, SO_RCVBUF, &buffer_size, sizeof buffer_size);
+  if (address.is_group()) ::setsockopt(fd, SOL_SOCKET, SO_REUSEADDR, &on, sizeof on);  // others may hear it too
+  if (::bind(fd, reinterpret_cast<const sockaddr*>(&address.storage), address.size) != 0)
+    return failed(errno == EADDRINUSE ? "another program, or another sensor, has this port: `ss -ulp` shows which"
+                                      : "check `address` and `port`");
+  if (!address.is_group()) return fd;
+  if (address.is_v6()) {
+    const ipv6_mreq group{address.v6().sin6_addr, 0};
+    if (::setsockopt(fd, IPPROTO_IPV6, IPV6_JOIN_GROUP, &group, sizeof group) != 0)
+      return failed("is there a network that multicast goes through?");
+  } else {
+    const ip_mreqn group{address.v4().sin_addr, {}, 0};
+    if (::setsockopt(fd, IPPROTO_IP, IP_ADD_MEMBERSHIP, &group, sizeof group) != 0)
+      return failed("is there a network that multicast goes through?");
+  }
+  return fd;
+}
+
+/// No datagram begins in the middle of a line.
+LineConfig from_the_first(LineConfig config) {
+  config.first_line = FirstLine::keep;
+  return config;
+}
+
+}  // namespace
+
+class UdpLinesNode final : public LineNode {
+ public:
+  UdpLinesNode(LoopCore& loop, const FeedConfig& feed, UdpLinesConfig config)
+      : LineNode(loop, feed, from_the_first(std::move(config.lines)),
+                 config.address + " port " + std::to_string(config.port), "check what the device sends"),
+        address_(*ip_address(config.address, config.port)) {
+    if (!config.from.empty()) from_ = ip_address(config.from, 0);
+    buffer_.resize(UdpLinesConfig::longest_datagram + 1);  // and the end of its last line
+    set_stream();
+  }
+
+ private:
+  void open_stream() override {
+    dropped_ = 0;
+    take(open_udp(address_, place()));
+  }
+  void close_source(int fd) noexcept override { ::close(fd); }
+  void watch_source(int fd) override {
+    socket_ = FdWatch(loop()->face, fd, FdWatch::readable, object_name(),
+                      [this, fd](const FdEvent&) { read_datagrams(fd); });
+  }
+  void close_stream() noexcept override {
+    socket_.close();  // before the descriptor
+    LineNode::close_stream();
+  }
+  void source_ended(int error_number) override {
+    lose(system_error(error_number, "cannot hear on this port", place(), "check the network"), loop()->now());
+  }
+
+  void read_datagrams(int fd) {
+    Call call(*this);
+    const auto is_same = [this, opening = opening()] { return has_source() && opening == this->opening(); };
+    std::size_t taken = 0;
+    for (int i = 0; i < most_turn_datagrams && taken < most_turn_bytes && is_same(); ++i) {
+      IpAddress sender;
+      iovec bytes{buffer_.data(), UdpLinesConfig::longest_datagram};
+      alignas(cmsghdr) std::array<char, CMSG_SPACE(sizeof(std::uint32_t))> extra;
+      msghdr message{};
+      message.msg_name = &sender.storage;
+      message.msg_namelen = sizeof sender.storage;
+      message.msg_iov = &bytes;
+      message.msg_iovlen = 1;
+      message.msg_control = extra.data();
+      message.msg_controllen = extra.size();
+      const ssize_t got = ::recvmsg(fd, &message, 0);
+      if (got < 0) {
+        const int number = errno;
+        if (number == EAGAIN || number == EINTR) return;
+        return source_ended(number);
+      }
+      note_drops(message);
+      if (from_ && !from_->is_same_host(sender)) {
+        leave_out();
+        continue;
+      }
+      if ((message.msg_flags & MSG_TRUNC) != 0) {
+        fail({Errc::does_not_fit, "cannot use a datagram", place(),
+              "it is longer than " + std::to_string(UdpLinesConfig::longest_datagram) + " bytes",
+              "let the device send less at once"});
+        continue;
+      }
+      taken += static_cast<std::size_t>(got);
+      take_datagram(static_cast<std::size_t>(got));
+    }
+  }
+  void take_datagram(std::size_t size) {
+    if (size == 0) return leave_out();
+    if (!config().frame && buffer_[size - 1] != config().line_end) buffer_[size++] = config().line_end;
+    take_bytes_read({buffer_.data(), size}, 0);
+  }
+  /// The kernel counts what it drops since the socket was opened.
+  void note_drops(msghdr& message) {
+    for (cmsghdr* one = CMSG_FIRSTHDR(&message); one != nullptr; one = CMSG_NXTHDR(&message, one)) {
+      if (one->cmsg_level != SOL_SOCKET || one->cmsg_type != SO_RXQ_OVFL) continue;
+      std::uint32_t dropped = 0;
+      std::memcpy(&dropped, CMSG_DATA(one), sizeof dropped);
+      origin_.counts.lost += dropped - std::exchange(dropped_, dropped);
+    }
+  }
+
+  const IpAddress address_;
+  std::optional<IpAddress> from_;
+  FdWatch socket_;
+  std::string buffer_;
+  std::uint32_t dropped_ = 0;  // by the kernel
+};
+
+}  // namespace detail
+
+void check_config(const UdpLinesConfig& config, const ConfigItem& item, Problems& problems) {
+  if (const auto mistake = detail::mistake_in_udp(config)) {
+    const ConfigItem* const at = item.find(mistake->key);
+    problems.add((at != nullptr ? *at : item).problem("bad-value", mistake->why));
+  }
+  check_config(config.lines, item, problems);
+}
+
+ReadTime read_time(const UdpLinesConfig& config) { return read_time(config.lines); }
+
+UdpLines::UdpLines(Loop& loop, FeedConfig feed, UdpLinesConfig config) {
+  const auto refuse = [&](std::string why) {
+    throw SetupError({Errc::bad_argument, "cannot hear on this port", "sensor " + feed.name, std::move(why),
+                      "check `address`, `port` and `from`"});
+  };
+  if (auto mistake = detail::mistake_in_udp(config)) refuse(mistake->key + (": " + mistake->why));
+  if (config.port == 0) refuse("there is no port");
+  detail::check_source(config.lines, feed.name);
+  const bool starts = config.lines.start;
+  auto* node = new detail::UdpLinesNode(loop.core(), feed, std::move(config));
+  UdpLines made(node);
+  if (starts) node->start();
+  *this = std::move(made);
+}
+
+}  // namespace rtdata
