@@ -1,5 +1,8 @@
 #include "app/core/standard_drivers.hpp"
 #include "rtdata/sensors/command.hpp"
+#ifdef RTDATA_WITH_HTTP
+#include "rtdata/sensors/http.hpp"
+#endif
 #include "rtdata/sensors/serial_line.hpp"
 #include "rtdata/sensors/tcp_lines.hpp"
 #include "rtdata/sensors/w1.hpp"
@@ -35,6 +38,13 @@ void add_line_sensors(Registry& registry) {
       "tcp", "a device that sends lines over a TCP connection, such as an ESP32 or ser2net",
       [](const TcpLinesConfig& config) { return description_of_lines(config.lines); }, makes<TcpLines>,
       [](PartPlan&, const TcpLinesConfig&) {}, {.aliases = "socket network wifi esp32 ser2net telnet nmea"});
+#ifdef RTDATA_WITH_HTTP
+  registry.add_sensor<HttpSensorConfig>(
+      "http", "what a URL answers, such as that of a plug, a gateway or a weather service",
+      [](const HttpSensorConfig& config) { return line_description(config.fields); }, makes<HttpSensor>,
+      [](PartPlan&, const HttpSensorConfig&) {},
+      {.notes = recipes, .aliases = "shelly tasmota ecowitt open-meteo rest api url web prometheus"});
+#endif
 }
 
 }  // namespace rtdata::app
