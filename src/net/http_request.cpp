@@ -8,9 +8,6 @@
 namespace rtdata::detail {
 namespace {
 
-constexpr std::size_t most_text = 1024;                    // bytes of an answer that are shown
-constexpr std::size_t most_answer = std::size_t{1} << 20;  // a longer answer is not accepted
-
 /// Where libcurl finds the authorities that this machine trusts. From the folder, OpenSSL reads what it needs; all of
 /// them in one file take it 50 ms to read.
 const char* folder_of_authorities() {
@@ -197,8 +194,8 @@ HttpFailure failure_of(CURL* easy, CURLcode result, const char* text) {
 std::size_t HttpText::take(char* data, std::size_t, std::size_t size, void* to) {
   auto& into = *static_cast<HttpText*>(to);
   into.size += size;
-  into.text.append(data, std::min(size, most_text - std::min(into.text.size(), most_text)));
-  return into.size > most_answer ? std::size_t{0} : size;
+  into.text.append(data, std::min(size, into.most_kept - std::min(into.text.size(), into.most_kept)));
+  return into.size > into.longest ? std::size_t{0} : size;
 }
 
 }  // namespace rtdata::detail

@@ -36,8 +36,10 @@ HttpFailure failure_of(CURL* easy, CURLcode result, const char* text);
 
 /// The beginning of an answer; a longer answer than the limit is not accepted.
 struct HttpText {
-  std::string text;
+  std::string text = {};
   std::size_t size = 0;
+  std::size_t most_kept = 1024;
+  std::size_t longest = std::size_t{1} << 20;
   /// As CURLOPT_WRITEFUNCTION, with a pointer to this as CURLOPT_WRITEDATA.
   static std::size_t take(char* data, std::size_t, std::size_t size, void* to);
 };

@@ -50,6 +50,8 @@ const std::vector<Late>& late_libraries() {
        "libcurl.so.",
        "libcurl4",
        {R"({"sinks": [ {"type": "http", "url": "http://127.0.0.1:9/"} ]})",
+        R"({"sensors": [ {"name": "plug", "type": "http", "rate": "1 Hz", "url": "http://127.0.0.1:9/",
+            "fields": [ {"name": "x"} ]} ]})",
         R"({"outputs": [ {"name": "lamp", "type": "http", "url": "http://127.0.0.1:9/{value}", "method": "get",
             "safe": 0} ]})"}},
       {"MQTT",

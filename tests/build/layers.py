@@ -33,7 +33,7 @@ below = {
 # Rooms of a folder, lowest first: a file includes headers of its own room and of lower ones.
 rooms = {
     "loop": [{"core"}, {"events"}, {"runtime"}, {"tier"}],
-    "sensors": [{"core"}, {"analog", "derived", "gpio", "gps", "host", "kernel", "lines", "modbus"}, {"mqtt"}],
+    "sensors": [{"core"}, {"analog", "derived", "gpio", "gps", "host", "kernel", "lines", "modbus"}, {"http", "mqtt"}],
     "sinks": [{"core"}, {"console", "file", "http", "mqtt", "tcp"}],
     "config": [{"read"}, {"schema"}, {"plan"}],
     "app": [{"core"}, {"machine"}, {"bench", "control"}, {"inspect"}, {"page"}, {"run"}],

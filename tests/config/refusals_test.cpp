@@ -41,6 +41,8 @@ const std::map<std::string, std::string> right_sensors_without_driver{
     {"gpio", R"({"name": "s", "type": "gpio", "rate": "10 Hz", "lines": [{"name": "x", "line": "no-such-line"}]})"},
     {"gps", R"({"name": "s", "type": "gps"})"},
     {"host", R"({"name": "s", "type": "host", "quantity": "load", "rate": "10 Hz"})"},
+    {"http",
+     R"({"name": "s", "type": "http", "rate": "10 Hz", "url": "http://127.0.0.1:9/x", "fields": [{"name": "x"}]})"},
     {"mqtt", R"({"name": "s", "type": "mqtt", "host": "127.0.0.1", "port": 1, "topics": ["a/#"],
                  "fields": [{"name": "x"}]})"},
     {"pps", R"({"name": "s", "type": "pps"})"},

@@ -182,7 +182,7 @@ def documented(source):
 
 
 # Types whose common parameters have a section of their own.
-OF_LINES = ("serial", "tcp", "udp", "command", "mqtt")
+OF_LINES = ("serial", "tcp", "udp", "command", "mqtt", "http")
 
 
 def check_types(source, program, elsewhere):
@@ -240,6 +240,7 @@ NOT_TRIED = {
     "AnyFeed": "the base of feeds",
     "VerticalSensor": "a FeedNode as that of LimitSensor; vertical_test.cpp tries it",
     "PpsSensor": "opened and closed by SourceNode, as GpsSensor is; sensor_contract_test.cpp tries it",
+    "HttpSensor": "a SensorNode on a lane as that of W1Sensor; http_sensor_test.cpp tries it",
     "MqttSensor": "opened and closed by StreamNode, as GpsSensor is; mqtt_sensor_test.cpp tries it",
     "CommandSensor": "a LineNode as that of SerialLineSensor; command_test.cpp tries it",
     "TcpLines": "a LineNode as that of SerialLineSensor; tcp_lines_test.cpp tries it",

@@ -2,11 +2,12 @@
 
 Each page has a configuration, a sample of what its device sends, and the values that come of it. The device is that of
 its first sensor, and the values are those of its last; fields that the page leaves out have none. The test is the
-device: a pseudo terminal, a program, or a client of a real broker. `rtdata run` must store exactly the values of the
+device: a pseudo terminal, a program, a client of a real broker, or a server of HTTP. `rtdata run` must store exactly the values of the
 page, and refuse nothing, though it begins in the middle of a line.
 
 Samples are ```hex, or ```text, whose lines end with CR LF and in which <02> stands for the byte 2. Of a device that
-answers, "> " begins what it is asked and "< " what it answers; of one at a broker, each line has the topic first.
+answers, "> " begins what it is asked and "< " what it answers; of one at a broker, each line has the topic first; of a
+URL, each line is an answer.
 """
 import csv
 import io
@@ -25,7 +26,9 @@ import tempfile
 import threading
 import time
 import tty
+import urllib.parse
 from concurrent.futures import ThreadPoolExecutor
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 BLOCK = re.compile(r"(?:<!-- test: configuration(?P<types>.*?) -->\n+)?^```(?P<language>\w+)\n(?P<text>.*?)^```$", re.S | re.M)
@@ -177,12 +180,50 @@ class Publisher:
         self.broker.wait()
 
 
+class Server:
+    """Answers at the page's path, each time with the next line, and then that nothing has changed."""
+
+    def __init__(self, sensor, text):
+        url = urllib.parse.urlsplit(sensor["url"])
+        lines = text.splitlines()
+
+        class Handler(BaseHTTPRequestHandler):
+            answered = 0
+
+            def log_message(self, *_):
+                pass
+
+            def do_GET(self):
+                is_asked = self.path == urllib.parse.urlunsplit(("", "", url.path, url.query, ""))
+                is_over = Handler.answered == len(lines)
+                self.send_response(404 if not is_asked else 304 if is_over else 200)
+                self.send_header("ETag", f'"{Handler.answered}"')
+                self.end_headers()
+                if is_asked and not is_over:
+                    self.wfile.write(lines[Handler.answered].encode())
+                    Handler.answered += 1
+
+        self.server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+        here = url._replace(scheme="http", netloc=f"127.0.0.1:{self.server.server_address[1]}")
+        sensor.update(rate="10 Hz", url=here.geturl())
+        threading.Thread(target=self.server.serve_forever, daemon=True).start()
+
+    def play(self, stopped):
+        pass
+
+    def close(self):
+        self.server.shutdown()
+        self.server.server_close()
+
+
 def device_of(config, language, text, folder):
     sensor = config["sensors"][0]
     if "bus" in sensor:
         return Answerer(sensor, config["buses"][sensor["bus"]], language, text)
     if sensor["type"] == "mqtt":
         return Publisher(sensor, text, folder)
+    if sensor["type"] == "http":
+        return Server(sensor, text)
     if sensor["type"] == "command":
         return Script(sensor, bytes_of(language, text), folder)
     return Talker(sensor, language, text)
@@ -258,7 +299,7 @@ def try_page(program, page, folder):
             process.send_signal(signal.SIGTERM)
             status = process.wait(PATIENCE)
     finally:
-        if isinstance(device, Publisher):
+        if isinstance(device, (Publisher, Server)):
             device.close()
     exported = run([program, "export", database, "--topic", table])
     verified = run([program, "verify", database])

@@ -20,6 +20,9 @@
 #include "rtdata/sensors/iio.hpp"
 #include "rtdata/sensors/levels.hpp"
 #include "rtdata/testing/fake_gpio.hpp"
+#ifdef RTDATA_WITH_HTTP
+#include "rtdata/sensors/http.hpp"
+#endif
 #ifdef RTDATA_WITH_MQTT
 #include "rtdata/sensors/mqtt.hpp"
 #endif
@@ -378,6 +381,41 @@ class FakeReceiver final : public Fake {
   int count_ = 0;
 };
 
+#ifdef RTDATA_WITH_HTTP
+/// As much of a server of HTTP as one request at a time needs.
+class FakeHttpServer final : public Fake {
+ public:
+  FakeHttpServer() { server_.vanish(); }
+  const char* kind() const override { return "http"; }
+  void plug_in() override {
+    if (!server_.listens()) server_.listen();
+  }
+  void unplug() override { server_.vanish(); }
+  void set(Content content) override { content_ = content; }
+  void speak() override {
+    if (server_.accept()) asked_.clear();
+    if (!server_.has_peer()) return;
+    asked_ += server_.received();
+    if (!asked_.ends_with("\r\n\r\n")) return;
+    asked_.clear();
+    server_.send("HTTP/1.1 200 OK\r\nContent-Length: 8\r\n\r\n" +
+                 std::string(content_ == Content::good ? "{\"v\": 1}" : "<html>  "));
+  }
+  bool can_be_required() const override { return false; }  // making it waits for the answer; http_sensor_test.cpp
+  bool is_known_later() const override { return true; }
+  AnySensor make(Loop& loop, bool is_required) override {
+    return HttpSensor(
+        loop, common(is_required),
+        {.server = {.url = "http://127.0.0.1:" + std::to_string(server_.port()) + "/"}, .fields = {{.name = "v"}}});
+  }
+
+ private:
+  FakeGpsd server_;
+  std::string asked_;
+  Content content_ = Content::good;
+};
+#endif
+
 #ifdef RTDATA_WITH_MQTT
 /// As much of a broker of MQTT 5 as one subscription with QoS 0 needs.
 class FakeBroker final : public Fake {
@@ -510,6 +548,9 @@ std::vector<std::unique_ptr<Fake>> every_kind() {
   kinds.push_back(std::make_unique<FakeOneWire>());
   kinds.push_back(std::make_unique<FakePulse>());
   kinds.push_back(std::make_unique<FakeReceiver>());
+#ifdef RTDATA_WITH_HTTP
+  kinds.push_back(std::make_unique<FakeHttpServer>());
+#endif
 #ifdef RTDATA_WITH_MQTT
   kinds.push_back(std::make_unique<FakeBroker>());
 #endif

@@ -16,12 +16,19 @@ does with each request, and is read for each anew:
   lost                  takes the events, and closes the connection without an answer
   half                  answers less than it has promised
   endless               answers without an end
+  trickle               the same, a byte at a time
+  gigabyte              answers 1 GB, as it has said
+  answer [HEADERS]      200 with what FOLDER/answer holds; 304 when the request has its ETag
+  chunked               the same in chunks
+  digest                the same to "admin" with the password "s3cret", by digest (RFC 7616); else 401
 
 What it took, and what it answered, is a JSON object a line in FOLDER/requests: method, path, headers, status, body.
 """
 import gzip
+import hashlib
 import json
 import os
+import re
 import socket
 import ssl
 import sys
@@ -43,6 +50,15 @@ def values(body):
     text = body.decode()
     events = json.loads(text) if text.startswith("[") else [json.loads(line) for line in text.splitlines()]
     return [event["data"]["value"] for event in events]
+
+
+def content():
+    with open(os.path.join(folder, "answer"), "rb") as file:
+        return file.read()
+
+
+def sha(text):
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 class Handler(BaseHTTPRequestHandler):
@@ -72,6 +88,12 @@ class Handler(BaseHTTPRequestHandler):
     def raw(self, data):
         self.connection.sendall(data)
 
+    def proves_itself(self):
+        given = dict(re.findall(r'(\w+)="?([^",]*)"?', self.headers.get("Authorization", "")))
+        proof = [sha("admin:here:s3cret"), given.get("nonce"), given.get("nc"), given.get("cnonce"), "auth",
+                 sha(f"{self.command}:{self.path}")]
+        return None not in proof and given.get("response") == sha(":".join(proof))
+
     def do_POST(self):
         words = mode()
         what = words[0]
@@ -91,7 +113,7 @@ class Handler(BaseHTTPRequestHandler):
         body = self.rfile.read(length)
         if self.headers.get("Content-Encoding") == "gzip":
             body = gzip.decompress(body)
-        if what in ("hang", "lost", "garbage", "drip", "half", "endless"):
+        if what in ("hang", "lost", "garbage", "drip", "half", "endless", "trickle", "gigabyte", "chunked"):
             self.note(0, body)
         if what == "hang":
             time.sleep(3600)
@@ -111,6 +133,29 @@ class Handler(BaseHTTPRequestHandler):
             self.raw(b"HTTP/1.1 200 OK\r\n\r\n")
             while True:
                 self.raw(b"x" * 65536)
+        elif what == "trickle":
+            self.raw(b"HTTP/1.1 200 OK\r\n\r\n")
+            while True:
+                self.raw(b"x")
+                time.sleep(0.01)
+        elif what == "gigabyte":
+            self.raw(b"HTTP/1.1 200 OK\r\nContent-Length: 1000000000\r\n\r\n")
+            for _ in range(10000):
+                self.raw(b"x" * 100000)
+        elif what == "chunked":
+            self.raw(b"HTTP/1.1 200 OK\r\nTransfer-Encoding: chunked\r\n\r\n")
+            for byte in content():
+                self.raw(b"1\r\n" + bytes([byte]) + b"\r\n")
+            self.raw(b"0\r\n\r\n")
+        elif what == "answer":
+            etag = [header[5:] for header in words[1:] if header.startswith("ETag:")]
+            if self.headers.get("If-None-Match") in etag:
+                self.answer(304, body, words[1:])
+            else:
+                self.answer(200, body, words[1:], content())
+        elif what == "digest":
+            challenge = 'WWW-Authenticate:Digest realm="here", nonce="17", algorithm=SHA-256, qop="auth"'
+            self.answer(*((200, body, (), content()) if self.proves_itself() else (401, body, [challenge])))
         elif what == "status":
             rest = words[2:]
             text = " ".join(rest[rest.index("--") + 1:]).encode() if "--" in rest else b""

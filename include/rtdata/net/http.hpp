@@ -1,4 +1,4 @@
-/// HttpPeer: the address and connection settings of an HTTP server, for the sink and the output.
+/// HttpPeer: the address and connection settings of an HTTP server, for the sink, the sensor and the output.
 ///
 ///     rtdata::HttpPeer relay{.url = "http://relay.local/relay/0", .user = "admin", .password = secret};
 ///

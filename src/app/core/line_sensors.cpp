@@ -1,5 +1,8 @@
 #include "app/core/standard_drivers.hpp"
 #include "rtdata/sensors/command.hpp"
+#ifdef RTDATA_WITH_HTTP
+#include "rtdata/sensors/http.hpp"
+#endif
 #include "rtdata/sensors/serial_line.hpp"
 #include "rtdata/sensors/tcp_lines.hpp"
 #include "rtdata/sensors/udp_lines.hpp"
@@ -49,6 +52,13 @@ void add_line_sensors(Registry& registry) {
       "udp", "devices that send lines or frames by UDP to this machine",
       [](const UdpLinesConfig& config) { return description_of_lines(config.lines); }, makes<UdpLines>,
       [](PartPlan&, const UdpLinesConfig&) {}, {.aliases = "datagram multicast broadcast telemetry listen esp8266"});
+#ifdef RTDATA_WITH_HTTP
+  registry.add_sensor<HttpSensorConfig>(
+      "http", "what a URL answers, such as that of a plug, a gateway or a weather service",
+      [](const HttpSensorConfig& config) { return line_description(config.fields); }, makes<HttpSensor>,
+      [](PartPlan&, const HttpSensorConfig&) {},
+      {.notes = recipes, .aliases = "shelly tasmota ecowitt open-meteo rest api url web prometheus"});
+#endif
 }
 
 }  // namespace rtdata::app

@@ -54,7 +54,7 @@ Registry standard_registry() {
     registry.leave_out(kind, "mqtt", "this program was built without libmosquitto");
 #endif
 #ifndef RTDATA_WITH_HTTP
-  for (const char* kind : {"output", "sink"})
+  for (const char* kind : {"output", "sensor", "sink"})
     registry.leave_out(kind, "http", "this program was built without libcurl");
 #endif
 #ifndef RTDATA_WITH_POSTGRESQL

@@ -50,6 +50,13 @@ Sampled SamplePort::unreadable(Error error) {
   return fail(std::move(error));
 }
 
+void SensorNode::leave_out(SamplePort& port) noexcept {
+  if (port.sensor_ == nullptr) return;
+  if (std::exchange(port.has_sample_, true)) port.sensor_->is_not_one_a_read();
+  ++port.sensor_->origin_.counts.received;
+  ++port.sensor_->origin_.counts.filtered;
+}
+
 SensorNode::Taken SensorNode::take(void* payload, Time time, MonotonicTime due) {
   Fate fate = Fate::published;
   try {

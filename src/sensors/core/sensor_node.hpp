@@ -63,6 +63,8 @@ class SensorNode final : public SourceNode, public RateMember {
     ++origin_.counts.received;
     ++origin_.counts.unreadable;
   }
+  /// Counts a sample that is not meant, as filtered; the read has not failed.
+  static void leave_out(SamplePort& port) noexcept;
 
  private:
   void on_close() noexcept override;
