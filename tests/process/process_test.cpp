@@ -11,6 +11,7 @@
 
 #include "data/payloads.hpp"
 #include "has.hpp"
+#include "process/processor.hpp"
 #include "rtdata/chips/lm75.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/loop/topic.hpp"
@@ -333,6 +334,18 @@ TEST_SUITE("process") {
           std::vector<std::string>{"0 0 absent 10", "30 0 absent 25", "80 0 absent 50", "0 0 absent 1"});
     REQUIRE(bench.errors.size() == 1);
     CHECK(has(bench.errors[0], "102 is above 100"));
+  }
+
+  TEST_CASE("US-27 recordings have the points and the tare, and other numbers are another version") {
+    const auto text = [](Calibration c) { return detail::text_of({{"level", calibrated(std::move(c))}}, "tank"); };
+    const std::vector<std::array<double, 2>> points{{123.4, 0}, {623.4, 98.1}};
+    CHECK(has(text({.version = "lab", .points = points, .tare = 0.5}),
+              R"("version": "lab, tare 0.5", "calibration": {"points": [[123.4, 0.0], [623.4, 98.1]], "tare": 0.5})"));
+    CHECK(has(text({.version = "lab", .points = points}), R"("version": "lab", "calibration": {"points": )"));
+    const auto version = [&](Calibration c) { return text(std::move(c)).substr(0, 66); };
+    CHECK(has(version({.points = points}), R"("version": ")"));
+    CHECK(version({.points = points}) != version({.points = {points[1], points[0]}}));
+    CHECK(version({.points = points}) != version({.points = points, .tare = 0.5}));
   }
 
   TEST_CASE("US-27 the value of a raw one, outside any sensor, is what a sensor publishes") {
