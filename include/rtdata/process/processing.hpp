@@ -48,8 +48,8 @@ enum class OutsideTable : std::uint8_t {
   extend,  ///< extend the line through the two points at that end
 };
 
-/// x = raw * scale + offset; then the polynomial or the table of x, if there is one. Or the line through `points`, alone.
-/// At the end the tare is subtracted.
+/// x = raw * scale + offset; then the polynomial or the table of x, if there is one. Or the line through `points`,
+/// alone. At the end the tare is subtracted.
 struct Calibration {
   std::string version = {};                       ///< for recordings; empty: eight hex digits made from the numbers
   double scale = 1;                               ///< not 0
