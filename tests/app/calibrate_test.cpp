@@ -126,6 +126,88 @@ TEST_SUITE("app") {
     CHECK(std::stod(text.substr(at)) == doctest::Approx(100.0 / 1023).epsilon(0.01));
   }
 
+  TEST_CASE("ctl tare lets a value read 0, over a reload and the next start, and is recorded") {
+    const RuntimeFolder runtime;
+    const Folder folder;
+    const auto configuration = [&](const char* calibration) {
+      return scale(folder, R"(      "process": {"value": {"calibration": )" + std::string(calibration) +
+                               R"(, "filters": [{"type": "clamp", "least": 0}, {"type": "delta", "by": 0.5}]}}
+)");
+    };
+    folder.write("hall.json", configuration(R"({"scale": 1024})"));
+    folder.write("code", "100\n");
+    const auto ctl = [&](std::vector<std::string> words, int status) {
+      words.insert(words.begin(), "ctl");
+      Process one(folder, program, words);
+      CHECK(one.end() == status);
+      return one.out + one.err;
+    };
+    const auto value = [&] {
+      Process top(folder, program, {"top", "--once", "--topic", "scale"});
+      CHECK(top.end() == 0);
+      return top.out;
+    };
+    {
+      Process run(folder, program, {"run", "hall.json"});
+      REQUIRE(run.wait_for("running hall"));
+      CHECK(has(ctl({"tare", "scael"}, 1), "did you mean"));
+      CHECK(has(ctl({"tare", "scale.raw"}, 1), "raw has no calibration"));
+      CHECK(has(ctl({"tare", "scale", "now"}, 1), "--clear"));
+      CHECK(has(ctl({"tare"}, 1), "it is written `tare SENSOR[.FIELD] [--clear]`"));
+      const std::string taken = ctl({"tare", "scale"}, 0);
+      CHECK_MESSAGE(has(taken, "scale.value reads 0 now: its tare is 100, the mean of "), taken);
+      CHECK(has(value(), "value"));
+      CHECK(has(folder.read("hall.tare"), "\"tare\": 100"));
+      folder.write("code", "130\n");
+      // Another tare is not added to the first, and a clamp hides nothing from it.
+      CHECK(has(ctl({"tare", "scale.value"}, 0), "its tare is 130, the mean of "));
+      CHECK(ctl({"reload"}, 0).find("no-effect") == std::string::npos);
+      CHECK(ctl({"stop", "scale"}, 0) == "sensor scale is stopped\n");
+      CHECK(has(ctl({"tare", "scale"}, 1), "it is stopped"));
+      run.signal(SIGTERM);
+      CHECK(run.end() == 0);
+    }
+    folder.write("code", "150\n");
+    const auto rows = [&](const char* from) {
+      Process exported(folder, program, {"export", "hall.db", "--topic", "scale", "--run", from});
+      CHECK(exported.end() == 0);
+      return exported.out;
+    };
+    {
+      Process run(folder, program, {"run", "hall.json", "--for", "1s"});
+      CHECK(run.end() == 0);
+      CHECK_MESSAGE(has(run.out + run.err, "tares as before, of hall.tare: scale.value 130"), run.out, run.err);
+      CHECK_MESSAGE(has(rows("-1"), ",scale,1,20,"), rows("-1"));  // from the first row on
+    }
+    {
+      Process run(folder, program, {"run", "hall.json"});
+      REQUIRE(run.wait_for("running hall"));
+      CHECK(ctl({"tare", "scale", "--clear"}, 0) == "the tare of scale.value is taken away\n");
+      run.signal(SIGTERM);
+      CHECK(run.end() == 0);
+    }
+    Process commands(folder, program, {"export", "hall.db", "--topic", "rtdata/commands"});
+    CHECK(commands.end() == 0);
+    CHECK(has(commands.out, "tare scale.value"));
+    CHECK(has(commands.out, "tare scale --clear"));
+    CHECK(has(commands.out, "uid " + std::to_string(::geteuid())));
+    CHECK(folder.read("hall.tare") == "{}\n");
+    // A tare of another calibration is not taken; nor is one of a file that cannot be read.
+    folder.write("hall.tare", "{");
+    {
+      Process run(folder, program, {"run", "hall.json"});
+      REQUIRE(run.wait_for("the tares of before cannot be read, and are not taken"));
+      REQUIRE(run.wait_for("running hall"));
+      CHECK(has(ctl({"tare", "scale"}, 0), "its tare is 150"));
+      folder.write("hall.json", configuration(R"({"scale": 2048})"));
+      CHECK(has(ctl({"reload"}, 0), "its tare, 150 of value, is not taken, since that calibration has changed"));
+      run.signal(SIGTERM);
+      CHECK(run.end() == 0);
+    }
+    Process verify(folder, program, {"verify", "hall.db"});
+    CHECK(verify.end() == 0);
+  }
+
   TEST_CASE("calibrate says what it cannot do, writes nothing then, and shows the points") {
     const RuntimeFolder runtime;
     const Folder folder;

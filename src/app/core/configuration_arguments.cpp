@@ -209,8 +209,10 @@ Action prepare_ctl(CLI::App& command) {
   command.footer(ctl_help() +
                  "Each is recorded on the topic rtdata/commands, with its sender and its result.\n"
                  "examples:\n  rtdata ctl rate imu \"200 Hz\"\n  rtdata ctl bench note valve replaced");
-  return [words](const Registry&) {
+  return [words, &command](const Registry&) {
     const ForPeople wrapped;
+    const std::vector<std::string> rest = command.remaining();  // from the first that looks like an option on
+    words->insert(words->end(), rest.begin(), rest.end());
     return ctl(*words);
   };
 }
