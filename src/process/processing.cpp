@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <map>
 #include <set>
 #include <utility>
 
@@ -54,10 +55,41 @@ struct Finder {
       else if (i > 0 && c.table[i][0] <= c.table[i - 1][0])
         add(place, "the table does not ascend here", "put the points in the order of their first numbers, each once");
     }
+    if (!c.points.empty()) look_at_points(c);
+    if (!std::isfinite(c.tare)) add("calibration.tare", "it is not a finite number", "such as 12.5");
     if (c.outside != OutsideTable::refuse && c.table.empty())
       add("calibration.outside", "there is no table, so no value can be outside of one",
           "leave it out, or add a `table`");
     look_at_bounds("calibration", c.least, c.most);
+  }
+
+  void look_at_points(const Calibration& c) {
+    if (c.scale != 1 || c.offset != 0 || !c.polynomial.empty() || !c.table.empty())
+      add("calibration.points", "beside points there is neither scale, offset, polynomial nor table",
+          "leave those out: the points give the whole line");
+    if (c.points.size() < 2 || c.points.size() > most_points) {
+      return add("calibration.points",
+                 "it has " + std::to_string(c.points.size()) + (c.points.size() == 1 ? " point" : " points"),
+                 "give it 2 to " + std::to_string(most_points));
+    }
+    const std::size_t before = mistakes.size();
+    std::map<double, std::size_t> known;
+    for (std::size_t i = 0; i < c.points.size(); ++i) {
+      const std::string place = "calibration.points[" + std::to_string(i) + "]";
+      if (!std::isfinite(c.points[i][0]) || !std::isfinite(c.points[i][1])) {
+        add(place, "it has what is not a finite number", "such as [123.4, 0]");
+      } else if (const auto [at, is_new] = known.emplace(c.points[i][0], i); !is_new) {
+        add(place, "it has the raw value of points[" + std::to_string(at->second) + "]",
+            "give each raw value once, such as with the mean of its true values");
+      }
+    }
+    if (mistakes.size() != before) return;
+    const CalibrationLine line = line_through(c.points);
+    if (!std::isfinite(line.slope) || !std::isfinite(line.y) || !std::isfinite(line.largest))
+      add("calibration.points", "their line is not one of finite numbers", "give it points that are farther apart");
+    else if (line.slope == 0)
+      add("calibration.points", "their line gives the same value for every raw one",
+          "give it points with other true values");
   }
 
   void look_at_bounds(const std::string& where, const std::optional<double>& least, const std::optional<double>& most) {
@@ -212,10 +244,63 @@ bool has_rate(const FieldProcessing& processing) noexcept {
 ProcessingError::ProcessingError(const std::string& sensor, std::vector<ProcessingMistake> mistakes)
     : SetupError(first_error(sensor, mistakes)), mistakes_(std::move(mistakes)) {}
 
+CalibrationLine line_through(std::span<const std::array<double, 2>> points) noexcept {
+  CalibrationLine line;
+  if (points.size() == 2) {  // exactly, also where the numbers are large
+    line.x = points[0][0];
+    line.y = points[0][1];
+    line.slope = (points[1][1] - line.y) / (points[1][0] - line.x);
+    return line;
+  }
+  const auto count = static_cast<double>(points.size());
+  for (const auto& [x, y] : points) {
+    line.x += x / count;
+    line.y += y / count;
+  }
+  double squares = 0;
+  double products = 0;
+  for (const auto& [x, y] : points) {
+    squares += (x - line.x) * (x - line.x);
+    products += (x - line.x) * (y - line.y);
+  }
+  line.slope = products / squares;
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    const double residual = points[i][1] - line.value(points[i][0]);
+    if (std::abs(residual) <= std::abs(line.largest)) continue;
+    line.largest = residual;
+    line.farthest = i;
+  }
+  return line;
+}
+
+double calibrated(const Calibration& calibration, double raw) noexcept {
+  const Calibration& c = calibration;
+  double x = c.points.empty() ? raw * c.scale + c.offset : line_through(c.points).value(raw);
+  if (!c.polynomial.empty()) {
+    double sum = 0;
+    for (auto one = c.polynomial.rbegin(); one != c.polynomial.rend(); ++one) sum = sum * x + *one;
+    x = sum;
+  }
+  if (!c.table.empty()) {
+    const auto& table = c.table;
+    if (!(x >= table.front()[0] && x <= table.back()[0])) {
+      if (c.outside == OutsideTable::refuse) return std::nan("");
+      if (c.outside == OutsideTable::clamp) return (x < table.front()[0] ? table.front() : table.back())[1] - c.tare;
+    }
+    std::size_t n = 0;
+    while (n + 2 < table.size() && table[n + 1][0] <= x) ++n;
+    x = table[n][1] + (table[n + 1][1] - table[n][1]) * ((x - table[n][0]) / (table[n + 1][0] - table[n][0]));
+  }
+  return x - c.tare;
+}
+
 void check_config(const FieldProcessing& config, const ConfigItem& item, Problems& problems) {
   for (const ProcessingMistake& mistake : mistakes_in("", config)) {
     problems.add(detail::item_of(item, mistake.key).problem("bad-value", mistake.why + "; " + mistake.advice));
   }
+  const ConfigItem* const points = item.find("calibration.points");
+  if (points != nullptr && points->is_array() && points->size() == 0)
+    problems.add(points->problem("bad-value", "it has 0 points; give it 2 to " + std::to_string(most_points)));
 }
 
 std::shared_ptr<const Description> processed(const std::shared_ptr<const Description>& description,

@@ -50,7 +50,9 @@ bool has_same_steps(const FieldProcessing& a, const FieldProcessing& b) noexcept
   const auto has_bounds = [](const Calibration& c) { return c.least || c.most; };
   if (a.calibration &&
       (a.calibration->polynomial.size() != b.calibration->polynomial.size() ||
-       a.calibration->table.size() != b.calibration->table.size() || a.calibration->outside != b.calibration->outside ||
+       a.calibration->table.size() != b.calibration->table.size() ||
+       a.calibration->points.empty() != b.calibration->points.empty() ||
+       (a.calibration->tare == 0) != (b.calibration->tare == 0) || a.calibration->outside != b.calibration->outside ||
        has_bounds(*a.calibration) != has_bounds(*b.calibration)))
     return false;
   return std::equal(a.filters.begin(), a.filters.end(), b.filters.begin(), [](const Filter& f, const Filter& g) {
@@ -162,9 +164,16 @@ void Processor::add_group(const std::vector<Item>& items) {
   };
   if (steps.calibration) {
     const Calibration& c = *steps.calibration;
-    const Op scale = add_op(OpKind::scale, 2 * lanes);
-    row(scale, 0, [](const FieldProcessing& what) { return what.calibration->scale; });
-    row(scale, 1, [](const FieldProcessing& what) { return what.calibration->offset; });
+    if (c.points.empty()) {
+      const Op scale = add_op(OpKind::scale, 2 * lanes);
+      row(scale, 0, [](const FieldProcessing& what) { return what.calibration->scale; });
+      row(scale, 1, [](const FieldProcessing& what) { return what.calibration->offset; });
+    } else {
+      const Op op = add_op(OpKind::line, 3 * lanes);
+      row(op, 0, [](const FieldProcessing& what) { return line_through(what.calibration->points).slope; });
+      row(op, 1, [](const FieldProcessing& what) { return line_through(what.calibration->points).x; });
+      row(op, 2, [](const FieldProcessing& what) { return line_through(what.calibration->points).y; });
+    }
     if (!c.polynomial.empty()) {
       Op& op = add_op(OpKind::polynomial, c.polynomial.size() * lanes);
       op.count = static_cast<std::uint32_t>(c.polynomial.size());
@@ -186,6 +195,8 @@ void Processor::add_group(const std::vector<Item>& items) {
       row(op, 0, [](const FieldProcessing& what) { return what.calibration->least.value_or(-HUGE_VAL); });
       row(op, 1, [](const FieldProcessing& what) { return what.calibration->most.value_or(HUGE_VAL); });
     }
+    if (c.tare != 0)
+      row(add_op(OpKind::tare, lanes), 0, [](const FieldProcessing& what) { return what.calibration->tare; });
   }
   for (std::size_t n = 0; n < steps.filters.size(); ++n) {
     const Filter& filter = steps.filters[n];
@@ -316,6 +327,14 @@ bool Processor::run(Group& group, const std::byte* payload, Time time, bool& is_
     switch (op->step) {
       case OpKind::scale:
         for (std::size_t i = 0; i < lanes; ++i) x[i] = x[i] * a[i] + b[i];
+        is_finite = false;
+        break;
+      case OpKind::line:
+        for (std::size_t i = 0; i < lanes; ++i) x[i] = (x[i] - b[i]) * a[i] + b[lanes + i];
+        is_finite = false;
+        break;
+      case OpKind::tare:
+        for (std::size_t i = 0; i < lanes; ++i) x[i] -= a[i];
         is_finite = false;
         break;
       case OpKind::polynomial:
@@ -579,6 +598,8 @@ ConfigItem item_of(const Calibration& c) {
   if (c.offset != 0) item.set("offset", c.offset);
   if (!c.polynomial.empty()) item.set("polynomial", c.polynomial);
   if (!c.table.empty()) item.set("table", c.table);
+  if (!c.points.empty()) item.set("points", c.points);
+  if (c.tare != 0) item.set("tare", c.tare);
   if (c.outside != OutsideTable::refuse) item.set("outside", c.outside == OutsideTable::clamp ? "clamp" : "extend");
   set_if(item, "least", c.least);
   set_if(item, "most", c.most);
@@ -612,9 +633,12 @@ std::string text_of(const Processing& processing, std::string_view topic) {
     ConfigItem field = ConfigItem::object();
     if (what.calibration) {
       const ConfigItem calibration = item_of(*what.calibration);
-      field.set("version", what.calibration->version.empty()
-                               ? version_of(calibration.to_json(ConfigItem::Layout::one_line))
-                               : what.calibration->version);
+      field.set("version",
+                what.calibration->version.empty()
+                    ? version_of(calibration.to_json(ConfigItem::Layout::one_line))
+                    : what.calibration->version + (what.calibration->tare == 0
+                                                       ? std::string()
+                                                       : ", tare " + to_string(Value(what.calibration->tare))));
       field.set("calibration", calibration);
     }
     if (!what.filters.empty()) field.set("filters", ConfigItem::array());

@@ -32,9 +32,11 @@ class Processor {
  private:
   enum class OpKind : std::uint8_t {
     scale,
+    line,
     polynomial,
     table,
     bounds,
+    tare,
     median,
     mean,
     exponential,

@@ -44,7 +44,8 @@ TEST_SUITE("process") {
         "filters": [{"type": "median", "of": 5}, {"type": "mean", "of": 4}, {"type": "exponential", "weight": 0.5},
                     {"type": "clamp", "least": 1, "most": 8}, {"type": "throttle", "time": "1 s"},
                     {"type": "delta", "by": 0.25}, {"type": "rate_of_change"}], "unit": "bar"},
-        "b": {"calibration": {"table": [[0, 1], [2, 3]], "outside": "clamp"}}}})",
+        "b": {"calibration": {"table": [[0, 1], [2, 3]], "outside": "clamp"}},
+        "c": {"calibration": {"points": [[9, 1], [2, 3]], "tare": 0.5}}}, "warm_up": "30 s"})",
                                          "f.json")
                                 .or_throw();
     REQUIRE_MESSAGE(read_config(item, config, problems, UnknownKeys::ignore), problems.text());
@@ -65,6 +66,9 @@ TEST_SUITE("process") {
     CHECK(a.unit == "bar");
     CHECK(config.process.at("b").calibration->table == std::vector<std::array<double, 2>>{{0, 1}, {2, 3}});
     CHECK(config.process.at("b").calibration->outside == OutsideTable::clamp);
+    CHECK(config.process.at("c").calibration->points == std::vector<std::array<double, 2>>{{9, 1}, {2, 3}});
+    CHECK(config.process.at("c").calibration->tare == 0.5);
+    CHECK(config.warm_up == Duration{30s});
   }
 
   TEST_CASE("US-17 US-27 a configured sensor of any type is processed, one without a schedule too") {
@@ -107,6 +111,26 @@ TEST_SUITE("process") {
     CHECK(has(problem(R"("number": {"filters": [{"type": "delta", "by": -1}]})"), "filters[0].by"));
     CHECK(has(problem(R"("number": {"filters": [{"type": "median", "of": 3}], "unit": "V"})"),
               "process.number.unit: without a calibration the value keeps its unit"));
+    // Points.
+    const auto points = [](const std::string& text) {
+      return problem(R"("number": {"calibration": {"points": )" + text + "}}");
+    };
+    CHECK(planned(R"("number": {"calibration": {"points": [[623.4, 98.1], [123.4, 0]]}})").good());
+    CHECK(has(points("[]"), "calibration.points: it has 0 points; give it 2 to 1000"));
+    CHECK(has(points("[[1, 2]]"), "calibration.points: it has 1 point; give it 2 to 1000"));
+    CHECK(has(points("[[1, 2], [3, 4], [1, 2.5]]"),
+              "f.json:2:67: sensors[0].process.number.calibration.points[2]: it has the raw value of points[0]; give "
+              "each raw value once"));
+    CHECK(has(points("[[1, 2], [3, 2]]"), "calibration.points: their line gives the same value for every raw one"));
+    CHECK(has(points("[[0, 0], [1e-308, 1e308]]"), "calibration.points: their line is not one of finite numbers"));
+    CHECK(has(points("[[1, 2], [3]]"), "calibration.points[1]"));
+    for (const char* other :
+         {R"("scale": 2)", R"("offset": 1)", R"("table": [[0, 0], [1, 1]])", R"("polynomial": [0, 2])"})
+      CHECK(has(points("[[1, 2], [3, 4]], " + std::string(other)),
+                "calibration.points: beside points there is neither scale, offset, polynomial nor table"));
+    std::string many = "[[0, 0]";
+    for (int i = 1; i <= 1000; ++i) many += ", [" + std::to_string(i) + ", " + std::to_string(i) + "]";
+    CHECK(has(points(many + "]"), "calibration.points: it has 1001 points"));
     // Several at once.
     CHECK(planned(R"("number": {"calibration": {"scale": 0}}, "x": {"filters": [{"type": "mean", "of": 1}]})")
               .problems.size() == 2);

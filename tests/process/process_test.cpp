@@ -11,6 +11,7 @@
 
 #include "data/payloads.hpp"
 #include "has.hpp"
+#include "process/processor.hpp"
 #include "rtdata/chips/lm75.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/loop/topic.hpp"
@@ -77,6 +78,19 @@ using rtdata::test::has;
 /// The same by hand, as simply as it can be: from all values since the filters began.
 struct ByHand {
   explicit ByHand(FieldProcessing what_) : what(std::move(what_)), before(what.filters.size()) {}
+  /// The normal equations, as a book has them.
+  static double through(const std::vector<std::array<double, 2>>& points, double raw) {
+    long double n = 0, sx = 0, sy = 0, sxx = 0, sxy = 0;
+    for (const auto& [x, y] : points) {
+      n += 1;
+      sx += x;
+      sy += y;
+      sxx += static_cast<long double>(x) * x;
+      sxy += static_cast<long double>(x) * y;
+    }
+    const long double slope = (n * sxy - sx * sy) / (n * sxx - sx * sx);
+    return static_cast<double>(slope * raw + (sy - slope * sx) / n);
+  }
   void restart() {
     for (auto& values : before) values.clear();
     published.clear();
@@ -84,7 +98,7 @@ struct ByHand {
   std::optional<double> value(double x) {
     if (what.calibration) {
       const Calibration& c = *what.calibration;
-      x = x * c.scale + c.offset;
+      x = c.points.empty() ? x * c.scale + c.offset : through(c.points, x);
       if (!c.polynomial.empty()) {
         double sum = 0;
         for (auto one = c.polynomial.rbegin(); one != c.polynomial.rend(); ++one) sum = sum * x + *one;
@@ -102,6 +116,7 @@ struct ByHand {
         x = low[1] + (high[1] - low[1]) * ((x - low[0]) / (high[0] - low[0]));
       }
       if ((c.least && x < *c.least) || (c.most && x > *c.most)) return std::nullopt;
+      x -= c.tare;
     }
     now.assign(what.filters.size(), 0);
     for (std::size_t i = 0; i < what.filters.size(); ++i) {
@@ -160,8 +175,16 @@ FieldProcessing any_processing(Dice& dice) {
   FieldProcessing what;
   if (dice.whole(0, 3) != 0) {
     Calibration c{.scale = dice.number(0.1, 3), .offset = dice.number(-5, 5)};
-    const unsigned kind = dice.whole(0, 2);
-    if (kind == 1) {
+    const unsigned kind = dice.whole(0, 3);
+    if (dice.whole(0, 2) == 0) c.tare = dice.number(-5, 5);
+    if (kind == 3) {
+      c.scale = 1;
+      c.offset = 0;
+      double x = dice.number(-40, -20);
+      for (unsigned i = dice.whole(2, 30); i > 0; --i)
+        c.points.push_back({x += dice.number(0.1, 10), dice.number(-9, 9)});
+      std::shuffle(c.points.begin(), c.points.end(), std::mt19937(dice.whole(0, 999)));
+    } else if (kind == 1) {
       for (unsigned i = dice.whole(2, 10); i > 0; --i) c.polynomial.push_back(dice.number(-2, 2));
     } else if (kind == 2) {
       double x = dice.number(-40, -20);
@@ -266,6 +289,160 @@ TEST_SUITE("process") {
     REQUIRE(clamping.events.size() == 7);
     CHECK(clamping.events[5] == "0 0 absent 0.4");
     CHECK(clamping.events[6] == "100 0 absent 9");
+  }
+
+  TEST_CASE("US-27 points give a line, exact through two, by least squares through more, which goes on outside") {
+    const auto read = [](Calibration c, std::initializer_list<double> raws) {
+      Bench bench({{"level", calibrated(std::move(c))}});
+      std::vector<double> got;
+      const auto view = bench.loop.subscribe("tank", [&](const EventView& event) {
+        got.push_back(std::get<double>(event.value(*event.description().find("level"))));
+      });
+      for (const double raw : raws) bench.publish({raw, 0, {}});
+      CHECK(bench.errors.empty());
+      return got;
+    };
+    const auto two = read({.points = {{623.4, 98.1}, {123.4, 0}}}, {123.4, 623.4, 1123.4, -376.6});
+    REQUIRE(two.size() == 4);
+    CHECK(std::abs(two[0]) < 1e-12);
+    CHECK(two[1] == 98.1);
+    CHECK(two[2] == doctest::Approx(196.2));
+    CHECK(two[3] == doctest::Approx(-98.1));
+    // Anscombe's first set: y = 3.00009 + 0.500091 x, whose largest residual is that of its third point, -1.92127.
+    const std::vector<std::array<double, 2>> anscombe = {{10, 8.04},  {8, 6.95},  {13, 7.58}, {9, 8.81},
+                                                         {11, 8.33},  {14, 9.96}, {6, 7.24},  {4, 4.26},
+                                                         {12, 10.84}, {7, 4.82},  {5, 5.68}};
+    const CalibrationLine line = line_through(anscombe);
+    CHECK(line.slope == doctest::Approx(0.5000909).epsilon(1e-6));
+    CHECK(line.value(0) == doctest::Approx(3.0000909).epsilon(1e-6));
+    CHECK(line.farthest == 2);
+    CHECK(line.largest == doctest::Approx(-1.9212727).epsilon(1e-6));
+    CHECK(read({.points = anscombe}, {0, 100}) == std::vector<double>{line.value(0), line.value(100)});
+    // The raw values of a 24-bit converter whose points lie near each other.
+    const CalibrationLine near = line_through(
+        std::vector<std::array<double, 2>>{{8388600, 0}, {8388601, 0.25}, {8388602, 0.5}, {8388603, 0.75}});
+    CHECK(near.value(8388604) == 1.0);
+    CHECK(near.largest == 0);
+  }
+
+  TEST_CASE("US-27 a tare is subtracted from the calibrated value, after its bounds and before the filters") {
+    Bench bench({{"level",
+                  {.calibration = Calibration{.scale = 2, .most = 100, .tare = 20},
+                   .filters = {Filter::clamp(0, std::nullopt)}}}});
+    for (const double raw : {10.0, 25.0, 50.0, 51.0, 1.0}) bench.publish({raw, 0, {}});
+    CHECK(bench.events ==
+          std::vector<std::string>{"0 0 absent 10", "30 0 absent 25", "80 0 absent 50", "0 0 absent 1"});
+    REQUIRE(bench.errors.size() == 1);
+    CHECK(has(bench.errors[0], "102 is above 100"));
+  }
+
+  TEST_CASE("US-27 recordings have the points and the tare, and other numbers are another version") {
+    const auto text = [](Calibration c) { return detail::text_of({{"level", calibrated(std::move(c))}}, "tank"); };
+    const std::vector<std::array<double, 2>> points{{123.4, 0}, {623.4, 98.1}};
+    CHECK(has(text({.version = "lab", .points = points, .tare = 0.5}),
+              R"("version": "lab, tare 0.5", "calibration": {"points": [[123.4, 0.0], [623.4, 98.1]], "tare": 0.5})"));
+    CHECK(has(text({.version = "lab", .points = points}), R"("version": "lab", "calibration": {"points": )"));
+    const auto version = [&](Calibration c) { return text(std::move(c)).substr(0, 66); };
+    CHECK(has(version({.points = points}), R"("version": ")"));
+    CHECK(version({.points = points}) != version({.points = {points[1], points[0]}}));
+    CHECK(version({.points = points}) != version({.points = points, .tare = 0.5}));
+  }
+
+  TEST_CASE("US-27 the value of a raw one, outside any sensor, is what a sensor publishes") {
+    for (unsigned seed = 0; seed < 300; ++seed) {
+      CAPTURE(seed);
+      Dice dice(seed);
+      FieldProcessing what = any_processing(dice);
+      if (!what.calibration) continue;
+      what.filters.clear();
+      what.calibration->most.reset();
+      ByHand by_hand(what);
+      for (int i = 0; i < 50; ++i) {
+        const double raw = dice.number(-50, 50);
+        const double got = rtdata::calibrated(*what.calibration, raw);
+        const std::optional<double> wanted = by_hand.value(raw);
+        REQUIRE(std::isfinite(got) == wanted.has_value());
+        if (!wanted) continue;
+        const bool is_near = std::abs(got - *wanted) <= 1e-11 * (1 + std::abs(*wanted));
+        CHECK_MESSAGE(is_near, got, " instead of ", *wanted);
+      }
+    }
+  }
+
+  TEST_CASE("US-27 samples while a sensor warms up are filtered and counted: after its start, a fault and a stop") {
+    Loop loop{Loop::Manual{}};
+    be_quiet(loop);
+    std::vector<std::string> log;
+    loop.runtime().on_log(
+        [&](const LogRecord& record) { log.push_back(std::string(record.object) + ": " + std::string(record.text)); });
+    bool is_broken = false;
+    struct Device {
+      bool* is_broken;
+      Result<void> open() {
+        return *is_broken ? Result<void>(Error{Errc::io_failed, "no", "", "", ""}) : Result<void>();
+      }
+      Result<Level> read() {
+        if (*is_broken) return Error{Errc::io_failed, "no", "", "", ""};
+        return Level{1, 0, {}};
+      }
+    };
+    Sensor<Level> sensor(loop,
+                         {.name = "gas",
+                          .rate = 10_Hz,
+                          .faulted_after = 1,
+                          .retry_first = 1s,
+                          .retry_longest = 1s,
+                          .process = {{"level", calibrated({.scale = 2})}},
+                          .warm_up = 2s},
+                         Device{&is_broken});
+    loop.advance(1999ms);
+    CHECK(sensor.counts().filtered == 20);
+    CHECK(sensor.counts().published == 0);
+    loop.advance(1s);
+    CHECK(sensor.counts().published == 10);
+    CHECK(sensor.health() == Health::ok);
+    is_broken = true;
+    loop.advance(100ms);
+    is_broken = false;
+    CHECK(sensor.health() == Health::faulted);
+    loop.advance(10s);
+    CHECK(sensor.counts().filtered == 40);
+    const std::uint64_t published = sensor.counts().published;
+    CHECK(published > 60);
+    sensor.stop();
+    loop.advance(1s);
+    sensor.start();
+    loop.advance(1999ms);
+    CHECK(sensor.counts().filtered == 60);
+    CHECK(sensor.counts().published == published);
+    CHECK(sensor.counts().balances());
+    CHECK(std::count(log.begin(), log.end(), "sensor gas: warms up for 2 s: its samples are filtered until then") == 3);
+  }
+
+  TEST_CASE("US-27 what a device took while it warmed up is filtered when it comes later; its clock may be wrong") {
+    Loop loop{Loop::Manual{}};
+    be_quiet(loop);
+    Feed<Level> feed(loop, {.name = "tank", .warm_up = 1s});
+    Time start{};
+    Feed<Level> clock(loop, {.name = "clock"});
+    const auto heard = loop.subscribe("clock", [&](const EventView& event) { start = event.time(); });
+    clock.publish({});
+    loop.advance(1500ms);
+    feed.publish({1, 0, {}}, start + 900ms);
+    CHECK(feed.counts().filtered == 1);
+    feed.publish({1, 0, {}}, start + 1s);
+    feed.publish({1, 0, {}}, start - std::chrono::hours{1000});
+    CHECK(feed.counts().filtered == 1);
+    CHECK(feed.counts().published == 2);
+    loop.advance(10s);
+    feed.publish({1, 0, {}}, start + 900ms);
+    CHECK(feed.counts().filtered == 2);  // late, but not warm
+    feed.publish({1, 0, {}}, start + 900ms);
+    feed.fault({Errc::io_failed, "gone", "", "", ""});
+    feed.publish({1, 0, {}});
+    CHECK(feed.counts().filtered == 4);
+    CHECK(feed.health() == Health::ok);
+    CHECK(feed.counts().balances());
   }
 
   TEST_CASE("US-27 what is not finite, or outside its bounds, is unreadable and never a value") {

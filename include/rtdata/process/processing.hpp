@@ -31,6 +31,7 @@
 #include <array>
 #include <map>
 #include <optional>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -47,7 +48,8 @@ enum class OutsideTable : std::uint8_t {
   extend,  ///< extend the line through the two points at that end
 };
 
-/// x = raw * scale + offset; then the polynomial or the table of x, if there is one.
+/// x = raw * scale + offset; then the polynomial or the table of x, if there is one. Or the line through `points`,
+/// alone. At the end the tare is subtracted.
 struct Calibration {
   std::string version = {};                       ///< for recordings; empty: eight hex digits made from the numbers
   double scale = 1;                               ///< not 0
@@ -55,9 +57,30 @@ struct Calibration {
   std::vector<double> polynomial = {};            ///< c0 + c1 x + c2 x^2 ...: 2 to 10 coefficients
   std::vector<std::array<double, 2>> table = {};  ///< 2 to 1000 pairs of ascending x and value; linear in between
   OutsideTable outside = OutsideTable::refuse;    ///< of a table
-  std::optional<double> least = {};               ///< a value below it is unreadable
-  std::optional<double> most = {};                ///< a value above it is unreadable
+  std::optional<double> least = {};               ///< a value below it is unreadable; before the tare
+  std::optional<double> most = {};                ///< a value above it is unreadable; before the tare
+  /// 2 to 1000 pairs of raw and true value, no raw value twice: the line through them, which goes on outside. Without
+  /// scale, offset, polynomial and table.
+  std::vector<std::array<double, 2>> points = {};
+  double tare = 0;  ///< subtracted from the calibrated value, in its unit
 };
+
+/// A line through a point of it.
+struct CalibrationLine {
+  double slope = 0;
+  double x = 0;
+  double y = 0;
+  double largest = 0;        ///< residual: true value less that of the line, whichever is farthest from 0
+  std::size_t farthest = 0;  ///< the point with this residual
+
+  double value(double raw) const noexcept { return (raw - x) * slope + y; }
+};
+/// The line of Calibration::points: by least squares, exact through two points. Not finite for points that a
+/// Calibration refuses.
+CalibrationLine line_through(std::span<const std::array<double, 2>> points) noexcept;
+
+/// The value of a raw one; NaN: outside the table, which refuses it. Bounds are not looked at.
+double calibrated(const Calibration& calibration, double raw) noexcept;
 
 enum class FilterType : std::uint8_t { median, mean, exponential, clamp, throttle, delta, rate_of_change };
 
@@ -113,7 +136,10 @@ constexpr auto parameters(type_tag<Calibration>) {
                 choices(value("refuse", OutsideTable::refuse), value("clamp", OutsideTable::clamp),
                         value("extend", OutsideTable::extend))),
       parameter("least", &Calibration::least, "a value below it is unreadable"),
-      parameter("most", &Calibration::most, "a value above it is unreadable"));
+      parameter("most", &Calibration::most, "a value above it is unreadable"),
+      parameter("points", &Calibration::points,
+                "pairs of raw and true value, 2 to 1000: a straight line through them, alone"),
+      parameter("tare", &Calibration::tare, "subtracted at the end, after the bounds; `rtdata ctl tare` sets it"));
 }
 
 constexpr auto parameters(type_tag<Filter>) {

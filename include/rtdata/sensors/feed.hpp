@@ -20,13 +20,17 @@ struct FeedConfig {
   std::string name;         ///< unique in the runtime, and not of one that had a schedule; the origin of its events
   std::string topic = {};   ///< empty: as the name
   Processing process = {};  ///< calibration and filters of its fields
+  Duration warm_up{0};      ///< samples so soon after its source was opened are filtered
 };
 
 constexpr auto parameters(type_tag<FeedConfig>) {
+  using namespace std::chrono_literals;
   return parameter_list(
       parameter("name", &FeedConfig::name, "the origin of its events, unique in the file", required, TextIs::name),
       parameter("topic", &FeedConfig::topic, "where it publishes; empty: as its name", TextIs::topic),
-      parameter("process", &FeedConfig::process, "calibration and filters, by field"));
+      parameter("process", &FeedConfig::process, "calibration and filters, by field"),
+      parameter("warm_up", &FeedConfig::warm_up, "samples so soon after its source was opened are filtered",
+                range(Duration{0}, Duration{24h})));
 }
 
 namespace detail {

@@ -100,6 +100,7 @@ struct SensorConfig {
   bool required = false;    ///< a device that cannot be opened at the start throws instead of being retried
   bool start = true;        ///< start when made
   Processing process = {};  ///< calibration and filters of its fields
+  Duration warm_up{0};      ///< samples so soon after its device was opened are filtered
 };
 
 /// The configuration keys that all sensors have.
@@ -132,7 +133,9 @@ constexpr auto parameters(type_tag<SensorConfig>) {
                         value("stop", OnOverrun::stop))),
       parameter("required", &SensorConfig::required, "a device that cannot be opened at the start ends the program"),
       parameter("start", &SensorConfig::start, "start it with the system"),
-      parameter("process", &SensorConfig::process, "calibration and filters, by field"));
+      parameter("process", &SensorConfig::process, "calibration and filters, by field"),
+      parameter("warm_up", &SensorConfig::warm_up, "samples so soon after its device was opened are filtered",
+                range(Duration{0}, Duration{24h})));
 }
 
 namespace detail {

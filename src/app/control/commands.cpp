@@ -130,6 +130,11 @@ const std::vector<Verb>& verbs() {
        control},
       {"ack", 1, 1, {"ack LIMIT", "acknowledge the alarm of a limit"}, acknowledge},
       {"note", 1, 1000, {"note TEXT", "write a remark into the recordings"}, note},
+      {"tare",
+       1,
+       2,
+       {"tare SENSOR[.FIELD] [--clear]", "let its value read 0 now, and from the next start on; or no more"},
+       nullptr},
       {"reload", 0, 0, {"reload", "read the configuration again, and apply what has changed"}, nullptr},
   };
   return all;
@@ -139,24 +144,32 @@ constexpr std::size_t longest_command = 240;
 /// For a tier; less than the client waits.
 constexpr Duration turn_patience = std::chrono::seconds{2};
 
-CommandOutcome act(System& system, const Words& words, std::string_view by) {
+/// Its verb; null: it is refused, `why` says for what.
+const Verb* verb_of(const Words& words, std::string& why) {
   const auto verb = std::find_if(verbs().begin(), verbs().end(), [&](const Verb& one) { return words[0] == one.word; });
   if (verb == verbs().end()) {
     std::vector<std::string> names;
     for (const Verb& one : verbs()) names.emplace_back(one.word);
     const std::string nearest = nearest_name(words[0], names);
-    return {false, "there is no command \"" + words[0] + "\"" +
-                       (nearest.empty() ? "; `rtdata ctl --help` lists them" : "; did you mean \"" + nearest + "\"?")};
+    why = "there is no command \"" + words[0] + "\"" +
+          (nearest.empty() ? "; `rtdata ctl --help` lists them" : "; did you mean \"" + nearest + "\"?");
+    return nullptr;
   }
   if (words.size() - 1 < verb->least || words.size() - 1 > verb->most)
-    return {false, std::string("it is written `") + verb->help.words + "`"};
+    why = std::string("it is written `") + verb->help.words + "`";
   // The text for the recording.
   const std::string all = detail::listed(words, " ");
-  if (all.size() > longest_command)
-    return {false,
-            "it has " + std::to_string(all.size()) + " bytes, of " + std::to_string(longest_command) + " at most"};
-  if (std::any_of(all.begin(), all.end(), [](unsigned char c) { return c < 0x20 || c == 0x7f; }))
-    return {false, "it has a control character, such as the end of a line"};
+  if (why.empty() && all.size() > longest_command)
+    why = "it has " + std::to_string(all.size()) + " bytes, of " + std::to_string(longest_command) + " at most";
+  if (why.empty() && std::any_of(all.begin(), all.end(), [](unsigned char c) { return c < 0x20 || c == 0x7f; }))
+    why = "it has a control character, such as the end of a line";
+  return why.empty() ? &*verb : nullptr;
+}
+
+CommandOutcome act(System& system, const Words& words, std::string_view by) {
+  std::string why;
+  const Verb* const verb = verb_of(words, why);
+  if (verb == nullptr) return {false, why};
   try {
     return {true, verb->act(system, words, by)};
   } catch (const std::exception& error) {
@@ -225,7 +238,8 @@ Tier* CommandDesk::tier_of(const Words& words) const {
   if (words.size() < 2) return nullptr;
   for (const PartPlan* plan : system_.parts().plans()) {
     const bool is_commanded = plan->kind == "sensor" || plan->kind == "output" || plan->kind == "machine";
-    if (!is_commanded || plan->name != words[1] || plan->tier().empty()) continue;
+    const bool is_named = plan->name == words[1] || (words[0] == "tare" && words[1].starts_with(plan->name + "."));
+    if (!is_commanded || !is_named || plan->tier().empty()) continue;
     Tier& tier = system_.tier(plan->tier());
     return tier.is_running() ? &tier : nullptr;
   }
@@ -263,6 +277,7 @@ void CommandDesk::refuse(const std::shared_ptr<Asked>& asked, const std::string&
 
 void CommandDesk::end() {
   keeper_.end();
+  tares_.end();
   for (const auto& asked : std::vector(asked_)) refuse(asked, "the program ends already");
 }
 
@@ -276,6 +291,17 @@ void CommandDesk::run_here(const Words& words, std::string_view by, Told told) {
     *outcome = act(system_, words, by);
     return outcome->done;
   };
+  if (words[0] == "tare" && verb_of(words, outcome->text) != nullptr) {
+    try {
+      return tares_.run(words, [outcome, tell](bool is_done, const std::string& text) {
+        *outcome = {is_done, text};
+        tell();
+      });
+    } catch (const std::exception& error) {
+      outcome->text = error.what();
+    }
+  }
+  if (words[0] == "tare") return tell();
   if (words.size() != 2 || (words[0] != "arm" && words[0] != "disarm")) {
     done();
     return tell();

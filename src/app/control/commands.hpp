@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "app/control/arm_keeper.hpp"
+#include "app/control/tares.hpp"
 #include "rtdata/config/system.hpp"
 #include "rtdata/loop/tier.hpp"
 #include "rtdata/sensors/feed.hpp"
@@ -53,12 +54,12 @@ class CommandDesk {
  public:
   using Log = std::function<void(const std::string& text, bool done)>;
   using Told = std::function<void(const CommandOutcome&)>;
-  CommandDesk(Loop& loop, System& system, Log log)
-      : loop_(loop), system_(system), log_(std::move(log)), keeper_(loop, system) {}
+  CommandDesk(Loop& loop, System& system, Tares& tares, Log log)
+      : loop_(loop), system_(system), log_(std::move(log)), keeper_(loop, system), tares_(loop, system, tares) {}
 
   /// Executes any command except `reload`, records it and calls back with the result: at once for most commands; for
-  /// arming and disarming when it is on disk, or after 3 s; for a part on a tier when the tier turns. If the tier does
-  /// not turn for 2 s, the command is refused; the loop continues meanwhile.
+  /// arming and disarming when it is on disk, or after 3 s; for a tare when it was measured; for a part on a tier when
+  /// the tier turns. If the tier does not turn for 2 s, the command is refused; the loop continues meanwhile.
   void run(const std::vector<std::string>& words, std::string_view by, Told told);
   /// The run ends: answers all waiting clients.
   void end();
@@ -76,6 +77,7 @@ class CommandDesk {
   Log log_;
   std::vector<std::shared_ptr<Asked>> asked_;
   ArmKeeper keeper_;
+  TareDesk tares_;
   Feed<CommandRecord> record_;  // made at the first command
 };
 

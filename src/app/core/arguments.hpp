@@ -47,6 +47,7 @@ inline void add_json(CLI::App& command, ShowAs& show_as, const char* doc = "Prin
 Action prepare_init(CLI::App& command);
 Action prepare_run(CLI::App& command);
 Action prepare_check(CLI::App& command);
+Action prepare_calibrate(CLI::App& command);
 Action prepare_graph(CLI::App& command);
 Action prepare_types(CLI::App& command);
 Action prepare_explain(CLI::App& command);

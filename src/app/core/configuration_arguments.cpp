@@ -90,6 +90,26 @@ Action prepare_check(CLI::App& command) {
   };
 }
 
+Action prepare_calibrate(CLI::App& command) {
+  const auto options = std::make_shared<CalibrateOptions>();
+  command.footer(
+      "It takes values of the running instance of FILE, or runs the sensor alone, without\n"
+      "recording. Apply a known value, wait until it is steady, enter it; then the next.\n"
+      "Each is the mean of 2 s. An empty line, done or Ctrl-D ends it, undo takes one back.\n"
+      "With two or more, their line is written as `points` of the calibration; comments\n"
+      "stay.\nexamples:\n  rtdata calibrate tank.json tank\n  rtdata calibrate bench.json scale.weight\n"
+      "exit status:\n  0  written\n  1  not written\n  2  mistakes in the configuration");
+  command.add_option("FILE", options->file, "The configuration")->required();
+  command
+      .add_option("SENSOR[.FIELD]", options->sensor,
+                  "The sensor, and which of its numbers if it has several and none is called value")
+      ->required();
+  return [options](const Registry& registry) {
+    const WrappedOutput errors(std::cerr, STDERR_FILENO);
+    return calibrate(registry, *options);
+  };
+}
+
 Action prepare_graph(CLI::App& command) {
   const auto options = std::make_shared<GraphOptions>();
   command.footer(
@@ -189,8 +209,10 @@ Action prepare_ctl(CLI::App& command) {
   command.footer(ctl_help() +
                  "Each is recorded on the topic rtdata/commands, with its sender and its result.\n"
                  "examples:\n  rtdata ctl rate imu \"200 Hz\"\n  rtdata ctl bench note valve replaced");
-  return [words](const Registry&) {
+  return [words, &command](const Registry&) {
     const ForPeople wrapped;
+    const std::vector<std::string> rest = command.remaining();  // from the first that looks like an option on
+    words->insert(words->end(), rest.begin(), rest.end());
     return ctl(*words);
   };
 }

@@ -38,6 +38,12 @@ struct CheckOptions {
   std::string against;  ///< the running configuration to compare with; empty: none
 };
 int check(const Registry& registry, const CheckOptions& options);
+struct CalibrateOptions {
+  std::string file;
+  std::string sensor;  ///< or SENSOR.FIELD
+};
+/// Asks on standard input for the true values of what the sensor reads, and writes `points` into the file.
+int calibrate(const Registry& registry, const CalibrateOptions& options);
 int init(const Registry& registry, const std::string& file);
 enum class DrawAs { mermaid, dot };
 struct GraphOptions {

@@ -61,6 +61,7 @@ constexpr Command commands[] = {
     {"doctor", "Say what on this machine costs timing or data, and what to do", app::prepare_doctor},
     {"bench", "Measure what this machine can do: jitter, and the disk", app::prepare_bench},
     {"check", "Find every mistake in a configuration; exit 2 if there is any", app::prepare_check},
+    {"calibrate", "Make the calibration of a sensor from known values", app::prepare_calibrate},
     {"graph", "Draw the machines of a configuration", app::prepare_graph},
     {"types", "List the types of sensors, sinks and formats with their parameters", app::prepare_types},
     {"explain", "Explain an error, by the id in brackets behind it", app::prepare_explain},

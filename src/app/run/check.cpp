@@ -1,5 +1,8 @@
+#include <array>
 #include <iostream>
+#include <vector>
 
+#include "app/core/calibration_text.hpp"
 #include "app/core/configuration_commands.hpp"
 #include "app/page/page_setup.hpp"
 #include "app/run/data_at_risk.hpp"
@@ -61,6 +64,32 @@ std::string counts_text(const Registry& registry, const SystemPlan& plan) {
   return text;
 }
 
+namespace {
+
+/// "sensor tank, value: 0.1962 * raw - 24.2111 through 2 points", a line each.
+std::vector<std::string> calibration_lines(const SystemPlan& plan) {
+  std::vector<std::string> lines;
+  for (const PartPlan* sensor : plan.of_kind("sensor")) {
+    const ConfigItem* const process = sensor->item.find("process");
+    if (process == nullptr) continue;
+    for (const auto& [field, item] : process->children()) {
+      const ConfigItem* const given = item.find("calibration.points");
+      if (given == nullptr) continue;
+      const auto points = given->get<std::vector<std::array<double, 2>>>();
+      const CalibrationLine line = line_through(points);
+      std::string text = sensor->object() + ", " + field + ": " + line_text(line) + " through " +
+                         std::to_string(points.size()) + " points";
+      if (points.size() > 2)
+        text += "; largest residual " + number_text(line.largest) + " at [" +
+                number_text(points[line.farthest][0], 10) + ", " + number_text(points[line.farthest][1], 10) + "]";
+      lines.push_back(std::move(text));
+    }
+  }
+  return lines;
+}
+
+}  // namespace
+
 int check(const Registry& registry, const CheckOptions& options) {
   SystemPlan plan = plan_system(registry, load_config(options.file));
   check_log_file(log_file_of(plan, ""), plan);
@@ -81,6 +110,7 @@ int check(const Registry& registry, const CheckOptions& options) {
     std::cout << "  " << load.text() << "\n";
     for (const LaneLoad& lane : load.lanes) std::cout << "    " << lane.text() << "\n";
   }
+  for (const std::string& line : calibration_lines(plan)) std::cout << line << "\n";
   for (const Growth& growth : growth_of(plan)) {
     if (!growth.is_limited) std::cout << hide_secrets(growth.text(), plan.secrets) << "\n";
   }

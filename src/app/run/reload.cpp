@@ -27,7 +27,11 @@ std::shared_ptr<const Reload::NextPlan> Reload::read_again() const {
   auto next = std::make_shared<NextPlan>();
   next->number = ++readings_;
   try {
-    next->plan = plan_system(registry_, load_config(options_.file));
+    ConfigDocument document = load_config(options_.file);
+    Problems warnings;
+    run_.tares.put_into(document.root, warnings);
+    next->plan = plan_system(registry_, std::move(document));
+    next->plan.warnings.append(warnings);
     check_log_file(log_file_of(next->plan, options_.log_file), next->plan);
     if (next->plan.good()) {
       warn_of_growth(next->plan, growth_span);

@@ -32,6 +32,7 @@ class Reload {
   struct Run {
     std::function<bool()> is_ending;
     std::function<void(const SystemPlan& next)> applied;
+    const Tares& tares;      ///< put into what is read
     bool has_guard = false;  ///< the process that sets outputs safe was started with the program
   };
   struct NextPlan {

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cstdlib>
+#include <filesystem>
 #include <future>
 #include <set>
 #include <utility>
@@ -48,11 +49,15 @@ class Run {
       : registry_(registry),
         options_(options),
         document_(load_config(options.file)),
+        tares_(std::filesystem::path(options.file).stem().string() + ".tare"),
         guard_(start_guard(registry, document_)),
         console_(options) {}
 
   int execute() {
+    Problems warnings;
+    const std::string tares = tares_.put_into(document_.root, warnings);
     SystemPlan plan = plan_system(registry_, std::move(document_));
+    plan.warnings.append(warnings);
     check_page(plan);
     console_.add_secrets(plan.secrets);
     warn_of_growth(plan, options_.duration.value_or(growth_span));
@@ -61,6 +66,8 @@ class Run {
     console_.open_log(plan);
     const FatalSignals fatal(log_);
     log_.write(LogLevel::info, "program", "started with " + options_.file);
+    if (!tares.empty())
+      console_.say(LogLevel::info, "configuration", "tares as before, of " + tares_.file() + ": " + tares);
     int status = exit_other;
     try {
       status = plan.good() ? run(plan) : refuse(plan);
@@ -129,13 +136,13 @@ class Run {
                      if (console_.leaves_stdout()) console_.close_view();
                      status.set(status_info(next, system));
                    },
-                   guard_ != nullptr});
+                   tares_, guard_ != nullptr});
     actions.reload = [&] {
       loop.post([&reload, next = reload.read_again()] { reload.apply(next, "SIGHUP", [](const CommandOutcome&) {}); });
     };
     signals_.attach(loop, std::move(actions));
     const Detach detach_reload{signals_};
-    CommandDesk desk(loop, system, [this](const std::string& text, bool done) {
+    CommandDesk desk(loop, system, tares_, [this](const std::string& text, bool done) {
       console_.say(done ? LogLevel::info : LogLevel::warning, "command", text);
     });
     std::optional<ControlSocket> control;
@@ -307,8 +314,9 @@ class Run {
       desk.run(words, by, [outcome](const CommandOutcome& came) { outcome->set_value(came); });
       return [told = std::make_shared<std::future<CommandOutcome>>(outcome->get_future())] {
         if (told->wait_for(answer_patience) == std::future_status::ready) return command_answer(told->get());
-        return command_answer(
-            {false, "it is not known yet whether that is on the disk: the loop is busy; the log will have the result"});
+        return command_answer({false,
+                               "there is no result yet, such as whether it is on the disk: the loop is busy; the log "
+                               "will have the result"});
       };
     };
     try {
@@ -490,6 +498,7 @@ class Run {
   const Registry& registry_;
   const RunOptions& options_;
   ConfigDocument document_;                   // until it is checked
+  Tares tares_;                               // in the working directory, as the log
   const std::unique_ptr<OutputGuard> guard_;  // null: the file has no outputs
   StopSignals signals_;                       // before the others, so that their threads do not get the signals
   RunConsole console_;

@@ -12,11 +12,16 @@ namespace rtdata::detail {
 class FeedNode : public SourceNode {
  public:
   FeedNode(LoopCore& loop, const FeedConfig& config, PayloadType type)
-      : SourceNode(loop, config.name, config.topic, std::move(type), OriginCore::Supply::feed, config.process) {}
+      : SourceNode(loop, config.name, config.topic, std::move(type), OriginCore::Supply::feed, config.process,
+                   config.warm_up) {
+    begin_warm_up();
+  }
 
   void start() override {
+    if (is_running_ || !is_open()) return;
     restart_filters();
-    is_running_ = is_open();
+    is_running_ = true;
+    begin_warm_up();
   }
   void stop() override {
     is_running_ = false;
@@ -89,6 +94,7 @@ class FeedNode : public SourceNode {
   /// Separate, so that the usual path needs no call.
   [[gnu::noinline]] void publish_after_failure(void* payload, Time time) {
     origin_.end_absence(loop()->now());
+    if (health() == Health::faulted) begin_warm_up();
     if (take_sample(payload, time) == Fate::unusable) return complain_of_input(unusable_error());
     set_health(Health::ok, nullptr);  // last, because a handler may close this feed
   }

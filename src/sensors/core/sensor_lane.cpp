@@ -209,6 +209,7 @@ void SensorNode::submit_read() {
       return fail_in_flight(thrown("preparing to read threw"));
     }
     side.transaction->owner_ = this;
+    begin_warm_up();  // opened now, or made again after it hung
   }
   if (side.device->reads_on_loop()) return read_on_loop();
   try {

@@ -18,14 +18,16 @@ void check_rate(Rate rate, const std::string& name) {
 
 SensorNode::SensorNode(LoopCore& loop, const SensorConfig& config, PayloadType type,
                        std::unique_ptr<SensorDevice> device)
-    : SourceNode(loop, config.name, config.topic, std::move(type), OriginCore::Supply::schedule, config.process),
+    : SourceNode(loop, config.name, config.topic, std::move(type), OriginCore::Supply::schedule, config.process,
+                 config.warm_up),
       RateMember(config.rate.period()),
       device_(std::move(device)) {
   set_settings(config);
 }
 
 SensorNode::SensorNode(LoopCore& loop, const SensorConfig& config, PayloadType type, std::unique_ptr<LaneDevice> device)
-    : SourceNode(loop, config.name, config.topic, std::move(type), OriginCore::Supply::schedule, config.process),
+    : SourceNode(loop, config.name, config.topic, std::move(type), OriginCore::Supply::schedule, config.process,
+                 config.warm_up),
       RateMember(config.rate.period()) {
   extra().lane_side = std::make_unique<LaneSide>(*this, std::move(device));
   loop.deadlines.reserve_one();
@@ -81,6 +83,7 @@ void SensorNode::start() {
 
 void SensorNode::started(const Result<void>& opened) {
   device_is_open_ = static_cast<bool>(opened);
+  if (opened) begin_warm_up();
   begin_schedule();  // before a handler runs, which may stop it
   if (opened) {
     set_health(Health::ok, nullptr);  // what it was before it stopped is over
@@ -278,6 +281,7 @@ bool SensorNode::make_ready(const Tick& tick) {
   }
   port_ = nullptr;
   device_is_open_ = static_cast<bool>(opened);
+  if (opened) begin_warm_up();
   if (opened && !port.is_begun_) return true;
   if (opened) {  // the schedule of this tick may be over
     origin_.end_read(is_late(port));

@@ -38,9 +38,10 @@ PayloadType published_type(PayloadType type, const Processor* processor) {
 }  // namespace
 
 SourceNode::SourceNode(LoopCore& loop, std::string_view name, std::string_view topic, PayloadType type,
-                       OriginCore::Supply supply, const Processing& processing)
+                       OriginCore::Supply supply, const Processing& processing, Duration warm_up)
     : SensorEntry(loop),
       processor_(make_processor(type.description, processing, std::string(name))),
+      warm_up_(warm_up),
       origin_(loop.runtime.names.claim(
           name, loop.runtime.topic(topic.empty() ? name : topic, published_type(std::move(type), processor_.get())),
           supply)) {
@@ -87,6 +88,24 @@ SourceNode::Fate SourceNode::process(void*& payload, Time time) noexcept {
   if (fate == Fate::filtered) ++counts.filtered;
   if (fate == Fate::unusable) ++counts.unreadable;
   return fate;
+}
+
+void SourceNode::begin_warm_up() noexcept {
+  if (warm_up_ <= Duration{0}) return;
+  warm_until_ = later(loop()->now(), warm_up_);
+  loop()->call_own("sensor", [&] {
+    loop()->runtime.log(LogLevel::info, object_name(),
+                        "warms up for " + to_string(warm_up_) + ": its samples are filtered until then");
+  });
+}
+
+bool SourceNode::is_warming_up(Time time) noexcept {
+  const MonotonicTime now = loop()->now();
+  // A device that keeps its samples gives them later. Its own clock may be wrong by any amount.
+  const Time until = loop()->runtime.event_time(warm_until_);
+  if (now < warm_until_ || (time < until && span_between(time, until) <= warm_up_)) return true;
+  if (now - warm_until_ > warm_up_) warm_until_ = MonotonicTime::min();
+  return false;
 }
 
 void SourceNode::leave() noexcept {

@@ -16,7 +16,7 @@ namespace rtdata::detail {
 class SourceNode : public SensorEntry {
  public:
   SourceNode(LoopCore& loop, std::string_view name, std::string_view topic, PayloadType type, OriginCore::Supply supply,
-             const Processing& processing);
+             const Processing& processing, Duration warm_up);
 
   virtual void start() = 0;
   virtual void set_rate(Rate rate) = 0;
@@ -43,6 +43,10 @@ class SourceNode : public SensorEntry {
   /// Moving its payload may throw: then it counts as published, and as dropped for subscribers.
   Fate take_sample(void* payload, Time time) {
     ++origin_.counts.received;
+    if (warm_until_ != MonotonicTime::min() && is_warming_up(time)) [[unlikely]] {
+      ++origin_.counts.filtered;
+      return Fate::filtered;
+    }
     if (processor_ != nullptr) [[unlikely]] {
       if (const Fate fate = process(payload, time); fate != Fate::published) return fate;
     }
@@ -55,6 +59,8 @@ class SourceNode : public SensorEntry {
   void restart_filters() noexcept {
     if (processor_ != nullptr) processor_->restart();
   }
+  /// The device was opened now: samples of the next `warm_up` are filtered.
+  void begin_warm_up() noexcept;
   /// Hands the error to the sensor's own handler, or to the loop's.
   void report(const Error& error) noexcept;
   void set_health(Health health, const Error* reason);
@@ -81,10 +87,14 @@ class SourceNode : public SensorEntry {
 
  private:
   Fate process(void*& payload, Time time) noexcept;
+  /// `time`: of a sample that came now.
+  bool is_warming_up(Time time) noexcept;
   void note_processing(const Processing& processing);
 
   Health health_ = Health::ok;
   std::unique_ptr<Processor> processor_;  // null: samples are published as they come
+  const Duration warm_up_;
+  MonotonicTime warm_until_ = MonotonicTime::min();  // that: it is warm
 
  protected:
   OriginCore& origin_;

@@ -6,7 +6,7 @@
 namespace rtdata::detail {
 
 StreamNode::StreamNode(LoopCore& loop, const FeedConfig& feed, PayloadType type, Waits waits)
-    : SourceNode(loop, feed.name, feed.topic, std::move(type), OriginCore::Supply::feed, feed.process),
+    : SourceNode(loop, feed.name, feed.topic, std::move(type), OriginCore::Supply::feed, feed.process, feed.warm_up),
       waits_(waits),
       retry_(loop.face, [this] { open_stream(); }),
       silence_(loop.face, [this] { look_for_silence(); }) {}
@@ -47,6 +47,7 @@ void StreamNode::opened() {
   is_connected_ = true;
   has_come_ = has_heard_ = false;
   is_silent_ = false;
+  begin_warm_up();
   if (waits_.silence > Duration{0}) {
     silence_.start(waits_.silence);
   } else {
