@@ -57,16 +57,7 @@ std::vector<detail::HttpMistake> mistakes_of(const HttpSensorConfig& config) {
 }
 
 const char* name_of(LineFormat format) {
-  switch (format) {
-    case LineFormat::json:
-      return "JSON";
-    case LineFormat::csv:
-      return "CSV";
-    case LineFormat::pattern:
-      return "a text with `pattern`";
-    default:
-      return "rows of labels";
-  }
+  return format == LineFormat::json ? "JSON" : format == LineFormat::csv ? "CSV" : "rows of labels";
 }
 
 /// What it is instead, if it is a page for people or the like.
