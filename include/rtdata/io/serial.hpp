@@ -110,7 +110,7 @@ struct SerialPortConfig {
         parameter("device", &SerialPortConfig::device, "the serial device", TextIs::device),
         parameter("host", &SerialPortConfig::host,
                   "instead of `device`: an instrument or a serial server in the network"),
-        parameter("port", &SerialPortConfig::port, "its TCP port, such as 5025 for SCPI", range(1, 65535)),
+        parameter("port", &SerialPortConfig::port, "its TCP port, such as 5025 for SCPI; 0: none", range(0, 65535)),
         include_member(&SerialPortConfig::serial),
         parameter("answer_timeout", &SerialPortConfig::answer_timeout,
                   "an answer that is not complete by then is missed", range(Duration{1ms}, Duration{10min})),

@@ -130,8 +130,6 @@ void check_lines(const LineConfig& config) {
   check_fields_of(config);
   check_match(config, "only", config.only);
   check_match(config, "unreadable_if", config.unreadable_if);
-  if (config.format != LineFormat::pattern && !config.pattern.empty())
-    throw SetupError(refused_lines("pattern", "it is of `format` pattern", "set that, or leave it out"));
   if (config.format == LineFormat::binary && config.separator != ',')
     throw SetupError(refused_lines("separator", "bytes have none", "leave it out"));
 }
