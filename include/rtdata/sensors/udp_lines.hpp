@@ -1,16 +1,17 @@
 /// UdpLines: devices that send lines by UDP to this machine: an ESP32, a telemetry ground station, an NMEA gateway.
 ///
 ///     rtdata::UdpLines wind(loop, {.name = "wind"},
-///                           {.port = 5005, .address = "0.0.0.0", .lines = {.fields = {{.name = "speed", .unit = "m/s"}}}});
+///                           {.port = 5005, .address = "0.0.0.0",
+///                            .lines = {.fields = {{.name = "speed", .unit = "m/s"}}}});
 ///
 /// A datagram holds one line or several (or frames of bytes, with `frame`); each becomes one event; lines.hpp says how
 /// they are read. The end of a datagram ends its last line.
 ///
-/// - It hears on the loopback address unless `address` says otherwise; "0.0.0.0" and "::" stand for all of the machine's
-///   addresses, and a group's address ("239.1.2.3") for what is sent to that group.
+/// - It hears on the loopback address unless `address` says otherwise; "0.0.0.0" and "::" stand for all addresses of
+///   the machine, and a group's address ("239.1.2.3") for what is sent to that group.
 /// - With `from`, datagrams of other senders are left out: they count as filtered.
-/// - UDP may lose datagrams on the way, which only a `sequence_field` shows. What the kernel drops because its buffer is
-///   full is counted as lost, by datagrams.
+/// - UDP may lose datagrams on the way, which only a `sequence_field` shows. What the kernel drops because its buffer
+///   is full is counted as lost, by datagrams.
 /// - A datagram longer than `longest_datagram` is unreadable, once.
 /// - If the port is taken or the address is not there, the sensor is faulted and tries again after `retry_first`,
 ///   doubling to `retry_longest`. UDP knows no connection: whether the sender lives, only `silence` says.
