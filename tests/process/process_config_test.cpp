@@ -119,7 +119,7 @@ TEST_SUITE("process") {
     CHECK(has(points("[]"), "calibration.points: it has 0 points; give it 2 to 1000"));
     CHECK(has(points("[[1, 2]]"), "calibration.points: it has 1 point; give it 2 to 1000"));
     CHECK(has(points("[[1, 2], [3, 4], [1, 2.5]]"),
-              "f.json:2:67: sensors[0].process.number.calibration.points[2]: it has the raw value of points[0]; give "
+              "f.json:2:69: sensors[0].process.number.calibration.points[2]: it has the raw value of points[0]; give "
               "each raw value once"));
     CHECK(has(points("[[1, 2], [3, 2]]"), "calibration.points: their line gives the same value for every raw one"));
     CHECK(has(points("[[0, 0], [1e-308, 1e308]]"), "calibration.points: their line is not one of finite numbers"));
