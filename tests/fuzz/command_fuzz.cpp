@@ -69,7 +69,8 @@ struct Instance {
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
   Instance instance;
-  app::CommandDesk desk(instance.loop, *instance.system, [&](const std::string&, bool) { ++instance.logged; });
+  app::Tares tares("/no/such/folder/f.tare");
+  app::CommandDesk desk(instance.loop, *instance.system, tares, [&](const std::string&, bool) { ++instance.logged; });
   bool is_armed = false;
   double value = 0;
   std::uint64_t commands = 0;

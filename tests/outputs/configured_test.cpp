@@ -248,7 +248,8 @@ TEST_SUITE("outputs") {
     const SystemPlan first = plan(before);
     REQUIRE_MESSAGE(first.good(), first.report());
     System system(loop, devices.registry, first);
-    app::CommandDesk desk(loop, system, [](const std::string&, bool) {});
+    app::Tares tares("/no/such/folder/f.tare");
+    app::CommandDesk desk(loop, system, tares, [](const std::string&, bool) {});
     const auto command = [&](const Lines& words) {
       std::string text;
       desk.run(words, "test", [&](const app::CommandOutcome& outcome) { text = outcome.text; });
@@ -404,7 +405,8 @@ TEST_SUITE("outputs") {
     const SystemPlan first = plan(far + "," + near);
     REQUIRE_MESSAGE(first.good(), first.report());
     System system(loop, devices.registry, first);
-    app::CommandDesk desk(loop, system, [](const std::string&, bool) {});
+    app::Tares tares("/no/such/folder/f.tare");
+    app::CommandDesk desk(loop, system, tares, [](const std::string&, bool) {});
     const auto command = [&](const Lines& words) {
       auto outcome = std::make_shared<app::CommandOutcome>();
       desk.run(words, "test", [outcome](const app::CommandOutcome& came) { *outcome = came; });
