@@ -71,8 +71,8 @@ TEST_SUITE("app") {
     folder.write("code", "100\n");
     const Calibrating one(
         folder, "scale",
-        "echo 0; heard ' 1: raw'; echo 300 >code; echo 7; heard ' 2: raw'; echo undo; echo x; echo 10;"
-        "heard 'is 10$'; echo 500 >code; echo 21; heard ' 3: raw'; echo done; sleep 0.1");
+        "echo 0; heard ' 1: raw'; echo 300 1<>code; echo 7; heard ' 2: raw'; echo undo; echo x; echo 10;"
+        "heard 'is 10$'; echo 500 1<>code; echo 21; heard ' 3: raw'; echo done; sleep 0.1");
     CHECK(one.status == 0);
     CHECK_MESSAGE(has(one.out, "scale.value of the sensor itself, which runs for this alone"), one.out, one.err);
     CHECK(has(one.out, "  2: raw "));
@@ -81,7 +81,7 @@ TEST_SUITE("app") {
     CHECK(has(one.out, "largest residual "));
     CHECK(has(one.out, "wrote hall.json: 3 points for scale.value"));
     CHECK(has(one.out, "in their place, its calibration has no more: scale, version"));
-    CHECK(one.err.empty());
+    CHECK_MESSAGE(one.err.empty(), one.err);
     std::istringstream lines(one.out);
     for (std::string line; std::getline(lines, line);) CHECK_MESSAGE(line.size() <= 80, line);
     CHECK_FALSE(folder.has("hall.db"));
@@ -109,7 +109,7 @@ TEST_SUITE("app") {
     Process run(folder, program, {"run", "hall.json"});
     REQUIRE(run.wait_for("running hall"));
     const Calibrating one(folder, "scale.value",
-                          "echo 0; heard ' 1: raw'; echo 300 >code; echo 10; heard ' 2: raw'; echo");
+                          "echo 0; heard ' 1: raw'; echo 300 1<>code; echo 10; heard ' 2: raw'; echo");
     CHECK(one.status == 0);
     CHECK_MESSAGE(has(one.out, "scale.value of the running instance hall, pid "), one.out, one.err);
     CHECK(has(one.out, "wrote hall.json: 2 points for scale.value\n"));
@@ -227,14 +227,14 @@ TEST_SUITE("app") {
     CHECK(has(end("scale", "echo 1; echo 2; heard 'not taken'", 1), "as at point 1: not taken"));
     // Changed meanwhile.
     const std::string changed = end(
-        "scale", "echo 1; heard ' 1: raw'; echo 300 >code; echo >>hall.json; echo 2; heard ' 2: raw'", 1);
+        "scale", "echo 1; heard ' 1: raw'; echo 300 1<>code; echo >>hall.json; echo 2; heard ' 2: raw'", 1);
     CHECK_MESSAGE(has(changed, "it has been changed meanwhile"), changed);
     CHECK(has(changed, "the points, to copy:\n  \"points\": [["));
     CHECK(folder.read("hall.json") == before + "\n");
     // A disk that is full: here a file of more than 4 KiB cannot be written.
     const std::string large = "// " + std::string(10000, 'x') + "\n" + before;
     folder.write("hall.json", large);
-    const Calibrating full(folder, "scale", "echo 1; heard ' 1: raw'; echo 200 >code; echo 2; heard ' 2: raw'",
+    const Calibrating full(folder, "scale", "echo 1; heard ' 1: raw'; echo 200 1<>code; echo 2; heard ' 2: raw'",
                            "trap '' XFSZ; ulimit -f 8; ");
     CHECK(full.status == 1);
     CHECK_MESSAGE(has(full.err, "cannot write"), full.err);

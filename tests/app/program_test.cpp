@@ -912,8 +912,7 @@ TEST_SUITE("app") {
          "rtdata: there is no command \"vrify\" (did you mean \"verify\"?); `rtdata --help` explains them\n"},
         {{"measure", "x"},
          "rtdata: there is no command \"measure\"; there are init, run, top, tail, ctl, scan, doctor, bench, check, "
-         "graph, "
-         "types, explain, verify, info, plot, report, runs, seal, rm, merge, compare, " +
+         "calibrate, graph, types, explain, verify, info, plot, report, runs, seal, rm, merge, compare, " +
              view +
              "export, replay, import, forward; "
              "`rtdata --help` explains them\n"},

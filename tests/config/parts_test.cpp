@@ -173,7 +173,7 @@ TEST_SUITE("config") {
           "f.json:7:52: sensors[4].bus: unknown key; known here are fail_every, faulted_after, first, hang_at, hold, "
           "late_after, name, on_overrun, phase, process, rate, read_time, required, retry_first, retry_longest, start, "
           "starve_at, tier, "
-          "topic, type\n"
+          "topic, type, warm_up\n"
           "f.json:8:42: sensors[5].rate: 2 MHz is out of range: at most 1000000 Hz\n"
           "f.json:8:58: sensors[5].bus: there is no bus \"gone\" in `buses`\n");
   }

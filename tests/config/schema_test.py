@@ -33,7 +33,7 @@ BEYOND_A_SCHEMA = [
     "more digits than the type", "for a duration", "3.4e38",
     "there is no folder", "is a folder", "is not a regular file", "cannot be written", "names no file",  # of the file system
     "no variable", "cannot read the secret", "is empty",
-    "a name has 1 to 200", "is not a topic name", r"topic: there is no topic", "topics that begin with",  # lengths, and names that stand for topics
+    "a name has 1 to 200", "is not a topic name", "topics that begin with",  # lengths, and names that stand for topics
     "it does not say which device", "has no width", "no field has a name", "among the fields", "is there twice",
     "every event has a", "SQLite has that name", "only a float or double", "a field of JSON has no name", "need more than 4 KiB",
     "or 0 for no limit",  # a least value, or none
@@ -43,6 +43,8 @@ BEYOND_A_SCHEMA = [
     "in the manual of libpq", "a text of MQTT has at most",  # of other libraries and protocols
     "another SQLite database", "its content is not a valid", "by zero",  # what is in a file, or in an expression
     "shares the topic", "sets the output", "of settings; the guard",
+    "topic: there is no topic", "host: there is no host", "a URL has no blanks", "it has no scheme",  # what a text holds
+    "give the bus a longer `timeout`", "it has both `file` and `device`",  # between two values
     r"at character \d+: ",  # in a regular expression
     "there is no bus", "there is no sink", "cannot go through another", "is not among those of the recording", "this needs sqlite", r"\.(address|line): ",  # names of other parts; numbers that may be texts
 ]

@@ -32,8 +32,8 @@ class RawValues {
 std::unique_ptr<RawValues> values_of_instance(const std::string& file, const std::string& sensor,
                                               const std::string& field);
 
-/// A configuration with this sensor and what it uses, alone: raw, on the main loop, without sinks. SetupError if it uses
-/// outputs or machines, which must not run for that.
+/// A configuration with this sensor and what it uses, alone: raw, on the main loop, without sinks. SetupError if it
+/// uses outputs or machines, which must not run for that.
 SystemPlan plan_alone(const Registry& registry, const SystemPlan& plan, const PartPlan& sensor);
 
 /// Makes that sensor. Its errors are printed. SetupError. `alone`, `registry`: outlive it.
