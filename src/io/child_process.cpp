@@ -56,11 +56,11 @@ bool open_terminal(Descriptor& master, Descriptor& slave) {
 
 struct Start {
   char* const* arguments;
-  int terminal, input, output, errors;
+  int terminal, input, output, errors, failed;
 };
 
 /// In the new process, which shares the memory of this one until it is another program: calls of the system only.
-[[noreturn]] void become(const Start& start, volatile int& error_number) {
+[[noreturn]] void become(const Start& start) {
   struct sigaction usual {};
   usual.sa_handler = SIG_DFL;
   for (int number = 1; number < NSIG; ++number) ::sigaction(number, &usual, nullptr);
@@ -79,15 +79,25 @@ struct Start {
     ::sigprocmask(SIG_SETMASK, &empty, nullptr);
     ::execvp(start.arguments[0], start.arguments);
   }
-  error_number = errno;
+  const int error_number = errno;
+  [[maybe_unused]] const ssize_t told = ::write(start.failed, &error_number, sizeof error_number);
   ::_exit(127);
 }
 
 /// The pages of a large program are not copied; this thread waits until the new process is another program.
-[[gnu::noinline]] pid_t spawn(const Start& start, volatile int& error_number) {
-  const pid_t pid = ::vfork();
-  if (pid == 0) become(start, error_number);
+[[gnu::noinline]] pid_t spawn(const Start& start) {
+  const pid_t pid = ::vfork();  // a fork where the thread sanitizer is in: nothing may rely on the shared memory
+  if (pid == 0) become(start);
   return pid;
+}
+
+/// What the new process could not do, or 0: its side of the pipe is closed when it is another program.
+int failure_of_start(int pipe) {
+  int error_number = 0;
+  ssize_t size = 0;
+  do size = ::read(pipe, &error_number, sizeof error_number);
+  while (size < 0 && errno == EINTR);
+  return size == static_cast<ssize_t>(sizeof error_number) ? error_number : 0;
 }
 
 /// Blocks. Not yet reaped, so that the number of the process is nobody else's.
@@ -104,6 +114,13 @@ void finish(const Child& child) noexcept {
   wait();                       // in vain if its disk hangs
   ::waitpid(child.pid, nullptr, WNOHANG);
   for (const int fd : {child.output, child.errors, child.terminal, child.ended}) ::close(fd);
+}
+
+/// `si_pid` is 0: it runs.
+siginfo_t how_ended(const Child& child) noexcept {
+  siginfo_t how{};
+  if (::waitid(P_PID, static_cast<id_t>(child.pid), &how, WEXITED | WNOHANG | WNOWAIT) != 0) how.si_pid = 0;
+  return how;
 }
 
 /// The threads that wait for the end of programs.
@@ -146,9 +163,11 @@ Result<Child> start_child(const std::vector<std::string>& run, bool prints_to_te
         error_number, what, run.front(),
         error_number == ENOENT ? "check the first word of `run`: it is a program, not a shell's line" : "check `run`");
   };
-  Descriptor master, slave, read_output, write_output, read_errors, write_errors;
+  Descriptor master, slave, read_output, write_output, read_errors, write_errors, read_failed, write_failed;
   const Descriptor input(::open("/dev/null", O_RDONLY | O_CLOEXEC));
-  if (input.fd() < 0 || !open_terminal(master, slave) || !open_pipe(read_errors, write_errors)) return failure(errno);
+  if (input.fd() < 0 || !open_terminal(master, slave) || !open_pipe(read_errors, write_errors) ||
+      !open_pipe(read_failed, write_failed))
+    return failure(errno);
   if (!prints_to_terminal && !open_pipe(read_output, write_output)) return failure(errno);
   if (prints_to_terminal) {
     read_output.set(::fcntl(master.fd(), F_DUPFD_CLOEXEC, 3));
@@ -157,17 +176,19 @@ Result<Child> start_child(const std::vector<std::string>& run, bool prints_to_te
   std::vector<char*> arguments;
   for (const std::string& argument : run) arguments.push_back(const_cast<char*>(argument.c_str()));
   arguments.push_back(nullptr);
-  const Start start{arguments.data(), slave.fd(), input.fd(), prints_to_terminal ? slave.fd() : write_output.fd(),
-                    write_errors.fd()};
+  const Start start{arguments.data(),  slave.fd(),
+                    input.fd(),        prints_to_terminal ? slave.fd() : write_output.fd(),
+                    write_errors.fd(), write_failed.fd()};
   sigset_t all, before;
   ::sigfillset(&all);
   ::pthread_sigmask(SIG_SETMASK, &all, &before);  // no handler of this program runs in the new process
-  volatile int error_number = 0;
-  const pid_t pid = spawn(start, error_number);
+  const pid_t pid = spawn(start);
   const int fork_error = errno;
   ::pthread_sigmask(SIG_SETMASK, &before, nullptr);
   if (pid < 0) return failure(fork_error);
-  if (error_number != 0) {
+  write_failed.set(-1);
+  ::fcntl(read_failed.fd(), F_SETFL, 0);
+  if (const int error_number = failure_of_start(read_failed.fd()); error_number != 0) {
     ::waitpid(pid, nullptr, 0);
     return failure(error_number);
   }
@@ -190,10 +211,14 @@ void end_child(const Child& child) noexcept {
   endings.add(child);
 }
 
+bool has_succeeded(const Child& child) noexcept {
+  const siginfo_t how = how_ended(child);
+  return how.si_pid != 0 && how.si_code == CLD_EXITED && how.si_status == 0;
+}
+
 std::string end_of(const Child& child) {
-  siginfo_t how{};
-  if (::waitid(P_PID, static_cast<id_t>(child.pid), &how, WEXITED | WNOHANG | WNOWAIT) != 0 || how.si_pid == 0)
-    return {};
+  const siginfo_t how = how_ended(child);
+  if (how.si_pid == 0) return {};
   if (how.si_code == CLD_EXITED) return "it has ended with status " + std::to_string(how.si_status);
   const char* const name = ::sigabbrev_np(how.si_status);
   return "it was ended by " + (name != nullptr ? "SIG" + std::string(name) : "signal " + std::to_string(how.si_status));

@@ -26,6 +26,8 @@ Result<Child> start_child(const std::vector<std::string>& run, bool prints_to_te
 /// thread of its own waits for that; the end of this program waits for the thread.
 void end_child(const Child& child) noexcept;
 
+/// True if it has ended with status 0.
+bool has_succeeded(const Child& child) noexcept;
 /// How it has ended, such as "it has ended with status 1"; empty: it runs.
 std::string end_of(const Child& child);
 

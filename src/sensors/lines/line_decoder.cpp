@@ -223,7 +223,7 @@ Result<void> LineDecoder::put_value(std::size_t index, const Leaf& leaf_of_it, s
       }
       to[0] = static_cast<std::byte>(text.size() & 0xff);
       to[1] = static_cast<std::byte>(text.size() >> 8);
-      std::memcpy(to + text_length_bytes, text.data(), text.size());
+      if (!text.empty()) std::memcpy(to + text_length_bytes, text.data(), text.size());
       return {};
     }
     case Kind::character: {
