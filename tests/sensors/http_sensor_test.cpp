@@ -295,8 +295,8 @@ TEST_CASE("US-7 a server that is away is a fault and a gap, and good again when 
   NEEDS_PROGRAM(python);
   Bench bench({}, {.name = "s", .retry_first = 100ms, .retry_longest = 2s});
   std::string gaps;
-  const auto told = bench.loop.topic<GapEvent>(gap_topic).subscribe(
-      bench.loop, [&](const Event<GapEvent>& gap) { gaps += std::string(gap->reason.view()) + " "; });
+  const auto told = bench.loop.subscribe<GapEvent>(
+      gap_topic, [&](const Event<GapEvent>& gap) { gaps += std::string(gap->reason.view()) + " "; });
   bench.server.folder().write("answer", R"({"x": 1})");
   bench.server.become("answer");
   bench.server.kill();

@@ -6,7 +6,7 @@
 ///
 /// One event for each gap that a recording has, of whatever tier; its time is when the gap was closed: with the next
 /// reading, or when the device was back. `#` does not match the topic. It is published once something has subscribed to
-/// it by its type, so that gaps of before are not told; recordings have all of them, in the table rtdata_gap.
+/// it, so that gaps of before are not told; recordings have all of them, in the table rtdata_gap.
 ///
 /// A value. Thread: the main loop's.
 #pragma once

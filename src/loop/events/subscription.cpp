@@ -4,6 +4,7 @@
 #include "data/field_map.hpp"
 #include "loop/core/loop_core.hpp"
 #include "loop/runtime/runtime_core.hpp"
+#include "rtdata/loop/gaps.hpp"
 #include "rtdata/loop/topic.hpp"
 
 namespace rtdata {
@@ -122,6 +123,8 @@ void attach(LoopCore& loop, SubscriptionNode& node, TopicCore* only) {
     throw SetupError({Errc::bad_name, "cannot subscribe", "\"" + node.pattern() + "\"", "not a topic or pattern",
                       "levels are joined by /, + stands for one level, # at the end for all below"});
   }
+  // Gaps are published once their topic is there.
+  if (node.pattern() == gap_topic && runtime.hub == nullptr) runtime.topic(gap_topic, payload_type<GapEvent>());
   std::vector<Error> refused;  // reported at the end, because a report may run user code
   for (const auto& topic : runtime.topics()) {
     if (!topic_matches(node.pattern(), topic->name)) continue;
