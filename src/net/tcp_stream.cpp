@@ -22,6 +22,14 @@ void set_option(int fd, int level, int name, int value) noexcept {
 
 }  // namespace
 
+void keep_alive(int fd) noexcept {
+  set_option(fd, SOL_SOCKET, SO_KEEPALIVE, 1);
+  set_option(fd, IPPROTO_TCP, TCP_KEEPIDLE, 30);
+  set_option(fd, IPPROTO_TCP, TCP_KEEPINTVL, 10);
+  set_option(fd, IPPROTO_TCP, TCP_KEEPCNT, 3);
+  set_option(fd, IPPROTO_TCP, TCP_USER_TIMEOUT, 60'000);  // nor confirms what was sent
+}
+
 TcpStream::TcpStream(LoopCore& loop, std::string owner, std::function<void(const Result<void>&)> opened,
                      std::function<void()> ready)
     : loop_(loop),
@@ -55,12 +63,7 @@ void TcpStream::try_next() {
     fd_ = ::socket(address.socket.ss_family, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
     int status = fd_ < 0 ? errno : 0;
     if (status == 0) {
-      // A peer that vanishes without a word is noticed within a minute, also when there is nothing to send.
-      set_option(fd_, SOL_SOCKET, SO_KEEPALIVE, 1);
-      set_option(fd_, IPPROTO_TCP, TCP_KEEPIDLE, 30);
-      set_option(fd_, IPPROTO_TCP, TCP_KEEPINTVL, 10);
-      set_option(fd_, IPPROTO_TCP, TCP_KEEPCNT, 3);
-      set_option(fd_, IPPROTO_TCP, TCP_USER_TIMEOUT, 60'000);  // nor confirms what was sent
+      keep_alive(fd_);
       if (::connect(fd_, address.get(), address.size) != 0) status = errno;
     }
     if (status == 0 || status == EINPROGRESS) {

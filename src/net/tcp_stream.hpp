@@ -18,6 +18,9 @@
 
 namespace rtdata::detail {
 
+/// A peer that vanishes without a word is noticed within a minute, also when there is nothing to send.
+void keep_alive(int fd) noexcept;
+
 /// Owner: the node whose stream it is. Thread: the loop's.
 class TcpStream {
  public:

@@ -1,11 +1,18 @@
 // Lines over TCP, from a server as a test scripts it.
 #include "rtdata/sensors/tcp_lines.hpp"
 
+#include <arpa/inet.h>
 #include <doctest/doctest.h>
+#include <netinet/in.h>
+#include <sys/socket.h>
+#include <unistd.h>
 
 #include <atomic>
+#include <cerrno>
 #include <string>
+#include <string_view>
 #include <thread>
+#include <utility>
 #include <vector>
 
 #include "has.hpp"
@@ -19,7 +26,155 @@ using namespace rtdata;
 using rtdata::test::has;
 using namespace std::chrono_literals;
 
+namespace {
+
+/// A device that connects to this machine.
+class Caller {
+ public:
+  explicit Caller(std::uint16_t port, const char* from = "127.0.0.1")
+      : fd_(::socket(AF_INET, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0)) {
+    sockaddr_in address{};
+    address.sin_family = AF_INET;
+    ::inet_pton(AF_INET, from, &address.sin_addr);
+    REQUIRE(::bind(fd_, reinterpret_cast<const sockaddr*>(&address), sizeof address) == 0);
+    ::inet_pton(AF_INET, "127.0.0.1", &address.sin_addr);
+    address.sin_port = htons(port);
+    const int status = ::connect(fd_, reinterpret_cast<const sockaddr*>(&address), sizeof address);
+    REQUIRE((status == 0 || errno == EINPROGRESS));
+  }
+  Caller(const Caller&) = delete;
+  Caller& operator=(const Caller&) = delete;
+  ~Caller() { ::close(fd_); }
+  void send(std::string_view bytes) const {
+    for (int i = 0; i < 2000; ++i) {
+      if (::send(fd_, bytes.data(), bytes.size(), MSG_NOSIGNAL) == static_cast<ssize_t>(bytes.size())) return;
+      std::this_thread::sleep_for(1ms);
+    }
+    FAIL_CHECK("nothing was sent");
+  }
+  /// What has come; "end": the other side has closed.
+  std::string received() const {
+    char bytes[256];
+    const ssize_t got = ::recv(fd_, bytes, sizeof bytes, 0);
+    if (got > 0) return {bytes, static_cast<std::size_t>(got)};
+    return got == 0 || (errno != EAGAIN && errno != ENOTCONN) ? "end" : "";
+  }
+
+ private:
+  const int fd_;
+};
+
+std::uint16_t free_tcp_port() {
+  const FakeGpsd one;
+  return one.port();
+}
+
+struct CallerBench {
+  explicit CallerBench(TcpLinesConfig config) {
+    be_quiet(loop);
+    config.listen = "127.0.0.1";
+    config.lines.fields = {{.name = "v"}};
+    config.lines.retry_first = config.lines.retry_longest = 10ms;
+    heard = loop.subscribe("t", [this](const EventView& event) {
+      events.push_back(to_string(event.value(event.description().leaves()[0])));
+    });
+    sensor = TcpLines(loop, {.name = "t"}, std::move(config));
+    sensor.on_error([this](const ErrorReport& report) { errors.push_back(report.error.why); });
+  }
+  template <class Done>
+  bool until(Done done) {
+    for (int i = 0; i < 20000; ++i) {
+      if (done()) return true;
+      loop.run_for(1ms);
+    }
+    return false;
+  }
+  Loop loop;
+  std::vector<std::string> events, errors;
+  Subscription heard;
+  TcpLines sensor;
+};
+
+}  // namespace
+
 TEST_SUITE("sensors") {
+  TEST_CASE("US-17 US-7 a device that connects to this machine: its lines, its end, its second start") {
+    const std::uint16_t port = free_tcp_port();
+    CallerBench bench({.port = port, .at_open = {"go\n"}});
+    CHECK(bench.sensor.health() == Health::faulted);  // nobody has connected
+    {
+      const Caller device(port);
+      device.send("1\n2\n3");
+      REQUIRE(bench.until([&] { return bench.events.size() == 2; }));
+      CHECK(bench.sensor.health() == Health::ok);
+      std::string told;
+      REQUIRE(bench.until([&] { return has(told += device.received(), "go\n"); }));
+    }
+    REQUIRE(bench.until([&] { return bench.errors.size() >= 2; }));
+    CHECK(bench.errors[0] == "1 byte came without an end");
+    CHECK(bench.errors[1] == "the device has ended it");
+    CHECK(bench.sensor.health() == Health::faulted);
+
+    const Caller before(port);
+    before.send("4\n");
+    REQUIRE(bench.until([&] { return bench.events.size() == 3; }));
+    const Caller after(port);  // it was switched off and on
+    after.send("5\n");
+    REQUIRE(bench.until([&] { return bench.events.size() == 4; }));
+    CHECK(bench.errors.back() == "another connection was made, and nothing has come on this one for 1 s");
+    REQUIRE(bench.until([&] { return before.received() == "end"; }));
+
+    const Caller stranger(port);  // while the first one sends
+    std::size_t sent = 5;
+    REQUIRE(bench.until([&] {
+      after.send("6\n");
+      ++sent;
+      return stranger.received() == "end";
+    }));
+    CHECK(bench.errors.back() == "another device connects while one sends");
+    REQUIRE(bench.until([&] { return bench.events.size() == sent - 1; }));
+    bench.sensor.close();
+    CHECK(bench.loop.runtime().balances());
+    const TcpLines again(bench.loop, {.name = "again"},
+                         {.port = port, .listen = "127.0.0.1", .lines = {.fields = {{.name = "v"}}}});
+    CHECK(again.health() == Health::faulted);
+    const Caller late(port);  // the port was given back, and is taken again
+    late.send("7\n");
+    REQUIRE(bench.until([&] { return again.health() == Health::ok; }));
+  }
+
+  TEST_CASE("US-17 a sensor that listens: a port that is taken, a device that is not meant, what cannot work") {
+    FakeGpsd other;
+    const std::uint16_t port = other.port();
+    CallerBench bench({.port = port, .from = "127.0.0.2"});
+    REQUIRE(bench.until([&] { return !bench.errors.empty(); }));
+    CHECK(has(bench.errors.front(), "in use"));
+    other.vanish();
+    REQUIRE(bench.until([&] { return bench.errors.back() == "no device has connected yet"; }));
+    const Caller stranger(port);
+    REQUIRE(bench.until([&] { return stranger.received() == "end"; }));
+    CHECK(bench.errors.back() == "it was not made by `from`");
+    const Caller meant(port, "127.0.0.2");
+    meant.send("1\n");
+    REQUIRE(bench.until([&] { return bench.events.size() == 1; }));
+    bench.sensor.stop();
+    REQUIRE(bench.until([&] { return meant.received() == "end"; }));
+    bench.sensor.start();
+    const Caller again(port, "127.0.0.2");
+    again.send("2\n");
+    REQUIRE(bench.until([&] { return bench.events.size() == 2; }));
+    const auto refused = [&](TcpLinesConfig config) {
+      config.lines.fields = {{.name = "v"}};
+      config.port = 1;
+      CHECK_THROWS_AS(TcpLines(bench.loop, {.name = "x"}, std::move(config)), SetupError);
+    };
+    refused({});
+    refused({.host = "127.0.0.1", .listen = "0.0.0.0"});
+    refused({.listen = "localhost"});
+    refused({.host = "127.0.0.1", .from = "127.0.0.1"});
+    refused({.listen = "0.0.0.0", .from = "::1"});
+  }
+
   TEST_CASE("US-17 US-7 a device behind a TCP port: its lines, its end, its return, and what it is told at first") {
     FakeGpsd server;
     Loop loop;

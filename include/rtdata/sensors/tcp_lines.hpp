@@ -7,9 +7,15 @@
 /// Each line becomes one event; lines.hpp says how lines are read. The connection is made and kept on the loop; only
 /// names of hosts are looked up on a lane.
 ///
+/// With `listen` the device connects to this machine: {.port = 5000, .listen = "0.0.0.0"}. There is one connection at a
+/// time. When another is made, and nothing comes on the first for 1 s, the device has started again, and the new one is
+/// used; else the new one is closed, which is told.
+///
 /// - If the device refuses the connection, does not answer within `connect_timeout`, or ends it, the sensor is faulted
 ///   and connects again after `retry_first`, doubling to `retry_longest`. The time without it is a gap (disconnected).
 /// - A device that vanishes without a word is noticed after about a minute, or after `silence`.
+/// - While no device is connected to a sensor that listens, it is faulted, and there is a gap (disconnected). If its port
+///   is taken, it tries again in the same way.
 /// - `at_open` is sent after each connection, such as a request to begin.
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's.
@@ -24,20 +30,28 @@
 namespace rtdata {
 
 struct TcpLinesConfig {
-  std::string host = {};  ///< a name or an address
+  std::string host = {};  ///< a name or an address; empty with `listen`
   std::uint16_t port = 0;
+  std::string listen = {};  ///< an address of this machine, to which the device connects: "127.0.0.1", "0.0.0.0"
+  std::string from = {};    ///< with `listen`: the address of the only device that may connect; empty: any
   Duration connect_timeout = std::chrono::seconds{5};
   std::vector<std::string> at_open = {};  ///< sent after each connection, in order, with their ends
   LineConfig lines = {.retry_first = std::chrono::seconds{1}};
 
   friend constexpr auto parameters(type_tag<TcpLinesConfig>) {
     using namespace std::chrono_literals;
-    return parameter_list(parameter("host", &TcpLinesConfig::host, "name or address of the device", rtdata::required),
-                          parameter("port", &TcpLinesConfig::port, "its TCP port", range(1, 65535), rtdata::required),
-                          parameter("connect_timeout", &TcpLinesConfig::connect_timeout,
-                                    "how long it may take to connect", range(Duration{10ms}, Duration{1min})),
-                          parameter("at_open", &TcpLinesConfig::at_open, "what is sent after each connection"),
-                          include_member(&TcpLinesConfig::lines));
+    return parameter_list(
+        parameter("host", &TcpLinesConfig::host, "name or address of the device"),
+        parameter("port", &TcpLinesConfig::port, "its TCP port; with `listen`, that of this machine", range(1, 65535),
+                  rtdata::required),
+        parameter("listen", &TcpLinesConfig::listen,
+                  "instead of `host`: the address of this machine to which the device connects, "
+                  "\"0.0.0.0\" for all of them"),
+        parameter("from", &TcpLinesConfig::from, "with `listen`: the address of the only device that may connect"),
+        parameter("connect_timeout", &TcpLinesConfig::connect_timeout, "how long it may take to connect",
+                  range(Duration{10ms}, Duration{1min})),
+        parameter("at_open", &TcpLinesConfig::at_open, "what is sent after each connection"),
+        include_member(&TcpLinesConfig::lines));
   }
 };
 

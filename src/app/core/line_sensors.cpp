@@ -45,9 +45,14 @@ void add_line_sensors(Registry& registry) {
       [](PartPlan&, const CommandConfig&) {},
       {.notes = recipes, .aliases = "script python program exec shell stdout rtl_433 rtl-433 ping nvidia-smi"});
   registry.add_sensor<TcpLinesConfig>(
-      "tcp", "a device that sends lines over a TCP connection, such as an ESP32 or ser2net",
+      "tcp", "a device that sends lines over a TCP connection, such as an ESP32 or ser2net; it may call this machine",
       [](const TcpLinesConfig& config) { return description_of_lines(config.lines); }, makes<TcpLines>,
-      [](PartPlan&, const TcpLinesConfig&) {}, {.aliases = "socket network wifi esp32 ser2net telnet nmea"});
+      [](PartPlan& plan, const TcpLinesConfig& config) {
+        if (!config.listen.empty())
+          plan.place = {"TCP port", std::to_string(config.port) + " of " + config.listen,
+                        "give each a port of its own"};
+      },
+      {.aliases = "socket network wifi esp32 ser2net telnet nmea server"});
   registry.add_sensor<UdpLinesConfig>(
       "udp", "devices that send lines or frames by UDP to this machine",
       [](const UdpLinesConfig& config) { return description_of_lines(config.lines); }, makes<UdpLines>,

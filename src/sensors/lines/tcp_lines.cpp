@@ -1,30 +1,86 @@
 #include "rtdata/sensors/tcp_lines.hpp"
 
+#include <sys/socket.h>
 #include <unistd.h>
 
+#include <cerrno>
+#include <optional>
 #include <string>
 #include <utility>
 
+#include "net/ip_address.hpp"
 #include "net/tcp_stream.hpp"
 #include "rtdata/data/config_item.hpp"
 #include "sensors/lines/line_node.hpp"
 
 namespace rtdata {
 namespace detail {
+namespace {
 
-class TcpLinesNode final : public LineNode {
+constexpr Duration silence_of_the_old = std::chrono::seconds{1};  // then a new connection replaces it
+
+std::string place_of(const TcpLinesConfig& config) {
+  return (config.listen.empty() ? config.host : config.listen) + " port " + std::to_string(config.port);
+}
+
+/// The device connects to this machine: its connection begins with a line.
+LineConfig lines_of(TcpLinesConfig& config) {
+  if (!config.listen.empty()) config.lines.first_line = FirstLine::keep;
+  return std::move(config.lines);
+}
+
+Result<int> listen_at(const IpAddress& address, const std::string& place) {
+  const int fd = ::socket(address.storage.ss_family, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
+  const int on = 1;
+  if (fd >= 0 && ::setsockopt(fd, SOL_SOCKET, SO_REUSEADDR, &on, sizeof on) == 0 &&
+      ::bind(fd, address.get(), address.size) == 0 && ::listen(fd, 4) == 0)
+    return fd;
+  const int number = errno;
+  if (fd >= 0) ::close(fd);
+  return system_error(number, "cannot listen on this port", place,
+                      number == EADDRINUSE ? "another program, or another sensor, has this port: `ss -tlp` shows which"
+                                           : "check `listen` and `port`");
+}
+
+std::optional<AddressMistake> mistake_in_tcp(const TcpLinesConfig& config) {
+  if (!config.listen.empty()) {
+    if (!config.host.empty()) return AddressMistake{"listen", "there is a `host` too; remove one of them"};
+    return mistake_in_addresses("listen", config.listen, config.from);
+  }
+  if (config.host.empty()) return AddressMistake{"host", "there is no `host`, nor an address to `listen` at"};
+  if (std::string why = obstacle_of_host(config.host); !why.empty()) return AddressMistake{"host", std::move(why)};
+  if (!config.from.empty()) return AddressMistake{"from", "it is for sensors that `listen`"};
+  return std::nullopt;
+}
+
+}  // namespace
+
+/// Sensors whose lines come by a TCP connection.
+class TcpLinesNode : public LineNode {
+ protected:
+  TcpLinesNode(LoopCore& loop, const FeedConfig& feed, TcpLinesConfig& config)
+      : LineNode(loop, feed, lines_of(config), place_of(config), "check what the device sends") {
+    set_stream();
+  }
+  void close_source(int fd) noexcept override { ::close(fd); }
+  void source_ended(int error_number) override { lose(lost(error_number), loop()->now()); }
+  Error lost(int error_number) const {
+    constexpr const char* what = "lost the connection";
+    if (error_number == 0) return {Errc::disconnected, what, place(), "the device has ended it", "check the device"};
+    return system_error(error_number, what, place(), "check the device and the network");
+  }
+};
+
+class TcpClientNode final : public TcpLinesNode {
  public:
-  TcpLinesNode(LoopCore& loop, const FeedConfig& feed, TcpLinesConfig config)
-      : LineNode(loop, feed, std::move(config.lines), config.host + " port " + std::to_string(config.port),
-                 "check what the device sends"),
+  TcpClientNode(LoopCore& loop, const FeedConfig& feed, TcpLinesConfig config)
+      : TcpLinesNode(loop, feed, config),
         host_(std::move(config.host)),
         port_(config.port),
         limit_(config.connect_timeout),
         at_open_(std::move(config.at_open)),
         stream_(
-            loop, "sensor " + feed.name, [this](const Result<void>& done) { connected(done); }, [] {}) {
-    set_stream();
-  }
+            loop, "sensor " + feed.name, [this](const Result<void>& done) { connected(done); }, [] {}) {}
 
  private:
   void open_stream() override { stream_.connect(host_, port_, limit_); }
@@ -32,18 +88,11 @@ class TcpLinesNode final : public LineNode {
     stream_.close();
     LineNode::close_stream();
   }
-  void close_source(int fd) noexcept override { ::close(fd); }
   void connected(const Result<void>& done) {
     if (!done) return take(done.error());
     for (const std::string& text : at_open_)
       if (!stream_.send(text)) return take(lost(0));
     take(stream_.release());
-  }
-  void source_ended(int error_number) override { lose(lost(error_number), loop()->now()); }
-  Error lost(int error_number) const {
-    constexpr const char* what = "lost the connection";
-    if (error_number == 0) return {Errc::disconnected, what, place(), "the device has ended it", "check the device"};
-    return system_error(error_number, what, place(), "check the device and the network");
   }
 
   const std::string host_;
@@ -53,12 +102,109 @@ class TcpLinesNode final : public LineNode {
   TcpStream stream_;
 };
 
+class TcpServerNode final : public TcpLinesNode {
+ public:
+  TcpServerNode(LoopCore& loop, const FeedConfig& feed, TcpLinesConfig config)
+      : TcpLinesNode(loop, feed, config),
+        address_(*ip_address(config.listen, config.port)),
+        at_open_(std::move(config.at_open)),
+        later_(loop.face, [this] { choose(); }) {
+    if (!config.from.empty()) from_ = ip_address(config.from, 0);
+  }
+  void stop_schedule(MonotonicTime end) override {
+    LineNode::stop_schedule(end);
+    end_listening();
+  }
+
+ private:
+  /// Also called again and again while no device is connected.
+  void open_stream() override {
+    if (listener_ >= 0) return;
+    const Result<int> fd = listen_at(address_, place());
+    if (!fd) return take(fd.error());
+    listener_ = *fd;
+    watch_connections();
+    lose({Errc::disconnected, "there is no connection", place(), "no device has connected yet",
+          "is it on, and does it connect to this address?"},
+         loop()->now());
+  }
+  void close_stream() noexcept override {
+    LineNode::close_stream();
+    if (!is_running()) end_listening();
+  }
+  void on_close() noexcept override {
+    LineNode::on_close();
+    later_.close();
+  }
+  void end_listening() noexcept {
+    later_.stop();
+    connections_.close();  // before the descriptor
+    if (listener_ >= 0) ::close(listener_);
+    listener_ = -1;
+  }
+  void watch_connections() {
+    connections_ = FdWatch(loop()->face, listener_, FdWatch::readable, object_name(),
+                           [this](const FdEvent&) { has_source() ? look_later() : take_connection(); });
+  }
+  /// The connection waits in the kernel.
+  void look_later() {
+    connections_.close();
+    later_.start(silence_of_the_old);
+  }
+  void choose() {
+    Call call(*this);
+    watch_connections();
+    if (!has_source()) return;
+    if (loop()->now() - heard_at() >= silence_of_the_old) {
+      return lose({Errc::disconnected, "lost the connection", place(),
+                   "another connection was made, and nothing has come on this one for 1 s", "the new one is used"},
+                  loop()->now());
+    }
+    const int fd = ::accept4(listener_, nullptr, nullptr, SOCK_CLOEXEC);
+    if (fd < 0) return;
+    ::close(fd);
+    report({Errc::busy, "closed a connection", place(), "another device connects while one sends",
+            "give each device a sensor and a port of its own"});
+  }
+  void take_connection() {
+    Call call(*this);
+    IpAddress peer;
+    peer.size = sizeof peer.storage;
+    const int fd = ::accept4(listener_, reinterpret_cast<sockaddr*>(&peer.storage), &peer.size,
+                             SOCK_NONBLOCK | SOCK_CLOEXEC);
+    if (fd < 0) {
+      const int number = errno;
+      if (number == EAGAIN || number == EINTR || number == ECONNABORTED) return;
+      look_later();  // no descriptors, no memory
+      return report(system_error(number, "cannot take a connection", place(), ""));
+    }
+    if (from_ && !from_->is_same_host(peer)) {
+      ::close(fd);
+      return report({Errc::not_permitted, "closed a connection", place(), "it was not made by `from`", ""});
+    }
+    keep_alive(fd);
+    for (const std::string& text : at_open_) {
+      if (::send(fd, text.data(), text.size(), MSG_NOSIGNAL) == static_cast<ssize_t>(text.size())) continue;
+      ::close(fd);
+      return report(lost(0));
+    }
+    take(fd);
+  }
+
+  const IpAddress address_;
+  std::optional<IpAddress> from_;
+  const std::vector<std::string> at_open_;
+  FdWatch connections_;
+  Timer later_;
+  int listener_ = -1;
+};
+
 }  // namespace detail
 
 void check_config(const TcpLinesConfig& config, const ConfigItem& item, Problems& problems) {
-  if (const std::string why = detail::obstacle_of_host(config.host); !why.empty()) {
-    const ConfigItem* const at = item.find("host");
-    problems.add((at != nullptr ? *at : item).problem("bad-value", why));
+  if (const auto mistake = detail::mistake_in_tcp(config)) {
+    const ConfigItem* const at = item.find(mistake->key);
+    problems.add((at != nullptr ? *at : item).problem(at != nullptr ? "bad-value" : "missing-key", mistake->why));
   }
   check_config(config.lines, item, problems);
 }
@@ -69,11 +215,16 @@ TcpLines::TcpLines(Loop& loop, FeedConfig feed, TcpLinesConfig config) {
   const auto refuse = [&](std::string why, const char* what_helps) {
     throw SetupError({Errc::bad_argument, "cannot connect", "sensor " + feed.name, std::move(why), what_helps});
   };
-  if (std::string why = detail::obstacle_of_host(config.host); !why.empty()) refuse(std::move(why), "set `host`");
+  if (auto mistake = detail::mistake_in_tcp(config))
+    refuse(mistake->key + (": " + mistake->why), "set `host` or `listen`");
   if (config.port == 0) refuse("there is no port", "set `port`");
   detail::check_source(config.lines, feed.name);
   const bool starts = config.lines.start;
-  auto* node = new detail::TcpLinesNode(loop.core(), feed, std::move(config));
+  detail::LineNode* node = nullptr;
+  if (config.listen.empty())
+    node = new detail::TcpClientNode(loop.core(), feed, std::move(config));
+  else
+    node = new detail::TcpServerNode(loop.core(), feed, std::move(config));
   TcpLines made(node);
   if (starts) node->start();
   *this = std::move(made);

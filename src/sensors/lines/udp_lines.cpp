@@ -1,6 +1,5 @@
 #include "rtdata/sensors/udp_lines.hpp"
 
-#include <arpa/inet.h>
 #include <netinet/in.h>
 #include <sys/socket.h>
 #include <unistd.h>
@@ -12,6 +11,7 @@
 #include <string>
 #include <utility>
 
+#include "net/ip_address.hpp"
 #include "rtdata/data/config_item.hpp"
 #include "sensors/lines/line_node.hpp"
 
@@ -23,53 +23,6 @@ namespace {
 constexpr std::size_t most_turn_bytes = 512;
 constexpr int most_turn_datagrams = 16;
 constexpr int buffer_size = 1 << 20;  // of the kernel, which may give less
-
-struct IpAddress {
-  sockaddr_storage storage{};
-  socklen_t size = 0;
-  bool is_v6() const noexcept { return storage.ss_family == AF_INET6; }
-  const sockaddr_in& v4() const noexcept { return reinterpret_cast<const sockaddr_in&>(storage); }
-  const sockaddr_in6& v6() const noexcept { return reinterpret_cast<const sockaddr_in6&>(storage); }
-  bool is_group() const noexcept {
-    return is_v6() ? IN6_IS_ADDR_MULTICAST(&v6().sin6_addr) : IN_MULTICAST(ntohl(v4().sin_addr.s_addr));
-  }
-  bool is_same_host(const IpAddress& other) const noexcept {
-    if (storage.ss_family != other.storage.ss_family) return false;
-    return is_v6() ? std::memcmp(&v6().sin6_addr, &other.v6().sin6_addr, sizeof(in6_addr)) == 0
-                   : v4().sin_addr.s_addr == other.v4().sin_addr.s_addr;
-  }
-};
-
-std::optional<IpAddress> ip_address(const std::string& text, std::uint16_t port) {
-  IpAddress address;
-  auto& v4 = reinterpret_cast<sockaddr_in&>(address.storage);
-  auto& v6 = reinterpret_cast<sockaddr_in6&>(address.storage);
-  if (::inet_pton(AF_INET, text.c_str(), &v4.sin_addr) == 1) {
-    v4.sin_family = AF_INET;
-    v4.sin_port = htons(port);
-    address.size = sizeof v4;
-    return address;
-  }
-  if (::inet_pton(AF_INET6, text.c_str(), &v6.sin6_addr) != 1) return std::nullopt;
-  v6.sin6_family = AF_INET6;
-  v6.sin6_port = htons(port);
-  address.size = sizeof v6;
-  return address;
-}
-
-struct UdpMistake {
-  const char* key;
-  std::string why;
-};
-std::optional<UdpMistake> mistake_in_udp(const UdpLinesConfig& config) {
-  const auto address = ip_address(config.address, config.port);
-  if (!address) return UdpMistake{"address", "\"" + config.address + "\" is no address of IP, such as 0.0.0.0"};
-  if (config.from.empty()) return std::nullopt;
-  const auto from = ip_address(config.from, 0);
-  if (!from) return UdpMistake{"from", "\"" + config.from + "\" is no address of IP, such as 192.168.1.7"};
-  if (from->is_v6() != address->is_v6()) return UdpMistake{"from", "it is of another kind than `address`"};
-  return std::nullopt;
-}
 
 /// A socket that hears there, and does not block.
 Result<int> open_udp(const IpAddress& address, const std::string& place) {
@@ -84,7 +37,7 @@ Result<int> open_udp(const IpAddress& address, const std::string& place) {
   ::setsockopt(fd, SOL_SOCKET, SO_RXQ_OVFL, &on, sizeof on);
   ::setsockopt(fd, SOL_SOCKET, SO_RCVBUF, &buffer_size, sizeof buffer_size);
   if (address.is_group()) ::setsockopt(fd, SOL_SOCKET, SO_REUSEADDR, &on, sizeof on);  // others may hear it too
-  if (::bind(fd, reinterpret_cast<const sockaddr*>(&address.storage), address.size) != 0)
+  if (::bind(fd, address.get(), address.size) != 0)
     return failed(errno == EADDRINUSE ? "another program, or another sensor, has this port: `ss -ulp` shows which"
                                       : "check `address` and `port`");
   if (!address.is_group()) return fd;
@@ -198,7 +151,7 @@ class UdpLinesNode final : public LineNode {
 }  // namespace detail
 
 void check_config(const UdpLinesConfig& config, const ConfigItem& item, Problems& problems) {
-  if (const auto mistake = detail::mistake_in_udp(config)) {
+  if (const auto mistake = detail::mistake_in_addresses("address", config.address, config.from)) {
     const ConfigItem* const at = item.find(mistake->key);
     problems.add((at != nullptr ? *at : item).problem("bad-value", mistake->why));
   }
@@ -212,7 +165,8 @@ UdpLines::UdpLines(Loop& loop, FeedConfig feed, UdpLinesConfig config) {
     throw SetupError({Errc::bad_argument, "cannot hear on this port", "sensor " + feed.name, std::move(why),
                       "check `address`, `port` and `from`"});
   };
-  if (auto mistake = detail::mistake_in_udp(config)) refuse(mistake->key + (": " + mistake->why));
+  if (auto mistake = detail::mistake_in_addresses("address", config.address, config.from))
+    refuse(mistake->key + (": " + mistake->why));
   if (config.port == 0) refuse("there is no port");
   detail::check_source(config.lines, feed.name);
   const bool starts = config.lines.start;
