@@ -1,6 +1,7 @@
 #include "rtdata/outputs/serial.hpp"
 
 #include <poll.h>
+#include <sys/socket.h>
 #include <unistd.h>
 
 #include <array>
@@ -8,16 +9,18 @@
 #include <chrono>
 #include <map>
 #include <mutex>
+#include <optional>
 #include <string_view>
 
 #include "data/hex_bytes.hpp"
+#include "io/stream_line.hpp"
 #include "io/tty.hpp"
 #include "outputs/set_text.hpp"
 
 namespace rtdata {
 namespace {
 
-constexpr const char* cannot_set_serial = "cannot set the device on the serial line";
+constexpr const char* cannot_set_serial = "cannot set the device";
 constexpr const char* not_bytes = "these are not bytes: two hexadecimal digits each, such as \"a0 01 00 a1\"";
 using Deadline = std::chrono::steady_clock::time_point;
 
@@ -64,11 +67,33 @@ Unsent& unsent() {
   return all;
 }
 
+struct PlaceMistake {
+  const char* key;
+  const char* why;
+};
+std::optional<PlaceMistake> mistake_in_output_place(const SerialActuatorConfig& config) {
+  if (config.device.empty() && config.host.empty())
+    return PlaceMistake{"device", "there is neither a `device` nor a `host`; set one of them"};
+  if (!config.device.empty() && !config.host.empty())
+    return PlaceMistake{"host", "there is a `device` too; remove one of them"};
+  if (!config.host.empty() && config.port == 0)
+    return PlaceMistake{"port", "there is no `port`, such as 5025 for SCPI"};
+  if (config.host.empty() && config.port != 0) return PlaceMistake{"port", "a serial device has none; leave it out"};
+  const SerialSettings& serial = config.serial;
+  if (!config.host.empty() && (serial.dtr || serial.rts || serial.hangup || serial.rs485))
+    return PlaceMistake{"host", "`dtr`, `rts`, `hangup` and `rs485` are of a serial device; leave them out"};
+  return std::nullopt;
+}
+
 }  // namespace
 
 void SerialActuatorConfig::check(const SerialActuatorConfig& config, const ConfigItem& item, Problems& problems) {
   check_config(config.serial, item, problems);
   detail::check_words(config.words, item, problems);
+  if (const auto mistake = mistake_in_output_place(config)) {
+    const ConfigItem* const at = item.find(mistake->key);
+    problems.add((at != nullptr ? *at : item).problem(at != nullptr ? "bad-value" : "missing-key", mistake->why));
+  }
   const auto refuse = [&](const char* key, std::string why) {
     const ConfigItem* const at = item.find(key);
     problems.add((at != nullptr ? *at : item).problem("bad-value", std::move(why)));
@@ -94,6 +119,7 @@ void SerialActuatorConfig::check(const SerialActuatorConfig& config, const Confi
 
 SerialActuator::SerialActuator(SerialActuatorConfig config)
     : config_(std::move(config)),
+      place_(config_.host.empty() ? config_.device : config_.host + " port " + std::to_string(config_.port)),
       answer_(config_.answer.empty() ? detail::bytes_of_hex(config_.answer_hex).value_or("") : config_.answer) {}
 
 Result<std::string> SerialActuator::text_of(double value) const {
@@ -102,16 +128,20 @@ Result<std::string> SerialActuator::text_of(double value) const {
   const auto word = config_.words_hex.find(number);
   if (word != config_.words_hex.end())
     if (auto bytes = detail::bytes_of_hex(word->second)) return *std::move(bytes);
-  return Error{Errc::bad_argument, cannot_set_serial, config_.device, "`words_hex` has no bytes for " + number,
-               "add them"};
+  return Error{Errc::bad_argument, cannot_set_serial, place_, "`words_hex` has no bytes for " + number, "add them"};
 }
 
 SerialActuator::~SerialActuator() {
-  if (fd_ >= 0) detail::close_tty(fd_);
+  if (fd_ < 0) return;
+  if (config_.host.empty())
+    detail::close_tty(fd_);
+  else
+    ::close(fd_);
 }
 
 Result<void> SerialActuator::open(std::optional<double> value) {
-  const Result<int> opened = detail::open_tty(config_.device, config_.serial);
+  const Result<int> opened = config_.host.empty() ? detail::open_tty(config_.device, config_.serial)
+                                                  : detail::connect_to(config_.host, config_.port, config_.timeout);
   if (!opened) return opened.error();
   fd_ = *opened;
   return value ? set(*value) : Result<void>();
@@ -120,29 +150,32 @@ Result<void> SerialActuator::open(std::optional<double> value) {
 Result<void> SerialActuator::set(double value) {
   const Deadline until = std::chrono::steady_clock::now() + config_.timeout;
   const auto late = [&](std::string why) {
-    return Error{Errc::timed_out, cannot_set_serial, config_.device, std::move(why),
-                 "check the device and its settings"};
+    return Error{Errc::timed_out, cannot_set_serial, place_, std::move(why), "check the device and its settings"};
   };
   const auto failed = [&] {
-    if (errno == EIO || errno == ENXIO || errno == ENODEV)
-      return Error{Errc::disconnected, cannot_set_serial, config_.device, "the device has gone", ""};
-    return system_error(errno, cannot_set_serial, config_.device);
+    if (errno == EIO || errno == ENXIO || errno == ENODEV || errno == EPIPE || errno == ECONNRESET) return gone();
+    return system_error(errno, cannot_set_serial, place_);
   };
   const Result<std::string> wanted = text_of(value);
   if (!wanted) return wanted.error();
   drop_input(fd_);
-  const std::string before = unsent().take(config_.device);
+  const bool is_socket = !config_.host.empty();
+  const std::string before = is_socket ? std::string() : unsent().take(place_);
   const std::string text = before + *wanted;
   for (std::string_view rest = text; !rest.empty();) {
-    const ssize_t wrote = ::write(fd_, rest.data(), rest.size());
+    const ssize_t wrote = is_socket ? ::send(fd_, rest.data(), rest.size(), MSG_NOSIGNAL)
+                                    : ::write(fd_, rest.data(), rest.size());
     if (wrote > 0) rest.remove_prefix(static_cast<std::size_t>(wrote));
     if (wrote >= 0 || errno == EINTR) continue;
     if (errno != EAGAIN) return failed();
     if (wait_for(fd_, POLLOUT, until)) continue;
     // A text that was not begun need not be completed.
     const std::size_t sent = text.size() - rest.size();
-    if (sent != 0 || !before.empty())
-      unsent().keep(config_.device, sent > before.size() ? rest : std::string_view(before).substr(sent));
+    if (is_socket) {  // the rest would be part of the next text
+      ::shutdown(fd_, SHUT_RDWR);
+    } else if (sent != 0 || !before.empty()) {
+      unsent().keep(place_, sent > before.size() ? rest : std::string_view(before).substr(sent));
+    }
     return late("it takes nothing");
   }
   if (answer_.empty()) return {};
@@ -152,7 +185,7 @@ Result<void> SerialActuator::set(double value) {
       return late("it did not answer `" + (config_.answer.empty() ? config_.answer_hex : config_.answer) + "`");
     std::array<char, 256> buffer;
     const ssize_t size = ::read(fd_, buffer.data(), buffer.size());
-    if (size == 0) return Error{Errc::disconnected, cannot_set_serial, config_.device, "the device has gone", ""};
+    if (size == 0) return gone();
     if (size < 0 && errno != EAGAIN && errno != EINTR) return failed();
     if (size > 0) got.append(buffer.data(), static_cast<std::size_t>(size));
     if (got.size() > 65536) got.erase(0, got.size() - 4096);
@@ -161,9 +194,15 @@ Result<void> SerialActuator::set(double value) {
 }
 
 Result<void> SerialActuator::check() {
-  pollfd one{fd_, 0, 0};  // what is told without being asked for: that it was hung up
+  pollfd one{fd_, POLLRDHUP, 0};  // that it was hung up is told without being asked for
   if (::poll(&one, 1, 0) <= 0) return {};
-  return Error{Errc::disconnected, cannot_set_serial, config_.device, "the device has gone", "plug it in again"};
+  return gone();
+}
+
+Error SerialActuator::gone() const {
+  return {Errc::disconnected, cannot_set_serial, place_,
+          config_.host.empty() ? "the device has gone" : "the device has ended the connection",
+          config_.host.empty() ? "plug it in again" : "check the device and the network"};
 }
 
 }  // namespace rtdata

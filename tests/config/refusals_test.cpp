@@ -63,6 +63,7 @@ const std::map<std::string, std::string> right_sinks{{"sqlite", R"({"type": "sql
 
 // None of their devices is there: what is away is not what `check` could know.
 const std::map<std::string, std::string> right_outputs{
+    {"command", R"({"name": "o", "type": "command", "run": ["true", "{value}"]})"},
     {"gpio", R"({"name": "o", "type": "gpio", "line": "no-such-line", "on": "other", "expression": "running > 1"})"},
     {"http", R"({"name": "o", "type": "http", "url": "http://127.0.0.1:9/{value}", "timeout": "10 ms"})"},
     {"mqtt", R"({"name": "o", "type": "mqtt", "host": "127.0.0.1", "port": 1, "to": "a", "timeout": "10 ms"})"},

@@ -11,10 +11,12 @@
 
 #include "has.hpp"
 #include "outputs/terminal.hpp"
+#include "rtdata/outputs/command.hpp"
 #include "rtdata/outputs/gpio.hpp"
 #include "rtdata/outputs/pwm.hpp"
 #include "rtdata/outputs/serial.hpp"
 #include "rtdata/testing/fake_gpio.hpp"
+#include "sensors/fake_gpsd.hpp"
 #include "sensors/fixture.hpp"
 
 using namespace rtdata;
@@ -145,6 +147,44 @@ TEST_SUITE("outputs") {
     const auto opened = asked.open(1);
     device.join();
     CHECK(opened.has_value());
+  }
+
+  TEST_CASE("US-35 a device behind a TCP port is sent its value, answers, and may end the connection") {
+    FakeGpsd device;
+    SerialActuator valve(
+        {.host = "127.0.0.1", .port = device.port(), .text = "V{value}\n", .answer = "OK", .timeout = 1500ms});
+    REQUIRE(valve.open({}).has_value());
+    REQUIRE(device.accept());
+    std::thread server([&] {
+      while (!rtdata::test::has(device.received(), "V0.5\n")) std::this_thread::sleep_for(1ms);
+      device.send("OK\n");
+    });
+    const auto set = valve.set(0.5);
+    server.join();
+    CHECK(set.has_value());
+    CHECK(valve.check().has_value());
+    device.hang_up();
+    for (int i = 0; i < 2000 && valve.check().has_value(); ++i) std::this_thread::sleep_for(1ms);
+    CHECK(valve.check().error().why == "the device has ended the connection");
+    CHECK(valve.set(1).error().code == Errc::disconnected);
+  }
+
+  TEST_CASE("US-35 a program of the user's sets the value: its status, its reason, its time") {
+    CommandActuator well({.run = {"test", "{value}", "-gt", "0"}});
+    CHECK(well.open({}).has_value());
+    CHECK(well.set(1).has_value());
+    CHECK(well.set(0).error().why == "it has ended with status 1");
+    CommandActuator says(
+        {.run = {"sh", "-c", "echo is out >&2; echo it is $0 >&2; exit 3", "{value}"}, .words = {{"1", "on"}}});
+    CHECK(says.open(1).error().why == "it has ended with status 3; it said: it is on");
+    CommandActuator slow({.run = {"sh", "-c", "exec sleep 100", "{value}"}, .timeout = 50ms});
+    CHECK(slow.open(1).error().code == Errc::timed_out);
+    CommandActuator loud({.run = {"sh", "-c", "yes $0 | head -n 200000", "{value}"}, .timeout = 1500ms});
+    CHECK(loud.open(1).has_value());  // nobody waits for what it prints
+    CommandActuator mute({.run = {"sh", "-c", "exec >&- 2>&-; exec sleep 0.1", "{value}"}, .timeout = 1500ms});
+    CHECK(mute.open(1).has_value());
+    CommandActuator none({.run = {"no-such-program", "{value}"}});
+    CHECK(none.open(1).error().code == Errc::not_found);
   }
 
   TEST_CASE("US-35 a serial device is sent its value, and one that answers is waited for") {

@@ -1,4 +1,4 @@
-/// SerialActuator: an output device on a serial line that is set by sending it a text.
+/// SerialActuator: an output device that is set by sending it a text, on a serial line or a TCP connection.
 ///
 ///     rtdata::Output relay(loop, {.name = "relay"}, [] {
 ///       return std::make_unique<rtdata::SerialActuator>(
@@ -7,6 +7,9 @@
 ///
 /// Devices that take bytes are set by `words_hex`: {{"0", "a0 01 00 a1"}, {"1", "a0 01 01 a2"}} is a USB relay. Then
 /// other values cannot be set, and `text` is not used.
+///
+/// With `host` and `port` instead of `device` it is a TCP connection, which stays open: an instrument, a board with
+/// relays. `host` had better be an address, so that nothing waits for a name server.
 ///
 /// A value is set when the kernel has sent the text and, with `answer`, the device has sent that answer within
 /// `timeout`. With `keep`, opening sends nothing. Other data from the device is discarded.
@@ -25,6 +28,8 @@ namespace rtdata {
 
 struct SerialActuatorConfig {
   std::string device = {};  ///< "/dev/serial/by-id/...", "/dev/ttyUSB0"
+  std::string host = {};    ///< instead of `device`: a name or an address
+  std::uint16_t port = 0;   ///< the TCP port there
   SerialSettings serial = {};
   std::string text = "{value}\n";                     ///< `{value}`: the shortest exact number: 1, 0.5
   std::map<std::string, std::string> words = {};      ///< texts to send for values: {"0": "off", "1": "on"}
@@ -36,7 +41,9 @@ struct SerialActuatorConfig {
   friend constexpr auto parameters(type_tag<SerialActuatorConfig>) {
     using namespace std::chrono_literals;
     return parameter_list(
-        parameter("device", &SerialActuatorConfig::device, "the serial device", required, TextIs::device),
+        parameter("device", &SerialActuatorConfig::device, "the serial device", TextIs::device),
+        parameter("host", &SerialActuatorConfig::host, "instead of `device`: the address of a device on the network"),
+        parameter("port", &SerialActuatorConfig::port, "with `host`: its TCP port", range(0, 65535)),
         include_member(&SerialActuatorConfig::serial),
         parameter("text", &SerialActuatorConfig::text, "what is sent; {value} stands for the value",
                   placeholders("value")),
@@ -68,8 +75,10 @@ class SerialActuator : public CheckedActuator {
 
  private:
   Result<std::string> text_of(double value) const;
+  Error gone() const;
 
   SerialActuatorConfig config_;
+  const std::string place_;
   std::string answer_;
   int fd_ = -1;
 };

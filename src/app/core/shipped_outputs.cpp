@@ -1,6 +1,7 @@
 #include "app/core/gpio_place.hpp"
 #include "app/core/standard_drivers.hpp"
 #include "net/http_url.hpp"
+#include "rtdata/outputs/command.hpp"
 #include "rtdata/outputs/gpio.hpp"
 #include "rtdata/outputs/http.hpp"
 #include "rtdata/outputs/mqtt.hpp"
@@ -26,11 +27,18 @@ void add_shipped_outputs(Registry& registry) {
                       ""};
       });
   registry.add_output<SerialActuatorConfig>(
-      "serial", "a device on a serial line that is set by a text",
+      "serial", "a device that is set by a text, on a serial line or a TCP connection",
       [](const SerialActuatorConfig& config) { return std::make_unique<SerialActuator>(config); },
       [](PartPlan& plan, const SerialActuatorConfig& config) {
-        plan.place = {"", config.device, ""};
+        if (config.host.empty())
+          plan.place = {"", config.device, ""};
+        else
+          plan.place = {"server", config.host + " port " + std::to_string(config.port), ""};
       });
+  registry.add_output<CommandActuatorConfig>(
+      "command", "a program of your own that sets the value",
+      [](const CommandActuatorConfig& config) { return std::make_unique<CommandActuator>(config); },
+      [](PartPlan&, const CommandActuatorConfig&) {}, {.aliases = "script shell python exec kasa uhubctl plug"});
 #ifdef RTDATA_WITH_MQTT
   registry.add_output<MqttActuatorConfig>(
       "mqtt", "a device that is set by a message to a broker of MQTT",
