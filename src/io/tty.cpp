@@ -59,7 +59,7 @@ Error busy_error(const std::string& path) {
   const long process = locked_by(path);
   if (process == ::getpid())
     return {Errc::busy, cannot_open, path, "this program has it open already",
-            "only one sensor or bus can use a serial line"};
+            "a serial line is for the sensors `serial` of one tier with the same settings, or one bus, or one output"};
   if (process > 0) {
     const std::string name = first_line_of("/proc/" + std::to_string(process) + "/comm");
     return {Errc::busy, cannot_open, path,

@@ -286,8 +286,8 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     note_opened(began, opened);
     follow_input();
   }
-  /// True if the device may come back. Other errors are mistakes in the configuration; a reload that caused one can be
-  /// undone.
+  /// True: the output waits for its device. False: the error ends the setup, or a reload that caused it is undone. With
+  /// `required` an absent device is such an error during the setup.
   bool is_away(const Result<void>& opened) const {
     const auto& code = opened.error().code;
     if (is_patient_) return true;
@@ -361,7 +361,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
       loop()->runtime.log(LogLevel::error, name(), thrown.what());
     }
   }
-  /// Before the loop comes to its end.
+  /// The program ends, but its loop still turns: sets the safe value (not with `keep`), and refuses later orders.
   void end_orders_early() {
     if (std::exchange(is_over_, true)) return;
     for (Timer* timer : {&stale_, &lease_, &turning_}) timer->stop();

@@ -394,11 +394,13 @@ void Download::compare(const Run& run) {
     const auto topic = std::find_if(topics_.begin(), topics_.end(),
                                     [&table = table](const Topic& other) { return other.table == table; });
     if (topic == topics_.end()) {
-      tell("rtdata_position has it in the table " + table + ", of which rtdata_topic knows nothing.");
+      tell("rtdata_position says that its rows are in the table " + table +
+           ", but rtdata_topic does not list this table.");
     } else if (topic->topic != one.topic) {
-      tell("rtdata_position has it in the table " + table + ", which is that of " + topic->topic + ".");
+      tell("rtdata_position says that its rows are in the table " + table + ", but that table is of " + topic->topic +
+           ".");
     } else if (!said.is_there) {
-      tell(std::to_string(found.rows) + " rows of which rtdata_position knows nothing.");
+      tell(std::to_string(found.rows) + " rows that rtdata_position does not list.");
     } else if (found.rows != said.rows) {
       tell(std::to_string(found.rows) + " rows, rtdata_position says that " + std::to_string(said.rows) +
            " were stored.");

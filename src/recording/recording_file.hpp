@@ -47,7 +47,8 @@ struct Selection {
   };
   std::vector<Bounds> bounds;  // of each run when the filter's are in UTC
 };
-/// The SQL conditions for rows of a table called t, or for gaps. `from_column`, `until_column`: the time columns.
+/// The SQL conditions of a time range for a table with the alias t: `from_column` >= from, `until_column` < until. For
+/// rows both are t.time; for gaps they are t.last and t.first, so that a gap that overlaps the range is in it.
 std::string conditions(const Selection& selection, const char* from_column, const char* until_column);
 /// The same of the rows of a topic's table.
 std::string row_conditions(const Selection& selection);

@@ -91,9 +91,9 @@ void write(Database& database, const KilledOrigin& killed, const Account& accoun
   return schedule.run();
 }
 
-/// What the recording has of gaps.
+/// The recorded gaps of an origin.
 struct Known {
-  std::int64_t count = 0;
+  std::int64_t count = 0;  // the sum of their ticks
   std::int64_t first = 0;  // of the last one
   std::int64_t last = 0;
   bool is_any = false;

@@ -62,7 +62,8 @@ class Mcp3x08 {
       return parameter_list(
           parameter("name", &Channel::name, "of its field; default: by the input, such as ain0", TextIs::field),
           parameter(
-              "input", &Channel::input, "against ground, or the first less the second",
+              "input", &Channel::input,
+              "one input against ground (0), or the difference of two (0-1: input 0 minus input 1)",
               choices("0", "1", "2", "3", "4", "5", "6", "7", "0-1", "1-0", "2-3", "3-2", "4-5", "5-4", "6-7", "7-6")));
     }
   };

@@ -111,8 +111,8 @@ struct ParameterRules {
   std::string_view names_part;  ///< see NamesPart
 };
 
-/// A parameter, or all parameters of a base or member. Only `kind` knows the type, so that one function reads all of
-/// them.
+/// One parameter or, with `is_included`, all parameters of a base or member. The entry has no C++ type, which only `kind`
+/// knows, so that one function can read all entries.
 struct ParameterEntry {
   std::string_view key;
   std::string_view doc;

@@ -223,7 +223,7 @@ struct InputTimes {
   std::optional<Time> time{};  // of the last event; none: nothing came yet
   MonotonicTime came{};
 };
-/// Passes the event to the machine, if it is open. May destroy the input.
+/// Notes when the event came, and passes it to the machine, which is open. What the machine does may destroy the input.
 void input_event(InputTimes& input, Time time);
 }  // namespace detail
 

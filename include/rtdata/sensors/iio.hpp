@@ -95,7 +95,7 @@ struct IioBufferConfig {
                   range(Duration{1ms}, Duration{1h})),
         parameter("retry_longest", &C::retry_longest, "the wait doubles up to this",
                   range(Duration{1ms}, Duration{24h})),
-        parameter("required", &C::required, "a device that cannot be opened at the start ends the program"),
+        parameter("required", &C::required, "true: if the device cannot be opened at the start, the program ends"),
         parameter("start", &C::start, "start it with the system"));
   }
 };

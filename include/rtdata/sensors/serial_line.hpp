@@ -39,7 +39,8 @@ struct SerialConfig {
     return parameter_list(
         parameter("device", &SerialConfig::device, "the serial device", rtdata::required, TextIs::device),
         include_member(&SerialConfig::serial), include_member(&SerialConfig::lines),
-        parameter("required", &SerialConfig::required, "a device that cannot be opened at the start ends the program"));
+        parameter("required", &SerialConfig::required,
+                  "true: if the device cannot be opened at the start, the program ends"));
   }
 };
 

@@ -188,7 +188,8 @@ void BridgeSender::report_lost_entries(LoopCore& on) {
   on.runtime.keep_report(
       &on, "loop " + from_.config.name,
       {Errc::does_not_fit, "lost " + std::to_string(lost) + " gaps or segments", "loop " + to_.config.name,
-       "the ring to it is full, so its recordings lack them", "make the tier's ring_bytes larger"});
+       "the ring to this loop is full; its recordings will not have these gaps and segments",
+       "make the tier's ring_bytes larger"});
 }
 
 // ---- errors and changes of health

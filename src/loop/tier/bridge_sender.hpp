@@ -62,7 +62,8 @@ class BridgeSender final : public Listener {
   Channel* channel_of(const TopicCore& topic) noexcept;
   /// Null: it has none.
   Passage* passage_of(const OriginCore& origin) noexcept;
-  /// `room`: all for gaps, segments and last accounts, which need space even if events have filled the ring.
+  /// `room`: `all` also takes the eighth of the ring that events cannot fill. It is for gaps, segments, and accounts that
+  /// must be sent now.
   template <class RecordType>
   RecordType* reserve(Sort sort, const Passage& passage, ByteRing::Room room) noexcept;
   /// False: there is no room for it.

@@ -48,7 +48,7 @@ void TierCore::set_up_thread() {
     cpu_set_t granted, refused;
     if (::sched_setaffinity(0, sizeof asked, &asked) != 0) {
       warn({Errc::bad_argument, "cannot bind to processors", list_of(asked), std::strerror(errno),
-            "use processors that this machine has and the process may use; the tier runs on any processor"});
+            "name processors that this machine has and the process may use; until then the tier runs on any of those"});
     } else if (::sched_getaffinity(0, sizeof granted, &granted) == 0 && !CPU_EQUAL(&asked, &granted)) {
       CPU_XOR(&refused, &asked, &granted);  // those granted are among those asked for
       warn({Errc::bad_argument, "cannot bind to processors", list_of(refused),

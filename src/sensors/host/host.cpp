@@ -22,7 +22,9 @@ namespace rtdata {
 namespace {
 
 constexpr const char* cannot_read = "cannot read this computer's counters";
-constexpr const char* not_here = "this machine or its kernel has none; `rtdata types host` lists what there is";
+constexpr const char*
+    not_here = "this machine or its kernel does not have this value; `rtdata types host` lists the values that it has";
+constexpr const char* not_now = "the kernel cannot read it now; `dmesg` may say why";
 
 /// A file of /proc that stays open; its buffer grows until the text fits, and then stays.
 class ProcFile {
@@ -49,7 +51,7 @@ class ProcFile {
     for (;;) {
       const ssize_t got = ::pread(fd_, buffer_.data() + size, buffer_.size() - size, static_cast<off_t>(size));
       if (got < 0 && errno == EINTR) continue;
-      if (got < 0) return system_error(errno, cannot_read, path_, not_here);
+      if (got < 0) return system_error(errno, cannot_read, path_, not_now);
       size += static_cast<std::size_t>(got);
       // A short text comes whole; a long one in pieces, until nothing more comes.
       if (got == 0 || size < 1024) return std::string_view(buffer_.data(), size);
@@ -195,7 +197,7 @@ class SysDevice final : public detail::LaneDevice {
     }
     const detail::SysfsFile& file = read.value;
     if (file.error_number() != 0)
-      return port.fail(system_error(file.error_number(), cannot_read, file.path(), not_here));
+      return port.fail(system_error(file.error_number(), cannot_read, file.path(), not_now));
     Result<std::int64_t> number = detail::parse_number(file.text());
     if (!number) {
       Error error = std::move(number).error();

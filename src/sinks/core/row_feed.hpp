@@ -34,7 +34,7 @@ struct FeedCounts {
   bool is_known = false;      ///< it has looked into the recording
 };
 
-/// Thread: the sink's lane, or its loop while the lane is idle, but for `counts`.
+/// Thread: the sink's lane, or its loop while the lane is idle. The loop may call `counts` at any time.
 class RowFeed {
  public:
   virtual ~RowFeed() = default;
