@@ -113,7 +113,8 @@ void finish(const Child& child) noexcept {
   ::kill(-child.pid, SIGKILL);  // also what it has started
   wait();                       // in vain if its disk hangs
   ::waitpid(child.pid, nullptr, WNOHANG);
-  for (const int fd : {child.output, child.errors, child.terminal, child.ended}) ::close(fd);
+  for (const int fd : {child.output, child.errors, child.terminal, child.ended})
+    if (fd >= 0) ::close(fd);
 }
 
 /// `si_pid` is 0: it runs.
@@ -157,7 +158,8 @@ class Endings {
 
 }  // namespace
 
-Result<Child> start_child(const std::vector<std::string>& run, bool prints_to_terminal) {
+Result<Child> start_child(const std::vector<std::string>& run, ChildPrints prints) {
+  const bool prints_to_terminal = prints != ChildPrints::to_pipe, is_asked = prints == ChildPrints::answers;
   const auto failure = [&](int error_number) {
     return system_error(
         error_number, what, run.front(),
@@ -176,9 +178,12 @@ Result<Child> start_child(const std::vector<std::string>& run, bool prints_to_te
   std::vector<char*> arguments;
   for (const std::string& argument : run) arguments.push_back(const_cast<char*>(argument.c_str()));
   arguments.push_back(nullptr);
-  const Start start{arguments.data(),  slave.fd(),
-                    input.fd(),        prints_to_terminal ? slave.fd() : write_output.fd(),
-                    write_errors.fd(), write_failed.fd()};
+  const Start start{arguments.data(),
+                    slave.fd(),
+                    is_asked ? slave.fd() : input.fd(),
+                    prints_to_terminal ? slave.fd() : write_output.fd(),
+                    is_asked ? STDERR_FILENO : write_errors.fd(),
+                    write_failed.fd()};
   sigset_t all, before;
   ::sigfillset(&all);
   ::pthread_sigmask(SIG_SETMASK, &all, &before);  // no handler of this program runs in the new process
@@ -200,7 +205,7 @@ Result<Child> start_child(const std::vector<std::string>& run, bool prints_to_te
     return failure(no_pidfd);
   }
   child.output = read_output.release();
-  child.errors = read_errors.release();
+  if (!is_asked) child.errors = read_errors.release();
   child.terminal = master.release();
   return child;
 }

@@ -15,12 +15,17 @@ struct Child {
   pid_t pid = -1;     ///< also of its session and process group
   int ended = -1;     ///< a pidfd: readable when the program has ended
   int output = -1;    ///< what it prints
-  int errors = -1;    ///< what it writes to its standard error
+  int errors = -1;    ///< what it writes to its standard error; none if it goes to ours
   int terminal = -1;  ///< the other side of its controlling terminal: when it is closed, the session gets SIGHUP
 };
 
+enum class ChildPrints {
+  to_pipe,
+  to_terminal,
+  answers,  ///< to its terminal, from which it reads requests: they are written to `output`. Its errors go to ours
+};
 /// May block: the program lies on a disk. Errors: not-found, not-permitted, and others of the system.
-Result<Child> start_child(const std::vector<std::string>& run, bool prints_to_terminal);
+Result<Child> start_child(const std::vector<std::string>& run, ChildPrints prints);
 
 /// Sends SIGTERM to the process group, SIGKILL when the program has ended or after 2 s, and closes the descriptors. A
 /// thread of its own waits for that; the end of this program waits for the thread.

@@ -141,7 +141,7 @@ struct ModbusDevice::Core {
                                      if (fd) detail::lane_sleep(of.connect_delay);
                                      return fd;
                                    },
-                                   [](int fd) noexcept { ::close(fd); }, true});
+                                   [](int fd) noexcept { ::close(fd); }, detail::StreamLine::Kind::Sort::connection});
       rtu.emplace(bus, stream, config, [stream] { stream->drop(); });
     }
   }

@@ -4,6 +4,7 @@
 #include <array>
 
 #include "io/asked_line.hpp"
+#include "io/stream_line.hpp"
 #include "io/tty.hpp"
 #include "rtdata/data/config_item.hpp"
 #include "rtdata/detail/loop/lane.hpp"
@@ -18,25 +19,34 @@ struct Mistake {
   const char* why;
   const char* advice;
 };
-/// A port is a line of the kernel, or a connection.
+/// A port is a line of the kernel, a connection, or a program.
 std::optional<Mistake> mistake_in_place(const SerialPortConfig& config) {
-  if (config.device.empty() && config.host.empty())
-    return Mistake{"device", "there is neither a `device` nor a `host`", "set one of them"};
-  if (!config.device.empty() && !config.host.empty())
-    return Mistake{"host", "there is a `device` too", "remove one of them"};
+  const int places = !config.device.empty() + !config.host.empty() + !config.run.empty();
+  if (places == 0) return Mistake{"device", "there is no `device`, `host` or `run`", "set one of them"};
+  if (places > 1)
+    return Mistake{config.host.empty() ? "run" : "host", "there is more than one of `device`, `host` and `run`",
+                   "keep one of them"};
   if (!config.host.empty() && config.port == 0) return Mistake{"port", "there is no `port`", "such as 5025 for SCPI"};
-  if (config.host.empty() && config.port != 0) return Mistake{"port", "a serial device has none", "leave it out"};
+  if (config.host.empty() && config.port != 0) return Mistake{"port", "only a `host` has one", "leave it out"};
+  if (!config.run.empty() && config.run.front().empty()) return Mistake{"run", "there is no program", "name it first"};
   const SerialSettings& serial = config.serial;
-  if (!config.host.empty() && (serial.dtr || serial.rts || serial.hangup || serial.rs485))
-    return Mistake{"host", "`dtr`, `rts`, `hangup` and `rs485` are of a serial device", "leave them out"};
+  if (config.device.empty() && (serial.dtr || serial.rts || serial.hangup || serial.rs485))
+    return Mistake{config.host.empty() ? "run" : "host", "`dtr`, `rts`, `hangup` and `rs485` are of a serial device",
+                   "leave them out"};
   return std::nullopt;
 }
 
 std::shared_ptr<SerialTransport> transport_of(const SerialPortConfig& config) {
   if (const auto mistake = mistake_in_place(config))
     throw SetupError({Errc::bad_argument, "cannot use this serial line", mistake->key, mistake->why, mistake->advice});
+  if (!config.run.empty()) return detail::make_program_line(config.run);
   if (config.host.empty()) return make_kernel_serial(config.device, config.serial);
   return make_tcp_line(config.host, config.port, config.answer_timeout);
+}
+
+std::string place_of_port(const SerialPortConfig& config) {
+  if (!config.run.empty()) return config.run.front();
+  return config.host.empty() ? config.device : config.host + " port " + std::to_string(config.port);
 }
 
 std::span<const std::uint8_t> bytes_of(std::string_view text) {
@@ -216,9 +226,7 @@ Result<std::string> SerialDevice::transact(std::string_view request, char delimi
   return read_until(delimiter, timeout, most);
 }
 
-SerialPort::SerialPort(SerialPortConfig config)
-    : SerialPort(config.device.empty() ? config.host + " port " + std::to_string(config.port) : config.device, config) {
-}
+SerialPort::SerialPort(SerialPortConfig config) : SerialPort(place_of_port(config), config) {}
 
 // Not moved, because the order of argument evaluation is unspecified.
 SerialPort::SerialPort(std::string name, SerialPortConfig config)

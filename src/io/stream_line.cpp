@@ -8,9 +8,12 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <array>
 #include <cerrno>
+#include <map>
 #include <utility>
 
+#include "io/child_process.hpp"
 #include "io/tty.hpp"
 
 namespace rtdata {
@@ -24,6 +27,51 @@ int milliseconds(Duration left) {
 }
 
 constexpr const char* cannot_connect = "cannot connect";
+
+/// What is said of each sort of line.
+struct LineWords {
+  const char *cannot_write, *cannot_open, *hangs, *hangs_advice, *lost, *gone, *advice;
+};
+constexpr std::array<LineWords, 3> words_of_lines{{
+    {"cannot write to the serial line", "cannot open the serial line", "opening it hangs in the kernel",
+     "unplug the device, and plug it in again", "lost the serial line", "the device has disappeared",
+     "check the plug and the cable; it is opened again when it is back"},
+    {"cannot write to the server", "cannot connect", "an earlier attempt still hangs",
+     "is the name server away? `host` may be an address", "lost the connection", "the server has closed it",
+     "it is opened again when it is back"},
+    {"cannot write to the program", "cannot start the program", "an earlier attempt still hangs",
+     "does its disk answer?", "lost the program", "it has ended, or closed its terminal",
+     "check the program: `run` it by hand; it is started again"},
+}};
+const LineWords& words_of(StreamLine::Kind::Sort sort) noexcept {
+  return words_of_lines[static_cast<std::size_t>(sort)];
+}
+
+/// The programs that are asked, by the descriptor of their terminal.
+class AskedPrograms {
+ public:
+  void add(const Child& child) {
+    const std::lock_guard lock(mutex_);
+    children_[child.output] = child;
+  }
+  void end(int output) noexcept {
+    std::unique_lock lock(mutex_);
+    const auto found = children_.find(output);
+    if (found == children_.end()) return;
+    const Child child = found->second;
+    children_.erase(found);
+    lock.unlock();
+    end_child(child);
+  }
+
+ private:
+  std::mutex mutex_;
+  std::map<int, Child> children_;
+};
+AskedPrograms& asked_programs() {
+  static AskedPrograms all;
+  return all;
+}
 
 }  // namespace
 
@@ -47,8 +95,9 @@ Result<void> StreamLine::write(std::span<const std::uint8_t> bytes, Duration tim
   const Result<std::shared_ptr<Line>> line = opened();
   if (!line) return line.error();
   while (!bytes.empty()) {
-    const ssize_t done = kind_.is_connection ? ::send((*line)->fd, bytes.data(), bytes.size(), MSG_NOSIGNAL)
-                                             : ::write((*line)->fd, bytes.data(), bytes.size());
+    const ssize_t done = kind_.sort == Kind::Sort::connection
+                             ? ::send((*line)->fd, bytes.data(), bytes.size(), MSG_NOSIGNAL)
+                             : ::write((*line)->fd, bytes.data(), bytes.size());
     const int number = done < 0 ? errno : 0;
     if (done > 0) {
       bytes = bytes.subspan(static_cast<std::size_t>(done));
@@ -56,8 +105,7 @@ Result<void> StreamLine::write(std::span<const std::uint8_t> bytes, Duration tim
       const Result<bool> ready = wait(*line, POLLOUT, until - std::chrono::steady_clock::now());
       if (!ready) return ready.error();
       if (!*ready)
-        return Error{Errc::timed_out,
-                     kind_.is_connection ? "cannot write to the server" : "cannot write to the serial line", kind_.name,
+        return Error{Errc::timed_out, words_of(kind_.sort).cannot_write, kind_.name,
                      std::to_string(bytes.size()) + " bytes were not taken in " + to_string(timeout),
                      "is the device stopped?"};
     } else if (number != EINTR) {
@@ -89,14 +137,12 @@ void StreamLine::drop() {
 }
 
 Result<std::shared_ptr<StreamLine::Line>> StreamLine::opened() {
+  const LineWords& words = words_of(kind_.sort);
   {
     const std::lock_guard lock(mutex_);
     if (line_ != nullptr) return line_;
     if (std::exchange(is_opening_, true))
-      return kind_.is_connection ? Error{Errc::busy, "cannot connect", kind_.name, "an earlier attempt still hangs",
-                                         "is the name server away? `host` may be an address"}
-                                 : Error{Errc::busy, "cannot open the serial line", kind_.name,
-                                         "opening it hangs in the kernel", "unplug the device, and plug it in again"};
+      return Error{Errc::busy, words.cannot_open, kind_.name, words.hangs, words.hangs_advice};
   }
   const Result<int> fd = kind_.open();
   const std::lock_guard lock(mutex_);
@@ -111,17 +157,12 @@ Error StreamLine::gone(const std::shared_ptr<Line>& line, int number) {
     const std::lock_guard lock(mutex_);
     if (line_ == line) line_ = nullptr;
   }
-  if (kind_.is_connection) {
-    constexpr const char* lost = "lost the connection";
-    if (number == EIO || number == ECONNRESET || number == EPIPE)
-      return {Errc::disconnected, lost, kind_.name, "the server has closed it", "it is opened again when it is back"};
-    return system_error(number, lost, kind_.name);
-  }
-  constexpr const char* lost = "lost the serial line";
-  constexpr const char* advice = "check the plug and the cable; it is opened again when it is back";
-  if (number == EIO || number == ENXIO || number == ENODEV)
-    return {Errc::disconnected, lost, kind_.name, "the device has disappeared", advice};
-  return system_error(number, lost, kind_.name, advice);
+  const LineWords& words = words_of(kind_.sort);
+  const bool has_ended = number == EIO ||
+                         (kind_.sort == Kind::Sort::connection ? number == ECONNRESET || number == EPIPE
+                                                               : number == ENXIO || number == ENODEV);
+  if (has_ended) return {Errc::disconnected, words.lost, kind_.name, words.gone, words.advice};
+  return system_error(number, words.lost, kind_.name, words.advice);
 }
 
 Result<bool> StreamLine::wait(const std::shared_ptr<Line>& line, short what, Duration left) {
@@ -178,12 +219,24 @@ Result<int> connect_to(const std::string& host, std::uint16_t port, Duration lim
   return error;
 }
 
+std::shared_ptr<SerialTransport> make_program_line(std::vector<std::string> run) {
+  const std::string name = run.front();
+  const auto open = [run = std::move(run)]() -> Result<int> {
+    const Result<Child> child = start_child(run, ChildPrints::answers);
+    if (!child) return child.error();
+    asked_programs().add(*child);
+    return child->output;
+  };
+  return std::make_shared<StreamLine>(
+      StreamLine::Kind{name, open, [](int fd) noexcept { asked_programs().end(fd); }, StreamLine::Kind::Sort::program});
+}
+
 }  // namespace detail
 
 std::shared_ptr<SerialTransport> make_tcp_line(std::string host, std::uint16_t port, Duration limit) {
   return std::make_shared<detail::StreamLine>(detail::StreamLine::Kind{
       host + " port " + std::to_string(port), [host, port, limit] { return detail::connect_to(host, port, limit); },
-      [](int fd) noexcept { ::close(fd); }, true});
+      [](int fd) noexcept { ::close(fd); }, detail::StreamLine::Kind::Sort::connection});
 }
 
 std::shared_ptr<SerialTransport> make_kernel_serial(std::string device, SerialSettings settings) {

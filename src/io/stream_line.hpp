@@ -6,6 +6,7 @@
 #include <memory>
 #include <mutex>
 #include <string>
+#include <vector>
 
 #include "rtdata/io/serial.hpp"
 
@@ -15,6 +16,9 @@ namespace rtdata::detail {
 /// descriptor that does not block.
 Result<int> connect_to(const std::string& host, std::uint16_t port, Duration limit);
 
+/// A program that is asked and answers through its terminal. Not a serial device: SerialPortConfig::run.
+std::shared_ptr<SerialTransport> make_program_line(std::vector<std::string> run);
+
 /// Thread: as SerialTransport.
 class StreamLine final : public SerialTransport {
  public:
@@ -22,7 +26,7 @@ class StreamLine final : public SerialTransport {
     std::string name;                        ///< in errors: "/dev/ttyUSB0", "192.168.1.20 port 502"
     std::function<Result<int>()> open = {};  ///< a descriptor that does not block
     void (*close)(int) noexcept = nullptr;
-    bool is_connection = false;  ///< a socket
+    enum class Sort { device, connection, program } sort = Sort::device;
   };
   explicit StreamLine(Kind kind) : kind_(std::move(kind)) {}
 

@@ -60,7 +60,7 @@ Result<void> CommandActuator::set(double value) {
   std::vector<std::string> run = config_.run;
   for (auto argument = run.begin() + 1; argument != run.end(); ++argument)
     *argument = detail::set_text(*argument, value, config_.words);
-  const Result<detail::Child> started = detail::start_child(run, false);
+  const Result<detail::Child> started = detail::start_child(run, detail::ChildPrints::to_pipe);
   if (!started) return started.error();
   const EndOfChild end{*started};
   std::string printed, errors;

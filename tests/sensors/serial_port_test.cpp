@@ -449,10 +449,10 @@ TEST_SUITE("sensors") {
     CHECK(has(report("", second(R"(, "baud_rate": 4800)")), "have the same `baud_rate` and so on, and the same tier"));
     const std::string ask = query(R"(, "request": "?")");
     CHECK(report(R"("m": {"type": "serial", "host": "scope.local", "port": 5025})", ask).empty());
-    CHECK(has(report(R"("m": {"type": "serial"})", ask), "there is neither a `device` nor a `host`"));
+    CHECK(has(report(R"("m": {"type": "serial"})", ask), "there is no `device`, `host` or `run`"));
     CHECK(has(report(R"("m": {"type": "serial", "host": "a"})", ask), "there is no `port`"));
     CHECK(has(report(R"("m": {"type": "serial", "device": "/dev/x", "host": "a", "port": 1})", ask),
-              "there is a `device` too"));
+              "there is more than one of `device`, `host` and `run`"));
     CHECK(
         has(report(R"("m": {"type": "serial", "host": "a", "port": 1, "dtr": true})", ask), "are of a serial device"));
     CHECK(has(report("", R"({"name": "l", "type": "serial", "device": "/dev/ttyUSB0"})"), "no field has a name"));

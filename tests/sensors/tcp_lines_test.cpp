@@ -225,6 +225,29 @@ TEST_SUITE("sensors") {
                     SetupError);
   }
 
+  TEST_CASE("US-42 a program of the user's is asked, and is started again when it has ended") {
+    Loop loop;
+    be_quiet(loop);
+    std::vector<std::string> values, errors;
+    const auto heard = loop.subscribe("probe", [&](const EventView& event) {
+      values.push_back(to_string(event.value(event.description().leaves()[0])));
+    });
+    const std::string program = "n=0; while read request; do n=$((n + 1)); echo $n; [ $n = 3 ] && exit 1; done";
+    SerialPort port({.run = {"sh", "-c", program}, .answer_timeout = 4s});
+    DriverSensor<Query> probe(loop, {.name = "probe", .rate = Rate::hertz(50), .faulted_after = 1, .retry_first = 10ms},
+                              port, {}, {.request = "read\n", .fields = {{.name = "v"}}});
+    probe.on_error([&](const ErrorReport& report) { errors.push_back(report.error.text()); });
+    for (int i = 0; i < 30000 && values.size() < 5; ++i) loop.run_for(1ms);
+    REQUIRE(values.size() >= 5);
+    CHECK(std::vector<std::string>(values.begin(), values.begin() + 5) ==
+          std::vector<std::string>{"1", "2", "3", "1", "2"});
+    REQUIRE_FALSE(errors.empty());
+    CHECK(has(errors.front(), "it has ended, or closed its terminal"));
+    CHECK_THROWS_AS(SerialPort({.device = "/dev/ttyS0", .run = {"sh"}}), SetupError);
+    CHECK_THROWS_AS(SerialPort({.run = {""}}), SetupError);
+    CHECK(SerialPort({.run = {"no-such-program"}}).device().write("x").error().code == Errc::not_found);
+  }
+
   TEST_CASE("US-42 an instrument behind a TCP port answers as one on a serial line does, and again when it is back") {
     FakeGpsd server;
     std::atomic<bool> is_over = false, hangs_up = false;

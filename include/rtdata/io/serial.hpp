@@ -11,6 +11,9 @@
 /// SerialLineSensor (serial_line.hpp).
 ///
 /// - With `host` and `port` instead of `device` it is a TCP connection to a serial server or an instrument.
+/// - With `run` instead it is a program of the user's own, which reads requests from its standard input and prints
+///   answers. It is started by the first call, and again when it has ended; what it writes to its standard error goes to
+///   that of this program. Its terminal is raw, so that it holds nothing back.
 /// - 9600 8N1 unless `serial` says otherwise. No flow control.
 /// - The port is opened by the first call, for this program alone, and again after it was gone, by its path:
 ///   /dev/serial/by-id/... finds an adapter wherever it is plugged in.
@@ -31,6 +34,7 @@
 #include <span>
 #include <string>
 #include <string_view>
+#include <vector>
 
 #include "rtdata/data/describe.hpp"
 #include "rtdata/data/parameter.hpp"
@@ -99,6 +103,7 @@ struct SerialPortConfig {
   std::string device = {};  ///< "/dev/serial/by-id/...", "/dev/ttyUSB0"
   std::string host = {};    ///< instead of `device`: a name or an address; the device answers on its TCP `port`
   std::uint16_t port = 0;
+  std::vector<std::string> run = {};  ///< instead of `device`: a program and its arguments
   SerialSettings serial = {};
   Duration answer_timeout = std::chrono::milliseconds{500};  ///< longest wait for an answer
   Duration timeout = std::chrono::seconds{5};                ///< limit of each job of a sensor on the port
@@ -111,6 +116,8 @@ struct SerialPortConfig {
         parameter("host", &SerialPortConfig::host,
                   "instead of `device`: an instrument or a serial server in the network"),
         parameter("port", &SerialPortConfig::port, "its TCP port, such as 5025 for SCPI; 0: none", range(0, 65535)),
+        parameter("run", &SerialPortConfig::run,
+                  "instead of `device`: a program of your own that answers each line on its standard input"),
         include_member(&SerialPortConfig::serial),
         parameter("answer_timeout", &SerialPortConfig::answer_timeout,
                   "an answer that is not complete by then is missed", range(Duration{1ms}, Duration{10min})),
@@ -119,7 +126,7 @@ struct SerialPortConfig {
         parameter("echo", &SerialPortConfig::echo, "the adapter sends back what it is given, which is dropped"));
   }
   friend Duration give_up_after(const SerialPortConfig& config) { return config.timeout; }
-  /// Checks that there is one of `device` and `host`, and that `timeout` is longer than `answer_timeout`.
+  /// Checks that there is one of `device`, `host` and `run`, and that `timeout` is longer than `answer_timeout`.
   friend void check_config(const SerialPortConfig& config, const ConfigItem& item, Problems& problems);
 };
 

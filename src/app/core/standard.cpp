@@ -21,7 +21,8 @@ Registry standard_registry() {
   Registry registry;
   add_bus<I2cBus, I2cConfig>(registry, "an I2C adapter of the kernel");
   add_bus<SpiBus, SpiConfig>(registry, "an SPI controller of the kernel");
-  add_bus<SerialPort, SerialPortConfig>(registry, "a serial line of the kernel, to devices that answer requests");
+  add_bus<SerialPort, SerialPortConfig>(
+      registry, "devices that answer requests on a serial line, over TCP, or a program of your own that does");
 #ifdef RTDATA_WITH_MODBUS
   add_bus<ModbusBus, ModbusConfig>(registry,
                                    "devices that speak Modbus, on a serial line (RTU) or behind a server (TCP)");

@@ -45,7 +45,7 @@ class CommandNode final : public LineNode {
     explicit Starting(CommandNode& node) : node_(&node), run_(node.run_), is_terminal_(node.is_terminal_) {}
     void run() noexcept override {
       try {
-        child_ = start_child(run_, is_terminal_);
+        child_ = start_child(run_, is_terminal_ ? ChildPrints::to_terminal : ChildPrints::to_pipe);
       } catch (const std::exception& error) {
         child_ = Error{Errc::io_failed, "cannot start the program", run_.front(), error.what(), ""};
       }
