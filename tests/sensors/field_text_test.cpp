@@ -65,11 +65,26 @@ TEST_SUITE("sensors") {
     const LineConfig hex{
         .fields = {{.name = "a", .type = Kind::u16, .base = 16}, {.name = "b", .scale = 0.5, .base = 16}}};
     CHECK(values_of(hex, "ffff,0x10") == "65535 8");
+    // Of a signed type the digits are its bytes.
+    const LineConfig bytes{.fields = {{.name = "a", .type = Kind::i16, .base = 16},
+                                      {.name = "b", .type = Kind::i64, .optional = true, .base = 16}}};
+    CHECK(values_of(bytes, "FFEC,ffffffffffffffff") == "-20 -1");
+    CHECK(values_of(bytes, "8000,8000000000000000") == "-32768 -9223372036854775808");
+    CHECK(values_of(bytes, "7fff,7fffffffffffffff") == "32767 9223372036854775807");
+    CHECK(values_of(bytes, "-0014,") == "-20 absent");
+    CHECK(has(values_of(bytes, "10000,0"), "out-of-range"));
+    CHECK(has(values_of(bytes, "-FFEC,0"), "out-of-range"));
     CHECK(has(values_of(hex, "10000,1"), "out-of-range"));
     CHECK(has(values_of(hex, "-1,1"), "not-a-number"));
     CHECK(has(values_of(hex, "fg,1"), "is not a number of its `base`"));
     CHECK(has(values_of(hex, "0x,1"), "is not a number of its `base`"));
     CHECK(has(values_of(hex, "fffffffffffffffff,1"), "is not a number of its `base`"));
+  }
+
+  TEST_CASE("US-13 blanks within the quotes of a number do not count, those of a text do") {
+    const LineConfig table{.fields = {{.name = "n", .type = Kind::u32}, {.name = "t", .type = Kind::text}}};
+    CHECK(values_of(table, "\"4407 \",\" a \"") == "4407  a ");
+    CHECK(values_of(table, "\"   4406 \",b") == "4406 b");
   }
 
   TEST_CASE("US-13 texts and numbers that stand for no value make a field absent; words stand for numbers") {
@@ -97,7 +112,7 @@ TEST_SUITE("sensors") {
     CHECK(values_of(json, R"({"w": -1, "plain": 1})") == "absent 1");
     CHECK(values_of(json, R"({"plain": 1})") == "absent 1");
     CHECK(has(values_of(json, R"({"w": 3, "plain": 1})"), "suffix"));
-    CHECK(has(values_of(json, R"({"w": "3 W", "plain": "1"})"), "not-a-number"));
+    CHECK(has(values_of(json, R"({"w": "3 W", "plain": "1 W"})"), "not-a-number"));
   }
 
   TEST_CASE("US-13 settings of fields that exclude each other are refused with the reason") {

@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include "data/hex_bytes.hpp"
 #include "has.hpp"
 #include "paths.hpp"
 #include "rtdata/data/event.hpp"
@@ -109,6 +110,15 @@ TEST_SUITE("sensors" * doctest::skip(!terminals_can_be_set_up())) {
     };
     CHECK(of(ChecksumType::crc8) == 0xf4);
     CHECK(of(ChecksumType::crc8_maxim) == 0xa1);
+    CHECK(of(ChecksumType::crc8_nrsc5) == 0xf7);
+    CHECK(of(ChecksumType::crc8_dvb_s2) == 0xbc);
+    CHECK(of(ChecksumType::crc8_4d) == 0xc3);  // not in the catalogue; computed bit by bit
+    CHECK(of(ChecksumType::crc16_x25) == 0x906e);
+    CHECK(of(ChecksumType::crc16_mcrf4xx) == 0x6f91);
+    CHECK(of(ChecksumType::fletcher16) == 0xdd15);
+    CHECK(detail::Checksum({.type = ChecksumType::sum16, .complement = Complement::twos}).of("123456789") == 0xfe23);
+    CHECK(detail::Checksum({.type = ChecksumType::sum8, .complement = Complement::ones}).of("123456789") == 0x22);
+    CHECK(detail::Checksum({.type = ChecksumType::crc16_mcrf4xx, .append_hex = "38 39"}).of("1234567") == 0x6f91);
     CHECK(of(ChecksumType::crc16_arc) == 0xbb3d);
     CHECK(of(ChecksumType::crc16_modbus) == 0x4b37);
     CHECK(of(ChecksumType::crc16_ccitt) == 0x29b1);
@@ -118,6 +128,51 @@ TEST_SUITE("sensors" * doctest::skip(!terminals_can_be_set_up())) {
     CHECK(of(ChecksumType::sum16) == 0x1dd);
     CHECK(of(ChecksumType::xor8) == 0x31);
     CHECK(of(ChecksumType::lrc) == 0x23);
+  }
+
+  TEST_CASE("US-13 checksums of real frames: a lidar, a battery, a receiver") {
+    const auto checked = [](LineChecksum checksum, std::string_view hex) {
+      const std::string bytes = detail::bytes_of_hex(hex).value();
+      const detail::Checksum of(checksum);
+      std::string damaged = bytes;
+      damaged[8] = static_cast<char>(damaged[8] ^ 1);
+      return of.checked(bytes).has_value() && !of.checked(damaged).has_value();
+    };
+    // LDROBOT LD19 development manual, its example of a packet.
+    CHECK(checked({.type = ChecksumType::crc8_4d, .form = ChecksumForm::big},
+                  "54 2c 68 08 ab 7e e0 00 e4 dc 00 e2 d9 00 e5 d5 00 e3 d3 00 e4 d0 00 e9 cd 00 e4 ca 00 e2 c7 00 "
+                  "e9 c5 00 e5 c2 00 e5 c0 00 e5 be 82 3a 1a 50"));
+    // A battery's controller of JBD, as a public capture has it: the sum of status, length and data, negative.
+    CHECK(checked(
+        {.type = ChecksumType::sum16, .form = ChecksumForm::big, .from = 2, .behind = 1, .complement = Complement::twos},
+        "dd 03 00 1b 05 28 00 00 1b b2 2a ef 00 02 29 0a 00 00 00 00 00 00 25 41 03 04 02 0b 74 0b 6b fc "
+        "39 77"));
+    // u-blox NAV-PVT, from a public log.
+    CHECK(checked({.type = ChecksumType::fletcher16, .form = ChecksumForm::big, .from = 2},
+                  "b5 62 01 07 5c 00 f8 5a 79 10 ea 07 09 1e 04 2e 0a 37 27 00 00 00 22 ed bd 23 03 01 ea 15 ea 08 "
+                  "96 43 25 4b bc 0d 54 3c 00 00 5f 50 00 00 b4 05 00 00 ec 08 00 00 f4 ff ff ff fd ff ff ff e9 ff "
+                  "ff ff 0d 00 00 00 b0 30 c7 01 d2 00 00 00 80 a8 12 01 a9 00 00 00 5c 41 4f 21 00 00 00 00 00 00 "
+                  "00 00 1c 47"));
+  }
+
+  TEST_CASE("US-13 frames are chosen by bytes at a place") {
+    const LineConfig config{.format = LineFormat::binary,
+                            .fields = {{.name = "a", .type = Kind::u8, .at = 3}},
+                            .frame = LineFrame{.start_hex = "b5", .length = 4},
+                            .only = LineMatch{.at = 1, .is_hex = {"01 07", "0a"}}};
+    const auto of = [&](std::string_view hex) { return values_of_line(config, detail::bytes_of_hex(hex).value()); };
+    CHECK(of("b5 01 07 09") == "9");
+    CHECK(of("b5 0a ff 08") == "8");
+    CHECK(of("b5 01 08 09") == "left out");
+    CHECK(of("b5") == "left out");
+    LineConfig wrong = config;
+    wrong.only = LineMatch{.is = {"x"}};
+    CHECK(has(refusal_of(wrong), "only: frames of bytes have no text"));
+    wrong.only = LineMatch{.at = 1};
+    CHECK(has(refusal_of(wrong), "it does not say what the bytes are"));
+    wrong.only = LineMatch{.is_hex = {"0"}};
+    CHECK(has(refusal_of(wrong), "`is_hex` is not bytes"));
+    CHECK(has(refusal_of({.fields = {{.name = "a"}}, .only = LineMatch{.is_hex = {"00"}}}), "are of binary frames"));
   }
 
   TEST_CASE("US-13 a line with a wrong checksum is unreadable, never a value") {
@@ -175,6 +230,35 @@ TEST_SUITE("sensors" * doctest::skip(!terminals_can_be_set_up())) {
     CHECK(has(values_of_line(top, "[]"), "has no"));
     CHECK(has(values_of_line(top, "3"), "not a JSON object"));
     CHECK(has(values_of_line(top, "[[[["), "not JSON"));
+  }
+
+  TEST_CASE("US-13 JSON: the object of an array is chosen by a member, wherever that stands; numbers may be texts") {
+    const LineConfig config{.format = LineFormat::json,
+                            .fields = {{.name = "pm10", .key = "values[type=P1].value"},
+                                       {.name = "pm25", .key = "values[type=P2].value", .optional = true}}};
+    const auto of = [&](std::string_view line) { return values_of_line(config, line); };
+    CHECK(of(R"({"values": [{"type": "P1", "value": "10.5"}, {"value": 2.5, "type": "P2"}]})") == "10.5 2.5");
+    CHECK(of(R"({"values": [{"value": 7, "type": "T"}, {"value": 2.5, "type": "P1"}]})") == "2.5 absent");
+    CHECK(of(R"({"values": [{"value": 7, "type": "P1"}, {"value": 8, "type": "P1"}]})") == "7 absent");
+    CHECK(of(R"({"values": [{"type": "P2", "value": 1}]})") == "the line has no \"values[type=P1].value\"");
+    CHECK(of(R"({"values": {"type": "P1", "value": 1}})") == "the line has no \"values[type=P1].value\"");
+    const LineConfig at_top{.format = LineFormat::json, .fields = {{.name = "v", .key = "[id=2].v"}}};
+    CHECK(values_of_line(at_top, R"([{"id": 1, "v": 1}, {"id": 2, "v": 5}])") == "5");
+    const LineConfig plain{.format = LineFormat::json,
+                           .fields = {{.name = "a"}, {.name = "b", .type = Kind::i32, .optional = true}}};
+    CHECK(values_of_line(plain, R"({"a": "1.87", "b": ""})") == "1.87 absent");
+    CHECK(values_of_line(plain, R"({"a": "1.87", "b": "12"})") == "1.87 12");
+    CHECK(values_of_line(plain, R"({"a": "many", "b": 1})") == "\"many\" is not a number");
+    CHECK(values_of_line(plain, R"({"a": "", "b": 1})") == "\"\" is not a number");
+  }
+
+  TEST_CASE("US-13 a label may hold the separator") {
+    const LineConfig config{
+        .format = LineFormat::labels,
+        .fields = {{.name = "one", .key = R"(temp{chip="a",label="Sensor 1"})"}, {.name = "two", .key = "up"}},
+        .separator = ' '};
+    CHECK(values_of_line(config, "temp{chip=\"a\",label=\"Sensor 1\"} 3.5\nup 1\n") == "3.5 1");
+    CHECK(has(values_of_line(config, "temp{chip=\"a\",label=\"Sensor 1\"}x 3.5\nup 1\n"), "the line has no"));
   }
 
   TEST_CASE("US-13 rows of labels: DSMR, Teleinfo, VE.Direct") {

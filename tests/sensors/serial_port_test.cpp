@@ -6,6 +6,7 @@
 #include <sys/file.h>
 #include <sys/wait.h>
 
+#include <algorithm>
 #include <array>
 #include <cerrno>
 #include <thread>
@@ -296,6 +297,60 @@ TEST_SUITE("sensors") {
                             {.request = "?", .format = LineFormat::json, .fields = {{.name = "t", .key = "air.t"}}});
     bench.loop.advance(1ms);
     CHECK(bench.values.back() == "21.5");
+    CHECK(bench.errors.empty());
+  }
+
+  TEST_CASE("US-42 the answer to a question at the opening is not taken for that of the first request") {
+    SerialPortBench bench;
+    bench.wires->on_write([](std::string_view asked) {
+      return asked == "*OPC?\n" ? "1\n" : asked == "MEAS?\n" ? "12.5\n" : asked == "ATE0\n" ? "OK\n" : "";
+    });
+    bench.wires->set_delay(40ms);
+    DriverSensor<Query> meter(bench.loop, {.name = "meter", .rate = 2_Hz}, bench.port, {},
+                              {.request = "MEAS?\n", .at_open = {"*RST\n", "*OPC?\n"}, .fields = {{.name = "v"}}});
+    bench.loop.advance(3s);
+    CHECK(bench.values.size() >= 5);
+    CHECK(std::count(bench.values.begin(), bench.values.end(), "12.5") == std::ssize(bench.values));
+    CHECK(bench.errors.empty());
+    meter.close();
+    bench.values.clear();
+    DriverSensor<Query> modem(bench.loop, {.name = "meter", .rate = 2_Hz}, bench.port, {},
+                              {.request = "MEAS?\n",
+                               .at_open = {"ATE0\n"},
+                               .at_open_hex = {"41 54 45 30 0a"},
+                               .at_open_answers = true,
+                               .fields = {{.name = "v"}}});
+    bench.loop.advance(3s);
+    CHECK(bench.values.size() >= 5);
+    CHECK(bench.errors.empty());
+  }
+
+  TEST_CASE("US-42 a device that says that it has no value has answered: the next one is asked at once") {
+    SerialPortBench bench;
+    bench.wires->on_write([](std::string_view asked) { return asked == "A?" ? "NO DATA\n" : "5\n"; });
+    const Query::Config none{
+        .request = "A?", .fields = {{.name = "a"}}, .unreadable_if = LineMatch{.contains = "NO DATA"}};
+    const Query::Config other{.request = "B?", .fields = {{.name = "b"}}};
+    DriverSensor<Query> first(bench.loop, {.name = "first", .rate = 1_Hz}, bench.port, {}, none);
+    DriverSensor<Query> second(bench.loop, {.name = "second", .rate = 1_Hz}, bench.port, {}, other);
+    bench.loop.advance(10s);
+    CHECK(second.counts().failed == 0);
+    CHECK(second.counts().published >= 10);
+    CHECK(first.counts().unreadable >= 8);
+    CHECK(bench.loop.runtime().balances());
+  }
+
+  TEST_CASE("US-42 an answer may be a number of bytes, without a mark") {
+    SerialPortBench bench;
+    bench.wires->on_write([](std::string_view) { return std::string("\x00\x1c", 2); });
+    DriverSensor<Query> geiger(bench.loop, {.name = "meter", .rate = 1_Hz}, bench.port, {},
+                               {.request = "<GETCPM>>",
+                                .format = LineFormat::binary,
+                                .fields = {{.name = "cpm", .type = Kind::u16, .at = 0}},
+                                .frame = LineFrame{.length = 2}});
+    bench.loop.advance(2s);
+    REQUIRE_FALSE(bench.values.empty());
+    CHECK(bench.values.front() == "28");
     CHECK(bench.errors.empty());
   }
 

@@ -106,7 +106,7 @@ class Samples {
   /// an error.
   void lost_in_fault(std::uint64_t count) { lost_in_fault_ += count; }
   /// The chip gave data that cannot be decoded.
-  void unreadable(Error error) { unreadable_.push_back(std::move(error)); }
+  void unreadable(Error error) { note({std::move(error)}); }
   /// The time on the lane: for the times of samples.
   static MonotonicTime now() noexcept { return detail::lane_now(); }
 
@@ -117,13 +117,19 @@ class Samples {
     T value;
     std::optional<MonotonicTime> time;
   };
+  void note(Unreadable unreadable) {
+    unreadable_.push_back(std::move(unreadable.error));
+    is_doubtful_ = is_doubtful_ || !unreadable.is_answer;
+  }
   void clear() {
     samples_.clear();
     unreadable_.clear();
+    is_doubtful_ = false;
     lost_ = lost_in_fault_ = 0;
   }
   std::vector<Sample> samples_;
   std::vector<Error> unreadable_;
+  bool is_doubtful_ = false;  // one of these may not be the answer
   std::uint64_t lost_ = 0, lost_in_fault_ = 0;
 };
 
@@ -274,6 +280,7 @@ class DriverDevice final : public detail::LaneDevice {
         Reading<Value> reading(driver.read(device));
         if (Error* error = reading.error()) return std::move(*error);
         if (Unreadable* unreadable = reading.unreadable()) {
+          if (unreadable->is_answer) return {};
           distrust();
           return std::move(unreadable->error);
         }
@@ -333,7 +340,7 @@ class DriverDevice final : public detail::LaneDevice {
         if constexpr (has_start) return start();
       }
       result = guarded("read() of the driver threw", [this] { return read(); });
-      if (!samples.unreadable_.empty() || (!result && result.error().code == Errc::bad_data)) session->distrust();
+      if (samples.is_doubtful_ || (!result && result.error().code == Errc::bad_data)) session->distrust();
       if constexpr (has_start && requires(const D& driver) { driver.goes_on(); }) {
         if (result && session->driver.goes_on()) return start();
       }
@@ -364,7 +371,7 @@ class DriverDevice final : public detail::LaneDevice {
         } else if (Error* error = reading.error()) {
           return std::move(*error);
         } else if (Unreadable* unreadable = reading.unreadable()) {
-          samples.unreadable(std::move(unreadable->error));
+          samples.note(std::move(*unreadable));
         } else {
           has_news = false;
         }

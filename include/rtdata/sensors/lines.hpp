@@ -6,14 +6,15 @@
 /// - CSV as in RFC 4180, one row a line: one column for each field, in order; a field without a name skips its column.
 ///   Blanks and double quotes around a column are removed; within quotes a separator belongs to the column and a quote
 ///   is written twice. JSON: one object or array a line, keys in any order, other keys ignored; "imu.ax" as a field's
-///   `key` selects from nested objects, "emeters.0.power" from arrays.
+///   `key` selects from nested objects, "emeters.0.power" from arrays, "values[type=P1].value" from the first object of
+///   an array whose member `type` is P1. A number may stand in quotes.
 /// - An empty column (JSON: null, or no such key) makes an `optional` field absent and a text empty; for other fields
 ///   it is an error. Numbers are rounded to the nearest representable one: 1e-400 is 0. A bool is true, false, 1 or 0,
 ///   in upper or lower case. A byte order mark at the beginning is ignored.
 /// - Text around a number is taken off by a field's `prefix`, `suffix`, `decimal`, `thousands`, `base` and
 ///   `sign_blanks`; `no_value` and `words` name texts that stand for no value, and for numbers. In JSON, such a field
 ///   may be a text.
-/// - `only` chooses lines by a column, a key or their text: others count as filtered, unless their checksum is wrong.
+/// - `only` chooses lines by a column, a key or their text, frames by bytes at a place: others count as filtered, unless their checksum is wrong.
 ///   Lines that match `unreadable_if`, and those with a wrong `checksum`, are unreadable.
 /// - A line ends with a newline, or with `line_end`; a carriage return before it is ignored. The sensor skips empty
 ///   lines, lines that begin with `comment`, and the first `skip_lines` lines after opening.
@@ -83,7 +84,7 @@ struct LineField {
   std::string suffix = {};     ///< what it ends with, such as " kg"
   char decimal = '.';          ///< the decimal mark: a point or a comma
   std::string thousands = {};  ///< one character that may stand between digits; empty: none
-  unsigned base = 10;          ///< of whole numbers, 2 to 16: 16 reads "0x1f" and "1F"
+  unsigned base = 10;          ///< of whole numbers, 2 to 16: 16 reads "0x1f" and "1F", and as int16 "FFFF" as -1
   bool sign_blanks = false;    ///< blanks may stand between sign and digits: "-  12.5"
   std::size_t column = 1;      ///< labels: which of the columns after the label
   std::optional<std::size_t> at = {};        ///< binary: the first byte in the frame, from 0
@@ -146,21 +147,26 @@ constexpr auto describe(type_tag<WireOrder>) {
 
 /// Chooses lines by what stands in them.
 struct LineMatch {
-  unsigned column = 0;               ///< CSV: in this column, from 1; 0: in the whole line
-  std::string key = {};              ///< JSON: in the value there; labels: in the first column after this label
-  std::vector<std::string> is = {};  ///< one of these texts is all of it
-  std::string begins = {};           ///< it begins with this
-  std::string contains = {};         ///< this is in it
-  std::string pattern = {};          ///< this regular expression (PCRE2) is found in it
+  unsigned column = 0;                   ///< CSV: in this column, from 1; 0: in the whole line
+  std::string key = {};                  ///< JSON: in the value there; labels: in the first column after this label
+  std::vector<std::string> is = {};      ///< one of these texts is all of it
+  std::string begins = {};               ///< it begins with this
+  std::string contains = {};             ///< this is in it
+  std::string pattern = {};              ///< this regular expression (PCRE2) is found in it
+  std::size_t at = 0;                    ///< binary: from this byte of the frame on, from 0
+  std::vector<std::string> is_hex = {};  ///< binary: there stand these bytes, or these
 
   friend constexpr auto parameters(type_tag<LineMatch>) {
-    return parameter_list(parameter("column", &LineMatch::column,
-                                    "CSV: the column that is looked at, from 1; 0: the whole line", range(0, 1000)),
-                          parameter("key", &LineMatch::key, "JSON: the value that is looked at; labels: the label"),
-                          parameter("is", &LineMatch::is, "it is one of these"),
-                          parameter("begins", &LineMatch::begins, "it begins with this"),
-                          parameter("contains", &LineMatch::contains, "it contains this"),
-                          parameter("pattern", &LineMatch::pattern, "this regular expression is found in it"));
+    return parameter_list(
+        parameter("column", &LineMatch::column, "CSV: the column that is looked at, from 1; 0: the whole line",
+                  range(0, 1000)),
+        parameter("key", &LineMatch::key, "JSON: the value that is looked at; labels: the label"),
+        parameter("is", &LineMatch::is, "it is one of these"),
+        parameter("begins", &LineMatch::begins, "it begins with this"),
+        parameter("contains", &LineMatch::contains, "it contains this"),
+        parameter("pattern", &LineMatch::pattern, "this regular expression is found in it"),
+        parameter("at", &LineMatch::at, "binary: the byte that is looked at, from 0", range(0, 65535)),
+        parameter("is_hex", &LineMatch::is_hex, "binary: the bytes there are one of these, such as [\"01 07\"]"));
   }
 };
 
@@ -174,24 +180,38 @@ enum class ChecksumType {
   lrc,
   crc8,
   crc8_maxim,
+  crc8_nrsc5,   ///< 0x31, begun with 0xff: that of Sensirion
+  crc8_dvb_s2,  ///< 0xd5: that of CRSF
+  crc8_4d,      ///< 0x4d, begun with 0: that of the lidars LD06 and LD19
   crc16_arc,
   crc16_modbus,
   crc16_ccitt,  ///< CRC-16/IBM-3740: 0x1021, begun with 0xffff
   crc16_xmodem,
+  crc16_x25,      ///< CRC-16/IBM-SDLC: that of SML
+  crc16_mcrf4xx,  ///< that of MAVLink
+  fletcher16,     ///< two sums of 8 bits, the plain one first in `big`: that of UBX
   crc32
 };
 constexpr auto describe(type_tag<ChecksumType>) {
   return enumeration("checksum", value("xor8", ChecksumType::xor8), value("sum8", ChecksumType::sum8),
                      value("sum16", ChecksumType::sum16), value("sum6", ChecksumType::sum6),
                      value("lrc", ChecksumType::lrc), value("crc8", ChecksumType::crc8),
-                     value("crc8_maxim", ChecksumType::crc8_maxim), value("crc16_arc", ChecksumType::crc16_arc),
-                     value("crc16_modbus", ChecksumType::crc16_modbus), value("crc16_ccitt", ChecksumType::crc16_ccitt),
-                     value("crc16_xmodem", ChecksumType::crc16_xmodem), value("crc32", ChecksumType::crc32));
+                     value("crc8_maxim", ChecksumType::crc8_maxim), value("crc8_nrsc5", ChecksumType::crc8_nrsc5),
+                     value("crc8_dvb_s2", ChecksumType::crc8_dvb_s2), value("crc8_4d", ChecksumType::crc8_4d),
+                     value("crc16_arc", ChecksumType::crc16_arc), value("crc16_modbus", ChecksumType::crc16_modbus),
+                     value("crc16_ccitt", ChecksumType::crc16_ccitt), value("crc16_xmodem", ChecksumType::crc16_xmodem),
+                     value("crc16_x25", ChecksumType::crc16_x25), value("crc16_mcrf4xx", ChecksumType::crc16_mcrf4xx),
+                     value("fletcher16", ChecksumType::fletcher16), value("crc32", ChecksumType::crc32));
 }
 enum class ChecksumForm { hex, big, little, character };
 constexpr auto describe(type_tag<ChecksumForm>) {
   return enumeration("form", value("hex", ChecksumForm::hex), value("big", ChecksumForm::big),
                      value("little", ChecksumForm::little), value("character", ChecksumForm::character));
+}
+enum class Complement { none, ones, twos };
+constexpr auto describe(type_tag<Complement>) {
+  return enumeration("complement", value("none", Complement::none), value("ones", Complement::ones),
+                     value("twos", Complement::twos));
 }
 enum class ChecksumOf { all, row };
 constexpr auto describe(type_tag<ChecksumOf>) {
@@ -201,14 +221,16 @@ constexpr auto describe(type_tag<ChecksumOf>) {
 /// How a line or a frame is protected. It stands at the end, or behind the last `after`.
 struct LineChecksum {
   ChecksumType type = ChecksumType::xor8;
-  ChecksumForm form = ChecksumForm::hex;  ///< hexadecimal digits; bytes, the high one first or last; a character
-  std::string after = {};                 ///< what stands before it, such as "*"; empty: nothing
-  bool covers_after = false;              ///< it covers `after`, too
-  std::size_t from = 0;                   ///< bytes at the beginning that it does not cover
-  std::size_t before = 0;                 ///< bytes before it (and `after`) that it does not cover
-  std::size_t behind = 0;                 ///< bytes of the frame that follow it
-  bool optional = false;                  ///< a line without `after` has none
-  ChecksumOf of = ChecksumOf::all;        ///< labels: each row has its own
+  ChecksumForm form = ChecksumForm::hex;     ///< hexadecimal digits; bytes, the high one first or last; a character
+  std::string after = {};                    ///< what stands before it, such as "*"; empty: nothing
+  bool covers_after = false;                 ///< it covers `after`, too
+  std::size_t from = 0;                      ///< bytes at the beginning that it does not cover
+  std::size_t before = 0;                    ///< bytes before it (and `after`) that it does not cover
+  std::size_t behind = 0;                    ///< bytes of the frame that follow it
+  Complement complement = Complement::none;  ///< of a sum: each bit turned over (ones), or its negative (twos)
+  std::string append_hex = {};               ///< bytes that it also covers, behind the others, and that are not sent
+  bool optional = false;                     ///< a line without `after` has none
+  ChecksumOf of = ChecksumOf::all;           ///< labels: each row has its own
 
   friend constexpr auto parameters(type_tag<LineChecksum>) {
     return parameter_list(
@@ -220,6 +242,10 @@ struct LineChecksum {
         parameter("from", &LineChecksum::from, "bytes at the beginning that it does not cover", range(0, 65535)),
         parameter("before", &LineChecksum::before, "bytes before it that it does not cover", range(0, 65535)),
         parameter("behind", &LineChecksum::behind, "bytes of the frame that follow it", range(0, 64)),
+        parameter("complement", &LineChecksum::complement,
+                  "of a sum: each bit of it turned over (ones), or its negative (twos)"),
+        parameter("append_hex", &LineChecksum::append_hex,
+                  "bytes that it covers too, and that are not sent, such as MAVLink's extra byte"),
         parameter("optional", &LineChecksum::optional, "a line without `after` has none"),
         parameter("of", &LineChecksum::of, "what it protects: all, or each row of labels"));
   }

@@ -10,8 +10,11 @@
 ///
 /// - No complete answer within the port's `answer_timeout` is a failure; an answer that cannot be decoded is
 ///   unreadable.
-/// - With `frame` the answer is a frame of bytes (lines.hpp), such as binary fields at their places (`format` binary).
-/// - `at_open` is sent after each opening of the port, to set the device up.
+/// - With `frame` the answer is a frame of bytes (lines.hpp), such as binary fields at their places (`format` binary);
+///   with its `length` alone, so many bytes.
+/// - `at_open` is sent after each opening of the port, to set the device up. The answer of a text with a `?` in it, such
+///   as "*OPC?\n", is awaited and dropped, so that it is not taken for the first reading's; with `at_open_answers`, that
+///   of each text.
 /// - `skip_lines`: lines before the answer, for devices that echo the request.
 ///
 /// Driver (driver.hpp): used on the port's lane.
@@ -43,11 +46,13 @@ class Query {
       "number "
       "alone is one column) or JSON, as of [serial](serial.md); a column without a name, such as a unit, is not kept.";
   struct Config {
-    std::string request = {};               ///< including its line end
-    std::string request_hex = {};           ///< instead of `request`: bytes, as hexadecimal digits
-    std::vector<std::string> at_open = {};  ///< sent after each opening of the port, in order
-    char answer_end = '\n';                 ///< a carriage return before it is ignored
-    unsigned skip_lines = 0;                ///< before the answer
+    std::string request = {};                   ///< including its line end
+    std::string request_hex = {};               ///< instead of `request`: bytes, as hexadecimal digits
+    std::vector<std::string> at_open = {};      ///< sent after each opening of the port, in order
+    std::vector<std::string> at_open_hex = {};  ///< behind them: bytes
+    bool at_open_answers = false;               ///< the device answers each of them, not only those with a `?`
+    char answer_end = '\n';                     ///< a carriage return before it is ignored
+    unsigned skip_lines = 0;                    ///< before the answer
     LineFormat format = LineFormat::csv;
     std::vector<LineField> fields = {};
     char separator = ',';                 ///< between the columns of CSV; a blank stands for any number of blanks
@@ -60,6 +65,10 @@ class Query {
           parameter("request", &Config::request, "what is sent, with its end"),
           parameter("request_hex", &Config::request_hex, "instead of `request`: bytes, such as \"02 4d 0d\""),
           parameter("at_open", &Config::at_open, "what is sent after each opening of the port"),
+          parameter("at_open_hex", &Config::at_open_hex, "the same as bytes, sent behind these"),
+          parameter(
+              "at_open_answers", &Config::at_open_answers,
+              "the device answers each of these, not only questions (?): the answers are waited for, and dropped"),
           parameter("answer_end", &Config::answer_end, "the character that ends an answer"),
           parameter("skip_lines", &Config::skip_lines, "lines before the answer, such as an echo", range(0, 100)),
           parameter("format", &Config::format, "how the answer is written",
@@ -99,11 +108,13 @@ class Query {
  private:
   struct Decoding;
   Result<std::string> ask_for_frame(SerialDevice& line);
+  Result<std::string> next_frame(SerialDevice& line);
   Reading<DescribedValue> read_frame(SerialDevice& line);
   Reading<DescribedValue> read_line(SerialDevice& line);
   Reading<DescribedValue> decoded(SerialDevice& line, std::string_view answer);
   const Config config_;
   const std::string request_;
+  const std::vector<std::string> at_open_;
   const std::unique_ptr<Decoding> decoding_;
 };
 

@@ -54,6 +54,7 @@ inline constexpr NothingNew nothing_new{};
 /// The device's answer cannot be decoded: counted as unreadable, and the read has failed.
 struct Unreadable {
   Error error;
+  bool is_answer = false;  ///< the device says that it has no value: no other answer to this request may still come
 };
 
 /// The result of a read: a value, nothing new, an error, or an answer that cannot be decoded.

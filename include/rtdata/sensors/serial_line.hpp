@@ -11,6 +11,7 @@
 /// - If the device disappears, the sensor is faulted and opens it again after `retry_first`, doubling to
 ///   `retry_longest`, by its path: /dev/serial/by-id/... finds it on any port. The same at the start, unless it is
 ///   `required`. The time without the device is a gap (disconnected).
+/// - `at_open` and `at_open_hex` are sent after each opening, for devices that send only after a request.
 /// - The serial line is locked for this program. Sensors of one loop with the same `device` and settings share it: each
 ///   takes the lines that its `only` means.
 ///
@@ -23,6 +24,7 @@
 #pragma once
 
 #include <string>
+#include <vector>
 
 #include "rtdata/io/serial.hpp"
 #include "rtdata/sensors/lines.hpp"
@@ -32,13 +34,18 @@ namespace rtdata {
 struct SerialConfig {
   std::string device = {};  ///< "/dev/serial/by-id/...", "/dev/ttyUSB0"
   SerialSettings serial = {};
+  std::vector<std::string> at_open = {};      ///< sent after each opening, in order, with their ends
+  std::vector<std::string> at_open_hex = {};  ///< behind them: bytes
   LineConfig lines = {};
   bool required = false;  ///< a device that cannot be opened at the start throws
 
   friend constexpr auto parameters(type_tag<SerialConfig>) {
     return parameter_list(
         parameter("device", &SerialConfig::device, "the serial device", rtdata::required, TextIs::device),
-        include_member(&SerialConfig::serial), include_member(&SerialConfig::lines),
+        include_member(&SerialConfig::serial),
+        parameter("at_open", &SerialConfig::at_open, "what is sent after each opening, such as what starts the device"),
+        parameter("at_open_hex", &SerialConfig::at_open_hex, "the same as bytes, sent behind these"),
+        include_member(&SerialConfig::lines),
         parameter("required", &SerialConfig::required,
                   "true: if the device cannot be opened at the start, the program ends"));
   }

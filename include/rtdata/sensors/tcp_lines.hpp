@@ -35,7 +35,8 @@ struct TcpLinesConfig {
   std::string listen = {};  ///< an address of this machine, to which the device connects: "127.0.0.1", "0.0.0.0"
   std::string from = {};    ///< with `listen`: the address of the only device that may connect; empty: any
   Duration connect_timeout = std::chrono::seconds{5};
-  std::vector<std::string> at_open = {};  ///< sent after each connection, in order, with their ends
+  std::vector<std::string> at_open = {};      ///< sent after each connection, in order, with their ends
+  std::vector<std::string> at_open_hex = {};  ///< behind them: bytes
   LineConfig lines = {.retry_first = std::chrono::seconds{1}};
 
   friend constexpr auto parameters(type_tag<TcpLinesConfig>) {
@@ -51,6 +52,7 @@ struct TcpLinesConfig {
         parameter("connect_timeout", &TcpLinesConfig::connect_timeout, "how long it may take to connect",
                   range(Duration{10ms}, Duration{1min})),
         parameter("at_open", &TcpLinesConfig::at_open, "what is sent after each connection"),
+        parameter("at_open_hex", &TcpLinesConfig::at_open_hex, "the same as bytes, sent behind these"),
         include_member(&TcpLinesConfig::lines));
   }
 };

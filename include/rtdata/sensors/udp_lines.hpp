@@ -32,6 +32,9 @@ struct UdpLinesConfig {
   std::string from = {};              ///< an address: only this sender is meant; empty: all
   LineConfig lines = {.first_line = FirstLine::keep, .retry_first = std::chrono::seconds{1}};
 
+  /// True if `address` is that of a multicast group, which several may hear.
+  bool is_group() const;
+
   static constexpr std::size_t longest_datagram = 2048;  ///< bytes
 
   friend constexpr auto parameters(type_tag<UdpLinesConfig>) {

@@ -56,7 +56,12 @@ void add_line_sensors(Registry& registry) {
   registry.add_sensor<UdpLinesConfig>(
       "udp", "devices that send lines or frames by UDP to this machine",
       [](const UdpLinesConfig& config) { return description_of_lines(config.lines); }, makes<UdpLines>,
-      [](PartPlan&, const UdpLinesConfig&) {}, {.aliases = "datagram multicast broadcast telemetry listen esp8266"});
+      [](PartPlan& plan, const UdpLinesConfig& config) {
+        if (!config.is_group())
+          plan.place = {"UDP port", std::to_string(config.port) + " of " + config.address,
+                        "give each a port of its own"};
+      },
+      {.aliases = "datagram multicast broadcast telemetry listen esp8266"});
 #ifdef RTDATA_WITH_HTTP
   registry.add_sensor<HttpSensorConfig>(
       "http", "what a URL answers, such as that of a plug, a gateway or a weather service",

@@ -4,6 +4,7 @@
 #include <charconv>
 #include <optional>
 
+#include "data/hex_bytes.hpp"
 #include "sensors/core/sysfs_file.hpp"
 
 namespace rtdata::detail {
@@ -12,8 +13,8 @@ namespace {
 using Type = ChecksumType;
 using Form = ChecksumForm;
 
-/// By the names of the catalogue of Greg Cook: CRC-8/SMBUS, CRC-8/MAXIM-DOW, CRC-16/ARC, /MODBUS, /IBM-3740, /XMODEM,
-/// CRC-32/ISO-HDLC.
+/// By the names of the catalogue of Greg Cook: CRC-8/SMBUS, /MAXIM-DOW, /NRSC-5, /DVB-S2, CRC-16/ARC, /MODBUS,
+/// /IBM-3740, /XMODEM, /IBM-SDLC, /MCRF4XX, CRC-32/ISO-HDLC. `crc8_4d` is in the manual of the lidar LD06.
 struct Crc {
   unsigned bits = 0;
   std::uint32_t polynomial = 0, first = 0, last_xor = 0;
@@ -25,6 +26,12 @@ std::optional<Crc> crc_of(Type type) noexcept {
       return Crc{8, 0x07, 0, 0, false};
     case Type::crc8_maxim:
       return Crc{8, 0x31, 0, 0, true};
+    case Type::crc8_nrsc5:
+      return Crc{8, 0x31, 0xff, 0, false};
+    case Type::crc8_dvb_s2:
+      return Crc{8, 0xd5, 0, 0, false};
+    case Type::crc8_4d:
+      return Crc{8, 0x4d, 0, 0, false};
     case Type::crc16_arc:
       return Crc{16, 0x8005, 0, 0, true};
     case Type::crc16_modbus:
@@ -33,6 +40,10 @@ std::optional<Crc> crc_of(Type type) noexcept {
       return Crc{16, 0x1021, 0xffff, 0, false};
     case Type::crc16_xmodem:
       return Crc{16, 0x1021, 0, 0, false};
+    case Type::crc16_x25:
+      return Crc{16, 0x1021, 0xffff, 0xffff, true};
+    case Type::crc16_mcrf4xx:
+      return Crc{16, 0x1021, 0xffff, 0, true};
     case Type::crc32:
       return Crc{32, 0x04c11db7, 0xffffffff, 0xffffffff, true};
     default:
@@ -66,8 +77,16 @@ Checksum::Checksum(const LineChecksum& config) : config_(config) {
     refuse_checksum("there is no `after` to cover", "leave `covers_after` out");
   if (config.optional && config.after.empty())
     refuse_checksum("without `after` nothing says whether there is one", "set `after`, or leave `optional` out");
+  auto appended = bytes_of_hex(config.append_hex);
+  if (!appended) refuse_checksum("`append_hex` is not bytes", "two hexadecimal digits each, such as \"32\"");
+  appended_ = *std::move(appended);
+  const bool is_sum = config.type == Type::sum8 || config.type == Type::sum16;
+  if (config.complement != Complement::none && !is_sum)
+    refuse_checksum("`complement` is of `sum8` and `sum16`", "leave it out");
+  if (config.type == Type::sum16 || config.type == Type::fletcher16) bytes_ = 2;
   const auto crc = crc_of(config.type);
   if (!crc) return;
+  bytes_ = crc->bits / 8;
   first_ = crc->first;
   last_xor_ = crc->last_xor;
   is_reflected_ = crc->is_reflected;
@@ -86,47 +105,39 @@ Checksum::Checksum(const LineChecksum& config) : config_(config) {
   }
 }
 
-std::size_t Checksum::bytes() const noexcept {
-  switch (config_.type) {
-    case Type::sum16:
-    case Type::crc16_arc:
-    case Type::crc16_modbus:
-    case Type::crc16_ccitt:
-    case Type::crc16_xmodem:
-      return 2;
-    case Type::crc32:
-      return 4;
-    default:
-      return 1;
-  }
-}
-
 /// How long it is in the text.
-std::size_t Checksum::width() const noexcept { return config_.form == Form::hex ? 2 * bytes() : bytes(); }
+std::size_t Checksum::width() const noexcept { return config_.form == Form::hex ? 2 * bytes_ : bytes_; }
 
 std::uint32_t Checksum::crc(std::string_view of) const noexcept {
-  const std::size_t size = bytes();
+  const std::size_t size = bytes_;
   std::uint32_t value = first_;
-  for (const char c : of) {
-    const auto byte = static_cast<unsigned char>(c);
-    if (is_reflected_) {
-      value = value >> 8 ^ table_[(value ^ byte) & 0xff];
-    } else if (size == 1) {
-      value = table_[(value ^ byte) & 0xff];
-    } else {
-      value = value << 8 ^ table_[(value >> (8 * size - 8) ^ byte) & 0xff];
+  for (const std::string_view part : {of, std::string_view(appended_)}) {
+    for (const char c : part) {
+      const auto byte = static_cast<unsigned char>(c);
+      if (is_reflected_) {
+        value = value >> 8 ^ table_[(value ^ byte) & 0xff];
+      } else if (size == 1) {
+        value = table_[(value ^ byte) & 0xff];
+      } else {
+        value = value << 8 ^ table_[(value >> (8 * size - 8) ^ byte) & 0xff];
+      }
     }
   }
   return (value ^ last_xor_) & (size == 4 ? ~std::uint32_t{0} : (std::uint32_t{1} << (8 * size)) - 1);
 }
 
 std::uint32_t Checksum::of(std::string_view of) const noexcept {
-  std::uint32_t sum = 0, parity = 0;
-  for (const char c : of) {
-    const auto byte = static_cast<unsigned char>(c);
-    sum += byte;
-    parity ^= byte;
+  std::uint32_t sum = 0, sum_of_sums = 0, parity = 0;
+  for (const std::string_view part : {of, std::string_view(appended_)}) {
+    for (const char c : part) {
+      const auto byte = static_cast<unsigned char>(c);
+      sum += byte;
+      sum_of_sums += sum;
+      parity ^= byte;
+    }
   }
+  if (config_.complement == Complement::ones) sum = ~sum;
+  if (config_.complement == Complement::twos) sum = 0u - sum;
   switch (config_.type) {
     case Type::xor8:
       return parity;
@@ -134,6 +145,8 @@ std::uint32_t Checksum::of(std::string_view of) const noexcept {
       return sum & 0xff;
     case Type::sum16:
       return sum & 0xffff;
+    case Type::fletcher16:
+      return (sum & 0xff) << 8 | (sum_of_sums & 0xff);
     case Type::lrc:
       return (0u - sum) & 0xff;
     case Type::sum6:

@@ -7,6 +7,7 @@
 #include <cmath>
 #include <cstdint>
 
+#include "data/field_layout.hpp"
 #include "data/number_text.hpp"
 #include "sensors/core/sysfs_file.hpp"
 
@@ -33,7 +34,9 @@ FieldText::FieldText(const LineField& field)
       suffix_(field.suffix),
       decimal_(field.decimal),
       base_(static_cast<int>(field.base)),
-      has_sign_blanks_(field.sign_blanks) {
+      has_sign_blanks_(field.sign_blanks),
+      half_(field.type <= Kind::i64 && is_integer_kind(field.type) ? std::uint64_t{1} << (8 * size_of(field.type) - 1)
+                                                                   : 0) {
   buffer_.reserve(longest_text);
   if (field.thousands.size() > 1)
     refuse_field(field, "`thousands` has more than one character", R"(such as "," or "'")");
@@ -147,6 +150,11 @@ const char* FieldText::plain_number(std::string_view& text) {
     std::uint64_t number = 0;
     const auto [end, status] = std::from_chars(text.data(), text.data() + text.size(), number, base_);
     if (status != std::errc{} || end != text.data() + text.size()) return "is not a number of its `base`";
+    // Negative numbers as bytes have them: as int16, FFFF is -1.
+    if (half_ != 0 && number >= half_ && number / 2 < half_ && buffer_.empty()) {
+      number = 2 * half_ - number;  // 64 bits: wraps around to what is right
+      buffer_ += '-';
+    }
     std::array<char, longest_number> digits{};
     buffer_.append(digits.data(), std::to_chars(digits.data(), digits.data() + digits.size(), number).ptr);
   } else {

@@ -3,6 +3,7 @@
 
 #include <cmath>
 #include <cstddef>
+#include <cstdint>
 #include <optional>
 #include <string>
 #include <string_view>
@@ -52,7 +53,8 @@ class FieldText {
   char thousands_ = '\0';  ///< 0: none
   int base_;
   bool has_sign_blanks_;
-  bool has_notation_ = false;                                            ///< its numbers are not written as everywhere
+  std::uint64_t half_;         ///< of a signed type: how many negative numbers it has; 0: of another type
+  bool has_notation_ = false;  ///< its numbers are not written as everywhere
   std::vector<std::pair<std::string, std::optional<double>>> no_value_;  ///< with its number, if it is one
   bool has_numbers_of_none_ = false;
   std::vector<std::pair<std::string, std::string>> words_;

@@ -30,17 +30,19 @@ std::size_t beginning_of(std::string_view mark, std::string_view bytes) noexcept
 
 }  // namespace
 
-FrameCutter::FrameCutter(const LineFrame& config, std::size_t longest)
+FrameCutter::FrameCutter(const LineFrame& config, std::size_t longest, Stream stream)
     : config_(config),
       longest_(longest),
       start_(bytes_of("start", config.start, config.start_hex)),
       end_(bytes_of("end", config.end, config.end_hex)) {
-  if (start_.empty() && end_.empty())
+  const bool is_bare = stream == Stream::of_one && start_.empty() && config.length != 0 && config.length_at == 0;
+  if (start_.empty() && end_.empty() && !is_bare)
     refuse_frame("nothing says where a frame begins or ends", "set `start` or `end`, or `start_hex` or `end_hex`");
   const bool has_length = config.length != 0 || config.length_at != 0;
   if (end_.empty() && !has_length)
     refuse_frame("nothing says where a frame ends", "set `end`, `length` or `length_at`");
-  if (start_.empty() && has_length) refuse_frame("a frame of a known length has a start", "set `start` or `start_hex`");
+  if (start_.empty() && has_length && !is_bare)
+    refuse_frame("a frame of a known length has a start", "set `start` or `start_hex`");
   if (config.length != 0 && config.length_at != 0)
     refuse_frame("there are two lengths", "remove `length` or `length_at`");
   if (config.length > longest) refuse_frame("`length` is longer than `max_line`", "set a larger `max_line`");
@@ -67,7 +69,7 @@ std::optional<std::size_t> FrameCutter::announced(std::string_view frame) const 
 }
 
 FrameCutter::Found FrameCutter::next(std::string_view bytes) noexcept {
-  if (start_.empty()) return next_end(bytes);
+  if (start_.empty() && config_.length == 0) return next_end(bytes);
   for (std::size_t begin = 0;;) {
     const std::size_t start = bytes.find(start_, begin);
     if (start == std::string_view::npos) {

@@ -13,8 +13,9 @@ namespace rtdata::detail {
 
 class FrameCutter {
  public:
+  enum class Stream { endless, of_one };  ///< of_one: only one frame comes, which begins with the first byte
   /// `longest`: bytes; a longer frame is none. SetupError (bad-argument): settings that exclude each other.
-  FrameCutter(const LineFrame& config, std::size_t longest);
+  FrameCutter(const LineFrame& config, std::size_t longest, Stream stream = Stream::endless);
 
   struct Found {
     std::size_t skipped = 0;  ///< bytes that belong to no frame

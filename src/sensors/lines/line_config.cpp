@@ -4,12 +4,12 @@
 #include <optional>
 #include <utility>
 
+#include "data/hex_bytes.hpp"
 #include "data/lower_case.hpp"
 #include "rtdata/data/config_item.hpp"
 #include "rtdata/detail/io/loaded_library.hpp"
 #include "rtdata/sensors/gps.hpp"
 #include "sensors/lines/device_clock.hpp"
-#include "sensors/lines/frame_cutter.hpp"
 #include "sensors/lines/line_decoder.hpp"
 
 namespace rtdata {
@@ -110,13 +110,23 @@ void check_fields_of(const LineConfig& config) {
 void check_match(const LineConfig& config, const char* key, const std::optional<LineMatch>& match) {
   if (!match) return;
   const auto refuse = [&](const char* why, const char* advice) { throw SetupError(refused_lines(key, why, advice)); };
-  if (match->is.empty() && match->begins.empty() && match->contains.empty() && match->pattern.empty())
-    refuse("it does not say what the text is", "set `is`, `begins`, `contains` or `pattern`");
+  const bool has_text = !match->is.empty() || !match->begins.empty() || !match->contains.empty() ||
+                        !match->pattern.empty();
+  if (config.format == LineFormat::binary) {
+    if (has_text || match->column != 0 || !match->key.empty())
+      refuse("frames of bytes have no text", "set `at` and `is_hex`");
+    if (match->is_hex.empty()) refuse("it does not say what the bytes are", "set `is_hex`");
+    for (const std::string& hex : match->is_hex)
+      if (const auto bytes = bytes_of_hex(hex); !bytes || bytes->empty())
+        refuse("`is_hex` is not bytes", "two hexadecimal digits each, such as \"01 07\"");
+    return;
+  }
+  if (match->at != 0 || !match->is_hex.empty()) refuse("`at` and `is_hex` are of binary frames", "leave them out");
+  if (!has_text) refuse("it does not say what the text is", "set `is`, `begins`, `contains` or `pattern`");
   if (match->column != 0 && config.format != LineFormat::csv)
     refuse("only CSV has columns", "use `key`, or the whole line");
   if (!match->key.empty() && config.format != LineFormat::json && config.format != LineFormat::labels)
     refuse("only JSON and labels have keys", "use `column`, or the whole line");
-  if (config.format == LineFormat::binary) refuse("frames of bytes have no text", "leave it out");
 }
 
 }  // namespace
@@ -140,6 +150,27 @@ std::unique_ptr<LineDecoder> decoder_of_lines(const LineConfig& config) {
   return nullptr;
 }
 
+std::vector<std::string> texts_at_open(const std::vector<std::string>& texts, const std::vector<std::string>& hex) {
+  std::vector<std::string> all = texts;
+  for (const std::string& one : hex) {
+    auto bytes = bytes_of_hex(one);
+    if (!bytes || bytes->empty())
+      throw SetupError(refused_lines("at_open_hex", "\"" + one + "\" is not bytes",
+                                     "two hexadecimal digits each, such as \"02 4d 0d\""));
+    all.push_back(*std::move(bytes));
+  }
+  return all;
+}
+
+void check_at_open(const std::vector<std::string>& hex, const ConfigItem& item, Problems& problems) {
+  try {
+    texts_at_open({}, hex);
+  } catch (const SetupError& error) {
+    const ConfigItem* const at = item.find("at_open_hex");
+    problems.add((at != nullptr ? *at : item).problem("bad-value", error.error().why + "; " + error.error().advice));
+  }
+}
+
 std::string shown_line(std::string_view text) {
   std::string shown = "\"";
   for (const char c : text.substr(0, 40)) shown += c >= ' ' && c < 127 ? c : '?';
@@ -150,6 +181,29 @@ std::string type_with_article(Kind kind) {
   if (kind == Kind::f64 || kind == Kind::f32) return "a number";
   const std::string_view name = name_of(kind);
   return std::string(name.starts_with('i') ? "an " : "a ").append(name);
+}
+
+void check_lines_of(const LineConfig& config, FrameCutter::Stream stream, const ConfigItem& item, Problems& problems) {
+  try {
+    const auto decoder = decoder_of_lines(config);
+    if (config.device_time && decoder) DeviceClock(*config.device_time, *decoder->description());
+    if (config.frame) FrameCutter(*config.frame, config.max_line, stream);
+  } catch (const SetupError& error) {
+    const Error& e = error.error();
+    if (e.code == Errc::not_found) {  // the library of patterns
+      add_not_installed(e, item, problems);
+      return;
+    }
+    const std::string_view keys[] = {"sequence_field", "separator",     "comment",  "line_end", "frame",
+                                     "only",           "unreadable_if", "checksum", "pattern",  "device_time"};
+    const bool is_of_key = std::find(std::begin(keys), std::end(keys), e.where) != std::end(keys);
+    const std::string key = is_of_key ? e.where : "fields";
+    const ConfigItem* at = item.find(key);
+    if (at == nullptr && key == "comment") at = item.find("separator");  // which is that of the default
+    const bool is_key = e.where.empty() || e.where == key;
+    problems.add(
+        (at != nullptr ? *at : item).problem("bad-value", (is_key ? "" : e.where + ": ") + e.why + "; " + e.advice));
+  }
 }
 
 }  // namespace detail
@@ -194,26 +248,7 @@ Result<std::shared_ptr<const Description>> description_of_lines(const LineConfig
 }
 
 void check_config(const LineConfig& config, const ConfigItem& item, Problems& problems) {
-  try {
-    const auto decoder = detail::decoder_of_lines(config);
-    if (config.device_time && decoder) detail::DeviceClock(*config.device_time, *decoder->description());
-    if (config.frame) detail::FrameCutter(*config.frame, config.max_line);
-  } catch (const SetupError& error) {
-    const Error& e = error.error();
-    if (e.code == Errc::not_found) {  // the library of patterns
-      detail::add_not_installed(e, item, problems);
-      return;
-    }
-    const std::string_view keys[] = {"sequence_field", "separator",     "comment",  "line_end", "frame",
-                                     "only",           "unreadable_if", "checksum", "pattern",  "device_time"};
-    const bool is_of_key = std::find(std::begin(keys), std::end(keys), e.where) != std::end(keys);
-    const std::string key = is_of_key ? e.where : "fields";
-    const ConfigItem* at = item.find(key);
-    if (at == nullptr && key == "comment") at = item.find("separator");  // which is that of the default
-    const bool is_key = e.where.empty() || e.where == key;
-    problems.add(
-        (at != nullptr ? *at : item).problem("bad-value", (is_key ? "" : e.where + ": ") + e.why + "; " + e.advice));
-  }
+  detail::check_lines_of(config, detail::FrameCutter::Stream::endless, item, problems);
 }
 
 ReadTime read_time(const LineConfig&) { return {.on_loop = std::chrono::microseconds{500}}; }

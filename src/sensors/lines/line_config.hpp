@@ -4,8 +4,10 @@
 #include <memory>
 #include <string>
 #include <string_view>
+#include <vector>
 
 #include "rtdata/sensors/lines.hpp"
+#include "sensors/lines/frame_cutter.hpp"
 
 namespace rtdata::detail {
 
@@ -18,6 +20,13 @@ Error refused_lines(std::string where, std::string why, std::string advice);
 void check_lines(const LineConfig& config);
 /// Null: NMEA. SetupError: as LineDecoder, and of settings that NMEA has not.
 std::unique_ptr<LineDecoder> decoder_of_lines(const LineConfig& config);
+
+/// `check_config` of a LineConfig whose frames are such.
+void check_lines_of(const LineConfig& config, FrameCutter::Stream stream, const ConfigItem& item, Problems& problems);
+
+/// What is sent after an opening: the texts, then the bytes. SetupError (bad-argument): `hex` is not bytes.
+std::vector<std::string> texts_at_open(const std::vector<std::string>& texts, const std::vector<std::string>& hex);
+void check_at_open(const std::vector<std::string>& hex, const ConfigItem& item, Problems& problems);
 
 /// The beginning of a line, in quotes.
 std::string shown_line(std::string_view text);

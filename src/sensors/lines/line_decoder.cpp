@@ -6,6 +6,7 @@
 
 #include "data/character.hpp"
 #include "data/field_layout.hpp"
+#include "data/hex_bytes.hpp"
 #include "data/number_text.hpp"
 #include "sensors/core/sysfs_file.hpp"
 #include "sensors/lines/line_config.hpp"
@@ -72,6 +73,7 @@ LineDecoder::LineDecoder(const LineConfig& config, AroundLine around)
     if (!is_given_.back()) ++columns_;
   }
   check_lines(config);
+  if (format_ == LineFormat::json) find_choices();
   only_ = match_of(config.only, "only");
   unreadable_if_ = match_of(config.unreadable_if, "unreadable_if");
   if (format_ == LineFormat::pattern) use_pattern(config.pattern);
@@ -112,12 +114,18 @@ std::optional<LineDecoder::Match> LineDecoder::match_of(const std::optional<Line
   if (!config) return std::nullopt;
   Match match{*config};
   if (!config->pattern.empty()) match.pattern.emplace(config->pattern, key);
+  for (const std::string& hex : config->is_hex) match.bytes.push_back(bytes_of_hex(hex).value_or(""));
   return match;
 }
 
 /// Also true if it would take too long to know.
 bool LineDecoder::matches(Match& match, std::string_view line) {
   const LineMatch& wanted = match.config;
+  if (!match.bytes.empty()) {
+    const std::string_view rest = line.substr(std::min(wanted.at, line.size()));
+    return std::any_of(match.bytes.begin(), match.bytes.end(),
+                       [&](const std::string& bytes) { return rest.starts_with(bytes); });
+  }
   const auto text = text_in_question(wanted, line);
   return text && text->starts_with(wanted.begins) && text->find(wanted.contains) != std::string_view::npos &&
          (wanted.is.empty() || std::find(wanted.is.begin(), wanted.is.end(), *text) != wanted.is.end()) &&
@@ -147,7 +155,8 @@ void LineDecoder::use_pattern(const std::string& expression) {
 
 Result<void> LineDecoder::decode(std::string_view line) {
   std::memset(payload_.data(), 0, payload_.size() * sizeof payload_[0]);
-  if (unreadable_if_ && matches(*unreadable_if_, line))
+  says_none_ = unreadable_if_ && matches(*unreadable_if_, line);
+  if (says_none_)
     return Error{Errc::bad_data, bad_line_, shown_line(line), "the device says that it has no value (`unreadable_if`)",
                  "check the device"};
   if (binary_) return binary_->decode(line, texts_, payload());
@@ -199,6 +208,7 @@ Result<void> LineDecoder::put(std::size_t index, std::string_view text) {
   const Leaf* leaf = leaves_[index];
   if (leaf == nullptr) return {};
   double scale = fields_[index].scale;
+  if (leaf->kind != Kind::text && leaf->kind != Kind::character) text = trimmed(text);  // blanks within quotes
   if (FieldText& of = texts_[index]; of.is_used()) {
     const FieldText::Found found = of.read(text);
     if (found.is_absent) return {};
@@ -325,14 +335,27 @@ Result<void> LineDecoder::decode_pattern(std::string_view line) {
   return {};
 }
 
-/// The first row with this label; empty: there is none.
-static std::optional<std::string_view> row_of(std::string_view rows, std::string_view label, char separator) {
+std::size_t LineDecoder::end_of_label(std::string_view row, std::string_view label) const noexcept {
+  const std::size_t first = std::min(row.find_first_not_of(' '), row.size());
+  // A label may hold the separator itself, as {chip="a",label="Sensor 1"} does.
+  if (label.find(separator_) != std::string_view::npos) {
+    if (!row.substr(first).starts_with(label)) return std::string_view::npos;
+    const std::size_t end = first + label.size();
+    const std::size_t mark = row.find(separator_, end);
+    const bool is_next = mark != std::string_view::npos && trimmed(row.substr(end, mark - end)).empty();
+    return is_next ? mark : std::string_view::npos;
+  }
+  const std::size_t mark = row.find(separator_, first);
+  return mark != std::string_view::npos && trimmed(row.substr(0, mark)) == label ? mark : std::string_view::npos;
+}
+
+/// What follows the label in the first row with it; empty: there is none.
+std::optional<std::string_view> LineDecoder::row_of(std::string_view rows, std::string_view label) const noexcept {
   while (!rows.empty()) {
     const std::size_t end = std::min(rows.find('\n'), rows.size());
     const std::string_view row = trimmed(rows.substr(0, end));
     rows.remove_prefix(std::min(end + 1, rows.size()));
-    const std::size_t mark = row.find(separator);
-    if (mark != std::string_view::npos && trimmed(row.substr(0, mark)) == label) return row.substr(mark + 1);
+    if (const std::size_t mark = end_of_label(row, label); mark != std::string_view::npos) return row.substr(mark + 1);
   }
   return std::nullopt;
 }
@@ -345,12 +368,11 @@ Result<void> LineDecoder::decode_labels(std::string_view rows) {
     std::string_view row = rows.substr(0, end);
     rows.remove_prefix(std::min(end + 1, rows.size()));
     if (row.ends_with('\r')) row.remove_suffix(1);
-    const std::size_t mark = row.find(separator_);
-    if (mark == std::string_view::npos) continue;
-    const std::string_view label = trimmed(row.substr(0, mark));
     bool is_checked = false;
     for (std::size_t i = 0; i < fields_.size(); ++i) {
-      if (is_given(i) || fields_[i].key != label) continue;
+      if (is_given(i)) continue;
+      const std::size_t mark = end_of_label(row, fields_[i].key);
+      if (mark == std::string_view::npos) continue;
       if (has_row_checksums_ && !std::exchange(is_checked, true)) {
         const Result<std::string_view> good = checksum_->checked(row);
         if (!good) return failure(Errc::bad_data, i, good.error().why);
@@ -384,7 +406,7 @@ Result<void> LineDecoder::all_seen() const {
 
 std::optional<std::string_view> LineDecoder::text_in_question(const LineMatch& match, std::string_view line) {
   if (!match.key.empty() && format_ == LineFormat::labels) {
-    const auto row = row_of(line, match.key, separator_);
+    const auto row = row_of(line, match.key);
     return row ? std::optional(trimmed(row->substr(0, row->find(separator_)))) : std::nullopt;
   }
   if (!match.key.empty()) return find_in_json(match.key, line) ? std::optional<std::string_view>(found_) : std::nullopt;

@@ -40,6 +40,8 @@ class LineDecoder {
   /// Afterwards `payload` is the line's. Errors: bad-data, not-a-number, out-of-range, does-not-fit; no allocation when
   /// good.
   Result<void> decode(std::string_view line);
+  /// After `decode` has failed: the device says that it has no value (`unreadable_if`).
+  bool says_none() const noexcept { return says_none_; }
   /// After `decode`: the value of the fields with this key. Errors: those of `decode`.
   Result<void> give(std::string_view key, std::string_view text);
   std::byte* payload() noexcept { return reinterpret_cast<std::byte*>(payload_.data()); }
@@ -65,8 +67,14 @@ class LineDecoder {
   Result<void> decode_csv(std::string_view line);
   std::string advice_on(std::string_view line) const;
   Result<void> decode_json(std::string_view line);
+  void find_choices();
+  /// The keys with the indices of the objects that they choose, in this line.
+  void choose_in_json(std::string_view line);
   /// Puts the value into `found_`; false: there is none.
   bool find_in_json(std::string_view key, std::string_view line);
+  /// Where the label of the row ends, and it is this field's; npos: it is not.
+  std::size_t end_of_label(std::string_view row, std::string_view label) const noexcept;
+  std::optional<std::string_view> row_of(std::string_view rows, std::string_view label) const noexcept;
   Result<void> decode_labels(std::string_view rows);
   Result<void> decode_pattern(std::string_view line);
   Result<void> all_seen() const;
@@ -74,6 +82,7 @@ class LineDecoder {
   struct Match {
     LineMatch config;
     std::optional<LinePattern> pattern = {};
+    std::vector<std::string> bytes = {};  // `is_hex`
   };
   static std::optional<Match> match_of(const std::optional<LineMatch>& config, const char* key);
   bool matches(Match& match, std::string_view line);
@@ -110,6 +119,7 @@ class LineDecoder {
   std::vector<std::vector<unsigned>> groups_;  // of each field, their numbers in the pattern
   std::optional<Checksum> checksum_;
   bool has_row_checksums_ = false;
+  bool says_none_ = false;
   std::optional<BinaryFields> binary_;
   std::vector<std::max_align_t> payload_;
   std::vector<bool> seen_;
@@ -117,6 +127,13 @@ class LineDecoder {
   std::size_t columns_ = 0;
   std::string cell_;   // without its quotes
   std::string found_;  // the value in JSON that a match looks at
+  /// A key such as values[type=P1].value: in the array `values`, the first object with that member.
+  struct Choice {
+    std::size_t field;
+    std::string key, array, member, text, rest;  // "values.", ".type", "P1", ".value"
+    bool is_made = false;                   // in this line
+  };
+  std::vector<Choice> choices_;
 };
 
 }  // namespace rtdata::detail

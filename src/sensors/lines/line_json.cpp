@@ -22,6 +22,8 @@ class LineDecoder::JsonHandler {
   /// `wanted`: only looks for this value; empty: takes the fields.
   explicit JsonHandler(LineDecoder& decoder, std::string_view wanted = {}) : decoder_(decoder), wanted_(wanted) {}
   bool has_found() const noexcept { return has_found_; }
+  /// Looks for the members by which keys choose objects.
+  void only_choose() noexcept { only_chooses_ = true; }
 
   bool null() { return take(Form::null, "null"); }
   bool boolean(bool is_true) { return take(Form::boolean, is_true ? "true" : "false"); }
@@ -57,6 +59,7 @@ class LineDecoder::JsonHandler {
  private:
   enum class Form { number, boolean, string, null };
   bool take(Form form, std::string_view text);
+  bool choose(std::string_view text);
   /// A value begins: in an array its path ends with its index.
   void begin_value() {
     if (levels_.empty() || !levels_.back().is_array) return;
@@ -84,6 +87,7 @@ class LineDecoder::JsonHandler {
   LineDecoder& decoder_;
   const std::string_view wanted_;
   bool has_found_ = false;
+  bool only_chooses_ = false;
   std::string path_;  // of the value last seen
   struct Level {
     std::size_t start;  // where in the path the key or index begins
@@ -97,6 +101,7 @@ class LineDecoder::JsonHandler {
 bool LineDecoder::JsonHandler::take(Form form, std::string_view text) {
   if (levels_.empty()) return false;
   begin_value();
+  if (only_chooses_) return choose(text);
   if (!wanted_.empty()) {
     if (path_ != wanted_) return true;
     decoder_.found_ = text;
@@ -111,8 +116,9 @@ bool LineDecoder::JsonHandler::take(Form form, std::string_view text) {
     if (form == Form::string && (kind == Kind::f32 || kind == Kind::f64) &&
         (text == "NaN" || text == "Infinity" || text == "-Infinity"))
       form = Form::number;
-    // What stands around a number makes it a text.
-    if (form == Form::string && !is_textual && decoder_.texts_[i].is_used()) form = Form::number;
+    // Many devices write numbers as texts; an empty one is no value.
+    if (form == Form::string && !is_textual)
+      form = text.empty() && decoder_.fields_[i].optional ? Form::null : Form::number;
     if (decoder_.seen_[i]) {
       error_ = decoder_.failure(Errc::bad_data, i, "it is there twice");
     } else if (form == Form::null && decoder_.fields_[i].optional) {
@@ -130,8 +136,46 @@ bool LineDecoder::JsonHandler::take(Form form, std::string_view text) {
   return true;
 }
 
+bool LineDecoder::JsonHandler::choose(std::string_view text) {
+  for (Choice& choice : decoder_.choices_) {
+    const std::string_view path(path_);
+    if (choice.is_made || text != choice.text || !path.starts_with(choice.array) || !path.ends_with(choice.member))
+      continue;
+    const std::size_t begin = choice.array.size();
+    if (path.size() <= begin + choice.member.size()) continue;
+    const std::string_view index = path.substr(begin, path.size() - choice.member.size() - begin);
+    if (index.find_first_not_of("0123456789") != std::string_view::npos) continue;
+    choice.is_made = true;
+    decoder_.fields_[choice.field].key.assign(choice.array).append(index).append(choice.rest);
+  }
+  return true;
+}
+
+void LineDecoder::find_choices() {
+  for (std::size_t i = 0; i < fields_.size(); ++i) {
+    const std::string& key = fields_[i].key;
+    const std::size_t open = key.find('['), equals = key.find('=', open), close = key.find(']', equals);
+    if (open == std::string::npos || equals == std::string::npos || close == std::string::npos) continue;
+    Choice choice{i, key, key.substr(0, open), "." + key.substr(open + 1, equals - open - 1),
+                  key.substr(equals + 1, close - equals - 1), key.substr(close + 1)};
+    if (!choice.array.empty()) choice.array += '.';
+    choices_.push_back(std::move(choice));
+  }
+}
+
+void LineDecoder::choose_in_json(std::string_view line) {
+  for (Choice& choice : choices_) {
+    choice.is_made = false;
+    fields_[choice.field].key = choice.key;
+  }
+  JsonHandler handler(*this);
+  handler.only_choose();
+  nlohmann::json::sax_parse(line.begin(), line.end(), &handler);
+}
+
 Result<void> LineDecoder::decode_json(std::string_view line) {
   std::fill(seen_.begin(), seen_.end(), false);
+  if (!choices_.empty()) choose_in_json(line);
   JsonHandler handler(*this);
   if (!nlohmann::json::sax_parse(line.begin(), line.end(), &handler)) {
     Error error = handler.take_error();

@@ -7,7 +7,7 @@
 #include "data/hex_bytes.hpp"
 #include "rtdata/data/config_item.hpp"
 #include "rtdata/detail/loop/lane.hpp"
-#include "sensors/lines/frame_cutter.hpp"
+#include "sensors/lines/line_config.hpp"
 #include "sensors/lines/line_decoder.hpp"
 
 namespace rtdata {
@@ -59,33 +59,55 @@ void check_config(const Query::Config& config, const ConfigItem& item, Problems&
                      .problem("bad-value", std::string(at != nullptr ? "" : mistake->key) +
                                                (at != nullptr ? "" : ": ") + mistake->why + "; " + mistake->advice));
   }
-  check_config(as_lines(config), item, problems);
+  detail::check_at_open(config.at_open_hex, item, problems);
+  if (config.at_open_answers && config.at_open.empty() && config.at_open_hex.empty()) {
+    const ConfigItem* const at = item.find("at_open_answers");
+    problems.add((at != nullptr ? *at : item).problem("bad-value", "there is no `at_open` to answer"));
+  }
+  detail::check_lines_of(as_lines(config), detail::FrameCutter::Stream::of_one, item, problems);
 }
 
 struct Query::Decoding {
   explicit Decoding(const Config& config) : decoder(as_lines(config)) {
-    if (config.frame) cutter.emplace(*config.frame, longest_answer);
+    if (config.frame) cutter.emplace(*config.frame, longest_answer, detail::FrameCutter::Stream::of_one);
   }
   detail::LineDecoder decoder;
   std::optional<detail::FrameCutter> cutter;  // none: the answer is a line
 };
 
 Query::Query(const Config& config)
-    : config_(config), request_(request_of(config)), decoding_(std::make_unique<Decoding>(config)) {}
+    : config_(config),
+      request_(request_of(config)),
+      at_open_(detail::texts_at_open(config.at_open, config.at_open_hex)),
+      decoding_(std::make_unique<Decoding>(config)) {}
 
 Query::~Query() = default;
 
 Result<void> Query::open(SerialDevice& line) {
-  for (const std::string& command : config_.at_open) {
-    if (auto done = line.write(command); !done) return done;
+  for (const std::string& text : at_open_) {
+    const bool is_question = config_.at_open_answers || text.find('?') != std::string::npos;
+    if (is_question)
+      if (auto done = line.drop_input(); !done) return done;
+    if (auto done = line.write(text); !done) return done;
+    if (!is_question) continue;
+    if (decoding_->cutter) {
+      if (auto frame = next_frame(line); !frame) return std::move(frame).error();
+    } else {
+      if (auto answer = line.read_until(config_.answer_end, {}, longest_answer); !answer)
+        return std::move(answer).error();
+    }
   }
   return {};
 }
 
-/// The first frame that comes; what is before it is left out.
 Result<std::string> Query::ask_for_frame(SerialDevice& line) {
   if (auto done = line.drop_input(); !done) return std::move(done).error();
   if (auto done = line.write(request_); !done) return std::move(done).error();
+  return next_frame(line);
+}
+
+/// The first frame that comes; what is before it is left out.
+Result<std::string> Query::next_frame(SerialDevice& line) {
   detail::FrameCutter& cutter = *decoding_->cutter;
   cutter.reset();
   const MonotonicTime until = detail::lane_now() + line.answer_timeout();
@@ -133,7 +155,8 @@ Reading<DescribedValue> Query::decoded(SerialDevice& line, std::string_view answ
   if (!done) {
     const Error& e = done.error();
     return Unreadable{line.error(static_cast<Errc>(e.code.value()), "cannot use an answer",
-                                 (e.where.empty() ? "" : e.where + ": ") + e.why, "check `request` and `fields`")};
+                                 (e.where.empty() ? "" : e.where + ": ") + e.why, "check `request` and `fields`"),
+                      checked && decoder.says_none()};
   }
   return DescribedValue(std::span<const std::byte>(decoder.payload(), decoder.description()->size()));
 }

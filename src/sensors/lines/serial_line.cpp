@@ -6,8 +6,10 @@
 #include <cerrno>
 #include <string>
 #include <utility>
+#include <vector>
 
 #include "io/tty.hpp"
+#include "sensors/lines/line_config.hpp"
 #include "sensors/lines/line_node.hpp"
 #include "sensors/lines/serial_source.hpp"
 
@@ -18,8 +20,10 @@ class SerialLineNode final : public LineNode, private SerialSource::User {
  public:
   SerialLineNode(LoopCore& loop, const FeedConfig& feed, SerialConfig config)
       : LineNode(loop, feed, std::move(config.lines), std::move(config.device),
-                 "check `baud_rate`, and that the device ends its lines"),
+                 config.lines.frame ? "check `baud_rate`, `frame` and what the device sends"
+                                    : "check `baud_rate`, and that the device ends its lines"),
         settings_(config.serial),
+        at_open_(texts_at_open(config.at_open, config.at_open_hex)),
         is_required_(config.required) {}
 
   void start() override {
@@ -37,6 +41,12 @@ class SerialLineNode final : public LineNode, private SerialSource::User {
     auto source = SerialSource::open(*loop(), place(), settings_);
     if (!source) return source.error();
     source_ = *std::move(source);
+    for (const std::string& text : at_open_) {
+      if (::write(source_->fd(), text.data(), text.size()) == static_cast<ssize_t>(text.size())) continue;
+      const int number = errno;
+      source_ = nullptr;
+      return system_error(number, "cannot send `at_open`", place(), "does the device take what it is sent?");
+    }
     return source_->fd();
   }
   void open_stream() override { take(open()); }
@@ -75,6 +85,7 @@ class SerialLineNode final : public LineNode, private SerialSource::User {
   }
 
   const SerialSettings settings_;
+  const std::vector<std::string> at_open_;
   const bool is_required_;
   std::shared_ptr<SerialSource> source_;
 };
@@ -83,6 +94,7 @@ class SerialLineNode final : public LineNode, private SerialSource::User {
 
 void check_config(const SerialConfig& config, const ConfigItem& item, Problems& problems) {
   check_config(config.serial, item, problems);
+  detail::check_at_open(config.at_open_hex, item, problems);
   check_config(config.lines, item, problems);
 }
 

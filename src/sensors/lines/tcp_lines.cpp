@@ -11,6 +11,7 @@
 #include "net/ip_address.hpp"
 #include "net/tcp_stream.hpp"
 #include "rtdata/data/config_item.hpp"
+#include "sensors/lines/line_config.hpp"
 #include "sensors/lines/line_node.hpp"
 
 namespace rtdata {
@@ -78,7 +79,7 @@ class TcpClientNode final : public TcpLinesNode {
         host_(std::move(config.host)),
         port_(config.port),
         limit_(config.connect_timeout),
-        at_open_(std::move(config.at_open)),
+        at_open_(texts_at_open(config.at_open, config.at_open_hex)),
         stream_(
             loop, "sensor " + feed.name, [this](const Result<void>& done) { connected(done); }, [] {}) {}
 
@@ -107,7 +108,7 @@ class TcpServerNode final : public TcpLinesNode {
   TcpServerNode(LoopCore& loop, const FeedConfig& feed, TcpLinesConfig config)
       : TcpLinesNode(loop, feed, config),
         address_(*ip_address(config.listen, config.port)),
-        at_open_(std::move(config.at_open)),
+        at_open_(texts_at_open(config.at_open, config.at_open_hex)),
         later_(loop.face, [this] { choose(); }) {
     if (!config.from.empty()) from_ = ip_address(config.from, 0);
   }
@@ -206,6 +207,7 @@ void check_config(const TcpLinesConfig& config, const ConfigItem& item, Problems
     const ConfigItem* const at = item.find(mistake->key);
     problems.add((at != nullptr ? *at : item).problem(at != nullptr ? "bad-value" : "missing-key", mistake->why));
   }
+  detail::check_at_open(config.at_open_hex, item, problems);
   check_config(config.lines, item, problems);
 }
 

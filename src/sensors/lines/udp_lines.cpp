@@ -150,6 +150,11 @@ class UdpLinesNode final : public LineNode {
 
 }  // namespace detail
 
+bool UdpLinesConfig::is_group() const {
+  const auto own = detail::ip_address(address, port);
+  return own && own->is_group();
+}
+
 void check_config(const UdpLinesConfig& config, const ConfigItem& item, Problems& problems) {
   if (const auto mistake = detail::mistake_in_addresses("address", config.address, config.from)) {
     const ConfigItem* const at = item.find(mistake->key);
