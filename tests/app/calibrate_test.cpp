@@ -2,6 +2,8 @@
 #include <doctest/doctest.h>
 #include <sys/stat.h>
 
+#include <filesystem>
+
 #include "app/runtime_folder.hpp"
 #include "has.hpp"
 #include "paths.hpp"
@@ -191,12 +193,12 @@ TEST_SUITE("app") {
     CHECK(has(commands.out, "tare scale.value"));
     CHECK(has(commands.out, "tare scale --clear"));
     CHECK(has(commands.out, "uid " + std::to_string(::geteuid())));
-    CHECK(folder.read("hall.tare") == "{}\n");
+    CHECK(has(folder.read("hall.tare"), "\"tares\": {}"));
     // A tare of another calibration is not taken; nor is one of a file that cannot be read.
     folder.write("hall.tare", "{");
     {
       Process run(folder, program, {"run", "hall.json"});
-      REQUIRE(run.wait_for("the tares of before cannot be read, and are not taken"));
+      REQUIRE(run.wait_for("the tares in hall.tare are not taken"));
       REQUIRE(run.wait_for("running hall"));
       CHECK(has(ctl({"tare", "scale"}, 0), "its tare is 150"));
       folder.write("hall.json", configuration(R"({"scale": 2048})"));
@@ -206,6 +208,39 @@ TEST_SUITE("app") {
     }
     Process verify(folder, program, {"verify", "hall.db"});
     CHECK(verify.end() == 0);
+    // Nor is one of another configuration of this name, whatever folder it is run from.
+    std::string of_another = folder.read("hall.tare");
+    of_another.insert(of_another.find("hall.json"), "other/");
+    folder.write("hall.tare", of_another);
+    {
+      Process run(folder, program, {"run", "hall.json", "--for", "300ms"});
+      CHECK(run.end() == 0);
+      CHECK_MESSAGE(has(run.out + run.err, "are not taken: they are those of "), run.out, run.err);
+    }
+    std::filesystem::remove(folder.path() + "/hall.tare");
+    REQUIRE(::mkfifo((folder.path() + "/hall.tare").c_str(), 0600) == 0);
+    Process run(folder, program, {"run", "hall.json", "--for", "300ms"});
+    CHECK(run.end() == 0);
+    CHECK_MESSAGE(has(run.out + run.err, "it is not a regular file"), run.out, run.err);
+  }
+
+  TEST_CASE("a tare that waits for a value holds no other command up") {
+    const RuntimeFolder runtime;
+    const Folder folder;
+    folder.write("hall.json", scale(folder, R"(      "process": {"value": {"calibration": {}}}, "topic": "scale"
+)"));
+    Process run(folder, program, {"run", "hall.json"});  // there is no `code`: no value comes
+    REQUIRE(run.wait_for("running hall"));
+    Process tare(folder, program, {"ctl", "tare", "scale"});
+    Process note(folder, program, {"ctl", "note", "still here"});
+    CHECK(note.end() == 0);
+    CHECK(tare.end() == 1);
+    CHECK_MESSAGE(has(tare.out + tare.err, "gave no value"), tare.out, tare.err);
+    run.signal(SIGTERM);
+    run.end();
+    Process commands(folder, program, {"export", "hall.db", "--topic", "rtdata/commands"});
+    CHECK(commands.end() == 0);
+    CHECK_MESSAGE(commands.out.find("note still here") < commands.out.find("tare scale"), commands.out);
   }
 
   TEST_CASE("calibrate says what it cannot do, writes nothing then, and shows the points") {

@@ -21,6 +21,7 @@
 #include "rtdata/sensors/feed.hpp"
 #include "rtdata/sensors/sensor.hpp"
 #include "sanitized.hpp"
+#include "sensors/fake_gpsd.hpp"
 
 using namespace rtdata;
 using namespace rtdata::literals;
@@ -117,6 +118,22 @@ void write_configurations(const Folder& folder) {
 }  // namespace
 
 TEST_SUITE_BEGIN("app");
+
+TEST_CASE("a device that does not answer at the end of a run costs a second, and the recording is closed") {
+  const Folder folder;
+  const FakeGpsd silent;
+  folder.write("hang.json", R"({"buses": {"b": {"type": "serial", "host": "127.0.0.1", "port": )" +
+                                std::to_string(silent.port()) + R"(, "answer_timeout": "30 s", "timeout": "90 s"}},
+    "sensors": [{"name": "meter", "type": "query", "bus": "b", "rate": "10 Hz", "request": "?", "fields": [{"name": "v"}]},
+                {"name": "load", "type": "host", "quantity": "load", "rate": "10 Hz"}],
+    "sinks": [{"type": "sqlite", "path": "hang.db"}]})");
+  Process run(folder, program, {"run", "hang.json", "--for", "1s"});
+  CHECK(run.end() == 0);
+  CHECK_MESSAGE(!has(run.out + run.err, "not closed"), run.out, run.err);
+  Process verify(folder, program, {"verify", "hang.db"});
+  verify.end();
+  CHECK_MESSAGE(!has(verify.out + verify.err, "sealed"), verify.out, verify.err);
+}
 
 TEST_CASE("US-26 a recording that cannot be read: each command says why, with status 2") {
   const Folder folder;

@@ -248,7 +248,7 @@ TEST_SUITE("outputs") {
     const SystemPlan first = plan(before);
     REQUIRE_MESSAGE(first.good(), first.report());
     System system(loop, devices.registry, first);
-    app::Tares tares("/no/such/folder/f.tare");
+    app::Tares tares("/no/such/folder/f.tare", "f.json");
     app::CommandDesk desk(loop, system, tares, [](const std::string&, bool) {});
     const auto command = [&](const Lines& words) {
       std::string text;
@@ -405,7 +405,7 @@ TEST_SUITE("outputs") {
     const SystemPlan first = plan(far + "," + near);
     REQUIRE_MESSAGE(first.good(), first.report());
     System system(loop, devices.registry, first);
-    app::Tares tares("/no/such/folder/f.tare");
+    app::Tares tares("/no/such/folder/f.tare", "f.json");
     app::CommandDesk desk(loop, system, tares, [](const std::string&, bool) {});
     const auto command = [&](const Lines& words) {
       auto outcome = std::make_shared<app::CommandOutcome>();

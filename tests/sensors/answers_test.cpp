@@ -241,6 +241,26 @@ TEST_SUITE("sensors") {
     CHECK(battery.health() == Health::ok);
   }
 
+  TEST_CASE("US-42 the echo of a request that has the shape of its answer is no value") {
+    Stage stage;
+    const std::string good("\xa5\x01\x90\x08\x02\x10\x00\x00\x75\x30\x03\x84\x7c", 13);
+    stage.line->on_request = [&](const std::string& request) {
+      stage.line->send(0ms, request);
+      stage.line->send(5ms, good);
+    };
+    SerialPort port("meter", stage.line);
+    DriverSensor<Query> battery(stage.loop, patient("pack", 1_Hz), port, {},
+                                {.request_hex = "a5 40 90 08 00 00 00 00 00 00 00 00 7d",
+                                 .format = LineFormat::binary,
+                                 .fields = {{.name = "v", .unit = "V", .scale = 0.1, .at = 4, .wire = Kind::u16}},
+                                 .frame = LineFrame{.start_hex = "a5", .length = 13},
+                                 .checksum = LineChecksum{.type = ChecksumType::sum8, .form = ChecksumForm::big}});
+    stage.loop.advance(10s);
+    CHECK(stage.values.empty());
+    CHECK(stage.has_error("it echoes the request"));
+    CHECK(battery.counts().unreadable > 0);
+  }
+
   TEST_CASE("US-42 a serial adapter that sends back what it is given is told, and nothing is taken from it") {
     Stage stage;
     std::string answer;

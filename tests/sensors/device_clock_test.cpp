@@ -120,6 +120,43 @@ TEST_SUITE("sensors") {
     CHECK(seconds.at(8, 8.5 * s) == 8'000'000'000LL);
   }
 
+  TEST_CASE("US-13 a clock that does not run as ours is of no use, and the times are those of the reads") {
+    constexpr double s = 1e9;
+    const auto worst_of = [](ClockBench& bench, double rate, double seconds) {
+      double late = 0;
+      for (double t = 0; t < seconds; t += 0.01)
+        late = std::max(late, t * s - static_cast<double>(bench.at(std::floor(t * rate), t * s)));
+      CHECK_FALSE(bench.clock.take_restart());
+      return late;
+    };
+    ClockBench wrong_step(Kind::u32, 1us);  // it counts milliseconds
+    CHECK(worst_of(wrong_step, 1e3, 4) < 3.1 * s);
+    CHECK(wrong_step.clock.take_useless());
+    CHECK_FALSE(wrong_step.clock.take_useless());
+    CHECK(worst_of(wrong_step, 1e3, 100) < 10);  // ns: what a double loses
+    ClockBench still(Kind::u32, 1ms);
+    CHECK(worst_of(still, 0, 100) < 3.1 * s);
+    CHECK(still.clock.take_useless());
+    ClockBench slow(Kind::u32, 1ms);
+    CHECK(worst_of(slow, 970, 200) < 1 * s);
+    CHECK(slow.clock.take_useless());
+    slow.clock.forget();                          // opened again
+    CHECK(worst_of(slow, 1000, 200) < 0.01 * s);  // in the first seconds, of counts of 1 ms
+    CHECK_FALSE(slow.clock.take_useless());
+
+    // A device that sleeps between its lines, and whose clock stands still then.
+    ClockBench sleeper(Kind::u32, 1ms);
+    for (int i = 0; i < 5; ++i) CHECK(sleeper.at(5 * i, 8 * i * s) == static_cast<std::int64_t>(8 * i * s));
+    CHECK(sleeper.clock.take_restart());
+    // Lines that a network has held up for 3 s have their own times.
+    ClockBench held(Kind::u32, 1ms);
+    for (int i = 0; i < 1000; ++i) held.at(10 * i, i * 0.01 * s);
+    for (int i = 1000; i < 1300; ++i)
+      CHECK(std::fabs(static_cast<double>(held.at(10 * i, 13 * s)) - i * 0.01 * s) < 0.001 * s);
+    CHECK_FALSE(held.clock.take_restart());
+    CHECK_FALSE(held.clock.take_useless());
+  }
+
   TEST_CASE("US-13 any counts and delays give times that are never later than the reads") {
     std::mt19937_64 random(11);
     for (const Kind kind : {Kind::u8, Kind::i16, Kind::u32, Kind::i64, Kind::u64, Kind::f64}) {

@@ -205,7 +205,7 @@ TEST_SUITE("sensors" * doctest::skip(!terminals_can_be_set_up())) {
     CHECK(values_of_line(board, R"({"value": 1, "sensor": {"kind": "t"}})") == "1");
     CHECK(values_of_line(board, R"({"value": "x", "sensor": {"kind": "p"}})") == "left out");
     CHECK(values_of_line(board, R"({"value": 1})") == "left out");
-    CHECK(values_of_line(board, "{") == "left out");
+    CHECK(values_of_line(board, "ets Jun  8 2016 rst:0x1") == "left out");
     const LineConfig text{.fields = {{.name = "t", .prefix = "T="}},
                           .only = LineMatch{.begins = "T=", .contains = "1"}};
     CHECK(values_of_line(text, "T=1") == "1");
@@ -250,6 +250,18 @@ TEST_SUITE("sensors" * doctest::skip(!terminals_can_be_set_up())) {
     CHECK(values_of_line(plain, R"({"a": "1.87", "b": "12"})") == "1.87 12");
     CHECK(values_of_line(plain, R"({"a": "many", "b": 1})") == "\"many\" is not a number");
     CHECK(values_of_line(plain, R"({"a": "", "b": 1})") == "\"\" is not a number");
+  }
+
+  TEST_CASE("US-13 damaged JSON is unreadable, also where a key chooses the lines, and behind a NUL") {
+    const LineConfig plain{.format = LineFormat::json, .fields = {{.name = "v"}}};
+    CHECK(has(values_of_line(plain, std::string_view("{\"v\":2}\0{\"v\":3}", 15)), "not JSON from byte 8 on"));
+    const LineConfig chosen{
+        .format = LineFormat::json, .fields = {{.name = "v"}}, .only = LineMatch{.key = "type", .is = {"t"}}};
+    CHECK(values_of_line(chosen, R"({"v":2,"type":"t"})") == "2");
+    CHECK(values_of_line(chosen, R"({"v":2,"type":"u"})") == "left out");
+    CHECK(values_of_line(chosen, R"({"v":2})") == "left out");
+    for (const char* const damaged : {R"({"v":2#"type":"t"})", R"({"v":3,"typ)", "{"})
+      CHECK(has(values_of_line(chosen, damaged), "not JSON from byte"));
   }
 
   TEST_CASE("US-13 a label may hold the separator") {

@@ -165,6 +165,20 @@ TEST_CASE("US-17 what a URL answers are events: JSON by its keys, CSV after its 
 #endif
 }
 
+TEST_CASE("US-7 an answer whose value was not published is asked for again in full") {
+  NEEDS_PROGRAM(python);
+  Bench bench({}, {.name = "s", .process = {{"x", {.calibration = Calibration{.most = 5}}}}});
+  bench.server.become("answer ETag:\"one\"");
+  bench.server.folder().write("answer", R"({"x": 9})");
+  bench.sensor.start();
+  bench.loop.advance(3500ms);
+  CHECK(bench.rows.empty());
+  CHECK(bench.sensor.counts().repeated == 0);
+  CHECK(bench.sensor.counts().unreadable == 4);
+  CHECK(bench.sensor.health() != Health::ok);
+  CHECK(bench.server.requests().back()["if-none-match"].is_null());
+}
+
 TEST_CASE("US-17 a URL may be asked by a request with a text, and with the right to read it") {
   NEEDS_PROGRAM(python);
   Bench post({.server = {.url = {}, .headers = {{"X-Site", "roof"}}, .bearer = "token of mine"},

@@ -93,10 +93,28 @@ TEST_SUITE("sensors") {
     const std::clock_t begin = std::clock();
     CHECK(has(found_in(config, line), "too many steps"));
     CHECK(static_cast<double>(std::clock() - begin) / CLOCKS_PER_SEC < 2);  // without a limit: longer than the universe
-    // It is not left out without a word.
-    const LineConfig chosen{.fields = {{.name = "v", .type = Kind::text, .length = 255}},
-                            .only = LineMatch{.pattern = "(a+)+$"}};
-    CHECK(found_in(chosen, std::string(100, 'a') + "b") != "left out");
+    // Many starts, and many bytes a step: PCRE2's own limit counts neither.
+    const auto seconds_of = [](const char* pattern, const std::string& text) {
+      const LineConfig slow{.format = LineFormat::pattern, .fields = {{.name = "v"}}, .pattern = pattern};
+      detail::LineDecoder decoder(slow);
+      const std::clock_t from = std::clock();
+      CHECK(has(decoder.decode(text).error().why, "too many steps"));
+      return static_cast<double>(std::clock() - from) / CLOCKS_PER_SEC;
+    };
+    std::string groups;
+    for (int i = 0; i < 22; ++i) groups += std::string(180, '1') + ",";
+    CHECK(seconds_of(R"((?<v>\d*\d*\d*)[XY])", groups) < 0.2);
+    CHECK(seconds_of(R"((?<v>\d+)[XY])", std::string(65'000, '1')) < 0.5);
+    CHECK(seconds_of(R"((?<v>[0-9]+)[XY])", std::string(1'048'576, '1')) < 4);
+    // A long line that is meant has the steps that it needs.
+    const LineConfig far{.format = LineFormat::pattern, .fields = {{.name = "v"}}, .pattern = "a.*=(?<v>[0-9]+)$"};
+    CHECK(found_in(far, "a" + std::string(4000, ' ') + "=7") == "7");
+    // Whether it is meant is not known: it is not left out without a word, nor taken.
+    const LineConfig chosen{.fields = {{.name = "v"}, {.name = "w"}}, .only = LineMatch{.pattern = "^(a+)+$|^OK"}};
+    CHECK(has(found_in(chosen, std::string(100, 'a') + "b,3"), "the pattern of `only` takes too many steps"));
+    CHECK(found_in(chosen, "7,3") == "left out");
+    const LineConfig utf{.format = LineFormat::pattern, .fields = {{.name = "v"}}, .pattern = "(*UTF)(?<v>.)"};
+    CHECK(has(refusal_of_pattern(utf), "pattern: at character"));
   }
 }
 #endif

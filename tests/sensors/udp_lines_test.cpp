@@ -122,6 +122,14 @@ TEST_SUITE("sensors") {
     REQUIRE(bench.until([&] { return bench.events.size() == 3; }));
     CHECK(bench.events == std::vector<std::string>{"258", "7", "8"});
     CHECK(bench.errors.empty());
+    // A frame that is cut is none, and takes nothing from the next datagram.
+    sender.send(port, std::string("DATA\x00", 5));
+    sender.send(port, std::string("DATA\x00\x09", 6));
+    REQUIRE(bench.until([&] { return bench.events.size() == 4; }));
+    CHECK(bench.events.back() == "9");
+    CHECK(bench.sensor.counts().unreadable == 1);
+    REQUIRE(bench.errors.size() == 1);
+    CHECK(bench.errors[0] == "5 bytes came without an end");
   }
 
   TEST_CASE("US-7 a port that is taken is a fault, and heard once it is free") {
@@ -138,20 +146,36 @@ TEST_SUITE("sensors") {
     CHECK(bench.sensor.health() == Health::ok);
   }
 
-  TEST_CASE("US-9 datagrams that the kernel drops are counted as lost") {
-    const std::uint16_t port = free_port();
-    UdpHearing bench({.port = port, .lines = {.fields = {{.name = "v", .type = Kind::u32}}}});
-    UdpSender sender;
+  TEST_CASE("US-9 datagrams that the kernel drops are counted, also the last, and once where lines are numbered") {
     const std::string pad(1000, ' ');
     constexpr std::uint64_t sent = 20'000;  // 20 MB, more than any buffer here
-    for (std::uint64_t i = 0; i < sent; ++i) sender.send(port, std::to_string(i) + pad);
-    std::size_t before = 0;
-    REQUIRE(
-        bench.until([&] { return std::exchange(before, bench.events.size()) == bench.events.size() && before > 0; }));
-    sender.send(port, "4000000000");  // the kernel tells what it dropped with the next one
-    REQUIRE(bench.until([&] { return bench.events.back() == "4000000000"; }));
-    CHECK(bench.sensor.counts().lost > 0);
-    CHECK(bench.sensor.counts().lost + bench.events.size() == sent + 1);
+    for (const bool is_numbered : {false, true}) {
+      CAPTURE(is_numbered);
+      const std::uint16_t port = free_port();
+      LineConfig lines{.fields = {{.name = "v", .type = Kind::u32}}};
+      if (is_numbered) lines.sequence_field = "v";
+      UdpHearing bench({.port = port, .lines = lines});
+      UdpSender sender;
+      sender.send(port, "0");
+      REQUIRE(bench.until([&] { return bench.events.size() == 1; }));
+      for (std::uint64_t i = 1; i < sent; ++i) sender.send(port, std::to_string(i) + pad);
+      std::size_t before = 0;
+      REQUIRE(
+          bench.until([&] { return std::exchange(before, bench.events.size()) == bench.events.size() && before > 1; }));
+      if (is_numbered) {
+        sender.send(port, std::to_string(sent));
+        REQUIRE(bench.until([&] { return bench.events.back() == std::to_string(sent); }));
+        sender.send(port, std::to_string(sent + 1));  // the one before was held until its number was sure
+        REQUIRE(bench.until([&] { return bench.events.back() == std::to_string(sent + 1); }));
+      }
+      bench.sensor.stop();
+      const SensorCounts counts = bench.sensor.counts();
+      CHECK((is_numbered ? counts.lost : counts.unreadable) > 0);
+      CHECK(counts.lost + counts.unreadable + bench.events.size() == (is_numbered ? sent + 2 : sent));
+      CHECK(counts.balances());
+      REQUIRE_FALSE(bench.errors.empty());
+      CHECK(has(bench.errors.back(), "its buffer was full"));
+    }
   }
 
   TEST_CASE("US-17 addresses that are none are refused") {

@@ -29,8 +29,8 @@
 ///   unreadable; else both are published with their own times.
 /// - `format` pattern: `pattern` is a regular expression of Perl's kind (PCRE2), searched for in the line; each of its
 ///   named groups is the text of the field with this name, or `key`: "T:(?<temp>[-0-9.]+)C". A group that takes part in
-///   no match is an empty column. Without a match the line is unreadable, and with one that takes more than 20 000
-///   steps of the search, too. `only` and `unreadable_if` may have a `pattern` as well.
+///   no match is an empty column. Without a match the line is unreadable, and with a search that takes more than
+///   20 000 steps and 8 for each byte, too. `only` and `unreadable_if` may have a `pattern` as well.
 /// - `device_time` names the field that is the device's clock. The time of an event is then the device's, shifted by
 ///   the shortest way that a line has taken from the device to the read, and never later than the read. A clock that
 ///   wraps around goes on; one that goes back, or differs by more than before (a second ahead, a minute behind), has

@@ -111,6 +111,7 @@ class Query {
   Result<std::string> next_frame(SerialDevice& line);
   Reading<DescribedValue> read_frame(SerialDevice& line);
   Reading<DescribedValue> read_line(SerialDevice& line);
+  static Unreadable echoed(SerialDevice& line);
   Reading<DescribedValue> decoded(SerialDevice& line, std::string_view answer);
   const Config config_;
   const std::string request_;

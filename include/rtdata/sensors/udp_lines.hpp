@@ -11,7 +11,7 @@
 ///   the machine, and a group's address ("239.1.2.3") for what is sent to that group.
 /// - With `from`, datagrams of other senders are left out: they count as filtered.
 /// - UDP may lose datagrams on the way, which only a `sequence_field` shows. What the kernel drops because its buffer
-///   is full is counted as lost, by datagrams.
+///   is full is told, and counts as unreadable, by datagrams; with a `sequence_field` its numbers count instead.
 /// - A datagram longer than `longest_datagram` is unreadable, once.
 /// - If the port is taken or the address is not there, the sensor is faulted and tries again after `retry_first`,
 ///   doubling to `retry_longest`. UDP knows no connection: whether the sender lives, only `silence` says.

@@ -82,7 +82,7 @@ Status status_of(Runtime& runtime, const std::map<std::string, std::string>& pat
       add(status.topics[topic->second], sensor);
       add(status.total, sensor);
       sensor.description = topics[topic->second].description;
-      if (counts.published + counts.repeated + counts.filtered == 0) {
+      if (counts.published == 0) {
         status.mute.push_back(sensor.name);
       } else if (!counts.has_schedule && !counts.lost_is_known) {
         status.not_detectable.push_back(sensor.name);

@@ -23,6 +23,7 @@
 namespace rtdata::app {
 namespace {
 
+constexpr int answer_lanes = 4;
 constexpr Duration pause = std::chrono::milliseconds{20};
 constexpr std::size_t longest_answer = std::size_t{256} << 20;
 constexpr int most_after_end = 8;  // lines of a client that has closed its side, answered without a pause
@@ -150,15 +151,20 @@ struct ControlSocket::Client {
 
 /// Makes one answer.
 struct ControlSocket::Job final : detail::LaneJob {
-  Job(ControlSocket& to, std::uint64_t client, Work work)
-      : to_(to), is_alive_(to.is_alive_), client_(client), work_(std::move(work)) {}
+  Job(ControlSocket& to, AnswerLane& lane, std::uint64_t client, Work work)
+      : to_(to), lane_(lane), is_alive_(to.is_alive_), client_(client), work_(std::move(work)) {
+    ++lane_.answers;
+  }
   void run() noexcept override { text_ = work_(); }
   void done(Outcome) override {
-    if (*is_alive_) to_.answered(client_, std::move(text_));
+    if (!*is_alive_) return;
+    --lane_.answers;
+    to_.answered(client_, std::move(text_));
   }
 
  private:
   ControlSocket& to_;
+  AnswerLane& lane_;
   std::shared_ptr<bool> is_alive_;
   std::uint64_t client_;
   Work work_;
@@ -166,7 +172,8 @@ struct ControlSocket::Job final : detail::LaneJob {
 };
 
 ControlSocket::ControlSocket(Loop& loop, Answer answer, Gone gone)
-    : loop_(loop), answer_(std::move(answer)), gone_(std::move(gone)), lane_(loop.core(), "control", client_patience) {
+    : loop_(loop), answer_(std::move(answer)), gone_(std::move(gone)) {
+  for (int i = 0; i < answer_lanes; ++i) lanes_.emplace_back(loop.core(), client_patience);
   listen();
 }
 
@@ -315,7 +322,13 @@ bool ControlSocket::answer_next(Client& client) {
   client.last_asked = loop_.now();
   uv_read_stop(client.stream());
   Work work = answer_(client.number, line);
-  return work && lane_.submit(std::make_shared<Job>(*this, client.number, std::move(work)));
+  if (!work) return false;
+  AnswerLane& of = *std::min_element(lanes_.begin(), lanes_.end(),
+                                     [](const AnswerLane& a, const AnswerLane& b) { return a.answers < b.answers; });
+  const auto job = std::make_shared<Job>(*this, of, client.number, std::move(work));
+  if (of.lane.submit(job)) return true;
+  --of.answers;
+  return false;
 }
 
 void ControlSocket::answered(std::uint64_t number, std::string text) {

@@ -11,6 +11,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <functional>
+#include <list>
 #include <memory>
 #include <optional>
 #include <string>
@@ -76,7 +77,13 @@ class ControlSocket {
   Answer answer_;
   Gone gone_;
   std::shared_ptr<bool> is_alive_ = std::make_shared<bool>(true);  // for jobs that end late
-  detail::Lane lane_;
+  /// Answers are made on several lanes, since some take seconds (a tare) and others must not wait (to disarm).
+  struct AnswerLane {
+    AnswerLane(detail::LoopCore& loop, Duration patience) : lane(loop, "control", patience) {}
+    detail::Lane lane;
+    std::size_t answers = 0;  // that are being made
+  };
+  std::list<AnswerLane> lanes_;
   std::string path_;
   uv_pipe_s* server_ = nullptr;  // freed by libuv, as the clients are
   std::uint64_t last_number_ = 0;

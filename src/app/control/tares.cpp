@@ -5,6 +5,7 @@
 #include <filesystem>
 #include <fstream>
 #include <sstream>
+#include <stdexcept>
 #include <variant>
 
 #include "app/core/calibration_text.hpp"
@@ -51,15 +52,23 @@ Processing processing_of(const ConfigItem& sensor) {
 
 }  // namespace
 
-Tares::Tares(std::string file) : file_(std::move(file)) {
+Tares::Tares(std::string file, const std::string& configuration) : file_(std::move(file)) {
   std::error_code none;
+  configuration_ = std::filesystem::weakly_canonical(configuration, none).string();
+  if (configuration_.empty()) configuration_ = configuration;
   if (!std::filesystem::exists(file_, none)) return;
-  std::ifstream in(file_);
-  std::ostringstream text;
-  text << in.rdbuf();
   try {
+    if (!std::filesystem::is_regular_file(file_, none)) throw std::runtime_error("it is not a regular file");
+    std::ifstream in(file_);
+    std::ostringstream text;
+    text << in.rdbuf();
     const ConfigItem root = parse_config(text.str()).or_throw();
-    for (const auto& [sensor, fields] : root.children())
+    const auto of = root.at("configuration").get<std::string>();
+    if (of != configuration_) {
+      unreadable_ = "they are those of " + of;
+      return;
+    }
+    for (const auto& [sensor, fields] : root.at("tares").children())
       for (const auto& [field, tare] : fields.children())
         all_[{sensor, field}] = {tare.at("of").get<std::string>(), tare.at("tare").get<double>()};
   } catch (const std::exception& error) {
@@ -71,8 +80,7 @@ Tares::Tares(std::string file) : file_(std::move(file)) {
 std::string Tares::put_into(ConfigItem& root, Problems& warnings) const {
   std::string taken;
   if (!unreadable_.empty())
-    warnings.add("cannot-read", {file_, 0, 0}, "",
-                 "the tares of before cannot be read, and are not taken: " + unreadable_);
+    warnings.add("cannot-read", {file_, 0, 0}, "", "the tares in " + file_ + " are not taken: " + unreadable_);
   ConfigItem* const sensors = child_of(root, "sensors");
   if (sensors == nullptr) return taken;
   for (const ConfigChild& child : sensors->children()) {
@@ -115,15 +123,18 @@ std::string Tares::set(const std::string& sensor, const std::string& field, cons
                        std::optional<double> tare) {
   const std::lock_guard lock(mutex_);
   all_[{sensor, field}] = {numbers_of(of), tare};
-  ConfigItem root = ConfigItem::object();
+  ConfigItem tares = ConfigItem::object();
   for (const auto& [key, one] : all_) {
     if (!one.value) continue;
-    if (child_of(root, key.first) == nullptr) root.set(key.first, ConfigItem::object());
+    if (child_of(tares, key.first) == nullptr) tares.set(key.first, ConfigItem::object());
     ConfigItem item = ConfigItem::object();
     item.set("tare", *one.value);
     item.set("of", one.of);
-    child_of(root, key.first)->set(key.second, item);
+    child_of(tares, key.first)->set(key.second, item);
   }
+  ConfigItem root = ConfigItem::object();
+  root.set("configuration", configuration_);
+  root.set("tares", tares);
   return root.to_json() + "\n";
 }
 

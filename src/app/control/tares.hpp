@@ -19,8 +19,8 @@ namespace rtdata::app {
 /// Those of one configuration. Thread: any.
 class Tares {
  public:
-  /// Reads the file; one that is missing has none.
-  explicit Tares(std::string file);
+  /// Reads the file; one that is missing has none. `configuration`: its path; tares of another one are not taken.
+  Tares(std::string file, const std::string& configuration);
   const std::string& file() const noexcept { return file_; }
   /// Puts them into a configuration that was read, and returns which: "scale.value 12.5". One whose calibration has
   /// changed since is left out, with a warning.
@@ -36,6 +36,7 @@ class Tares {
     std::optional<double> value = {};  // none: taken away in this run
   };
   const std::string file_;
+  std::string configuration_;
   std::string unreadable_;  // why; empty: it was read
   mutable std::mutex mutex_;
   std::map<std::pair<std::string, std::string>, Tare> all_;  // by sensor and field

@@ -118,7 +118,7 @@ class Edited {
  public:
   Edited(ConfigDocument document, const ConfigItem& sensor, std::string field, const Points& points)
       : document_(std::move(document)), expected_(document_.root), path_(sensor.path()), field_(std::move(field)) {
-    for (const char* const key : {"scale", "offset", "polynomial", "table", "outside", "version"}) {
+    for (const char* const key : {"scale", "offset", "polynomial", "table", "outside", "tare", "version"}) {
       const ConfigItem* const object = at(document_.root, 3);
       const ConfigChild* const child = object == nullptr ? nullptr : child_of(*object, key);
       if (child == nullptr) continue;
@@ -298,6 +298,16 @@ void write_points(const Registry& registry, const SystemPlan& plan, const PartPl
             << std::endl;
   if (!edited.gone().empty())
     std::cout << "in their place, its calibration has no more: " << edited.gone() << std::endl;
+  const ConfigItem* const all = sensor.item.find("process." + field + ".calibration");
+  for (const char* const key : {"least", "most"}) {
+    const ConfigItem* const limit = all == nullptr ? nullptr : all->find(key);
+    if (limit == nullptr) continue;
+    const double bound = limit->get<double>();
+    for (const auto& [raw, truth] : points)
+      if (key[0] == 'l' ? truth < bound : truth > bound)
+        std::cout << "careful: its `" << key << "` " << number_text(bound) << " refuses " << number_text(truth)
+                  << ", which is one of the points" << std::endl;
+  }
 }
 
 }  // namespace

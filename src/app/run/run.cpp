@@ -49,7 +49,7 @@ class Run {
       : registry_(registry),
         options_(options),
         document_(load_config(options.file)),
-        tares_(std::filesystem::path(options.file).stem().string() + ".tare"),
+        tares_(std::filesystem::path(options.file).stem().string() + ".tare", options.file),
         guard_(start_guard(registry, document_)),
         console_(options) {}
 
@@ -475,6 +475,7 @@ class Run {
         ending.unknown_backlogs.push_back("sink " + sink.name + (sink.reason.empty() ? "" : ": " + sink.reason));
       constexpr auto refused = static_cast<std::size_t>(DropReason::refused);
       if (recordings_.contains(sink.name) && sink.dropped[refused] != 0) is_all_stored = false;  // by the disk
+      if (sink.is_recording && sink.recorded == nullptr) is_all_stored = false;                  // it is not closed
     }
     is_all_stored = is_all_stored && ending.unknown_backlogs.empty();
     std::string said = verdict(status, ending);

@@ -13,6 +13,7 @@
 namespace rtdata::detail {
 namespace {
 
+constexpr Duration longest_farewell = std::chrono::seconds{2};   // of a job that runs when its lane ends
 constexpr Duration longest_wait = std::chrono::hours{24 * 365};  // the standard library adds it to the present time
 
 }  // namespace
@@ -97,11 +98,10 @@ Lane::~Lane() {
     }
     for (LaneJob* job = first_.get(); job != nullptr; job = job->next_outstanding_.get()) {
       if (job->state_.load(std::memory_order_acquire) != LaneJob::running) continue;
-      Duration most = std::min(job->limit_, longest_wait);
-      if (most == job->limit_) {  // counted from its start, so that waits for several hanging devices overlap
-        const MonotonicTime end = later(MonotonicTime{Duration{job->began_.load(std::memory_order_relaxed)}}, most);
-        most = std::clamp(span_between(loop_.now(), end), Duration{0}, most);
-      }
+      // Counted from its start, so that waits for several hanging devices overlap.
+      const MonotonicTime end = later(MonotonicTime{Duration{job->began_.load(std::memory_order_relaxed)}},
+                                      std::min(job->limit_, longest_wait));
+      const Duration most = std::clamp(span_between(loop_.now(), end), Duration{0}, longest_farewell);
       loop_.lanes.wait(most, [&] { return job->state_.load() != LaneJob::running; });
       if (job->withdraw() == LaneJob::running) thread_->abandon_thread();
     }

@@ -14,6 +14,7 @@ namespace rtdata {
 namespace {
 
 constexpr Duration try_again_after = std::chrono::milliseconds{2};
+constexpr Duration longest_read = std::chrono::seconds{1};  // that is waited for; a device that hangs costs no more
 
 class Drain : public std::enable_shared_from_this<Drain> {
  public:
@@ -30,6 +31,7 @@ class Drain : public std::enable_shared_from_this<Drain> {
       return;
     }
     runtime_.unknown_end.clear();
+    reads_end_ = std::min(deadline_, detail::later(loop_.now(), longest_read));
     run_posted();
     loop_.core().run_due();
     for_each_sensor([&](detail::SensorEntry& sensor) { sensor.stop_schedule(loop_.core().deadlines.handled_until()); });
@@ -128,7 +130,7 @@ class Drain : public std::enable_shared_from_this<Drain> {
   void wait_for_reads() {
     bool reading = false;
     for (const detail::SensorEntry* sensor : runtime_.sensors.all()) reading = reading || sensor->is_reading();
-    if (reading && loop_.now() < deadline_) {
+    if (reading && loop_.now() < reads_end_) {
       if (!timer_) timer_ = Timer(loop_, [self = shared_from_this()] { self->go_on_waiting(); });
       timer_.start(try_again_after);
       return;
@@ -165,6 +167,7 @@ class Drain : public std::enable_shared_from_this<Drain> {
   Loop& loop_;
   detail::RuntimeCore& runtime_;
   MonotonicTime deadline_;
+  MonotonicTime reads_end_{};
   Callback<void(std::uint64_t)> done_;
   Timer timer_;
   std::vector<detail::TierCore*> draining_;

@@ -57,6 +57,14 @@ void SensorNode::leave_out(SamplePort& port) noexcept {
   ++port.sensor_->origin_.counts.filtered;
 }
 
+bool SensorNode::is_published(SamplePort& port, void* payload) {
+  if (port.sensor_ == nullptr) return false;
+  const SensorCounts& of = port.sensor_->counts();
+  const std::uint64_t before = of.published;
+  port.publish(payload);
+  return port.sensor_ != nullptr && of.published != before;
+}
+
 SensorNode::Taken SensorNode::take(void* payload, Time time, MonotonicTime due) {
   Fate fate = Fate::published;
   try {

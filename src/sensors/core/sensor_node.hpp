@@ -65,6 +65,8 @@ class SensorNode final : public SourceNode, public RateMember {
   }
   /// Counts a sample that is not meant, as filtered; the read has not failed.
   static void leave_out(SamplePort& port) noexcept;
+  /// Publishes the sample. False: its processing kept it back, or found it unusable.
+  static bool is_published(SamplePort& port, void* payload);
 
  private:
   void on_close() noexcept override;

@@ -123,6 +123,10 @@ class HttpRequest final : public detail::Transaction {
   // ---- on the loop, when it has run
   Ended ended() const noexcept { return ended_; }
   std::byte* payload() noexcept { return decoder_.payload(); }
+  /// Its value was published: the same answer need not come again.
+  void keep_etag() {
+    if (config_.method == HttpAskMethod::get) etag_ = new_etag_;
+  }
   Error error() const { return error_ ? *error_ : Error{Errc::io_failed, cannot_ask, url_.origin, "no memory", ""}; }
 
  private:
@@ -177,8 +181,6 @@ class HttpRequest final : public detail::Transaction {
       return cannot_be_read(Errc::does_not_fit, "it is longer than " + std::to_string(config_.max_answer) + " bytes",
                             "`max_answer` sets how long it may be");
     take(answer_.text);
-    const bool is_good = ended_ == Ended::value || ended_ == Ended::left_out;
-    if (is_good && config_.method == HttpAskMethod::get) etag_ = new_etag_;
   }
 
   void take(std::string_view answer) {
@@ -243,7 +245,8 @@ class HttpRequest final : public detail::Transaction {
       error.code = Errc::bad_data;
       error.why = "the server answers " + std::to_string(status) + ", and an answer with data has status 200";
     }
-    if (status >= 300 && status < 400) error.advice = advice_on_redirection();
+    if (status == 304) error.advice = "it was not asked whether anything has changed: the server is wrong";
+    if (status >= 300 && status < 400 && status != 304) error.advice = advice_on_redirection();
     return error;
   }
   std::string advice_on_redirection() const {
@@ -289,7 +292,7 @@ class HttpRequest final : public detail::Transaction {
   CURL* easy_ = nullptr;
   curl_slist* headers_ = nullptr;
   detail::HttpText answer_{.most_kept = config_.max_answer, .longest = config_.max_answer};
-  std::string etag_;      // of the last good answer
+  std::string etag_;      // of the last answer whose value was published
   std::string new_etag_;  // of this one
   char error_text_[CURL_ERROR_SIZE] = "";
   Ended ended_ = Ended::failed;
@@ -320,7 +323,7 @@ class HttpDevice final : public detail::LaneDevice {
     auto& request = static_cast<HttpRequest&>(transaction);
     switch (request.ended()) {
       case HttpRequest::Ended::value:
-        port.publish(request.payload());
+        if (detail::SensorNode::is_published(port, request.payload())) request.keep_etag();
         return detail::Sampled::value;
       case HttpRequest::Ended::unchanged:
         return detail::Sampled::nothing_new;
@@ -337,8 +340,10 @@ class HttpDevice final : public detail::LaneDevice {
   Duration give_up_after() const override { return config_.timeout + spare; }
   ReadTime read_time() const override { return rtdata::read_time(config_); }
   Error given_up_error() const override {
-    return {Errc::timed_out, cannot_ask, origin_, "its name was not looked up within " + to_string(config_.timeout),
-            "do the name servers answer? An address needs no looking up"};
+    return {Errc::timed_out, cannot_ask, origin_,
+            "it took longer than " + to_string(config_.timeout) +
+                ": the name servers do not answer, or the machine is too busy",
+            "an address needs no looking up"};
   }
   std::uint64_t stopped(MonotonicTime) override {
     if (const auto request = current_.lock()) request->abandon();

@@ -105,7 +105,11 @@ Result<void> BinaryFields::decode(std::string_view frame, const std::vector<Fiel
         const double number = number_at(place.wire, bytes);
         if (texts[i].is_none(number)) continue;  // absent, as it is from the beginning
         if (is_floating(leaf.kind)) {
-          put_floating(leaf.kind, scaled(number, place.scale), to);
+          const double value = scaled(number, place.scale);
+          if (std::isfinite(number) && !std::isfinite(value))
+            return Error{Errc::out_of_range, "cannot use a frame", "field " + std::string(leaf.path),
+                         "with its `scale` it is out of range", "check `scale` and `type`"};
+          put_floating(leaf.kind, value, to);
         } else {
           std::memcpy(to, bytes, place.size);
         }

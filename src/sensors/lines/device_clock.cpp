@@ -15,7 +15,9 @@ constexpr double ns_of_second = 1e9;
 constexpr double first_window = ns_of_second, longest_window = 64 * ns_of_second;
 constexpr double most_slope = 0.01;
 // A line is not that much earlier than the fastest one before, and not that much later.
-constexpr double most_early = ns_of_second, most_late = 60 * ns_of_second;
+constexpr double most_early = ns_of_second, most_late = 5 * ns_of_second;
+// What the fastest lines of two windows may differ by, whatever the drift: the first windows are short.
+constexpr double most_change = 0.25 * ns_of_second;
 
 }  // namespace
 
@@ -58,21 +60,27 @@ void DeviceClock::begin(std::uint64_t count, MonotonicTime arrival) noexcept {
 }
 
 /// The line through the fastest lines of two windows is the offset from now on.
-void DeviceClock::end_window(double device) noexcept {
-  if (last_least_ && least_.device > last_least_->device) {
+void DeviceClock::end_window(double elapsed) noexcept {
+  if (last_least_) {
+    const double change = std::fabs(least_.offset - last_least_->offset);
+    is_useless_ = change > most_change && change > 1.5 * most_slope * (least_.device - last_least_->device);
+  }
+  // Two lines near each other would say more about their ways than about the clocks.
+  if (last_least_ && least_.device - last_least_->device > window_ / 4) {
     const double slope = (least_.offset - last_least_->offset) / (least_.device - last_least_->device);
     slope_ = std::clamp(slope, -most_slope, most_slope);
     has_drift_ = has_drift_ || window_ >= longest_window;
   }
   anchor_ = least_;
   last_least_ = least_;
-  window_begin_ = device;
+  window_begin_ = elapsed;
   window_ = std::min(2 * window_, longest_window);
 }
 
 MonotonicTime DeviceClock::time_of(const std::byte* payload, MonotonicTime arrival) noexcept {
   std::uint64_t count = 0;
   std::memcpy(&count, payload + leaf_->offset, leaf_->size);  // the machines we run on put the low byte first
+  if (is_useless_) return arrival;
   if (!is_known_) {
     begin(count, arrival);
     return arrival;
@@ -90,8 +98,9 @@ MonotonicTime DeviceClock::time_of(const std::byte* payload, MonotonicTime arriv
   last_ = count;
   last_arrival_ = arrival;
   device_ = device;
-  if (device - window_begin_ > window_) {
-    end_window(device);
+  if (const double elapsed = ns(arrival - first_); elapsed - window_begin_ > window_) {
+    end_window(elapsed);
+    if (is_useless_) return arrival;
     least_ = {device, offset};
   } else if (offset - slope_ * device < least_.offset - slope_ * least_.device) {
     least_ = {device, offset};
@@ -105,6 +114,8 @@ std::optional<double> DeviceClock::take_drift() noexcept {
   if (!has_drift_ || std::exchange(is_drift_told_, true)) return std::nullopt;
   return -slope_ * 1e6;
 }
+
+bool DeviceClock::take_useless() noexcept { return is_useless_ && !std::exchange(is_useless_told_, true); }
 
 bool DeviceClock::take_restart() noexcept { return std::exchange(has_restarted_, false); }
 

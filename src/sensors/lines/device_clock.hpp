@@ -13,7 +13,8 @@ namespace rtdata::detail {
 
 /// Finds our time of each line from the device's: the two differ by an offset, which is the shortest way of a line so
 /// far, and which drifts. The offset is the least difference within a window of 1 s at first and 64 s later; the drift
-/// is its change from window to window, at most 1 %.
+/// is its change from window to window, at most 1 %. A clock that differs by more is of no use: the times are those of
+/// the reads from then on.
 class DeviceClock {
  public:
   /// SetupError (bad-argument): no such field, or one that cannot count.
@@ -22,10 +23,12 @@ class DeviceClock {
   /// Our time of a line that was read at `arrival`, never later than that.
   MonotonicTime time_of(const std::byte* payload, MonotonicTime arrival) noexcept;
   /// The next line is the first.
-  void forget() noexcept { is_known_ = false; }
+  void forget() noexcept { is_known_ = is_useless_ = is_useless_told_ = false; }
   /// By how much the device's clock is faster than ours, in millionths, once a window of 64 s has ended; set once for
   /// each `forget`.
   std::optional<double> take_drift() noexcept;
+  /// True once after the clock was found to be of no use.
+  bool take_useless() noexcept;
   /// True once after the clock went back, or on too far.
   bool take_restart() noexcept;
 
@@ -37,11 +40,12 @@ class DeviceClock {
   double expected(double device) const noexcept { return anchor_.offset + slope_ * (device - anchor_.device); }
   double step_to(std::uint64_t count, double elapsed) const noexcept;
   void begin(std::uint64_t count, MonotonicTime arrival) noexcept;
-  void end_window(double device) noexcept;
+  void end_window(double elapsed) noexcept;
 
   const Leaf* leaf_;
   double step_;          // ns
   double wraps_at_ = 0;  // ns; 0: it does not
+  bool is_useless_ = false, is_useless_told_ = false;
   bool is_known_ = false, has_restarted_ = false, has_drift_ = false, is_drift_told_ = false;
   std::uint64_t last_ = 0;  // the bits of the field
   MonotonicTime first_{}, last_arrival_{};
@@ -49,7 +53,7 @@ class DeviceClock {
   Point anchor_, least_;             // of the line that gives the offset; of this window
   std::optional<Point> last_least_;  // of the window before
   double slope_ = 0;
-  double window_ = 0, window_begin_ = 0;
+  double window_ = 0, window_begin_ = 0;  // ns of ours, since the first line
 };
 
 }  // namespace rtdata::detail

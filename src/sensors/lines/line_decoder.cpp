@@ -100,7 +100,12 @@ bool LineDecoder::is_skipped(std::string_view line) const noexcept {
   return trimmed(line).empty() || (!comment_.empty() && line.starts_with(comment_));
 }
 
-bool LineDecoder::is_meant(std::string_view line) { return !only_ || matches(*only_, line); }
+bool LineDecoder::is_meant(std::string_view line) {
+  if (!only_) return true;
+  is_too_long_ = is_not_json_ = false;
+  // Whether it is meant may not be known: then `decode` fails.
+  return matches(*only_, line) || is_not_json_;
+}
 
 Result<std::string_view> LineDecoder::checked(std::string_view line) const {
   return checksum_ && !has_row_checksums_ ? checksum_->checked(line) : Result(line);
@@ -129,7 +134,13 @@ bool LineDecoder::matches(Match& match, std::string_view line) {
   const auto text = text_in_question(wanted, line);
   return text && text->starts_with(wanted.begins) && text->find(wanted.contains) != std::string_view::npos &&
          (wanted.is.empty() || std::find(wanted.is.begin(), wanted.is.end(), *text) != wanted.is.end()) &&
-         (!match.pattern || match.pattern->search(*text) != LinePattern::Search::not_found);
+         (!match.pattern || is_found(*match.pattern, *text));
+}
+
+bool LineDecoder::is_found(LinePattern& pattern, std::string_view text) noexcept {
+  const LinePattern::Search search = pattern.search(text);
+  is_too_long_ = is_too_long_ || search == LinePattern::Search::too_long;
+  return search != LinePattern::Search::not_found;
 }
 
 /// Each group that has a name is a field's.
@@ -155,6 +166,9 @@ void LineDecoder::use_pattern(const std::string& expression) {
 
 Result<void> LineDecoder::decode(std::string_view line) {
   std::memset(payload_.data(), 0, payload_.size() * sizeof payload_[0]);
+  if (std::exchange(is_too_long_, false))
+    return Error{Errc::bad_data, bad_line_, shown_line(line), "the pattern of `only` takes too many steps",
+                 "write it with fewer ways to match, such as [^,]* instead of .*"};
   says_none_ = unreadable_if_ && matches(*unreadable_if_, line);
   if (says_none_)
     return Error{Errc::bad_data, bad_line_, shown_line(line), "the device says that it has no value (`unreadable_if`)",

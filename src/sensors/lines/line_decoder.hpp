@@ -86,6 +86,7 @@ class LineDecoder {
   };
   static std::optional<Match> match_of(const std::optional<LineMatch>& config, const char* key);
   bool matches(Match& match, std::string_view line);
+  bool is_found(LinePattern& pattern, std::string_view text) noexcept;
   std::optional<std::string_view> text_in_question(const LineMatch& match, std::string_view line);
   /// Puts the text of column or key `index` in its place.
   Result<void> put(std::size_t index, std::string_view text);
@@ -120,6 +121,8 @@ class LineDecoder {
   std::optional<Checksum> checksum_;
   bool has_row_checksums_ = false;
   bool says_none_ = false;
+  bool is_too_long_ = false;  // what `only` looks at, to be searched
+  bool is_not_json_ = false;  // what `only` looks at
   std::optional<BinaryFields> binary_;
   std::vector<std::max_align_t> payload_;
   std::vector<bool> seen_;
@@ -131,7 +134,7 @@ class LineDecoder {
   struct Choice {
     std::size_t field;
     std::string key, array, member, text, rest;  // "values.", ".type", "P1", ".value"
-    bool is_made = false;                   // in this line
+    bool is_made = false;                        // in this line
   };
   std::vector<Choice> choices_;
 };

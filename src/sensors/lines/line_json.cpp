@@ -6,6 +6,7 @@
 #include <string>
 #include <vector>
 
+#include "sensors/core/sysfs_file.hpp"
 #include "sensors/lines/line_config.hpp"
 #include "sensors/lines/line_decoder.hpp"
 
@@ -156,8 +157,12 @@ void LineDecoder::find_choices() {
     const std::string& key = fields_[i].key;
     const std::size_t open = key.find('['), equals = key.find('=', open), close = key.find(']', equals);
     if (open == std::string::npos || equals == std::string::npos || close == std::string::npos) continue;
-    Choice choice{i, key, key.substr(0, open), "." + key.substr(open + 1, equals - open - 1),
-                  key.substr(equals + 1, close - equals - 1), key.substr(close + 1)};
+    Choice choice{i,
+                  key,
+                  key.substr(0, open),
+                  "." + key.substr(open + 1, equals - open - 1),
+                  key.substr(equals + 1, close - equals - 1),
+                  key.substr(close + 1)};
     if (!choice.array.empty()) choice.array += '.';
     choices_.push_back(std::move(choice));
   }
@@ -173,7 +178,13 @@ void LineDecoder::choose_in_json(std::string_view line) {
   nlohmann::json::sax_parse(line.begin(), line.end(), &handler);
 }
 
+/// A NUL would end the text for the parser.
+static std::size_t end_of_json(std::string_view line) { return std::min(line.find('\0'), line.size()); }
+
 Result<void> LineDecoder::decode_json(std::string_view line) {
+  if (const std::size_t end = end_of_json(line); end != line.size())
+    return Error{Errc::bad_data, bad_line_, shown_line(line),
+                 "it is not JSON from byte " + std::to_string(end + 1) + " on: there is a NUL", check_fields};
   std::fill(seen_.begin(), seen_.end(), false);
   if (!choices_.empty()) choose_in_json(line);
   JsonHandler handler(*this);
@@ -187,7 +198,11 @@ Result<void> LineDecoder::decode_json(std::string_view line) {
 
 bool LineDecoder::find_in_json(std::string_view key, std::string_view line) {
   JsonHandler handler(*this, key);
-  nlohmann::json::sax_parse(line.begin(), line.end(), &handler);
+  const bool is_whole = nlohmann::json::sax_parse(line.begin(), line.end(), &handler);
+  // Lines that are none at all, such as what a board prints when it starts, are not meant.
+  const std::string_view begin = trimmed(line).substr(0, 1);
+  is_not_json_ = !handler.has_found() && (begin == "{" || begin == "[") &&
+                 (!is_whole || end_of_json(line) != line.size());
   return handler.has_found();
 }
 

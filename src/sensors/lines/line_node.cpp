@@ -367,6 +367,10 @@ void LineNode::report_rest(End end) {
              std::to_string(size) + (size == 1 ? " byte" : " bytes") + " came without an end", advice_});
 }
 
+void LineNode::end_message() {
+  if (!line_.empty() || skipped_ != 0) report_rest(End::of_source);
+}
+
 Error LineNode::silence_error() const {
   return {Errc::timed_out, "nothing comes", place_, "it has been silent for " + to_string(config_.silence),
           "check the device; `silence` sets how long it may be silent"};
@@ -416,6 +420,10 @@ void LineNode::take_decoded() {
 Time LineNode::time_of_decoded() {
   const MonotonicTime at = clock_->time_of(decoder_->payload(), heard_at());
   RuntimeCore& runtime = loop()->runtime;
+  if (clock_->take_useless())
+    runtime.log(LogLevel::warning, object_name(),
+                "the clock of the device does not run as ours does, or stands still at times: the times of events are "
+                "those of the reads from now on; check `field` and `step` of `device_time`");
   if (clock_->take_restart())
     runtime.log(LogLevel::info, object_name(), "the clock of the device has started again, or was set");
   if (const auto drift = clock_->take_drift())

@@ -52,6 +52,8 @@ class LineNode : public StreamNode {
   unsigned opening() const noexcept { return openings_; }
   /// The source has an end that it chooses: a line without an end is told then.
   void set_stream() noexcept { is_stream_ = true; }
+  /// What has come is all of a message: bytes without an end are unreadable.
+  void end_message();
   /// No more is read from the source.
   void pause_reading() { watch_.close(); }
   void close_stream() noexcept override;

@@ -1,5 +1,7 @@
 #include "sensors/lines/line_pattern.hpp"
 
+#include <cstddef>
+#include <cstdint>
 #include <utility>
 
 #include "sensors/lines/line_config.hpp"
@@ -19,6 +21,20 @@ std::string message_of(int number) {
   unsigned char text[200];
   if (pcre2_get_error_message(number, text, sizeof text) < 0) return "error " + std::to_string(number);
   return reinterpret_cast<const char*>(text);
+}
+
+/// What a search may still take. Each item of the pattern that is tried is a step, and so is each byte that was passed
+/// since the one before: PCRE2's own limit counts neither all starts nor the bytes.
+struct Budget {
+  std::int64_t left = 0;
+  std::size_t at = 0;
+};
+int take_step(pcre2_callout_block* block, void* to) {
+  auto& budget = *static_cast<Budget*>(to);
+  const std::size_t at = block->current_position;
+  budget.left -= 1 + static_cast<std::int64_t>(at > budget.at ? at - budget.at : budget.at - at);
+  budget.at = at;
+  return budget.left < 0 ? PCRE2_ERROR_CALLOUT : 0;
 }
 
 template <class T>
@@ -42,6 +58,7 @@ struct LinePattern::Compiled {
   pcre2_code* code = nullptr;
   pcre2_match_context* limits = nullptr;
   pcre2_match_data* found = nullptr;
+  Budget budget;
 };
 
 LinePattern::LinePattern(const std::string& expression, const char* key) {
@@ -51,15 +68,15 @@ LinePattern::LinePattern(const std::string& expression, const char* key) {
   compiled_ = std::make_unique<Compiled>();
   int number = 0;
   std::size_t at = 0;
-  compiled_->code = pcre2_compile(reinterpret_cast<const unsigned char*>(expression.data()), expression.size(), 0,
-                                  &number, &at, nullptr);
+  compiled_->code = pcre2_compile(reinterpret_cast<const unsigned char*>(expression.data()), expression.size(),
+                                  PCRE2_AUTO_CALLOUT | PCRE2_NEVER_UTF, &number, &at, nullptr);
   if (compiled_->code == nullptr)
     throw SetupError(refused_lines(key, "at character " + std::to_string(at) + ": " + message_of(number),
                                    "it is a regular expression of Perl's kind; `man pcre2pattern` describes them"));
   compiled_->limits = pcre2_match_context_create(nullptr);
   compiled_->found = pcre2_match_data_create_from_pattern(compiled_->code, nullptr);
   if (compiled_->limits == nullptr || compiled_->found == nullptr) throw std::bad_alloc();
-  pcre2_set_match_limit(compiled_->limits, most_steps);
+  pcre2_set_callout(compiled_->limits, &take_step, &compiled_->budget);
   pcre2_set_heap_limit(compiled_->limits, most_pattern_memory);
   const auto count = pattern_info<std::uint32_t>(compiled_->code, PCRE2_INFO_NAMECOUNT);
   const auto size = pattern_info<std::uint32_t>(compiled_->code, PCRE2_INFO_NAMEENTRYSIZE);
@@ -70,6 +87,7 @@ LinePattern::LinePattern(const std::string& expression, const char* key) {
 
 LinePattern::Search LinePattern::search(std::string_view text) noexcept {
   text_ = text;
+  compiled_->budget = {static_cast<std::int64_t>(most_steps + steps_of_a_byte * text.size()), 0};
   const int status = pcre2_match(compiled_->code, reinterpret_cast<const unsigned char*>(text.data()), text.size(), 0,
                                  0, compiled_->found, compiled_->limits);
   if (status > 0) return Search::found;

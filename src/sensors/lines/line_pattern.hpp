@@ -10,10 +10,10 @@
 
 namespace rtdata::detail {
 
-/// A call allocates nothing once its first ones are over, and ends after `most_steps`: no text holds the loop.
+/// A call allocates nothing once its first ones are over, and ends after so many steps that no text holds the loop.
 class LinePattern {
  public:
-  static constexpr unsigned most_steps = 20'000;
+  static constexpr std::size_t most_steps = 20'000, steps_of_a_byte = 8;  // of a search: both together
 
   /// SetupError: bad-argument (not such an expression, or built without PCRE2), not-found (PCRE2 is not installed).
   /// `key`: of its setting, in errors.

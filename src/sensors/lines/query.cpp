@@ -143,7 +143,14 @@ Reading<DescribedValue> Query::read(SerialDevice& line) {
 Reading<DescribedValue> Query::read_frame(SerialDevice& line) {
   const Result<std::string> answer = ask_for_frame(line);
   if (!answer) return answer.error();
+  if (*answer == request_) return echoed(line);
   return decoded(line, *answer);
+}
+
+Unreadable Query::echoed(SerialDevice& line) {
+  return {line.error(Errc::bad_data, "cannot use an answer", "it echoes the request",
+                     "switch its echo off, or that of the adapter, or set `echo` of the bus; `skip_lines` 1 leaves a "
+                     "line out")};
 }
 
 Reading<DescribedValue> Query::decoded(SerialDevice& line, std::string_view answer) {
@@ -173,9 +180,7 @@ Reading<DescribedValue> Query::read_line(SerialDevice& line) {
     return of;
   };
   const std::string_view text = without_end(*answer);
-  if (text == without_end(request_))
-    return Unreadable{line.error(Errc::bad_data, "cannot use an answer", "it echoes the request",
-                                 "switch its echo off, or that of the adapter, or set `skip_lines` to 1")};
+  if (text == without_end(request_)) return echoed(line);
   return decoded(line, text);
 }
 

@@ -72,13 +72,26 @@ class UdpLinesNode final : public LineNode {
     set_stream();
   }
 
+  void stop() override {
+    if (is_open()) look_for_drops();
+    LineNode::stop();
+  }
+  void stop_schedule(MonotonicTime end) override {
+    look_for_drops();
+    LineNode::stop_schedule(end);
+  }
+
  private:
   void open_stream() override {
     dropped_ = 0;
     take(open_udp(address_, place()));
   }
-  void close_source(int fd) noexcept override { ::close(fd); }
+  void close_source(int fd) noexcept override {
+    ::close(fd);
+    fd_ = -1;
+  }
   void watch_source(int fd) override {
+    fd_ = fd;
     socket_ = FdWatch(loop()->face, fd, FdWatch::readable, object_name(),
                       [this, fd](const FdEvent&) { read_datagrams(fd); });
   }
@@ -129,7 +142,29 @@ class UdpLinesNode final : public LineNode {
   void take_datagram(std::size_t size) {
     if (size == 0) return leave_out();
     if (!config().frame && buffer_[size - 1] != config().line_end) buffer_[size++] = config().line_end;
+    const unsigned before = opening();
     take_bytes_read({buffer_.data(), size}, 0);
+    if (has_source() && opening() == before) end_message();  // the next datagram may be of another sender
+  }
+  /// Also of those behind which no datagram came.
+  void look_for_drops() {
+    std::array<std::uint32_t, 16> numbers{};
+    socklen_t size = sizeof numbers;
+    constexpr std::size_t place_of_drops = 8;  // SK_MEMINFO_DROPS of linux/sock_diag.h
+    if (fd_ < 0 || ::getsockopt(fd_, SOL_SOCKET, SO_MEMINFO, numbers.data(), &size) != 0) return;
+    if (size > place_of_drops * sizeof numbers[0]) note_drops(numbers[place_of_drops]);
+  }
+  void note_drops(std::uint32_t dropped) {
+    const std::uint32_t more = dropped - std::exchange(dropped_, dropped);
+    if (more == 0) return;
+    const Error error{Errc::backlog, "datagrams are lost", place(),
+                      "the kernel has dropped " + std::to_string(more) + ": its buffer was full",
+                      "let the loop do less at once, or the device send less"};
+    // The numbers of the lines tell how many are missing; without them each datagram is one that could not be read.
+    if (!config().sequence_field.empty()) return degrade(error);
+    origin_.counts.received += more - 1;
+    origin_.counts.unreadable += more - 1;
+    fail(error);
   }
   /// The kernel counts what it drops since the socket was opened.
   void note_drops(msghdr& message) {
@@ -137,7 +172,7 @@ class UdpLinesNode final : public LineNode {
       if (one->cmsg_level != SOL_SOCKET || one->cmsg_type != SO_RXQ_OVFL) continue;
       std::uint32_t dropped = 0;
       std::memcpy(&dropped, CMSG_DATA(one), sizeof dropped);
-      origin_.counts.lost += dropped - std::exchange(dropped_, dropped);
+      note_drops(dropped);
     }
   }
 
@@ -145,6 +180,7 @@ class UdpLinesNode final : public LineNode {
   std::optional<IpAddress> from_;
   FdWatch socket_;
   std::string buffer_;
+  int fd_ = -1;
   std::uint32_t dropped_ = 0;  // by the kernel
 };
 
