@@ -21,7 +21,8 @@ using Json = nlohmann::ordered_json;
 constexpr Duration answer_limit = std::chrono::seconds{5};
 constexpr Duration longest_silence = std::chrono::seconds{10};  // an instance says something every second
 
-/// Prints what the instance sends, until it ends, fails or is silent, or nobody reads the output. Returns the exit status.
+/// Prints what the instance sends, until it ends, fails or is silent, or nobody reads the output. Returns the exit
+/// status.
 int follow(ControlClient& client, pid_t pid, ShowAs show_as) {
   EventPrinter printer(columns_of(STDOUT_FILENO));
   const auto fail = [&](const std::string& why) {

@@ -25,7 +25,8 @@ class Tap {
   virtual void miss(OriginCore& origin, std::uint64_t count, std::uint64_t last_sequence) = 0;
   /// Call it before the first event of this origin: it allocates everything needed. Throws; may be called again.
   virtual void expect(OriginCore& origin) = 0;
-  /// The origin calls it when its account changes without an event: ticks were missed or failed, or the schedule changed.
+  /// The origin calls it when its account changes without an event: ticks were missed or failed, or the schedule has
+  /// changed.
   virtual void note_change(OriginCore& origin) noexcept = 0;
   /// False: it only needs the accounts of the topic's origins, so other loops send no events.
   virtual bool takes_events() const noexcept { return true; }

@@ -62,8 +62,8 @@ class BridgeSender final : public Listener {
   Channel* channel_of(const TopicCore& topic) noexcept;
   /// Null: it has none.
   Passage* passage_of(const OriginCore& origin) noexcept;
-  /// `room`: `all` also takes the eighth of the ring that events cannot fill. It is for gaps, segments, and accounts that
-  /// must be sent now.
+  /// `room`: `all` also takes the eighth of the ring that events cannot fill. It is for gaps, segments, and accounts
+  /// that must be sent now.
   template <class RecordType>
   RecordType* reserve(Sort sort, const Passage& passage, ByteRing::Room room) noexcept;
   /// False: there is no room for it.
