@@ -111,8 +111,8 @@ struct ParameterRules {
   std::string_view names_part;  ///< see NamesPart
 };
 
-/// One parameter or, with `is_included`, all parameters of a base or member. The entry has no C++ type, which only `kind`
-/// knows, so that one function can read all entries.
+/// One parameter or, with `is_included`, all parameters of a base or member. The entry has no C++ type, which only
+/// `kind` knows, so that one function can read all entries.
 struct ParameterEntry {
   std::string_view key;
   std::string_view doc;

@@ -12,8 +12,8 @@
 ///
 /// - With `host` and `port` instead of `device` it is a TCP connection to a serial server or an instrument.
 /// - With `run` instead it is a program of the user's own, which reads requests from its standard input and prints
-///   answers. It is started by the first call, and again when it has ended; what it writes to its standard error goes to
-///   that of this program. Its terminal is raw, so that it holds nothing back.
+///   answers. It is started by the first call, and again when it has ended; what it writes to its standard error goes
+///   to that of this program. Its terminal is raw, so that it holds nothing back.
 /// - 9600 8N1 unless `serial` says otherwise. No flow control.
 /// - The port is opened by the first call, for this program alone, and again after it was gone, by its path:
 ///   /dev/serial/by-id/... finds an adapter wherever it is plugged in.

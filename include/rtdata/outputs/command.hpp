@@ -4,8 +4,8 @@
 ///                                   .words = {{"0", "off"}, {"1", "on"}}});
 ///
 /// The program runs once for each value, with the value in place of `{value}` in its arguments. The value is set when
-/// the program has ended with status 0 within `timeout`; else the last line that it wrote to its standard error says why.
-/// It runs in a session of its own, and ends with all that it has started.
+/// the program has ended with status 0 within `timeout`; else the last line that it wrote to its standard error says
+/// why. It runs in a session of its own, and ends with all that it has started.
 ///
 /// Owner: its output, or the guard. Thread: a lane's, or the guard's. Errors: those of starting a program; timed-out;
 /// io-failed (another status, a signal).

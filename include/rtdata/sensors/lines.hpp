@@ -14,8 +14,9 @@
 /// - Text around a number is taken off by a field's `prefix`, `suffix`, `decimal`, `thousands`, `base` and
 ///   `sign_blanks`; `no_value` and `words` name texts that stand for no value, and for numbers. In JSON, such a field
 ///   may be a text.
-/// - `only` chooses lines by a column, a key or their text, frames by bytes at a place: others count as filtered, unless their checksum is wrong.
-///   Lines that match `unreadable_if`, and those with a wrong `checksum`, are unreadable.
+/// - `only` chooses lines by a column, a key or their text, frames by bytes at a place: others count as filtered,
+///   unless their checksum is wrong. Lines that match `unreadable_if`, and those with a wrong `checksum`, are
+///   unreadable.
 /// - A line ends with a newline, or with `line_end`; a carriage return before it is ignored. The sensor skips empty
 ///   lines, lines that begin with `comment`, and the first `skip_lines` lines after opening.
 /// - The bytes up to the first newline after opening may be half a line: they are discarded and counted

@@ -12,9 +12,9 @@
 ///   unreadable.
 /// - With `frame` the answer is a frame of bytes (lines.hpp), such as binary fields at their places (`format` binary);
 ///   with its `length` alone, so many bytes.
-/// - `at_open` is sent after each opening of the port, to set the device up. The answer of a text with a `?` in it, such
-///   as "*OPC?\n", is awaited and dropped, so that it is not taken for the first reading's; with `at_open_answers`, that
-///   of each text.
+/// - `at_open` is sent after each opening of the port, to set the device up. The answer of a text with a `?` in it,
+///   such as "*OPC?\n", is awaited and dropped, so that it is not taken for the first reading's; with
+///   `at_open_answers`, that of each text.
 /// - `skip_lines`: lines before the answer, for devices that echo the request.
 ///
 /// Driver (driver.hpp): used on the port's lane.

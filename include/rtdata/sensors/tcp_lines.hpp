@@ -14,8 +14,8 @@
 /// - If the device refuses the connection, does not answer within `connect_timeout`, or ends it, the sensor is faulted
 ///   and connects again after `retry_first`, doubling to `retry_longest`. The time without it is a gap (disconnected).
 /// - A device that vanishes without a word is noticed after about a minute, or after `silence`.
-/// - While no device is connected to a sensor that listens, it is faulted, and there is a gap (disconnected). If its port
-///   is taken, it tries again in the same way.
+/// - While no device is connected to a sensor that listens, it is faulted, and there is a gap (disconnected). If its
+///   port is taken, it tries again in the same way.
 /// - `at_open` is sent after each connection, such as a request to begin.
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's.
