@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <utility>
 
 #include "rtdata/detail/loop/lane.hpp"
 
@@ -19,6 +20,7 @@ AskedLine::AskedLine(std::string bus, std::shared_ptr<SerialTransport> transport
 Duration AskedLine::patience() const noexcept { return std::max({answer_timeout_, least_patience, longest_late_}); }
 
 Result<std::size_t> AskedLine::settle(Partner& partner, Duration silence) {
+  if (const Result<void> opened = open_again(); !opened) return opened.error();
   const MonotonicTime limit = lane_now() + spare_;
   std::size_t all_dropped = 0;
   for (bool is_drained = false;;) {  // drop older bytes
@@ -32,8 +34,8 @@ Result<std::size_t> AskedLine::settle(Partner& partner, Duration silence) {
     const bool is_too_long = still_from > std::max(limit, now);
     const bool waits = is_drained && !is_too_long;
     std::array<std::uint8_t, 512> dropped{};
-    const Result<std::size_t> got = transport_->read(dropped,
-                                                     waits ? std::max(still_from - now, Duration{0}) : Duration{0});
+    const Result<std::size_t> got = noted(
+        transport_->read(dropped, waits ? std::max(still_from - now, Duration{0}) : Duration{0}));
     if (!got) return got.error();
     all_dropped += *got;
     const std::lock_guard lock(mutex_);
@@ -65,7 +67,7 @@ Result<void> AskedLine::write(Partner& partner, std::span<const std::uint8_t> by
     const std::lock_guard lock(mutex_);
     partner.asked = lane_now();
   }
-  Result<void> written = transport_->write(bytes, answer_timeout_);
+  Result<void> written = noted(transport_->write(bytes, answer_timeout_));
   return written && has_echo_ ? drop_echo(partner, bytes) : written;
 }
 
@@ -92,11 +94,34 @@ Result<void> AskedLine::drop_echo(Partner& partner, std::span<const std::uint8_t
 }
 
 Result<std::size_t> AskedLine::read(Partner& partner, std::span<std::uint8_t> bytes, MonotonicTime until) {
-  Result<std::size_t> got = transport_->read(bytes, std::max(until - lane_now(), Duration{0}));
+  Result<std::size_t> got = noted(transport_->read(bytes, std::max(until - lane_now(), Duration{0})));
   if (!got || *got == 0) return got;
   const std::lock_guard lock(mutex_);
   partner.heard = last_use_ = lane_now();
   return got;
+}
+
+std::uint64_t AskedLine::losses() {
+  const std::lock_guard lock(mutex_);
+  return losses_;
+}
+
+void AskedLine::note_loss() {
+  const std::lock_guard lock(mutex_);
+  if (!std::exchange(is_lost_, true)) ++losses_;
+}
+
+Result<void> AskedLine::open_again() {
+  {
+    const std::lock_guard lock(mutex_);
+    if (!is_lost_) return {};
+  }
+  if (auto opened = transport_->open(); !opened) return opened;
+  const std::lock_guard lock(mutex_);
+  is_lost_ = false;
+  is_restless_ = true;
+  last_use_ = lane_now();
+  return {};
 }
 
 void AskedLine::answered(Partner& partner, bool has_more) {

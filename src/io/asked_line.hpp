@@ -47,9 +47,20 @@ class AskedLine {
   /// The answer to the last request is missing or may be wrong.
   void distrust(Partner& partner);
 
-  Result<void> open() { return transport_->open(); }
+  Result<void> open() { return noted(transport_->open()); }
+  /// How often the line was lost. What was sent to set a device up is to be sent again behind the next `settle`.
+  std::uint64_t losses();
 
  private:
+  /// Notes that the line was lost.
+  template <class Value>
+  Result<Value> noted(Result<Value> result) {
+    if (!result && result.error().code == make_error_code(Errc::disconnected)) note_loss();
+    return result;
+  }
+  void note_loss();
+  /// After a loss: opens it, so that what a device sends at first is dropped.
+  Result<void> open_again();
   Duration patience() const noexcept;
   Result<void> drop_echo(Partner& partner, std::span<const std::uint8_t> sent);
 
@@ -63,6 +74,8 @@ class AskedLine {
   Duration longest_late_{0};  // after `answer_timeout`
   MonotonicTime last_use_{};
   bool is_restless_ = false;  // bytes came without a request
+  bool is_lost_ = false;
+  std::uint64_t losses_ = 0;
 };
 
 }  // namespace rtdata::detail

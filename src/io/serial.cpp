@@ -115,6 +115,8 @@ Result<void> SerialDevice::drop_input() {
   return {};
 }
 
+std::uint64_t SerialDevice::losses() const { return core_->line.losses(); }
+
 void SerialDevice::distrust() {
   if (!is_abandoned()) core_->line.distrust(core_->all);
 }

@@ -4,6 +4,7 @@
 #include <netinet/in.h>
 #include <netinet/tcp.h>
 #include <poll.h>
+#include <signal.h>
 #include <sys/socket.h>
 #include <unistd.h>
 
@@ -50,6 +51,16 @@ const LineWords& words_of(StreamLine::Kind::Sort sort) noexcept {
 /// The programs that are asked, by the descriptor of their terminal.
 class AskedPrograms {
  public:
+  /// The end of this program: what hangs is ended, too.
+  ~AskedPrograms() {
+    for (const auto& [output, child] : children_) ::kill(-child.pid, SIGKILL);
+  }
+  /// How it has ended; empty: it runs.
+  std::string end_of(int output) {
+    const std::lock_guard lock(mutex_);
+    const auto found = children_.find(output);
+    return found == children_.end() ? std::string() : detail::end_of(found->second);
+  }
   void add(const Child& child) {
     const std::lock_guard lock(mutex_);
     children_[child.output] = child;
@@ -161,7 +172,9 @@ Error StreamLine::gone(const std::shared_ptr<Line>& line, int number) {
   const bool has_ended = number == EIO ||
                          (kind_.sort == Kind::Sort::connection ? number == ECONNRESET || number == EPIPE
                                                                : number == ENXIO || number == ENODEV);
-  if (has_ended) return {Errc::disconnected, words.lost, kind_.name, words.gone, words.advice};
+  std::string how = kind_.sort == Kind::Sort::program ? asked_programs().end_of(line->fd) : std::string();
+  if (has_ended)
+    return {Errc::disconnected, words.lost, kind_.name, how.empty() ? words.gone : std::move(how), words.advice};
   return system_error(number, words.lost, kind_.name, words.advice);
 }
 

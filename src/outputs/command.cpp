@@ -84,7 +84,8 @@ Result<void> CommandActuator::set(double value) {
   if (detail::has_succeeded(*started)) return {};
   std::string why = detail::end_of(*started);
   if (const std::string said = last_line(errors); !said.empty()) why += "; it said: " + said;
-  return Error{Errc::io_failed, cannot_set_command, run.front(), std::move(why), "check the program: `run` it by hand"};
+  return Error{Errc::disconnected, cannot_set_command, run.front(), std::move(why),
+               "check the program: `run` it by hand"};
 }
 
 }  // namespace rtdata

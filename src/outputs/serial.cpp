@@ -22,6 +22,7 @@ namespace {
 
 constexpr const char* cannot_set_serial = "cannot set the device";
 constexpr const char* not_bytes = "these are not bytes: two hexadecimal digits each, such as \"a0 01 00 a1\"";
+constexpr Duration greeting = std::chrono::milliseconds{100}, stillness = std::chrono::milliseconds{20};
 using Deadline = std::chrono::steady_clock::time_point;
 
 /// False: the time is over.
@@ -140,10 +141,15 @@ SerialActuator::~SerialActuator() {
 }
 
 Result<void> SerialActuator::open(std::optional<double> value) {
+  const Deadline until = std::chrono::steady_clock::now() + config_.timeout;
   const Result<int> opened = config_.host.empty() ? detail::open_tty(config_.device, config_.serial)
                                                   : detail::connect_to(config_.host, config_.port, config_.timeout);
   if (!opened) return opened.error();
   fd_ = *opened;
+  if (!config_.host.empty() && !answer_.empty() && wait_for(fd_, POLLIN, std::chrono::steady_clock::now() + greeting)) {
+    do drop_input(fd_);  // what it says at first is no answer
+    while (wait_for(fd_, POLLIN, std::min(until, std::chrono::steady_clock::now() + stillness)));
+  }
   return value ? set(*value) : Result<void>();
 }
 

@@ -251,6 +251,84 @@ TEST_SUITE("app") {
     CHECK_FALSE(folder.has("spring.db"));
   }
 
+  TEST_CASE("import: numbers whose unit or kind of time the heading or they themselves say are not taken for seconds") {
+    const Folder folder;
+    for (const char* const heading : {"time(millisecond)", "t [msec]", "time_ms", "t in ms", "t / ms", "millis (ms)"}) {
+      CAPTURE(heading);
+      folder.write("u.csv", std::string(heading) + ",v\n0,1\n100,2\n");
+      CHECK(has(import(folder, {"u.csv", "--time", heading}, 1), "write --scale \"1 ms\""));
+      CHECK(has(import(folder, {"u.csv", "--time", heading, "--scale", "1ms"}),
+                "from 1970-01-01T00:00:00.000000000Z to 1970-01-01T00:00:00.100000000Z"));
+      std::filesystem::remove(folder.path() + "/u.db");
+    }
+    folder.write("u.csv", "t (ticks),v\n0,1\n100,2\n");
+    CHECK(has(import(folder, {"u.csv", "--time", "t"}, 1), "says ticks, which is no unit of time that is known"));
+    folder.write("u.csv", "time_ms,v\n0,1\n100,2\n");
+    CHECK(has(import(folder, {"u.csv", "--time", "time_ms", "--scale", "1 s"}), "to 1970-01-01T00:01:40"));
+    folder.write("unix.csv", "time (UTC),v\n1795665132,1\n1795665133,2\n");
+    CHECK(has(import(folder, {"unix.csv", "--time", "time"}), "from 2026-"));
+    folder.write("day.csv", "d,v\n20250329,1\n20250330,2\n");
+    CHECK(
+        has(import(folder, {"day.csv", "--time", "d"}, 1), "seems to be a day: write --time-format, such as %Y%m%d;"));
+    CHECK(
+        has(import(folder, {"day.csv", "--time", "d", "--time-format", "%Y%m%d", "--zone", "Z"}), "from 2025-03-29T"));
+    folder.write("hour.csv", "d,v\n2025032922,1\n2025032923,2\n");
+    CHECK(has(import(folder, {"hour.csv", "--time", "d"}, 1), "such as %Y%m%d%H;"));
+    CHECK(has(import(folder, {"hour.csv", "--time", "d", "--scale", "1 s"}), "from 2034-03-03T"));
+  }
+
+  TEST_CASE(
+      "import: times without a date go on over midnight; a table of hours has the second of an hour that comes twice") {
+    const Folder folder;
+    folder.write("m.csv", "T,v\n23:59:55,1\n00:00:00,2\n00:00:05,3\n23:00:00,4\n00:30:00,5\n");
+    const std::string said = import(
+        folder, {"m.csv", "--time", "T", "--time-format", "%H:%M:%S", "--start", "2026-03-01T00:00:00Z"});
+    CHECK(has(said, "from 2026-03-01T23:59:55.000000000Z to 2026-03-03T00:30:00.000000000Z"));
+    CHECK(has(said, "go back 2 times, as at midnight"));
+    folder.write("back.csv", "T,v\n12:00:00,1\n11:59:59,2\n");
+    CHECK(has(import(folder, {"back.csv", "--time", "T", "--time-format", "%T"}, 1), "write --sort"));
+    folder.write("s.csv", "t,v\n2025-10-26 01:00,1\n2025-10-26 02:00,2\n2025-10-26 02:00,3\n2025-10-26 03:00,4\n");
+    import(folder, {"s.csv", "--time", "t", "--zone", "Europe/Berlin"});
+    CHECK(has(rows_of(folder, "s.db"), "2025-10-26T01:00:00.000000000Z,s,3,3\n2025-10-26T02:00:00"));
+    folder.write("davis.csv", "d,t,v\n3/1/26,11:55p,1\n3/2/26,12:00a,2\n3/2/26,12:05 a.m.,3\n");
+    CHECK(has(import(folder, {"davis.csv", "--time", "d", "t", "--time-format", "%m/%d/%y %I:%M %p", "--zone", "Z"}),
+              "from 2026-03-01T23:55:00.000000000Z to 2026-03-02T00:05:00.000000000Z"));
+    folder.write("utc.csv", "t,v\n2021-02-18 21:46:00 UTC,1\n2021-02-18 21:46:01 UTC,2\n");
+    CHECK(has(import(folder, {"utc.csv", "--time", "t", "--time-format", "%F %T %z"}), "from 2021-02-18T21:46:00"));
+  }
+
+  TEST_CASE("import: what stands in or behind numbers is told, and taken off when it is said") {
+    const Folder folder;
+    folder.write("de.csv", "t;v\n0;1.234,50\n1;12,5\n");
+    const std::string said = import(folder, {"de.csv", "--time", "t", "--separator", ";", "--decimal", ","});
+    CHECK(has(said, "if \".\" stands between thousands, write --thousands \".\""));
+    CHECK_FALSE(has(said, "--none"));
+    folder.write("us.csv", "t,temp,volts\n0,71.2F,0.1 VDC\n1,72F,12 VDC\n");
+    CHECK(has(import(folder, {"us.csv", "--time", "t"}), "to have the numbers, write --strip \"F\""));
+    std::filesystem::remove(folder.path() + "/us.db");
+    import(folder, {"us.csv", "--time", "t", "--strip", "F", "VDC"});
+    CHECK(has(rows_of(folder, "us.db"), ",us,1,71.2,0.1\n"));
+    folder.write("quoted.csv", "t,v\n0,\"20,5\"\n1,\"21,5\"\n");
+    import(folder, {"quoted.csv", "--time", "t", "--decimal", ","});
+    CHECK(has(rows_of(folder, "quoted.db"), ",quoted,2,21.5\n"));
+    folder.write("aligned.txt", "  t    value  name\n  0     1.5   a\n 10\t 2.5   \"b  c\"\n");
+    import(folder, {"aligned.txt", "--time", "t", "--separator", "blanks"});
+    CHECK(has(rows_of(folder, "aligned.db"), ",aligned,2,2.5,b  c\n"));
+  }
+
+  TEST_CASE("import: a heading that comes again, rows without a time, and what stands for no value only among values") {
+    const Folder folder;
+    folder.write("torque.csv", "t,v\n0,1\nt,v\n1,2\n,3\n2,-\n");
+    const std::string said = import(folder, {"torque.csv", "--time", "t", "--none", "-", "0", "--partial"});
+    CHECK(has(said, "1 row is the heading again: left out"));
+    CHECK(has(said, "1 row without a time: left out"));
+    CHECK(has(rows_of(folder, "torque.db"), "1970-01-01T00:00:00.000000000Z,torque,1,1\n"));
+    folder.write("pipe.csv", "t,v\n0,1\n");
+    Process piped(folder, "/bin/sh", {"-c", "cat pipe.csv | " + program + " import /dev/stdin --time t"});
+    CHECK(piped.end() == 1);
+    CHECK_MESSAGE(has(piped.err, "it is no file that can be read twice"), piped.err);
+  }
+
   TEST_CASE("import: rows out of order are sorted when it is said, and counted") {
     const Folder folder;
     folder.write("newest.csv", "t,v\n3,\"a\nb\"\n1,b\n2,c\n1,d\n");

@@ -43,7 +43,7 @@ TEST_SUITE("app") {
                    {"import", "bench.csv", "--time", "t", "--scale", "1ms", "--start", "2026-03-01T12:00:00Z",
                     "--topic", "bench/imu", "--origin", "imu"});
     CHECK(import.end() == 0);
-    CHECK(has(import.out, "bench.db: 3 rows of bench.csv on topic bench/imu, from 2026-03-01T12:00:00.010000000Z on"));
+    CHECK(has(import.out, "bench.db: 3 rows of bench.csv on topic bench/imu, from 2026-03-01T12:00:00.010000000Z to "));
     CHECK(has(import.out, "  t: the time"));
     CHECK(has(import.out, "  imu.ax [m/s2]: imu_ax, number, may be absent"));
     CHECK(has(import.out, "  count: count, integer"));
@@ -296,7 +296,8 @@ TEST_SUITE("app") {
     folder.write("us.csv", "t,v\n1767225600000000,1\n");
     refuses({"us.csv", "--time", "t"}, "check --scale; with --scale 1us it is 2026-01-01");
     folder.write("both.csv", "t,v,t\n1,2,3\n");
-    refuses({"both.csv", "--time", "t"}, "it has 2 columns t: give one of them another heading");
+    refuses({"both.csv", "--time", "t"},
+            "it has 2 columns t: name the columns yourself: --columns, and --skip for the heading");
     folder.write("units.csv", "t [ms],v,t [s]\n1,2,3\n");
     refuses({"units.csv", "--time", "t"}, "it has 2 columns t: write --time with the unit");
     refuses({"quote.csv", "--time", "t"}, "quote.csv:2");

@@ -169,6 +169,20 @@ TEST_SUITE("outputs") {
     CHECK(valve.set(1).error().code == Errc::disconnected);
   }
 
+  TEST_CASE("US-35 what a device behind a TCP port says at first is no answer") {
+    FakeGpsd device;
+    std::thread server([&] {
+      while (!device.accept()) std::this_thread::sleep_for(1ms);
+      device.send("OK> ");
+    });
+    SerialActuator valve(
+        {.host = "127.0.0.1", .port = device.port(), .text = "V{value}\n", .answer = "OK", .timeout = 500ms});
+    const auto opened = valve.open(1);
+    server.join();
+    CHECK(opened.error().code == Errc::timed_out);
+    CHECK(rtdata::test::has(device.received(), "V1\n"));
+  }
+
   TEST_CASE("US-35 a program of the user's sets the value: its status, its reason, its time") {
     CommandActuator well({.run = {"test", "{value}", "-gt", "0"}});
     CHECK(well.open({}).has_value());

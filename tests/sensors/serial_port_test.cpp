@@ -325,6 +325,32 @@ TEST_SUITE("sensors") {
     CHECK(bench.errors.empty());
   }
 
+  TEST_CASE("US-42 a device that was away for a moment is set up again before it is asked, by each of its sensors") {
+    SerialPortBench bench;
+    bool is_set_up = false;
+    bench.wires->on_write([&](std::string_view asked) {
+      if (asked == "MODE\n") is_set_up = true;
+      return asked == "?" ? is_set_up ? "1\n" : "-1\n" : "";
+    });
+    const Query::Config config{.request = "?", .at_open = {"MODE\n"}, .fields = {{.name = "v"}}};
+    DriverSensor<Query> first(bench.loop, {.name = "first", .rate = 10_Hz, .faulted_after = 100}, bench.port, {},
+                              config);
+    DriverSensor<Query> second(bench.loop, {.name = "second", .rate = 10_Hz, .faulted_after = 100}, bench.port, {},
+                               config);
+    bench.loop.advance(1s);
+    for (int i = 0; i < 3; ++i) {
+      bench.wires->unplug();
+      is_set_up = false;
+      bench.loop.advance(150ms);
+      bench.wires->plug_in();
+      bench.loop.advance(1s);
+    }
+    CHECK(bench.values.size() >= 40);
+    CHECK(std::count(bench.values.begin(), bench.values.end(), "1") == std::ssize(bench.values));
+    CHECK(std::count(bench.wires->written().begin(), bench.wires->written().end(), "MODE\n") >= 8);
+    CHECK(bench.loop.runtime().balances());
+  }
+
   TEST_CASE("US-42 a device that says that it has no value has answered: the next one is asked at once") {
     SerialPortBench bench;
     bench.wires->on_write([](std::string_view asked) { return asked == "A?" ? "NO DATA\n" : "5\n"; });

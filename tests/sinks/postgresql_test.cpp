@@ -826,7 +826,7 @@ TEST_SUITE("sinks") {
               "plant/number: rows of run 1 ("));
     CHECK(has(problem_after("UPDATE rtdata_position SET topic = 'plant/other' WHERE topic = 'plant/number'",
                             "UPDATE rtdata_position SET topic = 'plant/number' WHERE topic = 'plant/other'"),
-              "which is that of plant/number"));
+              "but that table is of plant/number"));
     CHECK(has(problem_after("UPDATE rtdata_topic SET version = 2 WHERE topic = 'plant/number'",
                             "UPDATE rtdata_topic SET version = 1 WHERE topic = 'plant/number'"),
               "has version 2 where 1 follows"));

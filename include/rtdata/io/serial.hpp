@@ -143,6 +143,8 @@ class SerialDevice : public BusDevice {
   Result<void> write(std::span<const std::uint8_t> bytes);
   Result<void> write(std::string_view text);
   Result<void> write(std::uint8_t byte) { return write(std::span<const std::uint8_t>(&byte, 1)); }
+  /// How often the port was lost so far: what sets a device up is sent again then, after `drop_input`.
+  std::uint64_t losses() const;
   /// Reads all bytes; `timeout` counts from the call. Unset: the port's `answer_timeout`.
   Result<void> read(std::span<std::uint8_t> bytes, std::optional<Duration> timeout = {});
   Result<std::uint8_t> read_byte(std::optional<Duration> timeout = {});

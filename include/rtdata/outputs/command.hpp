@@ -8,7 +8,8 @@
 /// why. It runs in a session of its own, and ends with all that it has started.
 ///
 /// Owner: its output, or the guard. Thread: a lane's, or the guard's. Errors: those of starting a program; timed-out;
-/// io-failed (another status, a signal).
+/// disconnected (another status, a signal: as a device that is away,
+/// an output tries again).
 #pragma once
 
 #include <map>

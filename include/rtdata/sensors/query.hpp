@@ -21,6 +21,7 @@
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
 #include <memory>
 #include <optional>
 #include <string>
@@ -107,6 +108,7 @@ class Query {
 
  private:
   struct Decoding;
+  Result<void> open_if_lost(SerialDevice& line);
   Result<std::string> ask_for_frame(SerialDevice& line);
   Result<std::string> next_frame(SerialDevice& line);
   Reading<DescribedValue> read_frame(SerialDevice& line);
@@ -116,6 +118,7 @@ class Query {
   const Config config_;
   const std::string request_;
   const std::vector<std::string> at_open_;
+  std::uint64_t losses_ = 0;  // of the port, when these were sent
   const std::unique_ptr<Decoding> decoding_;
 };
 

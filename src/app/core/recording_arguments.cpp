@@ -340,9 +340,7 @@ Action prepare_import(CLI::App& command) {
       ->required();
   command.add_option("--time-format", options->time_format, "How its times are written, such as \"%d.%m.%Y %H:%M:%S\"")
       ->type_name("FORMAT");
-  command.add_option("--scale", options->scale, "What 1 in that column is")
-      ->capture_default_str()
-      ->type_name("DURATION");
+  command.add_option("--scale", options->scale, "What 1 in that column is; default: 1 s")->type_name("DURATION");
   command.add_option("--start", options->start, "What 0 in that column is, as 2026-03-01T12:00:00Z; default: 1970")
       ->type_name("TIME");
   command.add_option("--zone", options->zone, "Time zone of times that name none: Z (UTC), +01:00, Europe/Berlin")
@@ -364,8 +362,13 @@ Action prepare_import(CLI::App& command) {
       ->expected(1, -1)
       ->type_name("TEXT");
   command
+      .add_option("--strip", options->strip,
+                  "Texts that are taken off the ends of cells with numbers, such as F \"V DC\"")
+      ->expected(1, -1)
+      ->type_name("TEXT");
+  command
       .add_option("--separator", options->separator,
-                  "What separates the cells: a character, such as \";\", or tab; default: \",\"")
+                  "What separates the cells: a character, such as \";\", tab, or blanks; default: \",\"")
       ->type_name("CHARACTER");
   command.add_option("--decimal", options->decimal, "The decimal mark of its numbers; default: \".\"")
       ->type_name("CHARACTER")
@@ -375,7 +378,7 @@ Action prepare_import(CLI::App& command) {
       ->type_name("CHARACTER");
   add_flag(command, "--sort", options->order, ImportOptions::Order::sorted, "Sort rows that are not in order of time");
   add_flag(command, "--partial", options->partial, ImportOptions::Partial::taken,
-           "Take rows that end early; leave out a last row that is cut off");
+           "Take rows that end early; leave out a last row that is cut off, and rows without a time");
   command.add_option("--topic", options->topic, "Topic; default: the file's name");
   command.add_option("--origin", options->origin, "The sensor that the events are from; default: the file's name")
       ->type_name("NAME");

@@ -164,9 +164,9 @@ struct ImportOptions {
   std::string file;                       // CSV with column names in the first row, and units as in "speed [m/s]"
   std::vector<std::string> time_columns;  // its heading, or those of date and time
   std::string time_format = {};           // as strptime has it; empty: ISO 8601 and numbers
-  std::string scale = "1 s";              // duration of 1 in that column; not used for ISO 8601
+  std::string scale = {};                 // duration of 1 in that column; empty: 1 s; not used for ISO 8601
   std::string start = {};                 // time of 0 in that column, ISO 8601; empty: 1970
-  std::string separator = {};             // a character, or "tab"; empty: that of a line "sep=;", or ","
+  std::string separator = {};             // a character, "tab" or "blanks"; empty: that of a line "sep=;", or ","
   std::string decimal = {};               // "." or ","; empty: ".", and numbers that look like "," are refused
   std::string thousands = {};             // between groups of three digits; empty: nothing is
   std::string zone = {};     // "Z", "+01:00", "Europe/Berlin": for times without a zone; empty: these are refused
@@ -175,7 +175,8 @@ struct ImportOptions {
   std::uint64_t head = 1;    // rows of the heading, 1 or 2
   std::string units = {};    // "row": a row after the heading has them; else they are in the heading
   std::string columns = {};  // the names, as a row of CSV, of a table without heading; empty: it has one
-  std::vector<std::string> none = {};  // texts, and numbers however they are written, that stand for no value
+  std::vector<std::string> none = {};   // texts, and numbers however they are written, that stand for no value
+  std::vector<std::string> strip = {};  // texts that are taken off the ends of cells with numbers, such as units
   enum class Order { refused, sorted };
   Order order = Order::refused;  // of rows that are not in order of time; sorted: --sort
   enum class Partial { refused, taken };

@@ -18,6 +18,7 @@
 #include "app/inspect/import_time_format.hpp"
 #include "app/inspect/import_zone.hpp"
 #include "app/inspect/separator.hpp"
+#include "data/lower_case.hpp"
 #include "data/saturating.hpp"
 #include "data/utf8.hpp"
 #include "rtdata/loop/clock.hpp"
@@ -43,7 +44,7 @@ struct Found {
   std::uint64_t rows = 0;
   std::uint64_t short_rows = 0, first_short_line = 0;  // rows that end early
   std::uint64_t cut_line = 0;                          // of a last row that is left out; 0: none is
-  std::uint64_t out_of_order = 0, twice = 0;
+  std::uint64_t out_of_order = 0, twice = 0, midnights = 0, headings_again = 0, without_time = 0;
   std::vector<Place> places;  // only if rows are sorted
   std::shared_ptr<const Description> description;
 };
@@ -132,17 +133,71 @@ std::string time_text(const std::vector<detail::CsvCell>& cells, const Found& fo
                 advice);
 }
 
+// What headings have in ( ) that is no unit: "time (UTC)" may hold seconds since 1970.
+constexpr std::string_view zones_of_headings[] = {"utc", "gmt", "unix", "epoch", "posix", "local"};
+
+/// Reads the heading. Rows follow.
+std::vector<ImportColumn> begin_table(ImportRows& table, const ImportOptions& options, const ImportNotation& notation,
+                                      std::vector<std::size_t>& time_columns) {
+  std::vector<ImportColumn> columns = read_head(table, options);
+  time_columns.clear();
+  for (const std::string& heading : options.time_columns)
+    time_columns.push_back(find_column(columns, heading, options, notation));
+  std::vector<detail::CsvCell> heading;
+  if (options.columns.empty() && options.head == 1)
+    for (const ImportColumn& column : columns) heading.push_back({column.heading});
+  table.begin_rows(std::move(heading), time_columns);
+  return columns;
+}
+
+/// True if the row has no time, and such rows are left out.
+bool is_without_time(const std::vector<detail::CsvCell>& cells, const Found& found, const ImportNotation& notation) {
+  return notation.takes_partial && std::all_of(found.time_columns.begin(), found.time_columns.end(),
+                                               [&](std::size_t column) { return cells[column].text.empty(); });
+}
+
+/// Refuses numbers of which the scale is not known.
+void check_scale(const ImportOptions& options, const ImportNotation& notation, const ImportColumn& time,
+                 const std::string& first) {
+  double number = 0;
+  if (!options.time_format.empty() || !is_number(first, notation.numbers, number)) return;
+  const std::string shown = "its column " + time.heading;
+  if (options.scale.empty() && options.start.empty() && may_be_a_day(first))
+    refuse_import(options.file, "\"" + first + "\" in column " + time.heading + " seems to be a day",
+                  "write --time-format, such as " +
+                      std::string(first.size() == 8    ? "%Y%m%d"
+                                  : first.size() == 10 ? "%Y%m%d%H"
+                                                       : "%Y%m%d%H%M") +
+                      "; or --scale 1s if it counts seconds since 1970");
+  // "time_ms", "t in ms": without brackets, only what is nothing else.
+  std::string unit = time.unit;
+  if (unit.empty() && options.scale.empty()) {
+    const std::size_t begin = time.heading.find_last_of(" _/-");
+    const std::string last = begin == std::string::npos ? "" : time.heading.substr(begin + 1);
+    if (last.size() > 1 && detail::lower_case(last) != "min" && duration_of_unit(last)) unit = last;
+  }
+  if (unit.empty()) return;
+  const auto duration = duration_of_unit(unit);
+  if (duration && *duration != notation.scale)
+    refuse_import(options.file, shown + " says " + unit + ", and --scale 1 in it is " + to_string(notation.scale),
+                  "write --scale \"" + to_string(*duration) + "\"" +
+                      (options.scale.empty() ? ", or --scale \"1 s\" if it is wrong" : ", or change the heading"));
+  const std::string lower = detail::lower_case(unit);
+  const bool is_zone = std::any_of(std::begin(zones_of_headings), std::end(zones_of_headings),
+                                   [&](std::string_view one) { return lower.find(one) != std::string::npos; });
+  if (!duration && options.scale.empty() && !is_zone)
+    refuse_import(options.file, shown + " says " + unit + ", which is no unit of time that is known",
+                  "write --scale, what 1 in it is, such as \"10 us\"");
+}
+
 Found look_at(const ImportOptions& options, const ImportNotation& notation) {
   ImportRows table(options.file, notation);
   if (!table.is_open())
     throw SetupError(system_error(errno, "cannot read", options.file, "give the path of a CSV file"));
   Found found;
-  found.columns = read_head(table, options);
+  found.columns = begin_table(table, options, notation, found.time_columns);
   for (ImportColumn& column : found.columns) column.numbers = notation.numbers;
-  for (const std::string& heading : options.time_columns) {
-    found.time_columns.push_back(find_column(found.columns, heading, options, notation));
-    found.columns[found.time_columns.back()].is_time = true;
-  }
+  for (const std::size_t column : found.time_columns) found.columns[column].is_time = true;
   ImportClock clock(notation);
   std::vector<detail::CsvCell> cells;
   Time before{};  // of the row above
@@ -158,6 +213,12 @@ Found look_at(const ImportOptions& options, const ImportNotation& notation) {
       if (found.short_rows++ == 0) found.first_short_line = table.line();
       cells.resize(found.columns.size());
     }
+    if (is_without_time(cells, found, notation)) {
+      ++found.without_time;
+      continue;
+    }
+    if (found.rows == 0)
+      check_scale(options, notation, found.columns[found.time_columns.front()], time_text(cells, found));
     const std::uint64_t twice = clock.twice();
     const auto time = clock.read(time_text(cells, found));
     if (!time) refuse_time(options, notation, time.error(), table.where(), cells, found);
@@ -185,6 +246,8 @@ Found look_at(const ImportOptions& options, const ImportNotation& notation) {
   }
   if (table.cut_line() != 0) found.cut_line = table.cut_line();
   found.twice = clock.twice();
+  found.midnights = clock.midnights();
+  found.headings_again = table.headings_again();
   std::stable_sort(found.places.begin(), found.places.end(),
                    [](const Place& a, const Place& b) { return a.time < b.time; });
   if (found.rows == 0) refuse_import(options.file, "it has no rows", "");
@@ -227,18 +290,21 @@ std::uint64_t record(const ImportOptions& options, const Found& found, const Imp
   SqliteSink sink(loop, {.path = options.database, .sink = {.batch_time = std::chrono::hours{1}}});
   ImportRows table(options.file, notation);
   std::vector<detail::CsvCell> cells;
-  (void)read_head(table, options);
+  std::vector<std::size_t> time_columns;
+  (void)begin_table(table, options, notation, time_columns);
   const auto changed = [&] { refuse_import(table.where(), "the file has changed while it was read", "try again"); };
   ImportClock times(notation);
   Time last = found.first - Duration{1};
   std::vector<std::byte> payload;
-  for (std::uint64_t row = 0; row < found.rows; ++row) {
+  for (std::uint64_t row = 0; row < found.rows;) {
     if (!found.places.empty()) table.go_to(found.places[row].position, found.places[row].line);
     if (!table.next(cells).or_throw()) changed();
     if (!is_of_columns(cells, found.columns)) {
       if (!notation.takes_partial || cells.size() > found.columns.size()) changed();
       cells.resize(found.columns.size());
     }
+    if (is_without_time(cells, found, notation)) continue;
+    ++row;
     const auto time = times.read(time_text(cells, found));
     if (!time || *time < found.first || *time > found.last) changed();
     payload.assign(found.description->size(), std::byte{0});
@@ -266,21 +332,24 @@ std::uint64_t record(const ImportOptions& options, const Found& found, const Imp
 ImportNotation notation_of(const ImportOptions& options) {
   ImportNotation notation;
   notation.zone = options.zone;
-  notation.scale = parse_duration(options.scale).or_throw();
+  if (!options.scale.empty()) notation.scale = parse_duration(options.scale).or_throw();
   if (notation.scale <= Duration{0}) refuse_import("--scale " + options.scale, "it is not above 0", "such as 10us");
   if (!options.start.empty()) notation.start = parse_iso8601(options.start).or_throw();
   const std::optional<char> in_file = separator_line(options.file);
   notation.skip = std::max<std::uint64_t>(options.skip, in_file ? 1 : 0);
   notation.comment = options.comment;
   notation.none = options.none;
+  notation.strip = options.strip;
+  notation.adds_days = options.order != ImportOptions::Order::sorted;
   const std::string& said = options.separator;
-  const char separator = said.empty() ? in_file.value_or(',') : separator_of(said);
+  notation.has_blanks = said == "blanks";
+  const char separator = said.empty() ? in_file.value_or(',') : notation.has_blanks ? ' ' : separator_of(said);
   if (separator != '\t' && (separator < ' ' || separator == '"' || std::isalnum(static_cast<unsigned char>(separator))))
     refuse_import("--separator " + said, "it must be one character, which separates cells", "such as \";\", or tab");
   notation.separator = separator;
   ImportNumbers& numbers = notation.numbers;
   if (options.decimal == ",") numbers.decimal = ',';
-  if (separator == numbers.decimal)
+  if (separator == numbers.decimal && separator != ',')  // a comma within quotes may be one
     refuse_import("--separator " + shown_separator(separator), "it is the decimal mark, too", "set --decimal");
   numbers.thousands = options.thousands;
   if (numbers.thousands == std::string(1, numbers.decimal))
@@ -310,10 +379,26 @@ void tell_warnings(std::ostream& err, const Found& found, const ImportNotation& 
   for (const ImportColumn& column : found.columns) {
     if (column.is_time || !column.is_text_for_few()) continue;
     const std::string text = "\"" + detail::readable(column.first_text) + "\"";
+    if (!column.thousands_in_texts().empty() || column.numbers_with_more == column.texts) continue;
     warn("column " + column.heading + " is text because of " + std::to_string(column.texts) + " of its " +
          std::to_string(column.values) + " values, the first " + text + " in line " +
          std::to_string(column.first_text_line) + ": if it stands for no value, write --none " + text);
   }
+  for (const ImportColumn& column : found.columns) {
+    if (column.is_time || column.can_be_number || column.texts == 0) continue;
+    const std::string text = "column " + column.heading + " is text, with numbers such as \"" +
+                             detail::readable(column.first_text) + "\": ";
+    if (const std::string mark = column.thousands_in_texts(); !mark.empty())
+      warn(text + "if \"" + mark + "\" stands between thousands, write --thousands \"" + mark + "\"");
+    else if (column.numbers_with_more == column.texts)
+      warn(text + "to have the numbers, write --strip \"" + detail::readable(column.more) + "\"");
+  }
+  if (found.headings_again > 0)
+    warn(rows(found.headings_again) + (found.headings_again == 1 ? " is" : " are") + " the heading again: left out");
+  if (found.without_time > 0) warn(rows(found.without_time) + " without a time: left out");
+  if (found.midnights > 0)
+    warn("its times have no date, and go back " + std::to_string(found.midnights) +
+         (found.midnights == 1 ? " time" : " times") + ", as at midnight: each time a day was added");
   if (found.short_rows > 0)
     warn(rows(found.short_rows) + " ended early, the first in line " + std::to_string(found.first_short_line) +
          "; what they lack is absent");
@@ -331,6 +416,11 @@ void tell_warnings(std::ostream& err, const Found& found, const ImportNotation& 
 }  // namespace
 
 int import_table(const ImportOptions& options, std::ostream& out, std::ostream& err) try {
+  std::error_code ignored;
+  if (const auto what = std::filesystem::status(options.file, ignored);
+      std::filesystem::exists(what) && !std::filesystem::is_regular_file(what) && !std::filesystem::is_directory(what))
+    refuse_import(options.file, "it is no file that can be read twice",
+                  "write it into a file first, such as table.csv");
   const ImportNotation notation = notation_of(options);
   ImportOptions named = options;
   const std::string stem = std::filesystem::path(options.file).stem().string();
@@ -338,16 +428,10 @@ int import_table(const ImportOptions& options, std::ostream& out, std::ostream& 
   if (named.origin.empty()) named.origin = stem;
   if (named.database.empty()) named.database = std::filesystem::path(options.file).replace_extension(".db").string();
   const Found found = look_at(named, notation);
-  const ImportColumn& time = found.columns[found.time_columns.front()];
-  if (const auto unit = parse_duration("1 " + time.unit); unit && *unit != notation.scale && time.can_be_number)
-    refuse_import(
-        named.file,
-        "its column " + time.heading + " says " + time.unit + ", and --scale 1 in it is " + to_string(notation.scale),
-        "write --scale \"1 " + time.unit + "\", or change the heading");
   std::uint64_t moved = 0;
   const std::uint64_t rows = record(named, found, notation, moved);
   out << named.database << ": " << rows << (rows == 1 ? " row" : " rows") << " of " << named.file << " on topic "
-      << named.topic << ", from " << to_iso8601(found.first) << " on\n";
+      << named.topic << ", from " << to_iso8601(found.first) << " to " << to_iso8601(found.last) << "\n";
   for (std::size_t i = 0; i < found.columns.size(); ++i) {
     const ImportColumn& column = found.columns[i];
     out << "  " << column.heading << ": " << (column.is_time ? "the time" : column.name + ", " + column.type()) << "\n";

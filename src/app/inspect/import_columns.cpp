@@ -93,13 +93,34 @@ void ImportColumn::look_at(const detail::CsvCell& cell, std::uint64_t line) {
   if (!is_a_number && texts++ == 0) {
     first_text = cell.text.substr(0, 40);
     first_text_line = line;
+    for (const char* const mark : {".", ",", " ", "'", "\u00a0", "\u202f", "\u2019"})
+      if (numbers.thousands.empty() && mark != std::string(1, numbers.decimal)) marks.push_back({mark});
   }
+  if (!is_a_number && cell.text.size() < 40) look_at_text(cell.text);
   can_be_with_comma = can_be_with_comma && is_number(cell.text, {','}, number);
   const bool is_with_comma = cell.text.find(',') != std::string::npos;
   has_comma = has_comma || is_with_comma;
   can_be_thousands = can_be_thousands && (!is_with_comma || may_have_thousands(cell.text));
   are_whole = are_whole && (is_with_comma ? may_have_thousands(cell.text) : is_number(cell.text, {}, number));
 }
+
+void ImportColumn::look_at_text(const std::string& text) {
+  double number = 0;
+  for (Mark& mark : marks)
+    if (text.find(mark.text) != std::string::npos && is_number(text, {numbers.decimal, mark.text}, number))
+      ++mark.count;
+  const std::size_t end = text.find_last_of("0123456789");
+  if (end == std::string::npos || end + 1 == text.size() || !is_number(text.substr(0, end + 1), numbers, number))
+    return;
+  if (numbers_with_more++ == 0) more = text.substr(end + 1);
+}
+
+std::string ImportColumn::thousands_in_texts() const {
+  for (const Mark& mark : marks)
+    if (texts > 0 && mark.count == texts) return mark.text;
+  return {};
+}
+
 std::string ImportColumn::type() const {
   const std::string absent = has_empty ? ", may be absent" : "";
   if (!has_any) return "no values: left out";

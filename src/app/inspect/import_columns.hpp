@@ -34,6 +34,14 @@ struct ImportColumn {
   std::uint64_t values = 0, texts = 0;
   std::string first_text = {};
   std::uint64_t first_text_line = 0;
+  // How many of these texts are numbers with this between thousands.
+  struct Mark {
+    std::string text;
+    std::uint64_t count = 0;
+  };
+  std::vector<Mark> marks = {};
+  std::uint64_t numbers_with_more = 0;  // of these texts: a number, and letters behind it
+  std::string more = {};                // the first of those
 
   /// Integers that are not exact as doubles stay texts.
   void look_at_all() { can_be_number = can_be_number && (can_be_integer || !has_large); }
@@ -43,9 +51,12 @@ struct ImportColumn {
   bool seems_to_have_thousands() const {
     return has_any && !can_be_number && has_comma && can_be_thousands && are_whole;
   }
+  /// What stands between thousands, if all its texts are such numbers. Empty: nothing.
+  std::string thousands_in_texts() const;
   /// True if it would have numbers but for a few of its cells.
   bool is_text_for_few() const { return !can_be_number && texts > 0 && texts < values - texts; }
   void look_at(const detail::CsvCell& cell, std::uint64_t line);
+  void look_at_text(const std::string& text);
   /// For people: "integer, may be absent".
   std::string type() const;
 };

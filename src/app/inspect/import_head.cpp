@@ -112,7 +112,8 @@ std::size_t find_column(const std::vector<ImportColumn>& columns, const std::str
   const auto matching = std::count_if(columns.begin(), columns.end(), is_it);
   if (exact > 1 || (exact == 0 && matching > 1))
     refuse_import(options.file, "it has " + std::to_string(std::max(exact, matching)) + " columns " + heading,
-                  exact > 1 ? "give one of them another heading" : "write --time with the unit, as its heading has it");
+                  exact > 1 ? "name the columns yourself: --columns, and --skip for the heading"
+                            : "write --time with the unit, as its heading has it");
   if (exact == 1)
     return static_cast<std::size_t>(std::find(headings.begin(), headings.end(), heading) - headings.begin());
   const auto at = std::find_if(columns.begin(), columns.end(), is_it);

@@ -46,6 +46,45 @@ bool ImportRows::is_none(const detail::CsvCell& cell) const {
          std::find(no_numbers_.begin(), no_numbers_.end(), number) != no_numbers_.end();
 }
 
+void ImportRows::begin_rows(std::vector<detail::CsvCell> heading, std::vector<std::size_t> time_columns) {
+  heading_ = std::move(heading);
+  time_columns_ = std::move(time_columns);
+  are_rows_ = true;
+}
+
+void ImportRows::strip(std::string& text) const {
+  for (const std::string& end : notation_.strip) {
+    if (end.empty() || !text.ends_with(end)) continue;
+    std::string rest = text.substr(0, text.size() - end.size());
+    rest.erase(rest.find_last_not_of(" \t") + 1);
+    double number = 0;
+    if (!is_number(rest, notation_.numbers, number)) continue;
+    text = std::move(rest);
+    return;
+  }
+}
+
+bool ImportRows::is_heading(const std::vector<detail::CsvCell>& cells) const {
+  return !heading_.empty() && std::equal(cells.begin(), cells.end(), heading_.begin(), heading_.end(),
+                                         [](const auto& a, const auto& b) { return a.text == b.text; });
+}
+
+/// With one blank where there are several, and none at the ends; within quotes as they are.
+static std::string with_single_blanks(const std::string& line) {
+  std::string text;
+  bool is_quoted = false;
+  for (const char c : line) {
+    if (c == '"') is_quoted = !is_quoted;
+    const bool is_blank = !is_quoted && (c == ' ' || c == '\t' || c == '\r');
+    if (!is_blank)
+      text += c;
+    else if (!text.empty() && text.back() != ' ')
+      text += ' ';
+  }
+  if (!is_quoted && text.ends_with(' ')) text.pop_back();
+  return text;
+}
+
 Result<bool> ImportRows::next(std::vector<detail::CsvCell>& cells) {
   std::string row, line;
   bool is_quoted = false;  // the row continues on the next line, because this one ends within quotes
@@ -58,7 +97,9 @@ Result<bool> ImportRows::next(std::vector<detail::CsvCell>& cells) {
   };
   begin();
   while (next_line(line)) {
-    if (is_utf16_) return import_refused(path_, "it is UTF-16", "convert the file: iconv -f UTF-16 -t UTF-8 " + path_);
+    if (is_utf16_)
+      return import_refused(path_, "it is UTF-16",
+                            "convert the file: iconv -f UTF-16 -t UTF-8 " + path_ + " >table.csv");
     // A line of blanks is none, but for a table whose cells tabs separate.
     const std::size_t text = line.find_first_not_of(notation_.separator == '\t' ? " \r" : " \t\r");
     const bool is_comment = !notation_.comment.empty() && text != std::string::npos &&
@@ -67,7 +108,7 @@ Result<bool> ImportRows::next(std::vector<detail::CsvCell>& cells) {
       begin();
       continue;
     }
-    row += line;
+    row += notation_.has_blanks ? with_single_blanks(line) : line;
     row += '\n';
     if (row.size() > longest_row)
       return Error{Errc::bad_data, "cannot import", where(), "the row is longer than 1 MiB", ""};
@@ -87,7 +128,17 @@ Result<bool> ImportRows::next(std::vector<detail::CsvCell>& cells) {
         cell.text.erase(0, std::min(cell.text.find_first_not_of(" \t"), cell.text.size()));
         cell.text.erase(cell.text.find_last_not_of(" \t") + 1);
       }
-      if (!notation_.none.empty() && is_none(cell)) cell = {};
+    }
+    if (!are_rows_) return true;
+    if (is_heading(cells)) {
+      ++headings_again_;
+      begin();
+      continue;
+    }
+    for (std::size_t i = 0; i < cells.size(); ++i) {
+      if (std::find(time_columns_.begin(), time_columns_.end(), i) != time_columns_.end()) continue;
+      if (!notation_.strip.empty()) strip(cells[i].text);
+      if (!notation_.none.empty() && is_none(cells[i])) cells[i] = {};
     }
     return true;
   }
@@ -105,7 +156,7 @@ void ImportRows::check_text(const std::string& text, const std::string* column) 
   refuse_import(where(),
                 (column == nullptr ? "the heading \"" : "the text \"") + detail::readable(text.substr(0, 40)) + "\"" +
                     (column == nullptr ? "" : " in column " + *column) + " is not UTF-8",
-                "convert the file: iconv -f WINDOWS-1252 -t UTF-8 " + path_);
+                "convert the file: iconv -f WINDOWS-1252 -t UTF-8 " + path_ + " >table.csv");
 }
 
 std::optional<char> separator_line(const std::string& path) {

@@ -28,6 +28,10 @@ class ImportRows {
   std::uint64_t cut_line() const noexcept { return cut_line_; }
   /// True if nothing follows the last row.
   bool is_at_end() { return in_.peek() == std::ifstream::traits_type::eof(); }
+  /// From now on cells that stand for no value are empty, but for these columns, and rows that are the heading again
+  /// are left out.
+  void begin_rows(std::vector<detail::CsvCell> heading, std::vector<std::size_t> time_columns);
+  std::uint64_t headings_again() const noexcept { return headings_again_; }
   /// Where the last row begins in the file; and goes back there, to that line.
   std::uint64_t position() const noexcept { return position_; }
   void go_to(std::uint64_t position, std::uint64_t line);
@@ -41,6 +45,9 @@ class ImportRows {
 
  private:
   bool is_none(const detail::CsvCell& cell) const;
+  /// Takes what stands behind numbers off.
+  void strip(std::string& text) const;
+  bool is_heading(const std::vector<detail::CsvCell>& cells) const;
 
   static constexpr std::size_t longest_row = std::size_t{1} << 20;
   std::string path_;
@@ -50,6 +57,10 @@ class ImportRows {
   std::vector<char> buffer_;  // of one line
   std::uint64_t line_ = 1, next_line_ = 1, cut_line_ = 0;
   std::uint64_t position_ = 0, next_position_ = 0;
+  bool are_rows_ = false;  // not the heading any more
+  std::vector<detail::CsvCell> heading_;
+  std::vector<std::size_t> time_columns_;
+  std::uint64_t headings_again_ = 0;
   bool has_line_end_ = true;  // the last line
   bool is_utf16_ = false;
 };

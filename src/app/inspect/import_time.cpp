@@ -9,7 +9,9 @@
 
 #include "app/inspect/import_time_format.hpp"
 #include "app/inspect/import_zone.hpp"
+#include "data/lower_case.hpp"
 #include "data/number_text.hpp"
+#include "data/saturating.hpp"
 
 namespace rtdata::app {
 namespace {
@@ -96,6 +98,40 @@ bool may_have_thousands(const std::string& text) {
   return true;
 }
 
+std::optional<Duration> duration_of_unit(std::string_view unit) {
+  using namespace std::chrono_literals;
+  const std::string word = detail::lower_case(unit);
+  static constexpr std::pair<std::string_view, Duration> words[] = {
+      {"nanosecond", 1ns}, {"nanoseconds", 1ns}, {"nsec", 1ns},
+      {"nanos", 1ns},      {"microsecond", 1us}, {"microseconds", 1us},
+      {"usec", 1us},       {"micros", 1us},      {"\u00b5s", 1us},
+      {"\u03bcs", 1us},    {"millisecond", 1ms}, {"milliseconds", 1ms},
+      {"msec", 1ms},       {"msecs", 1ms},       {"millis", 1ms},
+      {"cs", 10ms},        {"second", 1s},       {"seconds", 1s},
+      {"sec", 1s},         {"secs", 1s},         {"minute", 1min},
+      {"minutes", 1min},   {"mins", 1min},       {"hour", 1h},
+      {"hours", 1h},       {"hr", 1h},           {"hrs", 1h},
+      {"day", 24h},        {"days", 24h}};
+  for (const auto& [name, duration] : words)
+    if (word == name) return duration;
+  const auto usual = parse_duration("1 " + std::string(unit));
+  return usual ? std::optional(*usual) : std::nullopt;
+}
+
+bool may_be_a_day(std::string_view text) {
+  const bool has_size = text.size() == 8 || text.size() == 10 || text.size() == 12 || text.size() == 14;
+  if (!has_size || text.find_first_not_of("0123456789") != std::string_view::npos) return false;
+  const auto part = [&](std::size_t at, std::size_t size) {
+    int number = 0;
+    for (const char c : text.substr(at, size)) number = 10 * number + (c - '0');
+    return number;
+  };
+  const bool is_day = part(0, 4) >= 1900 && part(0, 4) < 2100 && part(4, 2) >= 1 && part(4, 2) <= 12 &&
+                      part(6, 2) >= 1 && part(6, 2) <= 31;
+  const bool has_hour = text.size() < 10 || part(8, 2) <= 24;
+  return is_day && has_hour && (text.size() < 12 || part(10, 2) < 60);
+}
+
 /// A scale that gives a time in these decades, counted from 1970: "; with --scale 1ns it is 2026-03-01". Empty: none.
 std::string scale_of(double number) {
   for (const auto& [scale, name] : {std::pair{1, "1ns"}, {1'000, "1us"}, {1'000'000, "1ms"}}) {
@@ -109,7 +145,9 @@ std::string scale_of(double number) {
 
 Result<Time> ImportClock::read(const std::string& text) {
   auto time = notation_.time_format.empty() ? read_usual(text) : read_formatted(text);
-  if (time) before_ = *time;
+  if (!time) return time;
+  if (before_ != Time::min()) step_ = detail::span_between(before_, *time);
+  before_ = *time;
   return time;
 }
 
@@ -117,7 +155,13 @@ Result<Time> ImportClock::read_formatted(const std::string& text) {
   auto written = read_time(text, notation_.time_format);
   if (!written) return std::move(written).error();
   if (!written->has_date) {
-    const auto time = later_than(notation_.start, written->time.time_since_epoch());
+    constexpr Duration day = std::chrono::hours{24};
+    auto time = later_than(notation_.start,
+                           written->time.time_since_epoch() + static_cast<std::int64_t>(midnights_) * day);
+    if (time && notation_.adds_days && before_ != Time::min() && detail::span_between(*time, before_) > day / 2) {
+      ++midnights_;
+      time = later_than(*time, day);
+    }
     return time ? Result<Time>(*time)
                 : import_refused("", text + " is not a time that can be recorded", "check --start");
   }
@@ -166,7 +210,9 @@ Result<Time> ImportClock::of_zone(Time shown) {
     return import_refused("", "there is no such time in " + notation_.zone + ", where clocks are put forward",
                           "if those of the table were not, write --zone with an offset such as +01:00");
   if (instants.size() > 1) ++twice_;
-  return instants.front() < before_ ? instants.back() : instants.front();
+  // A table of hours, or of longer steps, has the second of them where the same time comes again.
+  const bool is_next = instants.front() == before_ && step_ >= std::chrono::hours{1};
+  return instants.front() < before_ || is_next ? instants.back() : instants.front();
 }
 
 Error import_refused(std::string where, std::string why, std::string advice) {

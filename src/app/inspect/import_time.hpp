@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -22,13 +23,16 @@ struct ImportNotation {
   std::string comment = {};  ///< what lines begin with that are no rows; empty: nothing
   char separator = ',';
   ImportNumbers numbers = {};
-  std::vector<std::string> none = {};  ///< texts, and numbers however they are written, that stand for no value
-  bool takes_partial = false;          ///< a last row without a line end is left out
-  std::string time_format = {};        ///< see `read_time`; empty: ISO 8601 and numbers
-  std::string zone = {};               ///< for times without a zone; empty: these are refused
-  bool has_named_zone = false;         ///< that of the process
-  Duration scale{1'000'000'000};       ///< duration of 1, for times that are numbers
-  Time start{};                        ///< time of 0, for times that are numbers or have no date
+  std::vector<std::string> none = {};   ///< texts, and numbers however they are written, that stand for no value
+  std::vector<std::string> strip = {};  ///< taken off the ends of cells with numbers
+  bool has_blanks = false;              ///< any number of blanks and tabs separates the cells
+  bool adds_days = true;                ///< times without a date that go back at midnight are of the next day
+  bool takes_partial = false;           ///< a last row without a line end is left out, and rows without a time
+  std::string time_format = {};         ///< see `read_time`; empty: ISO 8601 and numbers
+  std::string zone = {};                ///< for times without a zone; empty: these are refused
+  bool has_named_zone = false;          ///< that of the process
+  Duration scale{1'000'000'000};        ///< duration of 1, for times that are numbers
+  Time start{};                         ///< time of 0, for times that are numbers or have no date
 };
 
 /// The number as C++ writes it: without separators of thousands, with a decimal point. Empty: it is none. `buffer` may
@@ -51,6 +55,8 @@ class ImportClock {
   Result<Time> read(const std::string& text);
   /// How many times were in an hour that comes twice.
   std::uint64_t twice() const noexcept { return twice_; }
+  /// How often midnight came between two times without a date.
+  std::uint64_t midnights() const noexcept { return midnights_; }
 
  private:
   Result<Time> read_usual(const std::string& text);
@@ -59,8 +65,14 @@ class ImportClock {
 
   const ImportNotation notation_;
   Time before_ = Time::min();
-  std::uint64_t twice_ = 0;
+  Duration step_{0};  // between the last two rows
+  std::uint64_t twice_ = 0, midnights_ = 0;
 };
+
+/// What 1 is of a unit as tables write it: "ms", "millisecond", "usec", "minutes". Empty: it is no unit of time.
+std::optional<Duration> duration_of_unit(std::string_view unit);
+/// "20250329", "2025032922": true if these digits may be a day, with or without a time of day.
+bool may_be_a_day(std::string_view text);
 
 /// A scale that gives a time in these decades, counted from 1970: "; with --scale 1ns it is 2026-03-01". Empty: none.
 std::string scale_of(double number);

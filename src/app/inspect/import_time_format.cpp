@@ -130,6 +130,9 @@ class TimeReader {
   bool zone() {
     offset_ = 0;
     if (take('Z') || take('z')) return true;
+    const bool is_named = rest_.starts_with("UTC") || rest_.starts_with("GMT");
+    if (is_named) rest_.remove_prefix(3);
+    if (is_named && !rest_.starts_with('+') && !rest_.starts_with('-')) return true;
     const bool is_west = rest_.starts_with('-');
     if (!take('+') && !take('-')) return false;
     int hours = 0, minutes = 0;
@@ -175,9 +178,13 @@ class TimeReader {
       case 'I':
         return has_half_ = true, number(2, hour_);
       case 'p': {
-        const std::string half = word();
-        is_afternoon_ = half == "pm";
-        return is_afternoon_ || half == "am";
+        std::string half = word();  // also "a" and "p.m."
+        if (half.size() == 1 && take('.')) {
+          half += word();
+          take('.');
+        }
+        is_afternoon_ = half == "pm" || half == "p";
+        return is_afternoon_ || half == "am" || half == "a";
       }
       case 'M':
         return number(2, minute_);

@@ -18,6 +18,7 @@ constexpr double most_slope = 0.01;
 constexpr double most_early = ns_of_second, most_late = 5 * ns_of_second;
 // What the fastest lines of two windows may differ by, whatever the drift: the first windows are short.
 constexpr double most_change = 0.25 * ns_of_second;
+constexpr double least_strange = 0.05 * ns_of_second;  // twice in one direction
 
 }  // namespace
 
@@ -57,13 +58,18 @@ void DeviceClock::begin(std::uint64_t count, MonotonicTime arrival) noexcept {
   window_ = first_window;
   anchor_ = least_ = {};
   last_least_.reset();
+  strange_ = 0;
 }
 
 /// The line through the fastest lines of two windows is the offset from now on.
 void DeviceClock::end_window(double elapsed) noexcept {
   if (last_least_) {
-    const double change = std::fabs(least_.offset - last_least_->offset);
-    is_useless_ = change > most_change && change > 1.5 * most_slope * (least_.device - last_least_->device);
+    const double change = least_.offset - last_least_->offset;
+    const bool is_strange = std::fabs(change) > least_strange &&
+                            std::fabs(change) > 1.5 * most_slope * (least_.device - last_least_->device);
+    const int sign = !is_strange ? 0 : change > 0 ? 1 : -1;
+    is_useless_ = is_strange && (std::fabs(change) > most_change || sign == strange_);
+    strange_ = sign;
   }
   // Two lines near each other would say more about their ways than about the clocks.
   if (last_least_ && least_.device - last_least_->device > window_ / 4) {

@@ -53,6 +53,7 @@ class DeviceClock {
   Point anchor_, least_;             // of the line that gives the offset; of this window
   std::optional<Point> last_least_;  // of the window before
   double slope_ = 0;
+  int strange_ = 0;                       // in which direction the offset has changed too much; 0: it has not
   double window_ = 0, window_begin_ = 0;  // ns of ours, since the first line
 };
 

@@ -151,7 +151,7 @@ const char* FieldText::plain_number(std::string_view& text) {
     const auto [end, status] = std::from_chars(text.data(), text.data() + text.size(), number, base_);
     if (status != std::errc{} || end != text.data() + text.size()) return "is not a number of its `base`";
     // Negative numbers as bytes have them: as int16, FFFF is -1.
-    if (half_ != 0 && number >= half_ && number / 2 < half_ && buffer_.empty()) {
+    if (base_ == 16 && half_ != 0 && number >= half_ && number / 2 < half_ && buffer_.empty()) {
       number = 2 * half_ - number;  // 64 bits: wraps around to what is right
       buffer_ += '-';
     }

@@ -170,6 +170,7 @@ Result<void> LineDecoder::decode(std::string_view line) {
     return Error{Errc::bad_data, bad_line_, shown_line(line), "the pattern of `only` takes too many steps",
                  "write it with fewer ways to match, such as [^,]* instead of .*"};
   says_none_ = unreadable_if_ && matches(*unreadable_if_, line);
+  is_too_long_ = false;
   if (says_none_)
     return Error{Errc::bad_data, bad_line_, shown_line(line), "the device says that it has no value (`unreadable_if`)",
                  "check the device"};

@@ -50,6 +50,11 @@ std::string request_of(const Query::Config& config) {
   return config.request.empty() ? *detail::bytes_of_hex(config.request_hex) : config.request;
 }
 
+Error at_open_error(Error error) {
+  error.why = "the answer to one of `at_open`: " + error.why;
+  return error;
+}
+
 }  // namespace
 
 void check_config(const Query::Config& config, const ConfigItem& item, Problems& problems) {
@@ -84,17 +89,20 @@ Query::Query(const Config& config)
 Query::~Query() = default;
 
 Result<void> Query::open(SerialDevice& line) {
-  for (const std::string& text : at_open_) {
-    const bool is_question = config_.at_open_answers || text.find('?') != std::string::npos;
+  losses_ = line.losses();
+  for (std::size_t i = 0; i < at_open_.size(); ++i) {
+    const std::string& text = at_open_[i];
+    const bool is_text = i < config_.at_open.size();
+    const bool is_question = config_.at_open_answers || (is_text && text.find('?') != std::string::npos);
     if (is_question)
       if (auto done = line.drop_input(); !done) return done;
     if (auto done = line.write(text); !done) return done;
     if (!is_question) continue;
     if (decoding_->cutter) {
-      if (auto frame = next_frame(line); !frame) return std::move(frame).error();
+      if (auto frame = next_frame(line); !frame) return at_open_error(std::move(frame).error());
     } else {
       if (auto answer = line.read_until(config_.answer_end, {}, longest_answer); !answer)
-        return std::move(answer).error();
+        return at_open_error(std::move(answer).error());
     }
   }
   return {};
@@ -136,7 +144,18 @@ Result<std::string> Query::next_frame(SerialDevice& line) {
   }
 }
 
+/// The port was opened again behind this driver's back, since the device was gone for a moment.
+Result<void> Query::open_if_lost(SerialDevice& line) {
+  if (line.losses() == losses_ || at_open_.empty()) return {};
+  if (auto done = line.drop_input(); !done) return done;
+  const std::uint64_t before = losses_;
+  auto opened = open(line);
+  if (!opened) losses_ = before;
+  return opened;
+}
+
 Reading<DescribedValue> Query::read(SerialDevice& line) {
+  if (auto opened = open_if_lost(line); !opened) return std::move(opened).error();
   return decoding_->cutter ? read_frame(line) : read_line(line);
 }
 

@@ -139,50 +139,69 @@ class TcpServerNode final : public TcpLinesNode {
   }
   void end_listening() noexcept {
     later_.stop();
+    if (waiting_ >= 0) ::close(std::exchange(waiting_, -1));
     connections_.close();  // before the descriptor
     if (listener_ >= 0) ::close(listener_);
     listener_ = -1;
   }
   void watch_connections() {
     connections_ = FdWatch(loop()->face, listener_, FdWatch::readable, object_name(),
-                           [this](const FdEvent&) { has_source() ? look_later() : take_connection(); });
+                           [this](const FdEvent&) { take_connection(); });
   }
-  /// The connection waits in the kernel.
-  void look_later() {
+  /// One that may be: another one waits until it is known which is the device's.
+  void take_connection() {
+    Call call(*this);
+    const int fd = accepted();
+    if (fd < 0) return;
+    if (!has_source()) return use(fd);
+    waiting_ = fd;
     connections_.close();
     later_.start(silence_of_the_old);
   }
   void choose() {
     Call call(*this);
     watch_connections();
-    if (!has_source()) return;
-    if (loop()->now() - heard_at() >= silence_of_the_old) {
-      return lose({Errc::disconnected, "lost the connection", place(),
-                   "another connection was made, and nothing has come on this one for 1 s", "the new one is used"},
-                  loop()->now());
-    }
-    const int fd = ::accept4(listener_, nullptr, nullptr, SOCK_CLOEXEC);
+    const int fd = std::exchange(waiting_, -1);
     if (fd < 0) return;
-    ::close(fd);
-    report({Errc::busy, "closed a connection", place(), "another device connects while one sends",
-            "give each device a sensor and a port of its own"});
+    char byte = 0;
+    const bool has_ended = ::recv(fd, &byte, 1, MSG_PEEK | MSG_DONTWAIT) == 0;  // a look at the port, and no device
+    const bool is_old_silent = has_source() && loop()->now() - heard_at() >= silence_of_the_old;
+    if (has_ended || (has_source() && !is_old_silent)) {
+      ::close(fd);
+      return report({Errc::busy, "closed a connection", place(),
+                     has_ended ? "it was ended at once" : "another device connects while one sends",
+                     has_ended ? "" : "give each device a sensor and a port of its own"});
+    }
+    if (has_source())
+      lose({Errc::disconnected, "lost the connection", place(),
+            "another connection was made, and nothing has come on this one for 1 s", "the new one is used"},
+           loop()->now());
+    if (!is_running() || has_source()) {
+      ::close(fd);  // a callback has stopped it
+      return;
+    }
+    use(fd);
   }
-  void take_connection() {
-    Call call(*this);
+  /// -1: none, or it is refused.
+  int accepted() {
     IpAddress peer;
     peer.size = sizeof peer.storage;
     const int fd = ::accept4(listener_, reinterpret_cast<sockaddr*>(&peer.storage), &peer.size,
                              SOCK_NONBLOCK | SOCK_CLOEXEC);
     if (fd < 0) {
       const int number = errno;
-      if (number == EAGAIN || number == EINTR || number == ECONNABORTED) return;
-      look_later();  // no descriptors, no memory
-      return report(system_error(number, "cannot take a connection", place(), ""));
+      if (number == EAGAIN || number == EINTR || number == ECONNABORTED) return -1;
+      connections_.close();  // no descriptors, no memory
+      later_.start(silence_of_the_old);
+      report(system_error(number, "cannot take a connection", place(), ""));
+      return -1;
     }
-    if (from_ && !from_->is_same_host(peer)) {
-      ::close(fd);
-      return report({Errc::not_permitted, "closed a connection", place(), "it was not made by `from`", ""});
-    }
+    if (!from_ || from_->is_same_host(peer)) return fd;
+    ::close(fd);
+    report({Errc::not_permitted, "closed a connection", place(), "it was not made by `from`", ""});
+    return -1;
+  }
+  void use(int fd) {
     keep_alive(fd);
     for (const std::string& text : at_open_) {
       if (::send(fd, text.data(), text.size(), MSG_NOSIGNAL) == static_cast<ssize_t>(text.size())) continue;
@@ -198,6 +217,7 @@ class TcpServerNode final : public TcpLinesNode {
   FdWatch connections_;
   Timer later_;
   int listener_ = -1;
+  int waiting_ = -1;  // a second connection
 };
 
 }  // namespace detail

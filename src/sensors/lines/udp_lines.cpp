@@ -152,16 +152,19 @@ class UdpLinesNode final : public LineNode {
     socklen_t size = sizeof numbers;
     constexpr std::size_t place_of_drops = 8;  // SK_MEMINFO_DROPS of linux/sock_diag.h
     if (fd_ < 0 || ::getsockopt(fd_, SOL_SOCKET, SO_MEMINFO, numbers.data(), &size) != 0) return;
-    if (size > place_of_drops * sizeof numbers[0]) note_drops(numbers[place_of_drops]);
+    if (size > place_of_drops * sizeof numbers[0]) note_drops(numbers[place_of_drops], true);
   }
-  void note_drops(std::uint32_t dropped) {
+  void note_drops(std::uint32_t dropped, bool is_end = false) {
     const std::uint32_t more = dropped - std::exchange(dropped_, dropped);
     if (more == 0) return;
     const Error error{Errc::backlog, "datagrams are lost", place(),
                       "the kernel has dropped " + std::to_string(more) + ": its buffer was full",
                       "let the loop do less at once, or the device send less"};
     // The numbers of the lines tell how many are missing; without them each datagram is one that could not be read.
-    if (!config().sequence_field.empty()) return degrade(error);
+    if (!config().sequence_field.empty()) {
+      if (is_end) origin_.counts.lost += more;  // no number will follow
+      return degrade(error);
+    }
     origin_.counts.received += more - 1;
     origin_.counts.unreadable += more - 1;
     fail(error);
