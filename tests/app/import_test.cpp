@@ -339,7 +339,8 @@ TEST_SUITE("app") {
     CHECK(has(import({"lab.csv", "--time", "Zeit", "--separator", ";", "--zone", "Z"}, 1), "write --decimal ,"));
     CHECK(has(import({"tab.csv", "--time", "Zeit"}, 1), "write --separator tab --decimal ,"));
     CHECK(has(import({"tab.csv", "--time", "Zeit", "--separator", "tab"}, 1), "write --decimal ,"));
-    CHECK(has(import({"lab.csv", "--time", "Zeit", "--separator", ",", "--decimal", ","}, 1), "the decimal mark, too"));
+    CHECK(
+        has(import({"lab.csv", "--time", "Zeit", "--separator", ",", "--decimal", ","}, 1), "write --separator \";\""));
     CHECK(has(import({"lab.csv", "--time", "Zeit", "--separator", ";;"}, 1),
               "it must be one character, which separates cells"));
     CHECK(has(import({"lab.csv", "--time", "Zeit", "--zone", "CET"}, 1), "not a time zone"));

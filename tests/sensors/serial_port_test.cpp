@@ -347,7 +347,8 @@ TEST_SUITE("sensors") {
     }
     CHECK(bench.values.size() >= 40);
     CHECK(std::count(bench.values.begin(), bench.values.end(), "1") == std::ssize(bench.values));
-    CHECK(std::count(bench.wires->written().begin(), bench.wires->written().end(), "MODE\n") >= 8);
+    const auto written = bench.wires->written();
+    CHECK(std::count(written.begin(), written.end(), "MODE\n") >= 8);
     CHECK(bench.loop.runtime().balances());
   }
 

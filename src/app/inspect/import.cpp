@@ -171,6 +171,10 @@ void check_scale(const ImportOptions& options, const ImportNotation& notation, c
                       "; or --scale 1s if it counts seconds since 1970");
   // "time_ms", "t in ms": without brackets, only what is nothing else.
   std::string unit = time.unit;
+  const std::size_t open = time.heading.find_last_of("([");
+  if (unit.empty() && open != std::string::npos && (time.heading.ends_with(')') || time.heading.ends_with(']')))
+    unit = time.heading.substr(open + 1, time.heading.size() - open - 2);  // longer than units are elsewhere
+  if (time.unit.empty() && !duration_of_unit(unit)) unit.clear();
   if (unit.empty() && options.scale.empty()) {
     const std::size_t begin = time.heading.find_last_of(" _/-");
     const std::string last = begin == std::string::npos ? "" : time.heading.substr(begin + 1);
@@ -200,6 +204,7 @@ Found look_at(const ImportOptions& options, const ImportNotation& notation) {
   for (const std::size_t column : found.time_columns) found.columns[column].is_time = true;
   ImportClock clock(notation);
   std::vector<detail::CsvCell> cells;
+  bool has_comma_in_quotes = false;
   Time before{};  // of the row above
   while (table.next(cells).or_throw()) {
     if (!is_of_columns(cells, found.columns)) {
@@ -242,8 +247,11 @@ Found look_at(const ImportOptions& options, const ImportNotation& notation) {
     for (std::size_t i = 0; i < cells.size(); ++i) {
       table.check_text(cells[i].text, &found.columns[i].heading);
       found.columns[i].look_at(cells[i], table.line());
+      has_comma_in_quotes = has_comma_in_quotes || (cells[i].quoted && cells[i].text.find(',') != std::string::npos);
     }
   }
+  if (notation.separator == notation.numbers.decimal && !has_comma_in_quotes)
+    refuse_import("--separator " + shown_separator(notation.separator), "it is the decimal mark, too", "set --decimal");
   if (table.cut_line() != 0) found.cut_line = table.cut_line();
   found.twice = clock.twice();
   found.midnights = clock.midnights();
