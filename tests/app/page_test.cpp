@@ -318,7 +318,12 @@ TEST_SUITE("app") {
         if (last != 0) CHECK(step["sequence"][0] == last + 1);
         last = step["sequence"][1];
       }
-      id = events.next("id")["id"];
+      while (id.empty()) {  // on a slow machine further steps come before it
+        const auto line = events.next();
+        REQUIRE(line);
+        if (line->contains("until") && (*line)["origin"] == "a") last = (*line)["sequence"][1];
+        if (line->contains("id")) id = (*line)["id"];
+      }
     }
     Events events(port, id);
     CHECK(events.next("page")["page"]["goes_on"] == true);
