@@ -234,6 +234,19 @@ TEST_SUITE("sensors") {
                     SetupError);
   }
 
+  TEST_CASE(
+      "US-9 devices that do not answer at the start hold the others up for a second each, whatever they may take") {
+    FakeGpsd silent;
+    Loop loop;
+    be_quiet(loop);
+    SerialPort port({.host = "127.0.0.1", .port = silent.port(), .answer_timeout = 30s, .timeout = 90s});
+    const auto begin = std::chrono::steady_clock::now();
+    const DriverSensor<Query> mute(loop, {.name = "mute", .rate = Rate::hertz(1)}, port, {},
+                                   {.request = "?\n", .at_open = {"*IDN?\n"}, .fields = {{.name = "v"}}});
+    CHECK(mute.health() != Health::ok);
+    CHECK(std::chrono::steady_clock::now() - begin < 25s);
+  }
+
   TEST_CASE("US-42 a program of the user's is asked, and is started again when it has ended") {
     Loop loop;
     be_quiet(loop);

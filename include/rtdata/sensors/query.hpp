@@ -37,7 +37,7 @@ namespace rtdata {
 class Query {
  public:
   static constexpr std::string_view type = "query";
-  static constexpr std::string_view aliases = "scpi instrument multimeter rs232";
+  static constexpr std::string_view aliases = "scpi instrument multimeter rs232 bms jbd battery gmc";
   static constexpr std::string_view
       description = "a device on a serial line that answers a request with a line of text";
   static constexpr std::string_view notes =

@@ -38,7 +38,7 @@ void add_line_sensors(Registry& registry) {
       {.notes = recipes,
        .aliases = "arduino uart rs232 usb teensy esp32 scale balance pms5003 pms7003 sds011 ze08 dust dsmr p1 teleinfo "
                   "linky ve.direct victron nmea wind windsonic wxt520 balloon geiger a02yyuw maxbotix lidar tf-luna "
-                  "tfmini jeelink ublox"});
+                  "tfmini jeelink ublox ld06 ld19"});
   registry.add_sensor<CommandConfig>(
       "command", "a program of your own whose lines are events",
       [](const CommandConfig& config) { return description_of_lines(config.lines); }, makes<CommandSensor>,
@@ -67,7 +67,7 @@ void add_line_sensors(Registry& registry) {
       "http", "what a URL answers, such as that of a plug, a gateway or a weather service",
       [](const HttpSensorConfig& config) { return line_description(config.fields); }, makes<HttpSensor>,
       [](PartPlan&, const HttpSensorConfig&) {},
-      {.notes = recipes, .aliases = "shelly tasmota ecowitt open-meteo rest api url web prometheus"});
+      {.notes = recipes, .aliases = "shelly tasmota ecowitt open-meteo airrohr rest api url web prometheus"});
 #endif
 }
 

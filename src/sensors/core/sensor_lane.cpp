@@ -10,6 +10,8 @@ namespace rtdata::detail {
 namespace {
 
 constexpr std::string_view still_reading = "still reading";
+// How long the start of a program waits for a device that it does not need: the others are to begin.
+constexpr Duration longest_start = std::chrono::seconds{1};
 
 /// Closes the device of a transaction, after the transaction itself if it is running.
 class Closing final : public LaneJob {
@@ -69,7 +71,8 @@ void SensorNode::start_on_lane() {
 
 void SensorNode::wait_for_start() {
   Lane& lane = *lane_side()->lane;
-  const MonotonicTime end = later(loop()->now(), lane_side()->device->give_up_after());
+  const Duration limit = lane_side()->device->give_up_after();
+  const MonotonicTime end = later(loop()->now(), settings().is_required ? limit : std::min(limit, longest_start));
   while (is_starting()) {  // others may be in front of it
     const Duration left = span_between(loop()->now(), end);
     if (left <= Duration{0}) return;
