@@ -18,7 +18,6 @@
 #include "app/inspect/import_time_format.hpp"
 #include "app/inspect/import_zone.hpp"
 #include "app/inspect/separator.hpp"
-#include "data/lower_case.hpp"
 #include "data/saturating.hpp"
 #include "data/utf8.hpp"
 #include "rtdata/loop/clock.hpp"
@@ -133,9 +132,6 @@ std::string time_text(const std::vector<detail::CsvCell>& cells, const Found& fo
                 advice);
 }
 
-// What headings have in ( ) that is no unit: "time (UTC)" may hold seconds since 1970.
-constexpr std::string_view zones_of_headings[] = {"utc", "gmt", "unix", "epoch", "posix", "local"};
-
 /// Reads the heading. Rows follow.
 std::vector<ImportColumn> begin_table(ImportRows& table, const ImportOptions& options, const ImportNotation& notation,
                                       std::vector<std::size_t>& time_columns) {
@@ -178,7 +174,7 @@ void check_scale(const ImportOptions& options, const ImportNotation& notation, c
   if (unit.empty() && options.scale.empty()) {
     const std::size_t begin = time.heading.find_last_of(" _/-");
     const std::string last = begin == std::string::npos ? "" : time.heading.substr(begin + 1);
-    if (last.size() > 1 && detail::lower_case(last) != "min" && duration_of_unit(last)) unit = last;
+    if (last.size() > 1 && last != "min" && duration_of_unit(last)) unit = last;
   }
   if (unit.empty()) return;
   const auto duration = duration_of_unit(unit);
@@ -186,10 +182,7 @@ void check_scale(const ImportOptions& options, const ImportNotation& notation, c
     refuse_import(options.file, shown + " says " + unit + ", and --scale 1 in it is " + to_string(notation.scale),
                   "write --scale \"" + to_string(*duration) + "\"" +
                       (options.scale.empty() ? ", or --scale \"1 s\" if it is wrong" : ", or change the heading"));
-  const std::string lower = detail::lower_case(unit);
-  const bool is_zone = std::any_of(std::begin(zones_of_headings), std::end(zones_of_headings),
-                                   [&](std::string_view one) { return lower.find(one) != std::string::npos; });
-  if (!duration && options.scale.empty() && !is_zone)
+  if (!duration && options.scale.empty() && !says_a_zone(unit))
     refuse_import(options.file, shown + " says " + unit + ", which is no unit of time that is known",
                   "write --scale, what 1 in it is, such as \"10 us\"");
 }

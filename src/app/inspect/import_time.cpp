@@ -118,6 +118,13 @@ std::optional<Duration> duration_of_unit(std::string_view unit) {
   return usual ? std::optional(*usual) : std::nullopt;
 }
 
+bool says_a_zone(std::string_view unit) {
+  const std::string lower = detail::lower_case(unit);
+  for (const char* const one : {"utc", "gmt", "unix", "epoch", "posix", "local"})
+    if (lower.find(one) != std::string::npos) return true;
+  return false;
+}
+
 bool may_be_a_day(std::string_view text) {
   const bool has_size = text.size() == 8 || text.size() == 10 || text.size() == 12 || text.size() == 14;
   if (!has_size || text.find_first_not_of("0123456789") != std::string_view::npos) return false;

@@ -71,6 +71,8 @@ class ImportClock {
 
 /// What 1 is of a unit as tables write it: "ms", "millisecond", "usec", "minutes". Empty: it is no unit of time.
 std::optional<Duration> duration_of_unit(std::string_view unit);
+/// "UTC", "unix": what headings have in ( ) that is no unit.
+bool says_a_zone(std::string_view unit);
 /// "20250329", "2025032922": true if these digits may be a day, with or without a time of day.
 bool may_be_a_day(std::string_view text);
 
