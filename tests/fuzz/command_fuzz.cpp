@@ -69,7 +69,7 @@ struct Instance {
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
   Instance instance;
-  app::Tares tares("/no/such/folder/f.tare");
+  app::Tares tares("/no/such/folder/f.tare", "f.json");
   app::CommandDesk desk(instance.loop, *instance.system, tares, [&](const std::string&, bool) { ++instance.logged; });
   bool is_armed = false;
   double value = 0;

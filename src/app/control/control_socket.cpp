@@ -16,6 +16,7 @@
 #include <cstring>
 #include <filesystem>
 
+#include "app/control/request.hpp"
 #include "data/number_text.hpp"
 #include "loop/core/loop_core.hpp"
 #include "rtdata/loop/timer.hpp"
@@ -156,10 +157,11 @@ struct ControlSocket::Job final : detail::LaneJob {
     ++lane_.answers;
   }
   void run() noexcept override { text_ = work_(); }
-  void done(Outcome) override {
+  void done(Outcome outcome) override {
     if (!*is_alive_) return;
     --lane_.answers;
-    to_.answered(client_, std::move(text_));
+    // Of a late one the lane's thread still has the text.
+    to_.answered(client_, outcome == Outcome::finished ? std::move(text_) : answer_line("error", "no answer in time"));
   }
 
  private:

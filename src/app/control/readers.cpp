@@ -164,10 +164,11 @@ struct Readers::Shared::Reading final : detail::LaneJob {
   void run() noexcept override { slice = from->read(); }
   void done(Outcome outcome) override {
     is_done = true;
-    if (outcome != Outcome::finished) slice.failed = "the disk did not answer in time";
+    is_late = outcome != Outcome::finished;
   }
   const std::shared_ptr<PastReader> from;
-  PastReader::Slice slice;
+  PastReader::Slice slice;  // of a late one the lane's thread still has it
+  bool is_late = false;
   bool is_done = false;
 };
 
@@ -252,7 +253,11 @@ void Readers::Shared::go_on_with_past(Connection& of) {
   };
   if (of.reading != nullptr) {
     if (!of.reading->is_done) return;
-    of.slice = std::move(of.reading->slice);
+    of.slice = {};
+    if (of.reading->is_late)
+      of.slice.failed = "the disk did not answer in time";
+    else
+      of.slice = std::move(of.reading->slice);
     of.given_of_slice = 0;
     of.reading.reset();
     for (auto& [number, uuid] : of.slice.runs) of.runs[number] = std::move(uuid);

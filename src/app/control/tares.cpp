@@ -162,7 +162,7 @@ struct TareDesk::Writing final : detail::LaneJob {
   void done(Outcome outcome) override {
     const auto told = told_.lock();
     if (told == nullptr) return;
-    if (outcome != Outcome::finished) failed_ = file_ + " was not written in " + to_string(writing_limit);
+    if (outcome != Outcome::finished) return (*told)(false, file_ + " was not written in " + to_string(writing_limit));
     (*told)(failed_.empty(), failed_);
   }
 
