@@ -86,6 +86,7 @@ Checksum::Checksum(const LineChecksum& config) : config_(config) {
   if (config.type == Type::sum16 || config.type == Type::fletcher16) bytes_ = 2;
   const auto crc = crc_of(config.type);
   if (!crc) return;
+  is_crc_ = true;
   bytes_ = crc->bits / 8;
   first_ = crc->first;
   last_xor_ = crc->last_xor;
@@ -108,25 +109,24 @@ Checksum::Checksum(const LineChecksum& config) : config_(config) {
 /// How long it is in the text.
 std::size_t Checksum::width() const noexcept { return config_.form == Form::hex ? 2 * bytes_ : bytes_; }
 
-std::uint32_t Checksum::crc(std::string_view of) const noexcept {
-  const std::size_t size = bytes_;
-  std::uint32_t value = first_;
-  for (const std::string_view part : {of, std::string_view(appended_)}) {
-    for (const char c : part) {
-      const auto byte = static_cast<unsigned char>(c);
-      if (is_reflected_) {
-        value = value >> 8 ^ table_[(value ^ byte) & 0xff];
-      } else if (size == 1) {
-        value = table_[(value ^ byte) & 0xff];
-      } else {
-        value = value << 8 ^ table_[(value >> (8 * size - 8) ^ byte) & 0xff];
-      }
-    }
+std::uint32_t Checksum::crc(std::string_view of, std::uint32_t value) const noexcept {
+  if (is_reflected_) {
+    for (const char c : of) value = value >> 8 ^ table_[(value ^ static_cast<unsigned char>(c)) & 0xff];
+  } else if (bytes_ == 1) {
+    for (const char c : of) value = table_[(value ^ static_cast<unsigned char>(c)) & 0xff];
+  } else {
+    const std::size_t top = 8 * bytes_ - 8;
+    for (const char c : of) value = value << 8 ^ table_[(value >> top ^ static_cast<unsigned char>(c)) & 0xff];
   }
-  return (value ^ last_xor_) & (size == 4 ? ~std::uint32_t{0} : (std::uint32_t{1} << (8 * size)) - 1);
+  return value;
 }
 
 std::uint32_t Checksum::of(std::string_view of) const noexcept {
+  if (is_crc_) {
+    std::uint32_t value = crc(of, first_);
+    if (!appended_.empty()) value = crc(appended_, value);
+    return (value ^ last_xor_) & (bytes_ == 4 ? ~std::uint32_t{0} : (std::uint32_t{1} << (8 * bytes_)) - 1);
+  }
   std::uint32_t sum = 0, sum_of_sums = 0, parity = 0;
   for (const std::string_view part : {of, std::string_view(appended_)}) {
     for (const char c : part) {
@@ -149,10 +149,8 @@ std::uint32_t Checksum::of(std::string_view of) const noexcept {
       return (sum & 0xff) << 8 | (sum_of_sums & 0xff);
     case Type::lrc:
       return (0u - sum) & 0xff;
-    case Type::sum6:
+    default:  // sum6
       return (sum & 0x3f) + 0x20;
-    default:
-      return crc(of);
   }
 }
 

@@ -36,13 +36,14 @@ class Checksum {
   std::size_t place_of_after(std::string_view text) const noexcept;
   std::size_t width() const noexcept;
   bool read(std::string_view written, std::uint32_t& number) const noexcept;
-  std::uint32_t crc(std::string_view bytes) const noexcept;
+  /// Goes on from `value`.
+  std::uint32_t crc(std::string_view bytes, std::uint32_t value) const noexcept;
 
   const LineChecksum config_;
   std::size_t bytes_ = 1;                   // of the checksum
   std::string appended_;                    // what it covers and is not sent
   std::uint32_t first_ = 0, last_xor_ = 0;  // of a CRC
-  bool is_reflected_ = false;
+  bool is_crc_ = false, is_reflected_ = false;
   std::array<std::uint32_t, 256> table_{};
 };
 

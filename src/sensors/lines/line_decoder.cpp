@@ -223,7 +223,6 @@ Result<void> LineDecoder::put(std::size_t index, std::string_view text) {
   const Leaf* leaf = leaves_[index];
   if (leaf == nullptr) return {};
   double scale = fields_[index].scale;
-  if (leaf->kind != Kind::text && leaf->kind != Kind::character) text = trimmed(text);  // blanks within quotes
   if (FieldText& of = texts_[index]; of.is_used()) {
     const FieldText::Found found = of.read(text);
     if (found.is_absent) return {};
@@ -306,6 +305,13 @@ Result<LineDecoder::Column> LineDecoder::next_column(std::size_t index, std::str
   return Column{text, is_quoted};
 }
 
+/// Blanks within the quotes of a number do not count.
+std::string_view LineDecoder::text_of(std::size_t index, const Column& column) const noexcept {
+  const Leaf* const leaf = leaves_[index];
+  const bool is_text = leaf == nullptr || leaf->kind == Kind::text || leaf->kind == Kind::character;
+  return column.is_quoted && !is_text ? trimmed(column.text) : column.text;
+}
+
 Result<void> LineDecoder::decode_csv(std::string_view line) {
   const auto count_error = [&](std::string_view what) {
     return Error{Errc::bad_data, bad_line_, shown_line(line),
@@ -321,7 +327,7 @@ Result<void> LineDecoder::decode_csv(std::string_view line) {
     if (!column) return column.error();
     const bool is_absent = fields_[i].optional && column->text.empty() && !column->is_quoted;
     if (is_absent) continue;
-    if (Result<void> done = put(i, column->text); !done) return done;
+    if (Result<void> done = put(i, text_of(i, *column)); !done) return done;
   }
   if (rest.data() != nullptr) return count_error("more");
   return {};
@@ -405,7 +411,7 @@ Result<void> LineDecoder::decode_labels(std::string_view rows) {
       if (!column) return column.error();
       seen_[i] = true;
       if (fields_[i].optional && column->text.empty() && !column->is_quoted) continue;
-      if (Result<void> done = put(i, column->text); !done) return done;
+      if (Result<void> done = put(i, text_of(i, *column)); !done) return done;
     }
   }
   return all_seen();

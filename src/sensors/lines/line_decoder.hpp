@@ -95,6 +95,7 @@ class LineDecoder {
     std::string_view text;  // valid until the next one
     bool is_quoted = false;
   };
+  std::string_view text_of(std::size_t index, const Column& column) const noexcept;
   Result<Column> next_column(std::size_t index, std::string_view& rest);
   Error failure(Errc code, std::size_t index, std::string why) const;
   std::uint64_t number() const noexcept;
