@@ -119,7 +119,7 @@ void write_configurations(const Folder& folder) {
 
 TEST_SUITE_BEGIN("app");
 
-TEST_CASE("a device that does not answer at the end of a run costs a second, and the recording is closed") {
+TEST_CASE("a device that does not answer at the end of a run costs seconds, and the recording is closed") {
   const Folder folder;
   const FakeGpsd silent;
   folder.write("hang.json", R"({"buses": {"b": {"type": "serial", "host": "127.0.0.1", "port": )" +

@@ -180,6 +180,27 @@ TEST_SUITE("loop") {
     CHECK(told == std::vector<Outcome>{Outcome::finished});
   }
 
+  TEST_CASE("a lane of one's own, such as that of a recording, is waited for longer than one of a device") {
+    std::vector<Outcome> told;
+    Stuck slow, hung;
+    std::thread release;
+    {
+      Loop loop;
+      const auto note = [&](Outcome outcome) { told.push_back(outcome); };
+      Lane own(loop.core(), "recording", 1h);
+      CHECK(own.submit(job(slow.work(), note)));
+      CHECK(loop.core().lanes.of("device", 1h).submit(job(hung.work(), note)));
+      for (int i = 0; i < 5000 && slow.begun() + hung.begun() < 2; ++i) loop.run_for(1ms);
+      REQUIRE(slow.begun() + hung.begun() == 2);
+      release = std::thread([&] {
+        std::this_thread::sleep_for(2500ms);  // longer than a device is waited for
+        slow.release();
+      });
+    }
+    CHECK(told == std::vector<Outcome>{Outcome::finished, Outcome::cancelled});
+    release.join();
+  }
+
   TEST_CASE("a job that is told of may submit the next, for ever and ever") {
     Loop loop;
     Lane& lane = loop.core().lanes.of("device", 10s);

@@ -13,7 +13,8 @@
 namespace rtdata::detail {
 namespace {
 
-constexpr Duration longest_farewell = std::chrono::seconds{2};   // of a job that runs when its lane ends
+// A device's job that runs when its lane ends is waited for no longer; what is stored, or set, as long as it may take.
+constexpr Duration longest_farewell = std::chrono::seconds{2};
 constexpr Duration longest_wait = std::chrono::hours{24 * 365};  // the standard library adds it to the present time
 
 }  // namespace
@@ -101,7 +102,8 @@ Lane::~Lane() {
       // Counted from its start, so that waits for several hanging devices overlap.
       const MonotonicTime end = later(MonotonicTime{Duration{job->began_.load(std::memory_order_relaxed)}},
                                       std::min(job->limit_, longest_wait));
-      const Duration most = std::clamp(span_between(loop_.now(), end), Duration{0}, longest_farewell);
+      const Duration most = std::clamp(span_between(loop_.now(), end), Duration{0},
+                                       is_shared_ || is_pooled_ ? longest_farewell : longest_wait);
       loop_.lanes.wait(most, [&] { return job->state_.load() != LaneJob::running; });
       if (job->withdraw() == LaneJob::running) thread_->abandon_thread();
     }

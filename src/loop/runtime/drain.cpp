@@ -14,7 +14,6 @@ namespace rtdata {
 namespace {
 
 constexpr Duration try_again_after = std::chrono::milliseconds{2};
-constexpr Duration longest_read = std::chrono::seconds{1};  // that is waited for; a device that hangs costs no more
 
 class Drain : public std::enable_shared_from_this<Drain> {
  public:
@@ -31,7 +30,8 @@ class Drain : public std::enable_shared_from_this<Drain> {
       return;
     }
     runtime_.unknown_end.clear();
-    reads_end_ = std::min(deadline_, detail::later(loop_.now(), longest_read));
+    // Leaves time for storing, whatever hangs.
+    reads_end_ = detail::later(loop_.now(), std::max(detail::span_between(loop_.now(), deadline_), Duration{0}) / 2);
     run_posted();
     loop_.core().run_due();
     for_each_sensor([&](detail::SensorEntry& sensor) { sensor.stop_schedule(loop_.core().deadlines.handled_until()); });
