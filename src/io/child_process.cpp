@@ -91,13 +91,21 @@ struct Start {
   return pid;
 }
 
-/// What the new process could not do, or 0: its side of the pipe is closed when it is another program.
+/// What the new process could not do, or 0: its side of the pipe is closed when it is another program. Another process
+/// of this one may hold that side, too, so that the end is not waited for without a limit.
 int failure_of_start(int pipe) {
   int error_number = 0;
-  ssize_t size = 0;
-  do size = ::read(pipe, &error_number, sizeof error_number);
-  while (size < 0 && errno == EINTR);
-  return size == static_cast<ssize_t>(sizeof error_number) ? error_number : 0;
+  const auto has_failed = [&] {
+    return ::read(pipe, &error_number, sizeof error_number) == static_cast<ssize_t>(sizeof error_number);
+  };
+  if (has_failed()) return error_number;
+  if (errno != EAGAIN) return 0;
+  struct pollfd one {
+    pipe, POLLIN, 0
+  };
+  while (::poll(&one, 1, patience) < 0 && errno == EINTR) {
+  }
+  return has_failed() ? error_number : 0;
 }
 
 /// Blocks. Not yet reaped, so that the number of the process is nobody else's.
@@ -192,7 +200,6 @@ Result<Child> start_child(const std::vector<std::string>& run, ChildPrints print
   ::pthread_sigmask(SIG_SETMASK, &before, nullptr);
   if (pid < 0) return failure(fork_error);
   write_failed.set(-1);
-  ::fcntl(read_failed.fd(), F_SETFL, 0);
   if (const int error_number = failure_of_start(read_failed.fd()); error_number != 0) {
     ::waitpid(pid, nullptr, 0);
     return failure(error_number);
