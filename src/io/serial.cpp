@@ -14,30 +14,10 @@ namespace {
 
 constexpr const char* cannot_read = "no answer";
 
-struct Mistake {
-  const char* key;
-  const char* why;
-  const char* advice;
-};
-/// A port is a line of the kernel, a connection, or a program.
-std::optional<Mistake> mistake_in_place(const SerialPortConfig& config) {
-  const int places = !config.device.empty() + !config.host.empty() + !config.run.empty();
-  if (places == 0) return Mistake{"device", "there is no `device`, `host` or `run`", "set one of them"};
-  if (places > 1)
-    return Mistake{config.host.empty() ? "run" : "host", "there is more than one of `device`, `host` and `run`",
-                   "keep one of them"};
-  if (!config.host.empty() && config.port == 0) return Mistake{"port", "there is no `port`", "such as 5025 for SCPI"};
-  if (config.host.empty() && config.port != 0) return Mistake{"port", "only a `host` has one", "leave it out"};
-  if (!config.run.empty() && config.run.front().empty()) return Mistake{"run", "there is no program", "name it first"};
-  const SerialSettings& serial = config.serial;
-  if (config.device.empty() && (serial.dtr || serial.rts || serial.hangup || serial.rs485))
-    return Mistake{config.host.empty() ? "run" : "host", "`dtr`, `rts`, `hangup` and `rs485` are of a serial device",
-                   "leave them out"};
-  return std::nullopt;
-}
+constexpr const char* keys_of_a_port = "`device`, `host` and `run`";
 
 std::shared_ptr<SerialTransport> transport_of(const SerialPortConfig& config) {
-  if (const auto mistake = mistake_in_place(config))
+  if (const auto mistake = detail::mistake_in_place(config, keys_of_a_port))
     throw SetupError({Errc::bad_argument, "cannot use this serial line", mistake->key, mistake->why, mistake->advice});
   if (!config.run.empty()) return detail::make_program_line(config.run);
   if (config.host.empty()) return make_kernel_serial(config.device, config.serial);
@@ -55,6 +35,30 @@ std::span<const std::uint8_t> bytes_of(std::string_view text) {
 
 }  // namespace
 
+std::optional<detail::PlaceMistake> detail::mistake_in_place(const SerialPortConfig& config, const char* keys) {
+  const int places = !config.device.empty() + !config.host.empty() + !config.run.empty();
+  const char* const other = config.host.empty() ? "run" : "host";
+  if (places == 0) return PlaceMistake{"device", "there is none of " + std::string(keys), "set one of them"};
+  if (places > 1) return PlaceMistake{other, "there is more than one of " + std::string(keys), "keep one of them"};
+  if (!config.host.empty() && config.port == 0)
+    return PlaceMistake{"port", "there is no `port`", "such as 5025 for SCPI"};
+  if (config.host.empty() && config.port != 0) return PlaceMistake{"port", "only a `host` has one", "leave it out"};
+  if (!config.run.empty() && config.run.front().empty())
+    return PlaceMistake{"run", "there is no program", "name it first"};
+  const SerialSettings& serial = config.serial;
+  if (config.device.empty() && (serial.dtr || serial.rts || serial.hangup || serial.rs485))
+    return PlaceMistake{other, "`dtr`, `rts`, `hangup` and `rs485` are of a serial device", "leave them out"};
+  return std::nullopt;
+}
+
+void detail::check_place(const SerialPortConfig& config, const char* keys, const ConfigItem& item, Problems& problems) {
+  const auto mistake = mistake_in_place(config, keys);
+  if (!mistake) return;
+  const ConfigItem* const at = item.find(mistake->key);
+  problems.add((at != nullptr ? *at : item)
+                   .problem(at != nullptr ? "bad-value" : "missing-key", mistake->why + "; " + mistake->advice));
+}
+
 void check_config(const SerialSettings& settings, const ConfigItem& item, Problems& problems) {
   const Result<unsigned> flags = detail::control_flags(settings);
   const ConfigItem* const at = item.find("rts");
@@ -63,12 +67,7 @@ void check_config(const SerialSettings& settings, const ConfigItem& item, Proble
 
 void check_config(const SerialPortConfig& config, const ConfigItem& item, Problems& problems) {
   check_config(config.serial, item, problems);
-  if (const auto mistake = mistake_in_place(config)) {
-    const ConfigItem* const at = item.find(mistake->key);
-    problems.add(
-        (at != nullptr ? *at : item)
-            .problem(at != nullptr ? "bad-value" : "missing-key", std::string(mistake->why) + "; " + mistake->advice));
-  }
+  detail::check_place(config, keys_of_a_port, item, problems);
   if (config.answer_timeout < config.timeout) return;
   const ConfigItem* at = item.find("answer_timeout");
   if (at == nullptr) at = item.find("timeout");

@@ -11,6 +11,7 @@
 #include <algorithm>
 #include <array>
 #include <cerrno>
+#include <cstdlib>
 #include <map>
 #include <utility>
 
@@ -51,8 +52,8 @@ const LineWords& words_of(StreamLine::Kind::Sort sort) noexcept {
 /// The programs that are asked, by the descriptor of their terminal.
 class AskedPrograms {
  public:
-  /// The end of this program: what hangs is ended, too.
-  ~AskedPrograms() {
+  void kill_all() noexcept {
+    const std::lock_guard lock(mutex_);
     for (const auto& [output, child] : children_) ::kill(-child.pid, SIGKILL);
   }
   /// How it has ended; empty: it runs.
@@ -79,8 +80,10 @@ class AskedPrograms {
   std::mutex mutex_;
   std::map<int, Child> children_;
 };
-AskedPrograms& asked_programs() {
-  static AskedPrograms all;
+AskedPrograms& asked_programs() noexcept {
+  // Never destroyed: a thread that hangs in a program's answer may still come back while this program ends.
+  static AskedPrograms& all = *new AskedPrograms;
+  [[maybe_unused]] static const int at_exit = std::atexit([] { asked_programs().kill_all(); });
   return all;
 }
 

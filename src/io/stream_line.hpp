@@ -5,6 +5,7 @@
 #include <functional>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -15,6 +16,17 @@ namespace rtdata::detail {
 /// Connects within the limit, to the first address that accepts; looking up a name takes as long as it takes. Returns a
 /// descriptor that does not block.
 Result<int> connect_to(const std::string& host, std::uint16_t port, Duration limit);
+
+/// A setting of where a device is that cannot work.
+struct PlaceMistake {
+  const char* key;
+  std::string why;
+  const char* advice;
+};
+/// Of `device`, `host`, `port` and `run`. `keys`: those that there are, for messages.
+std::optional<PlaceMistake> mistake_in_place(const SerialPortConfig& config, const char* keys);
+/// Reports it.
+void check_place(const SerialPortConfig& config, const char* keys, const ConfigItem& item, Problems& problems);
 
 /// A program that is asked and answers through its terminal. Not a serial device: SerialPortConfig::run.
 std::shared_ptr<SerialTransport> make_program_line(std::vector<std::string> run);

@@ -9,7 +9,6 @@
 #include <chrono>
 #include <map>
 #include <mutex>
-#include <optional>
 #include <string_view>
 
 #include "data/hex_bytes.hpp"
@@ -68,33 +67,13 @@ Unsent& unsent() {
   return all;
 }
 
-struct PlaceMistake {
-  const char* key;
-  const char* why;
-};
-std::optional<PlaceMistake> mistake_in_output_place(const SerialActuatorConfig& config) {
-  if (config.device.empty() && config.host.empty())
-    return PlaceMistake{"device", "there is neither a `device` nor a `host`; set one of them"};
-  if (!config.device.empty() && !config.host.empty())
-    return PlaceMistake{"host", "there is a `device` too; remove one of them"};
-  if (!config.host.empty() && config.port == 0)
-    return PlaceMistake{"port", "there is no `port`, such as 5025 for SCPI"};
-  if (config.host.empty() && config.port != 0) return PlaceMistake{"port", "a serial device has none; leave it out"};
-  const SerialSettings& serial = config.serial;
-  if (!config.host.empty() && (serial.dtr || serial.rts || serial.hangup || serial.rs485))
-    return PlaceMistake{"host", "`dtr`, `rts`, `hangup` and `rs485` are of a serial device; leave them out"};
-  return std::nullopt;
-}
-
 }  // namespace
 
 void SerialActuatorConfig::check(const SerialActuatorConfig& config, const ConfigItem& item, Problems& problems) {
   check_config(config.serial, item, problems);
   detail::check_words(config.words, item, problems);
-  if (const auto mistake = mistake_in_output_place(config)) {
-    const ConfigItem* const at = item.find(mistake->key);
-    problems.add((at != nullptr ? *at : item).problem(at != nullptr ? "bad-value" : "missing-key", mistake->why));
-  }
+  detail::check_place({.device = config.device, .host = config.host, .port = config.port, .serial = config.serial},
+                      "`device` and `host`", item, problems);
   const auto refuse = [&](const char* key, std::string why) {
     const ConfigItem* const at = item.find(key);
     problems.add((at != nullptr ? *at : item).problem("bad-value", std::move(why)));

@@ -531,7 +531,7 @@ TEST_SUITE("sensors") {
     CHECK(has(report("", second(R"(, "baud_rate": 4800)")), "have the same `baud_rate` and so on, and the same tier"));
     const std::string ask = query(R"(, "request": "?")");
     CHECK(report(R"("m": {"type": "serial", "host": "scope.local", "port": 5025})", ask).empty());
-    CHECK(has(report(R"("m": {"type": "serial"})", ask), "there is no `device`, `host` or `run`"));
+    CHECK(has(report(R"("m": {"type": "serial"})", ask), "there is none of `device`, `host` and `run`"));
     CHECK(has(report(R"("m": {"type": "serial", "host": "a"})", ask), "there is no `port`"));
     CHECK(has(report(R"("m": {"type": "serial", "device": "/dev/x", "host": "a", "port": 1})", ask),
               "there is more than one of `device`, `host` and `run`"));
