@@ -21,6 +21,7 @@
 #include "rtdata/sensors/query.hpp"
 #include "sensors/fake_gpsd.hpp"
 #include "sensors/fixture.hpp"
+#include "sensors/lines_bench.hpp"
 
 using namespace rtdata;
 using rtdata::test::has;
@@ -69,30 +70,13 @@ std::uint16_t free_tcp_port() {
   return one.port();
 }
 
-struct CallerBench {
-  explicit CallerBench(TcpLinesConfig config) {
-    be_quiet(loop);
+struct CallerBench : LinesBench<TcpLines, TcpLinesConfig> {
+  explicit CallerBench(TcpLinesConfig config) : LinesBench(on_this_machine(std::move(config))) {}
+  static TcpLinesConfig on_this_machine(TcpLinesConfig config) {
     config.listen = "127.0.0.1";
     config.lines.fields = {{.name = "v"}};
-    config.lines.retry_first = config.lines.retry_longest = 10ms;
-    heard = loop.subscribe("t", [this](const EventView& event) {
-      events.push_back(to_string(event.value(event.description().leaves()[0])));
-    });
-    sensor = TcpLines(loop, {.name = "t"}, std::move(config));
-    sensor.on_error([this](const ErrorReport& report) { errors.push_back(report.error.why); });
+    return config;
   }
-  template <class Done>
-  bool until(Done done) {
-    for (int i = 0; i < 20000; ++i) {
-      if (done()) return true;
-      loop.run_for(1ms);
-    }
-    return false;
-  }
-  Loop loop;
-  std::vector<std::string> events, errors;
-  Subscription heard;
-  TcpLines sensor;
 };
 
 }  // namespace

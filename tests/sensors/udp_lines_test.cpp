@@ -13,6 +13,7 @@
 #include "has.hpp"
 #include "rtdata/data/event.hpp"
 #include "sensors/fixture.hpp"
+#include "sensors/lines_bench.hpp"
 
 using namespace rtdata;
 using rtdata::test::has;
@@ -55,32 +56,7 @@ class UdpSender {
 /// A port of this machine that nobody has.
 std::uint16_t free_port() { return UdpSender().port(); }
 
-struct UdpHearing {
-  explicit UdpHearing(UdpLinesConfig config) {
-    be_quiet(loop);
-    config.lines.retry_first = config.lines.retry_longest = 10ms;
-    heard = loop.subscribe("u", [this](const EventView& event) {
-      std::string text;
-      for (const Leaf& leaf : event.description().leaves())
-        text += (text.empty() ? "" : " ") + to_string(event.value(leaf));
-      events.push_back(text);
-    });
-    sensor = UdpLines(loop, {.name = "u"}, std::move(config));
-    sensor.on_error([this](const ErrorReport& report) { errors.push_back(report.error.why); });
-  }
-  template <class Done>
-  bool until(Done done) {
-    for (int i = 0; i < 20000; ++i) {
-      if (done()) return true;
-      loop.run_for(1ms);
-    }
-    return false;
-  }
-  Loop loop;
-  std::vector<std::string> events, errors;
-  Subscription heard;
-  UdpLines sensor;
-};
+using UdpHearing = LinesBench<UdpLines, UdpLinesConfig>;
 
 }  // namespace
 
