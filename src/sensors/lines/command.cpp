@@ -134,7 +134,7 @@ class CommandNode final : public LineNode {
 
   /// What the program says to its standard error goes to the log.
   void take_errors() {
-    std::array<char, 1024> bytes;
+    std::array<char, 1024> bytes{};
     const ssize_t got = child_.errors >= 0 ? ::read(child_.errors, bytes.data(), bytes.size()) : 0;
     if (got < 0 && (errno == EAGAIN || errno == EINTR)) return;
     if (got <= 0) return errors_.close();
