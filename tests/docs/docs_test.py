@@ -95,7 +95,8 @@ def check_blocks(source, build, compiler, program):
 
 def check_links(source):
     for page in pages(source):
-        for target in re.findall(r"\]\(([^)#:\s]+)(?:#[^)]*)?\)", page.read_text()):
+        text = re.sub(r"^```.*?^```$", "", page.read_text(), flags=re.S | re.M)
+        for target in re.findall(r"\]\(([^)#:\s]+)(?:#[^)]*)?\)", text):
             if not (page.parent / target).exists():
                 problem(page.relative_to(source), f"a link to {target}, which is not there")
 

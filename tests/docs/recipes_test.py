@@ -99,7 +99,7 @@ class Answerer(Terminal):
         end = b"" if language == "hex" else sensor.get("answer_end", "\r\n").encode()
         self.turns = [(line[:2], bytes_of(language, line[2:])) for line in text.splitlines()]
         self.turns = [(kind, data + (end if kind == "< " else b"")) for kind, data in self.turns]
-        self.request_ends = b"$" if language == "hex" else rb"[\r\n]"
+        self.request_ends = b"$" if language == "hex" else rb"([\r\n]|$)"
 
     def play(self, stopped):
         self.wait_until_opened()

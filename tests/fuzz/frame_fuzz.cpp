@@ -40,7 +40,8 @@ std::vector<std::string> frames_of(Stream& stream, std::string_view bytes, std::
       if (found.size != 0) {
         const std::string_view frame = std::string_view(buffer).substr(found.skipped, found.size);
         frames.emplace_back(frame);
-        const auto checked = stream.decoder.checked(frame);
+        const auto plain = stream.cutter.plain(frame);
+        const auto checked = plain ? stream.decoder.checked(*plain) : plain;
         if (!checked && checked.error().why.empty()) std::abort();
         if (checked) {
           const std::string_view text = stream.config.format == LineFormat::binary ? *checked
@@ -76,7 +77,18 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
       Stream({.fields = {{.name = "a", .optional = true}, {}},
               .frame = LineFrame{.end = "\x03", .after_end = 2},
               .only = LineMatch{.column = 2, .begins = "x"},
-              .checksum = LineChecksum{.type = ChecksumType::xor8, .after = "\x03", .from = 1, .optional = true}})};
+              .checksum = LineChecksum{.type = ChecksumType::xor8, .after = "\x03", .from = 1, .optional = true}}),
+      Stream({.format = LineFormat::binary,
+              .fields = {{.name = "a", .at = 0, .wire = Kind::i32, .bytes = 3},
+                         {.name = "b", .type = Kind::boolean, .at = 3, .wire = Kind::u16, .bit = 9}},
+              .frame = LineFrame{.stuffing = Stuffing::hdlc, .byte_order = WireOrder::little}}),
+      Stream({.format = LineFormat::binary,
+              .fields = {{.name = "a", .type = Kind::u16, .at = 1, .mask = 0x0ff0}},
+              .frame = LineFrame{.stuffing = Stuffing::cobs}}),
+      Stream({.format = LineFormat::pattern,
+              .fields = {{.name = "a", .optional = true, .wire = Kind::i64}},
+              .pattern = "(?s)a(?<a>.{0,9})",
+              .frame = LineFrame{.stuffing = Stuffing::slip}})};
   if (size == 0) return 0;
   const std::string_view bytes(reinterpret_cast<const char*>(data) + 1, size - 1);
   for (Stream& stream : streams) {

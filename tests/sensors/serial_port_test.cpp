@@ -11,6 +11,7 @@
 #include <cerrno>
 #include <thread>
 
+#include "data/hex_bytes.hpp"
 #include "io/tty.hpp"
 #include "rtdata/app/standard.hpp"
 #include "rtdata/chips/mhz19.hpp"
@@ -322,6 +323,60 @@ TEST_SUITE("sensors") {
                                .fields = {{.name = "v"}}});
     bench.loop.advance(3s);
     CHECK(bench.values.size() >= 5);
+    CHECK(bench.errors.empty());
+  }
+
+  TEST_CASE("US-42 a device that measures when it is told to is asked for its values afterwards") {
+    SerialPortBench bench;
+    // As a sensor of SDI-12: how long it will take, then its address when it has measured, then the values.
+    std::string mistake;
+    bench.wires->on_write([&](std::string_view asked) -> std::string {
+      if (asked == "0M!") return "00012\r\n0\r\n" + mistake;
+      return asked == "0D0!" ? "0+3.14-5\r\n" : "";
+    });
+    bench.wires->set_delay(20ms);
+    DriverSensor<Query> soil(bench.loop, {.name = "soil", .rate = 1_Hz}, bench.port, {},
+                             {.request = "0D0!",
+                              .prepare = {"0M!"},
+                              .prepare_wait = 300ms,
+                              .fields = {{.name = "rest", .type = Kind::text}}});
+    const MonotonicTime begin = bench.loop.now();
+    bench.loop.advance(3s);
+    CHECK(bench.values == std::vector<std::string>(3, "0+3.14-5"));
+    CHECK(bench.loop.now() - begin == 3s);
+    const std::vector<std::string> written = bench.wires->written();
+    CHECK(std::vector<std::string>(written.begin(), written.begin() + 4) ==
+          std::vector<std::string>{"0M!", "0D0!", "0M!", "0D0!"});
+    // What comes too late is not taken for the values.
+    mistake = "0+1-1\r\n";
+    bench.loop.advance(2s);
+    CHECK(std::count(bench.values.begin(), bench.values.end(), "0+3.14-5") == std::ssize(bench.values));
+    // Without an answer it has no values, and the reason names the setting.
+    CHECK(bench.errors.empty());
+    bench.wires->on_write([](std::string_view asked) { return asked == "0D0!" ? "0+3.14-5\r\n" : ""; });
+    bench.loop.advance(3s);
+    REQUIRE(!bench.errors.empty());
+    CHECK(has(bench.errors.back(), "the answer to one of `prepare`"));
+    CHECK(bench.loop.runtime().balances());
+  }
+
+  TEST_CASE("US-42 bytes that prepare a reading are answered by a frame, and are put back where they are stuffed") {
+    SerialPortBench bench;
+    const auto hex = [](const char* text) { return detail::bytes_of_hex(text).value(); };
+    bench.wires->on_write([&](std::string_view asked) -> std::string {
+      if (asked == hex("7e 00 56 00 a9 7e")) return hex("7e 00 56 00 00 a9 7e");
+      return asked == hex("7e 00 03 00 fc 7e") ? hex("7e 00 03 00 02 7d 5e 7d 31 6b 7e") : "";
+    });
+    const LineChecksum sum{.type = ChecksumType::sum8, .form = ChecksumForm::big, .complement = Complement::ones};
+    DriverSensor<Query> dust(bench.loop, {.name = "dust", .rate = 1_Hz}, bench.port, {},
+                             {.request_hex = "7e 00 03 00 fc 7e",
+                              .prepare_hex = {"7e 00 56 00 a9 7e"},
+                              .format = LineFormat::binary,
+                              .fields = {{.name = "size", .type = Kind::u16, .at = 4}},
+                              .frame = LineFrame{.stuffing = Stuffing::hdlc},
+                              .checksum = sum});
+    bench.loop.advance(3s);
+    CHECK(bench.values == std::vector<std::string>(3, std::to_string(0x7e11)));
     CHECK(bench.errors.empty());
   }
 

@@ -38,8 +38,10 @@
 ///   started again.
 /// - With `frame`, events are frames of bytes instead of lines, of CSV or JSON, of rows with labels (`format` labels: a
 ///   field's `key` is the label, `column` counts what follows), or of binary fields by their place (`format` binary:
-///   `at`, `wire`). Bytes outside of frames are unreadable, once for each stretch of them. After an unusable frame the
-///   next start is looked for within it, up to 16 times.
+///   `at`, `wire`, `bytes`, `bit`, `mask`, `bcd`). With `stuffing`, what a frame held before its sender stuffed it is
+///   decoded, without its marks. A `pattern` may be of bytes, too ("\\x07\\x01(?<energy>.{8})"): the group of a field
+///   that has a `wire` is bytes. Bytes outside of frames are unreadable, once for each stretch of them. After an
+///   unusable frame the next start is looked for within it, up to 16 times.
 /// - Without a byte for longer than `silence` the sensor is degraded until a good line comes, with a gap (silent).
 /// - Without a line end for max(4 KiB, `max_line`), for example at the wrong speed, the sensor is degraded, and this
 ///   counts as one unreadable line.
@@ -89,7 +91,11 @@ struct LineField {
   bool sign_blanks = false;    ///< blanks may stand between sign and digits: "-  12.5"
   std::size_t column = 1;      ///< labels: which of the columns after the label
   std::optional<std::size_t> at = {};        ///< binary: the first byte in the frame, from 0
-  std::optional<Kind> wire = {};             ///< binary: the type in the frame; empty: as `type`
+  std::optional<Kind> wire = {};             ///< binary: the type in the frame; empty: as `type`; pattern: of bytes
+  std::size_t bytes = 0;                     ///< binary: how many of them, of a whole number; 0: as `wire` has
+  std::optional<unsigned> bit = {};          ///< of these: the only bit that is meant, 0 is the lowest
+  std::optional<std::uint64_t> mask = {};    ///< of these: the bits that are meant, moved down to bit 0
+  bool bcd = false;                          ///< of these: each byte is two decimal digits
   std::vector<std::string> no_value = {};    ///< texts or numbers that stand for no value; makes the field optional
   std::map<std::string, double> words = {};  ///< words that stand for numbers, which are not scaled
 
@@ -109,11 +115,18 @@ struct LineField {
                   "JSON: where it is, levels separated by dots; labels: the label; empty: as the name"),
         parameter("column", &LineField::column, "labels: which of the columns after the label", range(1, 64)),
         parameter("at", &LineField::at, "binary: the first byte in the frame, from 0", range(0, 65535)),
-        parameter("wire", &LineField::wire, "binary: its type in the frame, if it is scaled into another",
+        parameter("wire", &LineField::wire,
+                  "binary: its type in the frame, if it is another; pattern: its group is bytes of this type",
                   choices(value("int8", Kind::i8), value("int16", Kind::i16), value("int32", Kind::i32),
                           value("int64", Kind::i64), value("uint8", Kind::u8), value("uint16", Kind::u16),
                           value("uint32", Kind::u32), value("uint64", Kind::u64), value("float", Kind::f32),
                           value("double", Kind::f64))),
+        parameter("bytes", &LineField::bytes,
+                  "binary: how many bytes a whole number has, such as 3; 0: as its type has", range(0, 8)),
+        parameter("bit", &LineField::bit, "binary: the only bit of its bytes that is meant; 0 is the lowest",
+                  range(0, 63)),
+        parameter("mask", &LineField::mask, "binary: the bits that are meant, moved down to bit 0; default: all"),
+        parameter("bcd", &LineField::bcd, "binary: each byte is two decimal digits"),
         parameter("length", &LineField::length, "of a text: the most bytes it may have", range(1, 255),
                   only_with("type", "text")),
         parameter("optional", &LineField::optional, "an empty column, null or a missing key is no value"),
@@ -139,6 +152,14 @@ constexpr auto describe(type_tag<LineFormat>) {
 enum class FirstLine { discard, keep };
 constexpr auto describe(type_tag<FirstLine>) {
   return enumeration("first_line", value("discard", FirstLine::discard), value("keep", FirstLine::keep));
+}
+
+/// How the byte that ends a frame is kept out of it: SLIP (RFC 1055), HDLC (RFC 1662, also SHDLC of Sensirion),
+/// Consistent Overhead Byte Stuffing (Cheshire and Baker 1999).
+enum class Stuffing { none, slip, hdlc, cobs };
+constexpr auto describe(type_tag<Stuffing>) {
+  return enumeration("stuffing", value("none", Stuffing::none), value("slip", Stuffing::slip),
+                     value("hdlc", Stuffing::hdlc), value("cobs", Stuffing::cobs));
 }
 
 enum class WireOrder { little, big };
@@ -261,7 +282,8 @@ struct LineFrame {
   std::size_t length = 0;                  ///< of all of it, in bytes; 0: not always the same
   std::size_t length_at = 0;               ///< where it says how long it is; 0: it does not
   std::size_t length_bytes = 1;
-  std::size_t length_adds = 0;  ///< bytes of it that its length does not count
+  std::size_t length_adds = 0;         ///< bytes of it that its length does not count
+  Stuffing stuffing = Stuffing::none;  ///< else it needs nothing of the above
   WireOrder byte_order = WireOrder::big;
 
   friend constexpr auto parameters(type_tag<LineFrame>) {
@@ -276,6 +298,8 @@ struct LineFrame {
                   range(0, 64)),
         parameter("length_bytes", &LineFrame::length_bytes, "bytes of that number", range(1, 2)),
         parameter("length_adds", &LineFrame::length_adds, "bytes of the frame that it does not count", range(0, 64)),
+        parameter("stuffing", &LineFrame::stuffing,
+                  "instead of all these: frames of SLIP (c0), HDLC (7e) or COBS (00), whose bytes are put back"),
         parameter("byte_order", &LineFrame::byte_order, "of that number, and of binary fields"));
   }
 };

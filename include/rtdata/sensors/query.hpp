@@ -15,6 +15,8 @@
 /// - `at_open` is sent after each opening of the port, to set the device up. The answer of a text with a `?` in it,
 ///   such as "*OPC?\n", is awaited and dropped, so that it is not taken for the first reading's; with
 ///   `at_open_answers`, that of each text.
+/// - `prepare` is sent before each request, such as what starts a measurement; the line that answers it is awaited and
+///   dropped, that of `prepare_hex` as a frame if there is one. Then `prepare_wait` goes by.
 /// - `skip_lines`: lines before the answer, for devices that echo the request.
 ///
 /// Driver (driver.hpp): used on the port's lane.
@@ -37,7 +39,8 @@ namespace rtdata {
 class Query {
  public:
   static constexpr std::string_view type = "query";
-  static constexpr std::string_view aliases = "scpi instrument multimeter rs232 bms jbd battery gmc";
+  static constexpr std::string_view
+      aliases = "scpi instrument multimeter rs232 bms jbd battery gmc sdi-12 sdi12 shdlc obd elm327 m-bus mbus";
   static constexpr std::string_view
       description = "a device on a serial line that answers a request with a line of text";
   static constexpr std::string_view notes =
@@ -52,6 +55,9 @@ class Query {
     std::vector<std::string> at_open = {};      ///< sent after each opening of the port, in order
     std::vector<std::string> at_open_hex = {};  ///< behind them: bytes
     bool at_open_answers = false;               ///< the device answers each of them, not only those with a `?`
+    std::vector<std::string> prepare = {};      ///< sent before each request, in order; each is answered
+    std::vector<std::string> prepare_hex = {};  ///< behind them: bytes
+    Duration prepare_wait{0};                   ///< behind their answers, for the device to measure
     char answer_end = '\n';                     ///< a carriage return before it is ignored
     unsigned skip_lines = 0;                    ///< before the answer
     LineFormat format = LineFormat::csv;
@@ -70,6 +76,11 @@ class Query {
           parameter(
               "at_open_answers", &Config::at_open_answers,
               "the device answers each of these, not only questions (?): the answers are waited for, and dropped"),
+          parameter("prepare", &Config::prepare,
+                    "what is sent before each request, such as the start of a measurement; each is answered"),
+          parameter("prepare_hex", &Config::prepare_hex, "the same as bytes, sent behind these"),
+          parameter("prepare_wait", &Config::prepare_wait, "behind their answers, for the device to measure",
+                    range(Duration{0}, Duration{std::chrono::minutes{10}})),
           parameter("answer_end", &Config::answer_end, "the character that ends an answer"),
           parameter("skip_lines", &Config::skip_lines, "lines before the answer, such as an echo", range(0, 100)),
           parameter("format", &Config::format, "how the answer is written",
@@ -109,6 +120,9 @@ class Query {
  private:
   struct Decoding;
   Result<void> open_if_lost(SerialDevice& line);
+  Result<void> prepare(SerialDevice& line);
+  enum class Answer { line, frame };
+  Result<void> drop_answer(SerialDevice& line, Answer answer, const char* of);
   Result<std::string> ask_for_frame(SerialDevice& line);
   Result<std::string> next_frame(SerialDevice& line);
   Reading<DescribedValue> read_frame(SerialDevice& line);
@@ -117,7 +131,7 @@ class Query {
   Reading<DescribedValue> decoded(SerialDevice& line, std::string_view answer);
   const Config config_;
   const std::string request_;
-  const std::vector<std::string> at_open_;
+  const std::vector<std::string> at_open_, prepare_;
   std::uint64_t losses_ = 0;  // of the port, when these were sent
   const std::unique_ptr<Decoding> decoding_;
 };

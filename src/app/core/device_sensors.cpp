@@ -9,9 +9,6 @@
 #include "rtdata/sensors/iio.hpp"
 #include "rtdata/sensors/levels.hpp"
 #include "rtdata/sensors/pps.hpp"
-#ifdef RTDATA_WITH_MQTT
-#include "rtdata/sensors/mqtt.hpp"
-#endif
 
 namespace rtdata::app {
 
@@ -76,12 +73,6 @@ void add_device_sensors(Registry& registry) {
       "iio_buffer", "any IIO device of the kernel, at the rate of its trigger, from its buffer",
       [](const IioBufferConfig& config) { return iio_description(config.channels); }, makes<IioBufferSensor>,
       [](PartPlan& plan, const IioBufferConfig& config) { plan.place = buffer_of(config.device, config.root); });
-#ifdef RTDATA_WITH_MQTT
-  registry.add_sensor<MqttSensorConfig>(
-      "mqtt", "the messages of a broker of MQTT, such as a phone's or an ESP32's",
-      [](const MqttSensorConfig& config) { return mqtt_description(config); }, makes<MqttSensor>,
-      [](PartPlan& plan, const MqttSensorConfig& config) { plan.stored_by = config.stored_by; });
-#endif
   registry.add_sensor<PpsConfig>(
       "pps", "pulses per second, as the kernel times them; a source of the time of day",
       [](const PpsConfig&) { return Result(description_of<PpsPulse>()); }, makes<PpsSensor>);

@@ -3,6 +3,9 @@
 #ifdef RTDATA_WITH_HTTP
 #include "rtdata/sensors/http.hpp"
 #endif
+#ifdef RTDATA_WITH_MQTT
+#include "rtdata/sensors/mqtt.hpp"
+#endif
 #include "rtdata/sensors/serial_line.hpp"
 #include "rtdata/sensors/tcp_lines.hpp"
 #include "rtdata/sensors/udp_lines.hpp"
@@ -38,12 +41,14 @@ void add_line_sensors(Registry& registry) {
       {.notes = recipes,
        .aliases = "arduino uart rs232 usb teensy esp32 scale balance pms5003 pms7003 sds011 ze08 dust dsmr p1 teleinfo "
                   "linky ve.direct victron nmea wind windsonic wxt520 balloon geiger a02yyuw maxbotix lidar tf-luna "
-                  "tfmini jeelink ublox ld06 ld19"});
+                  "tfmini jeelink ublox ld06 ld19 sml obis slip cobs packetserial"});
   registry.add_sensor<CommandConfig>(
       "command", "a program of your own whose lines are events",
       [](const CommandConfig& config) { return description_of_lines(config.lines); }, makes<CommandSensor>,
       [](PartPlan&, const CommandConfig&) {},
-      {.notes = recipes, .aliases = "script python program exec shell stdout rtl_433 rtl-433 ping nvidia-smi"});
+      {.notes = recipes,
+       .aliases = "script python program exec shell stdout rtl_433 rtl-433 ping nvidia-smi can candump canbus sigrok "
+                  "sigrok-cli"});
   registry.add_sensor<TcpLinesConfig>(
       "tcp", "a device that sends lines over a TCP connection, such as an ESP32 or ser2net; it may call this machine",
       [](const TcpLinesConfig& config) { return description_of_lines(config.lines); }, makes<TcpLines>,
@@ -68,6 +73,13 @@ void add_line_sensors(Registry& registry) {
       [](const HttpSensorConfig& config) { return line_description(config.fields); }, makes<HttpSensor>,
       [](PartPlan&, const HttpSensorConfig&) {},
       {.notes = recipes, .aliases = "shelly tasmota ecowitt open-meteo airrohr rest api url web prometheus"});
+#endif
+#ifdef RTDATA_WITH_MQTT
+  registry.add_sensor<MqttSensorConfig>(
+      "mqtt", "the messages of a broker of MQTT, such as a phone's or an ESP32's",
+      [](const MqttSensorConfig& config) { return mqtt_description(config); }, makes<MqttSensor>,
+      [](PartPlan& plan, const MqttSensorConfig& config) { plan.stored_by = config.stored_by; },
+      {.notes = recipes, .aliases = "ruuvi ruuvitag zigbee2mqtt esphome lorawan ttn"});
 #endif
 }
 

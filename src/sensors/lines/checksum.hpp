@@ -44,7 +44,7 @@ class Checksum {
   std::string appended_;                    // what it covers and is not sent
   std::uint32_t first_ = 0, last_xor_ = 0;  // of a CRC
   bool is_crc_ = false, is_reflected_ = false;
-  std::array<std::uint32_t, 256> table_{};
+  std::array<std::array<std::uint32_t, 256>, 4> tables_{};  // of a CRC: of a byte, and of those before it
 };
 
 }  // namespace rtdata::detail

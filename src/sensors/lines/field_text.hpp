@@ -14,11 +14,21 @@
 
 namespace rtdata::detail {
 
-/// A decimal scale gives the number that the device means: 12530 by 0.001 is 12.53, the nearest double to it.
-inline double scaled(double number, double scale) noexcept {
-  const double inverse = 1 / scale;
-  return std::fabs(inverse) > 1 && inverse == std::nearbyint(inverse) ? number / inverse : number * scale;
-}
+/// What a number is multiplied by. A decimal one gives the number that the device means: 12530 by 0.001 is 12.53, the
+/// nearest double to it.
+class FieldScale {
+ public:
+  explicit FieldScale(double scale) noexcept {
+    const double inverse = 1 / scale;
+    is_divisor_ = std::fabs(inverse) > 1 && inverse == std::nearbyint(inverse);
+    by_ = is_divisor_ ? inverse : scale;
+  }
+  double operator()(double number) const noexcept { return is_divisor_ ? number / by_ : number * by_; }
+
+ private:
+  double by_;
+  bool is_divisor_;
+};
 
 /// Takes from the text of a column, or of a value in JSON, what stands around the number: `prefix`, `suffix`,
 /// `thousands` and so on of LineField. A value; one thread at a time.

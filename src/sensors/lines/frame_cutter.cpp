@@ -21,6 +21,41 @@ std::string bytes_of(const char* key, const std::string& text, const std::string
   return text.empty() ? *bytes : text;
 }
 
+char mark_of(Stuffing stuffing) noexcept {
+  return stuffing == Stuffing::slip ? '\xc0' : stuffing == Stuffing::hdlc ? '\x7e' : '\0';
+}
+
+/// Each block begins with its length; behind one that is not full there was a 0.
+bool put_back_cobs(std::string_view stuffed, std::string& plain) {
+  while (!stuffed.empty()) {
+    const std::size_t size = static_cast<unsigned char>(stuffed.front());
+    if (size == 0 || size > stuffed.size()) return false;
+    plain += stuffed.substr(1, size - 1);
+    stuffed.remove_prefix(size);
+    if (size < 255 && !stuffed.empty()) plain += '\0';
+  }
+  return true;
+}
+
+/// A byte behind `escape` stands for another.
+bool put_back_escaped(Stuffing stuffing, std::string_view stuffed, std::string& plain) {
+  const char escape = stuffing == Stuffing::slip ? '\xdb' : '\x7d';
+  for (std::size_t i = 0; i < stuffed.size(); ++i) {
+    if (stuffed[i] != escape) {
+      plain += stuffed[i];
+      continue;
+    }
+    if (++i == stuffed.size()) return false;
+    if (stuffing == Stuffing::hdlc) {
+      plain += static_cast<char>(stuffed[i] ^ 0x20);
+    } else {
+      if (stuffed[i] != '\xdc' && stuffed[i] != '\xdd') return false;
+      plain += stuffed[i] == '\xdc' ? '\xc0' : '\xdb';
+    }
+  }
+  return true;
+}
+
 /// How many bytes at the end may be the first ones of this mark.
 std::size_t beginning_of(std::string_view mark, std::string_view bytes) noexcept {
   std::size_t size = std::min(bytes.size(), mark.size() - 1);
@@ -35,6 +70,15 @@ FrameCutter::FrameCutter(const LineFrame& config, std::size_t longest, Stream st
       longest_(longest),
       start_(bytes_of("start", config.start, config.start_hex)),
       end_(bytes_of("end", config.end, config.end_hex)) {
+  if (config.stuffing != Stuffing::none) {
+    if (!start_.empty() || !end_.empty() || config.after_end != 0 || config.length != 0 || config.length_at != 0 ||
+        config.length_adds != 0)
+      refuse_frame("with `stuffing`, its mark says where a frame ends",
+                   "leave out all but `stuffing` and `byte_order`");
+    end_ = mark_of(config.stuffing);
+    plain_.reserve(longest);
+    return;
+  }
   const bool is_bare = stream == Stream::of_one && start_.empty() && config.length != 0 && config.length_at == 0;
   if (start_.empty() && end_.empty() && !is_bare)
     refuse_frame("nothing says where a frame begins or ends", "set `start` or `end`, or `start_hex` or `end_hex`");
@@ -71,7 +115,8 @@ std::optional<std::size_t> FrameCutter::announced(std::string_view frame) const 
 FrameCutter::Found FrameCutter::next(std::string_view bytes) noexcept {
   if (start_.empty() && config_.length == 0) return next_end(bytes);
   for (std::size_t begin = 0;;) {
-    const std::size_t start = bytes.find(start_, begin);
+    const bool is_next = begin == 0 && bytes.starts_with(start_);  // as always, unless something was lost
+    const std::size_t start = is_next ? 0 : bytes.find(start_, begin);
     if (start == std::string_view::npos) {
       return {bytes.size() - beginning_of(start_, bytes.substr(begin)), 0};
     }
@@ -95,10 +140,15 @@ FrameCutter::Found FrameCutter::next(std::string_view bytes) noexcept {
   }
 }
 
+/// Stuffed frames may begin with marks, too, and between two of them is nothing.
+std::size_t FrameCutter::marks_before(std::string_view bytes) const noexcept {
+  return config_.stuffing == Stuffing::none ? 0 : std::min(bytes.find_first_not_of(end_.front()), bytes.size());
+}
+
 /// Frames without a start begin where the last one ended.
 FrameCutter::Found FrameCutter::next_end(std::string_view bytes) noexcept {
   for (std::size_t begin = 0;;) {
-    const std::size_t end = bytes.find(end_, begin);
+    const std::size_t end = bytes.find(end_, begin + marks_before(bytes.substr(begin)));
     if (end == std::string_view::npos) {
       is_overlong_ = is_overlong_ || bytes.size() - begin > longest_;
       if (!is_overlong_) return {begin, 0};
@@ -112,7 +162,21 @@ FrameCutter::Found FrameCutter::next_end(std::string_view bytes) noexcept {
   }
 }
 
+Result<std::string_view> FrameCutter::plain(std::string_view frame) {
+  if (config_.stuffing == Stuffing::none) return frame;
+  frame.remove_prefix(marks_before(frame));
+  frame.remove_suffix(std::min(frame.size(), end_.size()));
+  plain_.clear();
+  const bool is_good = config_.stuffing == Stuffing::cobs ? put_back_cobs(frame, plain_)
+                                                          : put_back_escaped(config_.stuffing, frame, plain_);
+  if (!is_good)
+    return Error{Errc::bad_data, "cannot use a frame", "frame", "its bytes are not those of its `stuffing`",
+                 "check `stuffing` and `baud_rate`"};
+  return std::string_view(plain_);
+}
+
 std::string_view FrameCutter::body(std::string_view text) const noexcept {
+  if (config_.stuffing != Stuffing::none) return text;
   text.remove_prefix(std::min(start_.size(), text.size()));
   if (!end_.empty())
     if (const std::size_t end = text.rfind(end_); end != std::string_view::npos) text = text.substr(0, end);

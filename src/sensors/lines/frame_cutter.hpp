@@ -28,6 +28,9 @@ class FrameCutter {
   Found next(std::string_view bytes) noexcept;
   /// The bytes that come next are the first of a stream.
   void reset() noexcept { is_overlong_ = false; }
+  /// The frame as it was before its sender stuffed it, without marks; valid until the next call. Without `stuffing`, as
+  /// it is. Errors: bad-data (no sender writes it so). No allocation when good.
+  Result<std::string_view> plain(std::string_view frame);
   /// What stands between the start and the end of a frame. `text`: from its start, the checksum may be cut off.
   std::string_view body(std::string_view text) const noexcept;
   /// After a frame that cannot be used, a start within it may be the true one: how many bytes to go on.
@@ -35,11 +38,13 @@ class FrameCutter {
 
  private:
   Found next_end(std::string_view bytes) noexcept;
+  std::size_t marks_before(std::string_view bytes) const noexcept;
   std::optional<std::size_t> announced(std::string_view frame) const noexcept;
 
   const LineFrame config_;
   const std::size_t longest_;
   std::string start_, end_;
+  std::string plain_;
   bool is_overlong_ = false;  // the end of a frame that is too long is still to come
 };
 

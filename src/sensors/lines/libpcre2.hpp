@@ -11,7 +11,7 @@
   of(pcre2_code_free_8) of(pcre2_compile_8) of(pcre2_get_error_message_8) of(pcre2_get_ovector_pointer_8) \
   of(pcre2_match_8) of(pcre2_match_context_create_8) of(pcre2_match_context_free_8) \
   of(pcre2_match_data_create_from_pattern_8) of(pcre2_match_data_free_8) of(pcre2_pattern_info_8) \
-  of(pcre2_set_callout_8) of(pcre2_set_heap_limit_8)
+  of(pcre2_set_callout_8) of(pcre2_set_heap_limit_8) of(pcre2_set_match_limit_8)
 // clang-format on
 
 namespace rtdata {

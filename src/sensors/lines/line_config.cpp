@@ -96,8 +96,13 @@ void check_fields_of(const LineConfig& config) {
           refused_lines("field " + std::to_string(i + 1),
                         config.format == LineFormat::json ? "a field of JSON has no name" : "a field has no name",
                         "give it a `name`"));
-    if (config.format != LineFormat::binary && (field.at || field.wire))
-      throw SetupError(refused_lines("field " + field.name, "`at` and `wire` are of binary frames", "leave them out"));
+    const bool is_binary = config.format == LineFormat::binary;
+    const bool has_bytes = is_binary || (config.format == LineFormat::pattern && field.wire);
+    if (!is_binary && (field.at || field.bytes != 0 || (field.wire && !has_bytes)))
+      throw SetupError(
+          refused_lines("field " + field.name, "`at`, `bytes` and `wire` are of binary frames", "leave them out"));
+    if (!has_bytes && (field.bit || field.mask))
+      throw SetupError(refused_lines("field " + field.name, "`bit` and `mask` are of bytes", "leave them out"));
     if (config.format != LineFormat::labels && field.column != 1)
       throw SetupError(refused_lines("field " + field.name, "`column` is of labels", "leave it out"));
     const bool has_separator = field.decimal == config.separator || field.thousands == std::string(1, config.separator);
@@ -150,23 +155,24 @@ std::unique_ptr<LineDecoder> decoder_of_lines(const LineConfig& config) {
   return nullptr;
 }
 
-std::vector<std::string> texts_at_open(const std::vector<std::string>& texts, const std::vector<std::string>& hex) {
+std::vector<std::string> texts_at_open(const std::vector<std::string>& texts, const std::vector<std::string>& hex,
+                                       const char* key) {
   std::vector<std::string> all = texts;
   for (const std::string& one : hex) {
     auto bytes = bytes_of_hex(one);
     if (!bytes || bytes->empty())
-      throw SetupError(refused_lines("at_open_hex", "\"" + one + "\" is not bytes",
-                                     "two hexadecimal digits each, such as \"02 4d 0d\""));
+      throw SetupError(
+          refused_lines(key, "\"" + one + "\" is not bytes", "two hexadecimal digits each, such as \"02 4d 0d\""));
     all.push_back(*std::move(bytes));
   }
   return all;
 }
 
-void check_at_open(const std::vector<std::string>& hex, const ConfigItem& item, Problems& problems) {
+void check_at_open(const std::vector<std::string>& hex, const ConfigItem& item, Problems& problems, const char* key) {
   try {
-    texts_at_open({}, hex);
+    texts_at_open({}, hex, key);
   } catch (const SetupError& error) {
-    const ConfigItem* const at = item.find("at_open_hex");
+    const ConfigItem* const at = item.find(key);
     problems.add((at != nullptr ? *at : item).problem("bad-value", error.error().why + "; " + error.error().advice));
   }
 }

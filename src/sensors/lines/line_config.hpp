@@ -24,9 +24,12 @@ std::unique_ptr<LineDecoder> decoder_of_lines(const LineConfig& config);
 /// `check_config` of a LineConfig whose frames are such.
 void check_lines_of(const LineConfig& config, FrameCutter::Stream stream, const ConfigItem& item, Problems& problems);
 
-/// What is sent after an opening: the texts, then the bytes. SetupError (bad-argument): `hex` is not bytes.
-std::vector<std::string> texts_at_open(const std::vector<std::string>& texts, const std::vector<std::string>& hex);
-void check_at_open(const std::vector<std::string>& hex, const ConfigItem& item, Problems& problems);
+/// What is sent after an opening: the texts, then the bytes. `key`: of the bytes. SetupError (bad-argument): `hex` is
+/// not bytes.
+std::vector<std::string> texts_at_open(const std::vector<std::string>& texts, const std::vector<std::string>& hex,
+                                       const char* key = "at_open_hex");
+void check_at_open(const std::vector<std::string>& hex, const ConfigItem& item, Problems& problems,
+                   const char* key = "at_open_hex");
 
 /// The beginning of a line, in quotes.
 std::string shown_line(std::string_view text);

@@ -1,6 +1,7 @@
 #include "sensors/lines/line_decoder.hpp"
 
 #include <algorithm>
+#include <charconv>
 #include <cstring>
 #include <utility>
 
@@ -15,17 +16,15 @@ namespace rtdata::detail {
 namespace {
 
 template <class T>
-std::errc parse_into(std::string_view text, std::byte* to, double scale) noexcept {
+std::errc parse_into(std::string_view text, std::byte* to, const FieldScale& scale) noexcept {
   T number{};
   if (const std::errc status = read_number(text, number); status != std::errc{}) return status;
-  if constexpr (std::is_floating_point_v<T>) {
-    if (scale != 1) number = static_cast<T>(scaled(static_cast<double>(number), scale));
-  }
+  if constexpr (std::is_floating_point_v<T>) number = static_cast<T>(scale(static_cast<double>(number)));
   std::memcpy(to, &number, sizeof number);
   return {};
 }
 
-std::errc parse_number(Kind kind, std::string_view text, std::byte* to, double scale) noexcept {
+std::errc parse_number(Kind kind, std::string_view text, std::byte* to, const FieldScale& scale) noexcept {
   switch (kind) {
     case Kind::i8:
       return parse_into<std::int8_t>(text, to, scale);
@@ -54,7 +53,7 @@ std::errc parse_number(Kind kind, std::string_view text, std::byte* to, double s
 
 LineDecoder::LineDecoder(const LineConfig& config, AroundLine around)
     : around_(std::move(around)),
-      bad_line_("cannot use a " + around_.what),
+      bad_line_("cannot use a " + (config.format == LineFormat::binary ? "frame" : around_.what)),
       fields_(config.fields),
       description_(line_description(config.fields).or_throw()),
       format_(config.format),
@@ -64,13 +63,20 @@ LineDecoder::LineDecoder(const LineConfig& config, AroundLine around)
       seen_(fields_.size()) {
   cell_.reserve(config.max_line);
   for (LineField& field : fields_) {
-    texts_.emplace_back(field);
+    LineField text = field;
+    if (field.wire) text.base = 10;  // that of digits that are bytes, of which `no_value` has numbers
+    texts_.emplace_back(text);
+    scales_.emplace_back(field.scale);
     field.optional = field.optional || !field.no_value.empty();
     leaves_.push_back(field.name.empty() ? nullptr : description_->find(field.name));
     if (field.key.empty()) field.key = field.name;
     const auto& given = around_.given;
     is_given_.push_back(std::find(given.begin(), given.end(), field.key) != given.end());
     if (!is_given_.back()) ++columns_;
+    PlainNumber& plain = plain_.emplace_back();
+    plain.is_one = leaves_.back() != nullptr && field.type == Kind::f64 && !field.wire && !field.optional &&
+                   !is_given_.back() && !texts_.back().is_used();
+    if (plain.is_one) plain = {true, leaves_.back()->offset, scales_.back()};
   }
   check_lines(config);
   if (format_ == LineFormat::json) find_choices();
@@ -81,8 +87,7 @@ LineDecoder::LineDecoder(const LineConfig& config, AroundLine around)
     checksum_.emplace(*config.checksum);
     has_row_checksums_ = config.checksum->of == ChecksumOf::row;
   }
-  if (format_ == LineFormat::binary)
-    binary_.emplace(config.fields, *description_, config.frame->byte_order, config.frame->length);
+  use_bytes(config);
   if (config.sequence_field.empty()) return;
   sequence_ = description_->find(config.sequence_field);
   if (sequence_ == nullptr || !is_integer_kind(sequence_->kind)) {
@@ -97,11 +102,11 @@ LineDecoder::LineDecoder(const LineConfig& config, AroundLine around)
 }
 
 bool LineDecoder::is_skipped(std::string_view line) const noexcept {
-  return trimmed(line).empty() || (!comment_.empty() && line.starts_with(comment_));
+  return line.find_first_not_of(" \t\r\n") == std::string_view::npos ||
+         (!comment_.empty() && line.starts_with(comment_));
 }
 
-bool LineDecoder::is_meant(std::string_view line) {
-  if (!only_) return true;
+bool LineDecoder::is_chosen(std::string_view line) {
   is_too_long_ = is_not_json_ = false;
   // Whether it is meant may not be known: then `decode` fails.
   return matches(*only_, line) || is_not_json_;
@@ -164,6 +169,43 @@ void LineDecoder::use_pattern(const std::string& expression) {
                                      "write (?<" + fields_[i].key + ">...) where its value stands"));
 }
 
+/// Fields of a binary frame; of a pattern, those with a `wire`.
+void LineDecoder::use_bytes(const LineConfig& config) {
+  const bool is_binary = format_ == LineFormat::binary;
+  const WireOrder order = config.frame ? config.frame->byte_order : WireOrder::big;
+  for (std::size_t i = 0; i < fields_.size(); ++i) {
+    const LineField& field = config.fields[i];
+    std::optional<BinaryField>& binary = binary_.emplace_back();
+    if (!is_binary && !field.wire) continue;
+    const auto refuse = [&](const char* why, const char* advice) {
+      throw SetupError(refused_lines(field.name.empty() ? "fields" : "field " + field.name, why, advice));
+    };
+    if (field.name.empty()) refuse("a binary field has no name", "leave out what is not kept");
+    if (field.base != 10 && (is_binary || field.base != 16))
+      refuse("its bytes are no digits of another base", "leave `base` out; 16 is for a `pattern`");
+    binary.emplace(field, leaves_[i], order);
+    if (!is_binary) continue;
+    if (!field.at) refuse("it has no place in the frame", "set `at`, the number of its first byte, from 0");
+    if (field.optional && field.no_value.empty())
+      refuse("its bytes are always there", "leave `optional` out, or say by `no_value` what stands for none");
+    if (config.frame->length != 0 && binary->at() + binary->size() > config.frame->length)
+      refuse("it ends behind the frame", "check `at`, `type` and the frame's `length`");
+  }
+}
+
+Result<void> LineDecoder::decode_binary(std::string_view frame) {
+  for (std::size_t i = 0; i < fields_.size(); ++i) {
+    const BinaryField& field = *binary_[i];
+    if (field.at() + field.size() > frame.size())
+      return failure(Errc::bad_data, i,
+                     "the frame has " + std::to_string(frame.size()) + " bytes, and the field ends at " +
+                         std::to_string(field.at() + field.size()));
+    if (const char* const why = field.put(frame.substr(field.at(), field.size()), texts_[i], payload()))
+      return failure(Errc::out_of_range, i, why);
+  }
+  return {};
+}
+
 Result<void> LineDecoder::decode(std::string_view line) {
   std::memset(payload_.data(), 0, payload_.size() * sizeof payload_[0]);
   if (std::exchange(is_too_long_, false))
@@ -174,7 +216,7 @@ Result<void> LineDecoder::decode(std::string_view line) {
   if (says_none_)
     return Error{Errc::bad_data, bad_line_, shown_line(line), "the device says that it has no value (`unreadable_if`)",
                  "check the device"};
-  if (binary_) return binary_->decode(line, texts_, payload());
+  if (format_ == LineFormat::binary) return decode_binary(line);
   if (format_ == LineFormat::json) return decode_json(line);
   if (format_ == LineFormat::labels) return decode_labels(line);
   if (pattern_) return decode_pattern(line);
@@ -222,20 +264,22 @@ Error LineDecoder::failure(Errc code, std::size_t index, std::string why) const 
 Result<void> LineDecoder::put(std::size_t index, std::string_view text) {
   const Leaf* leaf = leaves_[index];
   if (leaf == nullptr) return {};
-  double scale = fields_[index].scale;
+  bool is_scaled = true;
   if (FieldText& of = texts_[index]; of.is_used()) {
     const FieldText::Found found = of.read(text);
     if (found.is_absent) return {};
     if (found.why != nullptr) return failure(Errc::bad_data, index, shown_line(text) + " " + found.why);
-    if (!found.is_scaled) scale = 1;
+    is_scaled = found.is_scaled;
     text = found.text;
   }
-  if (auto done = put_value(index, *leaf, text, scale); !done) return done;
+  static const FieldScale by_one(1);
+  if (auto done = put_value(index, *leaf, text, is_scaled ? scales_[index] : by_one); !done) return done;
   if (leaf->optional != nullptr) payload()[leaf->offset + leaf->optional->value_size] = std::byte{1};
   return {};
 }
 
-Result<void> LineDecoder::put_value(std::size_t index, const Leaf& leaf_of_it, std::string_view text, double scale) {
+Result<void> LineDecoder::put_value(std::size_t index, const Leaf& leaf_of_it, std::string_view text,
+                                    const FieldScale& scale) {
   const Leaf* leaf = &leaf_of_it;
   std::byte* to = payload() + leaf->offset;
   switch (leaf->kind) {
@@ -296,13 +340,34 @@ Result<LineDecoder::Column> LineDecoder::next_column(std::size_t index, std::str
       return failure(Errc::bad_data, index, shown_line(more) + " follows its quotes");
   }
   const std::string_view text = is_quoted ? std::string_view(cell_) : trimmed(rest.substr(0, end));
+  go_behind(end, rest);
+  return Column{text, is_quoted};
+}
+
+/// To the next column, behind the separator at `end`; npos: the line has no other.
+void LineDecoder::go_behind(std::size_t end, std::string_view& rest) const noexcept {
   if (end == std::string_view::npos) {
     rest = {};
-  } else {
-    rest.remove_prefix(end + 1);
-    if (separator_ == ' ') rest.remove_prefix(std::min(rest.find_first_not_of(' '), rest.size()));
+    return;
   }
-  return Column{text, is_quoted};
+  rest.remove_prefix(end + 1);
+  if (separator_ == ' ') rest.remove_prefix(std::min(rest.find_first_not_of(' '), rest.size()));
+}
+
+/// Most columns are plain numbers, which need only one look at them. False: `next_column` looks at it.
+bool LineDecoder::take_number(const PlainNumber& plain, std::string_view& rest) noexcept {
+  const char* const end = rest.data() + rest.size();
+  double number = 0;
+  const auto [behind, status] = std::from_chars(rest.data(), end, number);
+  if (status != std::errc{} || (behind != end && *behind != separator_)) return false;
+  number = plain.scale(number);
+  std::memcpy(payload() + plain.offset, &number, sizeof number);
+  if (behind != end && separator_ != ' ') {
+    rest.remove_prefix(static_cast<std::size_t>(behind - rest.data()) + 1);
+  } else {
+    go_behind(behind == end ? std::string_view::npos : static_cast<std::size_t>(behind - rest.data()), rest);
+  }
+  return true;
 }
 
 /// Blanks within the quotes of a number do not count.
@@ -323,6 +388,7 @@ Result<void> LineDecoder::decode_csv(std::string_view line) {
     if (is_given(i)) continue;
     const bool has_more = rest.data() != nullptr;
     if (!has_more) return count_error("fewer");
+    if (plain_[i].is_one && take_number(plain_[i], rest)) continue;
     const Result<Column> column = next_column(i, rest);
     if (!column) return column.error();
     const bool is_absent = fields_[i].optional && column->text.empty() && !column->is_quoted;
@@ -348,11 +414,32 @@ Result<void> LineDecoder::decode_pattern(std::string_view line) {
     if (is_given(i)) continue;
     std::optional<std::string_view> text;
     for (std::size_t n = 0; n < groups_[i].size() && !text; ++n) text = pattern_->group(groups_[i][n]);
+    if (std::string_view rest = text.value_or(""); plain_[i].is_one && take_number(plain_[i], rest) && rest.empty())
+      continue;
+    if (binary_[i] && text && !text->empty()) {
+      if (auto done = put_group(i, *text); !done) return done;
+      continue;
+    }
     const std::string_view value = trimmed(text.value_or(""));
     if (value.empty() && fields_[i].optional) continue;
     if (!text) return failure(Errc::bad_data, i, "its group is in no part of " + shown_line(line) + " that matches");
     if (Result<void> done = put(i, value); !done) return done;
   }
+  return {};
+}
+
+/// Bytes, or hexadecimal digits of bytes.
+Result<void> LineDecoder::put_group(std::size_t index, std::string_view group) {
+  std::optional<std::string> bytes;  // the few of a number need no allocation
+  if (fields_[index].base == 16) {
+    bytes = bytes_of_hex(group);
+    if (!bytes) return failure(Errc::bad_data, index, shown_line(group) + " is not bytes");
+    group = *bytes;
+  }
+  if (!binary_[index]->takes(group.size()))
+    return failure(Errc::bad_data, index, "its group has " + std::to_string(group.size()) + " bytes");
+  if (const char* const why = binary_[index]->put(group, texts_[index], payload()))
+    return failure(Errc::out_of_range, index, why);
   return {};
 }
 

@@ -9,7 +9,7 @@
 #include <vector>
 
 #include "rtdata/sensors/lines.hpp"
-#include "sensors/lines/binary_fields.hpp"
+#include "sensors/lines/binary_field.hpp"
 #include "sensors/lines/checksum.hpp"
 #include "sensors/lines/field_text.hpp"
 #include "sensors/lines/line_pattern.hpp"
@@ -32,7 +32,7 @@ class LineDecoder {
   /// True if the line is empty or a comment.
   bool is_skipped(std::string_view line) const noexcept;
   /// False if `only` leaves the line out.
-  bool is_meant(std::string_view line);
+  bool is_meant(std::string_view line) { return !only_ || is_chosen(line); }
   /// True if the line has a checksum that is wrong.
   bool is_damaged(std::string_view line) const noexcept;
   /// The line or frame without its checksum. Errors: bad-data.
@@ -66,6 +66,7 @@ class LineDecoder {
   class JsonHandler;
   Result<void> decode_csv(std::string_view line);
   std::string advice_on(std::string_view line) const;
+  bool is_chosen(std::string_view line);
   Result<void> decode_json(std::string_view line);
   void find_choices();
   /// The keys with the indices of the objects that they choose, in this line.
@@ -77,6 +78,9 @@ class LineDecoder {
   std::optional<std::string_view> row_of(std::string_view rows, std::string_view label) const noexcept;
   Result<void> decode_labels(std::string_view rows);
   Result<void> decode_pattern(std::string_view line);
+  Result<void> decode_binary(std::string_view frame);
+  Result<void> put_group(std::size_t index, std::string_view group);
+  void use_bytes(const LineConfig& config);
   Result<void> all_seen() const;
   /// LineMatch, with its regular expression ready for use.
   struct Match {
@@ -90,13 +94,21 @@ class LineDecoder {
   std::optional<std::string_view> text_in_question(const LineMatch& match, std::string_view line);
   /// Puts the text of column or key `index` in its place.
   Result<void> put(std::size_t index, std::string_view text);
-  Result<void> put_value(std::size_t index, const Leaf& leaf, std::string_view text, double scale);
+  Result<void> put_value(std::size_t index, const Leaf& leaf, std::string_view text, const FieldScale& scale);
   struct Column {
     std::string_view text;  // valid until the next one
     bool is_quoted = false;
   };
   std::string_view text_of(std::size_t index, const Column& column) const noexcept;
   Result<Column> next_column(std::size_t index, std::string_view& rest);
+  /// A column that holds the digits of a number and nothing else.
+  struct PlainNumber {
+    bool is_one = false;
+    std::size_t offset = 0;  // of the number
+    FieldScale scale = FieldScale(1);
+  };
+  bool take_number(const PlainNumber& plain, std::string_view& rest) noexcept;
+  void go_behind(std::size_t end, std::string_view& rest) const noexcept;
   Error failure(Errc code, std::size_t index, std::string why) const;
   std::uint64_t number() const noexcept;
   /// The distance between two numbers; empty: it goes back.
@@ -108,6 +120,8 @@ class LineDecoder {
   const std::string bad_line_;
   std::vector<LineField> fields_;
   std::vector<FieldText> texts_;     // of each field
+  std::vector<FieldScale> scales_;   // of each field
+  std::vector<PlainNumber> plain_;   // of each field
   std::vector<const Leaf*> leaves_;  // of each field; null: not kept
   std::shared_ptr<const Description> description_;
   LineFormat format_;
@@ -122,9 +136,9 @@ class LineDecoder {
   std::optional<Checksum> checksum_;
   bool has_row_checksums_ = false;
   bool says_none_ = false;
-  bool is_too_long_ = false;  // what `only` looks at, to be searched
-  bool is_not_json_ = false;  // what `only` looks at
-  std::optional<BinaryFields> binary_;
+  bool is_too_long_ = false;                        // what `only` looks at, to be searched
+  bool is_not_json_ = false;                        // what `only` looks at
+  std::vector<std::optional<BinaryField>> binary_;  // of each field, of those whose values are bytes
   std::vector<std::max_align_t> payload_;
   std::vector<bool> seen_;
   std::vector<bool> is_given_;

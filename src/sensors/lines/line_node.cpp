@@ -30,7 +30,6 @@ bool is_same(const GpsFix& a, const GpsFix& b) noexcept {
   return a.gps_time == b.gps_time && a.lat == b.lat && a.lon == b.lon && a.alt_msl == b.alt_msl && a.speed == b.speed &&
          a.track == b.track && a.mode == b.mode && a.satellites_used == b.satellites_used;
 }
-/// Publishes the last fix when no more sentences will come.
 
 }  // namespace
 
@@ -303,7 +302,8 @@ bool LineNode::take_frame(std::string_view frame) {
     --lines_to_skip_;
     return true;
   }
-  const Result<std::string_view> checked = decoder_->checked(frame);
+  const Result<std::string_view> plain = cutter_->plain(frame);
+  const Result<std::string_view> checked = plain ? decoder_->checked(*plain) : plain;
   if (!checked) {
     fail_line(checked.error());
     return false;
@@ -499,6 +499,7 @@ void LineNode::publish(GpsFix fix, Time time) {
   }
 }
 
+/// Publishes the last fix when no more sentences will come.
 void LineNode::finish_fix() {
   if (fixes_ != nullptr && is_running()) fixes_->finish(publish_fix_);
 }

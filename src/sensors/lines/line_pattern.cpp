@@ -37,6 +37,13 @@ int take_step(pcre2_callout_block* block, void* to) {
   return budget.left < 0 ? PCRE2_ERROR_CALLOUT : 0;
 }
 
+/// Most lines are found, or not, in a few steps, which need no account. The worst that they can take is the product of
+/// starts, steps of each start, and bytes of each step. 0: such a line is too long for it.
+constexpr std::uint32_t unaccounted_steps(std::size_t bytes) noexcept {
+  constexpr std::size_t most_looked_at = 1'000'000;
+  return static_cast<std::uint32_t>(most_looked_at / ((bytes + 8) * (bytes + 8)));
+}
+
 template <class T>
 T pattern_info(const pcre2_code* code, std::uint32_t what) {
   T value{};
@@ -53,10 +60,17 @@ struct LinePattern::Compiled {
   ~Compiled() {
     pcre2_match_data_free(found);
     pcre2_match_context_free(limits);
+    pcre2_match_context_free(few_steps);
     pcre2_code_free(code);
+    pcre2_code_free(plain_code);
   }
-  pcre2_code* code = nullptr;
+  int match(const pcre2_code* with, std::string_view text, pcre2_match_context* within) noexcept {
+    return pcre2_match(with, reinterpret_cast<const unsigned char*>(text.data()), text.size(), 0, 0, found, within);
+  }
+  pcre2_code* code = nullptr;        // each step is accounted for
+  pcre2_code* plain_code = nullptr;  // the same without
   pcre2_match_context* limits = nullptr;
+  pcre2_match_context* few_steps = nullptr;
   pcre2_match_data* found = nullptr;
   Budget budget;
 };
@@ -68,16 +82,24 @@ LinePattern::LinePattern(const std::string& expression, const char* key) {
   compiled_ = std::make_unique<Compiled>();
   int number = 0;
   std::size_t at = 0;
-  compiled_->code = pcre2_compile(reinterpret_cast<const unsigned char*>(expression.data()), expression.size(),
-                                  PCRE2_AUTO_CALLOUT | PCRE2_NEVER_UTF, &number, &at, nullptr);
+  const auto compiled = [&](std::uint32_t options) {
+    return pcre2_compile(reinterpret_cast<const unsigned char*>(expression.data()), expression.size(),
+                         options | PCRE2_NEVER_UTF, &number, &at, nullptr);
+  };
+  compiled_->code = compiled(PCRE2_AUTO_CALLOUT);
   if (compiled_->code == nullptr)
     throw SetupError(refused_lines(key, "at character " + std::to_string(at) + ": " + message_of(number),
                                    "it is a regular expression of Perl's kind; `man pcre2pattern` describes them"));
+  compiled_->plain_code = compiled(0);
   compiled_->limits = pcre2_match_context_create(nullptr);
+  compiled_->few_steps = pcre2_match_context_create(nullptr);
   compiled_->found = pcre2_match_data_create_from_pattern(compiled_->code, nullptr);
-  if (compiled_->limits == nullptr || compiled_->found == nullptr) throw std::bad_alloc();
+  if (compiled_->plain_code == nullptr || compiled_->limits == nullptr || compiled_->few_steps == nullptr ||
+      compiled_->found == nullptr)
+    throw std::bad_alloc();
   pcre2_set_callout(compiled_->limits, &take_step, &compiled_->budget);
   pcre2_set_heap_limit(compiled_->limits, most_pattern_memory);
+  pcre2_set_heap_limit(compiled_->few_steps, most_pattern_memory);
   const auto count = pattern_info<std::uint32_t>(compiled_->code, PCRE2_INFO_NAMECOUNT);
   const auto size = pattern_info<std::uint32_t>(compiled_->code, PCRE2_INFO_NAMEENTRYSIZE);
   const unsigned char* entry = pattern_info<const unsigned char*>(compiled_->code, PCRE2_INFO_NAMETABLE);
@@ -87,9 +109,15 @@ LinePattern::LinePattern(const std::string& expression, const char* key) {
 
 LinePattern::Search LinePattern::search(std::string_view text) noexcept {
   text_ = text;
-  compiled_->budget = {static_cast<std::int64_t>(most_steps + steps_of_a_byte * text.size()), 0};
-  const int status = pcre2_match(compiled_->code, reinterpret_cast<const unsigned char*>(text.data()), text.size(), 0,
-                                 0, compiled_->found, compiled_->limits);
+  int status = PCRE2_ERROR_MATCHLIMIT;
+  if (const std::uint32_t steps = unaccounted_steps(text.size()); steps > 0) {
+    pcre2_set_match_limit(compiled_->few_steps, steps);
+    status = compiled_->match(compiled_->plain_code, text, compiled_->few_steps);
+  }
+  if (status < 0 && status != PCRE2_ERROR_NOMATCH) {
+    compiled_->budget = {static_cast<std::int64_t>(most_steps + steps_of_a_byte * text.size()), 0};
+    status = compiled_->match(compiled_->code, text, compiled_->limits);
+  }
   if (status > 0) return Search::found;
   return status == PCRE2_ERROR_NOMATCH ? Search::not_found : Search::too_long;
 }

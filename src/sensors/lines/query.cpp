@@ -50,11 +50,6 @@ std::string request_of(const Query::Config& config) {
   return config.request.empty() ? *detail::bytes_of_hex(config.request_hex) : config.request;
 }
 
-Error at_open_error(Error error) {
-  error.why = "the answer to one of `at_open`: " + error.why;
-  return error;
-}
-
 }  // namespace
 
 void check_config(const Query::Config& config, const ConfigItem& item, Problems& problems) {
@@ -65,6 +60,9 @@ void check_config(const Query::Config& config, const ConfigItem& item, Problems&
                                                (at != nullptr ? "" : ": ") + mistake->why + "; " + mistake->advice));
   }
   detail::check_at_open(config.at_open_hex, item, problems);
+  detail::check_at_open(config.prepare_hex, item, problems, "prepare_hex");
+  if (config.prepare_wait > Duration{0} && config.prepare.empty() && config.prepare_hex.empty())
+    problems.add(item.find("prepare_wait")->problem("bad-value", "there is no `prepare` to wait for"));
   if (config.at_open_answers && config.at_open.empty() && config.at_open_hex.empty()) {
     const ConfigItem* const at = item.find("at_open_answers");
     problems.add((at != nullptr ? *at : item).problem("bad-value", "there is no `at_open` to answer"));
@@ -84,6 +82,7 @@ Query::Query(const Config& config)
     : config_(config),
       request_(request_of(config)),
       at_open_(detail::texts_at_open(config.at_open, config.at_open_hex)),
+      prepare_(detail::texts_at_open(config.prepare, config.prepare_hex, "prepare_hex")),
       decoding_(std::make_unique<Decoding>(config)) {}
 
 Query::~Query() = default;
@@ -98,13 +97,31 @@ Result<void> Query::open(SerialDevice& line) {
       if (auto done = line.drop_input(); !done) return done;
     if (auto done = line.write(text); !done) return done;
     if (!is_question) continue;
-    if (decoding_->cutter) {
-      if (auto frame = next_frame(line); !frame) return at_open_error(std::move(frame).error());
-    } else {
-      if (auto answer = line.read_until(config_.answer_end, {}, longest_answer); !answer)
-        return at_open_error(std::move(answer).error());
-    }
+    if (auto done = drop_answer(line, decoding_->cutter ? Answer::frame : Answer::line, "at_open"); !done) return done;
   }
+  return {};
+}
+
+/// `of`: the setting that asked for it.
+Result<void> Query::drop_answer(SerialDevice& line, Answer answer, const char* of) {
+  Result<std::string> got = answer == Answer::frame ? next_frame(line)
+                                                    : line.read_until(config_.answer_end, {}, longest_answer);
+  if (got) return {};
+  Error error = std::move(got).error();
+  error.why = "the answer to one of `" + std::string(of) + "`: " + error.why;
+  return error;
+}
+
+Result<void> Query::prepare(SerialDevice& line) {
+  for (std::size_t i = 0; i < prepare_.size(); ++i) {
+    if (auto done = line.drop_input(); !done) return done;
+    if (auto done = line.write(prepare_[i]); !done) return done;
+    const bool is_text = i < config_.prepare.size();
+    if (auto done = drop_answer(line, decoding_->cutter && !is_text ? Answer::frame : Answer::line, "prepare"); !done)
+      return done;
+  }
+  // What comes meanwhile, such as that it has measured, is dropped by the request.
+  if (!prepare_.empty()) detail::lane_sleep(config_.prepare_wait);
   return {};
 }
 
@@ -156,6 +173,7 @@ Result<void> Query::open_if_lost(SerialDevice& line) {
 
 Reading<DescribedValue> Query::read(SerialDevice& line) {
   if (auto opened = open_if_lost(line); !opened) return std::move(opened).error();
+  if (auto prepared = prepare(line); !prepared) return std::move(prepared).error();
   return decoding_->cutter ? read_frame(line) : read_line(line);
 }
 
@@ -174,7 +192,8 @@ Unreadable Query::echoed(SerialDevice& line) {
 
 Reading<DescribedValue> Query::decoded(SerialDevice& line, std::string_view answer) {
   detail::LineDecoder& decoder = decoding_->decoder;
-  const Result<std::string_view> checked = decoder.checked(answer);
+  const Result<std::string_view> plain = decoding_->cutter ? decoding_->cutter->plain(answer) : Result(answer);
+  const Result<std::string_view> checked = plain ? decoder.checked(*plain) : plain;
   Result<void> done = checked ? Result<void>() : Result<void>(checked.error());
   const bool has_marks = config_.frame && config_.format != LineFormat::binary;
   if (done) done = decoder.decode(has_marks ? decoding_->cutter->body(*checked) : *checked);
