@@ -161,4 +161,38 @@ TEST_SUITE("app") {
     CHECK(b.line.got.find("<1>", 13) == std::string::npos);
     b.end();
   }
+
+  TEST_CASE(
+      "US-35 a machine that a reload adds again arms nothing, though its recording is the second of the program") {
+    Bench b;
+    const auto write = [&](const std::string& machines, const std::string& batch_time) {
+      b.folder.write("rig.json", R"({"name": "rig",
+        "outputs": [{"name": "igniter", "type": "serial", "device": ")" +
+                                     b.line.name + R"(", "text": "<{value}>", "armed": "by command"}],
+        "machines": [)" + machines + R"(],
+        "sinks": [{"name": "first", "type": "sqlite", "path": "first.db"},
+                  {"name": "second", "type": "sqlite", "path": "second.db", "batch_time": ")" +
+                                     batch_time + R"("}]})");
+    };
+    const std::string machine = R"({"name": "m", "start": "pad",
+      "states": [{"name": "pad", "arm": ["igniter"]}, {"name": "fly", "set": [{"output": "igniter"}]}],
+      "transitions": [{"from": "pad", "to": "fly", "event": "go"}, {"from": "fly", "to": "pad", "event": "back"}],
+      "resume": {"recording": "second", "max_age": "5 min", "unknown_age": "start"}})";
+    write(machine, "20 s");
+    b.start();
+    CHECK(b.ctl({"arm", "igniter"}) == "output igniter is armed\n");
+    CHECK(b.ctl({"event", "m", "go"}) == "machine m has got the event go\n");
+    CHECK(b.line.reads("<0><1>"));
+    write("", "21 s");  // the recording is closed and opened again: that it was armed is stored, in a run that ended
+    CHECK(has(b.ctl({"reload"}), "machine m: removed"));
+    b.ctl({"disarm", "igniter"});  // not yet stored
+    write(machine, "21 s");
+    CHECK(has(b.ctl({"reload"}), "machine m: added"));
+    const std::string refused = b.ctl({"set", "igniter", "1"}, 1);
+    CHECK_MESSAGE(has(refused, "armed"), refused);
+    CHECK(b.line.got.find("<1>", 6) == std::string::npos);
+    b.process->signal(SIGTERM);
+    CHECK(b.process->end() == 0);
+    CHECK(Process(b.folder, built("rtdata"), {"verify", "second.db"}).end() == 0);
+  }
 }

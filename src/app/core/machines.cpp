@@ -188,7 +188,7 @@ PartObject make(Loop& loop, const Parts& parts, const fsm::MachineSettings& sett
     if (const auto last = before ? std::nullopt : resumed(loop, settings, path)) {
       beginning = last->beginning;
       // If a reload adds the machine again, the outputs do not change.
-      if (last->run.uuid != loop.runtime().core().run_uuid()) setter->arm_again(parts, path, last->run.run);
+      if (!loop.runtime().core().main().has_recorded(last->run.uuid)) setter->arm_again(parts, path, last->run.run);
     }
     Sink& sink = parts.get<Sink>("sink", settings.resume->recording);
     sync = [&sink](Callback<void()> done) { sink.sync(std::move(done)); };

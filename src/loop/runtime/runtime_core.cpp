@@ -53,7 +53,11 @@ const std::string& RuntimeCore::run_uuid() {
 }
 
 std::string RuntimeCore::uuid_for_recording() {
-  return std::exchange(is_recorded_, true) ? first_line("/proc/sys/kernel/random/uuid") : run_uuid();
+  return recorded_.emplace_back(recorded_.empty() ? run_uuid() : first_line("/proc/sys/kernel/random/uuid"));
+}
+
+bool RuntimeCore::has_recorded(const std::string& uuid) const {
+  return std::find(recorded_.begin(), recorded_.end(), uuid) != recorded_.end();
 }
 
 void RuntimeCore::attach(LoopCore& loop) {

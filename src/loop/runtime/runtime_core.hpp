@@ -73,6 +73,8 @@ class RuntimeCore {
   const std::string& run_uuid();
   /// The uuid of the run in a recording: the same in the first, and another in each later one.
   std::string uuid_for_recording();
+  /// Whether it is that of a run in a recording of this program.
+  bool has_recorded(const std::string& uuid) const;
   Clock& clock() noexcept { return clock_log.clock(); }
   bool has_injected_clock() const noexcept { return config.clock != nullptr; }
   Time event_now() noexcept { return event_time(clock().monotonic()); }
@@ -161,7 +163,7 @@ class RuntimeCore {
 
  private:
   std::string run_uuid_;
-  bool is_recorded_ = false;  // a recording has that uuid
+  std::vector<std::string> recorded_;  // in recordings
   std::vector<std::unique_ptr<TopicCore>> topics_;
   std::unordered_map<std::string_view, TopicCore*> topic_by_name_;
   std::unordered_map<std::string, std::string> name_by_lower_case_;
