@@ -14,6 +14,11 @@ namespace {
 
 constexpr const char* cannot_read = "no answer";
 
+std::string what_to_check(const SerialPortConfig& config) {
+  if (!config.run.empty()) return "check the program, and what it says to its standard error";
+  return config.host.empty() ? "check the device, its wires, and `baud_rate`" : "check the device and the network";
+}
+
 constexpr const char* keys_of_a_port = "`device`, `host` and `run`";
 
 std::shared_ptr<SerialTransport> transport_of(const SerialPortConfig& config) {
@@ -53,6 +58,10 @@ std::optional<detail::PlaceMistake> detail::mistake_in_place(const SerialPortCon
 
 void detail::check_place(const SerialPortConfig& config, const char* keys, const ConfigItem& item, Problems& problems) {
   const auto mistake = mistake_in_place(config, keys);
+  if (!mistake && config.device.empty())
+    for (const char* const key : {"baud_rate", "character_size", "parity", "stop_bits"})
+      if (const ConfigItem* const at = item.find(key))
+        problems.add(at->problem("bad-value", "it is of a serial device, and there is none; leave it out"));
   if (!mistake) return;
   const ConfigItem* const at = item.find(mistake->key);
   problems.add((at != nullptr ? *at : item)
@@ -152,7 +161,7 @@ Result<void> SerialDevice::read(std::span<std::uint8_t> bytes, std::optional<Dur
     return error(Errc::timed_out, cannot_read,
                  std::to_string(pending_.size()) + " of " + std::to_string(bytes.size()) + " bytes came in " +
                      to_string(patience),
-                 "check the device, its wires, and `baud_rate`");
+                 what_to_check(core_->config));
   }
   std::copy_n(pending_.begin(), bytes.size(), bytes.begin());
   pending_.erase(0, bytes.size());
@@ -198,7 +207,7 @@ Result<std::string> SerialDevice::read_until(char delimiter, std::optional<Durat
       distrust();
       return error(Errc::does_not_fit, "cannot use an answer",
                    "more than " + std::to_string(most) + " bytes came without an end",
-                   "check `baud_rate`, and how the device ends its answers");
+                   what_to_check(core_->config) + "; and how answers end");
     }
     looked_at = pending_.size();
     const Result<bool> came = receive(until);
@@ -209,7 +218,7 @@ Result<std::string> SerialDevice::read_until(char delimiter, std::optional<Durat
                  pending_.empty()
                      ? "nothing came in " + to_string(patience)
                      : std::to_string(pending_.size()) + " bytes came in " + to_string(patience) + ", without an end",
-                 "check the device, its wires, `baud_rate`, and how it ends its answers");
+                 what_to_check(core_->config) + "; and how answers end");
   }
 }
 

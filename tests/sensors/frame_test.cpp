@@ -172,6 +172,11 @@ TEST_SUITE("sensors" * doctest::skip(!terminals_can_be_set_up())) {
     CHECK(has(refusal_of(wrong), "it does not say what the bytes are"));
     wrong.only = LineMatch{.is_hex = {"0"}};
     CHECK(has(refusal_of(wrong), "`is_hex` is not bytes"));
+    wrong.only = LineMatch{.at = 3, .is_hex = {"00", "01 07"}};
+    CHECK(has(refusal_of(wrong), "its bytes end behind the frame"));
+    wrong = config;
+    wrong.checksum = LineChecksum{.type = ChecksumType::sum8, .form = ChecksumForm::big, .from = 4};
+    CHECK(has(refusal_of(wrong), "checksum: `from` is behind the frame"));
     CHECK(has(refusal_of({.fields = {{.name = "a"}}, .only = LineMatch{.is_hex = {"00"}}}), "are of binary frames"));
   }
 

@@ -592,6 +592,18 @@ TEST_SUITE("sensors") {
               "there is more than one of `device`, `host` and `run`"));
     CHECK(
         has(report(R"("m": {"type": "serial", "host": "a", "port": 1, "dtr": true})", ask), "are of a serial device"));
+    CHECK(has(report(R"("m": {"type": "serial", "host": "a", "port": 1, "baud_rate": 9600})", ask),
+              "buses.m.baud_rate: it is of a serial device, and there is none"));
+    CHECK(has(report(R"("m": {"type": "serial", "run": ["cat"], "parity": "even"})", ask), "of a serial device"));
+    const auto caller = [](const std::string& name, const std::string& from) {
+      return R"({"name": ")" + name + R"(", "type": "tcp", "listen": "0.0.0.0", "port": 5000)" + from +
+             R"(, "fields": [{"name": "v"}]})";
+    };
+    const std::string two = R"(, "from": "192.168.1.2")", three = R"(, "from": "192.168.1.3")";
+    CHECK(report("", caller("a", two) + ", " + caller("b", three)).empty());
+    CHECK(has(report("", caller("a", two) + ", " + caller("b", two)), "one sensor takes all of a device"));
+    CHECK(has(report("", caller("a", two) + ", " + caller("b", "")), "set the `from` of each"));
+    CHECK(has(report("", caller("a", two + R"(, "connect_timeout": "1 s")")), "connect_timeout: the device connects"));
     CHECK(has(report("", R"({"name": "l", "type": "serial", "device": "/dev/ttyUSB0"})"), "no field has a name"));
     CHECK(report("", R"({"name": "l", "type": "serial", "device": "/dev/ttyUSB0", "format": "nmea"})").empty());
   }

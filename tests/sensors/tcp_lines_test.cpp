@@ -168,6 +168,33 @@ TEST_SUITE("sensors") {
     refused({.listen = "0.0.0.0", .from = "::1"});
   }
 
+  TEST_CASE("US-17 devices that connect to one port have a sensor each, and disturb no other") {
+    const std::uint16_t port = free_tcp_port();
+    CallerBench bench({.port = port, .from = "127.0.0.2"});
+    std::vector<std::string> others;
+    const auto heard = bench.loop.subscribe("other", [&](const EventView& event) {
+      others.push_back(to_string(event.value(event.description().leaves()[0])));
+    });
+    const TcpLinesConfig of_other{
+        .port = port, .listen = "127.0.0.1", .from = "127.0.0.3", .lines = {.fields = {{.name = "v"}}}};
+    TcpLines other(bench.loop, {.name = "other"}, of_other);
+    const TcpLines same(bench.loop, {.name = "same"}, of_other);
+    CHECK(same.health() == Health::faulted);  // the other one has this device
+    const Caller first(port, "127.0.0.2"), second(port, "127.0.0.3"), stranger(port, "127.0.0.4");
+    first.send("1\n");
+    second.send("2\n");
+    REQUIRE(bench.until([&] { return bench.events.size() == 1 && others.size() == 1; }));
+    REQUIRE(bench.until([&] { return stranger.received() == "end"; }));
+    CHECK(bench.events == std::vector<std::string>{"1"});
+    CHECK(others == std::vector<std::string>{"2"});
+    bench.sensor.close();  // who got the port first goes, and the other one stays
+    REQUIRE(bench.until([&] { return first.received() == "end"; }));
+    second.send("3\n");
+    REQUIRE(bench.until([&] { return others.size() == 2; }));
+    other.close();
+    CHECK(bench.loop.runtime().balances());
+  }
+
   TEST_CASE("US-17 US-7 a device behind a TCP port: its lines, its end, its return, and what it is told at first") {
     FakeGpsd server;
     Loop loop;

@@ -7,9 +7,10 @@
 /// Each line becomes one event; lines.hpp says how lines are read. The connection is made and kept on the loop; only
 /// names of hosts are looked up on a lane.
 ///
-/// With `listen` the device connects to this machine: {.port = 5000, .listen = "0.0.0.0"}. There is one connection at a
-/// time. When another is made, and nothing comes on the first for 1 s, the device has started again, and the new one is
-/// used; else the new one is closed, which is told.
+/// With `listen` the device connects to this machine: {.port = 5000, .listen = "0.0.0.0"}. Sensors of one loop may
+/// listen on the same port, each to the device that its `from` names. A sensor has one connection at a time. When
+/// another is made, and nothing comes on the first for 1 s, the device has started again, and the new one is used; else
+/// the new one is closed, which is told.
 ///
 /// - If the device refuses the connection, does not answer within `connect_timeout`, or ends it, the sensor is faulted
 ///   and connects again after `retry_first`, doubling to `retry_longest`. The time without it is a gap (disconnected).

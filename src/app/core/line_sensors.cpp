@@ -53,9 +53,12 @@ void add_line_sensors(Registry& registry) {
       "tcp", "a device that sends lines over a TCP connection, such as an ESP32 or ser2net; it may call this machine",
       [](const TcpLinesConfig& config) { return description_of_lines(config.lines); }, makes<TcpLines>,
       [](PartPlan& plan, const TcpLinesConfig& config) {
-        if (!config.listen.empty())
-          plan.place = {"TCP port", std::to_string(config.port) + " of " + config.listen,
-                        "give each a port of its own"};
+        if (config.listen.empty()) return;
+        const std::string port = std::to_string(config.port) + " of " + config.listen;
+        plan.place = {"TCP port", port, "set the `from` of each, or give each a port of its own"};
+        if (config.from.empty()) return;
+        plan.place.sharing = "from";
+        plan.more_places.push_back({"TCP port", port + " from " + config.from, "one sensor takes all of a device"});
       },
       {.aliases = "socket network wifi esp32 ser2net telnet nmea server"});
   registry.add_sensor<UdpLinesConfig>(

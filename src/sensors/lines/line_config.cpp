@@ -64,6 +64,8 @@ void check_marks(const LineConfig& config) {
     refuse("frame", "bytes without a frame have no beginning", "set `frame`");
   if (config.checksum && config.checksum->of == ChecksumOf::row && config.format != LineFormat::labels)
     refuse("checksum", "only labels have rows", "leave `of` out");
+  if (config.checksum && config.frame && config.frame->length != 0 && config.checksum->from >= config.frame->length)
+    refuse("checksum", "`from` is behind the frame", "check it and the frame's `length`");
   if (config.format == LineFormat::labels) return;
   if (comment.find_first_of(ends) != std::string::npos)
     refuse("comment", "no line begins with the end of a line", "such as \"#\", or \"\" for none");
@@ -121,9 +123,12 @@ void check_match(const LineConfig& config, const char* key, const std::optional<
     if (has_text || match->column != 0 || !match->key.empty())
       refuse("frames of bytes have no text", "set `at` and `is_hex`");
     if (match->is_hex.empty()) refuse("it does not say what the bytes are", "set `is_hex`");
-    for (const std::string& hex : match->is_hex)
-      if (const auto bytes = bytes_of_hex(hex); !bytes || bytes->empty())
-        refuse("`is_hex` is not bytes", "two hexadecimal digits each, such as \"01 07\"");
+    for (const std::string& hex : match->is_hex) {
+      const auto bytes = bytes_of_hex(hex);
+      if (!bytes || bytes->empty()) refuse("`is_hex` is not bytes", "two hexadecimal digits each, such as \"01 07\"");
+      if (config.frame->length != 0 && match->at + bytes->size() > config.frame->length)
+        refuse("its bytes end behind the frame", "check `at` and the frame's `length`");
+    }
     return;
   }
   if (match->at != 0 || !match->is_hex.empty()) refuse("`at` and `is_hex` are of binary frames", "leave them out");

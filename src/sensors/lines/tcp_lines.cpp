@@ -13,6 +13,7 @@
 #include "rtdata/data/config_item.hpp"
 #include "sensors/lines/line_config.hpp"
 #include "sensors/lines/line_node.hpp"
+#include "sensors/lines/tcp_listener.hpp"
 
 namespace rtdata {
 namespace detail {
@@ -28,19 +29,6 @@ std::string place_of(const TcpLinesConfig& config) {
 LineConfig lines_of(TcpLinesConfig& config) {
   if (!config.listen.empty()) config.lines.first_line = FirstLine::keep;
   return std::move(config.lines);
-}
-
-Result<int> listen_at(const IpAddress& address, const std::string& place) {
-  const int fd = ::socket(address.storage.ss_family, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
-  const int on = 1;
-  if (fd >= 0 && ::setsockopt(fd, SOL_SOCKET, SO_REUSEADDR, &on, sizeof on) == 0 &&
-      ::bind(fd, address.get(), address.size) == 0 && ::listen(fd, 4) == 0)
-    return fd;
-  const int number = errno;
-  if (fd >= 0) ::close(fd);
-  return system_error(number, "cannot listen on this port", place,
-                      number == EADDRINUSE ? "another program, or another sensor, has this port: `ss -tlp` shows which"
-                                           : "check `listen` and `port`");
 }
 
 std::optional<AddressMistake> mistake_in_tcp(const TcpLinesConfig& config) {
@@ -103,7 +91,7 @@ class TcpClientNode final : public TcpLinesNode {
   TcpStream stream_;
 };
 
-class TcpServerNode final : public TcpLinesNode {
+class TcpServerNode final : public TcpLinesNode, private TcpListener::User {
  public:
   TcpServerNode(LoopCore& loop, const FeedConfig& feed, TcpLinesConfig config)
       : TcpLinesNode(loop, feed, config),
@@ -120,11 +108,11 @@ class TcpServerNode final : public TcpLinesNode {
  private:
   /// Also called again and again while no device is connected.
   void open_stream() override {
-    if (listener_ >= 0) return;
-    const Result<int> fd = listen_at(address_, place());
-    if (!fd) return take(fd.error());
-    listener_ = *fd;
-    watch_connections();
+    if (listener_) return;
+    Result<std::shared_ptr<TcpListener>> listener = TcpListener::open(*loop(), address_, place());
+    if (!listener) return take(listener.error());
+    if (auto added = (*listener)->add(*this, from_); !added) return take(added.error());
+    listener_ = *std::move(listener);
     lose({Errc::disconnected, "there is no connection", place(), "no device has connected yet",
           "is it on, and does it connect to this address?"},
          loop()->now());
@@ -140,38 +128,34 @@ class TcpServerNode final : public TcpLinesNode {
   void end_listening() noexcept {
     later_.stop();
     if (waiting_ >= 0) ::close(std::exchange(waiting_, -1));
-    connections_.close();  // before the descriptor
-    if (listener_ >= 0) ::close(listener_);
-    listener_ = -1;
+    if (listener_) listener_->remove(*this);
+    listener_.reset();
   }
-  void watch_connections() {
-    connections_ = FdWatch(loop()->face, listener_, FdWatch::readable, object_name(),
-                           [this](const FdEvent&) { take_connection(); });
-  }
-  /// One that may be: another one waits until it is known which is the device's.
-  void take_connection() {
+  /// If there is one already, the second waits until it is known which is the device's.
+  void take_connection(int fd) override {
     Call call(*this);
-    const int fd = accepted();
-    if (fd < 0) return;
     if (!has_source()) return use(fd);
+    if (waiting_ >= 0) return refuse(fd, "another device connects while one sends");
     waiting_ = fd;
-    connections_.close();
     later_.start(silence_of_the_old);
+  }
+  void connection_refused(Error why) override {
+    Call call(*this);
+    report(std::move(why));
+  }
+  void refuse(int fd, const char* why) {
+    ::close(fd);
+    report({Errc::busy, "closed a connection", place(), why, "give each device a sensor of its own"});
   }
   void choose() {
     Call call(*this);
-    watch_connections();
     const int fd = std::exchange(waiting_, -1);
     if (fd < 0) return;
     char byte = 0;
     const bool has_ended = ::recv(fd, &byte, 1, MSG_PEEK | MSG_DONTWAIT) == 0;  // a look at the port, and no device
     const bool is_old_silent = has_source() && loop()->now() - heard_at() >= silence_of_the_old;
-    if (has_ended || (has_source() && !is_old_silent)) {
-      ::close(fd);
-      return report({Errc::busy, "closed a connection", place(),
-                     has_ended ? "it was ended at once" : "another device connects while one sends",
-                     has_ended ? "" : "give each device a sensor and a port of its own"});
-    }
+    if (has_ended) return refuse(fd, "it was ended at once");
+    if (has_source() && !is_old_silent) return refuse(fd, "another device connects while one sends");
     if (has_source())
       lose({Errc::disconnected, "lost the connection", place(),
             "another connection was made, and nothing has come on this one for 1 s", "the new one is used"},
@@ -181,25 +165,6 @@ class TcpServerNode final : public TcpLinesNode {
       return;
     }
     use(fd);
-  }
-  /// -1: none, or it is refused.
-  int accepted() {
-    IpAddress peer;
-    peer.size = sizeof peer.storage;
-    const int fd = ::accept4(listener_, reinterpret_cast<sockaddr*>(&peer.storage), &peer.size,
-                             SOCK_NONBLOCK | SOCK_CLOEXEC);
-    if (fd < 0) {
-      const int number = errno;
-      if (number == EAGAIN || number == EINTR || number == ECONNABORTED) return -1;
-      connections_.close();  // no descriptors, no memory
-      later_.start(silence_of_the_old);
-      report(system_error(number, "cannot take a connection", place(), ""));
-      return -1;
-    }
-    if (!from_ || from_->is_same_host(peer)) return fd;
-    ::close(fd);
-    report({Errc::not_permitted, "closed a connection", place(), "it was not made by `from`", ""});
-    return -1;
   }
   void use(int fd) {
     keep_alive(fd);
@@ -214,9 +179,8 @@ class TcpServerNode final : public TcpLinesNode {
   const IpAddress address_;
   std::optional<IpAddress> from_;
   const std::vector<std::string> at_open_;
-  FdWatch connections_;
+  std::shared_ptr<TcpListener> listener_;
   Timer later_;
-  int listener_ = -1;
   int waiting_ = -1;  // a second connection
 };
 
@@ -227,6 +191,8 @@ void check_config(const TcpLinesConfig& config, const ConfigItem& item, Problems
     const ConfigItem* const at = item.find(mistake->key);
     problems.add((at != nullptr ? *at : item).problem(at != nullptr ? "bad-value" : "missing-key", mistake->why));
   }
+  if (const ConfigItem* const at = item.find("connect_timeout"); at != nullptr && !config.listen.empty())
+    problems.add(at->problem("bad-value", "the device connects, for which it has any time; leave it out"));
   detail::check_at_open(config.at_open_hex, item, problems);
   check_config(config.lines, item, problems);
 }
