@@ -352,6 +352,7 @@ struct ImuConfig {
   std::optional<double> angular_range{};       ///< degrees a second; unset: the widest
   std::optional<double> bandwidth{};           ///< Hz of the low-pass filter of an MPU; unset: 42
   bool self_test = false;                      ///< at each start
+  std::optional<IdentityCode> identity{};
   friend constexpr auto parameters(type_tag<ImuConfig>) {
     return parameter_list(
         parameter("model", &ImuConfig::model, "which chip it is",
@@ -373,11 +374,14 @@ struct ImuConfig {
         parameter("bandwidth", &ImuConfig::bandwidth,
                   "of the low-pass filter of an MPU: 188, 98, 42, 20, 10 or 5; default: 42", unit("Hz"), range(5, 188),
                   only_with("model", "mpu6050", "mpu6500", "mpu9250")),
-        parameter("self_test", &ImuConfig::self_test, "tests the chip at each start, in which it must lie still"));
+        parameter("self_test", &ImuConfig::self_test, "tests the chip at each start, in which it must lie still"),
+        identity_parameter(&ImuConfig::identity));
   }
   static std::span<const InertialModel> models() noexcept { return imu_models::all; }
   const InertialModel& chip() const noexcept { return models()[static_cast<std::size_t>(model)]; }
-  InertialSettings settings() const { return {sample_rate, acceleration_range, angular_range, bandwidth, self_test}; }
+  InertialSettings settings() const {
+    return {sample_rate, acceleration_range, angular_range, bandwidth, self_test, identity};
+  }
   friend void check_config(const ImuConfig& config, const ConfigItem& item, Problems& problems) {
     InertialChip::check(config.chip(), config.settings(), item, problems);
   }
