@@ -268,7 +268,7 @@ TEST_SUITE("app") {
         }
       }
     }
-    CHECK(known == 61);
+    CHECK(known == 63);
   }
 
   TEST_CASE("FW-2 scan names the chips that an address may have, without an identity and without a driver") {
@@ -285,6 +285,7 @@ TEST_SUITE("app") {
              {0x76, 0x00, 0x60, "BMP390", 1},
              {0x77, 0xd0, 0x00, "perhaps MS5611", 1},
              {0x69, 0x75, 0x71, "MPU-9250", 1},
+             {0x69, 0x00, 0xea, "ICM-20948", 1},
              {0x68, 0x75, 0x00, "perhaps a clock (DS3231, DS1307)", 0},
              {0x6a, 0x0f, 0x6c, "LSM6DSO or LSM6DSOX", 2},
              {0x6b, 0x0f, 0x68, "LSM9DS1", 1},

@@ -67,6 +67,7 @@ struct InertialWrite {
 /// How to query and read the FIFO.
 struct InertialFifo {
   InertialWrite off, on;                         ///< off and on empties it; `on` not read back: settings are lost
+  std::span<const InertialWrite> emptying = {};  ///< between them, if they alone do not
   std::uint8_t status = 0;                       ///< register of the number of samples
   std::size_t status_bytes = 1;                  ///< the first one is the lowest, unless `big_endian`
   std::uint32_t count_mask = 0;                  ///< in the status
@@ -112,6 +113,7 @@ struct InertialModel {
   double counts_per_degree = 1, degrees_at_zero = 0;
   InertialSelfTest self_test = {};
   RegisterAddressing addressing = {};
+  std::uint8_t bank_register = 0;  ///< bits 4 and 5 choose a bank, which is 0 but in `setting_up`; 0: there are none
 };
 
 /// What a configuration has chosen; none: the default of the model.
@@ -206,6 +208,7 @@ class InertialChip {
   /// Checks the identity, runs the self-test, writes the settings; then the chip measures.
   Result<void> open(RegisterDevice& chip) {
     is_on_spi_ = chip.is_on_spi();
+    if (auto first = choose_first_bank(chip); !first) return first;
     if (auto same = check_chip(chip); !same) return same;
     if (is_tested_) {
       if (auto passed = test(chip); !passed) return passed;
@@ -373,6 +376,14 @@ class InertialChip {
   Result<void> check_chip(RegisterDevice& chip) const {
     return check_identity(chip, model_.chip, identity_, all_, "check which chip is at this address, and `model`");
   }
+  /// A program that ended in the middle of setting the chip up may have left another bank.
+  Result<void> choose_first_bank(RegisterDevice& chip) const {
+    if (model_.bank_register == 0) return {};
+    const Result<std::uint8_t> bank = chip.read_register(model_.bank_register);
+    if (!bank) return bank.error();
+    constexpr std::uint8_t banks = 0x30;  // other bits are set by another chip, which is left alone
+    return *bank == 0 || (*bank & ~banks) != 0 ? Result<void>() : chip.write_register(model_.bank_register, 0);
+  }
   /// All settings, then the FIFO.
   Result<void> set_up(RegisterDevice& chip) {
     for (const InertialWrite& one : model_.setting_up)
@@ -382,6 +393,8 @@ class InertialChip {
   Result<void> empty_fifo(RegisterDevice& chip) {
     const InertialFifo& fifo = model_.fifo;
     if (auto done = write(chip, fifo.off); !done) return done;
+    for (const InertialWrite& one : fifo.emptying)
+      if (auto done = write(chip, one); !done) return done;
     if (fifo.over_register != 0) {
       if (auto cleared = chip.read_register(fifo.over_register); !cleared) return cleared.error();
     }
