@@ -406,6 +406,18 @@ TEST_SUITE("app") {
         has(import(folder, {"lab.lvm", "--time", "X_Value", "--separator", "tab"}, 1),
             "lab.lvm:4: \"Channels\" in column X_Value is not a time: a number, or a time as 2026-03-01T12:00:00Z; if "
             "the table ends above it, take that part: head -n 3 lab.lvm >table.csv"));
+    folder.write("bare.txt", "2026-03-01 12:00:00    1.5  on\n2026-03-01 12:00:10    1.6  off\n");
+    CHECK(has(import(folder, {"bare.txt", "--time", "t", "--separator", "blanks"}, 1),
+              "its first row seems to be no heading: name its 4 columns by --columns t,..."));
+    folder.write("days.csv", "day,v\n2026-03-01,1\n");
+    CHECK(has(import(folder, {"days.csv", "--time", "day"}, 1), "if its rows are days, write --time-format %F"));
+    folder.write("thing.csv", "t,v\n2026-03-01 12:00:00 UTC,1\n");
+    CHECK(has(import(folder, {"thing.csv", "--time", "t"}, 1), "write --time-format, such as \"%F %T %z\""));
+    folder.write("keys.txt", "0 T=21.5 H=40\n1 T=-1 H=41\n");
+    import(folder, {"keys.txt", "--time", "t", "--separator", "blanks", "--columns", "t,T,H", "--strip", "T=", "H="});
+    CHECK(has(rows_of(folder, "keys.db"), "01.000000000Z,keys,2,-1,41\n"));
+    folder.write("pipes.tsv", "t\tnote\n0\t5\" by 3\" pipe\n");
+    CHECK(has(import(folder, {"pipes.tsv", "--time", "t", "--separator", "tab"}, 1), "remove them all: tr -d '\"'"));
     folder.write("millis.csv", "timeMs,v\n0,1\n1000,2\n0,3\n");
     CHECK(has(import(folder, {"millis.csv", "--time", "timeMs"}, 1), "write --scale \"1 ms\""));
     CHECK(has(import(folder, {"millis.csv", "--time", "timeMs", "--scale", "1ms"}, 1),

@@ -370,7 +370,7 @@ Action prepare_import(CLI::App& command) {
       ->type_name("TEXT");
   command
       .add_option("--strip", options->strip,
-                  "Texts that are taken off the ends of cells with numbers, such as F \"V DC\"")
+                  "Texts that are taken off the begin or end of cells with numbers, such as F \"V DC\" T=")
       ->expected(1, -1)
       ->type_name("TEXT");
   command

@@ -178,7 +178,7 @@ struct ImportOptions {
   std::vector<std::string> only =
       {};  // the rows taken: KIND, the text of their first cell, or COLUMN=TEXT; all of these
   std::vector<std::string> none = {};   // texts, and numbers however they are written, that stand for no value
-  std::vector<std::string> strip = {};  // texts that are taken off the ends of cells with numbers, such as units
+  std::vector<std::string> strip = {};  // texts that are taken off the begin or end of cells with numbers
   enum class Order { refused, sorted };
   Order order = Order::refused;  // of rows that are not in order of time; sorted: --sort
   enum class Partial { refused, taken };

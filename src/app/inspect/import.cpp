@@ -106,6 +106,10 @@ std::string time_text(const std::vector<detail::CsvCell>& cells, const Found& fo
     advice = "check --scale" + scale_of(number);
   } else if (has_comma) {
     advice = "its numbers have decimal commas: write --decimal ,";
+  } else if (has_date && when.size() == 10 && options.time_format.empty()) {
+    advice = "if its rows are days, write --time-format %F";
+  } else if (has_date && error.what == "not a time") {  // as ISO 8601 has it, whose advice is how to write it
+    advice = "for another notation write --time-format, such as \"%F %T %z\"";
   } else if (has_reason && !error.advice.empty()) {
     advice = error.advice;
   } else if (when.find_first_not_of(' ') == std::string::npos) {

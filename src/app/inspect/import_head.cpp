@@ -167,18 +167,19 @@ std::size_t find_column(const std::vector<ImportColumn>& columns, const std::str
                   detail::suggestion(heading, headings));
   const bool has_formats = !options.only.empty() && headings.front() == name_of_kind;
   std::string advice = has_formats ? detail::suggestion(heading, headings) : separator_advice(options, notation);
-  const auto is_a_number = [&](std::string_view text) {
+  const auto is_value = [&](std::string_view text) {  // a number or a time
+    const bool is_dated = text.size() > 4 && text.find_first_not_of("0123456789.:-/+TZ ") == std::string_view::npos;
     double number = 0;
-    return is_number(text, notation.numbers, number);
+    return is_dated || is_number(text, notation.numbers, number);
   };
-  const auto numbers = static_cast<std::size_t>(std::count_if(headings.begin(), headings.end(), is_a_number));
+  const auto values = static_cast<std::size_t>(std::count_if(headings.begin(), headings.end(), is_value));
   if (advice.empty() && heading.find(',') != std::string::npos && are_columns(heading, columns))
     advice = "of several columns there are blanks between their names, as in --time date time";
   if (advice.empty() && headings.front() == "FMT")
     advice = "each of its rows is of the kind that it begins with: take one, such as --only IMU";
   const std::string skip = advice.empty() ? skip_advice(heading, columns.size(), options, notation) : "";
   const bool is_below = skip.find(" has it: ") != std::string::npos;
-  if (advice.empty() && (is_a_number(headings.front()) || (numbers > columns.size() / 2 && !is_below)))
+  if (advice.empty() && (is_value(headings.front()) || (values > columns.size() / 2 && !is_below)))
     advice = "its first row seems to be no heading: name its " + counted(columns.size()) + " by --columns t,...";
   if (advice.empty()) advice = skip;
   refuse_import(options.file, "it has no column " + heading,

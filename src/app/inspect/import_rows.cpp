@@ -57,8 +57,9 @@ void ImportRows::begin_rows(std::vector<detail::CsvCell> heading, std::vector<st
 
 void ImportRows::strip(std::string& text) const {
   for (const std::string& end : notation_.strip) {
-    if (end.empty() || !text.ends_with(end)) continue;
-    std::string rest = text.substr(0, text.size() - end.size());
+    if (end.empty() || !(text.ends_with(end) || text.starts_with(end))) continue;
+    std::string rest = text.substr(text.ends_with(end) ? 0 : end.size(), text.size() - end.size());
+    rest.erase(0, std::min(rest.find_first_not_of(" \t"), rest.size()));
     rest.erase(rest.find_last_not_of(" \t") + 1);
     double number = 0;
     if (!is_number(rest, notation_.numbers, number)) continue;
@@ -156,8 +157,8 @@ Result<bool> ImportRows::next(std::vector<detail::CsvCell>& cells) {
       const bool has_other_ends = line.find('\r') < line.size() - 1;
       return Error{Errc::bad_data, "cannot import", where(), split.error().where + ": " + split.error().why,
                    has_other_ends ? "if its lines end with CR alone: tr '\\r' '\\n' <" + path_ + " >lines.csv"
-                   : are_rows_    ? ""
-                                  : "if it is no heading in CSV, name the columns yourself: --skip " +
+                   : are_rows_ ? "if its \" is part of the text, remove them all: tr -d '\"' <" + path_ + " >table.csv"
+                               : "if it is no heading in CSV, name the columns yourself: --skip " +
                                      std::to_string(line_) + " --columns t,..."};
     }
     cells = *std::move(split);

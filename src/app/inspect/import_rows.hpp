@@ -61,7 +61,7 @@ class ImportRows {
 
  private:
   bool is_none(const detail::CsvCell& cell) const;
-  /// Takes what stands behind numbers off.
+  /// Takes what stands before or behind numbers off.
   void strip(std::string& text) const;
   bool is_heading(const std::vector<detail::CsvCell>& cells) const;
   /// What each choice has to say of a line before its cells are looked at, or, if `cells` are given, of them.

@@ -24,7 +24,7 @@ struct ImportNotation {
   char separator = ',';
   ImportNumbers numbers = {};
   std::vector<std::string> none = {};   ///< texts, and numbers however they are written, that stand for no value
-  std::vector<std::string> strip = {};  ///< taken off the ends of cells with numbers
+  std::vector<std::string> strip = {};  ///< taken off the begin or end of cells with numbers
   bool has_blanks = false;              ///< any number of blanks and tabs separates the cells
   bool adds_days = true;                ///< times without a date that go back at midnight are of the next day
   bool takes_partial = false;           ///< a last row without a line end is left out, and rows without a time
