@@ -323,6 +323,9 @@ TEST_SUITE("app") {
     CHECK(has(import(folder, {"rover.log", "--time", "t", "--columns", "kind,t,a,b"}, 1), "3 cells, where --columns"));
     CHECK(has(import(folder, {"rover.log", "--time", "t", "--columns", "kind,t,a,b", "--only", "IMU"}, 1),
               "no row begins with IMU, where there are $IMU, $GPS"));
+    folder.write("arrays.dat", "101,900,1.5\n102,900,7,8\n101,915,1.6\n");
+    CHECK(has(import(folder, {"arrays.dat", "--time", "t", "--columns", "id,t,v"}, 1),
+              "arrays.dat:2: 4 cells, where --columns names 3: if its rows are of several kinds, take one: --only"));
     import(folder, {"rover.log", "--time", "t", "--columns", "kind,t,a,b", "--only", "$IMU", "--sort"});
     CHECK(has(rows_of(folder, "rover.db"), "00.010000000Z,rover,1,$IMU,1,2\n1970-01-01T00:00:00.030000000Z,rover,2,"));
   }
@@ -511,6 +514,8 @@ TEST_SUITE("app") {
     std::filesystem::remove(folder.path() + "/us.db");
     import(folder, {"us.csv", "--time", "t", "--strip", "F", "VDC"});
     CHECK(has(rows_of(folder, "us.db"), ",us,1,71.2,0.1\n"));
+    folder.write("mixed.csv", "t,v\n0,500mV\n1,1.2V\n");
+    CHECK_FALSE(has(import(folder, {"mixed.csv", "--time", "t"}), "--strip"));
     folder.write("quoted.csv", "t,v\n0,\"20,5\"\n1,\"21,5\"\n");
     import(folder, {"quoted.csv", "--time", "t", "--decimal", ","});
     CHECK(has(rows_of(folder, "quoted.db"), ",quoted,2,21.5\n"));

@@ -154,6 +154,8 @@ std::string sort_advice(const ImportOptions& options, const ImportNotation& nota
   if (advice.empty() && is_short)
     advice = table.is_at_end() ? "if the file is cut off there, write --partial, which leaves the row out"
                                : "if rows may end early, write --partial: what they lack is absent";
+  if (options.only.empty() && comment_advice(cells).empty())
+    advice += std::string(advice.empty() ? "" : "; ") + "if its rows are of several kinds, take one: --only";
   refuse_import(table.where(),
                 std::to_string(cells.size()) + (cells.size() == 1 ? " cell" : " cells") + ", where " +
                     (options.columns.empty() ? "the first row has " : "--columns names ") +
