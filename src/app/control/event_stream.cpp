@@ -1,8 +1,6 @@
 #include "app/control/event_stream.hpp"
 
 #include <algorithm>
-#include <array>
-#include <charconv>
 #include <cmath>
 #include <limits>
 #include <nlohmann/json.hpp>
@@ -11,6 +9,7 @@
 #include "app/control/request.hpp"
 #include "app/control/status.hpp"
 #include "app/core/figures.hpp"
+#include "app/core/number_text.hpp"
 #include "rtdata/loop/gaps.hpp"
 #include "rtdata/loop/runtime.hpp"
 #include "rtdata/loop/topic.hpp"
@@ -29,16 +28,9 @@ Time later_by_grace(Time end) { return end > Time::max() - step_grace ? end : en
 
 std::string quoted(std::string_view text) { return Json(text).dump(-1, ' ', false, Json::error_handler_t::replace); }
 
-template <class Number>
-void append_number(std::string& text, Number number) {
-  if constexpr (std::is_floating_point_v<Number>) {
-    if (!std::isfinite(number)) {
-      text += std::isnan(number) ? "\"NaN\"" : number > 0 ? "\"Infinity\"" : "\"-Infinity\"";
-      return;
-    }
-  }
-  std::array<char, 32> digits;
-  text.append(digits.data(), std::to_chars(digits.data(), digits.data() + digits.size(), number).ptr);
+void append_real(std::string& text, double number) {
+  if (std::isfinite(number)) return append_number(text, number);
+  text += std::isnan(number) ? "\"NaN\"" : number > 0 ? "\"Infinity\"" : "\"-Infinity\"";
 }
 
 /// None: it is absent, or NaN.
@@ -251,7 +243,7 @@ void StepSums::append_to(std::string& text, const StreamOrigin& origin) const {
     if (number.count > 0) {
       const auto add = [&](const char* key, double value) {
         text += key;
-        append_number(text, value);
+        append_real(text, value);
       };
       add(",\"least\":", number.least);
       add(",\"most\":", number.most);

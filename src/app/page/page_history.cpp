@@ -3,14 +3,15 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <array>
 #include <chrono>
 #include <cmath>
 #include <map>
 #include <nlohmann/json.hpp>
-#include <set>
-#include <tuple>
+#include <type_traits>
 
 #include "app/core/figures.hpp"
+#include "app/core/number_text.hpp"
 #include "app/inspect/course.hpp"
 #include "rtdata/data/codec.hpp"
 #include "rtdata/loop/topic.hpp"
@@ -72,23 +73,43 @@ std::string error_text(std::string_view why) {
   return Json{{"error", why}}.dump(-1, ' ', false, Json::error_handler_t::replace);
 }
 
-/// JSON has none of what is not finite.
-Json number_json(double value) { return std::isfinite(value) ? Json(value) : Json(); }
-Json number_json(const Value& value) {
-  if (const auto* const whole = std::get_if<std::int64_t>(&value)) return *whole;
-  if (const auto* const natural = std::get_if<std::uint64_t>(&value)) return *natural;
-  if (const auto* const real = std::get_if<double>(&value)) return number_json(*real);
-  return nullptr;
+/// As the texts of JSON: a step without a number breaks the curve, and JSON has none of what is not finite.
+void append_value(std::string& to, const Value& value) {
+  std::visit(
+      [&to](const auto& held) {
+        using Held = std::decay_t<decltype(held)>;
+        if constexpr (std::is_same_v<Held, double>) {
+          std::isfinite(held) ? append_number(to, held) : void(to += "null");
+        } else if constexpr (std::is_same_v<Held, std::int64_t> || std::is_same_v<Held, std::uint64_t>) {
+          append_number(to, held);
+        } else {
+          to += "null";
+        }
+        to += ',';
+      },
+      value);
 }
 
-struct Point {
-  double time;
-  Json least, mean, most;
+/// The curve of a field: numbers, each with a comma behind it. `later` has what was read before.
+struct Series {
+  std::string unit;
+  struct Column {
+    const char* name;
+    std::string text, later;
+  };
+  std::array<Column, 4> columns = {{{"time"}, {"least"}, {"mean"}, {"most"}}};
 };
 /// The events of a step, by their sequences.
 struct Span {
   Time time{};
   std::uint64_t first = 0, last = 0, events = 0;
+};
+/// An origin on a topic.
+struct HistorySource {
+  std::vector<Span> spans;
+  std::map<std::string, Series> series;  // by path
+  const RecordedTopic* topic = nullptr;  // of which the following are
+  std::vector<std::pair<Figures, Series*>> wanted;
 };
 
 class Answer {
@@ -99,12 +120,16 @@ class Answer {
       if (request.topics.contains(one.topic)) descriptions_[{one.topic, one.version}] = std::move(one);
   }
 
-  /// False: there are more points than go into an answer.
+  /// What is before all that was read before. False: there are more points than go into an answer.
   bool read(const std::string& topic, Time from, Time until) {
     RowFilter filter{.topic = topic, .run = run_.run, .from = from, .until = until};
-    auto rows = recording_.steps(filter, request_.step).or_throw();
-    places_.clear();  // they point into the descriptions of these rows
+    auto rows = recording_.steps(filter, request_.step, request_.topics.at(topic)).or_throw();
     while (const RecordedRow* row = rows.next().or_throw()) add(*row);
+    for (auto& [key, source] : sources_) {
+      source.topic = nullptr;  // it was of these rows
+      for (auto& [path, series] : source.series)
+        for (Series::Column& column : series.columns) column.later.insert(0, std::exchange(column.text, {}));
+    }
     return points_ < most_points;
   }
   /// Also of sensors that never had an event.
@@ -115,21 +140,19 @@ class Answer {
         gaps_.push_back(std::move(*gap));
   }
 
-  void add_to(Json& answer) {
-    for (auto& [key, points] : series_) {
-      std::sort(points.begin(), points.end(), [](const Point& a, const Point& b) { return a.time < b.time; });
-      const auto& [topic, origin, path] = key;
-      Json one{
-          {"topic", topic},        {"origin", origin},       {"path", path},          {"unit", units_[{topic, path}]},
-          {"time", Json::array()}, {"least", Json::array()}, {"mean", Json::array()}, {"most", Json::array()}};
-      for (Point& point : points) {
-        one["time"].push_back(point.time);
-        one["least"].push_back(std::move(point.least));
-        one["mean"].push_back(std::move(point.mean));
-        one["most"].push_back(std::move(point.most));
+  /// The curves go into a text of their own, as objects with a comma behind each.
+  void add_to(Json& answer, std::string& curves) {
+    for (const auto& [key, source] : sources_)
+      for (const auto& [path, series] : source.series) {
+        curves += Json{{"topic", key.first}, {"origin", key.second}, {"path", path}, {"unit", series.unit}}.dump(
+            -1, ' ', false, Json::error_handler_t::replace);
+        curves.pop_back();
+        for (const Series::Column& column : series.columns) {
+          curves.append(",\"").append(column.name).append("\":[").append(column.later);
+          curves.back() = ']';
+        }
+        curves += "},";
       }
-      answer["series"].push_back(std::move(one));
-    }
     add_missing();
     for (const RecordedGap& gap : gaps_)
       answer["gaps"].push_back({{"topic", gap.topic},
@@ -143,42 +166,41 @@ class Answer {
 
  private:
   void add(const RecordedRow& row) {
-    const std::string& topic = row.topic().topic;
-    const std::string origin(row.header().origin);
+    HistorySource& source = sources_[{row.topic().topic, std::string(row.header().origin)}];
+    if (source.topic != &row.topic()) set_wanted(source, row.topic());
     const EventView event = row.event();
-    const auto events = std::get<std::uint64_t>(event.value(event.description().leaves().front()));
-    spans_[{topic, origin}].push_back({row.header().time, row.first_sequence(), row.last_sequence(), events});
-    for (const Figures& place : places_of(row)) {
-      // A step without a number breaks the curve.
-      const bool has_numbers = std::get<std::uint64_t>(event.value(*place.count)) > 0;
-      const auto number = [&](const Leaf& of) { return has_numbers ? number_json(event.value(of)) : Json(); };
-      series_[{topic, origin, place.of->path}].push_back(
-          {in_ms(row.header().time), number(*place.least), number(*place.mean), number(*place.most)});
+    const auto count_of = [&](const Leaf& leaf) { return std::get<std::uint64_t>(event.value(leaf)); };
+    source.spans.push_back(
+        {row.header().time, row.first_sequence(), row.last_sequence(), count_of(event.description().leaves().front())});
+    for (const auto& [figures, series] : source.wanted) {
+      const bool has_numbers = count_of(*figures.count) > 0;
+      auto column = series->columns.begin();
+      append_value(column++->text, in_ms(row.header().time));
+      for (const Leaf* const of : {figures.least, figures.mean, figures.most})
+        append_value(column++->text, has_numbers ? event.value(*of) : Value());
       ++points_;
     }
   }
 
-  /// Of the fields that are wanted.
-  const std::vector<Figures>& places_of(const RecordedRow& row) {
-    const RecordedTopic& topic = row.topic();
-    const auto [known, is_new] = places_.try_emplace({topic.topic, topic.version});
-    if (!is_new) return known->second;
+  void set_wanted(HistorySource& source, const RecordedTopic& topic) {
+    source.topic = &topic;
+    source.wanted.clear();
     const std::vector<std::string>& wanted = request_.topics.at(topic.topic);
     for (const Figures& one :
          figures_of(*topic.description, *descriptions_.at({topic.topic, topic.version}).description)) {
       if (!wanted.empty() && std::find(wanted.begin(), wanted.end(), one.of->path) == wanted.end()) continue;
-      known->second.push_back(one);
-      units_[{topic.topic, one.of->path}] = one.of->unit;
+      Series& series = source.series[one.of->path];
+      series.unit = one.of->unit;
+      source.wanted.emplace_back(one, &series);
     }
-    return known->second;
   }
 
   /// What the recording did not store: sequences without a row.
   void add_missing() {
-    for (auto& [key, spans] : spans_) {
-      std::sort(spans.begin(), spans.end(), [](const Span& a, const Span& b) { return a.time < b.time; });
+    for (auto& [key, source] : sources_) {
+      std::sort(source.spans.begin(), source.spans.end(), [](const Span& a, const Span& b) { return a.time < b.time; });
       const Span* before = nullptr;
-      for (const Span& span : spans) {
+      for (const Span& span : source.spans) {
         std::uint64_t missing = span.last - span.first + 1 > span.events ? span.last - span.first + 1 - span.events : 0;
         if (before != nullptr && span.first > before->last + 1) missing += span.first - before->last - 1;
         if (missing > 0)
@@ -193,10 +215,7 @@ class Answer {
   const RunInfo& run_;
   const Request& request_;
   std::map<std::pair<std::string, std::int64_t>, RecordedTopic> descriptions_;
-  std::map<std::pair<std::string, std::int64_t>, std::vector<Figures>> places_;
-  std::map<std::pair<std::string, std::string>, std::string> units_;
-  std::map<std::tuple<std::string, std::string, std::string>, std::vector<Point>> series_;
-  std::map<std::pair<std::string, std::string>, std::vector<Span>> spans_;
+  std::map<std::pair<std::string, std::string>, HistorySource> sources_;  // by topic and origin
   std::vector<RecordedGap> gaps_;
   std::size_t points_ = 0;
 };
@@ -262,11 +281,8 @@ std::string page_history(const std::vector<PageRecording>& recordings, std::opti
   if (wanted.empty() && !recordings.empty()) wanted[&recordings.front()];
   if (wanted.empty()) return error_text("nothing is recorded");
   const auto until = std::chrono::steady_clock::now() + patience;
-  Json answer{{"run", nullptr},
-              {"reached", in_ms(request->from)},
-              {"series", Json::array()},
-              {"gaps", Json::array()},
-              {"marks", Json::array()}};
+  std::string curves;
+  Json answer{{"run", nullptr}, {"reached", in_ms(request->from)}, {"gaps", Json::array()}, {"marks", Json::array()}};
   Time reached = request->from;
   for (const auto& [one, topics] : wanted) {
     const Recording recording = Recording::open(one->path).or_throw();
@@ -292,15 +308,19 @@ std::string page_history(const std::vector<PageRecording>& recordings, std::opti
       end = start;
       const auto now = std::chrono::steady_clock::now();
       if (!has_room || now > until) break;
-      if (now - asked < patience / 16) slice *= 2;  // to prepare a slice takes longer than to read a short one
+      // To prepare a slice takes longer than to read a short one.
+      slice *= std::clamp<std::int64_t>(patience / 16 / (now - asked + Duration{1}), 1, steps_of_slice);
     }
     if (end > begin) reached = end;
     of.read_gaps(end, request->until);
-    of.add_to(answer);
+    of.add_to(answer, curves);
     if (request->wants_marks) add_marks(answer, recording, *chosen, *request);
   }
   answer["reached"] = in_ms(reached);
-  return answer.dump(-1, ' ', false, Json::error_handler_t::replace);
+  if (!curves.empty()) curves.pop_back();
+  std::string told = answer.dump(-1, ' ', false, Json::error_handler_t::replace);
+  told.pop_back();
+  return told + ",\"series\":[" + curves + "]}";
 } catch (const std::exception& error) {
   return error_text(error.what());
 }
