@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstring>
 #include <limits>
 #include <nlohmann/json.hpp>
 #include <variant>
@@ -35,6 +36,11 @@ void append_real(std::string& text, double number) {
 
 /// None: it is absent, or NaN.
 std::optional<double> number_of(const Leaf& leaf, const std::byte* payload) {
+  if (leaf.kind == Kind::f64 && leaf.optional == nullptr) {  // most numbers are such
+    double real = 0;
+    std::memcpy(&real, payload + leaf.offset, sizeof real);
+    return std::isnan(real) ? std::nullopt : std::optional(real);
+  }
   const Value value = read(leaf, payload);
   if (const auto* const real = std::get_if<double>(&value))
     return std::isnan(*real) ? std::nullopt : std::optional(*real);
