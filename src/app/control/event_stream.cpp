@@ -187,18 +187,6 @@ void StepSums::begin(const PackedEvent& event, Time from, Time until) {
   add(event);
 }
 
-namespace {
-
-/// A mean with an infinity in it is that infinity; with both it is NaN.
-void weigh_in(double& mean, double value, double share) {
-  if (share == 1)
-    mean = value;
-  else
-    mean += std::isfinite(value) && std::isfinite(mean) ? (value - mean) * share : value;
-}
-
-}  // namespace
-
 void StepSums::add(const PackedEvent& event) {
   ++count_;
   last_ = event.sequence;
