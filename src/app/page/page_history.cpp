@@ -40,30 +40,41 @@ Time whole_steps(Time time, Duration step, bool up) {
   return from_nanoseconds(past == 0 ? ns : ns - past + (up ? step.count() : 0));
 }
 
-std::optional<Request> request_of(std::string_view text) {
+[[noreturn]] void refuse_request(std::string why) {
+  throw SetupError({Errc::bad_argument, "cannot read the history", "request", std::move(why), ""});
+}
+
+Request request_of(std::string_view text) {
+  // Of ms: what is computed from these times fits into 64 bits of ns.
+  constexpr double latest = 9.1e12, longest = 3.2e12, longest_step = 1e11;
   const Json given = Json::parse(text, nullptr, false);
-  const auto number = [&](const char* key) -> std::optional<double> {
+  const auto topics = given.is_object() ? given.find("topics") : given.end();
+  if (topics == given.end() || !topics->is_object()) refuse_request("it has no object of \"topics\"");
+  const auto number = [&](const char* key, double least, double most) {
     const auto found = given.find(key);
-    if (found == given.end() || !found->is_number()) return std::nullopt;
+    if (found == given.end() || !found->is_number())
+      refuse_request("it has no number of ms \"" + std::string(key) + "\"");
     const double value = found->get<double>();
-    return std::abs(value) < 9e12 ? std::optional(value) : std::nullopt;
+    if (!(value >= least && value <= most))
+      refuse_request("\"" + std::string(key) + "\" " + found->dump() + " is out of range");
+    return value;
   };
-  if (!given.is_object() || !given.contains("topics") || !given["topics"].is_object()) return std::nullopt;
-  const auto from = number("from"), until = number("until"), step = number("step");
-  if (!from || !until || !step || *step < 1 || *until <= *from) return std::nullopt;
+  const double from = number("from", -latest, latest), until = number("until", -latest, latest);
+  const double step = number("step", 1, longest_step);
+  if (!(until > from)) refuse_request("\"until\" is not after \"from\"");
+  if (until - from > longest) refuse_request("it asks for more than 100 years");
+  if ((until - from) / step > static_cast<double>(most_steps))
+    refuse_request("it asks for more than " + std::to_string(most_steps) + " steps: give a longer \"step\"");
+  if (topics->size() > most_topics) refuse_request("it asks for more than " + std::to_string(most_topics) + " topics");
   Request request;
-  request.step = Duration{std::llround(*step) * 1'000'000};
-  request.from = whole_steps(from_nanoseconds(std::llround(*from * 1e6)), request.step, false);
-  request.until = whole_steps(from_nanoseconds(std::llround(*until * 1e6)), request.step, true);
-  if ((request.until - request.from) / request.step > most_steps || given["topics"].size() > most_topics)
-    return std::nullopt;
-  for (const auto& [topic, paths] : given["topics"].items()) {
-    if (!is_topic_name(topic) || !paths.is_array()) return std::nullopt;
-    for (const Json& path : paths) {
-      if (!path.is_string()) return std::nullopt;
-      request.topics[topic].push_back(path.get<std::string>());
-    }
-    request.topics.try_emplace(topic);
+  request.step = Duration{std::llround(step) * 1'000'000};
+  request.from = whole_steps(from_nanoseconds(std::llround(from * 1e6)), request.step, false);
+  request.until = whole_steps(from_nanoseconds(std::llround(until * 1e6)), request.step, true);
+  for (const auto& [topic, paths] : topics->items()) {
+    const auto is_path = [](const Json& path) { return path.is_string(); };
+    if (!is_topic_name(topic) || !paths.is_array() || !std::all_of(paths.begin(), paths.end(), is_path))
+      refuse_request("its topics are not as {\"room/air\": [\"temperature\"]}");
+    request.topics[topic] = paths.get<std::vector<std::string>>();
   }
   request.wants_marks = given.value("marks", Json(false)) == Json(true);
   return request;
@@ -265,14 +276,13 @@ nlohmann::ordered_json page_run(const Recording& recording, const RunInfo& run) 
 
 std::string page_history(const std::vector<PageRecording>& recordings, std::optional<std::int64_t> run,
                          std::string_view text) try {
-  const auto request = request_of(text);
-  if (!request) return error_text("this request does not ask for the history, or asks for too much of it");
+  const Request request = request_of(text);
   const auto takes = [](const PageRecording& one, const std::string& topic) {
     return std::any_of(one.topics.begin(), one.topics.end(),
                        [&](const auto& taken) { return topic_matches(taken, topic); });
   };
   std::map<const PageRecording*, std::vector<std::string>> wanted;
-  for (const auto& [topic, paths] : request->topics)
+  for (const auto& [topic, paths] : request.topics)
     for (const PageRecording& one : recordings)
       if (takes(one, topic)) {
         wanted[&one].push_back(topic);
@@ -282,8 +292,8 @@ std::string page_history(const std::vector<PageRecording>& recordings, std::opti
   if (wanted.empty()) return error_text("nothing is recorded");
   const auto until = std::chrono::steady_clock::now() + patience;
   std::string curves;
-  Json answer{{"run", nullptr}, {"reached", in_ms(request->from)}, {"gaps", Json::array()}, {"marks", Json::array()}};
-  Time reached = request->from;
+  Json answer{{"run", nullptr}, {"reached", in_ms(request.from)}, {"gaps", Json::array()}, {"marks", Json::array()}};
+  Time reached = request.from;
   for (const auto& [one, topics] : wanted) {
     const Recording recording = Recording::open(one->path).or_throw();
     const std::vector<RunInfo> runs = recording.runs().or_throw();
@@ -295,26 +305,28 @@ std::string page_history(const std::vector<PageRecording>& recordings, std::opti
       answer["run"] = page_run(recording, *chosen);
       answer["run"]["sink"] = one->sink;
     }
-    Answer of(recording, *chosen, *request);
-    Duration slice = request->step * steps_of_slice;
-    Time end = request->until;
+    Answer of(recording, *chosen, request);
+    const Duration all = request.until - request.from;
+    Duration slice = request.step * std::min(steps_of_slice, all / request.step);
+    Time end = request.until;
     // Before the run there is nothing; a run of hours is not looked for in a window of a month.
-    const Time begin = std::max(reached, whole_steps(chosen->started, request->step, false));
+    const Time begin = whole_steps(std::max(reached, chosen->started), request.step, false);
     while (end > begin) {
       const auto asked = std::chrono::steady_clock::now();
-      const Time start = std::max(begin, whole_steps(end - slice, request->step, false));
+      const Time start = std::max(begin, whole_steps(end - slice, request.step, false));
       bool has_room = true;
       for (const std::string& topic : topics) has_room = of.read(topic, start, end) && has_room;
       end = start;
       const auto now = std::chrono::steady_clock::now();
       if (!has_room || now > until) break;
       // To prepare a slice takes longer than to read a short one.
-      slice *= std::clamp<std::int64_t>(patience / 16 / (now - asked + Duration{1}), 1, steps_of_slice);
+      slice *= std::clamp<std::int64_t>(patience / 16 / (now - asked + Duration{1}), 1,
+                                        std::min(steps_of_slice, all / slice));
     }
     if (end > begin) reached = end;
-    of.read_gaps(end, request->until);
+    of.read_gaps(end, request.until);
     of.add_to(answer, curves);
-    if (request->wants_marks) add_marks(answer, recording, *chosen, *request);
+    if (request.wants_marks) add_marks(answer, recording, *chosen, request);
   }
   answer["reached"] = in_ms(reached);
   if (!curves.empty()) curves.pop_back();
