@@ -228,7 +228,7 @@ Action prepare_plot(CLI::App& command) {
   const auto words = std::make_shared<std::vector<std::string>>();
   command.add_option("WORDS", *words,
                      "[NAME|PID|DB] FIELD ...: an instance when several run, or a recording; TOPIC.FIELD, or TOPIC for "
-                     "all its numbers; each has a panel");
+                     "all its numbers; each has a panel; without a FIELD it lists what there is");
   add_part(command, options->part);
   command.add_option("--origin", options->origin, "Only events of this sensor")->type_name("NAME");
   command.footer(

@@ -130,7 +130,7 @@ struct PartOptions {
 
 struct PlotOptions {
   std::string database;
-  std::vector<std::string> fields;  // TOPIC.FIELD, or TOPIC: all its numbers
+  std::vector<std::string> fields;  // TOPIC.FIELD, or TOPIC: all its numbers; none: lists what there is
   std::optional<std::string> origin = {};
   PartOptions part = {};
 };
