@@ -310,6 +310,7 @@ TEST_SUITE("sinks") {
     sql(path, "DELETE FROM a WHERE run = 2 AND sequence = 4");
     CHECK(has(refusal(2), "its account has another number of rows of a than there are"));
     CHECK(number(path, "SELECT count(*) FROM a WHERE run = 2") == 19);
+    CHECK_FALSE(std::filesystem::exists(path + "-lock"));
     CHECK(delete_run(path, 3));
   }
 
@@ -333,6 +334,7 @@ TEST_SUITE("sinks") {
     const Told refused = told(app::remove_run, {.database = path, .run = "3"});
     CHECK(refused.status == 1);
     CHECK(has(refused.err, "40 for sink peer"));
+    CHECK_FALSE(std::filesystem::exists(path + "-lock"));
     CHECK(runs_of(path).size() == 4);
     // What was sent goes without a word; the position is then that of the run before it.
     CHECK(told(app::remove_run, {.database = path, .run = "2"}).status == 0);
