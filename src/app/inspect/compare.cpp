@@ -154,11 +154,14 @@ void print(const std::array<Side, 2>& sides, const std::map<Key, Part>& parts, s
         << part.events[1] << " events\n";
     for (std::size_t i = 0; i < 2; ++i)
       if (!part.lost[i].empty()) out << "  " << i + 1 << ": in the whole run the topic lost " << part.lost[i] << "\n";
-    Table table({"field", ">least 1", ">2", ">mean 1", ">2", ">largest 1", ">2"});
+    Table table({"field", "", ">least", ">mean", ">largest"});
     for (const auto& [field, unit] : part.fields) {
-      const auto& [a, b] = part.figures.at(field);
-      table.add({field + (unit.empty() ? "" : " [" + unit + "]"), figure(a, a.least), figure(b, b.least),
-                 figure(a, a.mean), figure(b, b.mean), figure(a, a.largest), figure(b, b.largest)});
+      std::string name = field + (unit.empty() ? "" : " [" + unit + "]");
+      for (std::size_t i = 0; i < 2; ++i) {
+        const RunFigures& of = part.figures.at(field)[i];
+        table.add({std::exchange(name, ""), i == 0 ? "1:" : "2:", figure(of, of.least), figure(of, of.mean),
+                   figure(of, of.largest)});
+      }
     }
     if (!table.empty()) out << table.text("  ", 80);
   }
