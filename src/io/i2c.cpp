@@ -2,8 +2,8 @@
 
 #include <algorithm>
 #include <cerrno>
-#include <charconv>
 
+#include "io/code_text.hpp"
 #include "io/enabling.hpp"
 #include "rtdata/detail/loop/lane.hpp"
 
@@ -27,21 +27,7 @@ std::string mistake_in(I2cAddress address) {
 }
 
 bool ConfigValue<I2cAddress>::read(const ConfigItem& item, I2cAddress& out, Problems& problems) {
-  unsigned number = 0;
-  if (item.kind() == ConfigItem::Kind::string) {
-    std::string_view text;
-    if (!config_detail::read_string(item, text, problems)) return false;
-    const bool is_hex = text.starts_with("0x") || text.starts_with("0X");
-    const std::string_view digits = text.substr(is_hex ? 2 : 0);
-    const auto [end, status] = std::from_chars(digits.data(), digits.data() + digits.size(), number, is_hex ? 16 : 10);
-    if (status != std::errc{} || end != digits.data() + digits.size()) {
-      problems.add(item.problem("bad-value", "\"" + std::string(text) + "\" is not an address: write it as \"0x76\""));
-      return false;
-    }
-  } else if (!ConfigValue<unsigned>::read(item, number, problems)) {
-    return false;
-  }
-  out = I2cAddress(number);
+  if (!detail::read_code(item, out.number, "an address: write it as \"0x76\"", problems)) return false;
   const std::string mistake = mistake_in(out);
   if (!mistake.empty()) problems.add(item.problem("bad-value", mistake));
   return mistake.empty();

@@ -26,6 +26,11 @@ ChangedFile::ChangedFile(const std::string& path, const char* doing) : doing_(do
   database_.execute("PRAGMA synchronous=FULL");
 }
 
+ChangedFile::~ChangedFile() {
+  database_ = {};
+  if (lock_.noted().empty()) lock_.remove();
+}
+
 void ChangedFile::roll_back() noexcept {
   if (sqlite3_get_autocommit(database_.raw()) == 0)
     sqlite3_exec(database_.raw(), "ROLLBACK", nullptr, nullptr, nullptr);

@@ -16,6 +16,8 @@ class ChangedFile {
   /// `Recording::open`.
   ChangedFile(const std::string& path, const char* doing);
   ChangedFile(const ChangedFile&) = delete;
+  /// Nothing stays beside it but a lock file that names one with the counts of a killed run.
+  ~ChangedFile();
 
   Database& database() noexcept { return database_; }
   RecordingLock& lock() noexcept { return lock_; }

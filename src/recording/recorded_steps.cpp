@@ -114,147 +114,201 @@ void step_of(sqlite3_context* context, int, sqlite3_value** arguments) noexcept 
 /// One with another order of the bits, by which unsigned numbers of 64 bits are in order: as it is stored, or read.
 std::int64_t turned(std::int64_t value) noexcept { return value ^ std::numeric_limits<std::int64_t>::min(); }
 
+/// The longest recorded steps of which the steps asked for are made; null: there are none.
+const sqlite::StepLength* recorded_steps(const RecordingFile& file, const RecordedTopic& topic, const RowFilter& filter,
+                                         Duration step) {
+  const auto& leaves = topic.description->leaves();
+  const auto numbers = std::count_if(leaves.begin(), leaves.end(),
+                                     [](const Leaf& leaf) { return is_number(leaf.kind); });
+  if (filter.times == RowFilter::Times::utc || filter.every > 1 ||
+      static_cast<std::size_t>(numbers) > sqlite::most_step_fields)
+    return nullptr;
+  for (auto length = sqlite::step_lengths.rbegin(); length != sqlite::step_lengths.rend(); ++length) {
+    const auto begins_one = [&](const std::optional<Time>& at) {
+      return !at || to_nanoseconds(*at) % length->nanoseconds == 0;
+    };
+    if (step.count() % length->nanoseconds != 0 || !begins_one(filter.from) || !begins_one(filter.until)) continue;
+    if (sqlite::has_table(file.database, sqlite::step_table(topic.table, *length))) return &*length;
+  }
+  return nullptr;
+}
+
+/// A query of the accounts of a topic, as the filter has them.
+sqlite::Statement of_ledger(const RecordingFile& file, const RecordedTopic& topic, const RowFilter& filter,
+                            const std::string& sql) {
+  auto statement = file.prepare(sql);
+  const auto index = [&](const char* name) { return sqlite3_bind_parameter_index(statement.raw(), name); };
+  statement.bind(index(":topic"), std::string_view(topic.topic));
+  if (filter.run) statement.bind(index(":run"), *filter.run);
+  if (filter.origin && index(":origin") != 0) statement.bind(index(":origin"), std::string_view(*filter.origin));
+  return statement;
+}
+
+/// Whether there may be rows that are in no recorded step. They are the first of an origin, or all of it.
+bool has_others(const RecordingFile& file, const RecordedTopic& topic, const RowFilter& filter,
+                const sqlite::StepLength& length) {
+  const std::string from = "t." + std::string(length.from);
+  auto statement = of_ledger(
+      file, topic, filter,
+      "SELECT EXISTS(SELECT 1 FROM rtdata_ledger t JOIN rtdata_run r ON r.run = t.run WHERE t.topic = :topic AND "
+      "ifnull(t.run = :run, 1) AND ifnull(t.origin = :origin, 1) AND (t.stored > t.pruned OR r.state = 'recording') "
+      "AND NOT (" +
+          from + " <> 0 AND t.first_sequence <> 0 AND t.pruned >= " + from + " - t.first_sequence))");
+  statement.step();
+  return statement.integer(0) != 0;
+}
+
 class StepCursor final : public RowCursor {
  public:
-  StepCursor(const Recording& recording, RecordedTopic topic, const Selection& selection, Duration step)
+  /// Of what it is made.
+  struct Source {
+    const sqlite::StepLength* recorded = nullptr;  ///< null: rows alone
+    bool has_others = false;                       ///< rows beside recorded steps
+  };
+  StepCursor(const Recording& recording, RecordedTopic topic, const Selection& selection, Duration step,
+             std::span<const std::string> fields, Source source)
       : file_(recording.file()), topic_(std::move(topic)), out_(topic_), selection_(selection) {
     steps_ = {step.count(), selection.filter.times, {}};
     if (steps_.times == RowFilter::Times::utc)
       for (const RunInfo& one : recording.runs().or_throw())
         steps_.lines.emplace(one.run, utc_line_of(*file_, one.run));
     out_.description = description_of_steps(*topic_.description);
-    for (const Leaf& leaf : topic_.description->leaves())
-      if (is_number(leaf.kind)) leaves_.push_back(&leaf);
-    const sqlite::StepLength* const recorded = recorded_steps();
-    for (std::size_t first = 0; first == 0 || first < leaves_.size(); first += leaves_at_once) {
-      const std::string from = recorded != nullptr ? of_recorded(*recorded) : of_rows(first);
-      statements_.push_back(file_->prepare(from + " GROUP BY 1, 2, 3 ORDER BY 1, 2, 3"));
+    std::size_t place = 1;  // behind the number of events
+    for (const Leaf& leaf : topic_.description->leaves()) {
+      if (!is_number(leaf.kind)) continue;
+      const bool is_wanted = fields.empty() || std::find(fields.begin(), fields.end(), leaf.path) != fields.end();
+      if (is_wanted) numbers_.push_back({&leaf, place});
+      place += 4;
+    }
+    for (std::size_t first = 0; first == 0 || first < numbers_.size(); first += numbers_at_once) {
+      statements_.push_back(file_->prepare(source.recorded != nullptr ? of_recorded(source) : of_rows(first)));
       bind(statements_.back());
     }
+    go_on();
   }
 
   bool advance() override {
-    bool has_row = false;
-    for (sqlite::Statement& statement : statements_) has_row = statement.step();  // all give the same steps
-    if (!has_row) return false;
+    if (!has_row_) return false;
     const sqlite::Statement& first = statements_.front();
     if (std::exchange(run, first.integer(0)) != first.integer(0)) sequences_.clear();
-    if (__builtin_mul_overflow(first.integer(1), steps_.step, &time)) time = std::numeric_limits<std::int64_t>::min();
-    for (std::size_t i = 0; i < leaves_.size(); ++i) {
-      const auto [row, column] = place_of(i);
-      const int type = sqlite3_column_type(row.raw(), column + most_column);  // of texts and blobs, too
-      if (row.integer(column + odd_column) != 0 || type == SQLITE_TEXT || type == SQLITE_BLOB) tell_odd(*leaves_[i]);
-    }
+    step_ = first.integer(1);
+    origin_ = first.text(2);
+    if (__builtin_mul_overflow(step_, steps_.step, &time)) time = std::numeric_limits<std::int64_t>::min();
+    events_ = 0;
+    first_ = first.integer(first_column);
+    last_ = first.integer(first_column + 1);
+    for (Number& number : numbers_) number.count = 0;
+    do {
+      events_ += first.integer(events_column);
+      first_ = std::min(first_, first.integer(first_column));
+      last_ = std::max(last_, first.integer(first_column + 1));
+      for (std::size_t i = 0; i < numbers_.size(); ++i) add(i);
+      go_on();
+    } while (has_row_ && first.integer(0) == run && first.integer(1) == step_ && first.text(2) == origin_);
     return true;
   }
 
   void give(RecordedRow& row) override {
-    const sqlite::Statement& first = statements_.front();
-    const std::string_view origin = first.text(2);
-    std::byte* const payload = set_event(row, origin, ++sequences_[std::string(origin)], out_);
-    set_sequences(row, static_cast<std::uint64_t>(first.integer(first_column)),
-                  static_cast<std::uint64_t>(first.integer(first_column + 1)));
+    std::byte* const payload = set_event(row, origin_, ++sequences_[origin_], out_);
+    set_sequences(row, static_cast<std::uint64_t>(first_), static_cast<std::uint64_t>(last_));
     std::fill(payload, payload + out_.description->size(), std::byte{0});
-    const Leaf* to = out_.description->leaves().data();
-    const auto put = [&](const Value& value) { write(*to++, payload, value).or_throw(); };
-    put(first.integer(3));
-    for (std::size_t i = 0; i < leaves_.size(); ++i) {
-      const auto [of, column] = place_of(i);
-      put(of.integer(column));
-      if (of.integer(column) == 0) {
-        to += 3;
-      } else if (is_float(leaves_[i]->kind)) {
-        put(of.real(column + least_column));
-        put(of.real(column + most_column));
-        // The sum was rounded.
-        put(std::clamp(mean(*leaves_[i], of, column), of.real(column + least_column), of.real(column + most_column)));
+    const std::vector<Leaf>& leaves = out_.description->leaves();
+    write(leaves.front(), payload, Value{events_}).or_throw();
+    for (const Number& number : numbers_) {
+      const Leaf* to = &leaves[number.place];
+      const auto put = [&](const Value& value) { write(*to++, payload, value).or_throw(); };
+      put(number.count);
+      if (number.count == 0) continue;
+      if (is_float(number.leaf->kind)) {
+        put(number.least);
+        put(number.most);
+        put(std::clamp(mean_of(number), number.least, number.most));  // the sum was rounded
       } else {
-        const bool is_unsigned = leaves_[i]->kind == Kind::u64;
-        for (const int one : {least_column, most_column}) {
-          const std::int64_t value = of.integer(column + one);
+        const bool is_unsigned = number.leaf->kind == Kind::u64;
+        for (const std::int64_t value : {number.low, number.high})
           put(is_unsigned ? Value{static_cast<std::uint64_t>(turned(value))} : Value{value});
-        }
-        put(of.real(column + mean_column));
+        put(mean_of(number));
       }
     }
   }
 
  private:
-  static constexpr std::size_t leaves_at_once = 390;  // a query has at most 2000 columns
-  static constexpr int first_column = 4;              // the first sequence, and the last
-  static constexpr int columns_before = 6, least_column = 1, most_column = 2, mean_column = 3, odd_column = 4,
+  static constexpr std::size_t numbers_at_once = 390;        // a query has at most 2000 columns
+  static constexpr int events_column = 3, first_column = 4;  // the first sequence, and the last
+  static constexpr int columns_before = 6, least_column = 1, most_column = 2, sum_column = 3, odd_column = 4,
                        columns_each = 5;
 
-  /// The longest that the steps asked for are made of; null: there are none.
-  const sqlite::StepLength* recorded_steps() const {
-    const RowFilter& filter = selection_.filter;
-    if (steps_.times == RowFilter::Times::utc || filter.every > 1 || leaves_.size() > sqlite::most_step_fields)
-      return nullptr;
-    for (auto length = sqlite::step_lengths.rbegin(); length != sqlite::step_lengths.rend(); ++length) {
-      const auto begins_one = [&](const std::optional<Time>& at) {
-        return !at || to_nanoseconds(*at) % length->nanoseconds == 0;
-      };
-      if (steps_.step % length->nanoseconds != 0 || !begins_one(filter.from) || !begins_one(filter.until)) continue;
-      if (sqlite::has_table(file_->database, sqlite::step_table(topic_.table, *length))) return &*length;
+  /// One that is asked for, in the step at hand.
+  struct Number {
+    const Leaf* leaf;
+    std::size_t place;  ///< of its count, among the leaves of steps
+    std::int64_t count = 0;
+    double least = 0, most = 0;      ///< of a float
+    std::int64_t low = 0, high = 0;  ///< of any other, in order
+    double sum = 0;
+  };
+
+  void go_on() {
+    for (sqlite::Statement& statement : statements_) has_row_ = statement.step();  // all give the same steps
+  }
+
+  /// Of a recorded step, or of rows.
+  void add(std::size_t i) {
+    Number& number = numbers_[i];
+    const sqlite::Statement& row = statements_[i / numbers_at_once];
+    const int column = columns_before + static_cast<int>(i % numbers_at_once) * columns_each;
+    const int type = sqlite3_column_type(row.raw(), column + most_column);  // of texts and blobs, too
+    if (row.integer(column + odd_column) != 0 || type == SQLITE_TEXT || type == SQLITE_BLOB) tell_odd(*number.leaf);
+    const std::int64_t count = row.integer(column);
+    if (count == 0) return;
+    const bool is_first = number.count == 0;
+    if (is_float(number.leaf->kind)) {
+      const double least = row.real(column + least_column), most = row.real(column + most_column);
+      number.least = is_first ? least : std::min(number.least, least);
+      number.most = is_first ? most : std::max(number.most, most);
+    } else {
+      const std::int64_t low = row.integer(column + least_column), high = row.integer(column + most_column);
+      number.low = is_first ? low : std::min(number.low, low);
+      number.high = is_first ? high : std::max(number.high, high);
     }
-    return nullptr;
+    // SQL has no NaN; a sum that is none makes the mean none.
+    const double sum = row.is_null(column + sum_column) ? std::numeric_limits<double>::quiet_NaN()
+                                                        : row.real(column + sum_column);
+    number.sum = is_first ? sum : number.sum + sum;
+    number.count += count;
   }
 
   std::string of_rows(std::size_t first) const {
     std::string sql = "SELECT t.run, " + step_sql() + ", t.origin, count(*), min(t.sequence), max(t.sequence)";
-    for (std::size_t i = first; i < std::min(first + leaves_at_once, leaves_.size()); ++i) sql += columns(*leaves_[i]);
-    return sql + " FROM " + sqlite::quoted(topic_.table) + " t WHERE " + row_conditions(selection_);
+    for (std::size_t i = first; i < std::min(first + numbers_at_once, numbers_.size()); ++i)
+      sql += columns(*numbers_[i].leaf);
+    return sql + " FROM " + sqlite::quoted(topic_.table) + " t WHERE " + row_conditions(selection_) +
+           " GROUP BY 1, 2, 3 ORDER BY 1, 2, 3";
   }
 
-  /// The same of recorded steps, and of those rows that are in none.
-  std::string of_recorded(const sqlite::StepLength& length) {
-    std::string sql = "SELECT t.run, " + step_sql() + ", t.origin, sum(t.events), min(t.first), max(t.last)";
-    std::string
-        recorded = "SELECT t.run, t.time, t.origin, t.events, t.first_sequence AS first, t.last_sequence AS last";
-    std::string rows = "SELECT t.run, t.time, t.origin, 1, t.sequence, t.sequence";
-    for (std::size_t i = 0; i < leaves_.size(); ++i) {
-      const OfLeaf of(*leaves_[i]);
-      const auto figure = [&](const char* name) { return "t." + sqlite::quoted(leaves_[i]->path + name); };
-      const auto column = [n = std::to_string(i)](const char* name) { return "t." + (name + n); };
-      const auto as = [n = std::to_string(i)](const char* name) {
-        return std::string(" AS ") + name + n + (name == std::string_view("odd") ? "" : ", ");
-      };
-      recorded += ", " + figure(".count") + as("n") + of.in_order(figure(".min")) + as("low") +
-                  of.in_order(figure(".max")) + as("high") + figure(".sum") + as("total") + "0" + as("odd");
-      rows += ", " + of.number() + " IS NOT NULL" + as("n") + of.ordered() + as("low") + of.ordered() + as("high") +
-              of.number() + as("total") + of.odd() + as("odd");
-      // A sum that is none makes the mean none.
-      sql += ", total(" + column("n") + "), min(" + column("low") + "), max(" + column("high") + "), iif(count(" +
-             column("total") + ") = count(nullif(" + column("n") + ", 0)), total(" + column("total") + ") / sum(" +
-             column("n") + "), NULL), " + (is_float(leaves_[i]->kind) ? "0" : "total(" + column("odd") + ")");
+  /// Recorded steps, and each of the rows that are in none.
+  std::string of_recorded(const Source& source) const {
+    const std::string begin = "SELECT t.run, " + step_sql() + ", t.origin, ";
+    std::string recorded = begin + "t.events, t.first_sequence, t.last_sequence";
+    std::string rows = begin + "1, t.sequence, t.sequence";
+    for (const Number& number : numbers_) {
+      const OfLeaf of(*number.leaf);
+      const auto figure = [&](const char* name) { return "t." + sqlite::quoted(number.leaf->path + name); };
+      recorded += ", " + figure(".count") + ", " + of.in_order(figure(".min")) + ", " + of.in_order(figure(".max")) +
+                  ", " + figure(".sum") + ", 0";
+      rows += ", " + of.number() + " IS NOT NULL, " + of.ordered() + ", " + of.ordered() + ", " + of.number() + ", " +
+              of.odd();
     }
-    recorded += " FROM " + sqlite::quoted(sqlite::step_table(topic_.table, length)) + " t WHERE " +
+    recorded += " FROM " + sqlite::quoted(sqlite::step_table(topic_.table, *source.recorded)) + " t WHERE " +
                 row_conditions(selection_);
-    if (has_others(length)) {
-      recorded += " UNION ALL " + rows + " FROM " + sqlite::quoted(topic_.table) + " t WHERE " +
-                  row_conditions(selection_) +
-                  " AND NOT EXISTS(SELECT 1 FROM rtdata_ledger l WHERE l.run = t.run AND l.topic = :topic AND l.origin "
-                  "= t.origin AND l." +
-                  std::string(length.from) + " BETWEEN 1 AND t.sequence)";
-    }
-    return sql + " FROM (" + recorded + ") t";
-  }
-
-  /// Whether there may be rows that are in no step. They are the first of an origin, or all of it.
-  bool has_others(const sqlite::StepLength& length) const {
-    const std::string from = "t." + std::string(length.from);
-    auto statement = file_->prepare(
-        "SELECT EXISTS(SELECT 1 FROM rtdata_ledger t JOIN rtdata_run r ON r.run = t.run WHERE t.topic = :topic AND "
-        "ifnull(t.run = :run, 1) AND ifnull(t.origin = :origin, 1) AND (t.stored > t.pruned OR r.state = 'recording') "
-        "AND NOT (" +
-        from + " <> 0 AND t.first_sequence <> 0 AND t.pruned >= " + from + " - t.first_sequence))");
-    const auto index = [&](const char* name) { return sqlite3_bind_parameter_index(statement.raw(), name); };
-    const RowFilter& filter = selection_.filter;
-    statement.bind(index(":topic"), std::string_view(topic_.topic));
-    if (filter.run) statement.bind(index(":run"), *filter.run);
-    if (filter.origin) statement.bind(index(":origin"), std::string_view(*filter.origin));
-    statement.step();
-    return statement.integer(0) != 0;
+    // Those of one origin lie in the order of their times.
+    if (!source.has_others)
+      return recorded + (selection_.filter.origin ? " ORDER BY t.run, t.time" : " ORDER BY 1, 2, 3");
+    return recorded + " UNION ALL " + rows + " FROM " + sqlite::quoted(topic_.table) + " t WHERE " +
+           row_conditions(selection_) +
+           " AND NOT EXISTS(SELECT 1 FROM rtdata_ledger l WHERE l.run = t.run AND l.topic = :topic AND l.origin "
+           "= t.origin AND l." +
+           std::string(source.recorded->from) + " BETWEEN 1 AND t.sequence) ORDER BY 1, 2, 3";
   }
 
   std::string step_sql() const {
@@ -291,10 +345,10 @@ class StepCursor final : public RowCursor {
     const std::string column_;
   };
 
-  /// How many values of a field there are, the least, the largest, the mean, and whether one is none.
+  /// How many values of a field there are, the least, the largest, the sum, and whether one is none.
   static std::string columns(const Leaf& leaf) {
     const OfLeaf of(leaf);
-    return ", count(" + of.number() + "), min(" + of.ordered() + "), max(" + of.ordered() + "), avg(" + of.number() +
+    return ", count(" + of.number() + "), min(" + of.ordered() + "), max(" + of.ordered() + "), total(" + of.number() +
            "), " + (is_float(leaf.kind) ? "0" : "total(" + of.odd() + ")");
   }
 
@@ -306,33 +360,25 @@ class StepCursor final : public RowCursor {
     if (topic != 0) statement.bind(topic, std::string_view(topic_.topic));
   }
 
-  std::pair<const sqlite::Statement&, int> place_of(std::size_t leaf) const {
-    return {statements_[leaf / leaves_at_once],
-            columns_before + static_cast<int>(leaf % leaves_at_once) * columns_each};
-  }
-
   /// The rows of the step at hand, once more.
   sqlite::Statement of_step(const std::string& what, const std::string& condition) {
-    const sqlite::Statement& first = statements_.front();
     auto statement = file_->prepare("SELECT " + what + " FROM " + sqlite::quoted(topic_.table) + " t WHERE " +
                                     row_conditions(selection_) + " AND t.run = :of_run AND " + step_sql() +
                                     " = :of_step AND t.origin = :of_origin AND " + condition);
     const auto index = [&](const char* name) { return sqlite3_bind_parameter_index(statement.raw(), name); };
     bind(statement);
-    statement.bind(index(":of_run"), first.integer(0)).bind(index(":of_step"), first.integer(1));
-    statement.bind(index(":of_origin"), first.text(2));
+    statement.bind(index(":of_run"), run).bind(index(":of_step"), step_);
+    statement.bind(index(":of_origin"), std::string_view(origin_));
     return statement;
   }
 
   /// Near the largest numbers a sum is none any more, where the mean is.
-  double mean(const Leaf& leaf, const sqlite::Statement& of, int column) {
-    const double found = of.is_null(column + mean_column) ? std::numeric_limits<double>::quiet_NaN()
-                                                          : of.real(column + mean_column);
-    const bool are_finite = std::isfinite(of.real(column + least_column)) &&
-                            std::isfinite(of.real(column + most_column));
+  double mean_of(const Number& of) {
+    const double found = of.sum / static_cast<double>(of.count);
+    const bool are_finite = std::isfinite(of.least) && std::isfinite(of.most);
     if (std::isfinite(found) || !are_finite) return found;
     // Of values so small that the sum of as many as a step can have is a number.
-    auto scaled = of_step("avg(nullif(t." + sqlite::quoted(leaf.path) + ", 'NaN') / 18446744073709551616.0)", "1");
+    auto scaled = of_step("avg(nullif(t." + sqlite::quoted(of.leaf->path) + ", 'NaN') / 18446744073709551616.0)", "1");
     scaled.step();
     return scaled.real(0) * 0x1p64;
   }
@@ -342,8 +388,7 @@ class StepCursor final : public RowCursor {
     const std::string column = "t." + sqlite::quoted(leaf.path);
     auto row = of_step("t.sequence", "typeof(" + column + ") NOT IN " + allowed + " AND " + column + " IS NOT 'NaN'");
     row.step();
-    throw SetupError(at_row(*file_, topic_, run, statements_.front().text(2),
-                            static_cast<std::uint64_t>(row.integer(0)),
+    throw SetupError(at_row(*file_, topic_, run, origin_, static_cast<std::uint64_t>(row.integer(0)),
                             {Errc::damaged, "cannot read a row", "field " + leaf.path,
                              "it holds a value that is not a valid " + std::string(name_of(leaf.kind)), ""}));
   }
@@ -353,8 +398,11 @@ class StepCursor final : public RowCursor {
   RecordedTopic out_;
   const Selection selection_;
   Steps steps_;
-  std::vector<const Leaf*> leaves_;                 // that are numbers
-  std::vector<sqlite::Statement> statements_;       // each of some of them
+  std::vector<Number> numbers_;
+  std::vector<sqlite::Statement> statements_;  // each of some of them
+  bool has_row_ = false;                       // they are at one that is not added yet
+  std::int64_t step_ = 0, events_ = 0, first_ = 0, last_ = 0;
+  std::string origin_;
   std::map<std::string, std::uint64_t> sequences_;  // of the last step, by origin
 };
 
@@ -366,9 +414,29 @@ void provide_steps(const sqlite::Database& database) {
     throw SetupError(sqlite::error_of(database.raw(), "cannot read the recording"));
 }
 
-std::unique_ptr<RowCursor> make_step_cursor(const Recording& recording, RecordedTopic topic, const Selection& selection,
-                                            Duration step) {
-  return std::make_unique<StepCursor>(recording, std::move(topic), selection, step);
+void add_step_cursors(RowsMerge& to, const Recording& recording, RecordedTopic topic, const Selection& selection,
+                      Duration step, std::span<const std::string> fields) {
+  constexpr std::size_t most_apart = 16;  // each has a query of its own
+  const auto add = [&](const Selection& of, const StepCursor::Source& source) {
+    to.add(std::make_unique<StepCursor>(recording, topic, of, step, fields, source));
+  };
+  const RowFilter& filter = selection.filter;
+  const RecordingFile& file = *recording.file();
+  StepCursor::Source source{recorded_steps(file, topic, filter, step)};
+  if (source.recorded == nullptr) return add(selection, source);
+  source.has_others = has_others(file, topic, filter, *source.recorded);
+  std::vector<std::string> origins;  // each of which lies in order, where SQLite would have to sort all of them
+  if (!source.has_others && !filter.origin)
+    origins = of_ledger(file, topic, filter,
+                        "SELECT DISTINCT origin FROM rtdata_ledger WHERE topic = :topic AND ifnull(run = :run, 1) "
+                        "ORDER BY origin")
+                  .texts();
+  if (origins.empty() || origins.size() > most_apart) return add(selection, source);
+  for (std::string& origin : origins) {
+    Selection of = selection;
+    of.filter.origin = std::move(origin);
+    add(of, source);
+  }
 }
 
 }  // namespace rtdata::detail

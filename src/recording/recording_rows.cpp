@@ -289,33 +289,35 @@ Result<const RecordedRow*> Rows::next() try {
 
 namespace {
 
-/// A merge of the gaps, if they are asked for, and of what `make` gives for each table.
-template <class Make>
-std::unique_ptr<detail::RowsMerge> merged(const Recording& recording, const RowFilter& filter, Make make) {
+/// A merge of the gaps, if they are asked for, and of what `add` adds for each table.
+template <class Add>
+std::unique_ptr<detail::RowsMerge> merged(const Recording& recording, const RowFilter& filter, Add add) {
   auto merge = std::make_unique<detail::RowsMerge>(recording.file(), detail::Snapshot(recording.file()), filter.limit);
   const auto selection = detail::Selection::make(recording, filter);
   if (filter.gaps == RowFilter::Gaps::in_place) merge->add(detail::make_gap_cursor(*merge->file, selection));
   auto all = recording.topics().or_throw();
   std::erase_if(all, [&](const RecordedTopic& topic) { return !topic_matches(filter.topic, topic.topic); });
-  for (RecordedTopic& topic : all) merge->add(make(*merge->file, std::move(topic), selection));
+  for (RecordedTopic& topic : all) add(*merge, std::move(topic), selection);
   return merge;
 }
 
 }  // namespace
 
 Result<Rows> Recording::rows(const RowFilter& filter) const try {
-  return Rows(merged(*this, filter, detail::make_table_cursor));
+  return Rows(merged(*this, filter, [](auto& to, RecordedTopic topic, const detail::Selection& selection) {
+    to.add(detail::make_table_cursor(*to.file, std::move(topic), selection));
+  }));
 } catch (const SetupError& error) {
   return error.error();
 }
 
-Result<Rows> Recording::steps(const RowFilter& filter, Duration step) const try {
+Result<Rows> Recording::steps(const RowFilter& filter, Duration step, std::span<const std::string> fields) const try {
   if (step < Duration{1}) {
     throw SetupError({Errc::bad_argument, "cannot select steps", "step " + to_string(step), "it is not above 0",
                       "give the length of a step, such as 1 s"});
   }
-  return Rows(merged(*this, filter, [&](const auto&, RecordedTopic topic, const detail::Selection& selection) {
-    return detail::make_step_cursor(*this, std::move(topic), selection, step);
+  return Rows(merged(*this, filter, [&](auto& to, RecordedTopic topic, const detail::Selection& selection) {
+    detail::add_step_cursors(to, *this, std::move(topic), selection, step, fields);
   }));
 } catch (const SetupError& error) {
   return error.error();

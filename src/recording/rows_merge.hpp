@@ -3,6 +3,7 @@
 
 #include <cstdint>
 #include <memory>
+#include <span>
 #include <string>
 #include <utility>
 #include <vector>
@@ -85,7 +86,7 @@ std::unique_ptr<RowCursor> make_gap_cursor(const RecordingFile& file, const Sele
 /// Registers the SQL functions for steps on a connection.
 void provide_steps(const sqlite::Database& database);
 /// A topic's table in steps.
-std::unique_ptr<RowCursor> make_step_cursor(const Recording& recording, RecordedTopic topic, const Selection& selection,
-                                            Duration step);
+void add_step_cursors(RowsMerge& to, const Recording& recording, RecordedTopic topic, const Selection& selection,
+                      Duration step, std::span<const std::string> fields);
 
 }  // namespace rtdata::detail

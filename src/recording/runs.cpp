@@ -220,7 +220,6 @@ Result<RunDeletion> delete_run(const std::string& path, std::int64_t run, Unsent
     deleted = Deletion(file.database(), sums, run).all(unsent);
   });
   file.tidy();
-  if (file.lock().noted().empty()) file.lock().remove();  // otherwise it names the file with the counts of a killed run
   return deleted;
 } catch (const SetupError& error) {
   return error.error();

@@ -435,6 +435,31 @@ TEST_SUITE("app") {
     CHECK(loop.callbacks().size() == 2);
   }
 
+  TEST_CASE("the rate of a slow sensor is right, or not told, from the first answer on") {
+    Loop loop{Loop::Manual{}};
+    StatusSource status(loop, {.name = "rig", .configuration = "rig.json"});
+    const Sensor<Level> two(loop, {.name = "two", .rate = 2_Hz}, [] { return Level{1}; });
+    const Sensor<Level> tenth(loop, {.name = "tenth", .rate = 0.1_Hz}, [] { return Level{1}; });
+    Duration offset = 10ms;
+    SUBCASE("just after a reading") {}
+    SUBCASE("between two") { offset = 260ms; }
+    SUBCASE("just before one") { offset = 490ms; }
+    loop.advance(offset);
+    int told = 0, of_tenth = 0;
+    for (int i = 0; i < 50; ++i) {
+      const auto answer = nlohmann::json::parse(status.answer(7, R"({"request":"status"})")());
+      for (const auto& [sensor, hertz, count] : {std::tuple{0, 2.0, &told}, {1, 0.1, &of_tenth}}) {
+        const auto& reached = answer["sensors"][sensor]["reached_hz"];
+        if (reached.is_null()) continue;
+        CHECK(reached.get<double>() == doctest::Approx(hertz).epsilon(0.001));
+        ++*count;
+      }
+      loop.advance(1s);
+    }
+    CHECK(told >= 48);
+    CHECK(of_tenth >= 20);
+  }
+
   TEST_CASE("a status says the same as a value, as JSON and as text, and its keys are those that are documented") {
     app::Status status;
     status.instance = {"rig", 4711, "2026-03-01T12:00:00Z", 2500ms, "rig.json"};

@@ -122,6 +122,18 @@ TEST_SUITE("app") {
     CHECK(lines[3]["data"]["value"]["most"] == "Infinity");
   }
 
+  TEST_CASE("NFR-5 the mean of a step is right near the largest numbers") {
+    Fed fed(R"({"request":"subscribe","step":"1 s"})");
+    for (std::uint64_t i = 1; i <= 4; ++i)
+      fed.give("t", at(i * 100ms), i, RoomReading{i % 2 == 0 ? -1.6e308 : 1.6e308, "", 1});
+    for (std::uint64_t i = 5; i <= 7; ++i) fed.give("t", at(i * 100ms + 1s), i, RoomReading{1.7e308, "", 1});
+    fed.give("t", at(3s), 8, RoomReading{});
+    const auto lines = fed.lines();
+    REQUIRE(lines.size() == 4);
+    CHECK(std::abs(lines[2]["data"]["value"]["mean"].get<double>()) < 1e294);
+    CHECK(lines[3]["data"]["value"]["mean"] == 1.7e308);
+  }
+
   TEST_CASE("NFR-5 steps begin at multiples of their length, and have count, least, most, mean and last") {
     Fed fed(R"({"request":"subscribe","step":"100 ms"})");
     (void)fed.lines();

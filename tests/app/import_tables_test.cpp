@@ -185,8 +185,10 @@ TEST_SUITE("app") {
       CAPTURE(text);
       folder.write("t.csv", "t;v\n" + text + ";1\n");
       std::filesystem::remove(folder.path() + "/t.db");
-      import(folder, {"t.csv", "--time", "t", "--separator", ";", "--time-format", format, "--zone", "+01:00",
-                      "--start", "2026-01-01T00:00:00Z"});
+      std::vector<std::string> all{"t.csv",         "--time", "t",       "--separator",         ";",
+                                   "--time-format", format,   "--start", "2026-01-01T00:00:00Z"};
+      if (format != "%H:%M:%S") all.insert(all.end(), {"--zone", "+01:00"});
+      import(folder, all);
       const std::string rows = rows_of(folder, "t.db");
       CHECK_MESSAGE(has(rows, "\n" + as + "Z,t,1,1\n"), rows);
     };
@@ -201,9 +203,7 @@ TEST_SUITE("app") {
     is_read("1:02:03.4", "%H:%M:%S", "2026-01-01T01:02:03.400000000");
     const auto is_refused = [&](const std::string& text, const std::string& format, const std::string& why) {
       folder.write("bad.csv", "t;v\n" + text + ";1\n");
-      CHECK(
-          has(import(folder, {"bad.csv", "--time", "t", "--separator", ";", "--time-format", format, "--zone", "Z"}, 1),
-              why));
+      CHECK(has(import(folder, {"bad.csv", "--time", "t", "--separator", ";", "--time-format", format}, 1), why));
     };
     is_refused("30.2.2026", "%d.%m.%Y", "bad.csv:2: \"30.2.2026\" in column t is not a time: there is no such day");
     is_refused("366 2026", "%j %Y", "there is no such day");
@@ -222,6 +222,212 @@ TEST_SUITE("app") {
     CHECK(has(import(folder, {"german.csv", "--time", "t"}, 1), "for another notation write --time-format"));
     CHECK(has(import(folder, {"german.csv", "--time", "t", "--time-format", "%d.%m.%Y %H:%M"}, 1),
               "write --zone Z if it is UTC"));
+  }
+
+  TEST_CASE("import: a time of any number of columns, as buoys and loggers write it") {
+    const Folder folder;
+    folder.write("buoy.txt",
+                 "#YY  MM DD hh mm WDIR WSPD  WVHT   PRES\n#yr  mo dy hr mn degT m/s      m    hPa\n"
+                 "2026 03 01 12 20 140  5.0    MM 1011.2\n2026 03 01 12 10  MM   MM   1.2     MM\n");
+    const auto buoy = [&](std::vector<std::string> more, int status) {
+      more.insert(more.begin(), {"buoy.txt", "--separator", "blanks", "--zone", "Z"});
+      return import(folder, more, status);
+    };
+    const std::string format = "%Y %m %d %H %M";
+    CHECK(has(buoy({"--time", "#YY", "MM", "DD", "hh", "mm", "--time-format", format}, 1),
+              "buoy.txt:2: \"#yr mo dy hr mn\" in columns #YY, MM, DD, hh and mm is not a time"));
+    CHECK(has(buoy({"--time", "#YY", "MM", "DD", "hh", "mm", "--time-format", format, "--units", "row"}, 1),
+              "is before the time of the row above it: sort the rows by time: write --sort"));
+    CHECK(has(buoy({"--time", "#YY,MM,DD,hh,mm", "--time-format", format}, 1), "blanks between their names"));
+    CHECK(has(buoy({"--time", "#YY", "MM", "DD", "hh", "mm", "--units", "row"}, 1), "write --time-format"));
+    check_nothing_made(folder);
+    CHECK(has(buoy({"--time", "#YY", "MM", "DD", "hh", "mm", "--time-format", format, "--units", "row", "--none", "MM",
+                    "--sort"},
+                   0),
+              "  hh: the time\n  mm: the time\n"));
+    CHECK(rows_of(folder, "buoy.db") ==
+          "utc,origin,sequence,WDIR [degT],WSPD [m/s],WVHT [m],PRES [hPa]\n"
+          "2026-03-01T12:10:00.000000000Z,buoy,1,,,1.2,\n2026-03-01T12:20:00.000000000Z,buoy,2,140,5,,1011.2\n");
+    // A number in a table has no zeros before it: 115 is a quarter past one, not five past eleven.
+    folder.write("campus.csv",
+                 "Year,DOY,HHMM,v\n2026,59,2345,1\n2026,59,2400,2\n2026,60,15,3\n2026,60,115,4\n2026,60,905,5\n");
+    import(folder, {"--time", "Year", "DOY", "HHMM", "--time-format", "%Y %j %H%M", "--zone", "Z", "campus.csv"});
+    const std::string campus = rows_of(folder, "campus.db");
+    for (const char* const row : {"02-28T23:45:00.000000000Z,campus,1", "03-01T00:00:00.000000000Z,campus,2",
+                                  "03-01T00:15:00.000000000Z,campus,3", "03-01T01:15:00.000000000Z,campus,4",
+                                  "03-01T09:05:00.000000000Z,campus,5"})
+      CHECK_MESSAGE(has(campus, row), campus);
+    CHECK(has(
+        import(folder,
+               {"campus.csv", "--time", "Year", "DOY", "HHMM", "--time-format", "%Y %m %d %H %M", "--zone", "Z"}, 1),
+        "it is not written as --time-format has it"));
+    folder.write("parts.csv", "y,m,d,h,min,s,v\n2026,3,1,24,0,0,1\n2026,3,2,1,2,3.25,2\n");
+    import(folder, {"parts.csv", "--time", "y", "m", "d", "h", "min", "s", "--time-format", "%Y %m %d %H %M %S",
+                    "--zone", "Z"});
+    CHECK(has(rows_of(folder, "parts.db"),
+              "2026-03-02T00:00:00.000000000Z,parts,1,1\n2026-03-02T01:02:03.250000000Z,parts,2,2\n"));
+    folder.write("old.csv", "y,d,v\n98,1,1\n");
+    CHECK(has(import(folder, {"old.csv", "--time", "y", "d", "--time-format", "%Y %j", "--zone", "Z"}, 1), "write %y"));
+    folder.write("blank.csv", "a;b;v\n12;345;1\n");
+    CHECK(has(import(folder, {"blank.csv", "--time", "a", "b", "--separator", ";", "--thousands", " "}, 1),
+              "a time of several columns is no number"));
+  }
+
+  TEST_CASE("import: parts of a second that are counted are not taken for decimals") {
+    const Folder folder;
+    folder.write("ros.csv", "secs,nsecs,v\n1772366400,5000000,1\n1772366400,105000000,2\n");
+    CHECK(
+        has(import(folder, {"ros.csv", "--time", "secs", "nsecs", "--time-format", "%s %f"}, 1),
+            "its %f has 9 digits, that of the row above 7: it seems to be a number of parts, not decimals: write %L"));
+    import(folder, {"ros.csv", "--time", "secs", "nsecs", "--time-format", "%s %N"});
+    CHECK(has(rows_of(folder, "ros.db"),
+              "2026-03-01T12:00:00.005000000Z,ros,1,1\n2026-03-01T12:00:00.105000000Z,ros,2,2\n"));
+    folder.write("tv.csv", "tv_sec,tv_usec,v\n1772366400,5000,1\n1772366400,105000,2\n");
+    import(folder, {"tv.csv", "--time", "tv_sec", "tv_usec", "--time-format", "%s %u"});
+    CHECK(has(rows_of(folder, "tv.db"), "2026-03-01T12:00:00.105000000Z,tv,2,2\n"));
+    folder.write("dot.csv", "t,v\n12:00:00.5,1\n12:00:00.75,2\n");
+    import(folder, {"dot.csv", "--time", "t", "--time-format", "%H:%M:%S.%f"});
+    CHECK(has(rows_of(folder, "dot.db"), "12:00:00.750000000Z,dot,2,2\n"));
+  }
+
+  TEST_CASE("import: of rows of several kinds only those that are chosen, whatever stands in the others") {
+    const Folder folder;
+    folder.write("flight.log",
+                 "FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns\n"
+                 "FMT, 129, 31, IMU, QBff, TimeUS,I,GyrX,AccX\n"
+                 "FMT, 130, 19, BARO, Qff, TimeUS,Alt,Press\n"
+                 "FMT, 131, 75, MSG, QZ, TimeUS,Message\n"
+                 "MSG, 1000000, props of 5\" and more, all new\n"
+                 "IMU, 1000000, 0, 0.01, 9.8\nIMU, 1000000, 1, 0.02, 9.7\nBARO, 1000500, 0.25, 101325\n"
+                 "IMU, 1002500, 0, 0.03, 9.6\nMSG, 1003000, EKF \"ready\"\nIMU, 1002500, 1, 0.04, 9.5\n");
+    CHECK(has(import(folder, {"flight.log", "--time", "TimeUS"}, 1), "take one, such as --only IMU"));
+    CHECK(has(import(folder, {"flight.log", "--time", "TimeUS", "--only", "IMU"}, 1), "write --scale \"1 us\""));
+    CHECK(has(import(folder, {"flight.log", "--time", "TimeUS", "--only", "IMX"}, 1), "did you mean IMU?"));
+    CHECK(has(import(folder, {"flight.log", "--time", "TimeUS", "--scale", "1us", "--only", "IMU", "I=2"}, 1),
+              "no row has 2 in column I, where there are 0, 1: check --only"));
+    CHECK(has(import(folder, {"flight.log", "--time", "TimeUS", "--only", "IMU", "i=0"}, 1), "did you mean I?"));
+    // A mark for inches is no quote; nothing after it is lost.
+    for (const std::vector<std::string>& more : {std::vector<std::string>{}, {"--partial"}}) {
+      std::vector<std::string> all{"flight.log", "--time", "TimeUS", "--scale", "1us", "--only", "MSG"};
+      all.insert(all.end(), more.begin(), more.end());
+      CHECK(has(import(folder, all, 1), "flight.log:5: a quoted cell does not end: if its \" is part of the text"));
+    }
+    check_nothing_made(folder);
+    CHECK(has(import(folder, {"flight.log", "--time", "TimeUS", "--scale", "1us", "--only", "IMU", "I=0"}),
+              "warning: 9 rows of other kinds: left out\n"));
+    CHECK(rows_of(folder, "flight.db") ==
+          "utc,origin,sequence,kind,I,GyrX,AccX\n1970-01-01T00:00:01.000000000Z,flight,1,IMU,0,0.01,9.8\n"
+          "1970-01-01T00:00:01.002500000Z,flight,2,IMU,0,0.03,9.6\n");
+    folder.write("rover.log", "$IMU,0.01,1,2\n$GPS,0.02,51.0\n$IMU,0.03,2,4\n");
+    CHECK(has(import(folder, {"rover.log", "--time", "t"}, 1), "its first row seems to be no heading"));
+    CHECK(has(import(folder, {"rover.log", "--time", "t", "--columns", "kind,t,a,b"}, 1), "3 cells, where --columns"));
+    CHECK(has(import(folder, {"rover.log", "--time", "t", "--columns", "kind,t,a,b", "--only", "IMU"}, 1),
+              "no row begins with IMU, where there are $IMU, $GPS"));
+    folder.write("arrays.dat", "101,900,1.5\n102,900,7,8\n101,915,1.6\n");
+    CHECK(has(import(folder, {"arrays.dat", "--time", "t", "--columns", "id,t,v"}, 1),
+              "arrays.dat:2: 4 cells, where --columns names 3: if its rows are of several kinds, take one: --only"));
+    import(folder, {"rover.log", "--time", "t", "--columns", "kind,t,a,b", "--only", "$IMU", "--sort"});
+    CHECK(has(rows_of(folder, "rover.db"), "00.010000000Z,rover,1,$IMU,1,2\n1970-01-01T00:00:00.030000000Z,rover,2,"));
+  }
+
+  TEST_CASE("import: of tables with a row for each value, those with a text in a column") {
+    const Folder folder;
+    const std::string influx =
+        "#group,false,false,false,false,true,true\n#default,_result,,,,,\n,result,table,_time,_value,_field,host\n"
+        ",,0,2026-03-01T00:10:00Z,1.5,temp,a\n,,0,2026-03-01T00:20:00Z,1.75,temp,a\n\n"
+        ",,1,2026-03-01T00:10:00Z,40,hum,a\n,,2,2026-03-01T00:10:00Z,9,temp,b\n";
+    folder.write("influx.csv", influx + "\n#group,false,false,false,false\n,result,table,_time,n\n");
+    CHECK(has(import(folder, {"influx.csv", "--time", "_time", "--comment", "#"}, 1),
+              "write --sort; or, if it has rows of several kinds, take one: --only"));
+    // A row of another number of cells, which has the column, may be of any kind; one that lacks it is refused.
+    CHECK(has(import(folder, {"influx.csv", "--time", "_time", "--comment", "#", "--only", "_field=temp", "host=a"}, 1),
+              "influx.csv:11: 5 cells"));
+    folder.write("influx.csv", influx);
+    const std::string said = import(
+        folder, {"influx.csv", "--time", "_time", "--comment", "#", "--only", "_field=temp", "host=a"});
+    CHECK(has(said, "2 rows of other kinds: left out"));
+    CHECK(has(rows_of(folder, "influx.db"), "2026-03-01T00:20:00.000000000Z,influx,2,0,1.75,temp,a\n"));
+    CHECK(has(import(folder, {"influx.csv", "--time", "_time", "--comment", "#", "--only", "temp"}, 1),
+              "for the text of a column write COLUMN=TEXT"));
+  }
+
+  TEST_CASE("import: times without a date whose day cannot be known are refused or told") {
+    const Folder folder;
+    folder.write("night.csv", "T,v\n23:50:00,1\n00:10:00,2\n");
+    CHECK(
+        has(import(folder, {"night.csv", "--time", "T", "--time-format", "%T", "--sort"}, 1),
+            "night.csv:3: \"00:10:00\" in column T is not a time: it has no date, and is more than half a day from the "
+            "row above"));
+    folder.write("newest.csv", "T,v\n00:05,3\n23:55,2\n23:50,1\n");
+    CHECK(has(import(folder, {"newest.csv", "--time", "T", "--time-format", "%H:%M", "--sort"}, 1), "it has no date"));
+    CHECK(has(
+        import(folder, {"newest.csv", "--time", "T", "--time-format", "%H:%M"}, 1),
+        "if all of its rows are of one day, write --sort; if they are not, the table wants a column with the date"));
+    CHECK(has(import(folder, {"night.csv", "--time", "T", "--time-format", "%T", "--zone", "+01:00"}, 1),
+              "have no date, and count from --start: leave --zone out"));
+    check_nothing_made(folder);
+    folder.write("day.csv", "T,v\n12:10,2\n12:00,1\n");
+    CHECK(has(import(folder, {"day.csv", "--time", "T", "--time-format", "%H:%M", "--sort"}),
+              "1 row had a time before the row above; the rows were sorted, as times of one day"));
+    CHECK(has(import(folder, {"night.csv", "--time", "T", "--time-format", "%T", "--start", "2026-03-01T12:00:00Z"}),
+              "the first is 2026-03-02T11:50:00.000000000Z: if they are times of day, write --start with 00:00"));
+    // As spreadsheets show times, and testers of batteries write them.
+    folder.write("hour.csv", "T,v\n58:00.0,1\n59:30.0,2\n00:10.0,3\n");
+    CHECK(has(import(folder, {"hour.csv", "--time", "T", "--time-format", "%M:%S", "--sort"}, 1), "half an hour"));
+    CHECK(has(import(folder, {"hour.csv", "--time", "T", "--time-format", "%M:%S"}), "each time an hour was added"));
+    CHECK(has(rows_of(folder, "hour.db"), "1970-01-01T01:00:10.000000000Z,hour,3,3\n"));
+    folder.write("long.csv", "T,v\n0:00:01,1\n23:59:59,2\n24:00:01,3\n125:00:00.5,4\n");
+    import(folder, {"long.csv", "--time", "T", "--time-format", "%H:%M:%S"});
+    CHECK(has(rows_of(folder, "long.db"), "1970-01-02T00:00:01.000000000Z,long,3,3\n1970-01-06T05:00:00.500000000Z,"));
+    folder.write("excel.csv", "t,v\n46082.5,1\n");
+    CHECK(has(
+        import(folder,
+               {"excel.csv", "--time", "t", "--scale", "24h", "--start", "1899-12-30T00:00:00Z", "--zone", "+01:00"},
+               1),
+        "--zone +01:00: its times are numbers"));
+  }
+
+  TEST_CASE("import: tables of programs that nobody asked for are refused with what helps") {
+    const Folder folder;
+    folder.write("race.csv",
+                 "\"Utc\"|\"ms\"|0|0|1,\"AccelX\"|\"G\"|-3.0|3.0|25\n1772366400000,0.01\n1772366400040,0.02\n");
+    CHECK(has(import(folder, {"race.csv", "--time", "Utc"}, 1), "name the columns yourself: --skip 1 --columns t,..."));
+    import(folder, {"race.csv", "--time", "t", "--skip", "1", "--columns", "t,AccelX [g]", "--scale", "1ms"});
+    CHECK(has(rows_of(folder, "race.db"), "2026-03-01T12:00:00.040000000Z,race,2,0.02\n"));
+    folder.write(
+        "toa5.dat",
+        "\"TOA5\",\"Roof\",\"CR1000\"\n\"TIMESTAMP\",\"RECORD\",\"T_Avg\"\n\"TS\",\"RN\",\"degC\"\n\"\",\"\",\"Avg\"\n"
+        "\"2026-03-01 12:00:00\",0,1.5\n\"2026-03-01 12:15:00\",1,\"NAN\"\n");
+    CHECK(has(import(folder, {"toa5.dat", "--time", "TIMESTAMP", "--skip", "1", "--zone", "Z", "--units", "row"}, 1),
+              "toa5.dat:4: \"\" in column TIMESTAMP is not a time: if rows without a time are to be left out, write "
+              "--partial"));
+    import(folder, {"toa5.dat", "--time", "TIMESTAMP", "--skip", "1", "--zone", "Z", "--units", "row", "--partial",
+                    "--none", "NAN"});
+    CHECK(has(rows_of(folder, "toa5.db"), "RECORD [RN],T_Avg [degC]\n2026-03-01T12:00:00.000000000Z,toa5,1,0,1.5\n"));
+    folder.write("lab.lvm", "X_Value\tVolts\n0.0\t1.5\n0.1\t1.6\nChannels\t1\nX_Value\tVolts\n0.0\t1.7\n");
+    CHECK(
+        has(import(folder, {"lab.lvm", "--time", "X_Value", "--separator", "tab"}, 1),
+            "lab.lvm:4: \"Channels\" in column X_Value is not a time: a number, or a time as 2026-03-01T12:00:00Z; if "
+            "the table ends above it, take that part: head -n 3 lab.lvm >table.csv"));
+    folder.write("bare.txt", "2026-03-01 12:00:00    1.5  on\n2026-03-01 12:00:10    1.6  off\n");
+    CHECK(has(import(folder, {"bare.txt", "--time", "t", "--separator", "blanks"}, 1),
+              "its first row seems to be no heading: name its 4 columns by --columns t,..."));
+    folder.write("days.csv", "day,v\n2026-03-01,1\n");
+    CHECK(has(import(folder, {"days.csv", "--time", "day"}, 1), "if its rows are days, write --time-format %F"));
+    folder.write("thing.csv", "t,v\n2026-03-01 12:00:00 UTC,1\n");
+    CHECK(has(import(folder, {"thing.csv", "--time", "t"}, 1), "write --time-format, such as \"%F %T %z\""));
+    folder.write("keys.txt", "0 T=21.5 H=40\n1 T=-1 H=41\n");
+    import(folder, {"keys.txt", "--time", "t", "--separator", "blanks", "--columns", "t,T,H", "--strip", "T=", "H="});
+    CHECK(has(rows_of(folder, "keys.db"), "01.000000000Z,keys,2,-1,41\n"));
+    folder.write("pipes.tsv", "t\tnote\n0\t5\" by 3\" pipe\n");
+    CHECK(has(import(folder, {"pipes.tsv", "--time", "t", "--separator", "tab"}, 1), "remove them all: tr -d '\"'"));
+    folder.write("millis.csv", "timeMs,v\n0,1\n1000,2\n0,3\n");
+    CHECK(has(import(folder, {"millis.csv", "--time", "timeMs"}, 1), "write --scale \"1 ms\""));
+    CHECK(has(import(folder, {"millis.csv", "--time", "timeMs", "--scale", "1ms"}, 1),
+              "write --sort; or, if its clock began again there, divide the file there"));
+    folder.write("wide.csv", std::string("t\0,\0v\0\n\0001\0,\0002\0\n\0", 16));
+    CHECK(has(import(folder, {"wide.csv", "--time", "t"}, 1), "it is UTF-16: convert the file: iconv -f UTF-16LE"));
+    for (const char* const name : {"lab.db", "millis.db", "wide.db"}) CHECK_FALSE(folder.has(name));
   }
 
   TEST_CASE("import: zones by name, their hour that comes twice and the one that never comes") {
@@ -308,6 +514,8 @@ TEST_SUITE("app") {
     std::filesystem::remove(folder.path() + "/us.db");
     import(folder, {"us.csv", "--time", "t", "--strip", "F", "VDC"});
     CHECK(has(rows_of(folder, "us.db"), ",us,1,71.2,0.1\n"));
+    folder.write("mixed.csv", "t,v\n0,500mV\n1,1.2V\n");
+    CHECK_FALSE(has(import(folder, {"mixed.csv", "--time", "t"}), "--strip"));
     folder.write("quoted.csv", "t,v\n0,\"20,5\"\n1,\"21,5\"\n");
     import(folder, {"quoted.csv", "--time", "t", "--decimal", ","});
     CHECK(has(rows_of(folder, "quoted.db"), ",quoted,2,21.5\n"));

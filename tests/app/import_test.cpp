@@ -299,7 +299,7 @@ TEST_SUITE("app") {
     refuses({"both.csv", "--time", "t"},
             "it has 2 columns t: name the columns yourself: --columns, and --skip for the heading");
     folder.write("units.csv", "t [ms],v,t [s]\n1,2,3\n");
-    refuses({"units.csv", "--time", "t"}, "it has 2 columns t: write --time with the unit");
+    refuses({"units.csv", "--time", "t"}, "it has 2 columns t: write it with the unit");
     refuses({"quote.csv", "--time", "t"}, "quote.csv:2");
     refuses({"empty.csv", "--time", "t"}, "it is empty");
     refuses({"head.csv", "--time", "t"}, "it has no rows");

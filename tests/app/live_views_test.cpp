@@ -52,6 +52,13 @@ TEST_SUITE("app") {
       CHECK(has(said.process.out, "count/a.number of b"));
       CHECK((has(said.process.out, "all there so far") || has(said.process.out, "since the start")));
     }
+    {
+      const Said all(folder, {"plot"}), named(folder, {"plot", "rig"});
+      CHECK_MESSAGE(all.status == 0, all.process.err);
+      CHECK(has(all.process.out, "count/a: number\n"));
+      CHECK(all.process.out.ends_with("such as: rtdata plot count/a.number\n"));
+      CHECK(named.process.out.ends_with("such as: rtdata plot rig count/a.number\n"));
+    }
     {  // the nearest name
       const Said topic(folder, {"plot", "cuont/a.number"}), field(folder, {"plot", "count/a.nubmer"});
       CHECK(topic.status == 1);
@@ -82,6 +89,9 @@ TEST_SUITE("app") {
     const Said plotted(folder, {"plot", "count/a", "--last", "1s"});
     CHECK(plotted.status == 0);
     CHECK(has(plotted.process.out, "count/a.number of a"));
+    const Said all(folder, {"plot"});
+    CHECK_MESSAGE(all.status == 0, all.process.err);
+    CHECK(has(all.process.out, "count/a: number\n"));
     const Said shown(folder, {"top", "rig", "--topic", "count/a", "--once"});
     CHECK_MESSAGE(shown.status == 0, shown.process.err);
     CHECK(has(shown.process.out, "number of a"));

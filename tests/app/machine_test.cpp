@@ -21,6 +21,7 @@
 #include "rtdata/app/standard.hpp"
 #include "rtdata/io/i2c.hpp"
 #include "rtdata/testing/fake_i2c.hpp"
+#include "sensors/fixture.hpp"
 
 using namespace rtdata;
 using namespace rtdata::app;
@@ -241,7 +242,7 @@ TEST_SUITE("app") {
           CHECK(mistake_in(address).empty());
           const auto wires = std::make_shared<FakeI2c>();
           FakeI2cChip& chip = wires->chip(address);
-          if (one.identity) chip.set(one.identity->number, {one.identity->value});
+          if (one.identity) put_code(chip, one.identity->number, one.identity->value, one.identity->size());
           const I2cBus bus("i2c1", wires);
           I2cDevice device = bus.device({address});
           const LikelyChip likely = likely_chip(device, registry);
@@ -262,19 +263,20 @@ TEST_SUITE("app") {
           CHECK(is_driven);
           if (!is_sure) continue;
           ++known;
-          chip.set(one.identity->number, {static_cast<std::uint8_t>(one.identity->value ^ one.identity->mask)});
+          put_code(chip, one.identity->number, one.identity->value ^ one.identity->mask, one.identity->size());
           CHECK(likely_chip(device, registry).what.find(one.name) == std::string::npos);
         }
       }
     }
-    CHECK(known == 61);
+    CHECK(known == 63);
   }
 
   TEST_CASE("FW-2 scan names the chips that an address may have, without an identity and without a driver") {
     const Registry registry = standard_registry();
     struct Case {
       unsigned address;
-      std::uint8_t number, value;  // of a register
+      std::uint8_t number;
+      std::uint32_t value;  // of the registers from there on
       const char* what;
       std::size_t drivers;
     };
@@ -283,11 +285,12 @@ TEST_SUITE("app") {
              {0x76, 0x00, 0x60, "BMP390", 1},
              {0x77, 0xd0, 0x00, "perhaps MS5611", 1},
              {0x69, 0x75, 0x71, "MPU-9250", 1},
+             {0x69, 0x00, 0xea, "ICM-20948", 1},
              {0x68, 0x75, 0x00, "perhaps a clock (DS3231, DS1307)", 0},
              {0x6a, 0x0f, 0x6c, "LSM6DSO or LSM6DSOX", 2},
              {0x6b, 0x0f, 0x68, "LSM9DS1", 1},
              {0x1c, 0x0f, 0x3d, "LIS3MDL or LSM9DS1's magnetometer", 2},
-             {0x1e, 0x0a, 0x48, "HMC5883L", 1},
+             {0x1e, 0x0a, 0x483433, "HMC5883L", 1},
              {0x0d, 0x0d, 0xff, "perhaps QMC5883L", 1},
              {0x53, 0x00, 0xe5, "ADXL345 or ADXL375", 2},
              {0x29, 0x00, 0xa0, "BNO055", 1},
@@ -296,9 +299,9 @@ TEST_SUITE("app") {
              {0x2a, 0x1f, 0xff, "perhaps NAU7802", 1},
              {0x23, 0x00, 0x00, "perhaps a port expander (PCF8574, MCP23017), BH1750", 0},
              {0x40, 0x00, 0x00, "perhaps INA219, HDC1080, PCA9685", 1},
-             {0x40, 0xff, 0x22, "INA226", 1},
-             {0x45, 0x3f, 0x22, "INA228", 1},
-             {0x41, 0xff, 0x32, "INA3221", 1},
+             {0x40, 0xff, 0x2260, "INA226", 1},
+             {0x45, 0x3f, 0x2281, "INA228", 1},
+             {0x41, 0xff, 0x3220, "INA3221", 1},
              {0x19, 0x0f, 0x33, "LIS3DH", 1},
              {0x62, 0x00, 0x00, "perhaps SCD40, SCD41", 1},
              {0x77, 0xd0, 0x61, "BME680, BME688", 1},
@@ -310,7 +313,7 @@ TEST_SUITE("app") {
          }) {
       CAPTURE(one.address);
       const auto wires = std::make_shared<FakeI2c>();
-      wires->chip(one.address).set(one.number, {one.value});
+      put_code(wires->chip(one.address), one.number, one.value, one.value > 0xffff ? 3 : one.value > 0xff ? 2 : 1);
       const I2cBus bus("i2c1", wires);
       I2cDevice device = bus.device({one.address});
       const LikelyChip likely = likely_chip(device, registry);

@@ -269,6 +269,56 @@ TEST_SUITE("app") {
   }
 
 #ifdef RTDATA_WITH_PAGE
+  TEST_CASE("BY-1 the history of a page is refused, in words, beyond what it can count") {
+    const Folder folder;
+    const std::string file = folder.path() + "/huge.db";
+    {
+      Loop loop{Loop::Manual{}};
+      const SqliteSink sink(loop, {.path = file});
+      Feed<MaybeOnPage> feed(loop, {.name = "a", .topic = "a"});
+      for (int i = 0; i < 70; ++i) {
+        feed.publish({.value = i % 2 == 0 ? 1.6e308 : -1.6e308});
+        loop.advance(100ms);
+      }
+      loop.close();
+    }
+    const double started = static_cast<double>(
+                               to_nanoseconds(Recording::open(file).or_throw().runs().or_throw()[0].started)) /
+                           1e6;
+    const auto ask = [&](double from, double until, double step) {
+      const json question{{"topics", {{"a", {"value"}}}}, {"from", from}, {"until", until}, {"step", step}};
+      return json::parse(rtdata::app::page_history({{"rec", file}}, 1, question.dump()));
+    };
+    const auto why = [&](double from, double until, double step) {
+      return ask(from, until, step).value("error", std::string("not refused"));
+    };
+    CHECK(has(why(9.2e12, 9.3e12, 1e9), "\"from\" 9200000000000.0 is out of range"));
+    CHECK(has(why(0, 1e300, 1e9), "\"until\" 1e+300 is out of range"));
+    CHECK(has(why(0, 1e6, 1e12), "\"step\" 1000000000000.0 is out of range"));
+    CHECK(has(why(0, 1e6, 0), "\"step\" 0.0 is out of range"));
+    CHECK(has(why(0, 1e6, -5), "is out of range"));
+    CHECK(has(why(-9.1e12, 9.1e12, 1e11), "more than 100 years"));
+    CHECK(has(why(1e6, 1e6, 1000), "\"until\" is not after \"from\""));
+    CHECK(has(why(0, 1e9, 1), "more than 4000 steps"));
+    const std::vector<rtdata::app::PageRecording> recording{{"rec", file}};
+    const auto raw = [&](const std::string& text) { return rtdata::app::page_history(recording, 1, text); };
+    CHECK(has(raw("5"), "no object of"));
+    CHECK(has(raw(R"({"topics":{"a":[]},"from":0,"until":"x","step":5})"), "no number of ms"));
+    CHECK(has(raw(R"({"topics":{"a":[5]},"from":0,"until":9,"step":5})"), "its topics are not as"));
+    // Whatever is allowed is answered.
+    for (const double step : {1.0, 1000.0, 60e3, 1e9, 1e11})
+      for (const double from : {-9.1e12, -1e12, -1.0, 0.0, started - 1, 9.1e12 - step}) {
+        const json answer = ask(from, std::min(from + step, 9.1e12), step);
+        CAPTURE(step);
+        CAPTURE(from);
+        CHECK_FALSE(answer.contains("error"));
+      }
+    // The mean of numbers whose sum is none.
+    const json answer = ask(started - 60e3, started + 60e3, 60e3);
+    REQUIRE_MESSAGE(answer["series"].size() == 1, answer.dump());
+    for (const json& mean : answer["series"][0]["mean"]) CHECK(std::abs(mean.get<double>()) < 2e307);
+  }
+
   TEST_CASE("BY-1 the history of a page breaks a curve where a value is absent") {
     const Folder folder;
     const std::string file = folder.path() + "/maybe.db";

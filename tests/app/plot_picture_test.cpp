@@ -8,6 +8,7 @@
 #include <limits>
 
 #include "app/core/table.hpp"
+#include "app/inspect/curve_scale.hpp"
 
 using namespace rtdata;
 using namespace rtdata::app;
@@ -392,6 +393,17 @@ value  -9223372036854775808 to
           └┬────────────┬───────────────
            12:00:00     12:00:05
 )");
+  }
+
+  TEST_CASE("FW-5 plot: the mean of steps near the largest numbers is a number") {
+    const Plot plot = plot_in(small);
+    const Curve curve = curve_of(plot, 1s, [](double at) { return at < 4.5 ? -1.6e308 : 1.6e308; });
+    const Scale scale(curve);
+    CHECK(std::abs(scale.mean) < 1e294);
+    CurveStep both;
+    for (const CurveStep& step : curve.steps) join(step, both);
+    CHECK(std::abs(both.mean) < 1e294);
+    CHECK(both.numbers == 10);
   }
 
   TEST_CASE("FW-5 plot: a panel for each field, gaps of one source are told once") {

@@ -248,7 +248,12 @@ lost of room/climate in run 1: missed 4, failed 2
     CHECK(has(refused("room/climat.temperature"), "did you mean room/climate.temperature?"));
     CHECK(has(refused("room/climat"), "did you mean room/climate?"));
     CHECK(has(refused("nowhere"), "there is every/thing, room/climate"));
-    CHECK(has(plotted(path, {}).err, "name a field, as TOPIC.FIELD, or a topic: there is every/thing, room/climate"));
+    const Shown all = plotted(path, {});
+    CHECK(all.status == 0);
+    CHECK(all.err == "");
+    CHECK(has(all.out, "every/thing: "));
+    CHECK_FALSE(has(all.out, "name"));  // which is a text
+    CHECK(has(all.out, "\nroom/climate: temperature, humidity\nsuch as: rtdata plot " + path + " every/thing."));
   }
 
   TEST_CASE("FW-5 plot: runs and times that are not there") {

@@ -70,6 +70,38 @@ TEST_SUITE("app") {
     CHECK(has(folder.read("rig.log"), "sensor new: added"));
   }
 
+  TEST_CASE("US-5 US-27 a reload that changes an identity restarts the sensor; log, recording and report tell of it") {
+    const Folder folder;
+    const auto text = [](const std::string& identity) {
+      return R"({"buses": {"b": {"type": "i2c", "device": "/nowhere/i2c-1"}}, "sensors": [
+        {"name": "imu", "type": "imu", "rate": "10 Hz", "bus": "b")" +
+             identity + R"(}, {"name": "load", "type": "host", "quantity": "load", "rate": "10 Hz"}],
+        "sinks": [{"type": "sqlite", "path": "rig.db"}]})";
+    };
+    folder.write("rig.json", text(R"(, "identity": "0x98")"));
+    Process run(folder, built("rtdata"), {"run", "rig.json"});
+    REQUIRE(run.wait_for("running rig"));
+    const std::string said = "takes a chip of identity 0x98 by the user's word, in place of 0x68 of an MPU-6050";
+    CHECK_MESSAGE(has(run.err, "warning: sensor imu: " + said), run.err);
+    const auto reloads = [&](const std::string& identity) {
+      folder.write("rig.json", text(identity));
+      return reloaded(folder, built("rtdata"), {}, 0);
+    };
+    CHECK(has(reloads(R"(, "identity": 112)"), "sensor imu: restarted (identity)"));
+    CHECK(has(reloads(""), "sensor imu: restarted (identity)"));
+    run.signal(SIGTERM);
+    (void)run.end();
+    CHECK(has(folder.read("rig.log"), said));
+    Process info(folder, built("rtdata"), {"info", "rig.db"});
+    CHECK(info.end() == 0);
+    for (const char* line : {"identity of sensor imu: 0x98 by the user's word, in place",
+                             "identity of sensor imu: 0x70 by the user's word", "identity of sensor imu: removed"})
+      CHECK_MESSAGE(has(info.out, line), info.out);
+    Process report(folder, built("rtdata"), {"report", "rig.db"});
+    CHECK(report.end() == 0);
+    CHECK(has(folder.read("rig.html"), "0x98 by the user"));
+  }
+
   TEST_CASE("NFR-1 US-5 a device that never answers while a reload makes it on a tier holds nothing else") {
     const rtdata::test::RuntimeFolder runtime;
     const Folder folder;

@@ -572,6 +572,9 @@ it was not forged.
     const std::string page = folder.read("run.html");
     CHECK(mistakes_in(page) == "");
     folder.write("run.html", "mine");
+    const auto of_none = ran({"--run", "7"});
+    CHECK(has(of_none.err, "there is no run 7"));
+    CHECK_FALSE(has(of_none.err, "run.html"));
     const auto second = ran({});
     CHECK(second.status == 1);
     CHECK(second.page == "");

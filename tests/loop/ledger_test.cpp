@@ -128,7 +128,8 @@ TEST_SUITE("loop") {
   }
 
   TEST_CASE("outages are told in the unit that fits") {
-    CHECK(to_string(Outages{1, 0s}) == "1 outage of 0 ns");
+    CHECK(to_string(Outages{1, 0s}) == "1 outage of unknown length");
+    CHECK(to_string(Outages{2, 0s}) == "2 outages of unknown length");
     CHECK(to_string(Outages{1, 3600s}) == "1 outage of 1 h");
     CHECK(to_string(Outages{40, 12min, true}) == "40 outages of at most 12 min together");
     CHECK(to_string(Outages{3, 50h}) == "3 outages of 2 d 2 h together");

@@ -358,7 +358,7 @@ TEST_SUITE("sensors") {
     socket.set(0x1f, {0x00});
     Scale scale(bench.loop, {.name = "scale", .rate = 10_Hz, .retry_first = 10ms, .retry_longest = 20ms}, bench.bus);
     CHECK(scale.health() == Health::faulted);
-    CHECK(bench.told("its revision code is 0x00, that of a NAU7802 is 0x0f"));
+    CHECK(bench.told("its identity is 0x00, that of an NAU7802 is 0x0f"));
     socket.set(0x1f, {0x0f});
     chip.calibration_fails = true;
     bench.loop.advance(3s);

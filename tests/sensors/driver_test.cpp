@@ -274,9 +274,11 @@ TEST_SUITE("sensors") {
     DriverSensor<Ina> motor(bench.loop, {.name = "motor", .rate = 10_Hz, .retry_longest = 1s}, bench.bus, {0x41},
                             config);
     CHECK(motor.health() == Health::faulted);
-    CHECK(bench.errors.back().find("it does not answer with the identity of that chip") != std::string::npos);
+    CHECK(bench.errors.back().find("its identity is 0x00, that of an INA226 is 0x2260") != std::string::npos);
+    other.set_word(0xff, 0x2261);
+    bench.loop.advance(2s);
+    CHECK(bench.errors.back().find("its maker is 0x00, not Texas Instruments (0x5449)") != std::string::npos);
     other.set_word(0xfe, 0x5449);
-    other.set_word(0xff, 0x2260);
     other.set_word(6, 0x0008);
     bench.loop.advance(5s);
     CHECK(motor.health() == Health::ok);

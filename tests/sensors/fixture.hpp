@@ -10,6 +10,7 @@
 
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/runtime.hpp"
+#include "rtdata/testing/fake_i2c.hpp"
 
 /// A directory that is gone after the test.
 class ScratchDirectory {
@@ -50,6 +51,11 @@ class ScratchDirectory {
   std::vector<std::string> files_;
   std::vector<std::string> directories_;
 };
+
+/// Sets registers to a number of so many bytes, the highest one first: the identity of a chip.
+inline void put_code(rtdata::FakeI2cChip& chip, std::uint8_t number, std::uint32_t value, std::size_t size) {
+  while (size-- > 0) chip.set(number++, {static_cast<std::uint8_t>(value >> 8 * size)});
+}
 
 /// Keeps what goes to the log away from the test's output.
 inline void be_quiet(rtdata::Loop& loop) {

@@ -404,7 +404,7 @@ TEST_SUITE("sensors") {
     DriverSensor<Bme680> sensor(loop, {.name = "air", .rate = 1_Hz, .retry_longest = 200ms}, bus, {0x77});
     REQUIRE_FALSE(errors.empty());
     CHECK(errors.back().find("cannot use the chip as a BME680 or BME688") != std::string::npos);
-    CHECK(errors.back().find("its identity is 0x60, that of these chips is 0x61") != std::string::npos);
+    CHECK(errors.back().find("its identity is 0x60, that of a BME680 or BME688 is 0x61") != std::string::npos);
     chip.set(0xd0, {0x61});
     loop.advance(2500ms);
     CHECK(sensor.health() == Health::ok);

@@ -25,9 +25,7 @@ struct FakeMagnetometer {
   FakeMagnetometer(FakeI2cChip& chip, const magnetometer_models::Model& model_, Duration period_)
       : model(model_), period(period_) {
     const ChipIdentity identity = model.chip.identity.value();
-    chip.set(identity.number, {identity.value});
-    for (std::size_t i = 0; i < model.more_identity.size(); ++i)
-      chip.set(static_cast<std::uint8_t>(identity.number + 1 + i), {static_cast<std::uint8_t>(model.more_identity[i])});
+    put_code(chip, identity.number, identity.value, identity.size());
     for (unsigned number = 0; number < 0x80; ++number) {
       chip.on_write(static_cast<std::uint8_t>(number), [this, number](std::uint16_t value) {
         registers[number] = static_cast<std::uint8_t>(value);

@@ -135,6 +135,7 @@ struct AccelerometerConfig {
   std::optional<double> sample_rate{};         ///< output data rate in Hz; unset: 100
   std::optional<double> acceleration_range{};  ///< g; unset: the widest
   bool self_test = false;                      ///< at each start, of an ADXL345
+  std::optional<IdentityCode> identity{};
   friend constexpr auto parameters(type_tag<AccelerometerConfig>) {
     return parameter_list(
         parameter("model", &AccelerometerConfig::model, "which chip it is",
@@ -148,11 +149,12 @@ struct AccelerometerConfig {
         parameter("acceleration_range", &AccelerometerConfig::acceleration_range,
                   "in 9.80665 m/s2. ADXL345, LIS3DH: 2, 4, 8 or 16; ADXL375: 200; default: the widest", range(2, 200)),
         parameter("self_test", &AccelerometerConfig::self_test,
-                  "tests the chip at each start, in which it must lie still", only_with("model", "adxl345")));
+                  "tests the chip at each start, in which it must lie still", only_with("model", "adxl345")),
+        identity_parameter(&AccelerometerConfig::identity));
   }
   static std::span<const InertialModel> models() noexcept { return accelerometer_models::all; }
   const InertialModel& chip() const noexcept { return models()[static_cast<std::size_t>(model)]; }
-  InertialSettings settings() const { return {sample_rate, acceleration_range, {}, {}, self_test}; }
+  InertialSettings settings() const { return {sample_rate, acceleration_range, {}, {}, self_test, identity}; }
   friend void check_config(const AccelerometerConfig& config, const ConfigItem& item, Problems& problems) {
     InertialChip::check(config.chip(), config.settings(), item, problems);
   }

@@ -276,6 +276,7 @@ class Barometer {
     std::optional<unsigned> temperature_oversampling{};  ///< unset: 1; of an MS5611 1024
     std::optional<unsigned> humidity_oversampling{};     ///< of a BME280; unset: 1
     double reference_pressure = 101325;                  ///< Pa: where the altitude is 0
+    std::optional<IdentityCode> identity{};              ///< of a clone
     friend constexpr auto parameters(type_tag<Config>) {
       return parameter_list(
           parameter("model", &Config::model, "which chip it is",
@@ -292,7 +293,8 @@ class Barometer {
                     only_with("model", "bme280"), range(1, 16)),
           parameter("reference_pressure", &Config::reference_pressure,
                     "where `altitude` is 0: the pressure at sea level, or on the ground", unit("Pa"),
-                    range(1000, 120000)));
+                    range(1000, 120000)),
+          identity_parameter(&Config::identity));
     }
     friend void check_config(const Config& config, const ConfigItem& item, Problems& problems) {
       config.check(item, problems);
@@ -422,6 +424,7 @@ class Barometer {
 
  private:
   static constexpr const char* what = "cannot read the barometer";
+  static constexpr std::string_view otherwise = "check which chip is at this address, and `model`";
   static constexpr std::uint8_t reset_command = 0xb6;
   static constexpr std::uint8_t bmp2_humidity_register = 0xf2, bmp2_control_register = 0xf4, forced = 1;
   static constexpr std::uint8_t bmp3_power_register = 0x1b, bmp3_oversampling_register = 0x1c;
@@ -458,33 +461,19 @@ class Barometer {
   }
   const Model& model() const noexcept { return models[static_cast<std::size_t>(config_.model)]; }
 
-  /// Names the chip that answered, for an error message; the value of the identity register if it is not one of these
-  /// chips.
-  static std::string seems_to_be(RegisterDevice& chip) {
-    for (const Model& other : models) {
-      if (!other.chip.identity) continue;
-      const Result<std::uint8_t> found = chip.read_register(other.chip.identity->number);
-      if (found && other.chip.identity->is_of(*found))
-        return "it seems to be a " + std::string(other.chip.name) + ": set `model`";
-    }
+  /// Names the chip that answered, for an error message; empty if it is not a chip that is known here.
+  static std::string other_chip(RegisterDevice& chip) {
+    if (std::string other = seems_to_be(chip, models); !other.empty()) return other;
     const Result<std::uint8_t> found = chip.read_register(0xd0);
     if (found && *found == 0x55) return "it seems to be a BMP180, which has no driver here";
     if (found && *found == 0x61) return "it seems to be a BME680 or BME688: use the type `bme680`";
-    return "check which chip is at this address, and `model`";
+    return {};
   }
 
   template <class Trimming>
   Result<void> open_bosch(RegisterDevice& chip, std::uint8_t reset_register, Trimming& trimming) {
-    const ChipIdentity identity = model().chip.identity.value_or(ChipIdentity{});
-    const Result<std::uint8_t> found = chip.read_register(identity.number);
-    if (!found) return found.error();
+    if (auto same = check_identity(chip, model().chip, config_.identity, &other_chip, otherwise); !same) return same;
     const std::string name(model().chip.name);
-    if (!identity.is_of(*found)) {
-      return chip.error(Errc::bad_data, "cannot use the chip as a " + name,
-                        "its identity is " + to_string(I2cAddress(*found)) + ", that of a " + name + " is " +
-                            to_string(I2cAddress(identity.value)),
-                        seems_to_be(chip));
-    }
     if (auto done = chip.write_register(reset_register, reset_command); !done) return done;
     chip.wait(std::chrono::milliseconds{3});  // start-up: 2 ms
     std::array<std::uint8_t, std::is_same_v<Trimming, Bmp280Trimming> ? 24 : 21> bytes{};
@@ -588,9 +577,10 @@ class Barometer {
     if (prom_.is_usable()) return {};
     const bool are_alike = std::all_of(prom_.words.begin(), prom_.words.end(),
                                        [&](std::uint16_t word) { return word == prom_.words[0]; });
+    const std::string other = other_chip(chip);
     return chip.error(Errc::bad_data, "cannot use the chip as an MS5611",
                       are_alike ? "all words of its PROM are the same" : "the checksum of its PROM is wrong",
-                      seems_to_be(chip));
+                      other.empty() ? std::string(otherwise) : other);
   }
 
   Reading<BarometerReading> read_ms5611(RegisterDevice& chip) {

@@ -192,6 +192,7 @@ class Bme680 {
     double heater_temperature = 320;                            ///< degrees Celsius
     Duration heater_duration = std::chrono::milliseconds{150};  ///< 0: no gas is measured
     unsigned temperature_oversampling = 2, pressure_oversampling = 4, humidity_oversampling = 1;
+    std::optional<IdentityCode> identity{};  ///< of a clone
     friend constexpr auto parameters(type_tag<Config>) {
       using namespace std::chrono_literals;
       return parameter_list(
@@ -203,7 +204,8 @@ class Bme680 {
           parameter("temperature_oversampling", &Config::temperature_oversampling,
                     "measurements that are averaged: 1, 2, 4, 8 or 16", range(1, 16)),
           parameter("pressure_oversampling", &Config::pressure_oversampling, "1, 2, 4, 8 or 16", range(1, 16)),
-          parameter("humidity_oversampling", &Config::humidity_oversampling, "1, 2, 4, 8 or 16", range(1, 16)));
+          parameter("humidity_oversampling", &Config::humidity_oversampling, "1, 2, 4, 8 or 16", range(1, 16)),
+          identity_parameter(&Config::identity));
     }
   };
   using Value = Bme680Reading;
@@ -246,14 +248,10 @@ class Bme680 {
 
   /// Resets it, and reads identity and trimming parameters.
   Result<void> open(I2cDevice& chip) {
-    constexpr ChipIdentity identity = *chips[0].identity;
-    const Result<std::uint8_t> found = chip.read_register(identity.number);
-    if (!found) return found.error();
-    if (!identity.is_of(*found))
-      return chip.error(Errc::bad_data, "cannot use the chip as a BME680 or BME688",
-                        "its identity is " + to_string(I2cAddress(*found)) + ", that of these chips is " +
-                            to_string(I2cAddress(identity.value)),
-                        "check which chip is at this address: others have the type `barometer`");
+    if (auto same = check_identity(chip, chips[0], config_.identity, {},
+                                   "check which chip is at this address (others have the type `barometer`)");
+        !same)
+      return same;
     constexpr std::uint8_t reset_register = 0xe0, reset_command = 0xb6, variant_register = 0xf0;
     if (auto done = chip.write_register(reset_register, reset_command); !done) return done;
     chip.wait(start_up);

@@ -83,9 +83,11 @@ class Bno055 {
 )";
   struct Config {
     Bno055Mode mode = Bno055Mode::ndof;
+    std::optional<IdentityCode> identity{};  ///< of a clone
     friend constexpr auto parameters(type_tag<Config>) {
       return parameter_list(parameter("mode", &Config::mode, "ndof: with the magnetometer; imu: without",
-                                      choices(value("ndof", Bno055Mode::ndof), value("imu", Bno055Mode::imu))));
+                                      choices(value("ndof", Bno055Mode::ndof), value("imu", Bno055Mode::imu))),
+                            identity_parameter(&Config::identity));
     }
   };
   using Value = OrientationReading;
@@ -108,15 +110,7 @@ class Bno055 {
   static Duration bus_time(const Config&) { return to_configuration + from_configuration; }
 
   Result<void> open(I2cDevice& chip) {
-    constexpr ChipIdentity identity = *chips[0].identity;
-    const Result<std::uint8_t> found = chip.read_register(identity.number);
-    if (!found) return found.error();
-    if (!identity.is_of(*found)) {
-      return chip.error(Errc::bad_data, "cannot use the chip as a BNO055",
-                        "its identity is " + to_string(I2cAddress(*found)) + ", that of a BNO055 is " +
-                            to_string(I2cAddress(identity.value)),
-                        "check which chip is at this address; a BNO055 needs 0.7 s after it was switched on");
-    }
+    if (auto same = check_chip(chip); !same) return same;
     const Result<std::uint8_t> tested = chip.read_register(0x36);
     if (!tested) return tested.error();
     for (unsigned i = 0; i < 4; ++i) {
@@ -133,6 +127,7 @@ class Bno055 {
     if (auto done = chip.read_registers(first_register, bytes); !done) return std::move(done).error();
     const std::uint8_t status = bytes[0x39 - first_register], error = bytes[0x3a - first_register];
     if (bytes[0x3b - first_register] != units || bytes[0x3d - first_register] != mode_code()) {
+      if (auto same = check_chip(chip); !same) return std::move(same).error();
       auto lost = chip.error(Errc::bad_data, what, "it has lost its settings", "check its supply");
       if (auto done = set_up(chip); !done) return std::move(done).error();
       return Unreadable{std::move(lost)};
@@ -213,6 +208,10 @@ class Bno055 {
                         from_configuration = std::chrono::milliseconds{7};
 
   std::uint8_t mode_code() const noexcept { return config_.mode == Bno055Mode::ndof ? 0x0c : 0x08; }
+  Result<void> check_chip(I2cDevice& chip) const {
+    return check_identity(chip, chips[0], config_.identity, {},
+                          "check which chip is at this address (a BNO055 needs 0.7 s after it was switched on)");
+  }
   /// First page, configuration, units, no sleep; then the mode.
   Result<void> set_up(I2cDevice& chip) {
     if (auto done = chip.write_register(0x07, 0); !done) return done;

@@ -1,22 +1,26 @@
-/// Imu: acceleration and angular velocity of an MPU-6050, MPU-6500, MPU-9250, LSM6DS3, LSM6DS3TR-C, LSM6DSO, LSM6DSOX
-/// or LSM9DS1 on I2C or SPI (an MPU-6050: I2C).
+/// Imu: acceleration and angular velocity of an MPU-6050, MPU-6500, MPU-9250, ICM-20948, LSM6DS3, LSM6DS3TR-C, LSM6DSO,
+/// LSM6DSOX or LSM9DS1 on I2C or SPI (an MPU-6050: I2C).
 ///
 ///     rtdata::DriverSensor<rtdata::Imu> imu(loop, {.name = "imu", .rate = 50_Hz}, bus, {.address = 0x6a},
 ///                                           {.model = ImuModel::lsm6dso, .sample_rate = 416});
 ///
 /// The chip measures by itself at `sample_rate` and keeps its samples in a FIFO, which each tick of the sensor empties:
 /// at 50 Hz and 416 samples a second, some eight at a time. Times, losses, settings that are lost: inertial.hpp. When
-/// the FIFO of an MPU or LSM6DS3 overflows, the driver empties it, because it cannot tell where a sample begins; the
-/// other chips keep the newest samples.
+/// the FIFO of an MPU, ICM or LSM6DS3 overflows, the driver empties it, because it cannot tell where a sample begins;
+/// the other chips keep the newest samples.
 ///
 /// The magnetometers of an MPU-9250 and an LSM9DS1 are separate chips (magnetometer.hpp); this driver connects the one
-/// of an MPU-9250 to the bus. Axes are those in the data sheet. The driver refuses a chip with another identity.
+/// of an MPU-9250 to the bus, and leaves that of an ICM-20948 alone. Axes are those in the data sheet. The driver
+/// refuses a chip with another identity.
 ///
 /// Sources: MPU-6050, register map RM-MPU-6000A-00 rev. 4.2: 4.4 to 4.6 settings, 4.14 to 4.34 FIFO, 4.17 to 4.19
 /// scales, 4.28 to 4.32 power and identity; MPU-6500 RM-MPU-6500A-00, MPU-9250 RM-MPU-9250A-00. LSM6DS3, DocID026899:
 /// 5.5 FIFO, table 3 scales and self-test, 9.7 to 9.14 settings, 9.42 to 9.46 FIFO; LSM6DS3TR-C, DocID030071, the same
 /// with half the FIFO. LSM6DSO, DS12140, and LSM6DSOX, DS12814: 6.5 FIFO, table 2 scales and self-test, 9.5 to 9.16
 /// settings, 9.39 to 9.49 FIFO. LSM9DS1, DocID025715: 3.5 FIFO, table 3 scales and self-test, 7.12 to 7.34 registers.
+/// ICM-20948, DS-000189 rev. 1.3: 3.1 and 3.2 scales, 4.16 FIFO, 8 registers of bank 0 (power, FIFO), 10 of bank 2
+/// (rates, ranges, filters). The order in its FIFO, acceleration and then angular velocity, is the one in which two
+/// drivers that do not come from each other read it: those of PX4 and of ArduPilot.
 ///
 /// Driver (driver.hpp): used on the bus's lane.
 #pragma once
@@ -52,7 +56,7 @@ struct ImuReading {
   }
 };
 
-enum class ImuModel { mpu6050, mpu6500, mpu9250, lsm6ds3, lsm6ds3trc, lsm6dso, lsm6dsox, lsm9ds1 };
+enum class ImuModel { mpu6050, mpu6500, mpu9250, lsm6ds3, lsm6ds3trc, lsm6dso, lsm6dsox, lsm9ds1, icm20948 };
 
 /// The models, in the order of `ImuModel`. A new chip of one of these kinds is an entry.
 namespace imu_models {
@@ -332,6 +336,57 @@ inline constexpr InertialModel lsm9ds1{
                               {degrees(150), degrees(1000)},
                               {degrees(150), degrees(1000)}}}}};
 
+// ICM-20948: 1125 Hz divided by 1 to 256, with the filters on; the rates of both sensors are counted from one instant.
+// The bandwidths are those of the gyroscope; the accelerometer's differ by little.
+inline constexpr InertialChoice icm20948_rates[] = {{4.5, 249},  {5, 224}, {9, 124},   {12.5, 89}, {25, 44},
+                                                    {45, 24},    {75, 14}, {112.5, 9}, {125, 8},   {225, 4},
+                                                    {281.25, 3}, {375, 2}, {562.5, 1}, {1125, 0}};
+inline constexpr InertialChoice icm20948_filters[] = {{197, 0}, {152, 1}, {120, 2}, {51, 3}, {24, 4}, {12, 5}, {6, 6}};
+// Reset; the best clock, and a wait until the gyroscope has started; bank 2: one instant, rates, filters and ranges;
+// bank 0: what is in the FIFO stays when it is full, and is told; the FIFO can be read.
+inline constexpr InertialWrite icm20948_setting_up[] = {
+    {.number = 0x06, .value = 0x80, .pause = 100ms},
+    {.number = 0x06, .value = 0x01, .pause = 35ms},
+    {.number = 0x7f, .value = 0x20},
+    {.number = 0x09, .value = 0x01},
+    {.number = 0x00, .by_rate = 1},
+    {.number = 0x01, .value = 0x01, .by_angle = 1 << 1, .by_filter = 1 << 3},
+    {.number = 0x11, .by_rate = 1},
+    {.number = 0x14, .value = 0x01, .by_acceleration = 1 << 1, .by_filter = 1 << 3},
+    {.number = 0x7f},
+    {.number = 0x69, .value = 0x01},
+    {.number = 0x12, .value = 0x01},
+    {.number = 0x03, .value = 0x40, .on_spi = 0x10}};  // no I2C
+inline constexpr InertialWrite icm20948_sleeping[] = {{.number = 0x06, .value = 0x41}};
+inline constexpr InertialWrite icm20948_emptying[] = {{.number = 0x68, .value = 0x1f}, {.number = 0x68}};
+inline constexpr InertialModel icm20948{
+    .chip = {.name = "ICM-20948", .model = "icm20948", .addresses = {0x68, 0x69}, .identity = {{0x00, 0xea}}},
+    .rates = icm20948_rates,
+    .accelerations = mpu_accelerations,
+    .angles = mpu_angles,
+    .filters = icm20948_filters,
+    .setting_up = icm20948_setting_up,
+    .sleeping = icm20948_sleeping,
+    .fifo = {.off = {.number = 0x67},
+             .on = {.number = 0x67, .value = 0x1e},  // acceleration, and angular velocity around X, Y, Z
+             .emptying = icm20948_emptying,
+             .status = 0x70,
+             .status_bytes = 2,
+             .count_mask = 0x1fff,
+             .over_register = 0x1b,
+             .over_bit = 0x1f,
+             .capacity = 512,
+             .data = 0x72,
+             .is_stream = true},
+    .big_endian = true,
+    .sample_bytes = 12,
+    .acceleration_at = 0,
+    .angle_at = 6,
+    .temperature_register = 0x39,
+    .counts_per_degree = 333.87,
+    .degrees_at_zero = 21,
+    .bank_register = 0x7f};
+
 inline constexpr InertialModel all[] = {
     mpu("MPU-6050", "mpu6050", 0x68, 1024, mpu6050_setting_up, mpu_self_test(8, mpu6050_limits), 340, 36.53,
         "MPU-6050"),
@@ -341,7 +396,8 @@ inline constexpr InertialModel all[] = {
     lsm6ds3("LSM6DS3TR-C", "lsm6ds3trc", 0x6a, 4096, 0x07ff, 256),
     lsm6dso("LSM6DSO", "lsm6dso"),
     lsm6dso("LSM6DSOX", "lsm6dsox"),
-    lsm9ds1};
+    lsm9ds1,
+    icm20948};
 
 }  // namespace imu_models
 
@@ -350,34 +406,41 @@ struct ImuConfig {
   std::optional<double> sample_rate{};         ///< output data rate in Hz; unset: the lowest from 100 on
   std::optional<double> acceleration_range{};  ///< g; unset: the widest
   std::optional<double> angular_range{};       ///< degrees a second; unset: the widest
-  std::optional<double> bandwidth{};           ///< Hz of the low-pass filter of an MPU; unset: 42
+  std::optional<double> bandwidth{};           ///< Hz of the low-pass filter of an MPU or ICM; unset: 42 or 51
   bool self_test = false;                      ///< at each start
+  std::optional<IdentityCode> identity{};
   friend constexpr auto parameters(type_tag<ImuConfig>) {
     return parameter_list(
         parameter("model", &ImuConfig::model, "which chip it is",
                   choices(value("mpu6050", ImuModel::mpu6050), value("mpu6500", ImuModel::mpu6500),
                           value("mpu9250", ImuModel::mpu9250), value("lsm6ds3", ImuModel::lsm6ds3),
                           value("lsm6ds3trc", ImuModel::lsm6ds3trc), value("lsm6dso", ImuModel::lsm6dso),
-                          value("lsm6dsox", ImuModel::lsm6dsox), value("lsm9ds1", ImuModel::lsm9ds1))),
+                          value("lsm6dsox", ImuModel::lsm6dsox), value("lsm9ds1", ImuModel::lsm9ds1),
+                          value("icm20948", ImuModel::icm20948))),
         parameter("sample_rate", &ImuConfig::sample_rate,
-                  "samples a second of the chip; `rate` says how often they are fetched. MPU: 1000 divided by a whole "
-                  "number; LSM6: 26, 52, 104, 208, 416, 833, 1660; LSM9DS1: 14.9, 59.5, 119, 238, 476, 952; default: "
-                  "the first from 100 on",
+                  "samples a second of the chip; `rate` says how often they are fetched. MPU: 1000, ICM-20948: 1125, "
+                  "divided by a whole number; LSM6: 26, 52, 104, 208, 416, 833, 1660; LSM9DS1: 14.9, 59.5, 119, 238, "
+                  "476, 952; default: the first from 100 on",
                   unit("Hz"), range(4, 2000)),
         parameter("acceleration_range", &ImuConfig::acceleration_range, "2, 4, 8 or 16 times 9.80665 m/s2; default: 16",
                   range(2, 16)),
-        parameter("angular_range", &ImuConfig::angular_range,
-                  "in degrees a second. MPU: 250, 500, 1000, 2000; LSM6: 125 too; LSM9DS1: 245, 500, 2000; default: "
-                  "2000",
-                  range(125, 2000)),
+        parameter(
+            "angular_range", &ImuConfig::angular_range,
+            "in degrees a second. MPU, ICM: 250, 500, 1000, 2000; LSM6: 125 too; LSM9DS1: 245, 500, 2000; default: "
+            "2000",
+            range(125, 2000)),
         parameter("bandwidth", &ImuConfig::bandwidth,
-                  "of the low-pass filter of an MPU: 188, 98, 42, 20, 10 or 5; default: 42", unit("Hz"), range(5, 188),
-                  only_with("model", "mpu6050", "mpu6500", "mpu9250")),
-        parameter("self_test", &ImuConfig::self_test, "tests the chip at each start, in which it must lie still"));
+                  "of the low-pass filter of an MPU: 188, 98, 42, 20, 10 or 5; default: 42. ICM-20948: 197, 152, 120, "
+                  "51, 24, 12 or 6; default: 51",
+                  unit("Hz"), range(5, 197), only_with("model", "mpu6050", "mpu6500", "mpu9250", "icm20948")),
+        parameter("self_test", &ImuConfig::self_test, "tests the chip at each start, in which it must lie still"),
+        identity_parameter(&ImuConfig::identity));
   }
   static std::span<const InertialModel> models() noexcept { return imu_models::all; }
   const InertialModel& chip() const noexcept { return models()[static_cast<std::size_t>(model)]; }
-  InertialSettings settings() const { return {sample_rate, acceleration_range, angular_range, bandwidth, self_test}; }
+  InertialSettings settings() const {
+    return {sample_rate, acceleration_range, angular_range, bandwidth, self_test, identity};
+  }
   friend void check_config(const ImuConfig& config, const ConfigItem& item, Problems& problems) {
     InertialChip::check(config.chip(), config.settings(), item, problems);
   }
@@ -388,21 +451,22 @@ class Imu : public InertialDriver<ImuConfig, ImuReading> {
   static constexpr std::string_view type = "imu";
   static constexpr std::string_view aliases = "gyroscope gyro gy-521 gy-91 gy-9250";
   static constexpr std::string_view description =
-      "acceleration and angular velocity of an MPU-6050, 6500, 9250, LSM6DS3, DSO, DSOX or LSM9DS1 on "
+      "acceleration and angular velocity of an MPU-6050, 6500, 9250, ICM-20948, LSM6DS3, DSO, DSOX or LSM9DS1 on "
       "I2C or SPI";
   static constexpr std::string_view notes =
-      R"(- Wires: 3.3 V, ground, SDA, SCL. Addresses: MPU 0x68, with AD0 high 0x69; LSM 0x6a, with SDO (SA0) high 0x6b.
+      R"(- Wires: 3.3 V, ground, SDA, SCL. Addresses: MPU and ICM 0x68, with AD0 high 0x69; LSM 0x6a, with SDO (SA0) high 0x6b.
   Boards with a pin CS have it on 3.3 V for I2C. On SPI: SDO, SDI (SDA), SCK (SCL), CS; `chip_select` in place of
-  `address`; an MPU to 1 MHz, the others to 10 MHz. An MPU-6050 has no SPI.
+  `address`; an MPU to 1 MHz, an ICM to 7 MHz, the others to 10 MHz. An MPU-6050 has no SPI.
 - The chip takes `sample_rate` samples a second by itself and keeps them in its FIFO; `rate` says how often it is
-  emptied. Each sample is an event. The FIFO holds 73 samples of an MPU-6050, 36 of an MPU-6500 or 9250, 682 of an
+  emptied. Each sample is an event. The FIFO holds 73 samples of an MPU-6050, 36 of an MPU-6500 or 9250, 42 of an ICM-20948, 682 of an
   LSM6DS3 (TR-C: 341), 256 of an LSM6DSO or DSOX, 32 of an LSM9DS1. Empty it at least twice as often as it fills.
 - What does not fit is counted as `lost`: exactly with an LSM6DSO or DSOX, by the time and the chip's rate with the others,
   within one each time.
 - Times are right within a period: the chips' clocks are not read, their rates are learned.
 - An LSM6DSO and an LSM6DSOX have one identity and are used alike. The magnetometers of an MPU-9250 and an LSM9DS1 are
-  chips of their own, of type `magnetometer`.
-- `temperature` is with each sample of an MPU; with an LSM only with the newest sample of each read.
+  chips of their own, of type `magnetometer`. That of an ICM-20948 is not read.
+- Boards with an ICM-20948 have a regulator: the chip itself has 1.8 V on its bus.
+- `temperature` is with each sample of an MPU; with the others only with the newest sample of each read.
 - `"self_test": true` takes 0.4 s at each start (MPU: 0.6 s), in which the chip must lie still; the `timeout` of the
   bus must be above that.
 - A read on a bus of 400 kHz takes 0.3 to 0.45 ms a sample: 1000 samples a second need a third of it or more.
@@ -423,7 +487,11 @@ class Imu : public InertialDriver<ImuConfig, ImuReading> {
                    {"temperature", 21},
                    {"angular_velocity_x", 8 * radians_a_degree}}},
        .has_proof = true,
-       .addressing = &imu_models::all[1].addressing}};
+       .addressing = &imu_models::all[1].addressing},
+      {.members = R"("model": "icm20948")",
+       .bytes = {{{"00", "ea", 0xff}, {"70", "00 18"}, {"72", "00 00 00 00 08 00 00 83 00 00 00 00", 0, true}}},
+       .values = {{{"acceleration_z", standard_gravity}, {"angular_velocity_x", 8 * radians_a_degree}}},
+       .has_proof = true}};
 
   using InertialDriver::InertialDriver;
   /// `bytes`: a sample as the FIFO has it.

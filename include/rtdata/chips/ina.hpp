@@ -61,13 +61,15 @@ class Ina {
 )";
   struct Config {
     InaModel model = InaModel::ina219;
-    double shunt_resistance = 0.1;  ///< Ohm
+    double shunt_resistance = 0.1;           ///< Ohm
+    std::optional<IdentityCode> identity{};  ///< of a clone of an INA226 or INA228
     friend constexpr auto parameters(type_tag<Config>) {
       return parameter_list(parameter("model", &Config::model, "which chip it is",
                                       choices(value("ina219", InaModel::ina219), value("ina226", InaModel::ina226),
                                               value("ina228", InaModel::ina228))),
                             parameter("shunt_resistance", &Config::shunt_resistance, "of the shunt: 0.1 on most boards",
-                                      unit("Ohm"), range(1e-6, 1e3)));
+                                      unit("Ohm"), range(1e-6, 1e3)),
+                            identity_parameter(&Config::identity));
     }
   };
   using Value = PowerReading;
@@ -75,15 +77,14 @@ class Ina {
   static constexpr I2cDevice::Place place{0x40};
   static constexpr KnownChip chips[] = {
       {.name = "INA219", .model = "ina219", .addresses = {0x40, 0x41, 0x42, 0x43, 0x44, 0x45, 0x46, 0x47}},
-      // The high byte of a word is enough to tell them from others.
       {.name = "INA226",
        .model = "ina226",
        .addresses = {0x40, 0x41, 0x42, 0x43, 0x44, 0x45, 0x46, 0x47},
-       .identity = {{0xff, 0x22}}},
+       .identity = {{0xff, 0x2260, 0xfff0}}},
       {.name = "INA228",
        .model = "ina228",
        .addresses = {0x40, 0x41, 0x42, 0x43, 0x44, 0x45, 0x46, 0x47},
-       .identity = {{0x3f, 0x22}}}};
+       .identity = {{0x3f, 0x2280, 0xfff0}}}};  // without the revision
   // 80 mV at the shunt, 16 V, and a new measurement; of an INA228 100 mV and 48 V.
   static constexpr ChipSample samples[] = {{.wires = ChipWires::word_registers,
                                             .bytes = {{{"01", "1f 40"}, {"02", "7d 02"}}},
@@ -108,16 +109,12 @@ class Ina {
 
   Result<void> open(I2cDevice& chip) {
     const Model& model = of(config_.model);
-    if (model.maker_register != 0) {
-      const Result<std::uint16_t> maker = chip.read_word(model.maker_register);
-      if (!maker) return maker.error();
-      const Result<std::uint16_t> die = chip.read_word(model.die_register);
-      if (!die) return die.error();
-      constexpr std::uint16_t texas_instruments = 0x5449, without_revision = 0xfff0;
-      if (*maker != texas_instruments || (*die & without_revision) != model.die)
-        return chip.error(Errc::bad_data, "cannot use the chip as an " + std::string(chip_of(config_).name),
-                          "it does not answer with the identity of that chip",
-                          "check which chip is at this address, and `model`");
+    if (auto same = check_identity(chip, known_chip<Ina>(config_), config_.identity, chips,
+                                   "check which chip is at this address, and `model`");
+        !same)
+      return same;
+    if (model.maker_register != 0 && !config_.identity) {
+      if (auto made = check_maker(chip, model.maker_register, known_chip<Ina>(config_)); !made) return made;
     }
     last_ = Samples<PowerReading>::now();
     for (const Setting& one : model.before)
@@ -160,6 +157,18 @@ class Ina {
     return *reading;
   }
 
+  /// Refuses a chip that Texas Instruments has not made. A clone, which the user trusts, may say whatever it likes.
+  static Result<void> check_maker(I2cDevice& chip, std::uint8_t maker_register, const KnownChip& known) {
+    constexpr std::uint16_t texas_instruments = 0x5449;
+    const Result<std::uint16_t> maker = chip.read_word(maker_register);
+    if (!maker) return maker.error();
+    if (*maker == texas_instruments) return {};
+    return chip.error(Errc::bad_data, "cannot use the chip as " + with_article(known.name),
+                      "its maker is " + to_string(I2cAddress(*maker)) + ", not Texas Instruments (0x5449)",
+                      "check which chip is at this address; if it is a clone that you trust, set `identity` to " +
+                          to_string(I2cAddress(known.identity->value)));
+  }
+
   /// `shunt`, `bus`: the registers of shunt voltage and bus voltage. Errors: out-of-range.
   static Result<PowerReading> decode(std::uint32_t shunt, std::uint32_t bus, const Config& config) {
     const Model& model = of(config.model);
@@ -189,8 +198,7 @@ class Ina {
     unsigned shunt_shift, bus_shift;
     double shunt_step, bus_step;  // V
     int shunt_end, bus_end;       // codes from here on are invalid
-    std::uint8_t maker_register = 0, die_register = 0;
-    std::uint16_t die = 0;
+    std::uint8_t maker_register = 0;
   };
   static const Model& of(InaModel model) noexcept {
     // The widest range at the shunt. A flag is kept until it is read.
@@ -199,24 +207,7 @@ class Ina {
         // 32 V, 320 mV, 12 bits in 532 us, both inputs again and again
         {{}, {0x00, 0x399f}, 0x01, 0x02, 0x02, 0x0002, 0x0001, 0, 16, 0, 3, 10e-6, 4e-3, 32000, 8000},
         // no average, 1.1 ms each, both inputs again and again
-        {{},
-         {0x00, 0x4127},
-         0x01,
-         0x02,
-         0x06,
-         0x0008,
-         0x0004,
-         0,
-         16,
-         0,
-         0,
-         2.5e-6,
-         1.25e-3,
-         32767,
-         32767,
-         0xfe,
-         0xff,
-         0x2260},
+        {{}, {0x00, 0x4127}, 0x01, 0x02, 0x06, 0x0008, 0x0004, 0, 16, 0, 0, 2.5e-6, 1.25e-3, 32767, 32767, 0xfe},
         // the same
         {before_ina228,
          {0x01, 0xbb68},
@@ -233,14 +224,9 @@ class Ina {
          195.3125e-6,
          0x7ffff,
          0x7ffff,
-         0x3e,
-         0x3f,
-         0x2280},
+         0x3e},
     };
     return models[static_cast<std::size_t>(model)];
-  }
-  static const KnownChip& chip_of(const Config& config) noexcept {
-    return chips[static_cast<std::size_t>(config.model)];
   }
   Result<std::uint32_t> result(I2cDevice& chip, std::uint8_t number) const {
     std::array<std::uint8_t, 3> bytes{};

@@ -60,6 +60,7 @@ class Ina3221 {
 )";
   struct Config {
     double shunt_resistance_1 = 0.1, shunt_resistance_2 = 0.1, shunt_resistance_3 = 0.1;  ///< Ohm
+    std::optional<IdentityCode> identity{};                                               ///< of a clone
     std::array<double, 3> shunt_resistances() const noexcept {
       return {shunt_resistance_1, shunt_resistance_2, shunt_resistance_3};
     }
@@ -69,15 +70,15 @@ class Ina3221 {
                             parameter("shunt_resistance_2", &Config::shunt_resistance_2, "of that of channel 2",
                                       unit("Ohm"), range(1e-6, 1e3)),
                             parameter("shunt_resistance_3", &Config::shunt_resistance_3, "of that of channel 3",
-                                      unit("Ohm"), range(1e-6, 1e3)));
+                                      unit("Ohm"), range(1e-6, 1e3)),
+                            identity_parameter(&Config::identity));
     }
   };
   using Value = ThreePowersReading;
   using Device = I2cDevice;
   static constexpr I2cDevice::Place place{0x40};
-  // The high byte of a word is enough to tell it from others.
   static constexpr KnownChip chips[] = {
-      {.name = "INA3221", .addresses = {0x40, 0x41, 0x42, 0x43}, .identity = {{0xff, 0x32}}}};
+      {.name = "INA3221", .addresses = {0x40, 0x41, 0x42, 0x43}, .identity = {{0xff, 0x3220, 0xffff}}}};
   // 80 mV and 12 V, -80 mV and 16 V, 40 uV and 8 mV; ready.
   static constexpr ChipSample samples[] = {
       {.members = R"("shunt_resistance_2": 0.01)",
@@ -102,13 +103,10 @@ class Ina3221 {
   explicit Ina3221(const Config& config) : config_(config) {}
 
   Result<void> open(I2cDevice& chip) {
-    const Result<std::uint16_t> maker = chip.read_word(maker_register);
-    if (!maker) return maker.error();
-    const Result<std::uint16_t> die = chip.read_word(die_register);
-    if (!die) return die.error();
-    if (*maker != 0x5449 || *die != 0x3220)
-      return chip.error(Errc::bad_data, "cannot use the chip as an INA3221",
-                        "it does not answer with the identity of that chip", "check which chip is at this address");
+    if (auto same = check_identity(chip, chips[0], config_.identity); !same) return same;
+    if (!config_.identity) {
+      if (auto made = Ina::check_maker(chip, maker_register, chips[0]); !made) return made;
+    }
     last_ = Samples<ThreePowersReading>::now();
     return chip.write_word(settings_register, settings);
   }
@@ -178,7 +176,7 @@ class Ina3221 {
   }
 
   static constexpr std::uint8_t settings_register = 0x00, first_shunt_register = 0x01, flags_register = 0x0f;
-  static constexpr std::uint8_t maker_register = 0xfe, die_register = 0xff;
+  static constexpr std::uint8_t maker_register = 0xfe;
   static constexpr std::uint16_t settings = 0x7127;  // all channels, no average, 1.1 ms each, again and again
   static constexpr std::uint16_t ready = 0x0001;
   static constexpr const char* what = "cannot read the INA3221";

@@ -67,6 +67,7 @@ struct InertialWrite {
 /// How to query and read the FIFO.
 struct InertialFifo {
   InertialWrite off, on;                         ///< off and on empties it; `on` not read back: settings are lost
+  std::span<const InertialWrite> emptying = {};  ///< between them, if they alone do not
   std::uint8_t status = 0;                       ///< register of the number of samples
   std::size_t status_bytes = 1;                  ///< the first one is the lowest, unless `big_endian`
   std::uint32_t count_mask = 0;                  ///< in the status
@@ -102,7 +103,6 @@ struct InertialSelfTest {
 
 struct InertialModel {
   KnownChip chip;
-  ChipIdentity identity() const noexcept { return chip.identity.value_or(ChipIdentity{}); }
   std::span<const InertialChoice> rates, accelerations, angles, filters;  ///< empty: it has no such setting
   std::span<const InertialWrite> setting_up, sleeping;
   InertialFifo fifo;
@@ -113,12 +113,14 @@ struct InertialModel {
   double counts_per_degree = 1, degrees_at_zero = 0;
   InertialSelfTest self_test = {};
   RegisterAddressing addressing = {};
+  std::uint8_t bank_register = 0;  ///< bits 4 and 5 choose a bank, which is 0 but in `setting_up`; 0: there are none
 };
 
 /// What a configuration has chosen; none: the default of the model.
 struct InertialSettings {
   std::optional<double> rate{}, acceleration{}, angle{}, filter{};
   bool self_test = false;
+  std::optional<IdentityCode> identity{};
 };
 
 /// What is known about the samples of a chip that can no longer be read.
@@ -180,7 +182,7 @@ class InertialChip {
   /// `all`: all models of this kind, to recognise a wrong one by its identity. SetupError (bad-argument): a setting
   /// that the model does not have.
   InertialChip(const InertialModel& model, std::span<const InertialModel> all, const InertialSettings& settings)
-      : model_(model), all_(all), is_tested_(settings.self_test) {
+      : model_(model), all_(all), is_tested_(settings.self_test), identity_(settings.identity) {
     for (Mistake& mistake : mistakes_in(model, settings))
       throw SetupError(
           {Errc::bad_argument, "cannot use this setting", std::string(mistake.key), std::move(mistake.why), ""});
@@ -206,9 +208,8 @@ class InertialChip {
   /// Checks the identity, runs the self-test, writes the settings; then the chip measures.
   Result<void> open(RegisterDevice& chip) {
     is_on_spi_ = chip.is_on_spi();
-    const Result<std::uint8_t> found = chip.read_register(model_.identity().number);
-    if (!found) return found.error();
-    if (!model_.identity().is_of(*found)) return another_chip(chip, *found);
+    if (auto first = choose_first_bank(chip); !first) return first;
+    if (auto same = check_chip(chip); !same) return same;
     if (is_tested_) {
       if (auto passed = test(chip); !passed) return passed;
     }
@@ -240,6 +241,7 @@ class InertialChip {
     if (!mode) return mode.error();
     // These bits are not compared: an MPU-9250 clears them by itself.
     if (((*mode ^ value_of(fifo.on)) & ~fifo.on.on_spi) != 0) {
+      if (auto same = check_chip(chip); !same) return same;  // it may be another one, put in its place between reads
       out.unreadable(chip.error(Errc::bad_data, what, "it has lost its settings", "check its supply"));
       auto done = set_up(chip);
       if (done) give_up_samples(Samples<Value>::now(), out);
@@ -371,6 +373,17 @@ class InertialChip {
     if (done && write.pause > Duration{0}) chip.wait(write.pause);
     return done;
   }
+  Result<void> check_chip(RegisterDevice& chip) const {
+    return check_identity(chip, model_.chip, identity_, all_, "check which chip is at this address, and `model`");
+  }
+  /// A program that ended in the middle of setting the chip up may have left another bank.
+  Result<void> choose_first_bank(RegisterDevice& chip) const {
+    if (model_.bank_register == 0) return {};
+    const Result<std::uint8_t> bank = chip.read_register(model_.bank_register);
+    if (!bank) return bank.error();
+    constexpr std::uint8_t banks = 0x30;  // other bits are set by another chip, which is left alone
+    return *bank == 0 || (*bank & ~banks) != 0 ? Result<void>() : chip.write_register(model_.bank_register, 0);
+  }
   /// All settings, then the FIFO.
   Result<void> set_up(RegisterDevice& chip) {
     for (const InertialWrite& one : model_.setting_up)
@@ -380,6 +393,8 @@ class InertialChip {
   Result<void> empty_fifo(RegisterDevice& chip) {
     const InertialFifo& fifo = model_.fifo;
     if (auto done = write(chip, fifo.off); !done) return done;
+    for (const InertialWrite& one : fifo.emptying)
+      if (auto done = write(chip, one); !done) return done;
     if (fifo.over_register != 0) {
       if (auto cleared = chip.read_register(fifo.over_register); !cleared) return cleared.error();
     }
@@ -391,21 +406,6 @@ class InertialChip {
     half_ = {};
     counter_.reset();
     return done;
-  }
-
-  Error another_chip(RegisterDevice& chip, std::uint8_t found) const {
-    std::string advice = "check which chip is at this address, and `model`";
-    for (const InertialModel& other : all_) {
-      const Result<std::uint8_t> its = chip.read_register(other.identity().number);
-      if (!its || !other.identity().is_of(*its)) continue;
-      advice = "it seems to be an " + std::string(other.chip.name) + ": set `model`";
-      break;
-    }
-    const std::string name(model_.chip.name);
-    return chip.error(Errc::bad_data, "cannot use the chip as an " + name,
-                      "its identity is " + to_string(I2cAddress(found)) + ", that of an " + name + " is " +
-                          to_string(I2cAddress(model_.identity().value)),
-                      std::move(advice));
   }
 
   Result<std::uint32_t> read_status(RegisterDevice& chip) const {
@@ -662,6 +662,7 @@ class InertialChip {
   const InertialModel& model_;
   std::span<const InertialModel> all_;
   bool is_tested_;
+  std::optional<IdentityCode> identity_;
   bool is_on_spi_ = false;
   const InertialChoice* rate_ = nullptr;
   const InertialChoice* acceleration_ = nullptr;

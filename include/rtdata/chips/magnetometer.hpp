@@ -83,7 +83,6 @@ struct Bit {
 };
 struct Model {
   KnownChip chip;
-  std::string_view more_identity = {};  ///< bytes after that of the chip's identity
   std::span<const SampleRate> rates;
   std::span<const FieldRange> ranges;
   double usual_range;  ///< gauss
@@ -168,8 +167,7 @@ inline constexpr Model all[] = {
      .axes = {1, 3, 5},
      .addressing = {.without_spi = "AK8963"},
      .adjustment_register = 0x10},
-    {.chip = {.name = "HMC5883L", .model = "hmc5883l", .addresses = {0x1e}, .identity = {{0x0a, 'H'}}},
-     .more_identity = "43",
+    {.chip = {.name = "HMC5883L", .model = "hmc5883l", .addresses = {0x1e}, .identity = {{0x0a, 0x483433, 0xffffff}}},
      .rates = hmc5883l_rates,
      .ranges = hmc5883l_ranges,
      .usual_range = 1.3,
@@ -217,8 +215,9 @@ class Magnetometer {
 )";
   struct Config {
     MagnetometerModel model = MagnetometerModel::lis3mdl;
-    std::optional<double> sample_rate{};  ///< Hz of the chip; unset: its fastest
-    std::optional<double> field_range{};  ///< gauss; unset: the narrowest from 1.3 on
+    std::optional<double> sample_rate{};     ///< Hz of the chip; unset: its fastest
+    std::optional<double> field_range{};     ///< gauss; unset: the narrowest from 1.3 on
+    std::optional<IdentityCode> identity{};  ///< of a clone
     friend constexpr auto parameters(type_tag<Config>) {
       return parameter_list(
           parameter("model", &Config::model, "which chip it is",
@@ -232,7 +231,8 @@ class Magnetometer {
           parameter("field_range", &Config::field_range,
                     "in gauss, which are 1e-4 T. LIS3MDL, LSM9DS1: 4, 8, 12, 16; AK8963: 49.12; HMC5883L: 0.88, 1.3, "
                     "1.9, 2.5, 4, 4.7, 5.6, 8.1; QMC5883L: 2, 8; default: the first, HMC5883L 1.3",
-                    unit("G"), range(0.88, 49.12)));
+                    unit("G"), range(0.88, 49.12)),
+          identity_parameter(&Config::identity));
     }
     const magnetometer_models::Model& chip() const noexcept {
       return magnetometer_models::all[static_cast<std::size_t>(model)];
@@ -283,18 +283,7 @@ class Magnetometer {
 
   /// Checks the identity, reads the factory adjustment, writes the settings and reads them back.
   Result<void> open(RegisterDevice& chip) {
-    std::array<std::uint8_t, 3> found{};
-    const ChipIdentity first = model_.chip.identity.value_or(ChipIdentity{});
-    const auto identity = std::span(found).first(1 + model_.more_identity.size());
-    if (auto done = chip.read_registers(first.number, identity); !done) return done;
-    for (std::size_t i = 0; i < identity.size(); ++i) {
-      const std::uint8_t wanted = i == 0 ? first.value : static_cast<std::uint8_t>(model_.more_identity[i - 1]);
-      if (identity[i] == wanted) continue;
-      return chip.error(Errc::bad_data, "cannot use the chip as " + name(),
-                        "its identity is " + to_string(I2cAddress(identity[i])) + ", that of " + name() + " is " +
-                            to_string(I2cAddress(wanted)),
-                        "check which chip is at this address, and `model`");
-    }
+    if (auto same = check_chip(chip); !same) return same;
     if (model_.adjustment_register != 0) {
       if (auto done = read_adjustment(chip); !done) return done;
     }
@@ -302,8 +291,8 @@ class Magnetometer {
     std::array<std::uint8_t, most_bytes> bytes{};
     if (auto done = read_pieces(chip, bytes); !done) return done;
     if (!has_settings(bytes))
-      return chip.error(Errc::bad_data, "cannot use the chip as " + name(), "it does not keep its settings",
-                        "check which chip is at this address, and its supply");
+      return chip.error(Errc::bad_data, "cannot use the chip as " + with_article(model_.chip.name),
+                        "it does not keep its settings", "check which chip is at this address, and its supply");
     return {};
   }
 
@@ -311,6 +300,7 @@ class Magnetometer {
     std::array<std::uint8_t, most_bytes> bytes{};
     if (auto done = read_pieces(chip, bytes); !done) return std::move(done).error();
     if (!has_settings(bytes)) {
+      if (auto same = check_chip(chip); !same) return std::move(same).error();
       auto lost = chip.error(Errc::bad_data, what, "it has lost its settings", "check its supply");
       if (auto done = set_up(chip); !done) return std::move(done).error();
       return Unreadable{std::move(lost)};
@@ -390,7 +380,10 @@ class Magnetometer {
     if (text.back() == '.') text.pop_back();
     return text;
   }
-  std::string name() const { return "the " + std::string(model_.chip.name); }
+  Result<void> check_chip(RegisterDevice& chip) const {
+    return check_identity(chip, model_.chip, config_.identity, magnetometer_models::all,
+                          "check which chip is at this address, and `model`");
+  }
   /// How long the chip may give no sample: three periods plus a second.
   Duration patience() const { return Duration{std::llround(3e9 / rate_->hertz)} + Duration{std::chrono::seconds{1}}; }
   std::uint8_t value_of(const Setting& setting) const noexcept {

@@ -61,9 +61,10 @@ class Nau7802 {
 )";
   struct Config {
     unsigned gain = 128;
-    unsigned data_rate = 10;      ///< samples a second
-    double supply_voltage = 3.0;  ///< V that the chip gives to the bridge
-    unsigned tare_samples = 0;    ///< how many samples to average for the tare; 0: no tare
+    unsigned data_rate = 10;                 ///< samples a second
+    double supply_voltage = 3.0;             ///< V that the chip gives to the bridge
+    unsigned tare_samples = 0;               ///< how many samples to average for the tare; 0: no tare
+    std::optional<IdentityCode> identity{};  ///< of a clone
     friend constexpr auto parameters(type_tag<Config>) {
       return parameter_list(
           parameter("gain", &Config::gain, "1, 2, 4, 8, 16, 32, 64 or 128: its range is 500 mV/V over it"),
@@ -71,7 +72,8 @@ class Nau7802 {
           parameter("supply_voltage", &Config::supply_voltage,
                     "that it gives to the bridge: 2.4, 2.7, 3.0, 3.3, 3.6, 3.9, 4.2 or 4.5", unit("V")),
           parameter("tare_samples", &Config::tare_samples, "the average of the first so many is taken off; 0: none",
-                    range(0, 100'000)));
+                    range(0, 100'000)),
+          identity_parameter(&Config::identity));
     }
   };
   /// The tare, or its samples so far.
@@ -109,14 +111,7 @@ class Nau7802 {
 
   Result<void> open(I2cDevice& chip) {
     using namespace std::chrono_literals;
-    constexpr ChipIdentity identity = *chips[0].identity;
-    const Result<std::uint8_t> revision = chip.read_register(identity.number);
-    if (!revision) return revision.error();
-    if (!identity.is_of(*revision))
-      return chip.error(Errc::bad_data, "cannot use the chip as a NAU7802",
-                        "its revision code is " + to_string(I2cAddress(*revision)) + ", that of a NAU7802 is " +
-                            to_string(I2cAddress(identity.value)),
-                        "check which chip is at this address");
+    if (auto same = check_identity(chip, chips[0], config_.identity); !same) return same;
     if (auto done = chip.write_register(power_register, reset); !done) return done;
     if (auto done = chip.write_register(power_register, digital_on); !done) return done;
     chip.wait(1ms);  // 0.2 ms

@@ -22,12 +22,14 @@ namespace rtdata {
 
 struct RegisterAddressing;
 
-/// A register of 8 bits that tells which chip it is.
+/// What tells which chip it is: a register of 8 bits, or up to three of them or a word, the highest byte first.
+/// `check_identity` (identity.hpp) compares it.
 struct ChipIdentity {
-  std::uint8_t number = 0;  ///< of the register
-  std::uint8_t value = 0;
-  std::uint8_t mask = 0xff;  ///< the bits that count
-  constexpr bool is_of(unsigned found) const noexcept { return ((found ^ value) & mask) == 0; }
+  std::uint8_t number = 0;  ///< of the first register
+  std::uint32_t value = 0;
+  std::uint32_t mask = 0xff;  ///< the bits that count; the highest says how many bytes are read
+  constexpr std::size_t size() const noexcept { return mask > 0xffff ? 3 : mask > 0xff ? 2 : 1; }
+  constexpr bool is_of(std::uint32_t found) const noexcept { return ((found ^ value) & mask) == 0; }
 };
 
 /// A chip that a driver can be set to.

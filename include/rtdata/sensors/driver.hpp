@@ -43,7 +43,8 @@
 ///
 /// `registry.add_driver<Lm75>()` makes a driver available in configurations. A driver describes its chips (chip.hpp)
 /// with `static constexpr KnownChip chips[]`, by which `rtdata scan` finds them, and `static constexpr ChipSample
-/// samples[]`, by which tests try it.
+/// samples[]`, by which tests try it. One whose chip tells which it is checks that with `check_identity`, and takes
+/// clones by the user's word (identity.hpp).
 ///
 /// State that a driver must keep between openings, such as a tare, is its `Memory`: it is copied with `Memory memory()
 /// const` after each completed read, and into a new driver object with `void remember(const Memory&)`. For a chip that
@@ -74,6 +75,7 @@
 #include "rtdata/detail/sensors/transaction.hpp"
 #include "rtdata/io/bus.hpp"
 #include "rtdata/io/chip.hpp"
+#include "rtdata/io/identity.hpp"
 #include "rtdata/sensors/sensor.hpp"
 
 namespace rtdata {
@@ -165,10 +167,22 @@ Result<std::shared_ptr<const Description>> driver_description(const typename D::
   }
 }
 
+/// The chip of a driver that this Config is for: `chips` has one for each `model`, in their order.
+template <class D>
+constexpr const KnownChip& known_chip(const typename D::Config& config) {
+  if constexpr (requires { config.model; })
+    return D::chips[static_cast<std::size_t>(config.model)];
+  else
+    return D::chips[0];
+}
+
 /// Checks that sensors can be made with this Config. Errors: `where` is the key of the wrong parameter, if there is
 /// one.
 template <Driver D>
 Result<void> check_driver(const typename D::Config& config) {
+  if constexpr (HasIdentity<typename D::Config>) {
+    if (auto good = check_identity_setting(known_chip<D>(config), config.identity); !good) return good;
+  }
   if constexpr (requires { D::check(config); }) {
     if (Result<void> good = D::check(config); !good) return good;
   }
@@ -444,6 +458,11 @@ class DriverDevice final : public detail::LaneDevice {
     } else {
       return false;
     }
+  }
+  std::string identity_by_word() const override {
+    if constexpr (HasIdentity<typename D::Config>)
+      return rtdata::identity_by_word(known_chip<D>(config_), config_.identity);
+    return {};
   }
   Error given_up_error() const override {
     const std::string place = BusOf::text_of(place_);

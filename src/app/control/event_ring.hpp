@@ -69,15 +69,19 @@ struct PackedEvent {
 class EventRing {
  public:
   static constexpr std::size_t size = std::size_t{4} << 20;
+  static constexpr std::size_t near = std::size_t{64} << 10;
 
   /// False: there is no room.
   bool put(std::string_view topic, const EventHeader& header, const Description* description,
            std::span<const std::byte> payload) noexcept {
     const std::size_t bytes = PackedEvent::bytes_of(topic, header.origin, payload.size());
     const std::size_t head = head_.load(std::memory_order_relaxed);
+    const std::size_t tail = tail_.load(std::memory_order_acquire);
     const std::size_t to_end = size - head % size;
-    const std::size_t skipped = to_end < bytes ? to_end : 0;
-    if (size - (head - tail_.load(std::memory_order_acquire)) < skipped + bytes) return false;
+    // While all is taken it stays in the memory that the processor's cache has.
+    const bool begins_anew = head == tail && head % size > near;
+    const std::size_t skipped = begins_anew || to_end < bytes ? to_end : 0;
+    if (size - (head - tail) < skipped + bytes) return false;
     if (skipped > 0)
       std::memset(memory_.get() + head % size, 0, sizeof(PackedEvent::bytes));  // goes on at the beginning
     PackedEvent::put(memory_.get() + (head + skipped) % size, topic, header, description, payload, 0);

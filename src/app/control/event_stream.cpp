@@ -1,9 +1,8 @@
 #include "app/control/event_stream.hpp"
 
 #include <algorithm>
-#include <array>
-#include <charconv>
 #include <cmath>
+#include <cstring>
 #include <limits>
 #include <nlohmann/json.hpp>
 #include <variant>
@@ -11,6 +10,7 @@
 #include "app/control/request.hpp"
 #include "app/control/status.hpp"
 #include "app/core/figures.hpp"
+#include "app/core/number_text.hpp"
 #include "rtdata/loop/gaps.hpp"
 #include "rtdata/loop/runtime.hpp"
 #include "rtdata/loop/topic.hpp"
@@ -29,20 +29,18 @@ Time later_by_grace(Time end) { return end > Time::max() - step_grace ? end : en
 
 std::string quoted(std::string_view text) { return Json(text).dump(-1, ' ', false, Json::error_handler_t::replace); }
 
-template <class Number>
-void append_number(std::string& text, Number number) {
-  if constexpr (std::is_floating_point_v<Number>) {
-    if (!std::isfinite(number)) {
-      text += std::isnan(number) ? "\"NaN\"" : number > 0 ? "\"Infinity\"" : "\"-Infinity\"";
-      return;
-    }
-  }
-  std::array<char, 32> digits;
-  text.append(digits.data(), std::to_chars(digits.data(), digits.data() + digits.size(), number).ptr);
+void append_real(std::string& text, double number) {
+  if (std::isfinite(number)) return append_number(text, number);
+  text += std::isnan(number) ? "\"NaN\"" : number > 0 ? "\"Infinity\"" : "\"-Infinity\"";
 }
 
 /// None: it is absent, or NaN.
 std::optional<double> number_of(const Leaf& leaf, const std::byte* payload) {
+  if (leaf.kind == Kind::f64 && leaf.optional == nullptr) {  // most numbers are such
+    double real = 0;
+    std::memcpy(&real, payload + leaf.offset, sizeof real);
+    return std::isnan(real) ? std::nullopt : std::optional(real);
+  }
   const Value value = read(leaf, payload);
   if (const auto* const real = std::get_if<double>(&value))
     return std::isnan(*real) ? std::nullopt : std::optional(*real);
@@ -189,18 +187,6 @@ void StepSums::begin(const PackedEvent& event, Time from, Time until) {
   add(event);
 }
 
-namespace {
-
-/// A mean with an infinity in it is that infinity; with both it is NaN.
-void weigh_in(double& mean, double value, double share) {
-  if (share == 1)
-    mean = value;
-  else
-    mean += std::isfinite(value) && std::isfinite(mean) ? (value - mean) * share : value;
-}
-
-}  // namespace
-
 void StepSums::add(const PackedEvent& event) {
   ++count_;
   last_ = event.sequence;
@@ -251,7 +237,7 @@ void StepSums::append_to(std::string& text, const StreamOrigin& origin) const {
     if (number.count > 0) {
       const auto add = [&](const char* key, double value) {
         text += key;
-        append_number(text, value);
+        append_real(text, value);
       };
       add(",\"least\":", number.least);
       add(",\"most\":", number.most);

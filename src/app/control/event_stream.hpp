@@ -27,6 +27,7 @@ struct StreamRequest {
   std::optional<Time> from = {};            ///< none: now
   std::optional<Duration> ago = {};         ///< the same, as so long before now
   std::string of = {};  ///< the sink whose recording has what was before; empty: the first that fits
+  Duration pace = std::chrono::milliseconds{10};  ///< of what is sent; at least
 
   bool wants_past() const noexcept { return from || ago; }
   /// Its patterns match the topic.
@@ -121,6 +122,7 @@ class EventStream {
   /// What comes from now on comes live.
   void go_live(Time now);
   bool is_live() const noexcept { return is_live_; }
+  Duration pace() const noexcept { return request_.pace; }
   bool takes(std::string_view topic) const noexcept { return StreamRequest::is_beside(topic) || request_.names(topic); }
   /// It comes live from the beginning, whatever is read from a recording.
   bool takes_beside(std::string_view topic) const noexcept {

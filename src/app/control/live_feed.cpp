@@ -36,7 +36,9 @@ void LiveFeed::keep(const Description& description) {
 }
 
 void LiveFeed::take(const EventView& event) {
-  if (!ring_->descriptions.contains(&event.description())) keep(event.description());
+  const Description* const description = &event.description();
+  if (std::exchange(last_, description) != description && !ring_->descriptions.contains(description))
+    keep(*description);
   if (!lost_.empty()) tell_lost();
   // Of an origin that lost some, the loss is told before the next one.
   if (lost_.empty() && ring_->put(event.topic(), event.header(), &event.description(), event.payload())) return;

@@ -50,6 +50,7 @@ class LiveFeed {
   Loop& loop_;
   std::shared_ptr<Ring> ring_ = std::make_shared<Ring>();
   std::map<std::string, Subscription> subscriptions_;  // by pattern
+  const Description* last_ = nullptr;                  // that was looked for among those of the ring
   struct Lost {
     std::string topic, origin;
     Time time{};

@@ -24,7 +24,6 @@
 namespace rtdata::app {
 namespace {
 
-constexpr Duration pace = std::chrono::milliseconds{10};        // of what is sent
 constexpr Duration idle_pace = std::chrono::milliseconds{100};  // while nobody reads
 constexpr Duration look_pace = std::chrono::milliseconds{50};   // of the main loop, at what the thread wants of it
 constexpr Duration longest_reading = std::chrono::seconds{30};  // of a slice: a disk may stall
@@ -182,7 +181,7 @@ void Readers::Shared::serve() noexcept try {
   detail::Lane reading(loop.core(), "recordings", longest_reading);
   lane = &reading;
   Ticker ticker;
-  ticker = Ticker(loop, {.period = pace, .name = "readers"}, [&](const Tick&) {
+  ticker = Ticker(loop, {.period = idle_pace, .name = "readers"}, [&](const Tick&) {
     if (quit.load(std::memory_order_acquire)) return loop.stop();
     turn(ticker);
   });
@@ -207,7 +206,9 @@ void Readers::Shared::turn(Ticker& ticker) {
   }
   const std::size_t gone = connections.remove_if([](const Connection& one) { return one.has_gone; });
   readers.fetch_sub(gone, std::memory_order_release);
-  ticker.set_period(connections.empty() ? idle_pace : pace);
+  Duration pace = idle_pace;
+  for (const Connection& one : connections) pace = std::min(pace, one.stream.pace());
+  ticker.set_period(pace);
 }
 
 void Readers::Shared::take_arrivals() {

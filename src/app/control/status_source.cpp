@@ -85,8 +85,8 @@ void Pace::add(std::uint64_t count, MonotonicTime at) {
   while (marks_.size() > 2 && at - marks_[1].at >= span) marks_.pop_front();
 }
 
-std::optional<double> Pace::per_second(MonotonicTime now) const noexcept {
-  constexpr Duration known = std::chrono::milliseconds{900};
+std::optional<double> Pace::per_second(MonotonicTime now, Duration period) const noexcept {
+  const Duration known = std::max<Duration>(std::chrono::milliseconds{900}, 2 * period);
   if (marks_.empty()) return std::nullopt;
   const auto count = static_cast<double>(marks_.back().count - marks_.front().count);
   const auto span = static_cast<double>((marks_.back().at - marks_.front().at).count());
@@ -142,6 +142,7 @@ void StatusSource::watch() {
     Seen& seen = found->second;
     seen.payload.assign(event.payload().begin(), event.payload().end());
     seen.came_at = loop_.now();
+    if (seen.events++ == 0) seen.first_came_at = seen.came_at;
     if (seen.period > Duration{0} && event.time() >= seen.first_due)
       seen.now.add((event.time() - seen.first_due) % seen.period);
   });
@@ -173,7 +174,9 @@ void StatusSource::add_seen(Status& status) {
   if (turns) turned_ = now;
   std::map<std::string_view, TimeCounts> of_loops;
   for (Status::Sensor& sensor : status.sensors) {
-    Seen& seen = seen_[sensor.name];
+    const auto [place, is_new] = seen_.try_emplace(sensor.name);
+    Seen& seen = place->second;
+    if (is_new) seen.readings_before = sensor.readings;
     if (seen.first_due != sensor.first_due || seen.period != sensor.period) seen.now = {}, seen.before.reset();
     seen.first_due = sensor.first_due;
     seen.period = sensor.period;
@@ -185,8 +188,13 @@ void StatusSource::add_seen(Status& status) {
       sensor.lateness = lateness_of(late);
       of_loops[sensor.loop].add(late);
     }
+    if (seen.events > 0 && !std::exchange(seen.has_begun, true) &&
+        sensor.readings - seen.readings_before == seen.events)  // each reading was an event
+      seen.pace.begin(seen.readings_before + 1, seen.first_came_at);
     seen.pace.add(sensor.readings, seen.came_at > taken ? seen.came_at : now);
-    sensor.reached_hz = seen.pace.per_second(now);
+    constexpr Duration unknown_period = std::chrono::milliseconds{2500};
+    sensor.reached_hz = seen.pace.per_second(
+        now, seen.period > Duration{0} || seen.events == 0 ? seen.period : unknown_period);
     const auto kept = changes_.find(sensor.name);
     sensor.payload = kept != changes_.end() ? kept->second : seen.payload;
     if (kept != changes_.end() && sensor.description != nullptr) show_change(sensor);

@@ -44,8 +44,10 @@ class TimeCounts {
 class Pace {
  public:
   void add(std::uint64_t count, MonotonicTime at);
-  /// Empty: not known yet.
-  std::optional<double> per_second(MonotonicTime now) const noexcept;
+  /// It increased to `count` then: what was added before, at a time between two increases, is left out.
+  void begin(std::uint64_t count, MonotonicTime at) { marks_.assign(1, {count, at}); }
+  /// Empty: not known yet. `period`: how long it may stay as it is.
+  std::optional<double> per_second(MonotonicTime now, Duration period = Duration{0}) const noexcept;
 
  private:
   struct Mark {
@@ -86,7 +88,10 @@ class StatusSource {
   /// Data of a sensor while a client watches.
   struct Seen {
     std::vector<std::byte> payload;
-    MonotonicTime came_at{};
+    MonotonicTime came_at{}, first_came_at{};  // the last event, and the first that was seen
+    std::uint64_t events = 0;                  // that were seen
+    std::uint64_t readings_before = 0;         // when it began to look
+    bool has_begun = false;                    // its pace is that between events
     Pace pace;
     Time first_due{};
     Duration period{0};

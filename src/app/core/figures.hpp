@@ -1,6 +1,7 @@
 // Which fields have figures (least, most, mean, a curve), and where a recorded step has them.
 #pragma once
 
+#include <cmath>
 #include <vector>
 
 #include "rtdata/data/description.hpp"
@@ -28,6 +29,15 @@ inline std::vector<Figures> figures_of(const Description& steps, const Descripti
     next += 4;
   }
   return all;
+}
+
+/// Makes a value, or the mean of several, part of a mean, of which it is then this share. It does not overflow, and
+/// loses no digits where all are near each other. With an infinity the mean is that infinity, with both it is NaN.
+inline void weigh_in(double& mean, double value, double share) noexcept {
+  if (share == 1)
+    mean = value;
+  else
+    mean += std::isfinite(value) && std::isfinite(mean) ? (value / 2 - mean / 2) * (2 * share) : value;
 }
 
 }  // namespace rtdata::app

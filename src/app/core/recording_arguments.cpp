@@ -228,7 +228,7 @@ Action prepare_plot(CLI::App& command) {
   const auto words = std::make_shared<std::vector<std::string>>();
   command.add_option("WORDS", *words,
                      "[NAME|PID|DB] FIELD ...: an instance when several run, or a recording; TOPIC.FIELD, or TOPIC for "
-                     "all its numbers; each has a panel");
+                     "all its numbers; each has a panel; without a FIELD it lists what there is");
   add_part(command, options->part);
   command.add_option("--origin", options->origin, "Only events of this sensor")->type_name("NAME");
   command.footer(
@@ -334,8 +334,10 @@ Action prepare_import(CLI::App& command) {
   const auto options = std::make_shared<ImportOptions>();
   command.add_option("FILE", options->file, "CSV; its first row names the columns, units as in: speed [m/s]")
       ->required();
-  command.add_option("--time", options->time_columns, "Heading of the column of time, or of those of date and time")
-      ->expected(1, 2)
+  command
+      .add_option("--time", options->time_columns,
+                  "Heading of the column of time, or of those of its parts, such as date and time")
+      ->expected(1, -1)
       ->type_name("COLUMN")
       ->required();
   command.add_option("--time-format", options->time_format, "How its times are written, such as \"%d.%m.%Y %H:%M:%S\"")
@@ -358,12 +360,17 @@ Action prepare_import(CLI::App& command) {
       ->type_name("NAMES");
   command.add_option("--comment", options->comment, "Leave out lines that begin with this, such as \"#\"")
       ->type_name("TEXT");
+  command
+      .add_option("--only", options->only,
+                  "Only the rows of this kind, the text of their first cell, or with this text in a column: host=a")
+      ->expected(1, -1)
+      ->type_name("KIND|COLUMN=TEXT");
   command.add_option("--none", options->none, "Texts and numbers that stand for no value, such as N/A -9999")
       ->expected(1, -1)
       ->type_name("TEXT");
   command
       .add_option("--strip", options->strip,
-                  "Texts that are taken off the ends of cells with numbers, such as F \"V DC\"")
+                  "Texts that are taken off the begin or end of cells with numbers, such as F \"V DC\" T=")
       ->expected(1, -1)
       ->type_name("TEXT");
   command
@@ -386,7 +393,10 @@ Action prepare_import(CLI::App& command) {
   command.footer(
       "examples:\n  rtdata import flight.csv --time ticks --scale 10us --into flight.db\n"
       "  rtdata import lab.csv --time Zeit --separator \";\" --decimal , --zone +01:00\n"
-      "  rtdata import logger.txt --skip 11 --time Time --none -9999 ---");
+      "  rtdata import logger.txt --skip 11 --time Time --none -9999 ---\n"
+      "  rtdata import buoy.txt --separator blanks --time \"#YY\" MM DD hh mm \\\n"
+      "    --time-format \"%Y %m %d %H %M\" --zone Z --units row --none MM --sort\n"
+      "  rtdata import flight.log --only IMU I=0 --time TimeUS --scale 1us");
   return [options](const Registry&) {
     const ForPeople wrapped;
     return import_table(*options, std::cout, std::cerr);

@@ -130,7 +130,7 @@ struct PartOptions {
 
 struct PlotOptions {
   std::string database;
-  std::vector<std::string> fields;  // TOPIC.FIELD, or TOPIC: all its numbers
+  std::vector<std::string> fields;  // TOPIC.FIELD, or TOPIC: all its numbers; none: lists what there is
   std::optional<std::string> origin = {};
   PartOptions part = {};
 };
@@ -162,7 +162,7 @@ int tail_recording(const RecordedTailOptions& options, std::ostream& out, std::o
 
 struct ImportOptions {
   std::string file;                       // CSV with column names in the first row, and units as in "speed [m/s]"
-  std::vector<std::string> time_columns;  // its heading, or those of date and time
+  std::vector<std::string> time_columns;  // its heading, or those of its parts in order, such as date and time
   std::string time_format = {};           // as strptime has it; empty: ISO 8601 and numbers
   std::string scale = {};                 // duration of 1 in that column; empty: 1 s; not used for ISO 8601
   std::string start = {};                 // time of 0 in that column, ISO 8601; empty: 1970
@@ -175,8 +175,10 @@ struct ImportOptions {
   std::uint64_t head = 1;    // rows of the heading, 1 or 2
   std::string units = {};    // "row": a row after the heading has them; else they are in the heading
   std::string columns = {};  // the names, as a row of CSV, of a table without heading; empty: it has one
+  std::vector<std::string> only =
+      {};  // the rows taken: KIND, the text of their first cell, or COLUMN=TEXT; all of these
   std::vector<std::string> none = {};   // texts, and numbers however they are written, that stand for no value
-  std::vector<std::string> strip = {};  // texts that are taken off the ends of cells with numbers, such as units
+  std::vector<std::string> strip = {};  // texts that are taken off the begin or end of cells with numbers
   enum class Order { refused, sorted };
   Order order = Order::refused;  // of rows that are not in order of time; sorted: --sort
   enum class Partial { refused, taken };

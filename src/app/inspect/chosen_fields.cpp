@@ -85,9 +85,6 @@ std::vector<ChosenField> chosen(const std::string& name, const std::vector<Recor
 std::vector<ChosenField> chosen_fields(const std::vector<std::string>& names,
                                        const std::vector<RecordedTopic>& topics) {
   std::vector<ChosenField> fields;
-  std::set<std::string> all;
-  for (const RecordedTopic& topic : topics) all.insert(topic.topic);
-  if (names.empty()) refuse("nothing", "name a field, as TOPIC.FIELD, or a topic", "there is " + list_of(all));
   for (const std::string& name : names)
     for (ChosenField& field : chosen(name, topics))
       if (std::find(fields.begin(), fields.end(), field) == fields.end()) fields.push_back(std::move(field));

@@ -10,6 +10,7 @@
 #include <set>
 #include <utility>
 
+#include "app/core/figures.hpp"
 #include "app/core/recording_commands.hpp"
 #include "app/core/table.hpp"
 #include "rtdata/data/problem.hpp"
@@ -24,7 +25,7 @@ namespace {
 using Json = nlohmann::ordered_json;
 
 /// Of the numbers of a field that are there and not NaN.
-struct Figures {
+struct RunFigures {
   std::uint64_t count = 0;
   double least = std::numeric_limits<double>::infinity(), largest = -least, mean = 0, squares = 0;
   void add(double value) {
@@ -32,7 +33,7 @@ struct Figures {
     least = std::min(least, value);
     largest = std::max(largest, value);
     const double before = value - mean;
-    mean += before / static_cast<double>(++count);
+    weigh_in(mean, value, 1 / static_cast<double>(++count));
     squares += before * (value - mean);
   }
   double deviation() const { return count < 2 ? 0 : std::sqrt(squares / static_cast<double>(count - 1)); }
@@ -66,7 +67,7 @@ struct Part {
   std::array<std::uint64_t, 2> events{};
   std::array<std::string, 2> lost;
   std::vector<std::pair<std::string, std::string>> fields;  // and their units, in order
-  std::map<std::string, std::array<Figures, 2>> figures;
+  std::map<std::string, std::array<RunFigures, 2>> figures;
 };
 using Key = std::pair<std::string, std::string>;  // topic and origin
 
@@ -133,7 +134,7 @@ void read_side(const Recording& recording, const Side& side, std::size_t which, 
   }
 }
 
-std::string figure(const Figures& of, double value) {
+std::string figure(const RunFigures& of, double value) {
   if (of.count == 0) return "-";
   std::array<char, 32> text{};
   std::snprintf(text.data(), text.size(), "%.5g", value);
@@ -153,11 +154,14 @@ void print(const std::array<Side, 2>& sides, const std::map<Key, Part>& parts, s
         << part.events[1] << " events\n";
     for (std::size_t i = 0; i < 2; ++i)
       if (!part.lost[i].empty()) out << "  " << i + 1 << ": in the whole run the topic lost " << part.lost[i] << "\n";
-    Table table({"field", ">least 1", ">2", ">mean 1", ">2", ">largest 1", ">2"});
+    Table table({"field", "", ">least", ">mean", ">largest"});
     for (const auto& [field, unit] : part.fields) {
-      const auto& [a, b] = part.figures.at(field);
-      table.add({field + (unit.empty() ? "" : " [" + unit + "]"), figure(a, a.least), figure(b, b.least),
-                 figure(a, a.mean), figure(b, b.mean), figure(a, a.largest), figure(b, b.largest)});
+      std::string name = field + (unit.empty() ? "" : " [" + unit + "]");
+      for (std::size_t i = 0; i < 2; ++i) {
+        const RunFigures& of = part.figures.at(field)[i];
+        table.add({std::exchange(name, ""), i == 0 ? "1:" : "2:", figure(of, of.least), figure(of, of.mean),
+                   figure(of, of.largest)});
+      }
     }
     if (!table.empty()) out << table.text("  ", 80);
   }
@@ -174,7 +178,7 @@ void print_json(const std::array<Side, 2>& sides, const std::map<Key, Part>& par
     for (const auto& [field, unit] : part.fields) {
       Json figures{{"field", field}, {"unit", unit}};
       for (const char* name : {"count", "min", "mean", "max", "deviation"}) figures[name] = Json::array();
-      for (const Figures& of : part.figures.at(field)) {
+      for (const RunFigures& of : part.figures.at(field)) {
         const auto add = [&](const char* name, double value) {
           figures[name].push_back(of.count == 0 ? Json() : Json(value));
         };

@@ -7,6 +7,8 @@
 #include <cstdio>
 #include <type_traits>
 
+#include "app/core/figures.hpp"
+
 namespace rtdata::app {
 namespace {
 
@@ -60,9 +62,8 @@ Scale::Scale(const Curve& curve) {
       if (!least || number < *least) least = number;
       if (!most || *most < number) most = number;
     }
-    // From the mean of all before, which so loses no digits.
     numbers += step.numbers;
-    mean += (step.mean - mean) * (static_cast<double>(step.numbers) / static_cast<double>(numbers));
+    weigh_in(mean, step.mean, static_cast<double>(step.numbers) / static_cast<double>(numbers));
   }
   if (!least) return;
   const double low = as_double(*least), high = as_double(*most);
@@ -168,9 +169,7 @@ void join(const CurveStep& step, CurveStep& to) {
   to.numbers += step.numbers;
   if (is_first || step.least < to.least) to.least = step.least;
   if (is_first || to.most < step.most) to.most = step.most;
-  // From the mean of all before, which so loses no digits.
-  if (is_first) to.mean = step.mean;
-  to.mean += (step.mean - to.mean) * (static_cast<double>(step.numbers) / static_cast<double>(to.numbers));
+  weigh_in(to.mean, step.mean, static_cast<double>(step.numbers) / static_cast<double>(to.numbers));
 }
 
 std::string gap_text(const std::string& kind, const std::string& reason) {

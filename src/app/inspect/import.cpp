@@ -43,7 +43,7 @@ struct Found {
   std::uint64_t rows = 0;
   std::uint64_t short_rows = 0, first_short_line = 0;  // rows that end early
   std::uint64_t cut_line = 0;                          // of a last row that is left out; 0: none is
-  std::uint64_t out_of_order = 0, twice = 0, midnights = 0, headings_again = 0, without_time = 0;
+  std::uint64_t out_of_order = 0, twice = 0, midnights = 0, headings_again = 0, without_time = 0, others = 0;
   std::vector<Place> places;  // only if rows are sorted
   std::shared_ptr<const Description> description;
 };
@@ -64,21 +64,29 @@ std::string comment_advice(const std::vector<detail::CsvCell>& cells) {
   return {};
 }
 
-/// For messages.
-std::string column_of_time(const ImportOptions& options) {
-  return options.time_columns.front() + (options.time_columns.size() > 1 ? " and " + options.time_columns.back() : "");
+bool has_no_date(const ImportOptions& options) {
+  return !options.time_format.empty() && !format_has_date(options.time_format);
 }
 
-/// The text of the time in a row, of which date and time may be two cells.
+/// For messages.
+std::string column_of_time(const ImportOptions& options) {
+  const std::vector<std::string>& columns = options.time_columns;
+  std::string all = columns.size() > 1 ? "columns " : "column ";
+  for (std::size_t i = 0; i < columns.size(); ++i)
+    all += (i == 0 ? "" : i + 1 < columns.size() ? ", " : " and ") + columns[i];
+  return all;
+}
+
+/// The text of the time in a row, of which date and time, or more parts, may be cells of their own.
 std::string time_text(const std::vector<detail::CsvCell>& cells, const Found& found) {
   std::string text = cells[found.time_columns.front()].text;
-  if (found.time_columns.size() > 1) (text += ' ') += cells[found.time_columns.back()].text;
+  for (std::size_t i = 1; i < found.time_columns.size(); ++i) (text += ' ') += cells[found.time_columns[i]].text;
   return text;
 }
 
 /// Refuses a row whose time cannot be read.
 [[noreturn]] void refuse_time(const ImportOptions& options, const ImportNotation& notation, const Error& error,
-                              const std::string& where, const std::vector<detail::CsvCell>& cells, const Found& found) {
+                              const ImportRows& table, const std::vector<detail::CsvCell>& cells, const Found& found) {
   const std::string when = time_text(cells, found);
   double number = 0;
   const bool is_beyond = options.time_format.empty() && is_number(when, notation.numbers, number) &&
@@ -98,23 +106,42 @@ std::string time_text(const std::vector<detail::CsvCell>& cells, const Found& fo
     advice = "check --scale" + scale_of(number);
   } else if (has_comma) {
     advice = "its numbers have decimal commas: write --decimal ,";
+  } else if (has_date && when.size() == 10 && options.time_format.empty()) {
+    advice = "if its rows are days, write --time-format %F";
+  } else if (has_date && error.what == "not a time") {  // as ISO 8601 has it, whose advice is how to write it
+    advice = "for another notation write --time-format, such as \"%F %T %z\"";
   } else if (has_reason && !error.advice.empty()) {
     advice = error.advice;
-  } else if (advice = comment_advice(cells); !advice.empty()) {
-  } else if (found.rows == 0 && !has_digits && !when.empty()) {
-    advice = "if the row has the units, write --units row; if the heading has two rows, --head 2";
-  } else {
-    advice = "a number, or a time as 2026-03-01T12:00:00Z";
-    if (options.time_format.empty() && has_digits)
+  } else if (when.find_first_not_of(' ') == std::string::npos) {
+    advice = "if rows without a time are to be left out, write --partial";
+  } else if (advice = comment_advice(cells); found.rows == 0 && !has_digits) {
+    advice = "if the row has the units, write --units row; if the heading has two rows, --head 2" +
+             (advice.empty() ? "" : "; " + advice);
+  } else if (advice.empty()) {
+    if (!has_reason) advice = "a number, or a time as 2026-03-01T12:00:00Z";
+    if (!has_reason && has_digits)
       advice += "; for another notation write --time-format, such as \"%d.%m.%Y %H:%M:%S\"";
+    if (!has_digits)
+      advice += std::string(advice.empty() ? "" : "; ") + "if the table ends above it, take that part: head -n " +
+                std::to_string(table.line() - 1) + " " + options.file + " >table.csv";
   }
-  refuse_import(where,
-                "\"" + detail::readable(when.substr(0, 64)) + "\" in column " + column_of_time(options) +
-                    " is not a time" +
+  refuse_import(table.where(),
+                "\"" + detail::readable(when.substr(0, 64)) + "\" in " + column_of_time(options) + " is not a time" +
                     (is_beyond    ? " that can be recorded, which are those from 1678 to 2261"
                      : has_reason ? ": " + error.why
                                   : ""),
                 advice);
+}
+
+/// Of a row that is before the row above it: sorting is not always what puts it right.
+std::string sort_advice(const ImportOptions& options, const ImportNotation& notation, const std::string& when) {
+  double number = 0;
+  if (has_no_date(options))
+    return "if all of its rows are of one day, write --sort; if they are not, the table wants a column with the date";
+  if (options.time_format.empty() && is_number(when, notation.numbers, number))
+    return "sort the rows by time: write --sort; or, if its clock began again there, divide the file there";
+  return std::string("sort the rows by time: write --sort") +
+         (options.only.empty() ? "; or, if it has rows of several kinds, take one: --only" : "");
 }
 
 /// Refuses a row that has not as many cells as there are columns.
@@ -122,9 +149,13 @@ std::string time_text(const std::vector<detail::CsvCell>& cells, const Found& fo
                              const Found& found) {
   const bool is_short = cells.size() < found.columns.size();
   std::string advice = comment_advice(cells);
+  const bool has_kind = !options.only.empty() && options.only.front().find('=') == std::string::npos;
+  if (advice.empty() && has_kind && options.columns.empty()) advice = "name the columns of these rows: --columns";
   if (advice.empty() && is_short)
     advice = table.is_at_end() ? "if the file is cut off there, write --partial, which leaves the row out"
                                : "if rows may end early, write --partial: what they lack is absent";
+  if (options.only.empty() && comment_advice(cells).empty())
+    advice += std::string(advice.empty() ? "" : "; ") + "if its rows are of several kinds, take one: --only";
   refuse_import(table.where(),
                 std::to_string(cells.size()) + (cells.size() == 1 ? " cell" : " cells") + ", where " +
                     (options.columns.empty() ? "the first row has " : "--columns names ") +
@@ -139,6 +170,15 @@ std::vector<ImportColumn> begin_table(ImportRows& table, const ImportOptions& op
   time_columns.clear();
   for (const std::string& heading : options.time_columns)
     time_columns.push_back(find_column(columns, heading, options, notation));
+  std::vector<ImportChoice> choices;
+  for (const std::string& one : options.only) {
+    const std::size_t mark = one.find('=');
+    ImportChoice& choice = choices.emplace_back(ImportChoice{.text = one});
+    if (mark == std::string::npos) continue;
+    choice = {.text = one.substr(mark + 1), .heading = one.substr(0, mark)};
+    choice.column = find_column(columns, choice.heading, options, notation);
+  }
+  table.choose(std::move(choices));
   std::vector<detail::CsvCell> heading;
   if (options.columns.empty() && options.head == 1)
     for (const ImportColumn& column : columns) heading.push_back({column.heading});
@@ -152,11 +192,32 @@ bool is_without_time(const std::vector<detail::CsvCell>& cells, const Found& fou
                                                [&](std::size_t column) { return cells[column].text.empty(); });
 }
 
+/// Refuses a table of which no row was chosen.
+void check_choices(const ImportOptions& options, const ImportRows& table) {
+  for (const ImportChoice& choice : table.choices()) {
+    if (choice.has_any) continue;
+    constexpr std::size_t most_shown = 8;
+    std::string others;
+    for (std::size_t i = 0; i < std::min(choice.others.size(), most_shown); ++i)
+      (others += i == 0 ? "there are " : ", ") += detail::readable(choice.others[i]);
+    if (choice.others.size() > most_shown) others += ", ...";
+    refuse_import(options.file,
+                  (choice.column ? "no row has " + choice.text + " in column " + choice.heading
+                                 : "no row begins with " + choice.text) +
+                      (choice.others.empty() ? "" : ", where " + others),
+                  choice.column ? "check --only" : "check --only; for the text of a column write COLUMN=TEXT");
+  }
+}
+
 /// Refuses numbers of which the scale is not known.
 void check_scale(const ImportOptions& options, const ImportNotation& notation, const ImportColumn& time,
                  const std::string& first) {
   double number = 0;
   if (!options.time_format.empty() || !is_number(first, notation.numbers, number)) return;
+  if (!options.zone.empty() && options.zone != "Z")
+    refuse_import("--zone " + options.zone, "its times are numbers, which count from --start, of whatever zone that is",
+                  "leave --zone out; if they count from a local time, write --start with its offset, such as "
+                  "1899-12-30T00:00:00+01:00");
   const std::string shown = "its column " + time.heading;
   if (options.scale.empty() && options.start.empty() && may_be_a_day(first))
     refuse_import(options.file, "\"" + first + "\" in column " + time.heading + " seems to be a day",
@@ -172,9 +233,13 @@ void check_scale(const ImportOptions& options, const ImportNotation& notation, c
     unit = time.heading.substr(open + 1, time.heading.size() - open - 2);  // longer than units are elsewhere
   if (time.unit.empty() && !duration_of_unit(unit)) unit.clear();
   if (unit.empty() && options.scale.empty()) {
-    const std::size_t begin = time.heading.find_last_of(" _/-");
-    const std::string last = begin == std::string::npos ? "" : time.heading.substr(begin + 1);
-    if (last.size() > 1 && last != "min" && duration_of_unit(last)) unit = last;
+    std::size_t begin = time.heading.find_last_of(" _/-") + 1;
+    const auto is_upper = [&](std::size_t at) { return time.heading[at] >= 'A' && time.heading[at] <= 'Z'; };
+    const auto is_lower = [&](std::size_t at) { return time.heading[at] >= 'a' && time.heading[at] <= 'z'; };
+    for (std::size_t at = begin + 1; at < time.heading.size(); ++at)
+      if (is_lower(at - 1) && is_upper(at)) begin = at;  // TimeUS, timestampMs
+    const std::string last = begin == 0 ? "" : time.heading.substr(begin);
+    if (last.size() > 1 && last != "min" && last != "Min" && duration_of_unit(last)) unit = last;
   }
   if (unit.empty()) return;
   const auto duration = duration_of_unit(unit);
@@ -219,7 +284,7 @@ Found look_at(const ImportOptions& options, const ImportNotation& notation) {
       check_scale(options, notation, found.columns[found.time_columns.front()], time_text(cells, found));
     const std::uint64_t twice = clock.twice();
     const auto time = clock.read(time_text(cells, found));
-    if (!time) refuse_time(options, notation, time.error(), table.where(), cells, found);
+    if (!time) refuse_time(options, notation, time.error(), table, cells, found);
     const bool is_sorted = options.order == ImportOptions::Order::sorted;
     if (clock.twice() > twice && is_sorted)
       refuse_import(table.where(),
@@ -229,9 +294,9 @@ Found look_at(const ImportOptions& options, const ImportNotation& notation) {
     if (found.rows++ == 0) found.first = found.last = before = *time;
     if (*time < before && !is_sorted)
       refuse_import(table.where(),
-                    "\"" + detail::readable(time_text(cells, found).substr(0, 64)) + "\" in column " +
+                    "\"" + detail::readable(time_text(cells, found).substr(0, 64)) + "\" in " +
                         column_of_time(options) + " is before the time of the row above it",
-                    "sort the rows by time: write --sort");
+                    sort_advice(options, notation, time_text(cells, found)));
     if (*time < before) ++found.out_of_order;
     if (is_sorted) found.places.push_back({*time, table.position(), table.line()});
     before = *time;
@@ -251,6 +316,8 @@ Found look_at(const ImportOptions& options, const ImportNotation& notation) {
   found.headings_again = table.headings_again();
   std::stable_sort(found.places.begin(), found.places.end(),
                    [](const Place& a, const Place& b) { return a.time < b.time; });
+  found.others = table.others();
+  if (found.rows == 0) check_choices(options, table);
   if (found.rows == 0) refuse_import(options.file, "it has no rows", "");
   if (detail::span_between(found.first, found.last) == Duration::max())
     refuse_import(options.file, "its times span more than 292 years", "check --scale");
@@ -366,6 +433,13 @@ ImportNotation notation_of(const ImportOptions& options) {
   notation.time_format = options.time_format;
   if (const std::string mistake = format_mistake(options.time_format); !mistake.empty() && !options.time_format.empty())
     refuse_import("--time-format " + options.time_format, mistake, "such as \"%d.%m.%Y %H:%M:%S\"");
+  if (!notation.zone.empty() && has_no_date(options))
+    refuse_import("--zone " + options.zone,
+                  "times of --time-format " + options.time_format + " have no date, and count from --start",
+                  "leave --zone out, and write --start with the day and its offset, such as 2026-03-01T00:00:00+01:00");
+  if (options.time_columns.size() > 1 && options.time_format.empty() && numbers.thousands == " ")
+    refuse_import("--time", "a time of several columns is no number with blanks between its thousands",
+                  "write --time-format");
   notation.takes_partial = options.partial == ImportOptions::Partial::taken;
   if (!options.columns.empty() && options.head > 1)
     refuse_import("--columns " + options.columns, "the table has no heading, and --head is of headings",
@@ -374,7 +448,8 @@ ImportNotation notation_of(const ImportOptions& options) {
 }
 
 /// What is not as it stands in the table, or may not be as it was meant.
-void tell_warnings(std::ostream& err, const Found& found, const ImportNotation& notation, std::uint64_t moved) {
+void tell_warnings(std::ostream& err, const ImportOptions& options, const Found& found, const ImportNotation& notation,
+                   std::uint64_t moved) {
   const auto warn = [&](const std::string& text) { err << "rtdata: warning: " << text << "\n"; };
   const auto rows = [](std::uint64_t count) { return std::to_string(count) + (count == 1 ? " row" : " rows"); };
   for (const ImportColumn& column : found.columns) {
@@ -394,18 +469,29 @@ void tell_warnings(std::ostream& err, const Found& found, const ImportNotation& 
     else if (column.numbers_with_more == column.texts)
       warn(text + "to have the numbers, write --strip \"" + detail::readable(column.more) + "\"");
   }
+  if (found.others > 0) warn(rows(found.others) + " of other kinds: left out");
   if (found.headings_again > 0)
     warn(rows(found.headings_again) + (found.headings_again == 1 ? " is" : " are") + " the heading again: left out");
   if (found.without_time > 0) warn(rows(found.without_time) + " without a time: left out");
+  constexpr std::size_t hour_at = 11;
+  const bool may_be_of_day = has_no_date(options) && options.start.size() > hour_at + 4 &&
+                             options.start.compare(hour_at, 5, "00:00") != 0;
+  if (may_be_of_day && found.first - notation.start >= std::chrono::hours{1})
+    warn("its times count from --start, so that the first is " + to_iso8601(found.first) +
+         ": if they are times of day, write --start with 00:00");
   if (found.midnights > 0)
     warn("its times have no date, and go back " + std::to_string(found.midnights) +
-         (found.midnights == 1 ? " time" : " times") + ", as at midnight: each time a day was added");
+         (found.midnights == 1 ? " time" : " times") +
+         (format_has_hour(options.time_format) ? ", as at midnight: each time a day was added"
+                                               : ", as at the full hour: each time an hour was added"));
   if (found.short_rows > 0)
     warn(rows(found.short_rows) + " ended early, the first in line " + std::to_string(found.first_short_line) +
          "; what they lack is absent");
   if (found.cut_line > 0)
     warn("line " + std::to_string(found.cut_line) + ", the last row, is cut off and was left out");
-  if (found.out_of_order > 0) warn(rows(found.out_of_order) + " had a time before the row above; the rows were sorted");
+  if (found.out_of_order > 0)
+    warn(rows(found.out_of_order) + " had a time before the row above; the rows were sorted" +
+         (has_no_date(options) ? ", as times of one day" : ""));
   if (found.twice > 0)
     warn(rows(found.twice) + " are in an hour that comes twice in " + notation.zone +
          "; each is taken as the first that is not before the row above");
@@ -437,7 +523,7 @@ int import_table(const ImportOptions& options, std::ostream& out, std::ostream& 
     const ImportColumn& column = found.columns[i];
     out << "  " << column.heading << ": " << (column.is_time ? "the time" : column.name + ", " + column.type()) << "\n";
   }
-  tell_warnings(err, found, notation, moved);
+  tell_warnings(err, options, found, notation, moved);
   return 0;
 } catch (const SetupError& error) {
   err << "rtdata: " << error.what() << "\n";

@@ -112,7 +112,8 @@ void ImportColumn::look_at_text(const std::string& text) {
   const std::size_t end = text.find_last_of("0123456789");
   if (end == std::string::npos || end + 1 == text.size() || !is_number(text.substr(0, end + 1), numbers, number))
     return;
-  if (numbers_with_more++ == 0) more = text.substr(end + 1);
+  if (numbers_with_more == 0) more = text.substr(end + 1);
+  if (text.compare(end + 1, std::string::npos, more) == 0) ++numbers_with_more;
 }
 
 std::string ImportColumn::thousands_in_texts() const {

@@ -40,8 +40,8 @@ struct ImportColumn {
     std::uint64_t count = 0;
   };
   std::vector<Mark> marks = {};
-  std::uint64_t numbers_with_more = 0;  // of these texts: a number, and letters behind it
-  std::string more = {};                // the first of those
+  std::uint64_t numbers_with_more = 0;  // of these texts: a number, and the same letters behind it
+  std::string more = {};                // these letters
 
   /// Integers that are not exact as doubles stay texts.
   void look_at_all() { can_be_number = can_be_number && (can_be_integer || !has_large); }

@@ -34,6 +34,16 @@ std::string separator_advice(const ImportOptions& options, const ImportNotation&
 
 std::string counted(std::size_t columns) { return std::to_string(columns) + (columns == 1 ? " column" : " columns"); }
 
+/// True if it has names of columns with a comma between.
+bool are_columns(const std::string& text, const std::vector<ImportColumn>& columns) {
+  const auto names = detail::split_csv(text);
+  return names && std::all_of(names->begin(), names->end(), [&](const detail::CsvCell& name) {
+           return std::any_of(columns.begin(), columns.end(), [&](const ImportColumn& one) {
+             return one.heading == name.text || one.bare == name.text;
+           });
+         });
+}
+
 /// The option for lines before the heading. Empty: there seem to be none.
 std::string skip_advice(const std::string& heading, std::size_t columns, const ImportOptions& options,
                         const ImportNotation& notation) {
@@ -61,6 +71,38 @@ std::string skip_advice(const std::string& heading, std::size_t columns, const I
   return wider;
 }
 
+constexpr const char* name_of_kind = "kind";  // of the first column, in a log of DataFlash
+
+/// The row of a log of DataFlash that names the columns of a kind: FMT, 129, 31, IMU, QBff, TimeUS,I,GyrX,GyrY
+std::vector<ImportColumn> read_format(ImportRows& table, const ImportOptions& options) {
+  const std::string& kind = options.only.front();
+  constexpr std::size_t name = 3, first = 5;
+  std::vector<ImportColumn> columns(1);
+  columns.front().heading = name_of_kind;
+  std::vector<std::string> kinds;
+  std::vector<detail::CsvCell> cells;
+  table.choose({{.text = "FMT"}});
+  table.go_to(0, 1);
+  while (columns.size() == 1 && table.next(cells).or_throw()) {
+    if (cells.size() <= first) continue;
+    if (cells[name].text != kind) {
+      kinds.push_back(cells[name].text);
+      continue;
+    }
+    for (std::size_t i = first; i < cells.size(); ++i) {
+      table.check_text(cells[i].text, nullptr);
+      columns.emplace_back().heading = cells[i].text;
+    }
+  }
+  if (columns.size() == 1)
+    refuse_import(options.file, "it has no FMT row that names the columns of " + kind,
+                  detail::suggestion(kind, {kinds.begin(), kinds.end()}));
+  table.choose({});
+  table.go_to(0, 1);
+  name_columns(columns);
+  return columns;
+}
+
 }  // namespace
 
 std::string shown_separator(char separator) { return separator == '\t' ? "tab" : std::string("\"") + separator + "\""; }
@@ -82,6 +124,8 @@ std::vector<ImportColumn> read_head(ImportRows& table, const ImportOptions& opti
     for (const detail::CsvCell& name : *names) columns.emplace_back().heading = name.text;
   } else {
     next(options.skip > 0 ? "it has no more than " + std::to_string(options.skip) + " lines" : "it is empty");
+    const bool has_formats = cells.front().text == "FMT" && !options.only.empty();
+    if (has_formats && options.only.front().find('=') == std::string::npos) return read_format(table, options);
     for (std::size_t i = 0; i < cells.size(); ++i) columns[i].heading = cells[i].text;
     if (options.head > 1) {
       next("it has one row, and --head 2 is given");
@@ -113,7 +157,7 @@ std::size_t find_column(const std::vector<ImportColumn>& columns, const std::str
   if (exact > 1 || (exact == 0 && matching > 1))
     refuse_import(options.file, "it has " + std::to_string(std::max(exact, matching)) + " columns " + heading,
                   exact > 1 ? "name the columns yourself: --columns, and --skip for the heading"
-                            : "write --time with the unit, as its heading has it");
+                            : "write it with the unit, as its heading has it");
   if (exact == 1)
     return static_cast<std::size_t>(std::find(headings.begin(), headings.end(), heading) - headings.begin());
   const auto at = std::find_if(columns.begin(), columns.end(), is_it);
@@ -121,11 +165,23 @@ std::size_t find_column(const std::vector<ImportColumn>& columns, const std::str
   if (!options.columns.empty())
     refuse_import("--columns " + options.columns, "there is no column " + heading,
                   detail::suggestion(heading, headings));
-  std::string advice = separator_advice(options, notation);
-  double number = 0;
-  if (advice.empty() && is_number(headings.front(), notation.numbers, number))
+  const bool has_formats = !options.only.empty() && headings.front() == name_of_kind;
+  std::string advice = has_formats ? detail::suggestion(heading, headings) : separator_advice(options, notation);
+  const auto is_value = [&](std::string_view text) {  // a number or a time
+    const bool is_dated = text.size() > 4 && text.find_first_not_of("0123456789.:-/+TZ ") == std::string_view::npos;
+    double number = 0;
+    return is_dated || is_number(text, notation.numbers, number);
+  };
+  const auto values = static_cast<std::size_t>(std::count_if(headings.begin(), headings.end(), is_value));
+  if (advice.empty() && heading.find(',') != std::string::npos && are_columns(heading, columns))
+    advice = "of several columns there are blanks between their names, as in --time date time";
+  if (advice.empty() && headings.front() == "FMT")
+    advice = "each of its rows is of the kind that it begins with: take one, such as --only IMU";
+  const std::string skip = advice.empty() ? skip_advice(heading, columns.size(), options, notation) : "";
+  const bool is_below = skip.find(" has it: ") != std::string::npos;
+  if (advice.empty() && (is_value(headings.front()) || (values > columns.size() / 2 && !is_below)))
     advice = "its first row seems to be no heading: name its " + counted(columns.size()) + " by --columns t,...";
-  if (advice.empty()) advice = skip_advice(heading, columns.size(), options, notation);
+  if (advice.empty()) advice = skip;
   refuse_import(options.file, "it has no column " + heading,
                 advice.empty() ? detail::suggestion(heading, headings) : advice);
 }

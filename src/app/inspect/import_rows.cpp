@@ -28,7 +28,10 @@ bool ImportRows::next_line(std::string& line) {
   next_position_ += got;
   if (next_line_++ > 1) return true;
   if (line.starts_with(detail::byte_order_mark)) line.erase(0, detail::byte_order_mark.size());
-  is_utf16_ = line.starts_with("\xff\xfe") || line.starts_with("\xfe\xff");
+  if (line.starts_with("\xff\xfe") || line.starts_with("\xfe\xff"))
+    utf16_ = "UTF-16";
+  else if (line.size() > 1 && (line[0] == '\0') != (line[1] == '\0'))  // a letter without its mark
+    utf16_ = line[0] == '\0' ? "UTF-16BE" : "UTF-16LE";
   return true;
 }
 
@@ -54,8 +57,9 @@ void ImportRows::begin_rows(std::vector<detail::CsvCell> heading, std::vector<st
 
 void ImportRows::strip(std::string& text) const {
   for (const std::string& end : notation_.strip) {
-    if (end.empty() || !text.ends_with(end)) continue;
-    std::string rest = text.substr(0, text.size() - end.size());
+    if (end.empty() || !(text.ends_with(end) || text.starts_with(end))) continue;
+    std::string rest = text.substr(text.ends_with(end) ? 0 : end.size(), text.size() - end.size());
+    rest.erase(0, std::min(rest.find_first_not_of(" \t"), rest.size()));
     rest.erase(rest.find_last_not_of(" \t") + 1);
     double number = 0;
     if (!is_number(rest, notation_.numbers, number)) continue;
@@ -67,6 +71,33 @@ void ImportRows::strip(std::string& text) const {
 bool ImportRows::is_heading(const std::vector<detail::CsvCell>& cells) const {
   return !heading_.empty() && std::equal(cells.begin(), cells.end(), heading_.begin(), heading_.end(),
                                          [](const auto& a, const auto& b) { return a.text == b.text; });
+}
+
+void ImportRows::choose(std::vector<ImportChoice> choices) {
+  choices_ = std::move(choices);
+  others_ = 0;
+}
+
+bool ImportRows::is_chosen(std::string_view line, const std::vector<detail::CsvCell>* cells) {
+  if (choices_.empty()) return true;
+  constexpr std::size_t most_shown = 8;
+  constexpr std::string_view around = " \t\r\"";
+  std::string_view first = line.substr(0, line.find(notation_.separator));
+  first.remove_prefix(std::min(first.find_first_not_of(around), first.size()));
+  first = first.substr(0, first.find_last_not_of(around) + 1);
+  for (ImportChoice& choice : choices_) {
+    if (choice.column.has_value() == (cells == nullptr)) continue;
+    if (cells != nullptr && *choice.column >= cells->size()) continue;  // its number of cells is looked at elsewhere
+    const std::string_view text = cells == nullptr ? first : std::string_view((*cells)[*choice.column].text);
+    choice.has_any = choice.has_any || text == choice.text;
+    if (text == choice.text) continue;
+    ++others_;
+    const std::string shown(text.substr(0, 40));
+    const bool is_new = std::find(choice.others.begin(), choice.others.end(), shown) == choice.others.end();
+    if (is_new && choice.others.size() <= most_shown) choice.others.push_back(shown);
+    return false;
+  }
+  return true;
 }
 
 /// With one blank where there are several, and none at the ends; within quotes as they are.
@@ -97,9 +128,9 @@ Result<bool> ImportRows::next(std::vector<detail::CsvCell>& cells) {
   };
   begin();
   while (next_line(line)) {
-    if (is_utf16_)
+    if (!utf16_.empty())
       return import_refused(path_, "it is UTF-16",
-                            "convert the file: iconv -f UTF-16 -t UTF-8 " + path_ + " >table.csv");
+                            "convert the file: iconv -f " + utf16_ + " -t UTF-8 " + path_ + " >table.csv");
     // A line of blanks is none, but for a table whose cells tabs separate.
     const std::size_t text = line.find_first_not_of(notation_.separator == '\t' ? " \r" : " \t\r");
     const bool is_comment = !notation_.comment.empty() && text != std::string::npos &&
@@ -108,7 +139,13 @@ Result<bool> ImportRows::next(std::vector<detail::CsvCell>& cells) {
       begin();
       continue;
     }
-    row += notation_.has_blanks ? with_single_blanks(line) : line;
+    if (notation_.has_blanks) line = with_single_blanks(line);
+    // Before quotes are: what stands in lines of another kind is no CSV.
+    if (!is_quoted && !is_chosen(line, nullptr)) {
+      begin();
+      continue;
+    }
+    row += line;
     row += '\n';
     if (row.size() > longest_row)
       return Error{Errc::bad_data, "cannot import", where(), "the row is longer than 1 MiB", ""};
@@ -119,7 +156,10 @@ Result<bool> ImportRows::next(std::vector<detail::CsvCell>& cells) {
     if (!split) {
       const bool has_other_ends = line.find('\r') < line.size() - 1;
       return Error{Errc::bad_data, "cannot import", where(), split.error().where + ": " + split.error().why,
-                   has_other_ends ? "if its lines end with CR alone: tr '\\r' '\\n' <" + path_ + " >lines.csv" : ""};
+                   has_other_ends ? "if its lines end with CR alone: tr '\\r' '\\n' <" + path_ + " >lines.csv"
+                   : are_rows_ ? "if its \" is part of the text, remove them all: tr -d '\"' <" + path_ + " >table.csv"
+                               : "if it is no heading in CSV, name the columns yourself: --skip " +
+                                     std::to_string(line_) + " --columns t,..."};
     }
     cells = *std::move(split);
     for (detail::CsvCell& cell : cells) {
@@ -130,8 +170,9 @@ Result<bool> ImportRows::next(std::vector<detail::CsvCell>& cells) {
       }
     }
     if (!are_rows_) return true;
-    if (is_heading(cells)) {
-      ++headings_again_;
+    const bool is_again = is_heading(cells);
+    if (is_again) ++headings_again_;
+    if (is_again || !is_chosen({}, &cells)) {
       begin();
       continue;
     }
@@ -144,9 +185,12 @@ Result<bool> ImportRows::next(std::vector<detail::CsvCell>& cells) {
   }
   if (in_.bad()) return Error{Errc::io_failed, "cannot read", path_, "", ""};
   if (row.empty()) return false;
-  if (!notation_.takes_partial)
+  // A mark for inches, say, would hide all rows after it.
+  const bool has_lines = is_quoted && next_line_ > line_ + 1;
+  if (!notation_.takes_partial || has_lines)
     return Error{Errc::bad_data, "cannot import", where(), "a quoted cell does not end",
-                 "if the file is cut off there, write --partial"};
+                 has_lines ? "if its \" is part of the text, remove them all: tr -d '\"' <" + path_ + " >table.csv"
+                           : "if the file is cut off there, write --partial"};
   cut_line_ = line_;
   return false;
 }

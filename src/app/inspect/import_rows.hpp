@@ -6,6 +6,7 @@
 #include <fstream>
 #include <optional>
 #include <string>
+#include <string_view>
 #include <utility>
 #include <vector>
 
@@ -13,6 +14,16 @@
 #include "data/csv_row.hpp"
 
 namespace rtdata::app {
+
+/// Which rows are taken of a table that has several kinds of them.
+struct ImportChoice {
+  std::optional<std::size_t> column = {};  // empty: the first cell of the line has the text, whatever follows it
+  std::string text = {};
+  std::string heading = {};  // of the column, for messages
+  // What came:
+  bool has_any = false;
+  std::vector<std::string> others = {};  // other texts, a few of them
+};
 
 /// The rows of a file, one after the other, from `notation.skip` on, without comments. A cell that stands for no value
 /// is empty.
@@ -28,6 +39,11 @@ class ImportRows {
   std::uint64_t cut_line() const noexcept { return cut_line_; }
   /// True if nothing follows the last row.
   bool is_at_end() { return in_.peek() == std::ifstream::traits_type::eof(); }
+  /// From now on only these rows come.
+  void choose(std::vector<ImportChoice> choices);
+  const std::vector<ImportChoice>& choices() const noexcept { return choices_; }
+  /// How many other rows were left out since.
+  std::uint64_t others() const noexcept { return others_; }
   /// From now on cells that stand for no value are empty, but for these columns, and rows that are the heading again
   /// are left out.
   void begin_rows(std::vector<detail::CsvCell> heading, std::vector<std::size_t> time_columns);
@@ -45,9 +61,11 @@ class ImportRows {
 
  private:
   bool is_none(const detail::CsvCell& cell) const;
-  /// Takes what stands behind numbers off.
+  /// Takes what stands before or behind numbers off.
   void strip(std::string& text) const;
   bool is_heading(const std::vector<detail::CsvCell>& cells) const;
+  /// What each choice has to say of a line before its cells are looked at, or, if `cells` are given, of them.
+  bool is_chosen(std::string_view line, const std::vector<detail::CsvCell>* cells);
 
   static constexpr std::size_t longest_row = std::size_t{1} << 20;
   std::string path_;
@@ -61,8 +79,10 @@ class ImportRows {
   std::vector<detail::CsvCell> heading_;
   std::vector<std::size_t> time_columns_;
   std::uint64_t headings_again_ = 0;
+  std::vector<ImportChoice> choices_;
+  std::uint64_t others_ = 0;
   bool has_line_end_ = true;  // the last line
-  bool is_utf16_ = false;
+  std::string utf16_ = {};    // which it is, for iconv; empty: it is none
 };
 
 /// The separator that the first line says, as Excel writes it: "sep=;". Empty: it says none.

@@ -114,7 +114,8 @@ std::optional<Duration> duration_of_unit(std::string_view unit) {
       {"day", 24h},        {"days", 24h}};
   for (const auto& [name, duration] : words)
     if (word == name) return duration;
-  const auto usual = parse_duration("1 " + std::string(unit));
+  auto usual = parse_duration("1 " + std::string(unit));
+  if (!usual && unit.size() > 1) usual = parse_duration("1 " + word);  // MS
   return usual ? std::optional(*usual) : std::nullopt;
 }
 
@@ -161,14 +162,28 @@ Result<Time> ImportClock::read(const std::string& text) {
 Result<Time> ImportClock::read_formatted(const std::string& text) {
   auto written = read_time(text, notation_.time_format);
   if (!written) return std::move(written).error();
+  if (decimals_ != 0 && written->decimals != decimals_)
+    return import_refused("",
+                          "its %f has " + std::to_string(written->decimals) + " digits, that of the row above " +
+                              std::to_string(decimals_) + ": it seems to be a number of parts, not decimals",
+                          "write %L if it counts milliseconds, %u for microseconds, %N for nanoseconds");
+  decimals_ = written->decimals;
   if (!written->has_date) {
-    constexpr Duration day = std::chrono::hours{24};
+    const bool has_hour = format_has_hour(notation_.time_format);
+    const Duration day = std::chrono::hours{has_hour ? 24 : 1};
     auto time = later_than(notation_.start,
                            written->time.time_since_epoch() + static_cast<std::int64_t>(midnights_) * day);
-    if (time && notation_.adds_days && before_ != Time::min() && detail::span_between(*time, before_) > day / 2) {
+    const Duration back = time && before_ != Time::min() ? detail::span_between(*time, before_) : Duration{0};
+    if (notation_.adds_days && back > day / 2) {
       ++midnights_;
       time = later_than(*time, day);
     }
+    if (!notation_.adds_days && (back > day / 2 || back < -day / 2))
+      return import_refused("",
+                            std::string("it has no date, and is more than half ") + (has_hour ? "a day" : "an hour") +
+                                " from the row above: which " + (has_hour ? "day" : "hour") +
+                                " it is of cannot be known of rows that are not in order of time",
+                            "sort the file, and leave out --sort; or add a column with the date");
     return time ? Result<Time>(*time)
                 : import_refused("", text + " is not a time that can be recorded", "check --start");
   }

@@ -24,7 +24,7 @@ struct ImportNotation {
   char separator = ',';
   ImportNumbers numbers = {};
   std::vector<std::string> none = {};   ///< texts, and numbers however they are written, that stand for no value
-  std::vector<std::string> strip = {};  ///< taken off the ends of cells with numbers
+  std::vector<std::string> strip = {};  ///< taken off the begin or end of cells with numbers
   bool has_blanks = false;              ///< any number of blanks and tabs separates the cells
   bool adds_days = true;                ///< times without a date that go back at midnight are of the next day
   bool takes_partial = false;           ///< a last row without a line end is left out, and rows without a time
@@ -55,7 +55,7 @@ class ImportClock {
   Result<Time> read(const std::string& text);
   /// How many times were in an hour that comes twice.
   std::uint64_t twice() const noexcept { return twice_; }
-  /// How often midnight came between two times without a date.
+  /// How often midnight, or the full hour, came between two times without a date.
   std::uint64_t midnights() const noexcept { return midnights_; }
 
  private:
@@ -67,6 +67,7 @@ class ImportClock {
   Time before_ = Time::min();
   Duration step_{0};  // between the last two rows
   std::uint64_t twice_ = 0, midnights_ = 0;
+  std::size_t decimals_ = 0;  // of the rows above, behind no decimal mark
 };
 
 /// What 1 is of a unit as tables write it: "ms", "millisecond", "usec", "minutes". Empty: it is no unit of time.

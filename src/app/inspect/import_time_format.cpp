@@ -37,29 +37,54 @@ std::string written_out(std::string_view format) {
 bool is_digit(char c) { return c >= '0' && c <= '9'; }
 bool is_letter(char c) { return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z'); }
 
+/// How many digits a part has that is written whole. 0: it has any number of them, or none.
+std::size_t width_of(char part) {
+  switch (part) {
+    case 'N':
+      return 9;
+    case 'u':
+      return 6;
+    case 'Y':
+      return 4;
+    case 'j':
+    case 'L':
+      return 3;
+    default:
+      return std::string_view("ymdHIMS").find(part) != std::string_view::npos ? 2 : 0;
+  }
+}
+
 /// Reads one text by one format.
 class TimeReader {
  public:
-  TimeReader(std::string_view text, std::string_view format) : rest_(text), format_(format) {}
+  TimeReader(std::string_view text, std::string_view format) : text_(text), rest_(text), format_(format) {}
 
   /// False: the text does not match.
   bool read() {
+    bool is_in_run = false;  // of numbers with nothing between them
     for (std::size_t i = 0; i < format_.size(); ++i) {
       const char c = format_[i];
+      const bool is_part = c == '%' && format_[i + 1] != '%';
       if (c == ' ') {
+        if (is_within_digits()) return false;  // "112" is not "%d %H"
         while (take(' ')) {
         }
-      } else if (c != '%' || format_[++i] == '%') {
+      } else if (!is_part) {
         if (!take(c)) return false;
-      } else if (!read_part(format_[i], format_.substr(i + 1))) {
-        return false;
+        if (c == '%') ++i;
+      } else {
+        if (!is_in_run) take_zeros_left_out(format_.substr(i));
+        is_behind_mark_ = i > 0 && (format_[i - 1] == '.' || format_[i - 1] == ',');
+        if (!read_part(format_[i + 1], format_.substr(i + 2))) return false;
+        ++i;
       }
+      is_in_run = is_part && width_of(format_[i]) > 0;
     }
     return rest_.empty();
   }
   Result<WrittenTime> time() const {
     const auto refused = [](const char* why) { return import_refused("", why, ""); };
-    WrittenTime made{.has_date = year_ || seconds_, .has_zone = offset_ || seconds_};
+    WrittenTime made{.has_date = year_ || seconds_, .has_zone = offset_ || seconds_, .decimals = decimals_};
     std::chrono::nanoseconds since = std::chrono::nanoseconds{fraction_};
     if (seconds_) {
       made.time = Time{std::chrono::seconds{*seconds_} + since};
@@ -69,10 +94,12 @@ class TimeReader {
     if (has_half_ && (hour_ < 1 || hour_ > 12)) return refused("hours before noon or after it are 1 to 12");
     const int hour = has_half_ ? hour_ % 12 + (is_afternoon_ ? 12 : 0) : hour_;
     if (second_ > 59) return refused("seconds go up to 59");
-    if (minute_ > 59 || (hour > 23 && !is_end_of_day)) return refused("there is no such time of day");
+    const bool may_be_long = !made.has_date && !has_half_;  // since the start, not of a day
+    if (minute_ > 59 || (hour > 23 && !is_end_of_day && !may_be_long)) return refused("there is no such time of day");
     since += std::chrono::hours{hour} + std::chrono::minutes{minute_} + std::chrono::seconds{second_};
     if (year_) {
       using namespace std::chrono;
+      if (*year_ < 100) return import_refused("", "a year of two digits is %y, not %Y", "write %y");
       if (*year_ < 1678 || *year_ > 2261) return refused("times that can be recorded are those from 1678 to 2261");
       const year_month_day date{year{*year_}, month{static_cast<unsigned>(month_)}, day{static_cast<unsigned>(day_)}};
       const bool is_by_number = day_of_year_ > 0;
@@ -92,13 +119,36 @@ class TimeReader {
     rest_.remove_prefix(1);
     return true;
   }
-  /// Up to `most` digits. False: there is none.
+  bool is_within_digits() const {
+    const std::size_t at = text_.size() - rest_.size();
+    return at > 0 && at < text_.size() && is_digit(text_[at - 1]) && is_digit(text_[at]);
+  }
+  /// Loggers and spreadsheets write 09:05 as 905, as they write any number: of several parts with nothing between them
+  /// the first lacks its zeros.
+  void take_zeros_left_out(std::string_view parts) {
+    std::size_t width = 0, digits = 0;
+    for (; parts.size() > 1 && parts[0] == '%' && width_of(parts[1]) > 0; parts.remove_prefix(2))
+      width += width_of(parts[1]);
+    while (digits < rest_.size() && is_digit(rest_[digits])) ++digits;
+    zeros_ = digits > 0 && digits < width ? width - digits : 0;
+  }
+  /// Up to `most` digits, after the zeros that are left out. False: there is none.
   bool number(std::size_t most, int& to) {
+    const std::size_t zeros = std::min(most, zeros_);
+    zeros_ -= zeros;
     std::size_t size = 0;
-    while (size < std::min(most, rest_.size()) && is_digit(rest_[size])) ++size;
+    to = 0;
+    while (size < std::min(most - zeros, rest_.size()) && is_digit(rest_[size])) ++size;
     std::from_chars(rest_.data(), rest_.data() + size, to);
     rest_.remove_prefix(size);
-    return size > 0;
+    return zeros + size > 0;
+  }
+  /// A whole number of `unit` nanoseconds.
+  bool whole_fraction(std::size_t most, std::int64_t unit) {
+    int count = 0;
+    if (!number(most, count)) return false;
+    fraction_ = unit * count;
+    return true;
   }
   /// Decimals of a second.
   bool fraction() {
@@ -174,7 +224,7 @@ class TimeReader {
       case 'j':
         return number(3, day_of_year_) && day_of_year_ > 0;
       case 'H':
-        return number(2, hour_);
+        return number(has_date_ || then.starts_with('%') ? 2 : 5, hour_);
       case 'I':
         return has_half_ = true, number(2, hour_);
       case 'p': {
@@ -195,12 +245,18 @@ class TimeReader {
         rest_.remove_prefix(1);
         return fraction();
       }
-      case 'f':
-        return fraction();
+      case 'f': {
+        const std::size_t before = rest_.size();
+        const bool is_there = fraction();
+        if (!is_behind_mark_) decimals_ = before - rest_.size();
+        return is_there;
+      }
       case 'L':
-        if (!number(3, number_read)) return false;
-        fraction_ = std::int64_t{1'000'000} * number_read;
-        return true;
+        return whole_fraction(3, 1'000'000);
+      case 'u':
+        return whole_fraction(6, 1'000);
+      case 'N':
+        return whole_fraction(9, 1);
       case 'z':
         return zone();
       case 's':
@@ -210,7 +266,11 @@ class TimeReader {
     }
   }
 
-  std::string_view rest_, format_;
+  std::string_view text_, rest_, format_;
+  const bool has_date_ = format_has_date(format_);
+  std::size_t zeros_ = 0;             // at the begin of `rest_`, which are not written
+  std::size_t decimals_ = 0;          // see WrittenTime
+  bool is_behind_mark_ = false;       // the part that is read follows a decimal mark
   std::optional<int> year_, offset_;  // offset: minutes
   std::optional<std::int64_t> seconds_;
   int month_ = 1, day_ = 1, day_of_year_ = 0, hour_ = 0, minute_ = 0, second_ = 0;
@@ -234,17 +294,28 @@ std::string format_mistake(std::string_view format) {
     if (all[i] != '%') continue;
     if (++i == all.size()) return "it ends with %";
     if (all[i] == '%') continue;
-    if (std::string_view("YymbBdjHIpMSfLzsaA").find(all[i]) == std::string_view::npos)
-      return std::string("it has %") + all[i] + ", and there is %Y %y %m %b %d %j %H %I %p %M %S %f %L %z %s %a %F %T";
+    if (std::string_view("YymbBdjHIpMSfLuNzsaA").find(all[i]) == std::string_view::npos)
+      return std::string("it has %") + all[i] +
+             ", and there is %Y %y %m %b %d %j %H %I %p %M %S %f %L %u %N %z %s %a %F %T";
     parts += all[i];
   }
   const auto has = [&](std::string_view any) { return parts.find_first_of(any) != std::string::npos; };
-  if (!has("sHISfLjd")) return "it has neither a day nor a time of day";
+  if (!has("sHIMSfLuNjd")) return "it has neither a day nor a time of day";
   if (has("s")) return {};
   const bool has_date = has("Yy") && (has("j") || (has("mbB") && has("d")));
   if (has("YymbBdj") && !has_date) return "its date is not whole: %Y or %y, with %m or %b and %d, or with %j";
   if (has("I") != has("p")) return "%I and %p go together";
   return {};
 }
+
+/// True if it has one of these parts.
+static bool has_part(std::string_view format, std::string_view parts) {
+  for (std::size_t i = 0; i + 1 < format.size(); ++i)
+    if (format[i] == '%' && parts.find(format[++i]) != std::string_view::npos) return true;
+  return false;
+}
+
+bool format_has_date(std::string_view format) { return has_part(format, "YysF"); }
+bool format_has_hour(std::string_view format) { return has_part(format, "HIT"); }
 
 }  // namespace rtdata::app

@@ -1,6 +1,7 @@
 // Times in another notation than ISO 8601, of an imported table. Private to the program.
 #pragma once
 
+#include <cstddef>
 #include <string>
 #include <string_view>
 
@@ -14,14 +15,22 @@ struct WrittenTime {
   Time time{};           // since 1970, or without a date since midnight
   bool has_date = true;  // false: only a time of day
   bool has_zone = false;
+  std::size_t decimals = 0;  // digits of a %f that stands behind no decimal mark
 };
 
-/// Reads the whole text. %Y %y %m %b %d %j, %H %I %p %M %S (with decimals), %f (decimals of the second), %L
-/// (milliseconds), %z, %s (seconds since 1970), %a (ignored), %F is %Y-%m-%d, %T is %H:%M:%S; %B and %A are %b and %a.
-/// A blank stands for any number of them. Errors: bad-argument.
+/// Reads the whole text. %Y %y %m %b %d %j, %H %I %p %M %S (with decimals), %f (decimals of the second), %L (counted
+/// milliseconds), %u (microseconds), %N (nanoseconds), %z, %s (seconds since 1970), %a (ignored), %F is %Y-%m-%d, %T
+/// is %H:%M:%S; %B and %A are %b and %a. A blank stands for any number of them, and between digits there is one. Of
+/// parts with nothing between them the first may lack its zeros: 905 is %H%M. Without a date hours may go on after 23.
+/// Errors: bad-argument.
 Result<WrittenTime> read_time(std::string_view text, std::string_view format);
 
 /// What is wrong with a format. Empty: nothing.
 std::string format_mistake(std::string_view format);
+
+/// False: its times are times of day.
+bool format_has_date(std::string_view format);
+/// False: of a time of day its times have minutes and less.
+bool format_has_hour(std::string_view format);
 
 }  // namespace rtdata::app

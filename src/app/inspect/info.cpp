@@ -77,6 +77,12 @@ void print_fields(const std::vector<RecordedTopic>& topics, std::ostream& out) {
   }
 }
 
+/// The identity of a chip that was taken by the user's word is told as it is: it is one line.
+std::string what_became_of(const RecordedConfiguration& change) {
+  if (change.text.empty()) return "removed";
+  return change.object.starts_with("identity of ") ? change.text : "added";
+}
+
 Json utc_json(const UtcLine& line, std::optional<Time> recorded) {
   return recorded ? Json(to_iso8601(line.utc(*recorded))) : Json();
 }
@@ -278,7 +284,7 @@ void print(const Recording& recording, const Content& content, InfoOptions::Gaps
               [&](const RecordedConfiguration& change) {
                 return shown_time(change.time) + " " +
                        (change.object.empty() ? "a new text of " + std::to_string(change.text.size()) + " bytes"
-                                              : change.object + (change.text.empty() ? ": removed" : ": added")) +
+                                              : change.object + ": " + what_became_of(change)) +
                        (change.count > 1 ? " (the last of " + std::to_string(change.count) + " changes)" : "");
               });
   print_first(content.backlogs, 20, "sinks that go through this recording", out, [](const RecordedBacklog& of) {

@@ -42,8 +42,9 @@ std::string verdict_of(const Status::Account& of) {
 }  // namespace
 
 LiveCurves::LiveCurves(const std::vector<std::string>& fields, const std::vector<std::string>& topics, Duration window)
-    : window_(window) {
-  if (fields.empty()) refuse("nothing", "name a field, as TOPIC.FIELD, or a topic", nearest_or_all("", topics));
+    : wants_all_(fields.empty()), window_(window) {
+  if (wants_all_)
+    for (const std::string& topic : topics) wanted_.push_back({topic, ""});
   for (const std::string& name : fields) {
     // Both topics and fields may have points in their names: the longest topic is meant.
     std::string topic = name;
@@ -59,7 +60,7 @@ LiveCurves::LiveCurves(const std::vector<std::string>& fields, const std::vector
 
 std::string LiveCurves::request(Duration step, bool with_past) const {
   std::set<std::string> topics;
-  for (const Wanted& one : wanted_) topics.insert(one.topic);
+  for (const Wanted& one : wanted_) topics.insert(wants_all_ ? "#" : one.topic);
   Json request{{"request", "subscribe"}, {"version", Status::newest}, {"topics", topics}, {"step", to_string(step)}};
   if (with_past) request["from"] = "-" + to_string(window_);
   return request.dump(-1, ' ', false, Json::error_handler_t::replace);
@@ -119,7 +120,7 @@ void LiveCurves::take_step(const Json& line) {
       }
       field.curve.steps.push_back(step);
     }
-    if (wanted.is_found) continue;
+    if (wanted.is_found || wants_all_) continue;
     std::vector<std::string> numbers;
     for (const auto& [path, of] : data.items()) numbers.push_back(path);
     const bool is_other = units_[topic].contains(wanted.path);

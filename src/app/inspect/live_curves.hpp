@@ -18,8 +18,8 @@ namespace rtdata::app {
 /// thread.
 class LiveCurves {
  public:
-  /// `fields`: TOPIC.FIELD, or TOPIC for all its numbers. `topics`: of the instance. `window`: what is kept. Throws
-  /// SetupError: there is no such topic, with the nearest name.
+  /// `fields`: TOPIC.FIELD, or TOPIC for all its numbers; none: all there are. `topics`: of the instance. `window`:
+  /// what is kept. Throws SetupError: there is no such topic, with the nearest name.
   LiveCurves(const std::vector<std::string>& fields, const std::vector<std::string>& topics, Duration window);
 
   /// The line that asks for the steps. `with_past`: from the recording too.
@@ -53,6 +53,7 @@ class LiveCurves {
   void prune();
 
   std::vector<Wanted> wanted_;
+  bool wants_all_;
   Duration window_;
   Time now_{};
   bool is_live_ = true;

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <functional>
 #include <iostream>
+#include <map>
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <utility>
@@ -16,6 +17,7 @@
 #include "app/core/terminal_text.hpp"
 #include "app/inspect/curve_scale.hpp"
 #include "app/inspect/live_curves.hpp"
+#include "app/inspect/names.hpp"
 #include "app/inspect/plot_picture.hpp"
 
 namespace rtdata::app {
@@ -65,7 +67,7 @@ class Watch {
       goes_on = take_lines(terminal, begun);
       if (is_interrupted_ || !failed_.empty()) break;
       const bool is_enough = Clock::now() - begun >= view_.once_after ||
-                             (has_past_ && curves_->is_live() && !curves_->is_empty());
+                             (has_past_ && curves_->is_live() && !curves_->is_empty() && !view_.fields.empty());
       if (is_once && !is_enough && goes_on) continue;
       if (goes_on) ask_status();
       Lines lines = view_.draw(*curves_, status_);
@@ -158,6 +160,16 @@ int show(const std::string& instance, const View& view) try {
   return exit_other;
 }
 
+Lines lines_in(const std::string& text) {
+  Lines lines;
+  for (std::size_t at = 0; at < text.size();) {
+    const std::size_t end = std::min(text.find('\n', at), text.size());
+    lines.push_back(text.substr(at, end - at));
+    at = end + 1;
+  }
+  return lines;
+}
+
 /// A number a line, over all that is kept.
 Lines table_of(const LiveCurves& curves, Time now) {
   Table table({"field", ">last", "unit", ">least", ">mean", ">most", ">age"});
@@ -176,14 +188,7 @@ Lines table_of(const LiveCurves& curves, Time now) {
                all.numbers == 0 ? "-" : shown_value(all.mean), of_all(all.most),
                field->has_last ? to_string(std::chrono::floor<std::chrono::seconds>(age)) : "-"});
   }
-  Lines lines;
-  const std::string text = table.text("");
-  for (std::size_t at = 0; at < text.size();) {
-    const std::size_t end = std::min(text.find('\n', at), text.size());
-    lines.push_back(text.substr(at, end - at));
-    at = end + 1;
-  }
-  return lines;
+  return lines_in(table.text(""));
 }
 
 /// Of this topic's sensors alone.
@@ -203,6 +208,17 @@ Status status_of_topic(const Status& status, const std::string& topic) {
   return of;
 }
 
+/// What can be plotted, of what came by now.
+Lines list_of(const LiveCurves& curves, const Status& status, const std::string& instance) {
+  std::map<std::string, std::vector<std::string>> by_topic;
+  for (const Status::Account& topic : status.topics) by_topic[topic.name];
+  for (const LiveCurves::Field* field : curves.fields()) {
+    std::vector<std::string>& paths = by_topic[field->curve.topic];
+    if (std::find(paths.begin(), paths.end(), field->curve.path) == paths.end()) paths.push_back(field->curve.path);
+  }
+  return lines_in(list_of_fields(by_topic, "rtdata plot" + (instance.empty() ? "" : " " + instance)));
+}
+
 }  // namespace
 
 int plot_instance(const LivePlotOptions& options) {
@@ -215,6 +231,11 @@ int plot_instance(const LivePlotOptions& options) {
     instance = fields.front();
     fields.erase(fields.begin());
   }
+  if (fields.empty())
+    return show(instance,
+                {"plot", {}, 1min, 1s, HowOften::once, 2s, [&](const LiveCurves& curves, const Status& status) {
+                   return list_of(curves, status, instance);
+                 }});
   return show(instance, {"plot", std::move(fields), options.window, step, is_terminal ? HowOften::live : HowOften::once,
                          options.window, [&](const LiveCurves& curves, const Status& status) -> Lines {
                            if (curves.is_empty()) return {"no events so far"};

@@ -2,6 +2,7 @@
 
 #include <cstddef>
 
+#include "app/core/terminal_text.hpp"
 #include "rtdata/data/problem.hpp"
 
 namespace rtdata::app {
@@ -15,6 +16,19 @@ std::string list_of(const std::set<std::string>& names) {
     text += (text.empty() ? "" : ", ") + name;
   }
   return text.empty() ? "nothing" : text;
+}
+
+std::string list_of_fields(const std::map<std::string, std::vector<std::string>>& by_topic,
+                           const std::string& command) {
+  std::string text, example;
+  for (const auto& [topic, paths] : by_topic) {
+    std::string line = topic + ":";
+    for (const std::string& path : paths) line += (line.back() == ':' ? " " : ", ") + path;
+    if (paths.empty()) line += " no numbers so far";
+    if (!paths.empty() && example.empty()) example = topic + "." + paths.front();
+    text += wrapped(line, 80) + "\n";
+  }
+  return example.empty() ? text + "there is no number to plot\n" : text + "such as: " + command + " " + example + "\n";
 }
 
 std::string nearest_or_all(const std::string& name, const std::vector<std::string>& known) {

@@ -348,14 +348,13 @@ Plot curves_of(const Recording& recording, const RecordedRange& range, const std
   return plot;
 }
 
-Plot curves_of_run(const Recording& recording, const RecordedRange& range, const RunReport& account,
-                   std::size_t columns) {
+std::vector<ChosenField> fields_of_run(const Recording& recording, const RunInfo& run) {
   std::set<std::string> topics;
-  for (const LedgerEntry& entry : recording.ledger(range.run.run).or_throw()) topics.insert(entry.topic);
+  for (const LedgerEntry& entry : recording.ledger(run.run).or_throw()) topics.insert(entry.topic);
   std::vector<ChosenField> fields;
   for (const RecordedTopic& topic : recording.topics().or_throw()) {
     // A run that goes on, or was killed, may have topics that no account has yet.
-    if (!topics.contains(topic.topic) && range.run.state == RunState::closed) continue;
+    if (!topics.contains(topic.topic) && run.state == RunState::closed) continue;
     if (topic.topic.starts_with('$') || is_of_course(*topic.description)) continue;
     for (const Leaf& leaf : topic.description->leaves()) {
       ChosenField field{topic.topic, leaf.path};
@@ -363,6 +362,12 @@ Plot curves_of_run(const Recording& recording, const RecordedRange& range, const
       if (is_number(leaf.kind) && !is_known) fields.push_back(std::move(field));
     }
   }
+  return fields;
+}
+
+Plot curves_of_run(const Recording& recording, const RecordedRange& range, const RunReport& account,
+                   std::size_t columns) {
+  const std::vector<ChosenField> fields = fields_of_run(recording, range.run);
   constexpr std::size_t most_values = 150'000, least_columns = 120;
   columns = std::min(columns, std::max(most_values / std::max<std::size_t>(fields.size(), 1), least_columns));
   using namespace std::chrono_literals;
@@ -381,7 +386,7 @@ Plot curves_of_run(const Recording& recording, const RecordedRange& range, const
   Plot plot = empty_plot(recording, range, sampling.column);
   plot.read_step = sampling.step;
   Reader reader(recording, range, fields, std::nullopt, sampling);
-  topics.clear();
+  std::set<std::string> topics;
   for (const auto& [name, source] : reader.sources()) topics.insert(name.first);
   for (const std::string& topic : topics) finish(reader.sources(), topic, account, true, plot);
   std::map<std::string, std::size_t> of_topic;  // fields that were taken

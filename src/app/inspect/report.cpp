@@ -73,11 +73,11 @@ std::vector<std::string> fields_without_curve(const std::vector<RecordedTopic>& 
   return {fields.begin(), fields.end()};
 }
 
-ReportContent content_of(const Recording& recording, const ReportOptions& options) {
+ReportContent content_of(const Recording& recording, const RecordedRange& range) {
   constexpr std::size_t columns = 740;  // of a day: 2 min each
   ReportContent content;
   content.file = std::filesystem::path(recording.path()).filename().string();
-  content.range = range_of(recording, {.run = options.run}, "cannot report");
+  content.range = range;
   const std::int64_t run = content.range.run.run;
   content.report = verify(recording).or_throw();
   content.report.path = content.file;
@@ -142,12 +142,13 @@ int report(const ReportOptions& options, std::ostream& out, std::ostream& err) t
   const std::filesystem::path name = std::filesystem::path(options.database).filename();
   const std::string file = options.file.empty() ? std::filesystem::path(name).replace_extension(".html").string()
                                                 : options.file;
+  const RecordedRange range = range_of(recording, {.run = options.run}, "cannot report");
   std::error_code ignored;
   if (!is_stream && options.existing == ReportOptions::Existing::refuse &&
       std::filesystem::exists(std::filesystem::symlink_status(file, ignored)))
     throw SetupError({Errc::bad_argument, "cannot write the report", file, "the file exists",
                       "name another with -o, or replace it with --overwrite"});
-  const ReportContent content = content_of(recording, options);
+  const ReportContent content = content_of(recording, range);
   const std::string page = page_of(content);
   if (is_stream) {
     out << page;

@@ -87,7 +87,9 @@ std::string chips_table(std::span<const KnownChip> chips) {
     if (const auto& identity = chip.identity) {
       rows += "register " + code(to_string(I2cAddress(identity->number))) + " is " +
               code(to_string(I2cAddress(identity->value))) +
-              (identity->mask == 0xff ? "" : " in the bits " + code(to_string(I2cAddress(identity->mask))));
+              (detail::is_all_ones(*identity, identity->mask)
+                   ? ""
+                   : " in the bits " + code(to_string(I2cAddress(identity->mask))));
     } else {
       rows += "its address only";
     }

@@ -47,10 +47,9 @@ enum class Match { no, perhaps, yes };
 Match match_of(const KnownChip& known, I2cDevice& chip) {
   if (!known.is_at(chip.address().number)) return Match::no;
   if (!known.identity) return Match::perhaps;
-  const Result<std::uint8_t> found = chip.read_register(known.identity->number);
+  const Result<std::uint32_t> found = read_identity(chip, *known.identity);
   if (!found || !known.identity->is_of(*found)) return Match::no;
-  constexpr std::uint8_t nothing = 0xff;  // what a register that a chip does not have mostly reads as
-  return *found == nothing ? Match::perhaps : Match::yes;
+  return detail::is_all_ones(*known.identity, *found) ? Match::perhaps : Match::yes;
 }
 
 /// Adds the chips that answer. Addresses with a kernel driver are in the list already, and are not probed.

@@ -178,7 +178,7 @@ const Charts = (() => {
             } else {
               known.count += point.count;
               known[0] = Math.min(known[0], point.least);
-              known[1] += (point.mean - known[1]) * point.count / known.count;
+              known[1] += (point.mean / 2 - known[1] / 2) * (2 * point.count / known.count);
               known[2] = Math.max(known[2], point.most);
             }
           }

@@ -31,6 +31,7 @@ using Json = nlohmann::ordered_json;
 
 constexpr std::uint64_t status_client = ~std::uint64_t{0};  // clients of the control socket count from 1
 constexpr Duration step = std::chrono::milliseconds{250};   // of what is shown as it comes
+constexpr Duration stream_pace = std::chrono::milliseconds{50};
 constexpr Duration machine_pace = std::chrono::seconds{2};  // of the disk and the clock
 constexpr Duration thread_patience = std::chrono::seconds{2};
 constexpr Duration start_patience = std::chrono::seconds{10};
@@ -148,6 +149,7 @@ class LivePage::Source final : public PageSource {
       StreamRequest request;
       request.topics = std::move(topics);
       request.step = of_step;
+      request.pace = stream_pace;
       source.on_main([theirs = ends[1], request = std::move(request)](LivePage& page) mutable {
         page.asks_.readers->add(theirs, std::move(request));
       });

@@ -122,7 +122,7 @@
     if (all.length < 2) return;
     let least = Infinity, most = -Infinity;
     for (const one of all) { least = Math.min(least, one.mean); most = Math.max(most, one.mean); }
-    const height_of = (mean) => (most > least ? height - 2 - (mean - least) / (most - least) * (height - 4) : height / 2);
+    const height_of = (mean) => (most > least ? height - 2 - (mean / 2 - least / 2) / (most / 2 - least / 2) * (height - 4) : height / 2);
     to.strokeStyle = getComputedStyle(canvas).color;
     to.lineWidth = scale;
     to.beginPath();

@@ -3,14 +3,15 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <array>
 #include <chrono>
 #include <cmath>
 #include <map>
 #include <nlohmann/json.hpp>
-#include <set>
-#include <tuple>
+#include <type_traits>
 
 #include "app/core/figures.hpp"
+#include "app/core/number_text.hpp"
 #include "app/inspect/course.hpp"
 #include "rtdata/data/codec.hpp"
 #include "rtdata/loop/topic.hpp"
@@ -39,30 +40,41 @@ Time whole_steps(Time time, Duration step, bool up) {
   return from_nanoseconds(past == 0 ? ns : ns - past + (up ? step.count() : 0));
 }
 
-std::optional<Request> request_of(std::string_view text) {
+[[noreturn]] void refuse_request(std::string why) {
+  throw SetupError({Errc::bad_argument, "cannot read the history", "request", std::move(why), ""});
+}
+
+Request request_of(std::string_view text) {
+  // Of ms: what is computed from these times fits into 64 bits of ns.
+  constexpr double latest = 9.1e12, longest = 3.2e12, longest_step = 1e11;
   const Json given = Json::parse(text, nullptr, false);
-  const auto number = [&](const char* key) -> std::optional<double> {
+  const auto topics = given.is_object() ? given.find("topics") : given.end();
+  if (topics == given.end() || !topics->is_object()) refuse_request("it has no object of \"topics\"");
+  const auto number = [&](const char* key, double least, double most) {
     const auto found = given.find(key);
-    if (found == given.end() || !found->is_number()) return std::nullopt;
+    if (found == given.end() || !found->is_number())
+      refuse_request("it has no number of ms \"" + std::string(key) + "\"");
     const double value = found->get<double>();
-    return std::abs(value) < 9e12 ? std::optional(value) : std::nullopt;
+    if (!(value >= least && value <= most))
+      refuse_request("\"" + std::string(key) + "\" " + found->dump() + " is out of range");
+    return value;
   };
-  if (!given.is_object() || !given.contains("topics") || !given["topics"].is_object()) return std::nullopt;
-  const auto from = number("from"), until = number("until"), step = number("step");
-  if (!from || !until || !step || *step < 1 || *until <= *from) return std::nullopt;
+  const double from = number("from", -latest, latest), until = number("until", -latest, latest);
+  const double step = number("step", 1, longest_step);
+  if (!(until > from)) refuse_request("\"until\" is not after \"from\"");
+  if (until - from > longest) refuse_request("it asks for more than 100 years");
+  if ((until - from) / step > static_cast<double>(most_steps))
+    refuse_request("it asks for more than " + std::to_string(most_steps) + " steps: give a longer \"step\"");
+  if (topics->size() > most_topics) refuse_request("it asks for more than " + std::to_string(most_topics) + " topics");
   Request request;
-  request.step = Duration{std::llround(*step) * 1'000'000};
-  request.from = whole_steps(from_nanoseconds(std::llround(*from * 1e6)), request.step, false);
-  request.until = whole_steps(from_nanoseconds(std::llround(*until * 1e6)), request.step, true);
-  if ((request.until - request.from) / request.step > most_steps || given["topics"].size() > most_topics)
-    return std::nullopt;
-  for (const auto& [topic, paths] : given["topics"].items()) {
-    if (!is_topic_name(topic) || !paths.is_array()) return std::nullopt;
-    for (const Json& path : paths) {
-      if (!path.is_string()) return std::nullopt;
-      request.topics[topic].push_back(path.get<std::string>());
-    }
-    request.topics.try_emplace(topic);
+  request.step = Duration{std::llround(step) * 1'000'000};
+  request.from = whole_steps(from_nanoseconds(std::llround(from * 1e6)), request.step, false);
+  request.until = whole_steps(from_nanoseconds(std::llround(until * 1e6)), request.step, true);
+  for (const auto& [topic, paths] : topics->items()) {
+    const auto is_path = [](const Json& path) { return path.is_string(); };
+    if (!is_topic_name(topic) || !paths.is_array() || !std::all_of(paths.begin(), paths.end(), is_path))
+      refuse_request("its topics are not as {\"room/air\": [\"temperature\"]}");
+    request.topics[topic] = paths.get<std::vector<std::string>>();
   }
   request.wants_marks = given.value("marks", Json(false)) == Json(true);
   return request;
@@ -72,23 +84,43 @@ std::string error_text(std::string_view why) {
   return Json{{"error", why}}.dump(-1, ' ', false, Json::error_handler_t::replace);
 }
 
-/// JSON has none of what is not finite.
-Json number_json(double value) { return std::isfinite(value) ? Json(value) : Json(); }
-Json number_json(const Value& value) {
-  if (const auto* const whole = std::get_if<std::int64_t>(&value)) return *whole;
-  if (const auto* const natural = std::get_if<std::uint64_t>(&value)) return *natural;
-  if (const auto* const real = std::get_if<double>(&value)) return number_json(*real);
-  return nullptr;
+/// As the texts of JSON: a step without a number breaks the curve, and JSON has none of what is not finite.
+void append_value(std::string& to, const Value& value) {
+  std::visit(
+      [&to](const auto& held) {
+        using Held = std::decay_t<decltype(held)>;
+        if constexpr (std::is_same_v<Held, double>) {
+          std::isfinite(held) ? append_number(to, held) : void(to += "null");
+        } else if constexpr (std::is_same_v<Held, std::int64_t> || std::is_same_v<Held, std::uint64_t>) {
+          append_number(to, held);
+        } else {
+          to += "null";
+        }
+        to += ',';
+      },
+      value);
 }
 
-struct Point {
-  double time;
-  Json least, mean, most;
+/// The curve of a field: numbers, each with a comma behind it. `later` has what was read before.
+struct Series {
+  std::string unit;
+  struct Column {
+    const char* name;
+    std::string text, later;
+  };
+  std::array<Column, 4> columns = {{{"time"}, {"least"}, {"mean"}, {"most"}}};
 };
 /// The events of a step, by their sequences.
 struct Span {
   Time time{};
   std::uint64_t first = 0, last = 0, events = 0;
+};
+/// An origin on a topic.
+struct HistorySource {
+  std::vector<Span> spans;
+  std::map<std::string, Series> series;  // by path
+  const RecordedTopic* topic = nullptr;  // of which the following are
+  std::vector<std::pair<Figures, Series*>> wanted;
 };
 
 class Answer {
@@ -99,12 +131,16 @@ class Answer {
       if (request.topics.contains(one.topic)) descriptions_[{one.topic, one.version}] = std::move(one);
   }
 
-  /// False: there are more points than go into an answer.
+  /// What is before all that was read before. False: there are more points than go into an answer.
   bool read(const std::string& topic, Time from, Time until) {
     RowFilter filter{.topic = topic, .run = run_.run, .from = from, .until = until};
-    auto rows = recording_.steps(filter, request_.step).or_throw();
-    places_.clear();  // they point into the descriptions of these rows
+    auto rows = recording_.steps(filter, request_.step, request_.topics.at(topic)).or_throw();
     while (const RecordedRow* row = rows.next().or_throw()) add(*row);
+    for (auto& [key, source] : sources_) {
+      source.topic = nullptr;  // it was of these rows
+      for (auto& [path, series] : source.series)
+        for (Series::Column& column : series.columns) column.later.insert(0, std::exchange(column.text, {}));
+    }
     return points_ < most_points;
   }
   /// Also of sensors that never had an event.
@@ -115,21 +151,19 @@ class Answer {
         gaps_.push_back(std::move(*gap));
   }
 
-  void add_to(Json& answer) {
-    for (auto& [key, points] : series_) {
-      std::sort(points.begin(), points.end(), [](const Point& a, const Point& b) { return a.time < b.time; });
-      const auto& [topic, origin, path] = key;
-      Json one{
-          {"topic", topic},        {"origin", origin},       {"path", path},          {"unit", units_[{topic, path}]},
-          {"time", Json::array()}, {"least", Json::array()}, {"mean", Json::array()}, {"most", Json::array()}};
-      for (Point& point : points) {
-        one["time"].push_back(point.time);
-        one["least"].push_back(std::move(point.least));
-        one["mean"].push_back(std::move(point.mean));
-        one["most"].push_back(std::move(point.most));
+  /// The curves go into a text of their own, as objects with a comma behind each.
+  void add_to(Json& answer, std::string& curves) {
+    for (const auto& [key, source] : sources_)
+      for (const auto& [path, series] : source.series) {
+        curves += Json{{"topic", key.first}, {"origin", key.second}, {"path", path}, {"unit", series.unit}}.dump(
+            -1, ' ', false, Json::error_handler_t::replace);
+        curves.pop_back();
+        for (const Series::Column& column : series.columns) {
+          curves.append(",\"").append(column.name).append("\":[").append(column.later);
+          curves.back() = ']';
+        }
+        curves += "},";
       }
-      answer["series"].push_back(std::move(one));
-    }
     add_missing();
     for (const RecordedGap& gap : gaps_)
       answer["gaps"].push_back({{"topic", gap.topic},
@@ -143,42 +177,41 @@ class Answer {
 
  private:
   void add(const RecordedRow& row) {
-    const std::string& topic = row.topic().topic;
-    const std::string origin(row.header().origin);
+    HistorySource& source = sources_[{row.topic().topic, std::string(row.header().origin)}];
+    if (source.topic != &row.topic()) set_wanted(source, row.topic());
     const EventView event = row.event();
-    const auto events = std::get<std::uint64_t>(event.value(event.description().leaves().front()));
-    spans_[{topic, origin}].push_back({row.header().time, row.first_sequence(), row.last_sequence(), events});
-    for (const Figures& place : places_of(row)) {
-      // A step without a number breaks the curve.
-      const bool has_numbers = std::get<std::uint64_t>(event.value(*place.count)) > 0;
-      const auto number = [&](const Leaf& of) { return has_numbers ? number_json(event.value(of)) : Json(); };
-      series_[{topic, origin, place.of->path}].push_back(
-          {in_ms(row.header().time), number(*place.least), number(*place.mean), number(*place.most)});
+    const auto count_of = [&](const Leaf& leaf) { return std::get<std::uint64_t>(event.value(leaf)); };
+    source.spans.push_back(
+        {row.header().time, row.first_sequence(), row.last_sequence(), count_of(event.description().leaves().front())});
+    for (const auto& [figures, series] : source.wanted) {
+      const bool has_numbers = count_of(*figures.count) > 0;
+      auto column = series->columns.begin();
+      append_value(column++->text, in_ms(row.header().time));
+      for (const Leaf* const of : {figures.least, figures.mean, figures.most})
+        append_value(column++->text, has_numbers ? event.value(*of) : Value());
       ++points_;
     }
   }
 
-  /// Of the fields that are wanted.
-  const std::vector<Figures>& places_of(const RecordedRow& row) {
-    const RecordedTopic& topic = row.topic();
-    const auto [known, is_new] = places_.try_emplace({topic.topic, topic.version});
-    if (!is_new) return known->second;
+  void set_wanted(HistorySource& source, const RecordedTopic& topic) {
+    source.topic = &topic;
+    source.wanted.clear();
     const std::vector<std::string>& wanted = request_.topics.at(topic.topic);
     for (const Figures& one :
          figures_of(*topic.description, *descriptions_.at({topic.topic, topic.version}).description)) {
       if (!wanted.empty() && std::find(wanted.begin(), wanted.end(), one.of->path) == wanted.end()) continue;
-      known->second.push_back(one);
-      units_[{topic.topic, one.of->path}] = one.of->unit;
+      Series& series = source.series[one.of->path];
+      series.unit = one.of->unit;
+      source.wanted.emplace_back(one, &series);
     }
-    return known->second;
   }
 
   /// What the recording did not store: sequences without a row.
   void add_missing() {
-    for (auto& [key, spans] : spans_) {
-      std::sort(spans.begin(), spans.end(), [](const Span& a, const Span& b) { return a.time < b.time; });
+    for (auto& [key, source] : sources_) {
+      std::sort(source.spans.begin(), source.spans.end(), [](const Span& a, const Span& b) { return a.time < b.time; });
       const Span* before = nullptr;
-      for (const Span& span : spans) {
+      for (const Span& span : source.spans) {
         std::uint64_t missing = span.last - span.first + 1 > span.events ? span.last - span.first + 1 - span.events : 0;
         if (before != nullptr && span.first > before->last + 1) missing += span.first - before->last - 1;
         if (missing > 0)
@@ -193,10 +226,7 @@ class Answer {
   const RunInfo& run_;
   const Request& request_;
   std::map<std::pair<std::string, std::int64_t>, RecordedTopic> descriptions_;
-  std::map<std::pair<std::string, std::int64_t>, std::vector<Figures>> places_;
-  std::map<std::pair<std::string, std::string>, std::string> units_;
-  std::map<std::tuple<std::string, std::string, std::string>, std::vector<Point>> series_;
-  std::map<std::pair<std::string, std::string>, std::vector<Span>> spans_;
+  std::map<std::pair<std::string, std::string>, HistorySource> sources_;  // by topic and origin
   std::vector<RecordedGap> gaps_;
   std::size_t points_ = 0;
 };
@@ -246,14 +276,13 @@ nlohmann::ordered_json page_run(const Recording& recording, const RunInfo& run) 
 
 std::string page_history(const std::vector<PageRecording>& recordings, std::optional<std::int64_t> run,
                          std::string_view text) try {
-  const auto request = request_of(text);
-  if (!request) return error_text("this request does not ask for the history, or asks for too much of it");
+  const Request request = request_of(text);
   const auto takes = [](const PageRecording& one, const std::string& topic) {
     return std::any_of(one.topics.begin(), one.topics.end(),
                        [&](const auto& taken) { return topic_matches(taken, topic); });
   };
   std::map<const PageRecording*, std::vector<std::string>> wanted;
-  for (const auto& [topic, paths] : request->topics)
+  for (const auto& [topic, paths] : request.topics)
     for (const PageRecording& one : recordings)
       if (takes(one, topic)) {
         wanted[&one].push_back(topic);
@@ -262,12 +291,9 @@ std::string page_history(const std::vector<PageRecording>& recordings, std::opti
   if (wanted.empty() && !recordings.empty()) wanted[&recordings.front()];
   if (wanted.empty()) return error_text("nothing is recorded");
   const auto until = std::chrono::steady_clock::now() + patience;
-  Json answer{{"run", nullptr},
-              {"reached", in_ms(request->from)},
-              {"series", Json::array()},
-              {"gaps", Json::array()},
-              {"marks", Json::array()}};
-  Time reached = request->from;
+  std::string curves;
+  Json answer{{"run", nullptr}, {"reached", in_ms(request.from)}, {"gaps", Json::array()}, {"marks", Json::array()}};
+  Time reached = request.from;
   for (const auto& [one, topics] : wanted) {
     const Recording recording = Recording::open(one->path).or_throw();
     const std::vector<RunInfo> runs = recording.runs().or_throw();
@@ -279,28 +305,34 @@ std::string page_history(const std::vector<PageRecording>& recordings, std::opti
       answer["run"] = page_run(recording, *chosen);
       answer["run"]["sink"] = one->sink;
     }
-    Answer of(recording, *chosen, *request);
-    Duration slice = request->step * steps_of_slice;
-    Time end = request->until;
+    Answer of(recording, *chosen, request);
+    const Duration all = request.until - request.from;
+    Duration slice = request.step * std::min(steps_of_slice, all / request.step);
+    Time end = request.until;
     // Before the run there is nothing; a run of hours is not looked for in a window of a month.
-    const Time begin = std::max(reached, whole_steps(chosen->started, request->step, false));
+    const Time begin = whole_steps(std::max(reached, chosen->started), request.step, false);
     while (end > begin) {
       const auto asked = std::chrono::steady_clock::now();
-      const Time start = std::max(begin, whole_steps(end - slice, request->step, false));
+      const Time start = std::max(begin, whole_steps(end - slice, request.step, false));
       bool has_room = true;
       for (const std::string& topic : topics) has_room = of.read(topic, start, end) && has_room;
       end = start;
       const auto now = std::chrono::steady_clock::now();
       if (!has_room || now > until) break;
-      if (now - asked < patience / 16) slice *= 2;  // to prepare a slice takes longer than to read a short one
+      // To prepare a slice takes longer than to read a short one.
+      slice *= std::clamp<std::int64_t>(patience / 16 / (now - asked + Duration{1}), 1,
+                                        std::min(steps_of_slice, all / slice));
     }
     if (end > begin) reached = end;
-    of.read_gaps(end, request->until);
-    of.add_to(answer);
-    if (request->wants_marks) add_marks(answer, recording, *chosen, *request);
+    of.read_gaps(end, request.until);
+    of.add_to(answer, curves);
+    if (request.wants_marks) add_marks(answer, recording, *chosen, request);
   }
   answer["reached"] = in_ms(reached);
-  return answer.dump(-1, ' ', false, Json::error_handler_t::replace);
+  if (!curves.empty()) curves.pop_back();
+  std::string told = answer.dump(-1, ' ', false, Json::error_handler_t::replace);
+  told.pop_back();
+  return told + ",\"series\":[" + curves + "]}";
 } catch (const std::exception& error) {
   return error_text(error.what());
 }

@@ -16,8 +16,9 @@ std::string to_string(const Outages& outages) {
     if (s < 86400) return parts(s / 3600, "h", s % 3600 / 60, "min");
     return parts(s / 86400, "d", s % 86400 / 3600, "h");
   };
-  return std::to_string(outages.number) + (outages.number == 1 ? " outage of " : " outages of ") +
-         (outages.is_at_most ? "at most " : "") + time(outages.time) + (outages.number > 1 ? " together" : "");
+  const std::string of = std::to_string(outages.number) + (outages.number == 1 ? " outage of " : " outages of ");
+  if (outages.time <= Duration{0}) return of + "unknown length";
+  return of + (outages.is_at_most ? "at most " : "") + time(outages.time) + (outages.number > 1 ? " together" : "");
 }
 
 std::string_view name_of(Gap::Kind kind) noexcept {

@@ -34,20 +34,22 @@ void Configurations::remove(std::string object) {
   note(change);
 }
 
-void Configurations::set_process(const std::string& sensor, std::string text) {
-  if (text.empty() && !processes_.contains(sensor)) return;
-  ConfigurationChange change{runtime_.event_now(), "process of sensor " + sensor, std::move(text)};
-  if (change.text.empty()) {
-    processes_.erase(sensor);
-  } else {
-    processes_.insert_or_assign(sensor, change);
-  }
+void Configurations::set_told(std::string object, std::string text) {
+  if (text.empty() && !told_.contains(object)) return;
+  const ConfigurationChange change{runtime_.event_now(), std::move(object), std::move(text)};
+  keep_told(change);
   if (runtime_.hub == nullptr) return note(change);
-  runtime_.reports.post_to_main([hub = runtime_.hub, sensor, change = std::move(change)] {
-    if (!change.text.empty()) hub->configurations.processes_.insert_or_assign(sensor, change);
-    if (change.text.empty()) hub->configurations.processes_.erase(sensor);
+  runtime_.reports.post_to_main([hub = runtime_.hub, change] {
+    hub->configurations.keep_told(change);
     hub->configurations.note(change);
   });
+}
+
+void Configurations::keep_told(const ConfigurationChange& change) {
+  if (change.text.empty())
+    told_.erase(change.object);
+  else
+    told_.insert_or_assign(change.object, change);
 }
 
 void Configurations::restore(State state) {

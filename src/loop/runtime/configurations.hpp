@@ -22,14 +22,15 @@ class Configurations {
   /// Adds a part ("sensor chamber") with its item.
   void add(std::string object, std::string text);
   void remove(std::string object);
-  /// Sets the processing of a sensor; empty: none. For a sensor on a tier, the main loop stores it.
-  void set_process(const std::string& sensor, std::string text);
+  /// Sets what recordings are told of a sensor beside its item, such as its processing; empty: nothing. For a sensor on
+  /// a tier, the main loop stores it.
+  void set_told(std::string object, std::string text);
 
   /// The whole text, and the valid changes since in order of time, for a recording that begins.
   const std::string& whole() const noexcept { return state_.whole; }
   std::vector<ConfigurationChange> changes() const;
-  /// The present processing of sensors, by name.
-  const std::map<std::string, ConfigurationChange>& processes() const noexcept { return processes_; }
+  /// What holds of that, by object.
+  const std::map<std::string, ConfigurationChange>& told() const noexcept { return told_; }
 
   struct Entry {
     ConfigurationChange change;
@@ -45,10 +46,11 @@ class Configurations {
 
  private:
   void note(const ConfigurationChange& change);
+  void keep_told(const ConfigurationChange& change);
 
   RuntimeCore& runtime_;
   State state_;
-  std::map<std::string, ConfigurationChange> processes_;
+  std::map<std::string, ConfigurationChange> told_;
 };
 
 }  // namespace rtdata::detail

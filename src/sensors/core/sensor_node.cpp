@@ -27,7 +27,7 @@ SensorNode::SensorNode(LoopCore& loop, const SensorConfig& config, PayloadType t
 
 SensorNode::SensorNode(LoopCore& loop, const SensorConfig& config, PayloadType type, std::unique_ptr<LaneDevice> device)
     : SourceNode(loop, config.name, config.topic, std::move(type), OriginCore::Supply::schedule, config.process,
-                 config.warm_up),
+                 config.warm_up, device->identity_by_word()),
       RateMember(config.rate.period()) {
   extra().lane_side = std::make_unique<LaneSide>(*this, std::move(device));
   loop.deadlines.reserve_one();

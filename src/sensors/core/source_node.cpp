@@ -38,7 +38,8 @@ PayloadType published_type(PayloadType type, const Processor* processor) {
 }  // namespace
 
 SourceNode::SourceNode(LoopCore& loop, std::string_view name, std::string_view topic, PayloadType type,
-                       OriginCore::Supply supply, const Processing& processing, Duration warm_up)
+                       OriginCore::Supply supply, const Processing& processing, Duration warm_up,
+                       const std::string& identity_by_word)
     : SensorEntry(loop),
       processor_(make_processor(type.description, processing, std::string(name))),
       warm_up_(warm_up),
@@ -47,7 +48,10 @@ SourceNode::SourceNode(LoopCore& loop, std::string_view name, std::string_view t
           supply)) {
   try {
     note_processing(processing);
+    loop.runtime.configurations.set_told("identity of sensor " + origin_.name, identity_by_word);
     loop.runtime.sensors.add(*this);
+    if (!identity_by_word.empty())
+      loop.runtime.log(LogLevel::warning, "sensor " + origin_.name, "takes a chip of identity " + identity_by_word);
   } catch (...) {
     loop.runtime.names.release(origin_);
     throw;
@@ -60,8 +64,8 @@ SourceNode::~SourceNode() {
 }
 
 void SourceNode::note_processing(const Processing& processing) {
-  loop()->runtime.configurations.set_process(
-      origin_.name, processing.empty() ? std::string() : text_of(processing, origin_.topic.name));
+  loop()->runtime.configurations.set_told("process of sensor " + origin_.name,
+                                          processing.empty() ? std::string() : text_of(processing, origin_.topic.name));
 }
 
 void SourceNode::set_processing(const Processing& processing) {

@@ -16,7 +16,7 @@ namespace rtdata::detail {
 class SourceNode : public SensorEntry {
  public:
   SourceNode(LoopCore& loop, std::string_view name, std::string_view topic, PayloadType type, OriginCore::Supply supply,
-             const Processing& processing, Duration warm_up);
+             const Processing& processing, Duration warm_up, const std::string& identity_by_word = {});
 
   virtual void start() = 0;
   virtual void set_rate(Rate rate) = 0;

@@ -63,7 +63,7 @@ void SinkNode::attach() {
   runtime.attach(*this);
   for (const ClockPair& pair : runtime.clock_log.pairs()) account_.notes.add(pair);
   for (const ConfigurationChange& change : runtime.configurations.changes()) account_.notes.add(change);
-  for (const auto& [sensor, change] : runtime.configurations.processes()) account_.notes.add(change);
+  for (const auto& [object, change] : runtime.configurations.told()) account_.notes.add(change);
   loop()->schedule().add(*this);
   life_ = Life::attached;
   report_run();

@@ -79,6 +79,8 @@ class LaneDevice {
   /// Called when the sensor stops: returns how many samples the device has taken since the last one read, if it can no
   /// longer be read. Later losses do not include this time again.
   virtual std::uint64_t stopped(MonotonicTime) { return 0; }
+  /// How the device's identity differs from the known one because the user says so. Empty: it does not.
+  virtual std::string identity_by_word() const { return {}; }
   /// The error of a transaction that was given up.
   virtual Error given_up_error() const = 0;
 };
