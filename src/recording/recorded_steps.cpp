@@ -173,12 +173,12 @@ class StepCursor final : public RowCursor {
       for (const RunInfo& one : recording.runs().or_throw())
         steps_.lines.emplace(one.run, utc_line_of(*file_, one.run));
     out_.description = description_of_steps(*topic_.description);
-    std::size_t place = 1;  // behind the number of events
+    std::size_t column = 1;  // behind the number of events
     for (const Leaf& leaf : topic_.description->leaves()) {
       if (!is_number(leaf.kind)) continue;
       const bool is_wanted = fields.empty() || std::find(fields.begin(), fields.end(), leaf.path) != fields.end();
-      if (is_wanted) numbers_.push_back({&leaf, place});
-      place += 4;
+      if (is_wanted) numbers_.push_back({&leaf, column});
+      column += 4;
     }
     for (std::size_t first = 0; first == 0 || first < numbers_.size(); first += numbers_at_once) {
       statements_.push_back(file_->prepare(source.recorded != nullptr ? of_recorded(source) : of_rows(first)));

@@ -106,7 +106,7 @@ struct Series {
   std::string unit;
   struct Column {
     const char* name;
-    std::string text, later;
+    std::string text = {}, later = {};
   };
   std::array<Column, 4> columns = {{{"time"}, {"least"}, {"mean"}, {"most"}}};
 };
