@@ -271,7 +271,14 @@ Result<std::vector<ExportCount>> export_files(const Recording& recording, const 
     errno = 0;
     std::ofstream file(path, std::ios::binary | std::ios::trunc);
     if (!file) cannot_write(path.string());
-    ExportCount written = write_rows(recording, config, runs, &topic, *codec, file, path.string(), before);
+    ExportCount written;
+    try {
+      written = write_rows(recording, config, runs, &topic, *codec, file, path.string(), before);
+    } catch (const SetupError&) {
+      // A file that could not be written whole; of a damaged recording it has what came before.
+      if (!file && std::filesystem::is_regular_file(path, failed)) std::filesystem::remove(path, failed);
+      throw;
+    }
     written.path = path.string();
     before += written.rows;
     counts.push_back(std::move(written));

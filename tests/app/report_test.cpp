@@ -603,5 +603,16 @@ it was not forged.
     CHECK(limited.end() == 1);
     CHECK(has(limited.err, "cannot write the report: cut.html"));
     CHECK_FALSE(folder.has("cut.html"));
+    // Neither does an export leave a part of a file.
+    sql(folder.path() + "/run.db", "UPDATE rtdata_topic SET table_name = 'long' WHERE topic = 'a'");
+    sql(folder.path() + "/run.db",
+        "CREATE TABLE long AS WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 9999) SELECT "
+        "a.*, i FROM a, n WHERE a.sequence = 1");
+    Process exported(
+        folder, "/bin/sh",
+        {"-c", "ulimit -f 80; trap '' XFSZ; exec \"$0\" export run.db --folder out", rtdata::test::program});
+    CHECK(exported.end() == 1);
+    CHECK(has(exported.err, "cannot write the export: out/a.csv"));
+    CHECK_FALSE(folder.has("out/a.csv"));
   }
 }

@@ -46,7 +46,7 @@ BEYOND_A_SCHEMA = [
     "topic: there is no topic", "host: there is no host", "a URL has no blanks", "it has no scheme",  # what a text holds
     "give the bus a longer `timeout`", "it has both `file` and `device`",  # between two values
     r"at character \d+: ",  # in a regular expression
-    "there is no bus", "there is no sink", "cannot go through another", "is not among those of the recording", "this needs sqlite", r"\.(address|line): ",  # names of other parts; numbers that may be texts
+    "there is no bus", "there is no sink", "cannot go through another", "is not among those of the recording", "this needs sqlite", r"\.(address|identity|line): ",  # names of other parts; numbers that may be texts
 ]
 
 
