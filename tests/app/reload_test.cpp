@@ -71,6 +71,7 @@ TEST_SUITE("app") {
   }
 
   TEST_CASE("US-5 US-27 a reload that changes an identity restarts the sensor; log, recording and report tell of it") {
+    const rtdata::test::RuntimeFolder runtime;
     const Folder folder;
     const auto text = [](const std::string& identity) {
       return R"({"buses": {"b": {"type": "i2c", "device": "/nowhere/i2c-1"}}, "sensors": [
