@@ -107,6 +107,10 @@ TEST_SUITE("sensors") {
     CHECK(has(why({.type = Kind::u16, .at = 1, .bit = 2, .bcd = true}), "have no bits"));
     CHECK(has(why({.at = 1, .bcd = true}), "only a whole number"));
     CHECK(has(why({.type = Kind::boolean, .at = 1, .wire = Kind::f32}), "no number with decimals"));
+    CHECK(has(why({.type = Kind::u8, .at = 1, .mask = 15, .no_value = {"255"}}), "bytes or bits can be"));
+    CHECK(has(why({.type = Kind::boolean, .at = 1, .bit = 7, .no_value = {"255"}}), "bytes or bits can be"));
+    CHECK(why({.type = Kind::u64, .at = 1, .no_value = {"18446744073709551615"}}).empty());
+    CHECK(has(refusal_of_bytes({.name = "v", .base = 16, .bcd = true}, LineFormat::pattern), "are of bytes"));
     CHECK(has(why({.base = 16, .at = 1, .wire = Kind::u16}), "no digits of another base"));
     CHECK(has(why({.at = 7, .wire = Kind::i32}), "ends behind the frame"));
     CHECK(why({.at = 7, .wire = Kind::u16, .mask = 0xf000}).empty());
@@ -141,6 +145,10 @@ TEST_SUITE("sensors") {
                                                                  from_hex("11 22 00 33"), from_hex("11 22 33 44"), most,
                                                                  '\0' + most, one_more, "?"});
       // A mark before and behind each, one between two, several; escapes that are none.
+      const std::string marks(2000, '\xc0'), overlong(3000, 'x');  // neither takes the frame behind it along
+      CHECK(plain_frames(Stuffing::slip, marks + from_hex("01 c0") + marks + from_hex("02 c0"), piece) ==
+            Strings{"\x01", "\x02"});
+      CHECK(plain_frames(Stuffing::slip, overlong + from_hex("c0 02 c0"), piece) == Strings{"\x02"});
       const std::string slip = from_hex("c0 01 db dc 02 db dd c0 03 c0 c0 c0 04 c0 05 db 06 c0 07 db c0 08 c0 09");
       CHECK(plain_frames(Stuffing::slip, slip, piece) ==
             Strings{from_hex("01 c0 02 db"), "\x03", "\x04", "?", "?", "\x08"});
@@ -160,6 +168,11 @@ TEST_SUITE("sensors") {
                             .frame = LineFrame{.start = "x", .end = "y"}};
     CHECK(values_in(tagged, from_hex("08 01 55 00 0c 13 61 00 07 53 f8 60")) == "79139.3 -1952");
     CHECK(values_in(tagged, from_hex("08 01 52 0a")) == "1 absent");
+    LineConfig any_byte = tagged;
+    any_byte.pattern = R"(\x08\x01(?<energy>.)(?<power>..)?)";
+    CHECK(values_in(any_byte, from_hex("08 01 0a 0d 0a 08 01 07")) == "1 3338");
+    CHECK(values_in({.format = LineFormat::pattern, .fields = {{.name = "a"}}, .pattern = "(?<a>[^;]+);"}, "21,;") ==
+          "\"21,\" is not a number");
     CHECK(values_in(tagged, from_hex("08 01 59 00 00 00 00 00 0c 13 61")) == "79139.3 absent");
     CHECK(has(values_in(tagged, from_hex("08 01 54 0a")), "`pattern` is not found"));
     // A beacon of a RuuviTag, format 5: the example of its description.

@@ -442,6 +442,34 @@ TEST_SUITE("sensors" * doctest::skip(!terminals_can_be_set_up())) {
     CHECK(heard.counts.filtered == 1);
   }
 
+  TEST_CASE("US-13 a frame whose end was lost takes nothing of the next one") {
+    const LineConfig framed{.fields = {{.name = "a"}, {.name = "b"}},
+                            .frame = LineFrame{.start = "<a>", .end = "</a>"}};
+    const Heard heard = hear(framed, "<a>1,2</a><a>3,<a>4,5</a><a>6,7</a>", 3, 4);
+    CHECK(heard.events == std::vector<std::string>{"1 2", "4 5", "6 7"});
+    CHECK(heard.counts.unreadable == 1);
+    REQUIRE(!heard.errors.empty());
+    CHECK(has(heard.errors[0], "another one begins within it"));
+  }
+
+  TEST_CASE("US-13 bytes of a pattern come in frames, since lines end at some of them") {
+    const LineField field{.name = "v", .wire = Kind::u8};
+    LineConfig lines{.format = LineFormat::pattern, .fields = {field}, .pattern = "^(?<v>.)$"};
+    Loop loop;
+    be_quiet(loop);
+    const auto refused = [&] {
+      try {
+        const SerialLineSensor sensor(loop, {.name = "x"}, {.device = "/nowhere/tty", .lines = lines});
+      } catch (const SetupError& error) {
+        return error.error().why;
+      }
+      return std::string();
+    };
+    CHECK(has(refused(), "may be those that end a line"));
+    lines.frame = LineFrame{.stuffing = Stuffing::slip};
+    CHECK(refused().empty());
+  }
+
   TEST_CASE("US-13 frames that wait behind a wrong length are taken at the end, and what has no end is told") {
     ScratchDirectory folder;
     Pty pty(folder.file("tty"));

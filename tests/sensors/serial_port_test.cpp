@@ -347,6 +347,12 @@ TEST_SUITE("sensors") {
     const std::vector<std::string> written = bench.wires->written();
     CHECK(std::vector<std::string>(written.begin(), written.begin() + 4) ==
           std::vector<std::string>{"0M!", "0D0!", "0M!", "0D0!"});
+    CHECK_THROWS_AS(DriverSensor<Query>(bench.loop, {.name = "long", .rate = 1_Hz}, bench.port, {},
+                                        {.request = "0D0!",
+                                         .prepare = {"0M!"},
+                                         .prepare_wait = 1s,
+                                         .fields = {{.name = "rest", .type = Kind::text}}}),
+                    SetupError);  // the port gives up after as long
     // What comes too late is not taken for the values.
     mistake = "0+1-1\r\n";
     bench.loop.advance(2s);

@@ -17,7 +17,7 @@
 ///   `at_open_answers`, that of each text.
 /// - `prepare` is sent before each request, such as what starts a measurement; the line that answers it is awaited and
 ///   dropped, that of `prepare_hex` as a frame if there is one. Then `prepare_wait` goes by.
-/// - `skip_lines`: lines before the answer, for devices that echo the request.
+/// - `skip_lines`: lines before each answer, for devices that echo what they are asked.
 ///
 /// Driver (driver.hpp): used on the port's lane.
 #pragma once
@@ -110,6 +110,8 @@ class Query {
     return line_description(config.fields);
   }
   static constexpr std::size_t longest_answer = 4096;
+  /// How long it holds the bus beside its transfers.
+  static Duration bus_time(const Config& config) { return config.prepare_wait; }
 
   /// SetupError (bad-argument, bad-description): a configuration that cannot work.
   explicit Query(const Config& config);

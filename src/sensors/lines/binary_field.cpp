@@ -60,8 +60,10 @@ bool can_be(Kind kind, int bits, double number) noexcept {
   if (is_floating(kind)) return true;
   if (!is_integer_kind(kind)) return false;
   const double range = std::ldexp(1.0, bits);  // how many numbers there are
+  const double end = is_signed(kind) ? range / 2 : range;
+  // The largest of 64 bits is read as the next one.
   return number == std::trunc(number) && number >= (is_signed(kind) ? -range / 2 : 0) &&
-         number < (is_signed(kind) ? range / 2 : range);
+         (number < end || (bits == 64 && number == end));
 }
 
 }  // namespace
@@ -104,14 +106,18 @@ BinaryField::BinaryField(const LineField& field, const Leaf* leaf, WireOrder ord
     refuse_binary(field, "bits of a number have no sign", "make its `type` unsigned, double or bool");
   for (const std::string& none : field.no_value) {
     double number = 0;
-    if (read_number(none, number) != std::errc{} || !can_be(wire_, static_cast<int>(bits), number))
-      refuse_binary(field, "one of `no_value` is no number that its bytes can be",
-                    "write the number of its bytes, before `scale`, in decimal digits");
+    const Kind kind = mask_ != 0 && is_integer_kind(wire_) ? Kind::u64 : wire_;
+    const int width = mask_ != 0 ? static_cast<int>(std::bit_width(mask_ >> std::countr_zero(mask_)))
+                                 : static_cast<int>(bits);
+    if (read_number(none, number) != std::errc{} || !can_be(kind, width, number))
+      refuse_binary(field, "one of `no_value` is no number that its bytes or bits can be",
+                    "write the number before `scale`, and behind `mask`, in decimal digits");
   }
 }
 
 bool BinaryField::takes(std::size_t bytes) const noexcept {
-  return is_integer_kind(wire_) ? bytes >= 1 && bytes <= size_of(wire_) : bytes == size_;
+  const bool has_bits = bytes >= 8 || mask_ >> (8 * bytes) == 0;
+  return is_integer_kind(wire_) ? bytes >= 1 && bytes <= size_of(wire_) && has_bits : bytes == size_;
 }
 
 /// Of an integer; a negative one fills all 64.

@@ -109,7 +109,9 @@ bool FieldText::is_no_number(std::string_view text) const noexcept {
 }
 
 bool FieldText::is_none(double number) const noexcept {
-  return std::any_of(no_value_.begin(), no_value_.end(), [&](const auto& none) { return none.second == number; });
+  return std::any_of(no_value_.begin(), no_value_.end(), [&](const auto& none) {
+    return none.second == number || (none.second && std::isnan(*none.second) && std::isnan(number));
+  });
 }
 
 /// Puts the digits before the mark into the buffer. `thousands` stands before groups of three of them, else it is

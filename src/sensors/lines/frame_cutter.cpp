@@ -140,15 +140,23 @@ FrameCutter::Found FrameCutter::next(std::string_view bytes) noexcept {
   }
 }
 
-/// Stuffed frames may begin with marks, too, and between two of them is nothing.
+/// Stuffed frames may begin with marks, too, and between two of them is nothing. The first one ends what is too long.
 std::size_t FrameCutter::marks_before(std::string_view bytes) const noexcept {
-  return config_.stuffing == Stuffing::none ? 0 : std::min(bytes.find_first_not_of(end_.front()), bytes.size());
+  if (config_.stuffing == Stuffing::none || is_overlong_) return 0;
+  return std::min(bytes.find_first_not_of(end_.front()), bytes.size());
+}
+
+bool FrameCutter::holds_another(std::string_view frame) const noexcept {
+  const bool may_be_content = start_.empty() || (start_.size() == 1 && static_cast<unsigned char>(start_[0]) >= ' ');
+  return !may_be_content && !end_.empty() && config_.length == 0 && config_.length_at == 0 &&
+         frame.find(start_, start_.size()) != std::string_view::npos;
 }
 
 /// Frames without a start begin where the last one ended.
 FrameCutter::Found FrameCutter::next_end(std::string_view bytes) noexcept {
   for (std::size_t begin = 0;;) {
-    const std::size_t end = bytes.find(end_, begin + marks_before(bytes.substr(begin)));
+    begin += marks_before(bytes.substr(begin));
+    const std::size_t end = bytes.find(end_, begin);
     if (end == std::string_view::npos) {
       is_overlong_ = is_overlong_ || bytes.size() - begin > longest_;
       if (!is_overlong_) return {begin, 0};
@@ -164,7 +172,6 @@ FrameCutter::Found FrameCutter::next_end(std::string_view bytes) noexcept {
 
 Result<std::string_view> FrameCutter::plain(std::string_view frame) {
   if (config_.stuffing == Stuffing::none) return frame;
-  frame.remove_prefix(marks_before(frame));
   frame.remove_suffix(std::min(frame.size(), end_.size()));
   plain_.clear();
   const bool is_good = config_.stuffing == Stuffing::cobs ? put_back_cobs(frame, plain_)

@@ -26,6 +26,10 @@ class FrameCutter {
   bool has_start() const noexcept { return !start_.empty(); }
   /// Looks at the bytes that have come and are not used. No allocation.
   Found next(std::string_view bytes) noexcept;
+  /// True if a start of several bytes, or of a control character, stands within a frame whose length nothing says.
+  bool holds_another(std::string_view frame) const noexcept;
+  /// The byte that stands between stuffed frames, any number of times.
+  bool is_mark(char byte) const noexcept { return config_.stuffing != Stuffing::none && byte == end_.front(); }
   /// The bytes that come next are the first of a stream.
   void reset() noexcept { is_overlong_ = false; }
   /// The frame as it was before its sender stuffed it, without marks; valid until the next call. Without `stuffing`, as

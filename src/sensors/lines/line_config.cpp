@@ -103,8 +103,8 @@ void check_fields_of(const LineConfig& config) {
     if (!is_binary && (field.at || field.bytes != 0 || (field.wire && !has_bytes)))
       throw SetupError(
           refused_lines("field " + field.name, "`at`, `bytes` and `wire` are of binary frames", "leave them out"));
-    if (!has_bytes && (field.bit || field.mask))
-      throw SetupError(refused_lines("field " + field.name, "`bit` and `mask` are of bytes", "leave them out"));
+    if (!has_bytes && (field.bit || field.mask || field.bcd))
+      throw SetupError(refused_lines("field " + field.name, "`bit`, `mask` and `bcd` are of bytes", "leave them out"));
     if (config.format != LineFormat::labels && field.column != 1)
       throw SetupError(refused_lines("field " + field.name, "`column` is of labels", "leave it out"));
     const bool has_separator = field.decimal == config.separator || field.thousands == std::string(1, config.separator);
@@ -194,9 +194,17 @@ std::string type_with_article(Kind kind) {
   return std::string(name.starts_with('i') ? "an " : "a ").append(name);
 }
 
+void check_bytes_are_framed(const LineConfig& config) {
+  const bool has_bytes = std::any_of(config.fields.begin(), config.fields.end(), are_bytes);
+  if (config.format == LineFormat::pattern && has_bytes && !config.frame)
+    throw SetupError(refused_lines("frame", "the bytes of fields with `wire` may be those that end a line",
+                                   "set `frame`; `base` 16 is for bytes written as hexadecimal digits"));
+}
+
 void check_lines_of(const LineConfig& config, FrameCutter::Stream stream, const ConfigItem& item, Problems& problems) {
   try {
     const auto decoder = decoder_of_lines(config);
+    if (stream == FrameCutter::Stream::endless) check_bytes_are_framed(config);
     if (config.device_time && decoder) DeviceClock(*config.device_time, *decoder->description());
     if (config.frame) FrameCutter(*config.frame, config.max_line, stream);
   } catch (const SetupError& error) {

@@ -24,6 +24,11 @@ std::unique_ptr<LineDecoder> decoder_of_lines(const LineConfig& config);
 /// `check_config` of a LineConfig whose frames are such.
 void check_lines_of(const LineConfig& config, FrameCutter::Stream stream, const ConfigItem& item, Problems& problems);
 
+/// True if a pattern's group of it is bytes, not text.
+inline bool are_bytes(const LineField& field) noexcept { return field.wire && field.base != 16; }
+/// SetupError (bad-argument): a pattern takes bytes from lines, which are cut at some of them.
+void check_bytes_are_framed(const LineConfig& config);
+
 /// What is sent after an opening: the texts, then the bytes. `key`: of the bytes. SetupError (bad-argument): `hex` is
 /// not bytes.
 std::vector<std::string> texts_at_open(const std::vector<std::string>& texts, const std::vector<std::string>& hex,

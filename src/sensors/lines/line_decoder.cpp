@@ -150,7 +150,7 @@ bool LineDecoder::is_found(LinePattern& pattern, std::string_view text) noexcept
 
 /// Each group that has a name is a field's.
 void LineDecoder::use_pattern(const std::string& expression) {
-  pattern_.emplace(expression, "pattern");
+  pattern_.emplace(expression, "pattern", has_bytes());
   groups_.resize(fields_.size());
   for (const LinePattern::Group& group : pattern_->groups()) {
     bool is_used = false;
@@ -191,6 +191,10 @@ void LineDecoder::use_bytes(const LineConfig& config) {
     if (config.frame->length != 0 && binary->at() + binary->size() > config.frame->length)
       refuse("it ends behind the frame", "check `at`, `type` and the frame's `length`");
   }
+}
+
+bool LineDecoder::has_bytes() const noexcept {
+  return std::any_of(fields_.begin(), fields_.end(), [](const LineField& field) { return are_bytes(field); });
 }
 
 Result<void> LineDecoder::decode_binary(std::string_view frame) {
@@ -414,7 +418,8 @@ Result<void> LineDecoder::decode_pattern(std::string_view line) {
     if (is_given(i)) continue;
     std::optional<std::string_view> text;
     for (std::size_t n = 0; n < groups_[i].size() && !text; ++n) text = pattern_->group(groups_[i][n]);
-    if (std::string_view rest = text.value_or(""); plain_[i].is_one && take_number(plain_[i], rest) && rest.empty())
+    if (std::string_view rest = text.value_or("");
+        plain_[i].is_one && take_number(plain_[i], rest) && rest.data() == nullptr)
       continue;
     if (binary_[i] && text && !text->empty()) {
       if (auto done = put_group(i, *text); !done) return done;

@@ -40,6 +40,8 @@ class LineDecoder {
   /// Afterwards `payload` is the line's. Errors: bad-data, not-a-number, out-of-range, does-not-fit; no allocation when
   /// good.
   Result<void> decode(std::string_view line);
+  /// True if a pattern takes bytes, whatever they are, from what it is given.
+  bool has_bytes() const noexcept;
   /// After `decode` has failed: the device says that it has no value (`unreadable_if`).
   bool says_none() const noexcept { return says_none_; }
   /// After `decode`: the value of the fields with this key. Errors: those of `decode`.

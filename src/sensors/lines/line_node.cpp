@@ -276,7 +276,7 @@ void LineNode::skip(std::string_view bytes, bool are_all) {
   const std::size_t reported = std::min(bytes.size(), reported_bytes_);
   reported_bytes_ -= reported;
   bytes.remove_prefix(reported);
-  const auto blank = [](char c) { return c == '\r' || c == '\n' || c == '\0'; };
+  const auto blank = [this](char c) { return c == '\r' || c == '\n' || c == '\0' || cutter_->is_mark(c); };
   if (!std::all_of(bytes.begin(), bytes.end(), blank)) skipped_ += bytes.size();
   const bool is_much = skipped_ > std::max(config_.max_line, least_unended);
   if (skipped_ == 0) return;
@@ -301,6 +301,11 @@ bool LineNode::take_frame(std::string_view frame) {
   if (lines_to_skip_ != 0) {
     --lines_to_skip_;
     return true;
+  }
+  if (!config_.checksum && cutter_->holds_another(frame)) {
+    fail_line({Errc::bad_data, "cannot use a frame", place_, "another one begins within it: its end was lost",
+               std::string(advice_) + "; with a `checksum` or a length, its start may stand in it"});
+    return false;
   }
   const Result<std::string_view> plain = cutter_->plain(frame);
   const Result<std::string_view> checked = plain ? decoder_->checked(*plain) : plain;
@@ -369,6 +374,7 @@ void LineNode::report_rest(End end) {
 
 void LineNode::end_message() {
   if (!line_.empty() || skipped_ != 0) report_rest(End::of_source);
+  if (cutter_) cutter_->reset();
 }
 
 Error LineNode::silence_error() const {
@@ -523,6 +529,7 @@ void check_source(const LineConfig& config, const std::string& sensor) {
   const auto refuse = [&](const char* why, const char* advice) {
     throw SetupError({Errc::bad_argument, "cannot take these lines", "sensor " + sensor, why, advice});
   };
+  check_bytes_are_framed(config);
   if (config.max_line == 0) refuse("max_line is 0", "such as 4096");
   if (config.retry_first <= Duration{0}) refuse("retry_first is not positive", "such as 100 ms");
 }

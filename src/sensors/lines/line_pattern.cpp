@@ -75,7 +75,7 @@ struct LinePattern::Compiled {
   Budget budget;
 };
 
-LinePattern::LinePattern(const std::string& expression, const char* key) {
+LinePattern::LinePattern(const std::string& expression, const char* key, bool of_bytes) {
   if (expression.empty())
     throw SetupError(refused_lines(key, "there is no regular expression", "such as \"T=(?<temp>[-0-9.]+)\""));
   if (const Result<void> loaded = libpcre2.load(); !loaded) throw SetupError(loaded.error());
@@ -84,7 +84,7 @@ LinePattern::LinePattern(const std::string& expression, const char* key) {
   std::size_t at = 0;
   const auto compiled = [&](std::uint32_t options) {
     return pcre2_compile(reinterpret_cast<const unsigned char*>(expression.data()), expression.size(),
-                         options | PCRE2_NEVER_UTF, &number, &at, nullptr);
+                         options | PCRE2_NEVER_UTF | (of_bytes ? PCRE2_DOTALL : 0), &number, &at, nullptr);
   };
   compiled_->code = compiled(PCRE2_AUTO_CALLOUT);
   if (compiled_->code == nullptr)
@@ -133,7 +133,7 @@ std::optional<std::string_view> LinePattern::group(unsigned number) const noexce
 
 struct LinePattern::Compiled {};
 
-LinePattern::LinePattern(const std::string&, const char* key) {
+LinePattern::LinePattern(const std::string&, const char* key, bool) {
   throw SetupError(
       refused_lines(key, "this program was built without PCRE2", "install libpcre2-dev and build it again"));
 }

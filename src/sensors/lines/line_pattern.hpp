@@ -16,8 +16,8 @@ class LinePattern {
   static constexpr std::size_t most_steps = 20'000, steps_of_a_byte = 8;  // of a search: both together
 
   /// SetupError: bad-argument (not such an expression, or built without PCRE2), not-found (PCRE2 is not installed).
-  /// `key`: of its setting, in errors.
-  LinePattern(const std::string& expression, const char* key);
+  /// `key`: of its setting, in errors. `of_bytes`: a point in it means any byte, also that of a newline.
+  LinePattern(const std::string& expression, const char* key, bool of_bytes = false);
   LinePattern(LinePattern&&) noexcept;
   LinePattern& operator=(LinePattern&&) noexcept;
   ~LinePattern();

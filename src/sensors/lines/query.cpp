@@ -106,6 +106,8 @@ Result<void> Query::open(SerialDevice& line) {
 Result<void> Query::drop_answer(SerialDevice& line, Answer answer, const char* of) {
   Result<std::string> got = answer == Answer::frame ? next_frame(line)
                                                     : line.read_until(config_.answer_end, {}, longest_answer);
+  for (unsigned i = 0; got && answer == Answer::line && i < config_.skip_lines; ++i)
+    got = line.read_until(config_.answer_end, {}, longest_answer);
   if (got) return {};
   Error error = std::move(got).error();
   error.why = "the answer to one of `" + std::string(of) + "`: " + error.why;

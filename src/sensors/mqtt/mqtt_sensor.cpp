@@ -179,7 +179,7 @@ class MqttNode final : public StreamNode {
                    "`max_message` sets how long it may be"});
     }
     std::string_view text = message.payload;
-    while (text.ends_with('\n') || text.ends_with('\r')) text.remove_suffix(1);
+    while (!decoder_.has_bytes() && (text.ends_with('\n') || text.ends_with('\r'))) text.remove_suffix(1);
     if (!decoder_.is_meant(text)) return leave_out();
     Result<void> done = decoder_.decode(text);
     if (done) done = decoder_.give(topic_key, message.topic);
