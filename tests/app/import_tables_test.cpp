@@ -215,6 +215,11 @@ TEST_SUITE("app") {
     is_refused("1", "%d", "its date is not whole");
     is_refused("1", "%Q", "it has %Q, and there is %Y");
     is_refused("1", "%I", "%I and %p go together");
+    is_refused("2026-03-01 12:07:30", "%Y-%m-%d %H:%m:%S", "it has two parts for the month (%M is the minute)");
+    is_refused("12:07:30", "%H:%M:%H", "it has two parts for the hour");
+    is_refused("1.3.2026 12:07:30", "%d.%m.%Y %H:%M:%s", "it has %s, the seconds since 1970, beside a date");
+    is_refused("2026-03-01 60", "%F %j", "it has %j, the day of the year, beside a month or a day");
+    is_refused("2026-03-01 07:07:30 PM", "%F %H:%M:%S %a", "it is not written as --time-format has it");
     is_refused("1", "t%", "it ends with %");
     is_refused("1", "t", "it has neither a day nor a time of day");
     CHECK_FALSE(folder.has("bad.db"));

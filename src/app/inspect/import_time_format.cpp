@@ -6,7 +6,9 @@
 #include <chrono>
 #include <cstdint>
 #include <optional>
+#include <span>
 #include <system_error>
+#include <utility>
 
 #include "app/inspect/import_time.hpp"
 
@@ -166,16 +168,25 @@ class TimeReader {
       letters += static_cast<char>(rest_.front() | 0x20);  // in lower case
     return letters;
   }
+  /// The number of a name, whole or shortened; 0: it is none of them.
+  int name_among(std::span<const std::string_view> names, std::size_t least) {
+    const std::string name = word();
+    const auto found = std::find_if(names.begin(), names.end(), [&](std::string_view one) {
+      return name == one || (name.size() >= least && one.starts_with(name));
+    });
+    return found == names.end() ? 0 : static_cast<int>(found - names.begin()) + 1;
+  }
   bool month_name() {
     constexpr std::array<std::string_view, 12> names{"january",   "february", "march",    "april",
                                                      "may",       "june",     "july",     "august",
                                                      "september", "october",  "november", "december"};
-    const std::string name = word();
-    const auto found = std::find_if(names.begin(), names.end(), [&](std::string_view one) {
-      return name == one || (name.size() >= 3 && one.starts_with(name));
-    });
-    month_ = static_cast<int>(found - names.begin()) + 1;
-    return found != names.end();
+    month_ = name_among(names, 3);
+    return month_ != 0;
+  }
+  bool day_name() {
+    constexpr std::array<std::string_view, 7> names{"monday", "tuesday",  "wednesday", "thursday",
+                                                    "friday", "saturday", "sunday"};
+    return name_among(names, 2) != 0;
   }
   bool zone() {
     offset_ = 0;
@@ -262,7 +273,7 @@ class TimeReader {
       case 's':
         return seconds_since_1970();
       default:
-        return !word().empty();  // a or A
+        return day_name();  // a or A
     }
   }
 
@@ -301,7 +312,24 @@ std::string format_mistake(std::string_view format) {
   }
   const auto has = [&](std::string_view any) { return parts.find_first_of(any) != std::string::npos; };
   if (!has("sHIMSfLuNjd")) return "it has neither a day nor a time of day";
+  for (const auto& [all_of, what] : {std::pair("Yy", "year"),
+                                     {"mbB", "month (%M is the minute)"},
+                                     {"d", "day"},
+                                     {"j", "day"},
+                                     {"HI", "hour"},
+                                     {"M", "minute (%m is the month)"},
+                                     {"S", "second (%s are seconds since 1970)"},
+                                     {"fLuN", "fraction of a second"},
+                                     {"p", "half of the day"},
+                                     {"z", "zone"},
+                                     {"s", "time"}}) {
+    const auto count = std::count_if(parts.begin(), parts.end(),
+                                     [of = std::string_view(all_of)](char c) { return of.find(c) != of.npos; });
+    if (count > 1) return std::string("it has two parts for the ") + what;
+  }
+  if (has("s") && has("YymbBdjHIpMSz")) return "it has %s, the seconds since 1970, beside a date or a time of day";
   if (has("s")) return {};
+  if (has("j") && has("mbBd")) return "it has %j, the day of the year, beside a month or a day";
   const bool has_date = has("Yy") && (has("j") || (has("mbB") && has("d")));
   if (has("YymbBdj") && !has_date) return "its date is not whole: %Y or %y, with %m or %b and %d, or with %j";
   if (has("I") != has("p")) return "%I and %p go together";
