@@ -656,6 +656,184 @@ TEST_SUITE("app") {
     check_nothing_made(folder);
   }
 
+  TEST_CASE("import: numbers whose heading is a unit, or has it in any place, are not taken for seconds") {
+    const Folder folder;
+    const auto is_refused = [&](const std::string& heading, const std::string& scale) {
+      CAPTURE(heading);
+      folder.write("u.csv", "\"" + heading + "\",v\n0,1\n100,2\n");
+      const std::string said = import(folder, {"u.csv", "--time", heading}, 1);
+      CHECK_MESSAGE(has(said, "write --scale \"" + scale + "\""), said);
+    };
+    for (const char* const heading : {"ms", "msec", "millis", "Milliseconds", "t,ms", "time.ms", "time:ms", "timeMs",
+                                      "ms since boot", "uptimeMillis", "time_ms_utc"})
+      is_refused(heading, "1 ms");
+    for (const char* const heading : {"us", "usec", "\u00b5s", "\u03bcs", "TimeUS"}) is_refused(heading, "1 us");
+    for (const char* const heading : {"minutes", "Time, min", "min", "Minutes since start"})
+      is_refused(heading, "1 min");
+    for (const char* const heading : {"hours", "Time, h", "t_h"}) is_refused(heading, "1 h");
+    folder.write("u.csv", "0,1\n100,2\n");
+    CHECK(has(import(folder, {"u.csv", "--time", "ms", "--columns", "ms,v"}, 1), "write --scale \"1 ms\""));
+    CHECK_FALSE(folder.has("u.db"));
+    for (const char* const heading : {"t", "s", "sec", "Time", "elapsed", "timestamp", "minimum", "day_t"}) {
+      CAPTURE(heading);
+      folder.write("u.csv", std::string(heading) + ",v\n0,1\n100,2\n");
+      CHECK(has(import(folder, {"u.csv", "--time", heading}), "to 1970-01-01T00:01:40.000000000Z"));
+      std::filesystem::remove(folder.path() + "/u.db");
+    }
+  }
+
+  TEST_CASE("import: numbers that are times of day are not taken for seconds") {
+    const Folder folder;
+    const auto is_refused = [&](const std::string& times, const std::string& why, const std::string& heading = "t") {
+      CAPTURE(times);
+      folder.write("c.csv", heading + "\n" + times);
+      const std::string said = import(folder, {"c.csv", "--time", heading}, 1);
+      CHECK_MESSAGE(has(said, why), said);
+    };
+    is_refused("085958\n085959\n090000\n",
+               "seems to have times of day: 085958 is 08:59:58: write --time-format %H%M%S,");
+    is_refused("160957.4\n160958.4\n160959.4\n161000.4\n", "160957 is 16:09:57");
+    is_refused("85958\n85959\n90000\n", "85958 is 08:59:58");
+    is_refused("125800\n125900\n130000\n130100\n", "125800 is 12:58:00");
+    is_refused("120001\n120002\n", "120001 is 12:00:01", "UTC");
+    is_refused("235958\n235959\n000000\n", "235958 is 23:59:58");
+    is_refused("20263100\n20263100\n20265850\n20331600\n", "write --time-format %H%M%S%f,");
+    CHECK_FALSE(folder.has("c.db"));
+    for (const char* const times : {"100057\n100058\n100059\n100060\n", "100000\n100100\n100200\n100300\n",
+                                    "0\n10\n20\n30\n40\n50\n60\n", "120001.5\n120002.5\n"}) {
+      CAPTURE(times);
+      std::string rows = "t,v\n";
+      for (const char c : std::string(times)) rows += c == '\n' ? std::string(",1\n") : std::string(1, c);
+      folder.write("c.csv", rows);
+      import(folder, {"c.csv", "--time", "t"});
+      std::filesystem::remove(folder.path() + "/c.db");
+    }
+    folder.write("c.csv", "t,v\n085958,1\n085959,2\n090000,3\n");
+    CHECK(has(import(folder, {"c.csv", "--time", "t", "--scale", "1s"}), "to 1970-01-02T01:00:00"));
+  }
+
+  TEST_CASE("import: what tells numbers apart is not stripped") {
+    const Folder folder;
+    folder.write("amps.csv", "t,cpu,load\n0,5 B,990 mA\n1,6 B,1.005 A\n");
+    CHECK(has(import(folder, {"amps.csv", "--time", "t", "--strip", "B", "mA", "A"}, 1),
+              "amps.csv:3: \"1.005 A\" in column load has A, and rows above have mA: --strip would take off"));
+    CHECK_FALSE(folder.has("amps.db"));
+    folder.write("amps.csv", "t,load,volts\n0,990 mA,3 V\n1,995 mA,4 V\n");
+    import(folder, {"amps.csv", "--time", "t", "--strip", "mA", "A", "V"});
+    CHECK(has(rows_of(folder, "amps.db"), "amps,2,995,4\n"));
+    folder.write("south.csv", "t,lat,power\n0,33.85S,450W\n1,33.86S,451W\n");
+    const std::string said = import(folder, {"south.csv", "--time", "t"});
+    CHECK(has(said, "column lat is text, with numbers such as \"33.85S\": of south and west, make negative"));
+    CHECK_FALSE(has(said, "--strip \"S\""));
+    CHECK_FALSE(has(said, "--strip \"W\""));
+    CHECK(has(said, "if W is a unit, --strip takes it off"));
+    std::filesystem::remove(folder.path() + "/south.db");
+    CHECK(has(import(folder, {"south.csv", "--time", "t", "--strip", "S", "W"}, 1),
+              "south.csv:2: \"33.85S\" in column lat is south, which --strip S would take off: make negative numbers"));
+    CHECK_FALSE(folder.has("south.db"));
+    import(folder, {"south.csv", "--time", "t", "--strip", "W"});
+    CHECK(has(rows_of(folder, "south.db"), "south,2,33.86S,451\n"));
+  }
+
+  TEST_CASE("import: the zone, and the order of day and month, that the heading says") {
+    const Folder folder;
+    const auto said_with = [&](const std::string& heading, const std::string& zone, int status = 0) {
+      folder.write("z.csv", "\"" + heading + "\",v\n2026-03-04 10:30:00,1\n");
+      std::filesystem::remove(folder.path() + "/z.db");
+      std::vector<std::string> all{"z.csv", "--time", heading};
+      if (!zone.empty()) all.insert(all.end(), {"--zone", zone});
+      return import(folder, all, status);
+    };
+    CHECK(has(said_with("Date Time, GMT-04:00", "+01:00"), "seems to say the zone -04:00, and --zone +01:00 is"));
+    CHECK(has(said_with("Time (UTC)", "+01:00"), "if the heading is right, write --zone Z"));
+    CHECK(has(said_with("Local (+02:00)", "Z"), "write --zone +02:00"));
+    CHECK(has(said_with("Date Time, GMT-04:00", "", 1), "seems to say one: write --zone -04:00; or --zone Z if"));
+    CHECK_FALSE(has(said_with("Date Time, GMT-04:00", "-04:00"), "warning"));
+    CHECK_FALSE(has(said_with("Time UTC+1", "+01:00"), "warning"));
+    CHECK_FALSE(has(said_with("utcd 2026-03", "+01:00"), "warning"));
+    if (std::filesystem::exists("/usr/share/zoneinfo/Europe/Berlin")) {
+      CHECK_FALSE(has(said_with("Time (GMT+01:00)", "Europe/Berlin"), "warning"));
+      CHECK(has(said_with("Time (GMT+02:00)", "Europe/Berlin"), "write --zone +02:00"));
+    }
+    folder.write("d.csv", "Time(dd/mm/yyyy),v\n04/03/2026 11:50:00,1\n");
+    CHECK(has(import(folder, {"d.csv", "--time", "Time"}, 1), "such as \"%d/%m/%Y %H:%M:%S\""));
+    CHECK(has(import(folder, {"d.csv", "--time", "Time", "--zone", "Z", "--time-format", "%m/%d/%Y %T"}, 1),
+              "the heading \"Time(dd/mm/yyyy)\" has day, month and year in another order: write --time-format"));
+    CHECK_FALSE(folder.has("d.db"));
+    CHECK(has(import(folder, {"d.csv", "--time", "Time", "--zone", "Z", "--time-format", "%d/%m/%Y %T"}),
+              "from 2026-03-04T11:50:00"));
+    folder.write("e.csv", "Datum;v\n[dd.MM.yyyy HH:mm];[Wh]\n04.03.2026 11:50;1\n");
+    CHECK(has(import(folder,
+                     {"e.csv", "--time", "Datum", "--zone", "Z", "--separator", ";", "--units", "row", "--time-format",
+                      "%m.%d.%Y %H:%M"},
+                     1),
+              "write --time-format \"%d.%m.%Y %H:%M\""));
+    folder.write("f.csv", "My Day,v\n04.03.2026,1\n");
+    import(folder, {"f.csv", "--time", "My Day", "--zone", "Z", "--time-format", "%m.%d.%Y"});
+  }
+
+  TEST_CASE("import: a second column of times, and zeros that are lost, are told") {
+    const Folder folder;
+    folder.write("imc.csv", "Time 1,F,Time 2,T\n0,1,0,20\n0.001,2,0.01,21\n0.002,3,0.02,22\n");
+    CHECK(has(import(folder, {"imc.csv", "--time", "Time 1"}),
+              "column Time 2 seems to be a time, too: all values are stored at the times of column Time 1"));
+    folder.write("same.csv", "t,t2,T 3\n0,0,5\n1,1,4\n2,2,9\n");
+    CHECK_FALSE(has(import(folder, {"same.csv", "--time", "t"}), "warning"));
+    folder.write("ids.csv", "t,site,n,v,b\n0,02395120,10,0.5,0\n1,02395121,20,0.25,1\n");
+    CHECK(has(
+        import(folder, {"ids.csv", "--time", "t"}),
+        "zeros before whole numbers, such as 02395120, are not kept: to keep them as texts, write --text \"site\"\n"));
+    std::filesystem::remove(folder.path() + "/ids.db");
+    CHECK_FALSE(has(import(folder, {"ids.csv", "--time", "t", "--text", "site", "n"}), "warning"));
+    CHECK(has(rows_of(folder, "ids.db"), "ids,1,02395120,10,0.5,0\n"));
+    CHECK(has(import(folder, {"ids.csv", "--time", "t", "--text", "sit"}, 1), "did you mean site?"));
+  }
+
+  TEST_CASE("import: a point in a heading is part of the name, but in a table that rtdata exported") {
+    const Folder folder;
+    folder.write("dots.csv", "t,Dew Pt.,PM2.5_ATM,VE.Bus state\n0,1,2,Bulk\n");
+    import(folder, {"dots.csv", "--time", "t"});
+    CHECK(has(rows_of(folder, "dots.db"), "utc,origin,sequence,Dew_Pt_,PM2_5_ATM,VE_Bus_state\n"));
+    folder.write("own.csv", "utc,origin,sequence,imu.ax [m/s2],baro.p\n2026-03-01T12:00:00Z,a,1,2,3\n");
+    import(folder, {"own.csv", "--time", "utc"});
+    CHECK(has(rows_of(folder, "own.db"), ",ax [m/s2],p\n"));
+  }
+
+  TEST_CASE("import: a blank behind a sign, and the minus that is no hyphen, are of a number") {
+    const Folder folder;
+    folder.write("g.csv", "t,a,b,c,d\n0,+  24.1,-   0.512,\u22121.5,- 3\n1,+   4.1,+ 1,\u22122,-14\n");
+    CHECK(has(import(folder, {"g.csv", "--time", "t"}), "d: d, integer"));
+    CHECK(has(rows_of(folder, "g.db"), "g,1,24.1,-0.512,-1.5,-3\n"));
+    folder.write("h.csv", "t;a;b\n0;- 0,5;-\n\u22121;\u22121.200,5;- x\n");
+    import(folder, {"h.csv", "--time", "t", "--separator", ";", "--decimal", ",", "--thousands", ".", "--sort"});
+    CHECK(has(rows_of(folder, "h.db"), "59.000000000Z,h,1,-1200.5,- x\n1970-01-01T00:00:00.000000000Z,h,2,-0.5,-\n"));
+  }
+
+  TEST_CASE("import: days and years are not taken for seconds") {
+    const Folder folder;
+    const auto is_refused = [&](const std::string& heading, const std::string& first, const std::string& why) {
+      folder.write("d.csv", heading + ",v\n" + first + ",1\n");
+      const std::string said = import(folder, {"d.csv", "--time", heading}, 1);
+      CHECK_MESSAGE(has(said, why), said);
+    };
+    is_refused("Date", "46085.5", "is a day, as of a spreadsheet: write --scale 24h --start 1899-12-30T00:00:00Z");
+    is_refused("Date Time", "46085.5", "as of a spreadsheet");
+    is_refused("JD", "2461104.5001", "is a Julian day: subtract 2440587.5 first");
+    is_refused("Julian_Date", "2461104.5001", "is a Julian day");
+    is_refused("MJD", "61103.5", "write --scale 24h --start 1858-11-17T00:00:00Z");
+    is_refused("datenum", "739680.5", "subtract 719529 first");
+    is_refused("Decimal Year", "2025.1083", "is a year");
+    CHECK_FALSE(folder.has("d.db"));
+    CHECK(has(import(folder, {"d.csv", "--time", "Decimal Year", "--scale", "1s"}), "from 1970-01-01T00:33:45"));
+    std::filesystem::remove(folder.path() + "/d.db");
+    folder.write("d.csv", "MJD,v\n61103.5,1\n");
+    CHECK(has(import(folder, {"d.csv", "--time", "MJD", "--scale", "24h", "--start", "1858-11-17T00:00:00Z"}),
+              "from 2026-03-04T12:00:00"));
+    std::filesystem::remove(folder.path() + "/d.db");
+    folder.write("d.csv", "date,v\n1772622000,1\n");
+    CHECK(has(import(folder, {"d.csv", "--time", "date"}), "from 2026-03-04T11:00:00"));
+  }
+
   TEST_CASE("import: real tables of a rocket club") {
     const std::string flights = test::in_source("../shared/data/flight-fast");
     if (!std::filesystem::exists(flights)) {

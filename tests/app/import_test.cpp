@@ -53,7 +53,7 @@ TEST_SUITE("app") {
     Process rows(folder, program, {"export", "bench.db", "--utc", "--units"});
     CHECK(rows.end() == 0);
     CHECK(rows.out ==
-          "utc,origin,sequence,imu_ax [m/s2],note,count,baro_ax\n"
+          "utc,origin,sequence,imu_ax [m/s2],imu_note,count,baro_ax\n"
           "2026-03-01T12:00:00.010000000Z,imu,1,1.5,\"a, \"\"b\"\"\nc\",9007199254740993,1\n"
           "2026-03-01T12:00:00.012500000Z,imu,2,,x,-3,2\n"
           "2026-03-01T12:00:00.020000000Z,imu,3,nan,,0,1e+300\n");
@@ -420,6 +420,6 @@ TEST_SUITE("app") {
     const auto* first = rows.next().or_throw();
     REQUIRE(first != nullptr);
     CHECK(to_nanoseconds(first->header().time) == 194853870 * std::int64_t{10'000});
-    CHECK(first->event().value("altitude").or_throw() == Value(-112.56299999999999));
+    CHECK(first->event().value("barometer_data_altitude").or_throw() == Value(-112.56299999999999));
   }
 }

@@ -373,6 +373,9 @@ Action prepare_import(CLI::App& command) {
                   "Texts that are taken off the begin or end of cells with numbers, such as F \"V DC\" T=")
       ->expected(1, -1)
       ->type_name("TEXT");
+  command.add_option("--text", options->texts, "Columns that are texts, such as ids whose zeros are kept: 00501")
+      ->expected(1, -1)
+      ->type_name("COLUMN");
   command
       .add_option("--separator", options->separator,
                   "What separates the cells: a character, such as \";\", tab, or blanks; default: \",\"")

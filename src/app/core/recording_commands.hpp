@@ -179,6 +179,7 @@ struct ImportOptions {
       {};  // the rows taken: KIND, the text of their first cell, or COLUMN=TEXT; all of these
   std::vector<std::string> none = {};   // texts, and numbers however they are written, that stand for no value
   std::vector<std::string> strip = {};  // texts that are taken off the begin or end of cells with numbers
+  std::vector<std::string> texts = {};  // headings of columns that are texts, whatever their cells are
   enum class Order { refused, sorted };
   Order order = Order::refused;  // of rows that are not in order of time; sorted: --sort
   enum class Partial { refused, taken };

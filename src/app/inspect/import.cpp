@@ -8,6 +8,7 @@
 #include <ostream>
 #include <span>
 #include <string_view>
+#include <utility>
 #include <vector>
 
 #include "app/core/recording_commands.hpp"
@@ -18,6 +19,7 @@
 #include "app/inspect/import_time_format.hpp"
 #include "app/inspect/import_zone.hpp"
 #include "app/inspect/separator.hpp"
+#include "data/lower_case.hpp"
 #include "data/saturating.hpp"
 #include "data/utf8.hpp"
 #include "rtdata/loop/clock.hpp"
@@ -44,7 +46,8 @@ struct Found {
   std::uint64_t short_rows = 0, first_short_line = 0;  // rows that end early
   std::uint64_t cut_line = 0;                          // of a last row that is left out; 0: none is
   std::uint64_t out_of_order = 0, twice = 0, midnights = 0, headings_again = 0, without_time = 0, others = 0;
-  std::vector<Place> places;  // only if rows are sorted
+  std::vector<Place> places;                             // only if rows are sorted
+  std::optional<std::pair<Duration, Duration>> offsets;  // of --zone: the least, the largest
   std::shared_ptr<const Description> description;
 };
 
@@ -75,6 +78,26 @@ std::string column_of_time(const ImportOptions& options) {
   for (std::size_t i = 0; i < columns.size(); ++i)
     all += (i == 0 ? "" : i + 1 < columns.size() ? ", " : " and ") + columns[i];
   return all;
+}
+
+/// Of the columns of time: the heading, with its unit where that is in a row of its own.
+std::string heading_of_time(const Found& found) {
+  std::string all;
+  for (const std::size_t at : found.time_columns) {
+    const ImportColumn& column = found.columns[at];
+    const bool has_unit = column.unit.empty() || column.heading.find(column.unit) != std::string::npos;
+    all += (all.empty() ? "" : " ") + column.heading + (has_unit ? "" : " " + column.unit);
+  }
+  return all;
+}
+
+/// A format for times like this one.
+std::string format_for(const std::string& when, const Found& found) {
+  std::string format = format_in(heading_of_time(found));
+  if (format.empty()) return "%d.%m.%Y %H:%M:%S";
+  const auto colons = std::count(when.begin(), when.end(), ':');
+  if (!format_has_hour(format) && colons > 0) format += colons > 1 ? " %H:%M:%S" : " %H:%M";
+  return format;
 }
 
 /// The text of the time in a row, of which date and time, or more parts, may be cells of their own.
@@ -112,6 +135,10 @@ std::string time_text(const std::vector<detail::CsvCell>& cells, const Found& fo
     advice = "for another notation write --time-format, such as \"%F %T %z\"";
   } else if (has_reason && !error.advice.empty()) {
     advice = error.advice;
+    const std::string heading = heading_of_time(found), zone = zone_in(heading);
+    if (error.why == says_no_zone && !zone.empty())
+      advice = "its heading \"" + heading + "\" seems to say one: write --zone " + zone + "; or " +
+               advice.substr(std::string("write ").size());
   } else if (when.find_first_not_of(' ') == std::string::npos) {
     advice = "if rows without a time are to be left out, write --partial";
   } else if (advice = comment_advice(cells); found.rows == 0 && !has_digits) {
@@ -120,7 +147,7 @@ std::string time_text(const std::vector<detail::CsvCell>& cells, const Found& fo
   } else if (advice.empty()) {
     if (!has_reason) advice = "a number, or a time as 2026-03-01T12:00:00Z";
     if (!has_reason && has_digits)
-      advice += "; for another notation write --time-format, such as \"%d.%m.%Y %H:%M:%S\"";
+      advice += "; for another notation write --time-format, such as \"" + format_for(when, found) + "\"";
     if (!has_digits)
       advice += std::string(advice.empty() ? "" : "; ") + "if the table ends above it, take that part: head -n " +
                 std::to_string(table.line() - 1) + " " + options.file + " >table.csv";
@@ -179,10 +206,14 @@ std::vector<ImportColumn> begin_table(ImportRows& table, const ImportOptions& op
     choice.column = find_column(columns, choice.heading, options, notation);
   }
   table.choose(std::move(choices));
+  for (const std::string& heading : options.texts)
+    columns[find_column(columns, heading, options, notation)].is_text = true;
   std::vector<detail::CsvCell> heading;
+  std::vector<std::string> names;
+  for (const ImportColumn& column : columns) names.push_back(column.heading);
   if (options.columns.empty() && options.head == 1)
     for (const ImportColumn& column : columns) heading.push_back({column.heading});
-  table.begin_rows(std::move(heading), time_columns);
+  table.begin_rows(std::move(heading), std::move(names), time_columns);
   return columns;
 }
 
@@ -209,6 +240,56 @@ void check_choices(const ImportOptions& options, const ImportRows& table) {
   }
 }
 
+/// Refuses numbers that count days or years.
+void check_days(const ImportOptions& options, const ImportColumn& time, const std::string& first, double number) {
+  std::string words = " " + detail::lower_case(time.bare) + " ";
+  for (char& c : words)
+    if (c < 'a' || c > 'z') c = ' ';
+  const auto has = [&](const char* word) { return words.find(word) != std::string::npos; };
+  const auto refuse = [&](const std::string& what, const std::string& advice) {
+    refuse_import(options.file, "\"" + first + "\" in column " + time.heading + " is " + what,
+                  advice + "; or --scale 1s if it counts seconds");
+  };
+  const auto less = [](const char* days) {
+    return std::string("subtract ") + days + " first, so that they count days since 1970, and write --scale 24h";
+  };
+  if (has(" mjd ")) refuse("a modified Julian day", "write --scale 24h --start 1858-11-17T00:00:00Z");
+  if (has(" jd ") || has(" hjd ") || has(" bjd ") || has(" julian")) refuse("a Julian day", less("2440587.5"));
+  if (has(" datenum ")) refuse("a day of MATLAB", less("719529"));
+  if (has(" year ") || has(" decimal date "))
+    refuse("a year", "years differ in length: write their days first, as 2026-03-01");
+  // Not those since 1970, which are far larger in each unit.
+  constexpr double least = 10'000, most = 100'000;
+  if ((has(" date ") || has(" datum ") || has(" datetime ") || has(" day ")) && number >= least && number < most)
+    refuse("a day, as of a spreadsheet",
+           "write --scale 24h --start 1899-12-30T00:00:00Z, with the offset of a local "
+           "time instead of Z");
+}
+
+/// Refuses numbers that are times of day with nothing between their parts.
+void check_clock(const ImportOptions& options, const ClockDigits& digits, const Found& found) {
+  const std::string heading = heading_of_time(found);
+  const bool is_said = says_a_zone(heading) || detail::lower_case(heading).find("hhmmss") != std::string::npos;
+  const std::string format = digits.format(is_said);
+  if (format.empty()) return;
+  refuse_import(options.file, column_of_time(options) + " seems to have times of day: " + digits.shown(),
+                "write --time-format " + format +
+                    ", and --start with their day; or, if a column has the day, --time DAY " +
+                    options.time_columns.front() + " --time-format \"%d%m%y " + format +
+                    "\"; or --scale 1s if they count seconds");
+}
+
+/// Refuses a format in which day, month and year are in another order than the heading says.
+void check_order(const ImportOptions& options, const Found& found) {
+  const std::string said = format_in(heading_of_time(found));
+  const std::string order = order_of_date(options.time_format);
+  if (said.empty() || order.empty() || order == order_of_date(said)) return;
+  refuse_import("--time-format " + options.time_format,
+                "the heading \"" + heading_of_time(found) + "\" has day, month and year in another order",
+                "write --time-format \"" + said + (format_has_hour(said) ? "" : "...") +
+                    "\"; if the heading is wrong, change it");
+}
+
 /// Refuses numbers of which the scale is not known.
 void check_scale(const ImportOptions& options, const ImportNotation& notation, const ImportColumn& time,
                  const std::string& first) {
@@ -218,6 +299,7 @@ void check_scale(const ImportOptions& options, const ImportNotation& notation, c
     refuse_import("--zone " + options.zone, "its times are numbers, which count from --start, of whatever zone that is",
                   "leave --zone out; if they count from a local time, write --start with its offset, such as "
                   "1899-12-30T00:00:00+01:00");
+  if (options.scale.empty()) check_days(options, time, first, number);
   const std::string shown = "its column " + time.heading;
   if (options.scale.empty() && options.start.empty() && may_be_a_day(first))
     refuse_import(options.file, "\"" + first + "\" in column " + time.heading + " seems to be a day",
@@ -232,15 +314,7 @@ void check_scale(const ImportOptions& options, const ImportNotation& notation, c
   if (unit.empty() && open != std::string::npos && (time.heading.ends_with(')') || time.heading.ends_with(']')))
     unit = time.heading.substr(open + 1, time.heading.size() - open - 2);  // longer than units are elsewhere
   if (time.unit.empty() && !duration_of_unit(unit)) unit.clear();
-  if (unit.empty() && options.scale.empty()) {
-    std::size_t begin = time.heading.find_last_of(" _/-") + 1;
-    const auto is_upper = [&](std::size_t at) { return time.heading[at] >= 'A' && time.heading[at] <= 'Z'; };
-    const auto is_lower = [&](std::size_t at) { return time.heading[at] >= 'a' && time.heading[at] <= 'z'; };
-    for (std::size_t at = begin + 1; at < time.heading.size(); ++at)
-      if (is_lower(at - 1) && is_upper(at)) begin = at;  // TimeUS, timestampMs
-    const std::string last = begin == 0 ? "" : time.heading.substr(begin);
-    if (last.size() > 1 && last != "min" && last != "Min" && duration_of_unit(last)) unit = last;
-  }
+  if (unit.empty() && options.scale.empty()) unit = unit_in(time.bare);
   if (unit.empty()) return;
   const auto duration = duration_of_unit(unit);
   if (duration && *duration != notation.scale)
@@ -260,7 +334,10 @@ Found look_at(const ImportOptions& options, const ImportNotation& notation) {
   found.columns = begin_table(table, options, notation, found.time_columns);
   for (ImportColumn& column : found.columns) column.numbers = notation.numbers;
   for (const std::size_t column : found.time_columns) found.columns[column].is_time = true;
+  if (!options.time_format.empty()) check_order(options, found);
   ImportClock clock(notation);
+  ClockDigits digits;
+  const bool may_be_digits = options.time_format.empty() && options.scale.empty();
   std::vector<detail::CsvCell> cells;
   bool has_comma_in_quotes = false;
   Time before{};  // of the row above
@@ -292,6 +369,8 @@ Found look_at(const ImportOptions& options, const ImportNotation& notation) {
                         ", and which it is cannot be known of rows that are not in order of time",
                     "write --zone with an offset such as +01:00, or sort the file");
     if (found.rows++ == 0) found.first = found.last = before = *time;
+    if (may_be_digits) digits.look_at(time_text(cells, found));
+    if (*time < before && !is_sorted && may_be_digits) check_clock(options, digits, found);
     if (*time < before && !is_sorted)
       refuse_import(table.where(),
                     "\"" + detail::readable(time_text(cells, found).substr(0, 64)) + "\" in " +
@@ -304,14 +383,18 @@ Found look_at(const ImportOptions& options, const ImportNotation& notation) {
     found.last = std::max(found.last, *time);
     for (std::size_t i = 0; i < cells.size(); ++i) {
       table.check_text(cells[i].text, &found.columns[i].heading);
-      found.columns[i].look_at(cells[i], table.line());
+      ImportColumn& column = found.columns[i];
+      column.look_at(cells[i], table.line());
+      column.is_as_time = column.is_as_time && cells[i].text == cells[found.time_columns.front()].text;
       has_comma_in_quotes = has_comma_in_quotes || (cells[i].quoted && cells[i].text.find(',') != std::string::npos);
     }
   }
   if (notation.separator == notation.numbers.decimal && !has_comma_in_quotes)
     refuse_import("--separator " + shown_separator(notation.separator), "it is the decimal mark, too", "set --decimal");
   if (table.cut_line() != 0) found.cut_line = table.cut_line();
+  if (found.rows > 0 && may_be_digits) check_clock(options, digits, found);
   found.twice = clock.twice();
+  found.offsets = clock.offsets();
   found.midnights = clock.midnights();
   found.headings_again = table.headings_again();
   std::stable_sort(found.places.begin(), found.places.end(),
@@ -447,13 +530,23 @@ ImportNotation notation_of(const ImportOptions& options) {
   return notation;
 }
 
+/// Of "Time 1" and "Time 2": true if this is a column of times beside that of the time.
+bool is_another_time(const ImportColumn& column, const ImportColumn& time) {
+  const auto base = [](const ImportColumn& of) {
+    const std::string lower = detail::lower_case(of.bare);
+    return lower.substr(0, lower.find_last_not_of("0123456789 _.#-") + 1);
+  };
+  return !column.is_time && column.can_be_number && column.never_falls && column.rises && !column.is_as_time &&
+         !base(time).empty() && base(column) == base(time);
+}
+
 /// What is not as it stands in the table, or may not be as it was meant.
 void tell_warnings(std::ostream& err, const ImportOptions& options, const Found& found, const ImportNotation& notation,
                    std::uint64_t moved) {
   const auto warn = [&](const std::string& text) { err << "rtdata: warning: " << text << "\n"; };
   const auto rows = [](std::uint64_t count) { return std::to_string(count) + (count == 1 ? " row" : " rows"); };
   for (const ImportColumn& column : found.columns) {
-    if (column.is_time || !column.is_text_for_few()) continue;
+    if (column.is_time || column.is_text || !column.is_text_for_few()) continue;
     const std::string text = "\"" + detail::readable(column.first_text) + "\"";
     if (!column.thousands_in_texts().empty() || column.numbers_with_more == column.texts) continue;
     warn("column " + column.heading + " is text because of " + std::to_string(column.texts) + " of its " +
@@ -461,13 +554,44 @@ void tell_warnings(std::ostream& err, const ImportOptions& options, const Found&
          std::to_string(column.first_text_line) + ": if it stands for no value, write --none " + text);
   }
   for (const ImportColumn& column : found.columns) {
-    if (column.is_time || column.can_be_number || column.texts == 0) continue;
+    if (column.is_time || column.is_text || column.can_be_number || column.texts == 0) continue;
     const std::string text = "column " + column.heading + " is text, with numbers such as \"" +
                              detail::readable(column.first_text) + "\": ";
     if (const std::string mark = column.thousands_in_texts(); !mark.empty())
       warn(text + "if \"" + mark + "\" stands between thousands, write --thousands \"" + mark + "\"");
-    else if (column.numbers_with_more == column.texts)
+    else if (column.numbers_with_more != column.texts)
+      continue;
+    else if (const std::string more = column.more.substr(
+                 std::min(column.more.find_first_not_of(' '), column.more.size()));
+             more == "N" || more == "S" || more == "E" || more == "W")
+      warn(text +
+           (more == "S" || more == "W" ? "of south and west, make negative numbers first"
+                                       : "of a place, take " + more + " off first, and make negative numbers of " +
+                                             (more == "N" ? "south" : "west")) +
+           (says_a_place(column.heading) ? "" : "; if " + more + " is a unit, --strip takes it off"));
+    else
       warn(text + "to have the numbers, write --strip \"" + detail::readable(column.more) + "\"");
+  }
+  std::string with_zeros, number_with_zeros;
+  for (const ImportColumn& column : found.columns) {
+    if (column.is_time || !column.can_be_integer || column.with_zeros.empty()) continue;
+    with_zeros += " \"" + column.heading + "\"";
+    if (number_with_zeros.empty()) number_with_zeros = column.with_zeros;
+  }
+  if (!with_zeros.empty())
+    warn("zeros before whole numbers, such as " + number_with_zeros +
+         ", are not kept: to keep them as texts, write --text" + with_zeros);
+  for (const ImportColumn& column : found.columns)
+    if (const ImportColumn& time = found.columns[found.time_columns.front()]; is_another_time(column, time))
+      warn("column " + column.heading + " seems to be a time, too: all values are stored at the times of column " +
+           time.heading + "; to have those of " + column.heading + " at theirs, import the file again with --time \"" +
+           column.heading + "\"");
+  const std::string heading = heading_of_time(found), zone = zone_in(heading);
+  if (const auto offset = parse_iso8601("1970-01-01T00:00:00" + zone); found.offsets && !zone.empty() && offset) {
+    const Duration said = -offset->time_since_epoch();
+    if (found.offsets->first != said || found.offsets->second != said)
+      warn("the heading \"" + heading + "\" seems to say the zone " + zone + ", and --zone " + notation.zone +
+           " is another one: if the heading is right, write --zone " + zone);
   }
   if (found.others > 0) warn(rows(found.others) + " of other kinds: left out");
   if (found.headings_again > 0)

@@ -89,6 +89,13 @@ void ImportColumn::look_at(const detail::CsvCell& cell, std::uint64_t line) {
   can_be_integer = can_be_integer && is_integer;
   const bool is_a_number = is_number(cell.text, numbers, number);
   can_be_number = can_be_number && is_a_number;
+  if (is_integer && cell.text.size() > 1 && cell.text[0] == '0' && with_zeros.empty())
+    with_zeros = cell.text.substr(0, 40);
+  if (is_a_number) {
+    never_falls = never_falls && (values == 0 || number >= before);
+    rises = rises || (values > 0 && number > before);
+    before = number;
+  }
   ++values;
   if (!is_a_number && texts++ == 0) {
     first_text = cell.text.substr(0, 40);
@@ -133,7 +140,10 @@ std::string ImportColumn::type() const {
 
 void name_columns(std::vector<ImportColumn>& columns) {
   std::set<std::string> all, twice;
-  const auto tail = [](const std::string& text) { return text.substr(text.rfind('.') + 1); };
+  bool is_of_export = false;
+  for (std::size_t i = 1; i < columns.size(); ++i)
+    is_of_export = is_of_export || (columns[i - 1].heading == "origin" && columns[i].heading == "sequence");
+  const auto tail = [&](const std::string& text) { return is_of_export ? text.substr(text.rfind('.') + 1) : text; };
   const auto key = [&](const std::string& text) { return detail::lower_case(tail(text)); };
   for (ImportColumn& column : columns) {
     std::string text = column.heading;
@@ -177,6 +187,15 @@ void name_columns(std::vector<ImportColumn>& columns) {
     for (int i = 2; !names.insert(detail::lower_case(column.name)).second; ++i)
       column.name = name + "_" + std::to_string(i);
   }
+}
+
+bool says_a_place(const std::string& heading) {
+  const auto is_letter = [&](std::size_t at) { return (heading[at] | 0x20) >= 'a' && (heading[at] | 0x20) <= 'z'; };
+  const std::string lower = detail::lower_case(heading);
+  for (const char* const word : {"lat", "lon", "lng"})
+    for (std::size_t at = lower.find(word); at != std::string::npos; at = lower.find(word, at + 1))
+      if (at == 0 || !is_letter(at - 1) || (heading[at] == 'L' && heading[at - 1] >= 'a')) return true;
+  return false;
 }
 
 std::string unit_of(std::string text) {

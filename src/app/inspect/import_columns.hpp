@@ -22,6 +22,7 @@ struct ImportColumn {
   std::size_t index = 0;
   bool is_round = false;  // its unit stands in ( )
   bool is_time = false;
+  bool is_text = false;  // whatever its cells are
   ImportNumbers numbers = {};
   // The types that all its cells can have.
   bool can_be_integer = true, can_be_number = true, has_empty = false, has_any = false;
@@ -42,9 +43,17 @@ struct ImportColumn {
   std::vector<Mark> marks = {};
   std::uint64_t numbers_with_more = 0;  // of these texts: a number, and the same letters behind it
   std::string more = {};                // these letters
+  std::string with_zeros = {};          // the first whole number with zeros before it
+  // Whether it may be a time, too: its numbers never fall.
+  double before = 0;
+  bool never_falls = true, rises = false;
+  bool is_as_time = true;  // each cell is as that of the time
 
   /// Integers that are not exact as doubles stay texts.
-  void look_at_all() { can_be_number = can_be_number && (can_be_integer || !has_large); }
+  void look_at_all() {
+    can_be_integer = can_be_integer && !is_text;
+    can_be_number = can_be_number && (can_be_integer || !has_large) && !is_text;
+  }
   bool seems_to_have_decimal_commas() const {
     return has_any && !can_be_number && can_be_with_comma && has_comma && !can_be_thousands;
   }
@@ -62,11 +71,14 @@ struct ImportColumn {
 };
 
 /// "chamber temperature [Cel]", or with ( ), is the field chamber_temperature in Cel; of "imu.ax", ax where that is
-/// unique.
+/// unique, in a table that rtdata wrote. In other tables a point is part of the name: PM2.5, Dew Pt.
 void name_columns(std::vector<ImportColumn>& columns);
 
 /// The unit of a row of units: "[m]", "(m)" and "m" are the same.
 std::string unit_of(std::string text);
+
+/// True if the heading is that of a latitude or longitude.
+bool says_a_place(const std::string& heading);
 
 /// The description of all columns with values, without those of time; number columns "accel[0]", "accel[1]" become an
 /// array. `file`: for error messages. Errors: bad-argument and those of DescriptionBuilder.

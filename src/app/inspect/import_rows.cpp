@@ -49,13 +49,16 @@ bool ImportRows::is_none(const detail::CsvCell& cell) const {
          std::find(no_numbers_.begin(), no_numbers_.end(), number) != no_numbers_.end();
 }
 
-void ImportRows::begin_rows(std::vector<detail::CsvCell> heading, std::vector<std::size_t> time_columns) {
+void ImportRows::begin_rows(std::vector<detail::CsvCell> heading, std::vector<std::string> names,
+                            std::vector<std::size_t> time_columns) {
   heading_ = std::move(heading);
+  names_ = std::move(names);
+  stripped_.assign(names_.size(), {});
   time_columns_ = std::move(time_columns);
   are_rows_ = true;
 }
 
-void ImportRows::strip(std::string& text) const {
+Result<void> ImportRows::strip(std::string& text, std::size_t column) {
   for (const std::string& end : notation_.strip) {
     if (end.empty() || !(text.ends_with(end) || text.starts_with(end))) continue;
     std::string rest = text.substr(text.ends_with(end) ? 0 : end.size(), text.size() - end.size());
@@ -63,9 +66,24 @@ void ImportRows::strip(std::string& text) const {
     rest.erase(rest.find_last_not_of(" \t") + 1);
     double number = 0;
     if (!is_number(rest, notation_.numbers, number)) continue;
+    if (column >= names_.size()) return {};  // its number of cells is looked at elsewhere
+    const std::string& name = names_[column];
+    if ((end == "S" || end == "W") && says_a_place(name))
+      return import_refused(where(),
+                            "\"" + text + "\" in column " + name + " is " + (end == "S" ? "south" : "west") +
+                                ", which --strip " + end + " would take off",
+                            "make negative numbers of these first, such as by sed -E 's/([0-9.]+)" + end + "/-\\1/'");
+    std::string& before = stripped_[column];
+    if (before.empty()) before = end;
+    if (before != end)
+      return import_refused(where(),
+                            "\"" + text + "\" in column " + name + " has " + end + ", and rows above have " + before +
+                                ": --strip would take off what tells their numbers apart",
+                            "bring them to one unit first; or leave --strip " + before + " out, for a column of texts");
     text = std::move(rest);
-    return;
+    return {};
   }
+  return {};
 }
 
 bool ImportRows::is_heading(const std::vector<detail::CsvCell>& cells) const {
@@ -178,7 +196,8 @@ Result<bool> ImportRows::next(std::vector<detail::CsvCell>& cells) {
     }
     for (std::size_t i = 0; i < cells.size(); ++i) {
       if (std::find(time_columns_.begin(), time_columns_.end(), i) != time_columns_.end()) continue;
-      if (!notation_.strip.empty()) strip(cells[i].text);
+      if (!notation_.strip.empty())
+        if (auto stripped = strip(cells[i].text, i); !stripped) return std::move(stripped).error();
       if (!notation_.none.empty() && is_none(cells[i])) cells[i] = {};
     }
     return true;

@@ -46,13 +46,16 @@ class ImportRows {
   std::uint64_t others() const noexcept { return others_; }
   /// From now on cells that stand for no value are empty, but for these columns, and rows that are the heading again
   /// are left out.
-  void begin_rows(std::vector<detail::CsvCell> heading, std::vector<std::size_t> time_columns);
+  /// `names`: of the columns, for messages.
+  void begin_rows(std::vector<detail::CsvCell> heading, std::vector<std::string> names,
+                  std::vector<std::size_t> time_columns);
   std::uint64_t headings_again() const noexcept { return headings_again_; }
   /// Where the last row begins in the file; and goes back there, to that line.
   std::uint64_t position() const noexcept { return position_; }
   void go_to(std::uint64_t position, std::uint64_t line);
 
-  /// False: there are no more. Errors: bad-data (a quote that does not end, a row of more than 1 MiB).
+  /// False: there are no more. Errors: bad-argument (--strip), bad-data (a quote that does not end, a row of more than
+  /// 1 MiB).
   Result<bool> next(std::vector<detail::CsvCell>& cells);
   /// Throws SetupError, bad-argument, unless the text of the last row is UTF-8. `column`: its heading; null: it is one.
   void check_text(const std::string& text, const std::string* column) const;
@@ -61,8 +64,8 @@ class ImportRows {
 
  private:
   bool is_none(const detail::CsvCell& cell) const;
-  /// Takes what stands before or behind numbers off.
-  void strip(std::string& text) const;
+  /// Takes what stands before or behind numbers off. Errors: bad-argument, if that would make other numbers of them.
+  Result<void> strip(std::string& text, std::size_t column);
   bool is_heading(const std::vector<detail::CsvCell>& cells) const;
   /// What each choice has to say of a line before its cells are looked at, or, if `cells` are given, of them.
   bool is_chosen(std::string_view line, const std::vector<detail::CsvCell>* cells);
@@ -77,6 +80,7 @@ class ImportRows {
   std::uint64_t position_ = 0, next_position_ = 0;
   bool are_rows_ = false;  // not the heading any more
   std::vector<detail::CsvCell> heading_;
+  std::vector<std::string> names_, stripped_;  // of each column: its name, what was taken off its numbers
   std::vector<std::size_t> time_columns_;
   std::uint64_t headings_again_ = 0;
   std::vector<ImportChoice> choices_;

@@ -57,7 +57,18 @@ std::optional<Time> later_than(Time start, Duration by) {
 
 std::string_view usual_number(std::string_view text, const ImportNumbers& written, std::string& buffer) {
   const std::string& between = written.thousands;
-  if (written.decimal == '.' && between.empty()) return text;
+  // "-   0.512", as fields of one width have it, and the minus sign that is no hyphen.
+  constexpr std::string_view minus = "\u2212";
+  std::string with_sign;
+  const bool has_minus = text.starts_with(minus);
+  const bool has_blank = text.size() > 2 && (text[0] == '-' || text[0] == '+') && text[1] == ' ';
+  if (has_minus || has_blank) {
+    const std::string_view rest = text.substr(has_minus ? minus.size() : 1);
+    with_sign = has_minus ? "-" : std::string(1, text[0]);
+    with_sign += rest.substr(std::min(rest.find_first_not_of(' '), rest.size()));
+    text = with_sign;
+  }
+  if (written.decimal == '.' && between.empty()) return with_sign.empty() ? text : (buffer = with_sign);
   if (written.decimal != '.' && between != "." && text.find('.') != std::string_view::npos) return {};
   const std::size_t mark = text.find(written.decimal);
   std::string_view whole = text.substr(0, mark);
@@ -96,6 +107,80 @@ bool may_have_thousands(const std::string& text) {
       return false;
   }
   return true;
+}
+
+void ClockDigits::look_at(std::string_view text) {
+  const std::size_t size = std::min(text.find_first_not_of("0123456789"), text.size());
+  const std::string_view part = text.substr(size);
+  const bool has_hundredths = size == 8 && part.empty();
+  const bool has_part = part.empty() || ((part[0] == '.' || part[0] == ',') &&
+                                         part.find_first_not_of("0123456789", 1) == std::string_view::npos);
+  std::int64_t digits = 0;
+  const bool is_read = detail::read_number(text.substr(0, size), digits) == std::errc{};
+  if (!is_read || !has_part || (size > 6 && !has_hundredths) || (rows_ > 0 && has_hundredths != has_hundredths_))
+    can_be_ = false;
+  if (!can_be_) return;
+  has_hundredths_ = has_hundredths;
+  double number = static_cast<double>(digits) / (has_hundredths ? 100 : 1), fraction = 0;
+  if (part.size() > 1 && detail::read_number("0." + std::string(part.substr(1)), fraction) == std::errc{})
+    number += fraction;
+  const auto whole = static_cast<std::int64_t>(number);
+  const std::int64_t hour = whole / 10'000, minute = whole / 100 % 100, second = whole % 100;
+  if (hour > 23 || minute > 59 || second > 59) can_be_ = false;
+  const double of_day = number - static_cast<double>(whole) + static_cast<double>(hour * 3600 + minute * 60 + second);
+  has_all_digits_ = has_all_digits_ && size >= 6;
+  has_zero_ = has_zero_ || (size >= 6 && text[0] == '0');
+  if (whole >= 10'000 && shown_.empty()) shown_ = text.substr(0, size), shown_time_ = whole;
+  if (minutes_.size() < enough_minutes) minutes_.insert(whole / 100);
+  if (seconds_.size() < enough_seconds) seconds_.insert(second);
+  const double step = of_day - before_, step_of_number = number - number_before_;
+  // From 085958 to 090000, where the step in seconds stays what it was.
+  constexpr double jump = 30;
+  if (rows_ > 1 && step_ > 0 && std::abs(step - step_) <= step_ / 2 && step_of_number - step_of_number_ > jump)
+    has_jump_ = true;
+  before_ = of_day, number_before_ = number, step_ = step, step_of_number_ = step_of_number;
+  ++rows_;
+}
+
+std::string ClockDigits::format(bool is_said) const {
+  const bool are_many = minutes_.size() >= enough_minutes && seconds_.size() >= enough_seconds;
+  // Eight digits as seconds are months.
+  const bool are_some = has_hundredths_ && minutes_.size() > 1 && seconds_.size() > 2;
+  if (!can_be_ || shown_.empty() || !(has_jump_ || are_some || has_zero_ || are_many || (is_said && has_all_digits_)))
+    return {};
+  return has_hundredths_ ? "%H%M%S%f" : "%H%M%S";
+}
+
+std::string ClockDigits::shown() const {
+  std::string time = std::to_string(1'000'000 + shown_time_).substr(1);
+  time.insert(4, ":").insert(2, ":");
+  return shown_ + " is " + time;
+}
+
+std::string unit_in(std::string_view heading) {
+  const auto is_upper = [](char c) { return c >= 'A' && c <= 'Z'; };
+  const auto is_lower = [](char c) { return c >= 'a' && c <= 'z'; };
+  const auto is_of_word = [&](char c) { return is_upper(c) || is_lower(c) || static_cast<unsigned char>(c) >= 0x80; };
+  std::vector<std::string> words;
+  bool is_in_word = false, is_last = false;
+  for (std::size_t at = 0; at < heading.size(); ++at) {
+    const char c = heading[at];
+    const bool is_new = !is_in_word || (is_upper(c) && is_lower(heading[at - 1]));  // TimeUS, timestampMs
+    is_in_word = is_of_word(c);
+    if (is_in_word && is_new) words.emplace_back();
+    if (is_in_word) words.back() += c;
+    is_last = is_in_word;
+  }
+  for (std::size_t i = words.size(); i-- > 0;) {
+    const std::string& word = words[i];
+    if (word.size() < 2 && !(word == "h" && is_last && i + 1 == words.size())) continue;
+    const auto duration = duration_of_unit(word);
+    // "day of year", "min since start": elsewhere than at the end a word may be no unit, but for these.
+    const bool is_plain = (i + 1 == words.size() && is_last) || (duration && *duration < std::chrono::seconds{1}) ||
+                          word.size() >= 5;
+    if (duration && is_plain) return word;
+  }
+  return {};
 }
 
 std::optional<Duration> duration_of_unit(std::string_view unit) {
@@ -220,11 +305,12 @@ Result<Time> ImportClock::read_usual(const std::string& text) {
 
 Result<Time> ImportClock::of_zone(Time shown) {
   if (notation_.zone.empty())
-    return import_refused("", "it says no time zone",
+    return import_refused("", says_no_zone,
                           "write --zone Z if it is UTC, an offset such as --zone +01:00, or --zone Europe/Berlin");
   if (!notation_.has_named_zone) {
     const auto offset = parse_iso8601("1970-01-01T00:00:00" + notation_.zone);
     const auto time = offset ? later_than(shown, offset->time_since_epoch()) : std::nullopt;
+    if (time) add_offset(shown - *time);
     return time ? Result<Time>(*time) : import_refused("", "it is not a time that can be recorded", "check --zone");
   }
   const std::vector<Time> instants = instants_of(shown);
@@ -234,7 +320,14 @@ Result<Time> ImportClock::of_zone(Time shown) {
   if (instants.size() > 1) ++twice_;
   // A table of hours, or of longer steps, has the second of them where the same time comes again.
   const bool is_next = instants.front() == before_ && step_ >= std::chrono::hours{1};
-  return instants.front() < before_ || is_next ? instants.back() : instants.front();
+  const Time time = instants.front() < before_ || is_next ? instants.back() : instants.front();
+  add_offset(shown - time);
+  return time;
+}
+
+void ImportClock::add_offset(Duration offset) {
+  offsets_ = offsets_ ? std::pair{std::min(offsets_->first, offset), std::max(offsets_->second, offset)}
+                      : std::pair{offset, offset};
 }
 
 Error import_refused(std::string where, std::string why, std::string advice) {

@@ -3,8 +3,10 @@
 
 #include <cstdint>
 #include <optional>
+#include <set>
 #include <string>
 #include <string_view>
+#include <utility>
 #include <vector>
 
 #include "rtdata/data/error.hpp"
@@ -57,18 +59,47 @@ class ImportClock {
   std::uint64_t twice() const noexcept { return twice_; }
   /// How often midnight, or the full hour, came between two times without a date.
   std::uint64_t midnights() const noexcept { return midnights_; }
+  /// The least and the largest offset of --zone that was used. Empty: none was.
+  const std::optional<std::pair<Duration, Duration>>& offsets() const noexcept { return offsets_; }
 
  private:
   Result<Time> read_usual(const std::string& text);
   Result<Time> read_formatted(const std::string& text);
   Result<Time> of_zone(Time shown);
+  void add_offset(Duration offset);
 
   const ImportNotation notation_;
   Time before_ = Time::min();
   Duration step_{0};  // between the last two rows
   std::uint64_t twice_ = 0, midnights_ = 0;
+  std::optional<std::pair<Duration, Duration>> offsets_ = {};
   std::size_t decimals_ = 0;  // of the rows above, behind no decimal mark
 };
+
+/// Why `ImportClock` refuses times without a zone.
+inline constexpr const char* says_no_zone = "it says no time zone";
+
+/// Finds out whether the numbers of a column are times of day: 085958 and 090000 are two seconds apart.
+class ClockDigits {
+ public:
+  void look_at(std::string_view text);
+  /// "%H%M%S", or with hundredths "%H%M%S%f". Empty: they seem to be numbers. `is_said`: the heading says it.
+  std::string format(bool is_said) const;
+  /// Of one of them: "085958 is 08:59:58".
+  std::string shown() const;
+
+ private:
+  static constexpr std::size_t enough_minutes = 8, enough_seconds = 4;  // for all to be below 60 by no chance
+  bool can_be_ = true, has_hundredths_ = false, has_all_digits_ = true, has_zero_ = false, has_jump_ = false;
+  std::uint64_t rows_ = 0;
+  double before_ = 0, number_before_ = 0, step_ = 0, step_of_number_ = 0;
+  std::set<std::int64_t> minutes_, seconds_;  // a few different ones
+  std::string shown_ = {};
+  std::int64_t shown_time_ = 0;
+};
+
+/// The unit of time that is a word of the heading: "ms" of "time_ms", "ms since boot" and "ms". Empty: none is.
+std::string unit_in(std::string_view heading);
 
 /// What 1 is of a unit as tables write it: "ms", "millisecond", "usec", "minutes". Empty: it is no unit of time.
 std::optional<Duration> duration_of_unit(std::string_view unit);

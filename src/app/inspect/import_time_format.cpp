@@ -336,6 +336,56 @@ std::string format_mistake(std::string_view format) {
   return {};
 }
 
+std::string format_in(std::string_view heading) {
+  for (std::size_t begin = 0; begin < heading.size(); ++begin) {
+    if (begin > 0 && is_letter(heading[begin - 1])) continue;
+    std::string format, between;
+    bool has_hour = false, has_month = false;
+    for (std::size_t at = begin; at < heading.size();) {
+      const char c = static_cast<char>(heading[at] | 0x20);
+      std::size_t end = at;
+      while (end < heading.size() && (heading[end] | 0x20) == c) ++end;
+      const std::size_t size = end - at;
+      const bool is_again = end < heading.size() && is_letter(heading[end]);
+      if (!is_letter(heading[at])) {
+        between += heading[at++];
+        continue;
+      }
+      if (c == 't' && size == 1 && !format.empty() && end < heading.size() && (heading[end] | 0x20) == 'h') {
+        between += heading[at++];
+        continue;
+      }
+      if (std::string_view("dmyhs").find(c) == std::string_view::npos || size > 4 || (size == 1 && is_again)) break;
+      format += between + (c == 'd'                ? "%d"
+                           : c == 'y'              ? (size == 4 ? "%Y" : "%y")
+                           : c == 'h'              ? "%H"
+                           : c == 's'              ? "%S"
+                           : has_hour || has_month ? "%M"
+                           : size == 3             ? "%b"
+                                                   : "%m");
+      has_hour = has_hour || c == 'h';
+      has_month = has_month || c == 'm';
+      between.clear();
+      at = end;
+    }
+    if (!order_of_date(format).empty()) return format;
+  }
+  return {};
+}
+
+std::string order_of_date(std::string_view format) {
+  const std::string all = written_out(format);
+  std::string order;
+  for (std::size_t i = 0; i + 1 < all.size(); ++i) {
+    if (all[i] != '%') continue;
+    const char part = all[++i];
+    if (part == 'd' || part == 'm' || part == 'y') order += part;
+    if (part == 'Y') order += 'y';
+    if (part == 'b' || part == 'B') order += 'm';
+  }
+  return order.size() == 3 ? order : std::string();
+}
+
 /// True if it has one of these parts.
 static bool has_part(std::string_view format, std::string_view parts) {
   for (std::size_t i = 0; i + 1 < format.size(); ++i)

@@ -28,6 +28,11 @@ Result<WrittenTime> read_time(std::string_view text, std::string_view format);
 /// What is wrong with a format. Empty: nothing.
 std::string format_mistake(std::string_view format);
 
+/// The format of a pattern in a heading, "Time(dd/mm/yyyy)": "%d/%m/%Y". Empty: it has no pattern of a whole date.
+std::string format_in(std::string_view heading);
+/// In which order day, month and year stand in it: "dmy". Empty: not all of them do.
+std::string order_of_date(std::string_view format);
+
 /// False: its times are times of day.
 bool format_has_date(std::string_view format);
 /// False: of a time of day its times have minutes and less.

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "rtdata/data/time.hpp"
@@ -11,6 +12,10 @@ namespace rtdata::app {
 /// Makes the zone that of the process, before it has other threads. False: there is no zone of this name, such as
 /// Europe/Berlin, on this machine.
 bool use_zone(const std::string& name);
+
+/// The zone that the heading of a column of time says, as --zone has it: "-04:00" of "Date Time, GMT-04:00", "Z" of
+/// "Time (UTC)". Empty: it says none.
+std::string zone_in(std::string_view heading);
 
 /// When clocks in that zone show this time: once; twice in the hour by which they are set back, the earlier first;
 /// never in the hour by which they are put forward. `shown`: as if it was UTC.
