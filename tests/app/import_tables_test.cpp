@@ -428,8 +428,9 @@ TEST_SUITE("app") {
     CHECK(has(import(folder, {"pipes.tsv", "--time", "t", "--separator", "tab"}, 1), "remove them all: tr -d '\"'"));
     folder.write("millis.csv", "timeMs,v\n0,1\n1000,2\n0,3\n");
     CHECK(has(import(folder, {"millis.csv", "--time", "timeMs"}, 1), "write --scale \"1 ms\""));
-    CHECK(has(import(folder, {"millis.csv", "--time", "timeMs", "--scale", "1ms"}, 1),
-              "write --sort; or, if its clock began again there, divide the file there"));
+    CHECK(
+        has(import(folder, {"millis.csv", "--time", "timeMs", "--scale", "1ms"}, 1),
+            "its clock seems to begin again in line 4: take the part above it, head -n 3 millis.csv >table.csv, and"));
     folder.write("wide.csv", std::string("t\0,\0v\0\n\0001\0,\0002\0\n\0", 16));
     CHECK(has(import(folder, {"wide.csv", "--time", "t"}, 1), "it is UTF-16: convert the file: iconv -f UTF-16LE"));
     for (const char* const name : {"lab.db", "millis.db", "wide.db"}) CHECK_FALSE(folder.has(name));
@@ -777,7 +778,7 @@ TEST_SUITE("app") {
     folder.write("imc.csv", "Time 1,F,Time 2,T\n0,1,0,20\n0.001,2,0.01,21\n0.002,3,0.02,22\n");
     CHECK(has(import(folder, {"imc.csv", "--time", "Time 1"}),
               "column Time 2 seems to be a time, too: all values are stored at the times of column Time 1"));
-    folder.write("same.csv", "t,t2,T 3\n0,0,5\n1,1,4\n2,2,9\n");
+    folder.write("same.csv", "t,t2,T 3,T1\n0,0,5,20\n1,1,4,21\n2,2,9,22\n");
     CHECK_FALSE(has(import(folder, {"same.csv", "--time", "t"}), "warning"));
     folder.write("ids.csv", "t,site,n,v,b\n0,02395120,10,0.5,0\n1,02395121,20,0.25,1\n");
     CHECK(has(
@@ -832,6 +833,69 @@ TEST_SUITE("app") {
     std::filesystem::remove(folder.path() + "/d.db");
     folder.write("d.csv", "date,v\n1772622000,1\n");
     CHECK(has(import(folder, {"d.csv", "--time", "date"}), "from 2026-03-04T11:00:00"));
+  }
+
+  TEST_CASE("import: rows without times are at even steps") {
+    const Folder folder;
+    folder.write("daq.csv", "# 32 Hz\na,b\n1,2\n3,4\n5,6\n");
+    import(folder, {"daq.csv", "--rate", "32", "--start", "2026-03-01T12:00:00Z", "--comment", "#", "--partial"});
+    CHECK(rows_of(folder, "daq.db") ==
+          "utc,origin,sequence,a,b\n2026-03-01T12:00:00.000000000Z,daq,1,1,2\n"
+          "2026-03-01T12:00:00.031250000Z,daq,2,3,4\n2026-03-01T12:00:00.062500000Z,daq,3,5,6\n");
+    std::filesystem::remove(folder.path() + "/daq.db");
+    import(folder, {"daq.csv", "--step", "31.25ms", "--skip", "1"});
+    CHECK(has(rows_of(folder, "daq.db"), "1970-01-01T00:00:00.062500000Z,daq,3,5,6\n"));
+    std::filesystem::remove(folder.path() + "/daq.db");
+    std::string rows = "a\n";
+    for (int i = 0; i <= 3000; ++i) rows += std::to_string(i) + "\n";
+    folder.write("three.csv", rows + "\n\n");
+    CHECK(has(import(folder, {"three.csv", "--rate", "3"}), "to 1970-01-01T00:16:40.000000000Z"));
+    folder.write("gap.csv", "a\n1\n\n3\n");
+    CHECK(has(import(folder, {"gap.csv", "--rate", "3"}, 1), "gap.csv:3: it is empty, and whether a row is missing"));
+    CHECK(has(import(folder, {"gap.csv"}, 1), "--time is not given: write --time"));
+    CHECK(has(import(folder, {"gap.csv", "--rate", "3", "--time", "a"}, 1), "more than one of --time, --rate and"));
+    CHECK(has(import(folder, {"gap.csv", "--rate", "3", "--step", "1s"}, 1), "more than one of --time, --rate and"));
+    CHECK(has(import(folder, {"gap.csv", "--rate", "3", "--zone", "Z"}, 1), "have no times of their own"));
+    CHECK(has(import(folder, {"gap.csv", "--rate", "1e12"}, 1), "less than 1 ns apart"));
+    CHECK(has(import(folder, {"gap.csv", "--rate", "0"}, 1), "\"0\" is no number above 0"));
+    CHECK_FALSE(folder.has("gap.db"));
+  }
+
+  TEST_CASE("import: several texts of comments, and a heading that is one of them") {
+    const Folder folder;
+    folder.write("rocket.csv",
+                 "# Simulation 1 (Up to date)\n# 54 points, of 3 values\n# Time (s),Altitude (m),Mach\n"
+                 "# Event LAUNCH, at t=0 seconds,\n! by hand\n0,0,0.1\n# Event APOGEE\n0.5,2,0.2\n");
+    import(folder, {"rocket.csv", "--time", "Time", "--comment", "#", "--comment", "!"});
+    CHECK(rows_of(folder, "rocket.db") ==
+          "utc,origin,sequence,Altitude [m],Mach\n1970-01-01T00:00:00.000000000Z,rocket,1,0,0.1\n"
+          "1970-01-01T00:00:00.500000000Z,rocket,2,2,0.2\n");
+    folder.write("numpy.txt", "# bench 3\n# t v\n0 1\n1 2\n");
+    import(folder, {"--comment", "#", "numpy.txt", "--time", "t", "--separator", "blanks", "--sort"});
+    CHECK(has(rows_of(folder, "numpy.db"), "sequence,v\n1970-01-01T00:00:00.000000000Z,numpy,1,1\n"));
+    // The first row that is no comment is the heading, if it names the time.
+    folder.write("two.csv", "# t,b\nt,v\n0,1\n");
+    import(folder, {"two.csv", "--time", "t", "--comment", "#"});
+    CHECK(has(rows_of(folder, "two.db"), "sequence,v\n"));
+    folder.write("none.csv", "# t,v\n0,1,2\n");
+    import(folder, {"none.csv", "--time", "t", "--comment", "#"}, 1);
+    CHECK_FALSE(folder.has("none.db"));
+  }
+
+  TEST_CASE("import: advice is about the table, not about lines before it") {
+    const Folder folder;
+    folder.write("pico.csv", "Time\nof 2026\nTime,A\n0,1\n1,2\n");
+    CHECK(has(import(folder, {"pico.csv", "--time", "Time (s)"}, 1), "write --skip 2"));
+    folder.write("lost.csv", "Rate\nTime,Start\nx\nTime,A,B\n0,1,2\n1,2,3\n");
+    CHECK(has(import(folder, {"lost.csv", "--time", "Time"}, 1), "line 4 has it: write --skip 3"));
+    folder.write("semi.csv", "# made by: a, b, c, d\n\nt;v\n0;1\n");
+    CHECK(has(import(folder, {"semi.csv", "--time", "t", "--comment", "#"}, 1), "write --separator \";\""));
+    folder.write("vrm.csv", "timestamp,Grid\nBerlin (+02:00),L1\n2026-10-25 01:45:00,1\n");
+    CHECK(has(import(folder, {"vrm.csv", "--time", "timestamp", "--head", "2"}, 1),
+              "of --head 2 it is --time \"timestamp Berlin (+02:00)\""));
+    folder.write("desc.csv", "t,v\n1772622000,1\n1772621880,2\n");
+    CHECK(has(import(folder, {"desc.csv", "--time", "t"}, 1), "sort the rows by time: write --sort"));
+    CHECK_FALSE(folder.has("desc.db"));
   }
 
   TEST_CASE("import: real tables of a rocket club") {

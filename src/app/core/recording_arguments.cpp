@@ -338,8 +338,18 @@ Action prepare_import(CLI::App& command) {
       .add_option("--time", options->time_columns,
                   "Heading of the column of time, or of those of its parts, such as date and time")
       ->expected(1, -1)
-      ->type_name("COLUMN")
-      ->required();
+      ->type_name("COLUMN");
+  command.add_option("--rate", options->rate, "Rows per second of a table without a column of time, such as 32")
+      ->check(CLI::Validator(
+          [](std::string& text) {
+            double rate = 0;
+            const bool is_rate = CLI::detail::lexical_cast(text, rate) && rate > 0;
+            return is_rate ? std::string() : "\"" + text + "\" is no number above 0";
+          },
+          ""))
+      ->type_name("HERTZ");
+  command.add_option("--step", options->step, "Time between the rows of a table without a column of time: 31.25ms")
+      ->type_name("DURATION");
   command.add_option("--time-format", options->time_format, "How its times are written, such as \"%d.%m.%Y %H:%M:%S\"")
       ->type_name("FORMAT");
   command.add_option("--scale", options->scale, "What 1 in that column is; default: 1 s")->type_name("DURATION");
@@ -358,7 +368,11 @@ Action prepare_import(CLI::App& command) {
       ->type_name("WHERE");
   command.add_option("--columns", options->columns, "The names of the columns of a table without heading: t,\"v [V]\"")
       ->type_name("NAMES");
-  command.add_option("--comment", options->comment, "Leave out lines that begin with this, such as \"#\"")
+  command
+      .add_option("--comment", options->comments,
+                  "Leave out lines that begin with this, such as \"#\"; may be repeated")
+      ->expected(1, -1)
+      ->allow_extra_args(false)
       ->type_name("TEXT");
   command
       .add_option("--only", options->only,

@@ -165,16 +165,18 @@ struct ImportOptions {
   std::vector<std::string> time_columns;  // its heading, or those of its parts in order, such as date and time
   std::string time_format = {};           // as strptime has it; empty: ISO 8601 and numbers
   std::string scale = {};                 // duration of 1 in that column; empty: 1 s; not used for ISO 8601
+  double rate = 0;                        // Hz, of a table without a column of time; 0: it has one, or a step
+  std::string step = {};                  // the duration between its rows
   std::string start = {};                 // time of 0 in that column, ISO 8601; empty: 1970
   std::string separator = {};             // a character, "tab" or "blanks"; empty: that of a line "sep=;", or ","
   std::string decimal = {};               // "." or ","; empty: ".", and numbers that look like "," are refused
   std::string thousands = {};             // between groups of three digits; empty: nothing is
-  std::string zone = {};     // "Z", "+01:00", "Europe/Berlin": for times without a zone; empty: these are refused
-  std::uint64_t skip = 0;    // lines before the heading
-  std::string comment = {};  // what lines begin with that are left out; empty: none are
-  std::uint64_t head = 1;    // rows of the heading, 1 or 2
-  std::string units = {};    // "row": a row after the heading has them; else they are in the heading
-  std::string columns = {};  // the names, as a row of CSV, of a table without heading; empty: it has one
+  std::string zone = {};   // "Z", "+01:00", "Europe/Berlin": for times without a zone; empty: these are refused
+  std::uint64_t skip = 0;  // lines before the heading
+  std::vector<std::string> comments = {};  // what lines begin with that are left out
+  std::uint64_t head = 1;                  // rows of the heading, 1 or 2
+  std::string units = {};                  // "row": a row after the heading has them; else they are in the heading
+  std::string columns = {};                // the names, as a row of CSV, of a table without heading; empty: it has one
   std::vector<std::string> only =
       {};  // the rows taken: KIND, the text of their first cell, or COLUMN=TEXT; all of these
   std::vector<std::string> none = {};   // texts, and numbers however they are written, that stand for no value

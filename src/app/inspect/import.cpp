@@ -102,6 +102,7 @@ std::string format_for(const std::string& when, const Found& found) {
 
 /// The text of the time in a row, of which date and time, or more parts, may be cells of their own.
 std::string time_text(const std::vector<detail::CsvCell>& cells, const Found& found) {
+  if (found.time_columns.empty()) return {};
   std::string text = cells[found.time_columns.front()].text;
   for (std::size_t i = 1; i < found.time_columns.size(); ++i) (text += ' ') += cells[found.time_columns[i]].text;
   return text;
@@ -161,12 +162,19 @@ std::string time_text(const std::vector<detail::CsvCell>& cells, const Found& fo
 }
 
 /// Of a row that is before the row above it: sorting is not always what puts it right.
-std::string sort_advice(const ImportOptions& options, const ImportNotation& notation, const std::string& when) {
+std::string sort_advice(const ImportOptions& options, const ImportNotation& notation, std::uint64_t line, Time before,
+                        Time time, const std::string& when) {
   double number = 0;
   if (has_no_date(options))
     return "if all of its rows are of one day, write --sort; if they are not, the table wants a column with the date";
-  if (options.time_format.empty() && is_number(when, notation.numbers, number))
-    return "sort the rows by time: write --sort; or, if its clock began again there, divide the file there";
+  const bool is_count = options.time_format.empty() && is_number(when, notation.numbers, number);
+  const Duration was = before - notation.start, is = time - notation.start;
+  if (is_count && is >= Duration{0} && is <= was / 4) {
+    const std::string above = std::to_string(line - 1);
+    return "its clock seems to begin again in line " + std::to_string(line) + ": take the part above it, head -n " +
+           above + " " + options.file + " >table.csv, and that from there on for itself; if it did not, write --sort";
+  }
+  if (is_count) return "sort the rows by time: write --sort; or, if its clock began again there, divide the file there";
   return std::string("sort the rows by time: write --sort") +
          (options.only.empty() ? "; or, if it has rows of several kinds, take one: --only" : "");
 }
@@ -193,7 +201,7 @@ std::string sort_advice(const ImportOptions& options, const ImportNotation& nota
 /// Reads the heading. Rows follow.
 std::vector<ImportColumn> begin_table(ImportRows& table, const ImportOptions& options, const ImportNotation& notation,
                                       std::vector<std::size_t>& time_columns) {
-  std::vector<ImportColumn> columns = read_head(table, options);
+  std::vector<ImportColumn> columns = read_head(table, options, notation);
   time_columns.clear();
   for (const std::string& heading : options.time_columns)
     time_columns.push_back(find_column(columns, heading, options, notation));
@@ -219,8 +227,9 @@ std::vector<ImportColumn> begin_table(ImportRows& table, const ImportOptions& op
 
 /// True if the row has no time, and such rows are left out.
 bool is_without_time(const std::vector<detail::CsvCell>& cells, const Found& found, const ImportNotation& notation) {
-  return notation.takes_partial && std::all_of(found.time_columns.begin(), found.time_columns.end(),
-                                               [&](std::size_t column) { return cells[column].text.empty(); });
+  return notation.takes_partial && notation.step <= 0 &&
+         std::all_of(found.time_columns.begin(), found.time_columns.end(),
+                     [&](std::size_t column) { return cells[column].text.empty(); });
 }
 
 /// Refuses a table of which no row was chosen.
@@ -337,7 +346,7 @@ Found look_at(const ImportOptions& options, const ImportNotation& notation) {
   if (!options.time_format.empty()) check_order(options, found);
   ImportClock clock(notation);
   ClockDigits digits;
-  const bool may_be_digits = options.time_format.empty() && options.scale.empty();
+  const bool may_be_digits = options.time_format.empty() && options.scale.empty() && notation.step <= 0;
   std::vector<detail::CsvCell> cells;
   bool has_comma_in_quotes = false;
   Time before{};  // of the row above
@@ -357,7 +366,7 @@ Found look_at(const ImportOptions& options, const ImportNotation& notation) {
       ++found.without_time;
       continue;
     }
-    if (found.rows == 0)
+    if (found.rows == 0 && notation.step <= 0)
       check_scale(options, notation, found.columns[found.time_columns.front()], time_text(cells, found));
     const std::uint64_t twice = clock.twice();
     const auto time = clock.read(time_text(cells, found));
@@ -375,7 +384,7 @@ Found look_at(const ImportOptions& options, const ImportNotation& notation) {
       refuse_import(table.where(),
                     "\"" + detail::readable(time_text(cells, found).substr(0, 64)) + "\" in " +
                         column_of_time(options) + " is before the time of the row above it",
-                    sort_advice(options, notation, time_text(cells, found)));
+                    sort_advice(options, notation, table.line(), before, *time, time_text(cells, found)));
     if (*time < before) ++found.out_of_order;
     if (is_sorted) found.places.push_back({*time, table.position(), table.line()});
     before = *time;
@@ -385,7 +394,8 @@ Found look_at(const ImportOptions& options, const ImportNotation& notation) {
       table.check_text(cells[i].text, &found.columns[i].heading);
       ImportColumn& column = found.columns[i];
       column.look_at(cells[i], table.line());
-      column.is_as_time = column.is_as_time && cells[i].text == cells[found.time_columns.front()].text;
+      column.is_as_time = column.is_as_time && notation.step <= 0 &&
+                          cells[i].text == cells[found.time_columns.front()].text;
       has_comma_in_quotes = has_comma_in_quotes || (cells[i].quoted && cells[i].text.find(',') != std::string::npos);
     }
   }
@@ -488,7 +498,20 @@ ImportNotation notation_of(const ImportOptions& options) {
   if (!options.start.empty()) notation.start = parse_iso8601(options.start).or_throw();
   const std::optional<char> in_file = separator_line(options.file);
   notation.skip = std::max<std::uint64_t>(options.skip, in_file ? 1 : 0);
-  notation.comment = options.comment;
+  notation.comments = options.comments;
+  const bool has_step = options.rate > 0 || !options.step.empty();
+  if (options.time_columns.empty() != has_step || (options.rate > 0 && !options.step.empty()))
+    refuse_import(options.file,
+                  has_step ? "more than one of --time, --rate and --step is given" : "--time is not given",
+                  "write --time with the heading of its times; of a table without times, --rate or --step");
+  if (has_step && !(options.time_format + options.scale + options.zone).empty())
+    refuse_import(options.file,
+                  "its rows have no times of their own, and --time-format, --scale and --zone are of these",
+                  "leave them out, and write --start with the time of the first row");
+  if (options.rate > 0) notation.step = 1e9L / static_cast<long double>(options.rate);
+  if (!options.step.empty()) notation.step = static_cast<long double>(parse_duration(options.step).or_throw().count());
+  if (has_step && !(notation.step >= 1))
+    refuse_import("--rate, --step", "its rows are less than 1 ns apart", "such as --rate 32, --step 31.25ms");
   notation.none = options.none;
   notation.strip = options.strip;
   notation.adds_days = options.order != ImportOptions::Order::sorted;
@@ -533,7 +556,7 @@ ImportNotation notation_of(const ImportOptions& options) {
 /// Of "Time 1" and "Time 2": true if this is a column of times beside that of the time.
 bool is_another_time(const ImportColumn& column, const ImportColumn& time) {
   const auto base = [](const ImportColumn& of) {
-    const std::string lower = detail::lower_case(of.bare);
+    const std::string lower = of.bare.size() > 2 ? detail::lower_case(of.bare) : of.bare;  // not T1 of t
     return lower.substr(0, lower.find_last_not_of("0123456789 _.#-") + 1);
   };
   return !column.is_time && column.can_be_number && column.never_falls && column.rises && !column.is_as_time &&
@@ -581,8 +604,9 @@ void tell_warnings(std::ostream& err, const ImportOptions& options, const Found&
   if (!with_zeros.empty())
     warn("zeros before whole numbers, such as " + number_with_zeros +
          ", are not kept: to keep them as texts, write --text" + with_zeros);
-  for (const ImportColumn& column : found.columns)
-    if (const ImportColumn& time = found.columns[found.time_columns.front()]; is_another_time(column, time))
+  for (std::size_t i = 0; i < found.columns.size() && notation.step <= 0; ++i)
+    if (const ImportColumn& column = found.columns[i], &time = found.columns[found.time_columns.front()];
+        is_another_time(column, time))
       warn("column " + column.heading + " seems to be a time, too: all values are stored at the times of column " +
            time.heading + "; to have those of " + column.heading + " at theirs, import the file again with --time \"" +
            column.heading + "\"");
@@ -617,7 +641,7 @@ void tell_warnings(std::ostream& err, const ImportOptions& options, const Found&
     warn(rows(found.out_of_order) + " had a time before the row above; the rows were sorted" +
          (has_no_date(options) ? ", as times of one day" : ""));
   if (found.twice > 0)
-    warn(rows(found.twice) + " are in an hour that comes twice in " + notation.zone +
+    warn(rows(found.twice) + (found.twice == 1 ? " is" : " are") + " in an hour that comes twice in " + notation.zone +
          "; each is taken as the first that is not before the row above");
   if (moved > 0)
     warn(rows(moved) + (moved == 1 ? " was" : " were") +

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <string_view>
+#include <utility>
 
 #include "data/nearest.hpp"
 
@@ -12,8 +13,23 @@ namespace {
 std::string separator_advice(const ImportOptions& options, const ImportNotation& notation) {
   ImportRows table(options.file, notation);
   std::string head, row;
-  for (std::uint64_t i = 0; i <= notation.skip; ++i) table.next_line(head);
-  table.next_line(row);
+  for (std::uint64_t i = 0; i < notation.skip; ++i) table.next_line(head);
+  const auto next = [&](std::string& line) {  // no comment
+    while (table.next_line(line)) {
+      const std::string_view text = std::string_view(line).substr(
+          std::min(line.find_first_not_of(" \t\r"), line.size()));
+      const bool is_comment = text.starts_with('#') ||
+                              std::any_of(notation.comments.begin(), notation.comments.end(),
+                                          [&](const std::string& begin) { return text.starts_with(begin); });
+      if (!text.empty() && !is_comment) return true;
+    }
+    return false;
+  };
+  if (!next(head) || !next(row)) {  // of which all but one are comments
+    ImportRows again(options.file, notation);
+    for (std::uint64_t i = 0; i <= notation.skip; ++i) again.next_line(head);
+    again.next_line(row);
+  }
   const auto count = [](const std::string& text, char c) { return std::count(text.begin(), text.end(), c); };
   char best = notation.separator;
   for (const char one : {',', ';', '\t', '|'})
@@ -50,25 +66,32 @@ std::string skip_advice(const std::string& heading, std::size_t columns, const I
   constexpr int most_lines = 1000;
   ImportRows table(options.file, notation);
   std::vector<detail::CsvCell> cells;
-  std::string wider;
+  std::string wider, has_it;  // lines of as many cells as the one below come before others
+  std::string maybe_wider, may_have_it;
+  std::size_t before = 0;
   std::uint64_t first = 0;
   for (int i = 0; i < most_lines; ++i) {
     const Result<bool> more = table.next(cells);
     if (more && !*more) break;
     if (!more) continue;  // of another program's text
     if (first == 0) first = table.line();
+    if (cells.size() == before && !may_have_it.empty()) return may_have_it;
+    if (cells.size() == before && wider.empty()) wider = maybe_wider;
+    before = cells.size();
+    may_have_it.clear();
     std::vector<ImportColumn> names(cells.size());
     for (std::size_t k = 0; k < cells.size(); ++k) names[k].heading = cells[k].text;
     name_columns(names);
     const std::string skip = ": write --skip " + std::to_string(table.line() - 1);
     if (std::any_of(names.begin(), names.end(),
                     [&](const ImportColumn& one) { return one.heading == heading || one.bare == heading; }))
-      return "line " + std::to_string(table.line()) + " has it" + skip;
-    if (wider.empty() && cells.size() > columns)
-      wider = "line " + std::to_string(first) + " has " + counted(columns) + ", line " + std::to_string(table.line()) +
-              " has " + std::to_string(cells.size()) + skip;
+      may_have_it = "line " + std::to_string(table.line()) + " has it" + skip;
+    if (has_it.empty()) has_it = may_have_it;
+    if (cells.size() > columns)
+      maybe_wider = "line " + std::to_string(first) + " has " + counted(columns) + ", line " +
+                    std::to_string(table.line()) + " has " + std::to_string(cells.size()) + skip;
   }
-  return wider;
+  return !has_it.empty() ? has_it : wider.empty() ? maybe_wider : wider;
 }
 
 constexpr const char* name_of_kind = "kind";  // of the first column, in a log of DataFlash
@@ -103,11 +126,46 @@ std::vector<ImportColumn> read_format(ImportRows& table, const ImportOptions& op
   return columns;
 }
 
+/// The heading in a line of comment, as of OpenRocket and numpy: it names the time, which the first row does not, and
+/// has as many cells as that. Empty: there is none.
+std::vector<ImportColumn> head_in_comment(const ImportOptions& options, ImportNotation notation) {
+  const std::vector<std::string> comments = std::exchange(notation.comments, {});
+  if (comments.empty() || options.time_columns.empty()) return {};
+  constexpr int most_lines = 1000;
+  ImportRows table(options.file, notation);
+  std::vector<detail::CsvCell> cells;
+  std::vector<ImportColumn> head;
+  const auto names = [&] {
+    std::vector<ImportColumn> columns(cells.size());
+    for (std::size_t i = 0; i < cells.size(); ++i) columns[i].heading = cells[i].text;
+    name_columns(columns);
+    return columns;
+  };
+  const auto has_time = [&](const std::vector<ImportColumn>& columns) {
+    return std::any_of(columns.begin(), columns.end(), [&](const ImportColumn& one) {
+      return one.heading == options.time_columns.front() || one.bare == options.time_columns.front();
+    });
+  };
+  for (int i = 0; i < most_lines; ++i) {
+    const Result<bool> more = table.next(cells);
+    if (!more || !*more) return {};
+    std::string& first = cells.front().text;
+    const auto begin = std::find_if(comments.begin(), comments.end(),
+                                    [&](const std::string& one) { return !one.empty() && first.starts_with(one); });
+    if (begin == comments.end()) return head.size() == cells.size() && !has_time(names()) ? head : decltype(head)();
+    first.erase(0, begin->size());
+    first.erase(0, std::min(first.find_first_not_of(" \t"), first.size()));
+    if (first.empty() && notation.has_blanks) cells.erase(cells.begin());
+    if (auto columns = names(); has_time(columns)) head = std::move(columns);
+  }
+  return {};
+}
+
 }  // namespace
 
 std::string shown_separator(char separator) { return separator == '\t' ? "tab" : std::string("\"") + separator + "\""; }
 
-std::vector<ImportColumn> read_head(ImportRows& table, const ImportOptions& options) {
+std::vector<ImportColumn> read_head(ImportRows& table, const ImportOptions& options, const ImportNotation& notation) {
   std::vector<ImportColumn> columns;
   std::vector<detail::CsvCell> cells;
   const auto next = [&](const std::string& otherwise) {
@@ -122,6 +180,8 @@ std::vector<ImportColumn> read_head(ImportRows& table, const ImportOptions& opti
     const auto names = detail::split_csv(options.columns);
     if (!names) refuse_import("--columns " + options.columns, names.error().why, "such as: t,v");
     for (const detail::CsvCell& name : *names) columns.emplace_back().heading = name.text;
+  } else if (auto head = head_in_comment(options, notation); options.head == 1 && !head.empty()) {
+    columns = std::move(head);
   } else {
     next(options.skip > 0 ? "it has no more than " + std::to_string(options.skip) + " lines" : "it is empty");
     const bool has_formats = cells.front().text == "FMT" && !options.only.empty();
@@ -175,6 +235,9 @@ std::size_t find_column(const std::vector<ImportColumn>& columns, const std::str
   const auto values = static_cast<std::size_t>(std::count_if(headings.begin(), headings.end(), is_value));
   if (advice.empty() && heading.find(',') != std::string::npos && are_columns(heading, columns))
     advice = "of several columns there are blanks between their names, as in --time date time";
+  for (const std::string_view one : headings)
+    if (advice.empty() && options.head > 1 && one.starts_with(heading + " "))
+      advice = "of --head 2 it is --time \"" + std::string(one) + "\"";
   if (advice.empty() && headings.front() == "FMT")
     advice = "each of its rows is of the kind that it begins with: take one, such as --only IMU";
   const std::string skip = advice.empty() ? skip_advice(heading, columns.size(), options, notation) : "";

@@ -12,9 +12,10 @@
 
 namespace rtdata::app {
 
-/// Reads the heading, unless the columns are named by hand, with the row of units after it, and names the columns.
-/// Throws SetupError: bad-argument, bad-data.
-std::vector<ImportColumn> read_head(ImportRows& table, const ImportOptions& options);
+/// Reads the heading, which may be in a line of comment if that names the time and has as many cells as the rows,
+/// unless the columns are named by hand, with the row of units after it, and names the columns. Throws SetupError:
+/// bad-argument, bad-data.
+std::vector<ImportColumn> read_head(ImportRows& table, const ImportOptions& options, const ImportNotation& notation);
 
 /// The column with this heading, written with its unit or without. Throws SetupError: bad-argument, which says how to
 /// read the table so that it has one.

@@ -91,6 +91,11 @@ bool ImportRows::is_heading(const std::vector<detail::CsvCell>& cells) const {
                                          [](const auto& a, const auto& b) { return a.text == b.text; });
 }
 
+bool ImportRows::is_comment(std::string_view text) const {
+  return std::any_of(notation_.comments.begin(), notation_.comments.end(),
+                     [&](const std::string& begin) { return !begin.empty() && text.starts_with(begin); });
+}
+
 void ImportRows::choose(std::vector<ImportChoice> choices) {
   choices_ = std::move(choices);
   others_ = 0;
@@ -151,12 +156,15 @@ Result<bool> ImportRows::next(std::vector<detail::CsvCell>& cells) {
                             "convert the file: iconv -f " + utf16_ + " -t UTF-8 " + path_ + " >table.csv");
     // A line of blanks is none, but for a table whose cells tabs separate.
     const std::size_t text = line.find_first_not_of(notation_.separator == '\t' ? " \r" : " \t\r");
-    const bool is_comment = !notation_.comment.empty() && text != std::string::npos &&
-                            line.compare(text, notation_.comment.size(), notation_.comment) == 0;
-    if (!is_quoted && (text == std::string::npos || is_comment)) {
+    if (!is_quoted && (text == std::string::npos || is_comment(std::string_view(line).substr(text)))) {
+      if (text == std::string::npos && are_rows_ && notation_.step > 0 && empty_line_ == 0) empty_line_ = line_;
       begin();
       continue;
     }
+    if (empty_line_ != 0)
+      return Error{Errc::bad_data, "cannot import", path_ + ":" + std::to_string(empty_line_),
+                   "it is empty, and whether a row is missing there cannot be known of rows at even steps",
+                   "remove the line, or write the row, with \"\" for no value"};
     if (notation_.has_blanks) line = with_single_blanks(line);
     // Before quotes are: what stands in lines of another kind is no CSV.
     if (!is_quoted && !is_chosen(line, nullptr)) {

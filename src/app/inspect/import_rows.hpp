@@ -67,6 +67,7 @@ class ImportRows {
   /// Takes what stands before or behind numbers off. Errors: bad-argument, if that would make other numbers of them.
   Result<void> strip(std::string& text, std::size_t column);
   bool is_heading(const std::vector<detail::CsvCell>& cells) const;
+  bool is_comment(std::string_view text) const;
   /// What each choice has to say of a line before its cells are looked at, or, if `cells` are given, of them.
   bool is_chosen(std::string_view line, const std::vector<detail::CsvCell>* cells);
 
@@ -78,7 +79,8 @@ class ImportRows {
   std::vector<char> buffer_;  // of one line
   std::uint64_t line_ = 1, next_line_ = 1, cut_line_ = 0;
   std::uint64_t position_ = 0, next_position_ = 0;
-  bool are_rows_ = false;  // not the heading any more
+  std::uint64_t empty_line_ = 0;  // the last one above, among rows at even steps
+  bool are_rows_ = false;         // not the heading any more
   std::vector<detail::CsvCell> heading_;
   std::vector<std::string> names_, stripped_;  // of each column: its name, what was taken off its numbers
   std::vector<std::size_t> time_columns_;

@@ -237,6 +237,11 @@ std::string scale_of(double number) {
 }
 
 Result<Time> ImportClock::read(const std::string& text) {
+  if (notation_.step > 0) {
+    const long double ns = notation_.step * static_cast<long double>(steps_++);
+    const auto step = ns < 9.2e18L ? later_than(notation_.start, Duration{std::llround(ns)}) : std::nullopt;
+    return step ? Result<Time>(*step) : import_refused("", "it is not a time that can be recorded", "check --start");
+  }
   auto time = notation_.time_format.empty() ? read_usual(text) : read_formatted(text);
   if (!time) return time;
   if (before_ != Time::min()) step_ = detail::span_between(before_, *time);

@@ -21,8 +21,8 @@ struct ImportNumbers {
 
 /// How rows, cells, numbers and times are written.
 struct ImportNotation {
-  std::uint64_t skip = 0;    ///< lines before the first row
-  std::string comment = {};  ///< what lines begin with that are no rows; empty: nothing
+  std::uint64_t skip = 0;                  ///< lines before the first row
+  std::vector<std::string> comments = {};  ///< what lines begin with that are no rows
   char separator = ',';
   ImportNumbers numbers = {};
   std::vector<std::string> none = {};   ///< texts, and numbers however they are written, that stand for no value
@@ -33,6 +33,7 @@ struct ImportNotation {
   std::string time_format = {};         ///< see `read_time`; empty: ISO 8601 and numbers
   std::string zone = {};                ///< for times without a zone; empty: these are refused
   bool has_named_zone = false;          ///< that of the process
+  long double step = 0;                 ///< ns between rows that have no time; 0: they have one
   Duration scale{1'000'000'000};        ///< duration of 1, for times that are numbers
   Time start{};                         ///< time of 0, for times that are numbers or have no date
 };
@@ -71,7 +72,7 @@ class ImportClock {
   const ImportNotation notation_;
   Time before_ = Time::min();
   Duration step_{0};  // between the last two rows
-  std::uint64_t twice_ = 0, midnights_ = 0;
+  std::uint64_t twice_ = 0, midnights_ = 0, steps_ = 0;
   std::optional<std::pair<Duration, Duration>> offsets_ = {};
   std::size_t decimals_ = 0;  // of the rows above, behind no decimal mark
 };
