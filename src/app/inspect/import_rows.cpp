@@ -4,6 +4,7 @@
 #include <string_view>
 #include <utility>
 
+#include "app/inspect/import_columns.hpp"
 #include "app/inspect/import_time.hpp"
 #include "data/utf8.hpp"
 
