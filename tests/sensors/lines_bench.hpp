@@ -17,7 +17,7 @@ struct LinesBench {
     heard = loop.subscribe("lines", [this](const rtdata::EventView& event) {
       std::string text;
       for (const rtdata::Leaf& leaf : event.description().leaves())
-        text += (text.empty() ? "" : " ") + to_string(event.value(leaf));
+        text += (text.empty() ? "" : " ") + rtdata::to_string(event.value(leaf));
       events.push_back(text);
     });
     sensor = Sensor(loop, {.name = "lines"}, std::move(config));

@@ -26,7 +26,6 @@ using namespace rtdata::literals;
 using namespace sinks;
 using namespace std::chrono_literals;
 using recordings::number;
-using recordings::seal;
 using recordings::verified;
 
 namespace {

@@ -29,7 +29,6 @@ using namespace sinks;
 using namespace std::chrono_literals;
 using namespace rtdata::literals;
 using recordings::number;
-using recordings::seal;
 
 namespace {
 
