@@ -452,6 +452,7 @@ TEST_SUITE("sensors" * doctest::skip(!terminals_can_be_set_up())) {
     CHECK(has(heard.errors[0], "another one begins within it"));
   }
 
+#ifdef RTDATA_WITH_PATTERN
   TEST_CASE("US-13 bytes of a pattern come in frames, since lines end at some of them") {
     const LineField field{.name = "v", .wire = Kind::u8};
     LineConfig lines{.format = LineFormat::pattern, .fields = {field}, .pattern = "^(?<v>.)$"};
@@ -469,6 +470,7 @@ TEST_SUITE("sensors" * doctest::skip(!terminals_can_be_set_up())) {
     lines.frame = LineFrame{.stuffing = Stuffing::slip};
     CHECK(refused().empty());
   }
+#endif
 
   TEST_CASE("US-13 frames that wait behind a wrong length are taken at the end, and what has no end is told") {
     ScratchDirectory folder;
