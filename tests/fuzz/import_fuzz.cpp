@@ -47,7 +47,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   options.skip = data[1] >> 2 & 1;
   options.head = (data[1] & 8) != 0 && options.columns.empty() ? 2 : 1;
   if ((data[1] & 16) != 0) options.units = "row";
-  if ((data[1] & 32) != 0) options.comment = "#";
+  if ((data[1] & 32) != 0) options.comments = {"#", ";"};
   if ((data[1] & 64) != 0) options.none = {"-9999", "x"};
   if ((data[1] & 128) != 0) options.thousands = "'";
   std::ostringstream out, err;
