@@ -116,6 +116,14 @@ std::vector<std::string> problems_of(const std::string& members) {
 }  // namespace
 
 TEST_SUITE_BEGIN("sensors");
+#ifdef RTDATA_WITH_PATTERN
+
+TEST_CASE("US-17 a pattern takes bytes of an answer, which comes whole and needs no frame") {
+  CHECK(problems_of(R"x("url": "http://h/", "format": "pattern", "pattern": "^\\x07(?<v>..)",
+                        "fields": [{"name": "v", "wire": "uint16"}])x")
+            .empty());
+}
+#endif
 
 TEST_CASE("US-17 what a URL answers are events: JSON by its keys, CSV after its heading, rows of labels") {
   NEEDS_PROGRAM(python);

@@ -13,6 +13,7 @@
 #include "rtdata/detail/sensors/transaction.hpp"
 #include "sensors/core/sensor_node.hpp"
 #include "sensors/core/sysfs_file.hpp"
+#include "sensors/lines/line_config.hpp"
 #include "sensors/lines/line_decoder.hpp"
 
 namespace rtdata {
@@ -362,7 +363,7 @@ class HttpDevice final : public detail::LaneDevice {
 void check_config(const HttpSensorConfig& config, const ConfigItem& item, Problems& problems) {
   if (!detail::add_not_installed(detail::load_curl(), item, problems)) return;
   detail::add_mistakes(mistakes_of(config), item, problems);
-  check_config(as_lines(config), item, problems);
+  detail::check_lines_of(as_lines(config), detail::FrameCutter::Stream::of_one, item, problems);
 }
 
 ReadTime read_time(const HttpSensorConfig& config) {

@@ -61,8 +61,9 @@ void check_config(const Query::Config& config, const ConfigItem& item, Problems&
   }
   detail::check_at_open(config.at_open_hex, item, problems);
   detail::check_at_open(config.prepare_hex, item, problems, "prepare_hex");
-  if (config.prepare_wait > Duration{0} && config.prepare.empty() && config.prepare_hex.empty())
-    problems.add(item.find("prepare_wait")->problem("bad-value", "there is no `prepare` to wait for"));
+  if (const ConfigItem* const at = item.find("prepare_wait");
+      at != nullptr && config.prepare_wait > Duration{0} && config.prepare.empty() && config.prepare_hex.empty())
+    problems.add(at->problem("bad-value", "there is no `prepare` to wait for"));
   if (config.at_open_answers && config.at_open.empty() && config.at_open_hex.empty()) {
     const ConfigItem* const at = item.find("at_open_answers");
     problems.add((at != nullptr ? *at : item).problem("bad-value", "there is no `at_open` to answer"));
