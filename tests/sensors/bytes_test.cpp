@@ -7,7 +7,7 @@
 
 #include "data/hex_bytes.hpp"
 #include "has.hpp"
-#include "rtdata/data/event.hpp"
+#include "sensors/decoded_line.hpp"
 #include "sensors/lines/frame_cutter.hpp"
 #include "sensors/lines/line_decoder.hpp"
 
@@ -17,17 +17,6 @@ using rtdata::test::has;
 namespace {
 
 std::string from_hex(const std::string& hex) { return detail::bytes_of_hex(hex).value(); }
-
-std::string values_in(const LineConfig& config, const std::string& frame) {
-  detail::LineDecoder decoder(config);
-  const auto text = decoder.checked(frame);
-  if (!text) return text.error().why;
-  if (const Result<void> done = decoder.decode(*text); !done) return done.error().why;
-  const EventView event("line", {}, *decoder.description(), {decoder.payload(), decoder.description()->size()}, "");
-  std::string all;
-  for (const Leaf& leaf : event.description().leaves()) all += (all.empty() ? "" : " ") + to_string(event.value(leaf));
-  return all;
-}
 
 std::string refusal_of_bytes(const LineField& field, LineFormat format = LineFormat::binary) {
   try {
@@ -71,11 +60,11 @@ TEST_SUITE("sensors") {
                                     {.name = "level", .scale = 0.1, .at = 4, .wire = Kind::u16, .mask = 0x0ff0},
                                     {.name = "mode", .type = Kind::u8, .at = 4, .mask = 0x70, .no_value = {"7"}}},
                          .frame = LineFrame{.start = "x", .length = 6}};
-    CHECK(values_in(big, from_hex("78 ff ff fe 9a 43")) == "-1 16777214 true true 16.4 1");
-    CHECK(values_in(big, from_hex("78 00 01 02 70 42")) == "129 258 false false 0.4 absent");
+    CHECK(values_of_line(big, from_hex("78 ff ff fe 9a 43")) == "-1 16777214 true true 16.4 1");
+    CHECK(values_of_line(big, from_hex("78 00 01 02 70 42")) == "129 258 false false 0.4 absent");
     LineConfig little = big;
     little.frame->byte_order = WireOrder::little;
-    CHECK(values_in(little, from_hex("78 fe ff ff 9a 43")) == "-1 16777214 true false 5.7 1");
+    CHECK(values_of_line(little, from_hex("78 fe ff ff 9a 43")) == "-1 16777214 true false 5.7 1");
   }
 
   TEST_CASE("US-13 bytes that are decimal digits") {
@@ -83,12 +72,12 @@ TEST_SUITE("sensors") {
                             .fields = {{.name = "a", .type = Kind::u32, .at = 0, .bytes = 3, .bcd = true},
                                        {.name = "b", .scale = 0.01, .at = 3, .wire = Kind::u16, .bcd = true}},
                             .frame = LineFrame{.start = "x", .length = 5}};
-    CHECK(values_in(digits, from_hex("12 34 56 98 76")) == "123456 98.76");
-    CHECK(values_in(digits, from_hex("12 3a 56 98 76")) == "its bytes are no decimal digits");
-    CHECK(values_in(digits, from_hex("12 34 56 f8 76")) == "its bytes are no decimal digits");
+    CHECK(values_of_line(digits, from_hex("12 34 56 98 76")) == "123456 98.76");
+    CHECK(values_of_line(digits, from_hex("12 3a 56 98 76")) == "its bytes are no decimal digits");
+    CHECK(values_of_line(digits, from_hex("12 34 56 f8 76")) == "its bytes are no decimal digits");
     LineConfig low_first = digits;
     low_first.frame->byte_order = WireOrder::little;
-    CHECK(values_in(low_first, from_hex("37 18 02 13 01")) == "21837 1.13");
+    CHECK(values_of_line(low_first, from_hex("37 18 02 13 01")) == "21837 1.13");
   }
 
   TEST_CASE("US-13 settings of bytes that exclude each other are refused") {
@@ -166,15 +155,15 @@ TEST_SUITE("sensors") {
                             .pattern = R"((?sJ)\x08\x01(?:\x52(?<energy>.)|\x55(?<energy>.{4})|\x59(?<energy>.{8})))"
                                        R"((?:.*?\x07\x53(?<power>..))?)",
                             .frame = LineFrame{.start = "x", .end = "y"}};
-    CHECK(values_in(tagged, from_hex("08 01 55 00 0c 13 61 00 07 53 f8 60")) == "79139.3 -1952");
-    CHECK(values_in(tagged, from_hex("08 01 52 0a")) == "1 absent");
+    CHECK(values_of_line(tagged, from_hex("08 01 55 00 0c 13 61 00 07 53 f8 60")) == "79139.3 -1952");
+    CHECK(values_of_line(tagged, from_hex("08 01 52 0a")) == "1 absent");
     LineConfig any_byte = tagged;
     any_byte.pattern = R"(\x08\x01(?<energy>.)(?<power>..)?)";
-    CHECK(values_in(any_byte, from_hex("08 01 0a 0d 0a 08 01 07")) == "1 3338");
-    CHECK(values_in({.format = LineFormat::pattern, .fields = {{.name = "a"}}, .pattern = "(?<a>[^;]+);"}, "21,;") ==
-          "\"21,\" is not a number");
-    CHECK(values_in(tagged, from_hex("08 01 59 00 00 00 00 00 0c 13 61")) == "79139.3 absent");
-    CHECK(has(values_in(tagged, from_hex("08 01 54 0a")), "`pattern` is not found"));
+    CHECK(values_of_line(any_byte, from_hex("08 01 0a 0d 0a 08 01 07")) == "1 3338");
+    CHECK(values_of_line({.format = LineFormat::pattern, .fields = {{.name = "a"}}, .pattern = "(?<a>[^;]+);"},
+                         "21,;") == "\"21,\" is not a number");
+    CHECK(values_of_line(tagged, from_hex("08 01 59 00 00 00 00 00 0c 13 61")) == "79139.3 absent");
+    CHECK(has(values_of_line(tagged, from_hex("08 01 54 0a")), "`pattern` is not found"));
     // A beacon of a RuuviTag, format 5: the example of its description.
     const LineConfig ruuvi{
         .format = LineFormat::pattern,
@@ -182,11 +171,11 @@ TEST_SUITE("sensors") {
                    {.name = "humidity", .scale = 0.0025, .base = 16, .wire = Kind::u16},
                    {.name = "battery", .type = Kind::u16, .base = 16, .wire = Kind::u16, .mask = 0xffe0}},
         .pattern = R"("data":"[0-9A-F]*FF990405(?<temp>.{4})(?<humidity>.{4}).{16}(?<battery>.{4}))"};
-    CHECK(values_in(ruuvi, R"({"data":"0201061BFF99040512FC5394C37C0004FFFC040CAC364200CDCBB8334C884F"})") ==
+    CHECK(values_of_line(ruuvi, R"({"data":"0201061BFF99040512FC5394C37C0004FFFC040CAC364200CDCBB8334C884F"})") ==
           "24.3 53.49 1377");
-    CHECK(values_in(ruuvi, R"({"data":"0201061BFF9904058000FFFFFFFF800080008000FFFFFFFFFFFFFFFFFFFFFF"})") ==
+    CHECK(values_of_line(ruuvi, R"({"data":"0201061BFF9904058000FFFFFFFF800080008000FFFFFFFFFFFFFFFFFFFFFF"})") ==
           "absent 163.8375 2047");
-    CHECK(has(values_in(ruuvi, R"({"data":"FF99040512XC5394C37C0004FFFC040CAC36"})"), "\"12XC\" is not bytes"));
+    CHECK(has(values_of_line(ruuvi, R"({"data":"FF99040512XC5394C37C0004FFFC040CAC36"})"), "\"12XC\" is not bytes"));
   }
 #endif
 }

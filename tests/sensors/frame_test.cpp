@@ -10,6 +10,7 @@
 #include "paths.hpp"
 #include "rtdata/data/event.hpp"
 #include "rtdata/sensors/serial_line.hpp"
+#include "sensors/decoded_line.hpp"
 #include "sensors/fixture.hpp"
 #include "sensors/lines/checksum.hpp"
 #include "sensors/lines/frame_cutter.hpp"
@@ -23,18 +24,6 @@ using rtdata::test::has;
 using namespace std::chrono_literals;
 
 namespace {
-
-std::string values_of_line(const LineConfig& config, std::string_view line) {
-  detail::LineDecoder decoder(config);
-  if (!decoder.is_meant(line)) return "left out";
-  const auto text = decoder.checked(line);
-  if (!text) return text.error().why;
-  if (const Result<void> done = decoder.decode(*text); !done) return done.error().why;
-  const EventView event("line", {}, *decoder.description(), {decoder.payload(), decoder.description()->size()}, "");
-  std::string all;
-  for (const Leaf& leaf : event.description().leaves()) all += (all.empty() ? "" : " ") + to_string(event.value(leaf));
-  return all;
-}
 
 /// Why such settings are refused.
 std::string refusal_of(const LineConfig& config) {

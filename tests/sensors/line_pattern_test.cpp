@@ -6,7 +6,7 @@
 #include <string>
 
 #include "has.hpp"
-#include "rtdata/data/event.hpp"
+#include "sensors/decoded_line.hpp"
 #include "sensors/lines/device_clock.hpp"
 #include "sensors/lines/line_config.hpp"
 #include "sensors/lines/line_decoder.hpp"
@@ -15,16 +15,6 @@ using namespace rtdata;
 using rtdata::test::has;
 
 namespace {
-
-std::string found_in(const LineConfig& config, std::string_view line) {
-  detail::LineDecoder decoder(config);
-  if (!decoder.is_meant(line)) return "left out";
-  if (const Result<void> done = decoder.decode(line); !done) return done.error().why;
-  const EventView event("line", {}, *decoder.description(), {decoder.payload(), decoder.description()->size()}, "");
-  std::string all;
-  for (const Leaf& leaf : event.description().leaves()) all += (all.empty() ? "" : " ") + to_string(event.value(leaf));
-  return all;
-}
 
 std::string refusal_of_pattern(const LineConfig& config) {
   try {
@@ -44,32 +34,32 @@ TEST_SUITE("sensors") {
                                  {.name = "state", .type = Kind::text},
                                  {.name = "load", .unit = "g", .scale = 0.001, .optional = true}},
                       .pattern = R"(T:\s*(?<temp>[-+0-9.]+) ?C.*\[(?<state>\w*)\](?: load=(?<load>[0-9]+))?)"};
-    CHECK(found_in(config, "12:00 T: -12.5C ok [RUN] load=12530") == "-12.5 RUN 12.53");
-    CHECK(found_in(config, "T:7 C[]") == "7  absent");
-    CHECK(has(found_in(config, "T: 12.5F [RUN]"), "`pattern` is not found"));
-    CHECK(has(found_in(config, "T: 1.2.3C [RUN]"), "\"1.2.3\" is not a number"));
-    CHECK(found_in(config, std::string("T: 1C\0[x]", 10)) == "1 x absent");
+    CHECK(values_of_line(config, "12:00 T: -12.5C ok [RUN] load=12530") == "-12.5 RUN 12.53");
+    CHECK(values_of_line(config, "T:7 C[]") == "7  absent");
+    CHECK(has(values_of_line(config, "T: 12.5F [RUN]"), "`pattern` is not found"));
+    CHECK(has(values_of_line(config, "T: 1.2.3C [RUN]"), "\"1.2.3\" is not a number"));
+    CHECK(values_of_line(config, std::string("T: 1C\0[x]", 10)) == "1 x absent");
     // A group that took no part, of a field that is always there.
     config.fields[2].optional = false;
-    CHECK(has(found_in(config, "T:7 C[]"), "its group is in no part"));
+    CHECK(has(values_of_line(config, "T:7 C[]"), "its group is in no part"));
     // Signs between values without another separator, as of SDI-12; each branch may have the group.
     const LineConfig signs{.format = LineFormat::pattern,
                            .fields = {{.name = "a"}, {.name = "b"}},
                            .pattern = R"(^\d(?<a>[+-][\d.]+)(?<b>[+-][\d.]+)$)"};
-    CHECK(found_in(signs, "0+12.3-4.5") == "12.3 -4.5");
+    CHECK(values_of_line(signs, "0+12.3-4.5") == "12.3 -4.5");
     const LineConfig either{
         .format = LineFormat::pattern, .fields = {{.name = "v"}}, .pattern = R"((?J)A=(?<v>\d+)|B=(?<v>\d+))"};
-    CHECK(found_in(either, "A=1") == "1");
-    CHECK(found_in(either, "B=2") == "2");
+    CHECK(values_of_line(either, "A=1") == "1");
+    CHECK(values_of_line(either, "B=2") == "2");
   }
 
   TEST_CASE("US-13 lines are chosen, and known as unreadable, by a regular expression") {
     const LineConfig config{.fields = {{.name = "", .type = Kind::text}, {.name = "v"}},
                             .only = LineMatch{.column = 1, .pattern = "^T[0-9]$"},
                             .unreadable_if = LineMatch{.pattern = "(?i)err(or)?"}};
-    CHECK(found_in(config, "T1,5") == "5");
-    CHECK(found_in(config, "T12,5") == "left out");
-    CHECK(has(found_in(config, "T2,Error"), "unreadable_if"));
+    CHECK(values_of_line(config, "T1,5") == "5");
+    CHECK(values_of_line(config, "T12,5") == "left out");
+    CHECK(has(values_of_line(config, "T2,Error"), "unreadable_if"));
   }
 
   TEST_CASE("US-13 a regular expression that cannot be is refused with its place, and with its names") {
@@ -91,7 +81,7 @@ TEST_SUITE("sensors") {
                             .pattern = "(?<v>(a+)+)$"};
     const std::string line = std::string(4000, 'a') + "b";
     const std::clock_t begin = std::clock();
-    CHECK(has(found_in(config, line), "too many steps"));
+    CHECK(has(values_of_line(config, line), "too many steps"));
     CHECK(static_cast<double>(std::clock() - begin) / CLOCKS_PER_SEC < 2);  // without a limit: longer than the universe
     // Many starts, and many bytes a step: PCRE2's own limit counts neither.
     const auto seconds_of = [](const char* pattern, const std::string& text) {
@@ -108,11 +98,11 @@ TEST_SUITE("sensors") {
     CHECK(seconds_of(R"((?<v>[0-9]+)[XY])", std::string(1'048'576, '1')) < 4);
     // A long line that is meant has the steps that it needs.
     const LineConfig far{.format = LineFormat::pattern, .fields = {{.name = "v"}}, .pattern = "a.*=(?<v>[0-9]+)$"};
-    CHECK(found_in(far, "a" + std::string(4000, ' ') + "=7") == "7");
+    CHECK(values_of_line(far, "a" + std::string(4000, ' ') + "=7") == "7");
     // Whether it is meant is not known: it is not left out without a word, nor taken.
     const LineConfig chosen{.fields = {{.name = "v"}, {.name = "w"}}, .only = LineMatch{.pattern = "^(a+)+$|^OK"}};
-    CHECK(has(found_in(chosen, std::string(100, 'a') + "b,3"), "the pattern of `only` takes too many steps"));
-    CHECK(found_in(chosen, "7,3") == "left out");
+    CHECK(has(values_of_line(chosen, std::string(100, 'a') + "b,3"), "the pattern of `only` takes too many steps"));
+    CHECK(values_of_line(chosen, "7,3") == "left out");
     const LineConfig utf{.format = LineFormat::pattern, .fields = {{.name = "v"}}, .pattern = "(*UTF)(?<v>.)"};
     CHECK(has(refusal_of_pattern(utf), "pattern: at character"));
   }
