@@ -3,7 +3,6 @@
 #include <cstdio>
 
 #include "rtdata/app/program.hpp"
-#include "rtdata/app/standard.hpp"
 
 struct Wave {
   double value = 0;

@@ -1,4 +1,3 @@
 #include "rtdata/app/program.hpp"
-#include "rtdata/app/standard.hpp"
 
 int main(int argc, char** argv) { return rtdata::run_program(rtdata::standard_registry(), argc, argv); }

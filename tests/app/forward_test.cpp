@@ -17,7 +17,7 @@
 #include "app/run/data_at_risk.hpp"
 #include "has.hpp"
 #include "paths.hpp"
-#include "rtdata/app/standard.hpp"
+#include "rtdata/app/program.hpp"
 #include "rtdata/recording/recording.hpp"
 
 using namespace rtdata;

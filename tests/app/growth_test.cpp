@@ -11,7 +11,7 @@
 #include "app/process.hpp"
 #include "app/run/data_at_risk.hpp"
 #include "app/run/starter.hpp"
-#include "rtdata/app/standard.hpp"
+#include "rtdata/app/program.hpp"
 
 using namespace rtdata;
 using namespace rtdata::app;

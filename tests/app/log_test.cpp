@@ -10,7 +10,7 @@
 #include <sstream>
 #include <string>
 
-#include "rtdata/app/standard.hpp"
+#include "rtdata/app/program.hpp"
 #include "sinks/sink_kinds.hpp"
 
 using namespace rtdata;

@@ -18,7 +18,7 @@
 #include "app/run/starter.hpp"
 #include "io/enabling.hpp"
 #include "paths.hpp"
-#include "rtdata/app/standard.hpp"
+#include "rtdata/app/program.hpp"
 #include "rtdata/io/i2c.hpp"
 #include "rtdata/testing/fake_i2c.hpp"
 #include "sensors/fixture.hpp"

@@ -11,7 +11,7 @@
 
 #include "../examples/rocket/rocket.hpp"
 #include "app/hard_flights.hpp"
-#include "rtdata/app/standard.hpp"
+#include "rtdata/app/program.hpp"
 #include "rtdata/config/system.hpp"
 #include "rtdata/fsm/machine.hpp"
 #include "rtdata/sensors/feed.hpp"

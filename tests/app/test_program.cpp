@@ -1,7 +1,6 @@
 // The program with the types of the tests beside its own: what a user's program with types of its own looks like.
 #include "config/test_types.hpp"
 #include "rtdata/app/program.hpp"
-#include "rtdata/app/standard.hpp"
 
 int main(int argc, char** argv) {
   rtdata::Registry registry = rtdata::standard_registry();

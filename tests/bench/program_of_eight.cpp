@@ -1,7 +1,6 @@
 // The program rtdata with a sensor of eight numbers that costs nothing, for what is measured of a whole program.
 #include "payloads.hpp"
 #include "rtdata/app/program.hpp"
-#include "rtdata/app/standard.hpp"
 #include "rtdata/sensors/sensor.hpp"
 
 int main(int count, char** arguments) {

@@ -15,7 +15,7 @@
 #include "app/process.hpp"
 #include "config/test_types.hpp"
 #include "loop/runtime/runtime_core.hpp"
-#include "rtdata/app/standard.hpp"
+#include "rtdata/app/program.hpp"
 #include "rtdata/recording/recording.hpp"
 #include "rtdata/recording/verify.hpp"
 #include "rtdata/sensors/limit.hpp"

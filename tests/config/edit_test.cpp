@@ -3,7 +3,7 @@
 
 #include <string>
 
-#include "rtdata/config/edit.hpp"
+#include "rtdata/config/format.hpp"
 #include "rtdata/data/config_value.hpp"
 
 using namespace rtdata;

@@ -8,7 +8,7 @@
 
 #include "app/process.hpp"
 #include "config/test_types.hpp"
-#include "rtdata/app/standard.hpp"
+#include "rtdata/app/program.hpp"
 #include "rtdata/config/system.hpp"
 
 using namespace rtdata;

@@ -11,7 +11,7 @@
 #include <vector>
 
 #include "outputs/memory_actuator.hpp"
-#include "rtdata/app/standard.hpp"
+#include "rtdata/app/program.hpp"
 #include "rtdata/config/change.hpp"
 #include "rtdata/config/format.hpp"
 #include "rtdata/config/system.hpp"

@@ -11,7 +11,7 @@
 #include "app/process.hpp"
 #include "has.hpp"
 #include "paths.hpp"
-#include "rtdata/app/standard.hpp"
+#include "rtdata/app/program.hpp"
 #include "rtdata/config/system.hpp"
 #include "rtdata/loop/runtime.hpp"
 #include "rtdata/loop/topic.hpp"

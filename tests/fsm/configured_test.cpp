@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "app/process.hpp"
-#include "rtdata/app/standard.hpp"
+#include "rtdata/app/program.hpp"
 #include "rtdata/config/system.hpp"
 #include "rtdata/process/expression.hpp"
 #include "rtdata/sensors/feed.hpp"

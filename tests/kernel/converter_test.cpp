@@ -9,7 +9,7 @@
 #include <string>
 
 #include "kernel/bench.hpp"
-#include "rtdata/app/standard.hpp"
+#include "rtdata/app/program.hpp"
 #include "rtdata/chips/ina.hpp"
 #include "rtdata/chips/max31855.hpp"
 #include "rtdata/chips/nau7802.hpp"

@@ -8,7 +8,7 @@
 #include "app/process.hpp"
 #include "kernel/bench.hpp"
 #include "kernel/gpio_bench.hpp"
-#include "rtdata/app/standard.hpp"
+#include "rtdata/app/program.hpp"
 #include "rtdata/io/i2c.hpp"
 
 using namespace bench;

@@ -5,7 +5,7 @@
 
 #include "kernel/bench.hpp"
 #include "kernel/gpio_bench.hpp"
-#include "rtdata/app/standard.hpp"
+#include "rtdata/app/program.hpp"
 #include "rtdata/config/system.hpp"
 
 using namespace bench;

@@ -11,7 +11,7 @@
 #include "app/machine/scan.hpp"
 #include "kernel/bench.hpp"
 #include "kernel/gpio_bench.hpp"
-#include "rtdata/app/standard.hpp"
+#include "rtdata/app/program.hpp"
 #include "rtdata/chips/barometer.hpp"
 #include "rtdata/chips/imu.hpp"
 #include "rtdata/chips/lm75.hpp"

@@ -10,7 +10,7 @@
 #include "kernel/bench.hpp"
 #include "kernel/gpio_bench.hpp"
 #include "paths.hpp"
-#include "rtdata/app/standard.hpp"
+#include "rtdata/app/program.hpp"
 #include "rtdata/outputs/gpio.hpp"
 
 using namespace bench;

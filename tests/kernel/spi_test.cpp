@@ -8,7 +8,7 @@
 #include <string>
 
 #include "kernel/bench.hpp"
-#include "rtdata/app/standard.hpp"
+#include "rtdata/app/program.hpp"
 #include "rtdata/chips/mcp3x08.hpp"
 #include "rtdata/config/system.hpp"
 #include "rtdata/io/spi.hpp"

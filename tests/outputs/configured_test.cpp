@@ -18,7 +18,7 @@
 #include "outputs/memory_actuator.hpp"
 #include "outputs/terminal.hpp"
 #include "paths.hpp"
-#include "rtdata/app/standard.hpp"
+#include "rtdata/app/program.hpp"
 #include "rtdata/config/change.hpp"
 #include "rtdata/config/system.hpp"
 #include "rtdata/loop/tier.hpp"

@@ -13,7 +13,7 @@
 #include "app/process.hpp"
 #include "outputs/output_log.hpp"
 #include "paths.hpp"
-#include "rtdata/app/standard.hpp"
+#include "rtdata/app/program.hpp"
 #include "rtdata/config/system.hpp"
 #include "rtdata/loop/runtime.hpp"
 #include "rtdata/outputs/guard.hpp"

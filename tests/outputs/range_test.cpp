@@ -17,7 +17,7 @@
 #include "outputs/memory_actuator.hpp"
 #include "outputs/output_log.hpp"
 #include "paths.hpp"
-#include "rtdata/app/standard.hpp"
+#include "rtdata/app/program.hpp"
 #include "rtdata/config/system.hpp"
 #include "rtdata/loop/runtime.hpp"
 #include "rtdata/outputs/gpio.hpp"

@@ -10,7 +10,7 @@
 #include "fsm/configured.hpp"
 #include "outputs/memory_actuator.hpp"
 #include "outputs/output_log.hpp"
-#include "rtdata/app/standard.hpp"
+#include "rtdata/app/program.hpp"
 #include "rtdata/config/change.hpp"
 #include "rtdata/config/system.hpp"
 #include "rtdata/loop/runtime.hpp"

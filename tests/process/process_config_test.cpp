@@ -3,7 +3,7 @@
 
 #include "config/test_types.hpp"
 #include "has.hpp"
-#include "rtdata/app/standard.hpp"
+#include "rtdata/app/program.hpp"
 #include "rtdata/config/system.hpp"
 #include "rtdata/loop/topic.hpp"
 

@@ -9,7 +9,7 @@
 #include <string>
 #include <vector>
 
-#include "rtdata/app/standard.hpp"
+#include "rtdata/app/program.hpp"
 #include "rtdata/chips/ads1x15.hpp"
 #include "rtdata/chips/nau7802.hpp"
 #include "rtdata/config/system.hpp"

@@ -7,7 +7,7 @@
 #include <string>
 #include <vector>
 
-#include "rtdata/app/standard.hpp"
+#include "rtdata/app/program.hpp"
 #include "rtdata/config/format.hpp"
 #include "rtdata/config/system.hpp"
 #include "sensors/fixture.hpp"

@@ -18,7 +18,7 @@
 #include "app/core/standard_drivers.hpp"
 #include "app/inspect/types_markdown.hpp"
 #include "app/machine/scanner.hpp"
-#include "rtdata/app/standard.hpp"
+#include "rtdata/app/program.hpp"
 #include "rtdata/config/change.hpp"
 #include "rtdata/config/system.hpp"
 #include "rtdata/detail/loop/lane.hpp"

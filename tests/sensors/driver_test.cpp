@@ -7,7 +7,7 @@
 #include <string>
 #include <vector>
 
-#include "rtdata/app/standard.hpp"
+#include "rtdata/app/program.hpp"
 #include "rtdata/chips/barometer.hpp"
 #include "rtdata/chips/ina.hpp"
 #include "rtdata/chips/lm75.hpp"

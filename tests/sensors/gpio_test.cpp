@@ -8,7 +8,7 @@
 #include <vector>
 
 #include "has.hpp"
-#include "rtdata/app/standard.hpp"
+#include "rtdata/app/program.hpp"
 #include "rtdata/config/system.hpp"
 #include "rtdata/sensors/counter.hpp"
 #include "rtdata/sensors/edge.hpp"

@@ -9,7 +9,7 @@
 #include <optional>
 
 #include "has.hpp"
-#include "rtdata/app/standard.hpp"
+#include "rtdata/app/program.hpp"
 #include "rtdata/config/system.hpp"
 #include "rtdata/loop/gaps.hpp"
 #include "rtdata/loop/timer.hpp"

@@ -5,7 +5,7 @@
 #include <string>
 #include <vector>
 
-#include "rtdata/app/standard.hpp"
+#include "rtdata/app/program.hpp"
 #include "rtdata/chips/accelerometer.hpp"
 #include "rtdata/chips/barometer.hpp"
 #include "rtdata/chips/bme680.hpp"

@@ -8,7 +8,7 @@
 #include <string>
 #include <vector>
 
-#include "rtdata/app/standard.hpp"
+#include "rtdata/app/program.hpp"
 #include "rtdata/chips/imu.hpp"
 #include "rtdata/config/system.hpp"
 #include "rtdata/detail/loop/lane.hpp"

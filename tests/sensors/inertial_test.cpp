@@ -11,7 +11,7 @@
 #include <utility>
 #include <vector>
 
-#include "rtdata/app/standard.hpp"
+#include "rtdata/app/program.hpp"
 #include "rtdata/chips/accelerometer.hpp"
 #include "rtdata/chips/imu.hpp"
 #include "rtdata/config/system.hpp"

@@ -24,7 +24,7 @@ TEST_CASE("US-42 Modbus is tested where libmodbus is") {
 
 #include "app/run/data_at_risk.hpp"
 #include "has.hpp"
-#include "rtdata/app/standard.hpp"
+#include "rtdata/app/program.hpp"
 #include "rtdata/config/system.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/sensors/modbus.hpp"

@@ -6,7 +6,7 @@
 #include <string>
 #include <vector>
 
-#include "rtdata/app/standard.hpp"
+#include "rtdata/app/program.hpp"
 #include "rtdata/chips/barometer.hpp"
 #include "rtdata/chips/imu.hpp"
 #include "rtdata/chips/magnetometer.hpp"

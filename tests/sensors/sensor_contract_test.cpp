@@ -8,7 +8,7 @@
 #include <memory>
 #include <optional>
 
-#include "rtdata/app/standard.hpp"
+#include "rtdata/app/program.hpp"
 #include "rtdata/config/system.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/sensors/analog.hpp"

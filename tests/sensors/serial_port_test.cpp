@@ -13,7 +13,7 @@
 
 #include "data/hex_bytes.hpp"
 #include "io/tty.hpp"
-#include "rtdata/app/standard.hpp"
+#include "rtdata/app/program.hpp"
 #include "rtdata/chips/mhz19.hpp"
 #include "rtdata/config/system.hpp"
 #include "rtdata/loop/timer.hpp"

@@ -8,7 +8,7 @@
 #include <string>
 #include <vector>
 
-#include "rtdata/app/standard.hpp"
+#include "rtdata/app/program.hpp"
 #include "rtdata/chips/mcp3x08.hpp"
 #include "rtdata/config/system.hpp"
 #include "rtdata/testing/fake_spi.hpp"

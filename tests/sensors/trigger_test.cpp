@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "fsm/configured.hpp"
-#include "rtdata/app/standard.hpp"
+#include "rtdata/app/program.hpp"
 #include "rtdata/config/change.hpp"
 #include "rtdata/config/format.hpp"
 #include "rtdata/config/system.hpp"

@@ -12,7 +12,7 @@
 
 #include "app/process.hpp"
 #include "net/http_url.hpp"
-#include "rtdata/app/standard.hpp"
+#include "rtdata/app/program.hpp"
 #include "rtdata/config/format.hpp"
 #include "rtdata/config/system.hpp"
 

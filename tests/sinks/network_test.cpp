@@ -9,7 +9,7 @@
 #include <numeric>
 #include <sstream>
 
-#include "rtdata/app/standard.hpp"
+#include "rtdata/app/program.hpp"
 #include "rtdata/config/format.hpp"
 #include "rtdata/config/system.hpp"
 #include "rtdata/data/codec.hpp"

@@ -14,7 +14,7 @@
 #include <string>
 #include <vector>
 
-#include "rtdata/app/standard.hpp"
+#include "rtdata/app/program.hpp"
 #include "rtdata/config/system.hpp"
 #include "rtdata/data/codec.hpp"
 #include "rtdata/sinks/file.hpp"

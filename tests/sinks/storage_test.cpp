@@ -12,7 +12,7 @@
 #include <vector>
 
 #include "recording/prune.hpp"
-#include "rtdata/app/standard.hpp"
+#include "rtdata/app/program.hpp"
 #include "rtdata/config/system.hpp"
 #include "sinks/killed.hpp"
 #include "sinks/recordings.hpp"

@@ -8,7 +8,7 @@
 
 #include "has.hpp"
 #include "recording/database.hpp"
-#include "rtdata/app/standard.hpp"
+#include "rtdata/app/program.hpp"
 #include "rtdata/config/system.hpp"
 #include "rtdata/recording/sqlite.hpp"
 #include "rtdata/recording/verify.hpp"

@@ -11,6 +11,11 @@
 /// A format of your own implements `ConfigFormat` with the help of `ConfigBuilder`, and is added to a `ConfigFormats`
 /// that is given to `load_config`. There is no global list.
 ///
+/// `with_member` and `without_member` change one member of an object in the text of JSON; comments, order and layout
+/// stay:
+///
+///     text = with_member(document, document.root.at("sensors[0]"), "rate", ConfigItem::of("50 Hz"));
+///
 /// Limits: a file of 64 MiB, 64 levels of nesting. Text is UTF-8, with or without a byte order mark.
 /// Values; any thread. `load_config` blocks on the file system: call it before a loop runs, or on a lane.
 #pragma once
@@ -142,5 +147,12 @@ class ConfigBuilder {
   Position key_position_;
   ConfigItem root_;
 };
+
+/// The text of a document of JSON without problems, with this value for the key of an object in its root: in place of
+/// the value before, or behind the last member. Read the result again before the next change: places move.
+std::string with_member(const ConfigDocument& document, const ConfigItem& object, std::string_view key,
+                        const ConfigItem& value);
+/// The text without this key; the same text if the object has no such key.
+std::string without_member(const ConfigDocument& document, const ConfigItem& object, std::string_view key);
 
 }  // namespace rtdata

@@ -1,4 +1,4 @@
-#include "rtdata/app/standard.hpp"
+#include "rtdata/app/program.hpp"
 
 #include "app/core/machines.hpp"
 #include "app/core/standard_drivers.hpp"

@@ -16,7 +16,7 @@
 #include "app/core/configuration_commands.hpp"
 #include "app/core/replaced_file.hpp"
 #include "app/run/raw_values.hpp"
-#include "rtdata/config/edit.hpp"
+#include "rtdata/config/format.hpp"
 #include "rtdata/process/processing.hpp"
 
 namespace rtdata::app {

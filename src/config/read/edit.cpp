@@ -1,4 +1,4 @@
-#include "rtdata/config/edit.hpp"
+#include "rtdata/config/format.hpp"
 
 #include <algorithm>
 #include <cstddef>
