@@ -34,6 +34,8 @@ constexpr std::array<std::uint8_t, 7> bme280_humidity{0x6a, 0x01, 0x00, 0x13, 0x
 constexpr std::array<std::uint8_t, 21> bmp388_trimming{0xd0, 0x6b, 0x92, 0x4a, 0xf9, 0x3e, 0xfe, 0x04, 0xfc, 0x23, 0x00,
                                                        0x7c, 0x60, 0xc0, 0x76, 0xf9, 0xf9, 0x54, 0x24, 0x1e, 0xc4};
 constexpr std::array<std::uint8_t, 6> bmp388_data{0x80, 0xc2, 0x67, 0x80, 0x2c, 0x80};
+/// Such as they are, of which the data sheet (BST-BMP581-DS004, 4.5) has no example: -10.5 degrees, 100653.25 Pa.
+constexpr std::array<std::uint8_t, 6> bmp581_data{0x00, 0x80, 0xf5, 0x50, 0x4b, 0x62};
 /// The data sheet's example (MS5611-01BA03, figure 2); the checksum is set by the tests.
 Ms5611Prom ms5611_prom() {
   Ms5611Prom prom{{0, 40127, 36924, 23317, 23282, 33464, 28312, 0}};
@@ -63,6 +65,22 @@ void put_bosch(FakeI2cChip& chip, BarometerModel model) {
     }
   }
 }
+
+void put_bmp5(FakeI2cChip& chip, BarometerModel model) {
+  chip.set(0x01, {static_cast<std::uint8_t>(model == BarometerModel::bmp581 ? 0x50 : 0x51)});
+  chip.set(0x27, {0x11, 0x02});  // data is ready, it was reset; its memory is ready
+  put(chip, 0x1d, bmp581_data);
+}
+
+/// A bus on which the command of the reset is carried out and not acknowledged.
+class WithoutAcknowledgement final : public I2cTransport {
+ public:
+  int transfer(unsigned address, std::span<const std::uint8_t> write, std::span<std::uint8_t> read) noexcept override {
+    const int error = fake.transfer(address, write, read);
+    return write.size() == 2 && write[0] == 0x7e ? EREMOTEIO : error;
+  }
+  FakeI2c fake;
+};
 
 /// An MS5611: commands of one byte, conversions that take their time, zeros without one.
 class FakeMs5611 final : public I2cTransport {
@@ -181,6 +199,113 @@ TEST_SUITE("sensors") {
     CHECK(air.pressure == doctest::Approx(95605.77574240106).epsilon(1e-12));
     const std::array<std::uint8_t, 6> skipped{0, 0, 0x80, 0, 0, 0x80};
     CHECK(trimming.measurement(skipped).error().code == Errc::bad_data);
+  }
+
+  TEST_CASE("US-12 BMP581: pressure in 1/64 Pa, temperature with a sign in 1/65536 degrees; a skipped measurement") {
+    const AirMeasurement air = bmp581_measurement(bmp581_data).or_throw();
+    CHECK(air.pressure == 100653.25);
+    CHECK(air.temperature == -10.5);
+    CHECK(!air.humidity);
+    const std::array<std::uint8_t, 6> warm{0x01, 0x00, 0x19, 0xff, 0xff, 0xff};
+    CHECK(bmp581_measurement(warm).or_throw().temperature == 25 + 1 / 65536.0);
+    CHECK(bmp581_measurement(warm).or_throw().pressure == 262144 - 1 / 64.0);
+    auto skipped = bmp581_data;  // without `press_en`: the pressure alone
+    std::fill(skipped.begin() + 3, skipped.end(), std::uint8_t{0x7f});
+    CHECK(bmp581_measurement(skipped).error().code == Errc::bad_data);
+    skipped.fill(0x7f);  // as after a reset
+    CHECK(bmp581_measurement(skipped).error().code == Errc::bad_data);
+  }
+
+  TEST_CASE("US-12 BMP581, BMP585: measured at each tick, with the settings of the configuration") {
+    for (const BarometerModel model : {BarometerModel::bmp581, BarometerModel::bmp585}) {
+      CAPTURE(static_cast<int>(model));
+      BarometerBench bench;
+      FakeI2cChip& chip = bench.wires->chip(0x47);
+      put_bmp5(chip, model);
+      int resets = 0;
+      chip.on_write(0x7e, [&](std::uint16_t value) { resets += value == 0xb6; });
+      BarometerSensor air(bench.loop, {.name = "air", .rate = 5_Hz}, bench.bus, {.address = 0x47},
+                          {.model = model,
+                           .pressure_oversampling = 128,
+                           .temperature_oversampling = 8,
+                           .reference_pressure = 100653.25});
+      bench.loop.advance(1s);
+      CHECK(resets == 1);
+      CHECK(bench.errors.empty());
+      REQUIRE(bench.readings.size() >= 4);
+      CHECK(bench.readings.back().pressure == 100653.25);
+      CHECK(bench.readings.back().temperature == -10.5);
+      CHECK(bench.readings.back().altitude == doctest::Approx(0).epsilon(0.01));
+      CHECK(!bench.readings.back().humidity);
+      CHECK(chip.get(0x15) == 1);
+      CHECK(chip.get(0x36) == (0x40 | 7 << 3 | 3));
+      CHECK(chip.get(0x37) == 0xf2);
+      CHECK(air.counts().published == bench.readings.size());
+      CHECK(bench.loop.runtime().balances());
+    }
+    // Each is longer than the data sheet's time of a whole measurement (table 9): 2.7, 12.5, 23.3 and 88 ms.
+    const auto time = [](unsigned pressure, unsigned temperature) {
+      return Barometer({.model = BarometerModel::bmp581,
+                        .pressure_oversampling = pressure,
+                        .temperature_oversampling = temperature})
+          .conversion_time();
+    };
+    CHECK(time(1, 1) == 4600us);
+    CHECK(time(16, 1) == 14470us);
+    CHECK(time(32, 2) == 25075us);
+    CHECK(time(128, 8) == 89125us);
+  }
+
+  TEST_CASE("US-27 BMP581: lost settings, no data, a bad memory, no reset, another chip; no answer to the reset") {
+    BarometerBench bench;
+    FakeI2cChip& chip = bench.wires->chip(0x46);
+    put_bmp5(chip, BarometerModel::bmp581);
+    const Barometer::Config config{.model = BarometerModel::bmp581, .pressure_oversampling = 128};
+    BarometerSensor air(bench.loop, {.name = "air", .rate = 10_Hz, .faulted_after = 10}, bench.bus, {.address = 0x46},
+                        config);
+    bench.loop.advance(301ms);  // a measurement is under way
+    const auto published = air.counts().published;
+    chip.set(0x36, {0x00, 0x70});  // it was reset
+    bench.loop.advance(99ms);
+    CHECK(air.counts().unreadable == 1);
+    CHECK(air.counts().published == published);
+    REQUIRE(!bench.errors.empty());
+    CHECK(bench.errors.back().find("it has lost its settings since the start") != std::string::npos);
+    bench.loop.advance(200ms);
+    CHECK(air.counts().unreadable == 1);
+    CHECK(air.health() == Health::ok);
+    chip.set(0x1d, {0x7f, 0x7f, 0x7f, 0x7f, 0x7f, 0x7f});
+    bench.loop.advance(200ms);
+    CHECK(air.status().reason.find("the measurement was skipped") != std::string::npos);
+    chip.set(0x27, {0x10});
+    bench.loop.advance(200ms);
+    CHECK(air.status().reason.find("the measurement takes too long") != std::string::npos);
+    put_bmp5(chip, BarometerModel::bmp581);
+    bench.loop.advance(500ms);
+    CHECK(air.health() == Health::ok);
+    CHECK(bench.loop.runtime().balances());
+
+    const auto reason = [&](std::initializer_list<std::uint8_t> status, BarometerModel there) {
+      FakeI2cChip& other = bench.wires->chip(0x47);
+      put_bmp5(other, there);
+      other.set(0x27, status);
+      const BarometerSensor refused(bench.loop, {.name = "other", .rate = 1_Hz}, bench.bus, {.address = 0x47}, config);
+      CHECK(refused.health() == Health::faulted);
+      return refused.status().reason;
+    };
+    CHECK(reason({0x10, 0x06}, BarometerModel::bmp581).find("its memory has an error") != std::string::npos);
+    CHECK(reason({0x10, 0x00}, BarometerModel::bmp581).find("its memory has an error") != std::string::npos);
+    CHECK(reason({0x01, 0x02}, BarometerModel::bmp581).find("it does not reset") != std::string::npos);
+    CHECK(reason({0x11, 0x02}, BarometerModel::bmp585).find("it seems to be a BMP585: set `model`") !=
+          std::string::npos);
+
+    const auto wires = std::make_shared<WithoutAcknowledgement>();
+    put_bmp5(wires->fake.chip(0x46), BarometerModel::bmp581);
+    I2cBus bus("i2c2", wires, {.timeout = 200ms});
+    BarometerSensor one(bench.loop, {.name = "one", .rate = 10_Hz}, bus, {.address = 0x46}, config);
+    bench.loop.advance(1s);
+    CHECK(one.health() == Health::ok);
+    CHECK(one.counts().published >= 8);
   }
 
   TEST_CASE("US-12 MS5611: the data sheet's worked example, the cold, and the checksum of AN520") {
@@ -442,6 +567,7 @@ TEST_SUITE("sensors") {
     };
     CHECK(problems(R"("model": "ms5611", "pressure_oversampling": 4096)") == "");
     CHECK(problems(R"("model": "bmp390", "pressure_oversampling": 32)") == "");
+    CHECK(problems(R"("model": "bmp581", "pressure_oversampling": 128, "temperature_oversampling": 8)") == "");
     CHECK(problems(R"("model": "bmp280", "pressure_oversampling": 32)")
               .find("32 is not one of 1, 2, 4, 8, 16, which the BMP280 has") != std::string::npos);
     CHECK(problems(R"("model": "ms5611", "temperature_oversampling": 16)")

@@ -1,15 +1,18 @@
-/// Barometer: pressure, temperature and altitude of a BMP280, BME280 (humidity too), BMP388, BMP390 or MS5611 on I2C.
+/// Barometer: pressure, temperature and altitude of a BMP280, BME280 (humidity too), BMP388, BMP390, BMP581, BMP585 or
+/// MS5611 on I2C or SPI.
 ///
 ///     rtdata::DriverSensor<rtdata::Barometer> air(loop, {.name = "air", .rate = 10_Hz}, bus, {.address = 0x76},
 ///                                                 {.model = BarometerModel::bmp280, .pressure_oversampling = 16});
 ///
 /// Each tick starts one measurement and reads it when the chip has had its time (7 ms, with 16-fold oversampling of
-/// both 76 ms); the bus is free for others meanwhile, and the event has the time of the start. An MS5611 measures its
-/// temperature after the pressure, for which it holds the bus (0.6 to 9 ms, as `temperature_oversampling` says).
+/// both 76 ms; a BMP581: 5 and 17 ms); the bus is free for others meanwhile, and the event has the time of the start. An
+/// MS5611 measures its temperature after the pressure, for which it holds the bus (0.6 to 9 ms, as
+/// `temperature_oversampling` says).
 ///
 /// The driver refuses a chip with another identity; an MS5611 has no identity and is checked by its checksum. It also
-/// refuses trimming parameters that are all zeros or all ones. A reading is unreadable when the chip was reset during
-/// the measurement, has lost its settings, or has skipped the measurement; the next tick sets the chip up again.
+/// refuses trimming parameters that are all zeros or all ones; a BMP581 has none that are read, and says itself whether
+/// its memory is right. A reading is unreadable when the chip was reset during the measurement, has lost its settings,
+/// or has skipped the measurement; the next tick sets the chip up again.
 ///
 /// `altitude` is the pressure altitude in the ICAO standard atmosphere (`pressure_altitude`) minus the altitude of
 /// `reference_pressure`: an altimeter that is set to this pressure shows the same. With the pressure at sea level it is
@@ -17,9 +20,10 @@
 ///
 /// Sources: BMP280, BST-BMP280-DS001: 3.8.1 times, 3.11.3 and 8.1 compensation, 4.3 registers. BME280,
 /// BST-BME280-DS002: 4.2.3 and 8.1 compensation, 5.4 registers, 9.1 times. BMP388, BST-BMP388-DS001, and BMP390,
-/// BST-BMP390-DS002: 3.9.2 times, 4.3 registers, 9.1 to 9.3 compensation. MS5611-01BA03, TE data sheet of 2017:
-/// commands, conversion times, figures 2 and 3 compensation; checksum: AN520. Atmosphere: ICAO Doc 7488, the same as
-/// ISO 2533 and US Standard Atmosphere 1976 up to 80 km.
+/// BST-BMP390-DS002: 3.9.2 times, 4.3 registers, 9.1 to 9.3 compensation. BMP581, BST-BMP581-DS004: 2 times, 4.3 modes,
+/// 4.5 data, 5.1 choice of the bus, 7 registers; Bosch's BMP5 SensorAPI, which has the BMP585, too. MS5611-01BA03, TE
+/// data sheet of 2017: commands, conversion times, figures 2 and 3 compensation; checksum: AN520. Atmosphere: ICAO Doc
+/// 7488, the same as ISO 2533 and US Standard Atmosphere 1976 up to 80 km.
 ///
 /// Driver (driver.hpp): used on the bus's lane.
 #pragma once
@@ -89,7 +93,7 @@ struct BarometerReading {
   }
 };
 
-enum class BarometerModel { bmp280, bme280, bmp388, bmp390, ms5611 };
+enum class BarometerModel { bmp280, bme280, bmp388, bmp390, bmp581, bmp585, ms5611 };
 
 /// What a chip has measured, in Pa, degrees Celsius and percent.
 struct AirMeasurement {
@@ -198,6 +202,17 @@ struct Bmp388Trimming {
   }
 };
 
+/// What a BMP581 or BMP585 has compensated by itself: registers 0x1d to 0x22. Errors: bad-data (a measurement was
+/// skipped).
+inline Result<AirMeasurement> bmp581_measurement(std::span<const std::uint8_t, 6> bytes) {
+  const auto code = [&](std::size_t at) { return bytes[at] | bytes[at + 1] << 8 | bytes[at + 2] << 16; };
+  constexpr int skipped = 0x7f7f7f, sign = 0x800000;  // skipped: as after a reset
+  if (code(0) == skipped || code(3) == skipped)
+    return Error{Errc::bad_data, "cannot read the barometer", "", "the measurement was skipped",
+                 "it was reset, or is damaged"};
+  return AirMeasurement{code(3) / 64.0, ((code(0) ^ sign) - sign) / 65536.0, {}};
+}
+
 /// The eight words of an MS5611's PROM, and its compensation.
 struct Ms5611Prom {
   std::array<std::uint16_t, 8> words{};
@@ -238,7 +253,7 @@ struct Ms5611Prom {
 
 class Barometer {
   /// Chips whose registers and compensation are alike.
-  enum class Family { bmp2, bmp3, ms5 };
+  enum class Family { bmp2, bmp3, bmp5, ms5 };
   struct Model {
     KnownChip chip;
     Family family;
@@ -251,23 +266,27 @@ class Barometer {
       {{"BME280", "bme280", {0x76, 0x77}, {{0xd0, 0x60}}}, Family::bmp2, true, 1, 16, 1, 1},
       {{"BMP388", "bmp388", {0x76, 0x77}, {{0x00, 0x50}}}, Family::bmp3, false, 1, 32, 1, 1},
       {{"BMP390", "bmp390", {0x76, 0x77}, {{0x00, 0x60}}}, Family::bmp3, false, 1, 32, 1, 1},
+      {{"BMP581", "bmp581", {0x46, 0x47}, {{0x01, 0x50}}}, Family::bmp5, false, 1, 128, 1, 1},
+      {{"BMP585", "bmp585", {0x46, 0x47}, {{0x01, 0x51}}}, Family::bmp5, false, 1, 128, 1, 1},
       {{"MS5611", "ms5611", {0x76, 0x77}}, Family::ms5, false, 256, 4096, 4096, 1024}};
 
  public:
   static constexpr std::string_view type = "barometer";
   static constexpr std::string_view aliases = "altimeter gy-68 gy-91";
-  static constexpr std::string_view
-      description = "pressure, temperature and altitude of a BMP280, BME280, BMP388, BMP390 or MS5611 on I2C or SPI";
+  static constexpr std::string_view description =
+      "pressure, temperature and altitude of a BMP280, BME280, BMP388, BMP390, BMP581, BMP585 or MS5611 on I2C or SPI";
   static constexpr std::string_view notes =
       R"(- Wires: 3.3 V, ground, SDA, SCL. The pin SDO (of an MS5611: CSB) chooses the address: 0x76 when it is low,
-  0x77 when it is high (an MS5611: the other way round). Boards with a pin CS have it on 3.3 V for I2C. On SPI: SDO, SDI
-  (SDA), SCK (SCL), CS (of an MS5611 PS is low then); `chip_select` in place of `address`; to 10 MHz.
-- Range: 300 to 1100 hPa (BMP390: 1250; MS5611: 10 to 1200), which is 9 km, with an MS5611 30 km. A chip goes on
-  beyond it, with a greater error.
+  0x77 when it is high (a BMP581 or BMP585: 0x46, 0x47; an MS5611: the other way round). Boards with a pin CS have it on
+  3.3 V for I2C. On SPI: SDO, SDI (SDA), SCK (SCL), CS (of an MS5611 PS is low then); `chip_select` in place of
+  `address`; to 10 MHz.
+- Range: 300 to 1100 hPa (BMP390, BMP581, BMP585: 1250; MS5611: 10 to 1200), which is 9 km, with an MS5611 30 km. A chip
+  goes on beyond it, with a greater error.
 - `altitude` follows the ICAO standard atmosphere, in geopotential metres; weather moves it by 8 m a hPa. Set
   `reference_pressure` to today's pressure at sea level, or to that of the ground where heights are to begin.
 - Only a BME280 has `humidity`; of the others it is absent. A BMP388 and a BMP390, a BMP280 and a BME280 differ in
-  identity; a wrong `model` is refused, and the error says which one it seems to be.
+  identity; a wrong `model` is refused, and the error says which one it seems to be. A BMP580 is a BMP581 here: both have
+  the same identity and registers.
 - Oversampling averages: less noise, and a longer measurement, which must fit into the period of `rate`.
 )";
   struct Config {
@@ -282,10 +301,11 @@ class Barometer {
           parameter("model", &Config::model, "which chip it is",
                     choices(value("bmp280", BarometerModel::bmp280), value("bme280", BarometerModel::bme280),
                             value("bmp388", BarometerModel::bmp388), value("bmp390", BarometerModel::bmp390),
+                            value("bmp581", BarometerModel::bmp581), value("bmp585", BarometerModel::bmp585),
                             value("ms5611", BarometerModel::ms5611))),
           parameter("pressure_oversampling", &Config::pressure_oversampling,
-                    "measurements that are averaged: 1, 2, 4, 8 or 16 (BMP388, BMP390: 32 too); MS5611: 256, 512, "
-                    "1024, 2048 or 4096; default: 1, MS5611 4096",
+                    "measurements that are averaged: 1, 2, 4, 8 or 16 (BMP388, BMP390: 32 too; BMP581, BMP585: to "
+                    "128); MS5611: 256, 512, 1024, 2048 or 4096; default: 1, MS5611 4096",
                     range(1, 4096)),
           parameter("temperature_oversampling", &Config::temperature_oversampling,
                     "as `pressure_oversampling`; default: 1, MS5611 1024", range(1, 4096)),
@@ -315,6 +335,7 @@ class Barometer {
   static RegisterAddressing addressing(const Config& config) {
     switch (models[static_cast<std::size_t>(config.model)].family) {
       case Family::bmp2:
+      case Family::bmp5:
         return {};
       case Family::bmp3:
         return {.spi_dummy_bytes = 1};
@@ -331,6 +352,10 @@ class Barometer {
                   {"88", "70 6b 43 67 18 fc  7d 8e 43 d6 d0 0b 27 0b 8c 00 f9 ff 8c 3c f8 c6 70 17"},
                   {"f7", "65 5a c0 7e ed 00"}}},
        .values = {{{"pressure", 100653.27}, {"temperature", 25.08}}},
+       .has_proof = true},
+      {.members = R"("model": "bmp581")",
+       .bytes = {{{"01", "50"}, {"1d", "00 80 f5 50 4b 62"}, {"27", "11 02"}}},
+       .values = {{{"pressure", 100653.25}, {"temperature", -10.5}}},
        .has_proof = true}};
 
   /// SetupError (bad-argument): an oversampling that the chip does not have.
@@ -346,9 +371,11 @@ class Barometer {
     humidity_ = settings[2].count;
   }
 
-  /// The start-up time; for an MS5611 the temperature measurement, which follows the pressure.
+  /// The start-up time, of a BMP581 with the way to standby; for an MS5611 the temperature measurement, which follows the
+  /// pressure.
   static Duration bus_time(const Config& config) {
     constexpr Duration start_up = std::chrono::milliseconds{3};
+    if (models[static_cast<std::size_t>(config.model)].family == Family::bmp5) return 2 * start_up;
     const unsigned count = config.temperature_oversampling.value_or(1024);
     return config.model == BarometerModel::ms5611 && std::has_single_bit(count) && count >= 256 && count <= 4096
                ? std::max(start_up, ms5611_time(count))
@@ -362,6 +389,8 @@ class Barometer {
         return open_bosch(chip, 0xe0, bmp2_);
       case Family::bmp3:
         return open_bosch(chip, 0x7e, bmp3_);
+      case Family::bmp5:
+        return open_bmp5(chip);
       case Family::ms5:
         return open_ms5611(chip);
     }
@@ -379,6 +408,10 @@ class Barometer {
       case Family::bmp3:
         if (auto done = chip.write_register(bmp3_oversampling_register, bmp3_oversampling()); !done) return done;
         return chip.write_register(bmp3_power_register, bmp3_enabled | bmp3_forced);
+      case Family::bmp5:
+        if (auto done = chip.write_register(bmp5_interrupt_register, bmp5_data_ready); !done) return done;
+        if (auto done = chip.write_register(bmp5_oversampling_register, bmp5_oversampling()); !done) return done;
+        return chip.write_register(bmp5_power_register, bmp5_standby | bmp5_forced);
       case Family::ms5:
         return chip.command(static_cast<std::uint8_t>(0x40 | ms5611_index(pressure_) << 1));
     }
@@ -394,6 +427,11 @@ class Barometer {
                             (model().has_humidity ? 2300 * humidity_ + 575 : 0));
       case Family::bmp3:  // typical time plus a fifth
         return microseconds((234 + 392 + 2020 * pressure_ + 163 + 2020 * temperature_) * 6 / 5);
+      case Family::bmp5: {  // typical times plus a twentieth, and at most 2.5 ms until it has begun
+        constexpr unsigned pressure[] = {1000, 1700, 2900, 5400, 10400, 20400, 40400, 80400};
+        constexpr unsigned temperature[] = {1000, 1100, 1500, 2100, 3300, 5800, 10800, 20800};
+        return microseconds((pressure[log_of(pressure_)] + temperature[log_of(temperature_)]) * 21 / 20 + 2500);
+      }
       case Family::ms5:
         return ms5611_time(pressure_);
     }
@@ -406,6 +444,8 @@ class Barometer {
         return read_bmp2(chip);
       case Family::bmp3:
         return read_bmp3(chip);
+      case Family::bmp5:
+        return read_bmp5(chip);
       case Family::ms5:
         return read_ms5611(chip);
     }
@@ -429,6 +469,9 @@ class Barometer {
   static constexpr std::uint8_t bmp2_humidity_register = 0xf2, bmp2_control_register = 0xf4, forced = 1;
   static constexpr std::uint8_t bmp3_power_register = 0x1b, bmp3_oversampling_register = 0x1c;
   static constexpr std::uint8_t bmp3_enabled = 0x03, bmp3_forced = 0x10;
+  static constexpr std::uint8_t bmp5_interrupt_register = 0x15, bmp5_data_ready = 0x01, bmp5_status_register = 0x27;
+  static constexpr std::uint8_t bmp5_oversampling_register = 0x36, bmp5_power_register = 0x37;
+  static constexpr std::uint8_t bmp5_standby = 0xf0, bmp5_forced = 0x02;  // at rest it is not in deep standby
 
   struct Setting {
     std::string_view key;
@@ -501,6 +544,30 @@ class Barometer {
     return {};
   }
 
+  Result<void> open_bmp5(RegisterDevice& chip) {
+    const std::uint8_t identity_register = model().chip.identity->number;
+    const auto choose_spi = [&] {  // by the first access after power-on or reset, whose answer does not count
+      if (chip.is_on_spi()) static_cast<void>(chip.read_register(identity_register));
+    };
+    choose_spi();
+    if (auto same = check_identity(chip, model().chip, config_.identity, &other_chip, otherwise); !same) return same;
+    // By the data sheet it does not acknowledge the command on I2C; by its status it says that it was reset.
+    static_cast<void>(chip.write_register(0x7e, reset_command));
+    chip.wait(std::chrono::milliseconds{3});  // 2 ms
+    choose_spi();
+    constexpr std::uint8_t was_reset = 0x10, memory_is_ready = 0x02, memory_error = 0x04;
+    std::array<std::uint8_t, 2> status{};  // of interrupts, and of the chip
+    if (auto done = chip.read_registers(bmp5_status_register, status); !done) return done;
+    const bool is_reset = (status[0] & was_reset) != 0;
+    if (!is_reset || (status[1] & (memory_is_ready | memory_error)) != memory_is_ready)
+      return chip.error(Errc::bad_data, "cannot use the " + std::string(model().chip.name),
+                        is_reset ? "its memory has an error" : "it does not reset",
+                        "the chip is damaged, or its wires are bad");
+    if (auto done = chip.write_register(bmp5_power_register, bmp5_standby); !done) return done;
+    chip.wait(std::chrono::milliseconds{3});  // 2.5 ms
+    return {};
+  }
+
   /// 1 for one measurement, 2 for two, 3 for four ...
   static std::uint8_t one_and_log(unsigned count) { return static_cast<std::uint8_t>(std::bit_width(count)); }
   static std::uint8_t log_of(unsigned count) { return static_cast<std::uint8_t>(std::bit_width(count) - 1); }
@@ -510,6 +577,10 @@ class Barometer {
   }
   std::uint8_t bmp3_oversampling() const {
     return static_cast<std::uint8_t>(log_of(temperature_) << 3 | log_of(pressure_));
+  }
+  std::uint8_t bmp5_oversampling() const {
+    constexpr std::uint8_t has_pressure = 0x40;
+    return static_cast<std::uint8_t>(has_pressure | log_of(pressure_) << 3 | log_of(temperature_));
   }
 
   static Unreadable lost_settings(RegisterDevice& chip) {
@@ -549,6 +620,19 @@ class Barometer {
     if (auto done = chip.read_registers(0x03, bytes); !done) return std::move(done).error();
     if ((bytes[0] & both_ready) != both_ready) return measures_still(chip);
     return reading_of(chip, bmp3_.measurement(std::span(bytes).subspan(1)));
+  }
+
+  Reading<BarometerReading> read_bmp5(RegisterDevice& chip) {
+    std::array<std::uint8_t, 2> settings{};
+    if (auto done = chip.read_registers(bmp5_oversampling_register, settings); !done) return std::move(done).error();
+    constexpr std::uint8_t mode = 0x03;
+    if (settings[0] != bmp5_oversampling() || (settings[1] & ~mode) != bmp5_standby) return lost_settings(chip);
+    const Result<std::uint8_t> status = chip.read_register(bmp5_status_register);  // which reading sets back
+    if (!status) return status.error();
+    if ((*status & bmp5_data_ready) == 0) return measures_still(chip);
+    std::array<std::uint8_t, 6> bytes{};
+    if (auto done = chip.read_registers(0x1d, bytes); !done) return std::move(done).error();
+    return reading_of(chip, bmp581_measurement(bytes));
   }
 
   /// 0 for 256, 1 for 512 ...
