@@ -230,6 +230,7 @@ const FakeBus fake_buses[] = {
                                    });
        app::add_register_drivers(registry);
        app::add_i2c_drivers(registry);
+       app::add_gas_drivers(registry);
        registry.add_driver<Echo<I2cDevice>>("own-on-i2c", "a user's on I2C");
        registry.add_driver<OwnChip>();
      }},

@@ -29,6 +29,7 @@ Registry standard_registry() {
 #endif
   app::add_register_drivers(registry);
   app::add_i2c_drivers(registry);
+  app::add_gas_drivers(registry);
   app::add_spi_drivers(registry);
   app::add_serial_drivers(registry);
 #ifdef RTDATA_WITH_MODBUS

@@ -8,6 +8,7 @@ namespace rtdata::app {
 
 void add_register_drivers(Registry& registry);  ///< on I2C or SPI
 void add_i2c_drivers(Registry& registry);
+void add_gas_drivers(Registry& registry);  ///< on I2C, too: air and gases
 void add_spi_drivers(Registry& registry);
 void add_serial_drivers(Registry& registry);
 void add_device_sensors(Registry& registry);
