@@ -1,5 +1,6 @@
-// Records a sensor for a second into run.db. Then: rtdata verify run.db
+// Records this computer's load for a second into run.db. Then: rtdata verify run.db
 #include <cstdio>
+#include <cstdlib>
 
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/recording/sqlite.hpp"
@@ -7,20 +8,21 @@
 
 using namespace rtdata::literals;
 
-struct Climate {
-  double temperature = 0, humidity = 0;
-  RTDATA_FIELDS(Climate, (temperature, "Cel"), (humidity, "%"))
+struct Load {
+  double minute = 0, five_minutes = 0;
+  RTDATA_FIELDS(Load, (minute, "1"), (five_minutes, "1"))
 };
 
 int main() {
   rtdata::Loop loop;
   rtdata::SqliteSink recording(loop, {.path = "run.db"});
-  rtdata::Sensor<Climate> room(loop, {.name = "room", .topic = "room/climate", .rate = 10_Hz}, [t = 20.0]() mutable {
-    return Climate{t += 0.1, 40};
+  rtdata::Sensor<Load> sensor(loop, {.name = "load", .rate = 10_Hz}, [] {
+    double means[2] = {};
+    ::getloadavg(means, 2);
+    return Load{means[0], means[1]};
   });
-  auto print = loop.topic<Climate>("room/climate").subscribe(loop, [](const rtdata::Event<Climate>& e) {
-    std::printf("%s  %.1f Cel\n", rtdata::to_iso8601(e.time).c_str(), e->temperature);
+  auto print = loop.subscribe<Load>("load", [](const rtdata::Event<Load>& event) {
+    std::printf("%s  %.2f\n", rtdata::to_iso8601(event.time).c_str(), event->minute);
   });
   loop.run_for(1s);
-  return loop.close() == 0 && loop.runtime().balances() ? 0 : 1;
 }

@@ -33,7 +33,7 @@ check() {
     python3 - run.db <<'PYTHON'
 import sqlite3, sys
 db = sqlite3.connect(sys.argv[1])
-rows, = db.execute('SELECT count(*) FROM "room/climate"').fetchone()
+rows, = db.execute('SELECT count(*) FROM "load"').fetchone()
 stored, state = db.execute("SELECT stored, state FROM rtdata_ledger JOIN rtdata_run USING (run)").fetchone()
 sys.exit(0 if rows == stored > 0 and state == "closed" else f"{rows} rows, {stored} stored, {state}")
 PYTHON
