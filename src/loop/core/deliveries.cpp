@@ -24,20 +24,19 @@ void Deliveries::add(DeliveryQueue& queue) {
   last_ = &queue;
 }
 
-Deliveries::Left Deliveries::deliver(Budget budget) {
+void Deliveries::deliver(Budget budget) {
   constexpr int most_rounds = 100;  // each delivers events published by the handlers of the previous round
-  if (delivering_ || loop_.is_ending()) return Left::nothing;
+  left_ = Left::nothing;
+  if (delivering_ || loop_.is_ending()) return;
   delivering_ = true;
   MonotonicTime current = loop_.now();
   const MonotonicTime end = budget == Budget::limited ? later(current, loop_.config.delivery_budget)
                                                       : MonotonicTime::max();
-  Left left = Left::nothing;
   if (budget == Budget::none || !loop_.is_manual()) rounds_ = 0;
-  while (first_ != nullptr && left == Left::nothing)
-    left = rounds_ < most_rounds ? deliver_round(current, end) : Left::circle;
+  while (first_ != nullptr && left_ == Left::nothing)
+    left_ = rounds_ < most_rounds ? deliver_round(current, end) : Left::circle;
   delivering_ = false;
   loop_.runtime.send_now();
-  return left;
 }
 
 bool Deliveries::must_pause(MonotonicTime now, MonotonicTime limit) const noexcept {

@@ -55,13 +55,9 @@ class Deliveries {
   MonotonicTime handler_began() const noexcept { return handler_began_; }
 
   enum class Budget { limited, none };
-  /// Why events are left in the queues.
-  enum class Left {
-    nothing,
-    later,   // the budget was spent
-    circle,  // the rounds were spent: handlers kept publishing events for each other
-  };
-  Left deliver(Budget budget);
+  void deliver(Budget budget);
+  /// True if the last delivery ended because of its time budget or a due deadline, and events are left.
+  bool is_interrupted() const noexcept { return !is_empty() && left_ == Left::later; }
   /// True if deliveries must stop now: the time budget ended at `limit`, or a deadline of the loop is due. Never with
   /// `MonotonicTime::max()` as `limit`.
   bool must_pause(MonotonicTime now, MonotonicTime limit) const noexcept;
@@ -70,6 +66,12 @@ class Deliveries {
   void begin_instant() noexcept { rounds_ = 0; }
 
  private:
+  /// Why events are left in the queues.
+  enum class Left {
+    nothing,
+    later,   // the budget was spent
+    circle,  // the rounds were spent: handlers kept publishing events for each other
+  };
   /// Delivers the events that were queued when the round began.
   Left deliver_round(MonotonicTime& current, MonotonicTime end);
 
@@ -78,6 +80,7 @@ class Deliveries {
   DeliveryQueue* last_ = nullptr;
   bool delivering_ = false;
   bool round_is_open_ = false;  // a delivery has ended within it
+  Left left_ = Left::nothing;   // by the last delivery
   MonotonicTime handler_began_{};
   int rounds_ = 0;  // in this turn; on a manual loop, at this instant
 };

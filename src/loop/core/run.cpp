@@ -260,9 +260,8 @@ void LoopCore::settle() {
     call_own("clock", [&] { runtime.clock_log.look(); });
     run_due();
     is_some_left = take_sent(end_of_budget());
-    look_at_io();
-    if (!deliveries.is_empty() && deliveries.deliver(Deliveries::Budget::limited) == Deliveries::Left::later)
-      is_some_left = true;
+    look_at_io();  // delivers at the end of the turn
+    if (deliveries.is_interrupted()) is_some_left = true;
   } while (is_some_left && !is_stopping());
 }
 
