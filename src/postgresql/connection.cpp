@@ -226,8 +226,8 @@ Connection::Connection(const Address& address) : timeout_(address.timeout) {
   if (server_encoding == nullptr || std::string_view(server_encoding) != "UTF8") {
     throw SetupError({Errc::bad_argument, "cannot use the database", where_,
                       std::string("its encoding is ") + (server_encoding != nullptr ? server_encoding : "not known") +
-                          ", in which not every text has a place",
-                      "make one with the encoding UTF8: createdb -E UTF8 -T template0"});
+                          ", which cannot store every text",
+                      "make a database with the encoding UTF8: createdb -E UTF8 -T template0"});
   }
   // The server's own limits are shorter than ours, so that it is its reason that is told.
   std::string sql = "SET statement_timeout=" + milliseconds(address.timeout * 4 / 5) +

@@ -23,12 +23,11 @@ constexpr std::size_t longest_name = 63;   // NAMEDATALEN - 1
 struct FixedColumn {
   const char *name, *type, *comment;
 };
-constexpr FixedColumn fixed[] = {
-    {"time", "timestamp with time zone", "UTC, of time_ns, to the microsecond"},
-    {"time_ns", "bigint", "ns since the epoch as recorded, on a line that never jumps within a run"},
-    {"run", "bigint", "rtdata_run.run"},
-    {"origin", "text", "the sensor or feed"},
-    {"sequence", "bigint", "of the origin in the run, from 1"}};
+constexpr FixedColumn fixed[] = {{"time", "timestamp with time zone", "time_ns in UTC, to the microsecond"},
+                                 {"time_ns", "bigint", "ns since the epoch as recorded, never jumps within a run"},
+                                 {"run", "bigint", "rtdata_run.run"},
+                                 {"origin", "text", "the sensor or feed"},
+                                 {"sequence", "bigint", "number of the event of this origin in the run, from 1"}};
 constexpr std::int64_t server_epoch_us = 946'684'800'000'000;  // 2000-01-01 in us since 1970
 
 template <class T>
@@ -211,7 +210,7 @@ Result<void> check_columns(std::string_view topic, const Description& descriptio
   if (description.leaves().size() > most_fields) {
     return Error{Errc::bad_description, "cannot store", "topic " + std::string(topic),
                  "it has " + std::to_string(description.leaves().size()) + " values an event",
-                 "a table of the server has at most " + std::to_string(most_fields) + " columns of them: split it"};
+                 "a table of the server has at most " + std::to_string(most_fields) + " columns for values: split it"};
   }
   for (const Leaf& leaf : description.leaves()) {
     for (const char* name : {"time_ns", "tableoid", "xmin", "cmin", "xmax", "cmax", "ctid"}) {

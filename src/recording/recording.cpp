@@ -128,7 +128,8 @@ Database open_file(const std::string& path) {
   auto version = opened.integer("PRAGMA user_version");
   if (version < 1)
     throw SetupError({Errc::damaged, doing, path,
-                      "its format is version " + std::to_string(version) + ": there is none", "keep it as it is"});
+                      "its format is version " + std::to_string(version) + ", which does not exist",
+                      "keep it as it is"});
   if (version > sqlite::schema_version) {
     throw SetupError({Errc::newer_version, doing, path,
                       "its format is version " + std::to_string(version) + ", this program knows up to " +

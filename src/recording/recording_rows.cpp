@@ -123,7 +123,7 @@ sqlite::Statement rows_in_order(const RecordingFile& file, const RecordedTopic& 
 Error behind_row(const RecordingFile& file, const RecordedTopic& topic, std::int64_t run, std::uint64_t sequence,
                  Error error) {
   error.where = file.database.path() + ", topic " + topic.topic;
-  if (sequence > 0) error.where += ", behind run " + std::to_string(run) + ", sequence " + std::to_string(sequence);
+  if (sequence > 0) error.where += ", after run " + std::to_string(run) + ", sequence " + std::to_string(sequence);
   return error;
 }
 

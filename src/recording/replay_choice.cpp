@@ -99,7 +99,7 @@ std::vector<RecordedTopic> chosen_topics(const Recording& recording, const Repla
   }
   if (!chosen.empty()) return chosen;
   throw SetupError({Errc::not_found, "cannot replay", config.file + ", run " + std::to_string(run),
-                    "it has no events on the topics that are asked for",
+                    "it has no events on the chosen topics",
                     names.empty() ? "it has no topics" : "its topics are " + names});
 }
 

@@ -114,7 +114,7 @@ void read_any(sqlite3_value* stored, const Leaf& leaf, std::byte* payload) {
   Value value;
   if (!convert(stored, leaf, value)) {
     throw SetupError({Errc::damaged, "cannot read a row", "field " + leaf.path,
-                      "it holds " + found(stored) + ", which is no " + std::string(name_of(leaf.kind)), ""});
+                      "it holds " + found(stored) + ", which is not of type " + std::string(name_of(leaf.kind)), ""});
   }
   if (auto done = write(leaf, payload, value); !done) {
     Error error = std::move(done).error();

@@ -128,7 +128,7 @@ std::optional<Error> SqliteWriter::take_warning() {
   if (sinks.empty()) return no_utf8_.take_warning();
   return Error{Errc::storage_full, "events are deleted before they are sent", config_.path,
                "`max_bytes` or `max_age` deletes what the peer of " + sinks + " does not have yet",
-               "see why the peer is away or slow, or raise the limit; `rtdata info` counts them"};
+               "check why the peer is away or slow, or raise the limit; `rtdata info` counts them"};
 }
 
 void SqliteWriter::begin_counting() {
@@ -140,7 +140,7 @@ Result<void> SqliteWriter::write(Batch& batch) try {
   if (has_moved()) {
     (void)checkpoint(SQLITE_CHECKPOINT_TRUNCATE);  // the log stays where it was: what is in it goes into the file
     throw SetupError({Errc::closed, "recording has ended", config_.path, "the file was deleted or moved",
-                      "leave it where it is while it is recorded into; start again"});
+                      "do not move or delete it during recording; start again"});
   }
   auto next = batch.begin();
   // The batch comes again, after a part of it was stored.

@@ -166,7 +166,7 @@ void scan_rows(const RecordingFile& file, const RecordedTopic& topic, RunsRows& 
   if (sums.rest() != 0)
     problems.push_back(
         topic.topic + ": " + plural(sums.rest(), "row") +
-        " at its end have no checksum: there are rows behind the last transaction, or its end is not there.");
+        " at its end have no checksum: there are rows after the last transaction, or its end is not there.");
   for (const auto& [run, rows] : strays) {
     problems.push_back(topic.topic + ": " + plural(rows, "row") + " of run " + std::to_string(run) +
                        ", which is not in the list of runs.");
@@ -280,12 +280,12 @@ VerifyReport verify_contents(const Recording& recording) {
   auto odd = recording.file()->database.integer(
       "SELECT count(*) FROM rtdata_utc WHERE typeof(since) <> 'integer' OR typeof(\"offset\") <> 'integer' OR "
       "typeof(rate) <> 'real'");
-  if (odd != 0) report.problems.push_back("The UTC line (rtdata_utc) has something else in it than numbers.");
+  if (odd != 0) report.problems.push_back("The UTC line (rtdata_utc) has values that are not numbers.");
   std::set<std::string> boots;
   for (const RunReport& run : report.runs) boots.insert(run.info.boot_id);
   for (const std::string& boot : boots) {
     if (!sqlite::utc_line_agrees(recording.file()->database, boot))
-      report.problems.push_back("The UTC line of boot " + boot + " (rtdata_utc) is not what rtdata_clock says.");
+      report.problems.push_back("The UTC line of boot " + boot + " (rtdata_utc) does not agree with rtdata_clock.");
   }
   auto are_topics_changed = check_account_sums(*recording.file(), topics, report);
   check_layout(*recording.file(), topics, are_topics_changed, report.problems);

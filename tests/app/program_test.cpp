@@ -708,7 +708,7 @@ TEST_SUITE("app") {
               "there is no sensor type \"bme280\"; it is type \"barometer\" with \"model\": \"bme280\" (did you "
               "mean \"barometer\"?)"));
     CHECK(has(check.out, "there is no sensor type \"pt100\" (did you mean \"max31865\"?)"));
-    CHECK(has(check.out, "there is no sensor type \"thermocouple\"; there are max31855, max31856\n"));
+    CHECK(has(check.out, "there is no sensor type \"thermocouple\"; available: max31855, max31856\n"));
     CHECK(has(check.out, "there is no sink type \"csv\" (did you mean \"file\"?)"));
   }
 
@@ -723,16 +723,15 @@ TEST_SUITE("app") {
     CHECK(check.end() == 2);
     INFO(check.out);
     CHECK(has(check.out, "buses.i.address: unknown key here: it belongs to the sensor that is on this bus"));
-    CHECK(
-        has(check.out, "sensors[0].calibration: unknown key here: it belongs into `process`, below the field's name"));
+    CHECK(has(check.out, "sensors[0].calibration: unknown key here: it belongs in `process`, below the field's name"));
     CHECK(has(check.out, "sensors[0].timeout: unknown key here: it belongs to the bus"));
     CHECK(has(check.out, "sensors[1].device: unknown key here: a chip names its bus with `bus`"));
     CHECK_FALSE(has(check.out, "\"rate\" is missing"));  // it is there, under another name
-    CHECK(has(check.out, "sensors[1].interval: unknown key here: how often it is read is its `rate`"));
+    CHECK(has(check.out, "sensors[1].interval: unknown key here: set how often it is read with `rate`"));
     CHECK(has(check.out, "sinks[0].filename: unknown key here: the file is named by `path`"));
     CHECK(has(check.out, "sinks[0].topic: unknown key here: a sink has `topics`"));
 #ifdef RTDATA_WITH_GPIO
-    CHECK(has(check.out, "sensors[2].filter: unknown key here: filters belong into `process`"));
+    CHECK(has(check.out, "sensors[2].filter: unknown key here: filters belong in `process`"));
     CHECK(has(check.out, "sensors[2].pin: unknown key here: the GPIO line is named by `line`"));
 #endif
   }

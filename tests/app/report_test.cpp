@@ -567,8 +567,8 @@ it was not forged.
     CHECK(first.page.starts_with("run.html ("));
     CHECK(
         first.page.ends_with("): run 1, balanced\n  nothing lost: 20 rows\n"
-                             "  not detectable: what the sources of a lost before it came here: they do not "
-                             "number it\n"));
+                             "  not detectable: losses in the sources of a, which do not number their "
+                             "samples\n"));
     const std::string page = folder.read("run.html");
     CHECK(mistakes_in(page) == "");
     folder.write("run.html", "mine");

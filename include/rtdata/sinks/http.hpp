@@ -70,16 +70,17 @@ struct HttpConfig {
 
   friend constexpr auto parameters(type_tag<HttpConfig>) {
     return parameter_list(
-        include_member(&HttpConfig::server), parameter("method", &HttpConfig::method, "of the requests"),
+        include_member(&HttpConfig::server), parameter("method", &HttpConfig::method, "method of the requests"),
         parameter(
             "format", &HttpConfig::format,
             "json (an array of objects; with parcel_rows 1 one object), jsonl, cbor, influx, raw, or a format added "
             "by the program"),
-        parameter("content_type", &HttpConfig::content_type, "in place of the format's own"),
-        parameter("compression", &HttpConfig::compression, "of what is sent"),
+        parameter("content_type", &HttpConfig::content_type,
+                  "content type of the requests; default: that of the format"),
+        parameter("compression", &HttpConfig::compression, "compression of the requests"),
         parameter("cut_answer", &HttpConfig::cut_answer,
-                  "a request that was sent whole, and whose answer of 200 to 299 was cut off four times, counts as "
-                  "delivered, or is sent again and again"),
+                  "what to do if the server's success answer (200 to 299) is cut off four times: count the request as "
+                  "delivered, or send it again"),
         include_member(&HttpConfig::sending), include_member(&HttpConfig::sink));
   }
   /// Checks rules over several parameters. Sends nothing.

@@ -36,7 +36,7 @@ void SinkNode::follow_timer_fired() {
   if (life_ != Life::attached) return;
   const std::string unknown = loop()->runtime.exchange.catch_up(std::chrono::seconds{1});
   if (!unknown.empty())
-    unknown_ += (unknown_.empty() ? "" : "; ") + ("the sink took more accounts although " + unknown);
+    unknown_ += (unknown_.empty() ? "" : "; ") + ("the sink added accounts to its ledger, although " + unknown);
   if (life_ == Life::attached) account_.follow_all(*this);
 }
 
@@ -85,7 +85,7 @@ bool SinkNode::enqueue_account(SinkAccount::Part part) noexcept try {
     loop()->runtime.keep_report(
         loop(), object_name(),
         {Errc::io_failed, "not kept", config_.name, "there was no memory for some of its account",
-         "the recording says that it does not know"});
+         "the recording marks these counts as unknown"});
     had_no_memory_ = false;
   }
   const Time now = loop()->runtime.clock_log.end(loop()->now());

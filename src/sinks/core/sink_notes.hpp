@@ -102,7 +102,7 @@ class SinkNotes {
 
   /// Adds an error for data that did not fit; throws without memory, so `move_into` must not do this.
   void report_lost(Time at) {
-    report_lost(at, lost_segments_, "stretches of schedule");
+    report_lost(at, lost_segments_, "segments of schedules");
     report_lost(at, lost_errors_, "errors");
     report_lost(at, lost_clock_pairs_, "pairs of clocks");
     report_lost(at, lost_health_changes_, "changes of health");

@@ -25,9 +25,9 @@ void SinkNode::follow_recording() {
   };
   if (recording_ == nullptr) {
     refuse("there is no such sink on this loop",
-           others.empty() ? "make the recording first" : "make the recording first; there are: " + others);
+           others.empty() ? "make the recording first" : "make the recording first; available: " + others);
   }
-  if (queue_->is_recording()) refuse("this sink is a recording itself", "leave `through` out");
+  if (queue_->is_recording()) refuse("this sink is a recording itself", "remove `through`");
   const std::size_t rows = queue_->rows_at_once();
   auto feed = recording_->queue_->make_feed(
       {config_.name, config_.topics, config_.from,

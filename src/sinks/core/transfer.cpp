@@ -86,7 +86,7 @@ std::optional<Error> Transfer::call_sender(const char* name, Call&& call) noexce
     } catch (const std::exception& e) {
       return threw(e.what());
     } catch (...) {
-      return threw("no std::exception");
+      return threw("an exception that is not a std::exception");
     }
   } catch (...) {  // no memory for the report
     return Error{};

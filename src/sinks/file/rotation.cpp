@@ -72,8 +72,7 @@ std::string Rotation::mistake(const FileConfig& config) {
   if (rotate.bytes && *rotate.bytes < FileRotation::least_bytes)
     return "`rotate.bytes` is less than " + std::to_string(FileRotation::least_bytes);
   if (rotate.time && *rotate.time < FileRotation::least_time) return "`rotate.time` is less than 1 s";
-  if (config.keep != 0 && !rotate.is_on())
-    return "`keep` says how many files are kept, and without `rotate` there is one";
+  if (config.keep != 0 && !rotate.is_on()) return "`keep` needs `rotate`: without it there is only one file";
   return "";
 }
 

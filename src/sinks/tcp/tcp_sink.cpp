@@ -187,7 +187,7 @@ class Connection : public std::enable_shared_from_this<Connection> {
   void garbage(const std::string& got) {
     if (under_way_.empty()) has_trouble_ = true;  // the next parcel reports it
     fail({Errc::bad_data, "cannot understand the peer", peer(), "it acknowledges " + got,
-          "`acknowledge` must fit the answers of the peer: docs/sending.md"});
+          "set `acknowledge` as the peer answers: docs/sending.md"});
   }
 
   void acknowledge_first() {

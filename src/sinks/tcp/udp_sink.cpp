@@ -205,7 +205,7 @@ class Datagrams : public std::enable_shared_from_this<Datagrams> {
   void report_no_receiver() {
     answer_.refuse(next_ > 0 ? next_ - 1 : 0,
                    {Errc::disconnected, "no program receives it", peer(), "no program there listens at this port",
-                    "start the receiver; sending goes on"});
+                    "start the receiver; sending continues"});
   }
   void wait_for_room() {
     if (watch_.is_open()) return;
