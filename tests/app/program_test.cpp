@@ -762,8 +762,9 @@ TEST_SUITE("app") {
     const Folder folder;
     Process other(folder, shipped, {"init", "first.yaml"});
     CHECK(other.end() == 1);
-    CHECK(has(other.err,
-              "first.yaml: `rtdata run` reads no configuration with this extension: let its name end with .json"));
+    CHECK(
+        has(other.err,
+            "first.yaml: `rtdata run` reads no configuration with this extension: choose a name that ends with .json"));
     CHECK(folder.read("first.yaml").empty());
     Process deep(folder, shipped, {"init", "sub/first.json"});
     CHECK(deep.end() == 1);
@@ -911,7 +912,7 @@ TEST_SUITE("app") {
         {{"vrify", "bench.db"},
          "rtdata: there is no command \"vrify\" (did you mean \"verify\"?); `rtdata --help` explains them\n"},
         {{"measure", "x"},
-         "rtdata: there is no command \"measure\"; there are init, run, top, tail, ctl, scan, doctor, bench, check, "
+         "rtdata: there is no command \"measure\"; available: init, run, top, tail, ctl, scan, doctor, bench, check, "
          "calibrate, graph, types, explain, verify, info, plot, report, runs, seal, rm, merge, compare, " +
              view +
              "export, replay, import, forward; "

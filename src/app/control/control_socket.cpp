@@ -245,7 +245,7 @@ void ControlSocket::listen() {
     close_pipe(std::exchange(server_, nullptr));
   }
   throw SetupError({Errc::io_failed, "cannot open the control socket", "local socket", why,
-                    "`rtdata top` does not see this instance; all else works"});
+                    "`rtdata top` does not see this instance; everything else works"});
 }
 
 void ControlSocket::accept() {
@@ -457,8 +457,8 @@ Result<std::optional<std::string>> ControlClient::receive(Duration at_most) {
       }
       if (size > 0) rest_.append(buffer, static_cast<std::size_t>(size));
       if (rest_.size() > longest_answer)
-        return Error{Errc::bad_data, "no answer", "instance", "what it sends has no end of a line in 256 MiB",
-                     "see what listens there"};
+        return Error{Errc::bad_data, "no answer", "instance", "it sent 256 MiB without the end of a line",
+                     "check what listens there"};
     }
   }
 }

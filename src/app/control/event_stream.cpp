@@ -135,7 +135,7 @@ Result<StreamRequest> stream_request(std::string_view line) {
     } else if (key == "of" && value.is_string()) {
       request.of = value.get<std::string>();
     } else {
-      return refused("there is no \"" + key + "\" like this; there are \"topics\", \"step\", \"from\" and \"of\"");
+      return refused("there is no \"" + key + "\" like this; available: \"topics\", \"step\", \"from\" and \"of\"");
     }
   }
   if (!request.of.empty() && !request.wants_past())

@@ -360,7 +360,7 @@ std::string Readers::refusal(const StreamRequest& request) const {
   if (request.from && *request.from > loop_.time()) return "\"from\" is an instant that has not come yet";
   if (request.wants_past() && recording_for(request) == nullptr) {
     return request.of.empty() ? "no recording has these topics, so that their earlier events are not known: "
-                                "leave \"from\" out"
+                                "remove \"from\""
                               : "there is no recording of a sink \"" + request.of + "\"";
   }
   if (shared_->readers.load(std::memory_order_acquire) < settings_.most) return {};

@@ -203,8 +203,8 @@ int compare(const CompareOptions& options, std::ostream& out, std::ostream& err)
   if (!options.length.empty()) {
     length = parse_duration(options.length).or_throw();
     if (*length <= Duration{0})
-      throw SetupError(
-          {Errc::bad_argument, "cannot compare", "--for " + options.length, "it is not above 0", "such as 10s"});
+      throw SetupError({Errc::bad_argument, "cannot compare", "--for " + options.length, "it is not above 0",
+                        "write one such as 10s"});
   }
   const std::vector<RunInfo> runs = recording.runs().or_throw();
   std::array<Side, 2> sides;

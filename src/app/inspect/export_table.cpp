@@ -162,8 +162,8 @@ std::string topic_of_rows(const Recording& recording, const std::vector<Recorded
     if (!topic_matches(pattern, one.topic) || one.topic == topic) continue;
     if (!topic.empty())
       refuse(Errc::bad_argument, recording,
-             "the rows of a table are of one topic, and there are " + topic + " and " + one.topic,
-             "choose one by --topic; --join puts others beside it");
+             "a table can have the rows of only one topic, but there are " + topic + " and " + one.topic,
+             "choose one by --topic; --join adds columns of others");
     topic = one.topic;
   }
   return topic;

@@ -233,7 +233,7 @@ Result<std::shared_ptr<const Description>> describe_columns(std::vector<ImportCo
     } else {
       return import_refused(file,
                             "a text in column " + column.heading + " has " + std::to_string(column.longest) + " bytes",
-                            "1024 at most");
+                            "at most 1024 are possible");
     }
   }
   return builder.build();

@@ -178,7 +178,7 @@ std::vector<ImportColumn> read_head(ImportRows& table, const ImportOptions& opti
   };
   if (!options.columns.empty()) {
     const auto names = detail::split_csv(options.columns);
-    if (!names) refuse_import("--columns " + options.columns, names.error().why, "such as: t,v");
+    if (!names) refuse_import("--columns " + options.columns, names.error().why, "write names such as t,v");
     for (const detail::CsvCell& name : *names) columns.emplace_back().heading = name.text;
   } else if (auto head = head_in_comment(options, notation); options.head == 1 && !head.empty()) {
     columns = std::move(head);
@@ -234,16 +234,16 @@ std::size_t find_column(const std::vector<ImportColumn>& columns, const std::str
   };
   const auto values = static_cast<std::size_t>(std::count_if(headings.begin(), headings.end(), is_value));
   if (advice.empty() && heading.find(',') != std::string::npos && are_columns(heading, columns))
-    advice = "of several columns there are blanks between their names, as in --time date time";
+    advice = "write blanks between the names of several columns, as in --time date time";
   for (const std::string_view one : headings)
     if (advice.empty() && options.head > 1 && one.starts_with(heading + " "))
-      advice = "of --head 2 it is --time \"" + std::string(one) + "\"";
+      advice = "with --head 2 write --time \"" + std::string(one) + "\"";
   if (advice.empty() && headings.front() == "FMT")
-    advice = "each of its rows is of the kind that it begins with: take one, such as --only IMU";
+    advice = "its rows have different kinds, named in the first cell: take one, such as --only IMU";
   const std::string skip = advice.empty() ? skip_advice(heading, columns.size(), options, notation) : "";
   const bool is_below = skip.find(" has it: ") != std::string::npos;
   if (advice.empty() && (is_value(headings.front()) || (values > columns.size() / 2 && !is_below)))
-    advice = "its first row seems to be no heading: name its " + counted(columns.size()) + " by --columns t,...";
+    advice = "its first row seems not to be a heading: name its " + counted(columns.size()) + " by --columns t,...";
   if (advice.empty()) advice = skip;
   refuse_import(options.file, "it has no column " + heading,
                 advice.empty() ? detail::suggestion(heading, headings) : advice);

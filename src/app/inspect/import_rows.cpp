@@ -72,15 +72,16 @@ Result<void> ImportRows::strip(std::string& text, std::size_t column) {
     if ((end == "S" || end == "W") && says_a_place(name))
       return import_refused(where(),
                             "\"" + text + "\" in column " + name + " is " + (end == "S" ? "south" : "west") +
-                                ", which --strip " + end + " would take off",
+                                ", which --strip " + end + " would remove",
                             "make negative numbers of these first, such as by sed -E 's/([0-9.]+)" + end + "/-\\1/'");
     std::string& before = stripped_[column];
     if (before.empty()) before = end;
     if (before != end)
       return import_refused(where(),
                             "\"" + text + "\" in column " + name + " has " + end + ", and rows above have " + before +
-                                ": --strip would take off what tells their numbers apart",
-                            "bring them to one unit first; or leave --strip " + before + " out, for a column of texts");
+                                ": --strip would remove the unit, and values of different units would be mixed",
+                            "convert the column to one unit first, or do not use --strip " + before +
+                                " for it: its cells are then texts");
     text = std::move(rest);
     return {};
   }
@@ -164,7 +165,7 @@ Result<bool> ImportRows::next(std::vector<detail::CsvCell>& cells) {
     }
     if (empty_line_ != 0)
       return Error{Errc::bad_data, "cannot import", path_ + ":" + std::to_string(empty_line_),
-                   "it is empty, and whether a row is missing there cannot be known of rows at even steps",
+                   "the line is empty; with --rate or --step the program cannot tell whether a row is missing here",
                    "remove the line, or write the row, with \"\" for no value"};
     if (notation_.has_blanks) line = with_single_blanks(line);
     // Before quotes are: what stands in lines of another kind is no CSV.
@@ -185,7 +186,7 @@ Result<bool> ImportRows::next(std::vector<detail::CsvCell>& cells) {
       return Error{Errc::bad_data, "cannot import", where(), split.error().where + ": " + split.error().why,
                    has_other_ends ? "if its lines end with CR alone: tr '\\r' '\\n' <" + path_ + " >lines.csv"
                    : are_rows_ ? "if its \" is part of the text, remove them all: tr -d '\"' <" + path_ + " >table.csv"
-                               : "if it is no heading in CSV, name the columns yourself: --skip " +
+                               : "if it is not a heading in CSV, name the columns yourself: --skip " +
                                      std::to_string(line_) + " --columns t,..."};
     }
     cells = *std::move(split);

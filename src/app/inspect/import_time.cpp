@@ -271,9 +271,9 @@ Result<Time> ImportClock::read_formatted(const std::string& text) {
     if (!notation_.adds_days && (back > day / 2 || back < -day / 2))
       return import_refused("",
                             std::string("it has no date, and is more than half ") + (has_hour ? "a day" : "an hour") +
-                                " from the row above: which " + (has_hour ? "day" : "hour") +
-                                " it is of cannot be known of rows that are not in order of time",
-                            "sort the file, and leave out --sort; or add a column with the date");
+                                " from the row above; the rows are not in time order, so its " +
+                                (has_hour ? "day" : "hour") + " is unknown",
+                            "sort the file, and do not use --sort; or add a column with the date");
     return time ? Result<Time>(*time)
                 : import_refused("", text + " is not a time that can be recorded", "check --start");
   }

@@ -307,7 +307,7 @@ std::string format_mistake(std::string_view format) {
     if (all[i] == '%') continue;
     if (std::string_view("YymbBdjHIpMSfLuNzsaA").find(all[i]) == std::string_view::npos)
       return std::string("it has %") + all[i] +
-             ", and there is %Y %y %m %b %d %j %H %I %p %M %S %f %L %u %N %z %s %a %F %T";
+             "; available: %Y %y %m %b %d %j %H %I %p %M %S %f %L %u %N %z %s %a %F %T";
     parts += all[i];
   }
   const auto has = [&](std::string_view any) { return parts.find_first_of(any) != std::string::npos; };

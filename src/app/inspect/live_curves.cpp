@@ -125,7 +125,7 @@ void LiveCurves::take_step(const Json& line) {
     for (const auto& [path, of] : data.items()) numbers.push_back(path);
     const bool is_other = units_[topic].contains(wanted.path);
     refuse(wanted.path.empty() ? topic : topic + "." + wanted.path,
-           is_other              ? "it is no number"
+           is_other              ? "it is not a number"
            : wanted.path.empty() ? "it has no numbers"
                                  : "there is no such field",
            nearest_or_all(wanted.path, numbers));

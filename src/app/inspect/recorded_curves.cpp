@@ -214,7 +214,9 @@ class Reader {
   const std::string of_run = "run " + std::to_string(run);
   const bool has_others = !origins.empty();
   std::string why = of_run + (has_others ? " has none of origin " + *origin : " has nothing of it");
-  std::string advice = has_others ? "there is " + list_of(origins) : runs.empty() ? "" : "see --run: " + list_of(runs);
+  std::string advice = has_others     ? "available: " + list_of(origins)
+                       : runs.empty() ? ""
+                                      : "see --run: " + list_of(runs);
   throw SetupError({Errc::not_found, "cannot plot", topic, std::move(why), std::move(advice)});
 }
 
@@ -321,8 +323,8 @@ void add_unknown(const RunReport& account, Plot& plot) {
   for (const std::string& what : account.not_known) plot.notes.push_back("not known: " + what);
   for (const TopicLoss& loss : account.losses)
     if (loss.topic.empty())
-      plot.notes.push_back("not known: of which sensors, that had only begun, " + std::to_string(loss.not_saved) +
-                           " lost events were");
+      plot.notes.push_back("not known: the sensors, which had only begun, of " + std::to_string(loss.not_saved) +
+                           " lost events");
 }
 
 }  // namespace

@@ -64,8 +64,10 @@ RecordedRange range_of(const Recording& recording, const PartOptions& options, c
   range.from = from.value_or(std::min(start, range.until));
   if (!options.last.empty()) {
     const Duration last = parse_duration(options.last).or_throw();
-    if (from) refuse(Errc::bad_argument, "--last " + options.last, "--from says where it begins, too", "leave out one");
-    if (last <= Duration{0}) refuse(Errc::bad_argument, "--last " + options.last, "it is not above 0", "such as 10s");
+    if (from)
+      refuse(Errc::bad_argument, "--last " + options.last, "--from says where it begins, too", "remove one of the two");
+    if (last <= Duration{0})
+      refuse(Errc::bad_argument, "--last " + options.last, "it is not above 0", "write one such as 10s");
     const Duration all = range.until - std::min(start, range.until);
     range.from = range.until - std::min(last, std::max(all, Duration{1}));
   }

@@ -324,8 +324,8 @@ class Page {
     for (std::size_t i = 0; i < happenings_.size(); ++i)
       marks.push_back({happenings_[i].at, i < most_numbers ? i + 1 : 0, happenings_[i].kind});
     ReportCharts charts(content_.plot, marks);
-    add("<p class=\"small\">A line is the mean of each ", to_string(content_.plot.step),
-        ", and the area about it all from the least to the most. Red: nothing is there.");
+    add("<p class=\"small\">A line shows the mean of each ", to_string(content_.plot.step),
+        ", and the area around it the range from least to most. Red: data is missing.");
     if (!content_.limits.empty()) add(" Orange and red from a dashed line on: beyond a limit.");
     if (!marks.empty()) add(" Dotted lines and their numbers: what happened, see the list below.");
     if (content_.plot.read_step >= std::chrono::seconds{1})
@@ -355,7 +355,7 @@ class Page {
     for (std::size_t i = 0; i < content_.not_drawn.size() && i < most; ++i)
       names += (i == 0 ? "" : ", ") + content_.not_drawn[i];
     if (content_.not_drawn.size() > most) names += " and " + std::to_string(content_.not_drawn.size() - most) + " more";
-    add("<p class=\"small\">Without a curve, because these fields are no numbers: ", Raw{html_text(names, whole)},
+    add("<p class=\"small\">Without a curve, because these fields are not numbers: ", Raw{html_text(names, whole)},
         ".</p>\n");
   }
 

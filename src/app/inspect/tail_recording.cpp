@@ -109,7 +109,8 @@ class Content {
     if (!options.step.empty()) {
       step_ = parse_duration(options.step).or_throw();
       if (step_ <= Duration{0})
-        throw SetupError({Errc::bad_argument, "cannot show", "--step " + options.step, "it is not above 0", "as 1s"});
+        throw SetupError(
+            {Errc::bad_argument, "cannot show", "--step " + options.step, "it is not above 0", "write one such as 1s"});
     }
     std::set<std::string> topics, alarms;
     for (const RecordedTopic& topic : recording.topics().or_throw()) {
@@ -185,7 +186,7 @@ class Content {
       return;
     const std::string nearest = nearest_name(pattern, {topics.begin(), topics.end()});
     throw SetupError({Errc::not_found, "cannot show", "topic " + pattern, recording_.path() + " has none",
-                      nearest.empty() ? "there is " + list_of(topics) : "did you mean " + nearest + "?"});
+                      nearest.empty() ? "available: " + list_of(topics) : "did you mean " + nearest + "?"});
   }
 
   bool takes(const std::string& topic, std::size_t before) const {

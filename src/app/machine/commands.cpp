@@ -49,7 +49,7 @@ void print(const Scan& scan) {
                 << printable(device.advice) << "\n";
     for (const FoundDevice::Line& line : device.lines) std::cout << "    " << line.list << ": " << line.text << "\n";
   }
-  if (scan.devices.empty()) std::cout << "no device was found that could be measured with\n";
+  if (scan.devices.empty()) std::cout << "no device for measuring was found\n";
   if (!scan.hints.empty()) std::cout << "\n";
   for (const ScanHint& hint : scan.hints) std::cout << hint.kind << ": " << hint.text << "\n";
   const bool has_lines = std::any_of(scan.devices.begin(), scan.devices.end(),

@@ -527,7 +527,7 @@ int PageServer::begin_stream(void* of, Request&) {
   MHD_Connection* const connection = Library::connection(of);
   if (streams_.size() >= most_streams)
     return reply(of, MHD_HTTP_SERVICE_UNAVAILABLE, json_type,
-                 error_text(std::to_string(most_streams) + " pages are open, and there may be no more"));
+                 error_text(std::to_string(most_streams) + " pages are open, and no more are allowed"));
   Stream& stream = streams_.emplace_back(Stream{this, connection, Library::peer_of(connection), {}});
   stream.self = std::prev(streams_.end());
   stream.next = first_chunk_;
@@ -597,7 +597,7 @@ std::ptrdiff_t PageServer::give(Stream& stream, char* to, std::size_t most) {
 
 int PageServer::begin_question(void* of, Request& request) {
   if (requests_.size() >= most_waiting)
-    return reply(of, MHD_HTTP_SERVICE_UNAVAILABLE, json_type, error_text("too much is asked at a time: ask again"));
+    return reply(of, MHD_HTTP_SERVICE_UNAVAILABLE, json_type, error_text("too many requests at a time: ask again"));
   std::vector<std::string> words;
   std::string by;
   const char* const question = MHD_lookup_connection_value(request.connection, MHD_GET_ARGUMENT_KIND, "q");
