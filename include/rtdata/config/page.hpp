@@ -42,9 +42,9 @@ struct PageTls {
 
 struct PageSettings {
   std::string listen = {};                 ///< a PageAddress; empty: there is no page
-  std::vector<std::string> commands = {};  ///< that the page may give
+  std::vector<std::string> commands = {};  ///< commands that the page may give
   std::string token = {};                  ///< empty: made at each start
-  std::vector<std::string> names = {};     ///< by which browsers call the machine, beside its own and its addresses
+  std::vector<std::string> names = {};     ///< further names of the machine in browsers' addresses
   std::optional<PageTls> tls = {};
   bool behind_tls_proxy = false;
 
@@ -63,8 +63,8 @@ struct PageSettings {
         parameter("behind_tls_proxy", &PageSettings::behind_tls_proxy,
                   "the page is reachable only through another server, which encrypts it"));
   }
-  /// Refused: an address that is none; a token that could be guessed; on an address that others reach, commands that
-  /// set something, without encryption.
+  /// Refuses an invalid address; a token that could be guessed; without encryption, commands that set something on an
+  /// address that others can reach.
   friend void check_config(const PageSettings& settings, const ConfigItem& item, Problems& problems);
 };
 

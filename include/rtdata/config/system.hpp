@@ -49,7 +49,7 @@ namespace rtdata {
 /// Where log lines go.
 struct LogSettings {
   std::string file = {};            ///< empty: the program's default
-  LogLevel level = LogLevel::info;  ///< lesser ones are left out
+  LogLevel level = LogLevel::info;  ///< less important lines are omitted
   /// At this size the file is renamed to FILE.1, the old FILE.1 to FILE.2, and so on; 0: never.
   std::uint64_t max_bytes = std::uint64_t{10} << 20;
   unsigned keep = 5;                 ///< how many old files are kept
@@ -176,7 +176,7 @@ struct SystemPlan {
   std::vector<const PartPlan*> of_kind(std::string_view kind) const;
   /// Replaces resolved secrets in the texts of problems and warnings.
   void hide_secrets();
-  /// Every problem with its line of the file, for people.
+  /// Every problem with its line of the file, as text for users.
   std::string report() const;
   /// How long the sensors of each loop may hold it (LoopLoad): the main loop, then the tiers; loops without sensors are
   /// left out. `warnings` names each overloaded loop or lane.
@@ -213,7 +213,7 @@ class System {
   std::vector<std::string> sink_names() const { return parts_.names("sink"); }
 
   /// Makes one more part of any kind, from an item as in the file (`parse_config(text).or_throw()`), and returns its
-  /// name. `name`: of a kind that is written by name, such as a bus. It is checked as if it stood in the file, also
+  /// name. `name`: of a kind that is written by name, such as a bus. It is checked as if it were in the file, also
   /// against the existing parts (names, payloads of topics, files): throws ConfigError with every mistake, or the
   /// SetupError of its factory; then the system is unchanged. Recordings store the item and the time.
   std::string add(std::string_view kind, const ConfigItem& item, const std::string& name = {});
@@ -230,7 +230,7 @@ class System {
   /// What `apply` would do to each part, including parts added with `add`.
   PlanChange change_to(const SystemPlan& next) const;
   /// Applies the plan in this turn of the loop: closes, makes and changes parts, in the order of StepwiseChange
-  /// (config/change.hpp), which lets the loop turn in between. Unchanged parts go on; handles of closed parts are
+  /// (config/change.hpp), which lets the loop turn in between. Unchanged parts continue; handles of closed parts are
   /// invalid. A closed sink stores its queue afterwards, while the loop turns, within its `close_deadline`; a new sink
   /// on the same file waits for that. Recordings store the text and the time.
   ///

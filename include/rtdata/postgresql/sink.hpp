@@ -3,8 +3,8 @@
 ///     rtdata::PostgresqlSink server(loop, {.url = "postgresql://rt@db.example/plant?sslmode=verify-full",
 ///                                          .sink = {.through = "run.db"}});
 ///
-/// One table a topic, named as the topic, made by the sink: `time` (UTC), `time_ns` (exact, as recorded), `run`,
-/// `origin`, `sequence`, then one column a field, with units as comments. COPY inserts the rows, in one transaction
+/// One table per topic, named as the topic, made by the sink: `time` (UTC), `time_ns` (exact, as recorded), `run`,
+/// `origin`, `sequence`, then one column per field, with units as comments. COPY inserts the rows, in one transaction
 /// with the position of each origin on the server (rtdata_position). After any failure on either side, the sink reads
 /// the position again and does not send rows that the server already has. docs/postgresql.md has the layout.
 ///

@@ -1,4 +1,4 @@
-/// ConsoleSink: events as lines for people, on standard output.
+/// ConsoleSink: prints events as readable lines on standard output.
 ///
 ///     rtdata::ConsoleSink console(loop, {});
 ///

@@ -59,8 +59,8 @@ constexpr auto describe(type_tag<HttpCutAnswer>) {
 struct HttpConfig {
   HttpPeer server = {};
   HttpMethod method = HttpMethod::post;
-  /// "json" (an array of objects; with a `parcel_rows` of 1 the object alone), "jsonl" (an object a line), "cbor" (one
-  /// after the other), "influx", "raw", or a name of the registry
+  /// "json" (an array of objects; with a `parcel_rows` of 1 the object alone), "jsonl" (an object per line), "cbor"
+  /// (one after the other), "influx", "raw", or a name of the registry
   std::string format = "json";
   std::string content_type = {};  ///< empty: the format's
   HttpCompression compression = HttpCompression::none;

@@ -39,7 +39,7 @@ struct SendingConfig {
   std::size_t parcel_rows = 100;                    ///< events of a parcel, at most
   std::size_t parcel_bytes = std::size_t{1} << 20;  ///< a parcel is complete at this size
   Duration timeout = std::chrono::seconds{30};      ///< after this time without an answer, a parcel is sent again
-  std::uint64_t bytes_per_second = 0;               ///< sent, on average; 0: no limit
+  std::uint64_t bytes_per_second = 0;               ///< most to send, on average; 0: no limit
 
   friend constexpr auto parameters(type_tag<SendingConfig>) {
     using namespace std::chrono_literals;

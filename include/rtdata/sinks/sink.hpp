@@ -233,8 +233,8 @@ class Sink : public Handle {
   /// Takes no more events, and stores the queue while the loop turns, for `close_deadline` at most; then calls `done`
   /// with the number of lost events. Close the sink after that, but not inside `done`.
   void finish(Callback<void(std::uint64_t lost)> done);
-  /// Of one that finishes: a sink of this name that is made before its end opens nothing until then, and queues what
-  /// comes. They have one file.
+  /// For a sink that finishes: a new sink of this name with the same file opens nothing until the old one has ended; it
+  /// queues its events until then.
   void end_before(const std::string& successor);
 };
 
