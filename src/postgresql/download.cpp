@@ -57,7 +57,7 @@ T load_big(const char* from) noexcept {
   return big_endian(value);
 }
 
-/// numeric_send; false: it is no whole number of 64 bits.
+/// numeric_send; false: it is not a whole number of 64 bits.
 bool read_numeric(std::string_view bytes, std::uint64_t& value) noexcept {
   if (bytes.size() < 8) return false;
   const auto at = [&](std::size_t i) { return load_big<std::int16_t>(bytes.data() + 2 * i); };
@@ -173,7 +173,7 @@ struct Run {
 /// By run, a sentence each.
 using Sentences = std::vector<std::pair<std::int64_t, std::string>>;
 
-constexpr std::int64_t no_run = -1;  // none is recorded; 0 stands for all
+constexpr std::int64_t no_run = -1;  // no run has this number; 0 means all runs
 
 class Download {
  public:

@@ -123,7 +123,7 @@ std::string comment_of(const std::string& table, const Leaf& leaf) {
 
 std::string table_sql(const std::string& name, const SlotInfo& slot) {
   const std::string table = quoted_name(name);
-  // TimescaleDB wants its time in each unique index, and no reference to the table: create_hypertable(..., 'time').
+  // TimescaleDB needs the time in each unique index, and no reference to the table: create_hypertable(..., 'time').
   std::string sql = "CREATE TABLE " + table + "(";
   for (const FixedColumn& column : fixed) sql += quoted_name(column.name) + " " + column.type + " NOT NULL, ";
   for (const Leaf& leaf : slot.description->leaves()) sql += column_of(leaf) + ", ";
@@ -158,7 +158,7 @@ Found find_or_make(Connection& connection, const SlotInfo& slot, std::int64_t ru
     auto old = Description::from_json(known.text(row, 2));
     if (!old) continue;  // written by something else: left alone
     const std::string table(known.text(row, 1));
-    // Of several machines some have programs with fewer fields: theirs are the same table, too.
+    // Some of several machines may have programs with fewer fields: they use the same table.
     if (is_part_of(*slot.description, **old)) return {table, *old};
     if (!is_part_of(**old, *slot.description)) continue;
     std::string sql;

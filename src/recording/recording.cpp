@@ -299,7 +299,7 @@ Result<std::vector<RecordedClock>> Recording::clock(std::int64_t run) const try 
 
 namespace {
 
-/// None: there is no such run.
+/// Empty: there is no such run.
 std::optional<UtcLine> find_utc_line(const RecordingFile& file, std::int64_t run) {
   auto info = file.prepare("SELECT boot_id, clock_offset FROM rtdata_run WHERE run = ?");
   info.bind(1, run);

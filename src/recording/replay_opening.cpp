@@ -100,7 +100,7 @@ void ReplayNode::choose_topics(const Recording& recording) {
 }
 
 void ReplayNode::find_origins(const Recording& recording, RowFilter& filter, std::vector<ReplayOrigin>& known) {
-  // Rows are selected by one pattern; of several, all are read and the others left out.
+  // Rows are selected by one pattern. With several patterns all rows are read, and the others skipped.
   filter.topic = topics_.size() == 1          ? topics_.front().recorded.topic
                  : config_.topics.size() == 1 ? config_.topics.front()
                                               : "#";

@@ -15,7 +15,7 @@ std::string_view text_of(sqlite3_value* stored) {
                           : std::string_view{bytes, static_cast<std::size_t>(sqlite3_value_bytes(stored))};
 }
 
-/// What is stored, in words.
+/// The stored value as text for messages.
 std::string found(sqlite3_value* stored) {
   switch (sqlite3_value_type(stored)) {
     case SQLITE_INTEGER:

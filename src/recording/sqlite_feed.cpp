@@ -175,7 +175,7 @@ Position SqliteFeed::position_in(const Table& table) {
     const bool is_new = is_new_ || (!topics_before_.empty() && !has_topic(topics_before_, table.topic.topic));
     if (is_new) position = config_.from == From::beginning ? beginning_of(table) : end_of(table);
   }
-  positions_->set(config_.sink, table.topic.table, position);  // so that the file says that it is to be sent
+  positions_->set(config_.sink, table.topic.table, position);  // so that the file shows that these rows must be sent
   return position;
 }
 
@@ -386,7 +386,7 @@ void SqliteFeed::note_committed() {
     const auto known = std::find_if(tables_.begin(), tables_.end(),
                                     [&name = name](const Table& table) { return table.topic.table == name; });
     if (known != tables_.end()) {
-      // Only what is new: numbers of before may be those before VACUUM.
+      // Only new data: earlier row numbers may be from before a VACUUM.
       const Positions::Committed seen = std::exchange(known->seen, committed);
       if (committed.last_row != seen.last_row) known->last_row = std::max(known->last_row, committed.last_row);
       if (committed.deleted_to != seen.deleted_to) count_deleted(*known, committed.deleted_to);

@@ -102,7 +102,7 @@ void SqliteWriter::look_at_size() {
     if (::stat((config_.path + part).c_str(), &status) == 0) total += static_cast<std::uint64_t>(status.st_size);
   }
   const bool is_too_large = total > config_.max_bytes + config_.max_bytes / 10;
-  const bool has_cause = pruner_.is_exhausted() || log_is_read_;  // else it is smaller soon
+  const bool has_cause = pruner_.is_exhausted() || log_is_read_;  // otherwise it becomes smaller soon
   if (is_too_large && !is_too_large_ && !pruner_.has_more() && has_cause) {
     warning_ = Error{Errc::storage_full, "the recording is larger than `max_bytes`", config_.path,
                      std::to_string(total) + " bytes" +

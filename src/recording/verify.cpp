@@ -41,7 +41,7 @@ bool is_alive(const RunInfo& run) {
   std::ifstream file("/proc/sys/kernel/random/boot_id");
   std::string boot_id;
   std::getline(file, boot_id);
-  // An injected clock need not know the machine: its id does not look like a boot id, and the process decides alone.
+  // A clock for tests may have no real boot id. Then only the check of the process id counts.
   const bool is_machine = run.boot_id.size() == boot_id.size();
   if (boot_id.empty() || (is_machine && boot_id != run.boot_id) || run.pid <= 0) return false;
   return ::kill(static_cast<pid_t>(run.pid), 0) == 0 || errno == EPERM;
@@ -116,7 +116,7 @@ void scan_rows(const RecordingFile& file, const RecordedTopic& topic, RunsRows& 
   OriginRows* current = nullptr;
   ValueSums sums(topic.table);
   StepCheck steps(file, topic, runs, problems);
-  std::map<std::int64_t, std::uint64_t> strays;  // rows of runs that are not there
+  std::map<std::int64_t, std::uint64_t> strays;  // rows of missing runs
   std::unordered_map<std::string, OriginRows*> known;
   std::int64_t known_run = 0;
   std::string name;
@@ -129,7 +129,7 @@ void scan_rows(const RecordingFile& file, const RecordedTopic& topic, RunsRows& 
       continue;
     }
     if (sqlite3_column_type(statement.raw(), 3) != SQLITE_TEXT) [[unlikely]] {
-      // Reading it as a text would make it one, for its hash too.
+      // Reading it as a text would convert it, also for its hash.
       problems.push_back(topic.topic + ": row " + std::to_string(statement.integer(0)) + " has no text as its origin.");
       if (problems.size() > 100) break;
       continue;

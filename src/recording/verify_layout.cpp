@@ -75,7 +75,7 @@ void check_layout(const RecordingFile& file, const std::vector<RecordedTopic>& t
   if (are_topics_changed && problems.size() == before)
     problems.push_back("rtdata_topic: the checksum of its " + plural(topics.size(), "row") +
                        " is not the same as when they were written: a row was changed, added or deleted.");
-  const bool are_columns_right = problems.size() == before;  // else SQLite may have changed the views with them
+  const bool are_columns_right = problems.size() == before;  // otherwise SQLite may have changed the views with them
   check_positions(file, problems);
   std::vector<sqlite::View> wanted = sqlite::account_views();
   for (const RecordedTopic& topic : topics) wanted.push_back(sqlite::utc_view(topic.table, *topic.description));

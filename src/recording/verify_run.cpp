@@ -205,8 +205,8 @@ void check_schedule(const Findings& found, const LedgerEntry& entry,
   }
 }
 
-/// Whether a gap that lies before the schedule is the failure of the read that was under way when the recording began,
-/// with what failed right after it.
+/// True if a gap before the schedule is the failure of the read that was under way when the recording began, with the
+/// failures right after it.
 bool is_of_carried(const LedgerEntry& entry, const RecordedGap& gap, const std::vector<const RecordedGap*>& gaps,
                    const std::vector<const RecordedSegment*>& segments) {
   if (entry.carried == 0 || &gap != gaps.front() || gap.kind != "failed") return false;

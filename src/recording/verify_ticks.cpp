@@ -25,7 +25,7 @@ TickCheck::TickCheck(const LedgerEntry& entry, const std::vector<const RecordedS
     }
   }
   for (; next_gap < gaps.size(); ++next_gap) {
-    // Of the read that was under way when the recording began there may be one without any schedule.
+    // The read that was under way when the recording began may have a gap without any schedule.
     if (!segments.empty() || carried_ == 0) mistake(describe(*gaps[next_gap]) + " lies after the schedule");
   }
 }
@@ -35,7 +35,7 @@ void TickCheck::add_segment(std::size_t number, const Segment& segment, Time bef
   const std::int64_t first = to_nanoseconds(segment.first_due), period = segment.period.count();
   const auto ticks = static_cast<std::int64_t>(segment.computed());
   std::int64_t at = 0;  // the first tick that is in no stretch yet
-  // Gaps that were joined, and what lies among them: which of these ticks were taken is not known, only how many.
+  // Joined gaps and the readings between them: only the number of taken ticks is known, not which ones.
   std::int64_t joined_from = 0, joined_up_to = -1;
   std::uint64_t joined = 0;
   const auto end_joined = [&] {
@@ -53,7 +53,7 @@ void TickCheck::add_segment(std::size_t number, const Segment& segment, Time bef
   };
   for (; next_gap < gaps.size() && gaps[next_gap]->first <= segment.end && gaps[next_gap]->first < before; ++next_gap) {
     const RecordedGap& gap = *gaps[next_gap];
-    if (gap.last < segment.first_due) {  // of a read that was under way when the recording began
+    if (gap.last < segment.first_due) {  // the gap of a read that was under way when the recording began
       if (number != 0 || carried_ == 0) mistake(describe(gap) + " belongs to no schedule");
       continue;
     }
@@ -110,7 +110,7 @@ void TickCheck::mistake(std::string sentence) {
 }
 
 void TickCheck::add(std::int64_t time, std::uint64_t sequence) {
-  if (sequence < first_sequence_) return;  // which is a mistake of its own
+  if (sequence < first_sequence_) return;  // reported as a separate mistake
   const std::uint64_t number = sequence - first_sequence_;
   // What was under way when the recording began may have been the first one.
   const Stretch* earliest = number < carried_ ? nullptr : find(number - carried_, lower_);
