@@ -423,7 +423,7 @@ class RawCodec final : public Codec {
     return {};
   }
 
-  /// Total size, topic, time, origin and sequence but for the two texts.
+  /// The bytes of total size, topic, time, origin and sequence, without the two texts.
   static constexpr std::size_t longest_header = 4 + 1 + 9 + 1 + 9;
 
   RawConfig config_;

@@ -160,7 +160,7 @@ struct ControlSocket::Job final : detail::LaneJob {
   void done(Outcome outcome) override {
     if (!*is_alive_) return;
     --lane_.answers;
-    // Of a late one the lane's thread still has the text.
+    // If the answer is late, the lane's thread still has the text.
     to_.answered(client_, outcome == Outcome::finished ? std::move(text_) : answer_line("error", "no answer in time"));
   }
 

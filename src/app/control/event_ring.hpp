@@ -25,7 +25,7 @@ struct PackedEvent {
   std::uint32_t run = 0;  ///< number in the recording that it was read from; 0: it comes live
   std::int64_t time = 0;
   std::uint64_t sequence = 0;
-  const Description* description = nullptr;  ///< null: no event, but all of the origin up to this one had no room
+  const Description* description = nullptr;  ///< null: not an event: all of the origin up to this one had no room
 
   static std::size_t bytes_of(std::string_view topic, std::string_view origin, std::size_t payload) noexcept {
     return rounded(sizeof(PackedEvent) + topic.size() + 1 + origin.size()) + rounded(payload);
@@ -83,7 +83,7 @@ class EventRing {
     const std::size_t skipped = begins_anew || to_end < bytes ? to_end : 0;
     if (size - (head - tail) < skipped + bytes) return false;
     if (skipped > 0)
-      std::memset(memory_.get() + head % size, 0, sizeof(PackedEvent::bytes));  // goes on at the beginning
+      std::memset(memory_.get() + head % size, 0, sizeof(PackedEvent::bytes));  // continues at the beginning
     PackedEvent::put(memory_.get() + (head + skipped) % size, topic, header, description, payload, 0);
     head_.store(head + skipped + bytes, std::memory_order_release);
     return true;

@@ -19,13 +19,13 @@
 
 namespace rtdata::app {
 
-/// What a reader asks for.
+/// The request of a reader.
 struct StreamRequest {
   static constexpr std::size_t most_topics = 64;
   std::vector<std::string> topics = {"#"};  ///< patterns
   Duration step{0};                         ///< 0: each event
   std::optional<Time> from = {};            ///< none: now
-  std::optional<Duration> ago = {};         ///< the same, as so long before now
+  std::optional<Duration> ago = {};         ///< the same, as a time before now
   std::string of = {};  ///< the sink whose recording has what was before; empty: the first that fits
   Duration pace = std::chrono::milliseconds{10};  ///< of what is sent; at least
 
@@ -35,7 +35,7 @@ struct StreamRequest {
   /// Every reader gets these, too, as they come.
   static bool is_beside(std::string_view topic) noexcept;
 };
-/// Whether a line of the control socket is a request for events.
+/// True if a line of the control socket is a request for events.
 bool asks_for_events(std::string_view line);
 /// Errors: bad-argument, whose `why` answers the reader.
 Result<StreamRequest> stream_request(std::string_view line);
@@ -79,7 +79,7 @@ class StepSums {
   bool is_empty() const noexcept { return count_ == 0; }
   Time from() const noexcept { return from_; }
   Time until() const noexcept { return until_; }
-  /// The events of this description are of the same fields: it goes on with them.
+  /// The events of this description have the same fields: continues with them.
   bool goes_on_with(const Description* description);
   const Description* description() const noexcept { return description_; }
   /// The first event of a step.
@@ -117,9 +117,9 @@ class EventStream {
   void take(const PackedEvent& event, const StreamOrigin& origin, EventLine& line);
   /// After events came, and from time to time without any: steps that are over, what was left out, a sign of life.
   void turn(Time now);
-  /// What comes next is of this run, until the next call: sequences begin again.
+  /// Later events belong to this run, until the next call: sequences begin again.
   void begin_run(std::string_view uuid);
-  /// What comes from now on comes live.
+  /// Events from now on are live.
   void go_live(Time now);
   bool is_live() const noexcept { return is_live_; }
   Duration pace() const noexcept { return request_.pace; }
@@ -138,7 +138,7 @@ class EventStream {
   struct State {
     bool is_known = false;  // the two below
     bool is_taken = false;
-    bool has_units = false;  // they were told
+    bool has_units = false;  // they were sent
     std::uint64_t last = 0;  // sequence that was given, summed up or told as dropped; 0: none
     StepSums step;
     StepSums held;  // of what is left out

@@ -40,7 +40,7 @@ void LiveFeed::take(const EventView& event) {
   if (std::exchange(last_, description) != description && !ring_->descriptions.contains(description))
     keep(*description);
   if (!lost_.empty()) tell_lost();
-  // Of an origin that lost some, the loss is told before the next one.
+  // If an origin lost events, the loss is sent before its next event.
   if (lost_.empty() && ring_->put(event.topic(), event.header(), &event.description(), event.payload())) return;
   std::string key = std::string(event.topic()) + '\0' + std::string(event.origin());
   Lost& lost = lost_[std::move(key)];

@@ -25,7 +25,7 @@ namespace rtdata::app {
 namespace {
 
 constexpr Duration idle_pace = std::chrono::milliseconds{100};  // while nobody reads
-constexpr Duration look_pace = std::chrono::milliseconds{50};   // of the main loop, at what the thread wants of it
+constexpr Duration look_pace = std::chrono::milliseconds{50};   // how often the main loop checks requests of the thread
 constexpr Duration longest_reading = std::chrono::seconds{30};  // of a slice: a disk may stall
 constexpr Duration end_patience = std::chrono::milliseconds{300};
 constexpr Duration thread_patience = std::chrono::seconds{2};
@@ -35,7 +35,7 @@ constexpr std::size_t most_beside = std::size_t{256} << 10;
 
 }  // namespace
 
-/// What the loop and the thread both have: the one may be late with its end.
+/// The data shared by the loop and the thread, either of which may end later.
 struct Readers::Shared {
   struct Arrival {
     Arrival() = default;
@@ -64,7 +64,7 @@ struct Readers::Shared {
   std::atomic<std::size_t> readers{0};
   std::atomic<bool> quit{false};
   std::atomic<bool> is_broken{false};         // the thread cannot serve
-  std::atomic<std::uint64_t> asked_mark{0};   // the last that the thread wants
+  std::atomic<std::uint64_t> asked_mark{0};   // the last mark that the thread requested
   std::atomic<std::uint64_t> stored_mark{0};  // what was published before it can be read in the recordings
 
   // The thread's
@@ -107,7 +107,7 @@ struct Readers::Shared::Connection {
   }
   /// It reads fast enough for more of what was before now, of which nothing is dropped.
   bool has_room() const noexcept { return stream.text().size() < EventStream::most_bytes / 2; }
-  /// The run that goes on; empty: its recording has none.
+  /// The current run; empty: its recording has none.
   std::string_view current_run() const { return runs.empty() ? std::string_view() : runs.rbegin()->second; }
   /// Keeps what comes live for later.
   void keep(const PackedEvent& event) {

@@ -1,5 +1,5 @@
-// Those who read events of a running instance through its control socket (docs/subscribe.md), and the thread that
-// serves them.
+// The clients that read events of a running instance through its control socket (docs/subscribe.md), and the thread
+// that serves them.
 #pragma once
 
 #include <cstddef>
@@ -27,7 +27,7 @@ namespace rtdata::app {
 /// One that begins before now gets what its recording has, then what comes live, each event once: by origin and
 /// sequence. To go over, the thread asks for a mark between the events that come live. What was published before the
 /// mark had been offered to the recording by then; when that has stored it, all that is before the mark can be read.
-/// What comes behind the mark is kept meanwhile, and what of it has been read already is left out.
+/// Events after the mark are kept meanwhile; those that have been read already are skipped.
 ///
 /// Memory: a ring of 4 MiB, and about 256 KiB a reader; 5 MiB while it reads what was before now.
 ///
@@ -59,7 +59,7 @@ class Readers {
 
  private:
   struct Shared;
-  /// What sinks had been offered when a mark was put: of recordings, by name.
+  /// The number of events offered to the recordings when a mark was put, by name.
   struct Mark {
     std::uint64_t number = 0;
     std::map<std::string, std::uint64_t> offered;

@@ -57,7 +57,7 @@ struct Status {
     bool is_running = false;
     std::optional<double> wanted_hz, reached_hz;  ///< reached: over the last seconds
     std::optional<Lateness> lateness;             ///< of the last whole second
-    std::optional<std::string> value;             ///< the last one, for people
+    std::optional<std::string> value;             ///< the last one, as readable text
     std::optional<Alarm> alarm;                   ///< of a limit
     std::optional<std::string> state;             ///< of a machine
     std::optional<Duration> in_state;

@@ -37,7 +37,7 @@ ConfigItem* child_of(ConfigItem& item, std::string_view key) {
   return nullptr;
 }
 
-/// That of a sensor's item, which has no mistakes.
+/// The calibration of a sensor's item, which has no mistakes.
 Processing processing_of(const ConfigItem& sensor) {
   Processing processing;
   const ConfigItem* const all = sensor.find("process");
@@ -111,7 +111,7 @@ std::string Tares::put_into_sensor(ConfigItem& sensor, Problems& warnings) const
       taken += (taken.empty() ? "" : ", ") + key.first + "." + key.second + " " + number_text(*tare.value);
       continue;
     }
-    if (!mistakes.empty()) continue;  // they are told
+    if (!mistakes.empty()) continue;  // they are reported
     warnings.add(sensor.problem(
         "no-effect", "its tare, " + number_text(*tare.value) + " of " + key.second +
                          ", is not used, because that calibration has changed; take another with `rtdata ctl "

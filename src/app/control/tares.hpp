@@ -16,7 +16,7 @@
 
 namespace rtdata::app {
 
-/// Those of one configuration. Thread: any.
+/// The tares of one configuration. Thread: any.
 class Tares {
  public:
   /// Reads the file; one that is missing has none. `configuration`: its path; tares of another one are not taken.
@@ -26,7 +26,7 @@ class Tares {
   /// changed since is left out, with a warning.
   std::string put_into(ConfigItem& root, Problems& warnings) const;
   std::string put_into_sensor(ConfigItem& sensor, Problems& warnings) const;
-  /// Without a value: forgets it. Returns the text that the file is to have.
+  /// Without a value: forgets it. Returns the new text of the file.
   std::string set(const std::string& sensor, const std::string& field, const Calibration& of,
                   std::optional<double> tare);
 
@@ -60,7 +60,7 @@ class TareDesk {
   struct Writing;
   void look(const std::shared_ptr<Taking>& taking);
   void finish(const std::shared_ptr<Taking>& taking);
-  /// Applies a tare, without a value none, and writes the file; `text` is told then.
+  /// Applies a tare (without a value: removes it) and writes the file; then answers with `text`.
   void apply(Taking& taking, std::optional<double> tare, const std::string& text);
 
   Loop& loop_;

@@ -1,4 +1,4 @@
-// The terminal of a view that goes on until somebody ends it. Private to the program.
+// The terminal of a view that runs until somebody ends it. Private to the program.
 #pragma once
 
 #include <termios.h>

@@ -32,7 +32,7 @@ CLI::Option* add_run(CLI::App& command, std::optional<std::string>& to, const st
   return command.add_option("--run", to, which + "; -1: the last, -2: the one before")->type_name("NUMBER|NAME");
 }
 
-/// Of words that may also be an instance or a topic: names of instances have neither.
+/// True if a word names a recording. It may also be an instance or a topic: names of instances have neither.
 bool is_recording(const std::string& word) {
   std::error_code ignored;
   return word.ends_with(".db") ||

@@ -49,7 +49,7 @@ struct RunsOptions {
   std::string database;
   ShowAs show_as = ShowAs::text;
 };
-/// A line a run. 0; 2 unreadable.
+/// One line per run. 0; 2 unreadable.
 int runs(const RunsOptions& options, std::ostream& out, std::ostream& err);
 
 /// 0: what ended without closing is sealed, if anything; 1 it cannot be, as while it is recorded; 2 unreadable.
@@ -108,8 +108,8 @@ struct ExportOptions {
   Times times = Times::recorded;  // utc: --utc, corrected times, as ISO 8601 in CSV
   enum class Header { names, names_and_units };
   Header header = Header::names;
-  // Of CSV, for people and their programs; those of a topic, to `out`.
-  std::vector<std::string> join = {};  // topics whose last event at or before each row stands in it
+  // Only for CSV of one topic, written to `out`.
+  std::vector<std::string> join = {};  // topics whose last event at or before each row is in the row
   std::string within = {};             // how old that may be; empty: any age
   std::string separator = {};          // a character, or "tab"; empty: ","
   std::string decimal = {};            // "." or ","; empty: "."
@@ -155,7 +155,7 @@ struct RecordedTailOptions {
   std::size_t lines = 20;  // the newest, unless the part says from when
   std::string step = {};   // reduced to steps of this length; empty: each event
   ShowAs show_as = ShowAs::text;
-  std::size_t columns = 0;  // lines of text are cut to so many; 0: they are not
+  std::size_t columns = 0;  // lines of text are cut to this many; 0: they are not cut
 };
 /// 0; 1 when it cannot be shown so, or there is no such run or topic; 2 unreadable.
 int tail_recording(const RecordedTailOptions& options, std::ostream& out, std::ostream& err);
@@ -179,8 +179,8 @@ struct ImportOptions {
   std::string columns = {};                // the names, as a row of CSV, of a table without heading; empty: it has one
   std::vector<std::string> only =
       {};  // the rows taken: KIND, the text of their first cell, or COLUMN=TEXT; all of these
-  std::vector<std::string> none = {};   // texts, and numbers however they are written, that stand for no value
-  std::vector<std::string> strip = {};  // texts that are taken off the begin or end of cells with numbers
+  std::vector<std::string> none = {};   // texts, and numbers in any notation, that mean "no value"
+  std::vector<std::string> strip = {};  // texts to remove from the begin or end of cells with numbers
   std::vector<std::string> texts = {};  // headings of columns that are texts, whatever their cells are
   enum class Order { refused, sorted };
   Order order = Order::refused;  // of rows that are not in order of time; sorted: --sort

@@ -15,7 +15,7 @@ namespace {
   throw SetupError({Errc::not_found, "cannot plot", name, std::move(why), std::move(advice)});
 }
 
-/// The numbers that a path stands for; empty: none. `is_there`: there is something of that name.
+/// The numbers that a path means; empty: none. `is_there`: there is something of that name.
 std::vector<std::string> numbers_of(const Description& of, const std::string& path, bool& is_there) {
   std::vector<std::string> found;
   for (const Leaf& leaf : of.leaves()) {
@@ -29,7 +29,7 @@ std::vector<std::string> numbers_of(const Description& of, const std::string& pa
   return found;
 }
 
-/// Why there is no number.
+/// The reason why there is no number.
 std::string no_number_text(const Description& of, const std::string& path) {
   const Leaf* const leaf = of.find(path);
   if (leaf == nullptr) return "it holds no number";

@@ -24,7 +24,7 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
-/// Of the numbers of a field that are there and not NaN.
+/// The figures of the values of a field that are present and not NaN.
 struct RunFigures {
   std::uint64_t count = 0;
   double least = std::numeric_limits<double>::infinity(), largest = -least, mean = 0, squares = 0;
@@ -62,7 +62,7 @@ struct Side {
   std::string from_utc;
 };
 
-/// What is compared: an origin's events on a topic, of both.
+/// One comparison: an origin's events on a topic, in both runs.
 struct Part {
   std::array<std::uint64_t, 2> events{};
   std::array<std::string, 2> lost;

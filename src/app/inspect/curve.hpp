@@ -15,7 +15,7 @@ namespace rtdata::app {
 /// As it was recorded, so that integers beyond 2^53 stay apart. All of one curve hold the same type.
 using Number = std::variant<std::int64_t, std::uint64_t, double>;
 
-/// What the events of one step have in one field. A step without events is none.
+/// The values of one field in the events of one step. A step without events is omitted.
 struct CurveStep {
   Time begin{};               ///< UTC, a multiple of the step
   std::uint64_t events = 0;   ///< all of them

@@ -62,7 +62,7 @@ void report_runs(std::ostream& err, const Recording& recording, const ExportOpti
       << (options.format == "csv" ? "" : ", by its uuid") << "; --run takes one\n";
 }
 
-/// How the table for people is written; none: the plain export is wanted. Throws SetupError.
+/// The options of a formatted table; none: plain export. Throws SetupError.
 std::optional<TableFormat> table_format_of(const ExportOptions& options) {
   const auto refuse_option = [](std::string option, std::string why, std::string advice) {
     throw SetupError({Errc::bad_argument, "cannot export", std::move(option), std::move(why), std::move(advice)});

@@ -59,7 +59,7 @@ bool is_of_columns(std::vector<detail::CsvCell>& cells, const std::vector<Import
   return cells.size() == columns.size();
 }
 
-/// Of a row that looks like a comment. Empty: it does not.
+/// Advice for a row that looks like a comment. Empty: it does not.
 std::string comment_advice(const std::vector<detail::CsvCell>& cells) {
   for (const char* const begin : {"#", "//", ";", "%", "!"})
     if (cells.front().text.starts_with(begin))
@@ -80,7 +80,7 @@ std::string column_of_time(const ImportOptions& options) {
   return all;
 }
 
-/// Of the columns of time: the heading, with its unit where that is in a row of its own.
+/// The heading of the time columns, with the unit if that is in a separate row.
 std::string heading_of_time(const Found& found) {
   std::string all;
   for (const std::size_t at : found.time_columns) {
@@ -161,7 +161,7 @@ std::string time_text(const std::vector<detail::CsvCell>& cells, const Found& fo
                 advice);
 }
 
-/// Of a row that is before the row above it: sorting is not always what puts it right.
+/// Advice for a row that is before the row above it: sorting is not always the remedy.
 std::string sort_advice(const ImportOptions& options, const ImportNotation& notation, std::uint64_t line, Time before,
                         Time time, const std::string& when) {
   double number = 0;
@@ -555,7 +555,7 @@ ImportNotation notation_of(const ImportOptions& options) {
   return notation;
 }
 
-/// Of "Time 1" and "Time 2": true if this is a column of times beside that of the time.
+/// True if this is a second column of times, such as "Time 2" beside "Time 1".
 bool is_another_time(const ImportColumn& column, const ImportColumn& time) {
   const auto base = [](const ImportColumn& of) {
     const std::string lower = of.bare.size() > 2 ? detail::lower_case(of.bare) : of.bare;  // not T1 of t
@@ -565,7 +565,7 @@ bool is_another_time(const ImportColumn& column, const ImportColumn& time) {
          !base(time).empty() && base(column) == base(time);
 }
 
-/// What is not as it stands in the table, or may not be as it was meant.
+/// Warns of values that differ from the table, or that may not be as intended.
 void tell_warnings(std::ostream& err, const ImportOptions& options, const Found& found, const ImportNotation& notation,
                    std::uint64_t moved) {
   const auto warn = [&](const std::string& text) { err << "rtdata: warning: " << text << "\n"; };

@@ -156,7 +156,7 @@ Result<bool> ImportRows::next(std::vector<detail::CsvCell>& cells) {
     if (!utf16_.empty())
       return import_refused(path_, "it is UTF-16",
                             "convert the file: iconv -f " + utf16_ + " -t UTF-8 " + path_ + " >table.csv");
-    // A line of blanks is none, but for a table whose cells tabs separate.
+    // A line of blanks does not count, except in a table whose cells are separated by tabs.
     const std::size_t text = line.find_first_not_of(notation_.separator == '\t' ? " \r" : " \t\r");
     if (!is_quoted && (text == std::string::npos || is_comment(std::string_view(line).substr(text)))) {
       if (text == std::string::npos && are_rows_ && notation_.step > 0 && empty_line_ == 0) empty_line_ = line_;
@@ -168,7 +168,7 @@ Result<bool> ImportRows::next(std::vector<detail::CsvCell>& cells) {
                    "the line is empty; with --rate or --step the program cannot tell whether a row is missing here",
                    "remove the line, or write the row, with \"\" for no value"};
     if (notation_.has_blanks) line = with_single_blanks(line);
-    // Before quotes are: what stands in lines of another kind is no CSV.
+    // Before quotes are read: lines of another kind need not be CSV.
     if (!is_quoted && !is_chosen(line, nullptr)) {
       begin();
       continue;

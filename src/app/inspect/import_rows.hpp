@@ -20,12 +20,12 @@ struct ImportChoice {
   std::optional<std::size_t> column = {};  // empty: the first cell of the line has the text, whatever follows it
   std::string text = {};
   std::string heading = {};  // of the column, for messages
-  // What came:
+  // The input:
   bool has_any = false;
   std::vector<std::string> others = {};  // other texts, a few of them
 };
 
-/// The rows of a file, one after the other, from `notation.skip` on, without comments. A cell that stands for no value
+/// The rows of a file, one after the other, from `notation.skip` on, without comments. A cell that means "no value"
 /// is empty.
 class ImportRows {
  public:
@@ -44,7 +44,7 @@ class ImportRows {
   const std::vector<ImportChoice>& choices() const noexcept { return choices_; }
   /// How many other rows were left out since.
   std::uint64_t others() const noexcept { return others_; }
-  /// From now on cells that stand for no value are empty, but for these columns, and rows that are the heading again
+  /// From now on cells that mean "no value" are empty, except in these columns, and rows that repeat the heading
   /// are left out.
   /// `names`: of the columns, for messages.
   void begin_rows(std::vector<detail::CsvCell> heading, std::vector<std::string> names,
@@ -64,11 +64,11 @@ class ImportRows {
 
  private:
   bool is_none(const detail::CsvCell& cell) const;
-  /// Takes what stands before or behind numbers off. Errors: bad-argument, if that would make other numbers of them.
+  /// Removes the texts before or behind numbers. Errors: bad-argument, if that would change the numbers.
   Result<void> strip(std::string& text, std::size_t column);
   bool is_heading(const std::vector<detail::CsvCell>& cells) const;
   bool is_comment(std::string_view text) const;
-  /// What each choice has to say of a line before its cells are looked at, or, if `cells` are given, of them.
+  /// Applies each choice to a line before its cells are read, or, if `cells` are given, to these.
   bool is_chosen(std::string_view line, const std::vector<detail::CsvCell>* cells);
 
   static constexpr std::size_t longest_row = std::size_t{1} << 20;
@@ -82,7 +82,7 @@ class ImportRows {
   std::uint64_t empty_line_ = 0;  // the last one above, among rows at even steps
   bool are_rows_ = false;         // not the heading any more
   std::vector<detail::CsvCell> heading_;
-  std::vector<std::string> names_, stripped_;  // of each column: its name, what was taken off its numbers
+  std::vector<std::string> names_, stripped_;  // of each column: its name, the text removed from its numbers
   std::vector<std::size_t> time_columns_;
   std::uint64_t headings_again_ = 0;
   std::vector<ImportChoice> choices_;

@@ -57,7 +57,7 @@ std::optional<Time> later_than(Time start, Duration by) {
 
 std::string_view usual_number(std::string_view text, const ImportNumbers& written, std::string& buffer) {
   const std::string& between = written.thousands;
-  // "-   0.512", as fields of one width have it, and the minus sign that is no hyphen.
+  // "-   0.512", as in fields of fixed width, and the minus sign that is not a hyphen.
   constexpr std::string_view minus = "\u2212";
   std::string with_sign;
   const bool has_minus = text.starts_with(minus);
@@ -175,7 +175,7 @@ std::string unit_in(std::string_view heading) {
     const std::string& word = words[i];
     if (word.size() < 2 && !(word == "h" && is_last && i + 1 == words.size())) continue;
     const auto duration = duration_of_unit(word);
-    // "day of year", "min since start": elsewhere than at the end a word may be no unit, but for these.
+    // "day of year", "min since start": a word that is not at the end may not be a unit, except these.
     const bool is_plain = (i + 1 == words.size() && is_last) || (duration && *duration < std::chrono::seconds{1}) ||
                           word.size() >= 5;
     if (duration && is_plain) return word;

@@ -22,13 +22,13 @@ struct ImportNumbers {
 /// How rows, cells, numbers and times are written.
 struct ImportNotation {
   std::uint64_t skip = 0;                  ///< lines before the first row
-  std::vector<std::string> comments = {};  ///< what lines begin with that are no rows
+  std::vector<std::string> comments = {};  ///< texts at the begin of lines that are not rows
   char separator = ',';
   ImportNumbers numbers = {};
-  std::vector<std::string> none = {};   ///< texts, and numbers however they are written, that stand for no value
-  std::vector<std::string> strip = {};  ///< taken off the begin or end of cells with numbers
+  std::vector<std::string> none = {};   ///< texts, and numbers in any notation, that mean "no value"
+  std::vector<std::string> strip = {};  ///< removed from the begin or end of cells with numbers
   bool has_blanks = false;              ///< any number of blanks and tabs separates the cells
-  bool adds_days = true;                ///< times without a date that go back at midnight are of the next day
+  bool adds_days = true;                ///< times without a date that go back at midnight belong to the next day
   bool takes_partial = false;           ///< a last row without a line end is left out, and rows without a time
   std::string time_format = {};         ///< see `read_time`; empty: ISO 8601 and numbers
   std::string zone = {};                ///< for times without a zone; empty: these are refused
@@ -42,7 +42,7 @@ struct ImportNotation {
 /// hold it.
 std::string_view usual_number(std::string_view text, const ImportNumbers& written, std::string& buffer);
 
-/// Whether the text is a number, and which.
+/// True if the text is a number, with its value.
 bool is_number(std::string_view text, const ImportNumbers& written, double& number);
 
 /// True if its commas may separate thousands: "1,234", "12,500,000"; not "0,250" or "1,5".
@@ -86,7 +86,7 @@ class ClockDigits {
   void look_at(std::string_view text);
   /// "%H%M%S", or with hundredths "%H%M%S%f". Empty: they seem to be numbers. `is_said`: the heading says it.
   std::string format(bool is_said) const;
-  /// Of one of them: "085958 is 08:59:58".
+  /// An example: "085958 is 08:59:58".
   std::string shown() const;
 
  private:
@@ -102,9 +102,9 @@ class ClockDigits {
 /// The unit of time that is a word of the heading: "ms" of "time_ms", "ms since boot" and "ms". Empty: none is.
 std::string unit_in(std::string_view heading);
 
-/// What 1 is of a unit as tables write it: "ms", "millisecond", "usec", "minutes". Empty: it is no unit of time.
+/// The duration of a unit as tables write it: "ms", "millisecond", "usec", "minutes". Empty: it is not a unit of time.
 std::optional<Duration> duration_of_unit(std::string_view unit);
-/// "UTC", "unix": what headings have in ( ) that is no unit.
+/// True for texts in ( ) of headings that are not units: "UTC", "unix".
 bool says_a_zone(std::string_view unit);
 /// "20250329", "2025032922": true if these digits may be a day, with or without a time of day.
 bool may_be_a_day(std::string_view text);

@@ -9,7 +9,7 @@
 
 namespace rtdata::app {
 
-/// Makes the zone that of the process, before it has other threads. False: there is no zone of this name, such as
+/// Sets the zone of the process, before it has other threads. False: there is no zone of this name, such as
 /// Europe/Berlin, on this machine.
 bool use_zone(const std::string& name);
 

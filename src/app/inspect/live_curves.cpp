@@ -20,7 +20,7 @@ namespace {
 
 Time time_in(const nlohmann::ordered_json& object, const char* key) { return from_nanoseconds(whole_in(object, key)); }
 
-/// What is not finite is a text in JSON.
+/// A number that is not finite is a text in JSON.
 double number_in(const nlohmann::ordered_json& object, const char* key) {
   const auto found = object.find(key);
   if (found == object.end()) return std::numeric_limits<double>::quiet_NaN();

@@ -26,7 +26,7 @@ class LiveCurves {
   std::string request(Duration step, bool with_past) const;
   /// A line of the answer. Throws SetupError (not_found): the topic has no such number, with the nearest name.
   void take(std::string_view line);
-  /// What was asked for of before has come.
+  /// The requested earlier values have come.
   bool is_live() const noexcept { return is_live_; }
   bool is_empty() const noexcept { return curves_.empty(); }
 

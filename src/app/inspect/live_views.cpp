@@ -32,7 +32,7 @@ constexpr Duration longest_silence = 10s;  // an instance says something every s
 constexpr Duration refresh = 1s;
 constexpr Duration most_deaf = 20ms;  // longest time without a check for keys
 
-/// What to show of an instance, and how.
+/// The view of an instance.
 struct View {
   const char* command;
   std::vector<std::string> fields;
@@ -191,7 +191,7 @@ Lines table_of(const LiveCurves& curves, Time now) {
   return lines_in(table.text(""));
 }
 
-/// Of this topic's sensors alone.
+/// Only this topic's sensors.
 Status status_of_topic(const Status& status, const std::string& topic) {
   Status of = status;
   std::erase_if(of.sensors, [&](const Status::Sensor& sensor) { return sensor.topic != topic; });
@@ -208,7 +208,7 @@ Status status_of_topic(const Status& status, const std::string& topic) {
   return of;
 }
 
-/// What can be plotted, of what came by now.
+/// The fields received until now that can be plotted.
 Lines list_of(const LiveCurves& curves, const Status& status, const std::string& instance) {
   std::map<std::string, std::vector<std::string>> by_topic;
   for (const Status::Account& topic : status.topics) by_topic[topic.name];

@@ -11,7 +11,7 @@ namespace rtdata::app {
 /// "room/climate, room/door": of many the first. "nothing": of none.
 std::string list_of(const std::set<std::string>& names);
 
-/// What can be plotted, a line a topic, and an example: `command` and the first of them.
+/// The fields that can be plotted, one line per topic, and an example: `command` and the first of them.
 std::string list_of_fields(const std::map<std::string, std::vector<std::string>>& by_topic, const std::string& command);
 
 /// "did you mean room/climate?", or which there are. Of "rom/climate.temperature" the topic may be near.

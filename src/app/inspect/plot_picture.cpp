@@ -25,7 +25,7 @@ std::string_view variable(const char* name) {
   return value == nullptr ? std::string_view() : value;
 }
 
-/// Whether programs are to write UTF-8: the first of these variables that is set says so.
+/// True if programs should write UTF-8: the first of these variables that is set decides.
 bool is_utf8_locale() {
   for (const char* const name : {"LC_ALL", "LC_CTYPE", "LANG"}) {
     const std::string_view value = variable(name);
@@ -146,7 +146,7 @@ constexpr char several = '*';
 /// One mark for two.
 char both(char a, char b) { return a == ' ' || a == b ? b : b == ' ' ? a : several; }
 
-/// The reasons of all curves: each has a letter, and is told once.
+/// The reasons of all curves: each has a letter, and is shown once.
 class Reasons {
  public:
   explicit Reasons(const Plot& plot) : plot_(plot) {}
@@ -380,7 +380,7 @@ Lines picture_of(const Plot& plot, const PlotStyle& style) {
   if (has_several) below.push_back(std::string(1, several) + "  several of these");
   for (const std::string& note : plot.notes) add_wrapped(below, printable(note), style.columns);
 
-  std::size_t fixed = lines.size() + below.size() + 3;  // the axis, and where the terminal goes on
+  std::size_t fixed = lines.size() + below.size() + 3;  // the axis, and the line where the terminal continues
   for (const Panel& panel : panels) fixed += panel.title.size() + (panel.cells.empty() ? 0 : 1);
   const std::size_t rows = std::max(
       least_rows, (style.rows - std::min(style.rows, fixed)) / std::max<std::size_t>(panels.size(), 1));

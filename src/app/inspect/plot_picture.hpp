@@ -17,7 +17,7 @@ struct PlotStyle {
   Colours colours = Colours::none;
 };
 
-/// Of the terminal of standard output; none: 80 x 24 without colours. The locale says whether it has UTF-8.
+/// The size of the terminal of standard output; none: 80 x 24 without colours. The locale says if it has UTF-8.
 PlotStyle terminal_style();
 
 /// The shortest step of two digits of which a picture in that style has room for all that lie in this time.
@@ -26,7 +26,7 @@ Duration step_for(Time from, Time until, const PlotStyle& style);
 /// A panel for each curve above one axis of time. Of each step the picture shows all from the least to the most;
 /// neighbours are joined, unless something between them is not there. What is not there has a letter below the curve,
 /// and each letter a line with the reason. As many lines as the terminal has, more where the curves need them; none is
-/// wider than it, but for words that are.
+/// wider than it, except for words that are.
 std::vector<std::string> picture_of(const Plot& plot, const PlotStyle& style);
 
 }  // namespace rtdata::app

@@ -57,7 +57,7 @@ class Reader {
         source(entry.topic, entry.origin).has_schedule = entry.sensor.has_schedule;
     RowFilter filter{.run = range.run.run, .origin = origin};
     if (topics_.size() == 1) filter.topic = topics_.begin()->first;
-    if (sampling.times == RowFilter::Times::utc) {  // recorded steps are of all of a run
+    if (sampling.times == RowFilter::Times::utc) {  // recorded steps cover the whole run
       filter.from = range.from;
       filter.until = range.until;
     }
@@ -113,7 +113,7 @@ class Reader {
     return sampling_.times == RowFilter::Times::utc ? begin : range_.line.utc(begin);
   }
 
-  /// What sequences between two steps, or within one, do not have a row.
+  /// Missing rows: sequences between two steps, or within one, without a row.
   void add_missing(Source& of, const RecordedRow& row, std::uint64_t events) {
     constexpr const char* not_stored = "not stored: dropped by the recording";
     const Time begin = begin_of(row);
@@ -181,7 +181,7 @@ class Reader {
     is_joined ? join(step, curve.steps.back()) : curve.steps.push_back(step);
   }
 
-  /// Of the paths.
+  /// The leaves of the paths.
   const std::vector<Figures>& places_of(const RecordedRow& row, Topic& topic) const {
     const auto [known, is_new] = topic.places.try_emplace(row.topic().version);
     if (!is_new) return known->second;
@@ -222,7 +222,7 @@ class Reader {
 
 // ---- what the account says
 
-/// What a topic lost in the run, and the unrecorded topics that it is made of.
+/// The losses of a topic in the run, and of its unrecorded source topics.
 TopicLoss loss_of(const RunReport& account, const std::string& topic) {
   TopicLoss loss;
   for (const TopicLoss& one : account.losses) {
@@ -355,7 +355,7 @@ std::vector<ChosenField> fields_of_run(const Recording& recording, const RunInfo
   for (const LedgerEntry& entry : recording.ledger(run.run).or_throw()) topics.insert(entry.topic);
   std::vector<ChosenField> fields;
   for (const RecordedTopic& topic : recording.topics().or_throw()) {
-    // A run that goes on, or was killed, may have topics that no account has yet.
+    // A running or killed run may have topics that no account has yet.
     if (!topics.contains(topic.topic) && run.state == RunState::closed) continue;
     if (topic.topic.starts_with('$') || is_of_course(*topic.description)) continue;
     for (const Leaf& leaf : topic.description->leaves()) {

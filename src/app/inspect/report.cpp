@@ -59,7 +59,7 @@ std::map<std::string, std::vector<LimitSettings>> limits_of(const std::string& c
   return limits;
 }
 
-/// Numbers have curves, and what the course is made of is told there.
+/// Fields without a curve, except those that the course of the run shows.
 std::vector<std::string> fields_without_curve(const std::vector<RecordedTopic>& topics,
                                               const std::vector<LedgerEntry>& ledger) {
   std::set<std::string> names, fields;

@@ -13,7 +13,7 @@
 namespace rtdata::app {
 namespace {
 
-// Of a picture, in its own units. The curve has a viewport of its own: a column wide is 1, and 1000 high.
+// The sizes of a picture, in its own units. The curve has a separate viewport: a column is 1 wide, and 1000 high.
 constexpr double left = 76, width = 640, top = 4, height = 84;
 constexpr int inner = 1000, edge = 30;
 
@@ -26,7 +26,7 @@ std::string tenths(double value) {
   return made;
 }
 
-/// What a picture shows between its lower and its upper edge.
+/// The range of values between the lower and the upper edge of a picture.
 struct Range {
   std::optional<Number> low, high;
 
@@ -119,7 +119,7 @@ std::string bands_of(const std::vector<LimitSettings>& limits, const Range& rang
 }  // namespace
 
 const char* ReportCharts::style() {
-  // What a picture has from the first matches no selector with an element outside.
+  // Elements that a picture reuses from the first one match no selector with an element outside.
   return "svg{display:block;width:100%;height:auto;font:9px sans-serif}"
          "svg svg{overflow:hidden}"
          "path{fill:none;vector-effect:non-scaling-stroke;stroke-linejoin:round;stroke-linecap:round}"
@@ -242,7 +242,7 @@ std::string ReportCharts::chart_of(const Curve& curve, const std::vector<LimitSe
     if (!is_line) all.close();
     for (std::size_t i = 0; i < part.size(); ++i) {
       const CurveStep& step = *part[i];
-      // Without a mean, of infinities, the middle of what is there.
+      // If there is no finite mean, draws the middle between least and most.
       const bool has_mean = std::isfinite(step.mean) && scale.least && *range.low != *range.high;
       const double low = scale.least ? as_double(*range.low) : 0, high = scale.least ? as_double(*range.high) : 0;
       const int y = step.least == step.most ? range.y_of(step.least)

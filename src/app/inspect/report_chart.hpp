@@ -13,7 +13,7 @@
 
 namespace rtdata::app {
 
-/// What happened at an instant: a thin line in every picture.
+/// An event at an instant: a thin line in every picture.
 struct ChartMark {
   Time at{};               ///< UTC
   std::size_t number = 0;  ///< in the list of the page; 0: without

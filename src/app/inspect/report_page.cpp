@@ -137,7 +137,7 @@ class Page {
     left_out(items.size(), most_rows, where);
   }
   Time utc(Time recorded) const { return run_.line.utc(recorded); }
-  /// With its date, where that is another than the one of the beginning.
+  /// With its date, if that differs from the date of the beginning.
   std::string listed_time(Time time) const { return instant_text(time, content_.range.from, fine); }
   Duration length() const { return content_.range.until - content_.range.from; }
   std::string verify_command() const {

@@ -18,7 +18,7 @@ struct ReportContent {
   VerifyReport report;  ///< of one run
   RecordedRange range;  ///< all of it
   Plot plot;
-  std::vector<std::string> not_drawn;                        ///< fields that are no numbers, with their types
+  std::vector<std::string> not_drawn;                        ///< fields that are not numbers, with their types
   std::map<std::string, std::vector<LimitSettings>> limits;  ///< by "TOPIC.FIELD", as first configured
   Course course;
   std::vector<LedgerEntry> ledger;

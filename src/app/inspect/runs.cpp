@@ -18,7 +18,7 @@ using Json = nlohmann::ordered_json;
 
 constexpr std::size_t columns = 80;
 
-/// Of a run that goes on or was not sealed, the file does not have the end yet.
+/// The end of a running or unsealed run is not in the file yet.
 std::optional<Time> end_of(const RunReport& run) {
   if (!run.info.ended || run.info.state == RunState::recording) return std::nullopt;
   return run.line.utc(*run.info.ended);

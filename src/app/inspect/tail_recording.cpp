@@ -101,7 +101,7 @@ std::string json_of_step(const RecordedRow& row, Duration length) {
                  {"data", std::move(data)}});
 }
 
-/// What is shown of one run, in order of time.
+/// The shown events of one run, in time order.
 class Content {
  public:
   Content(const Recording& recording, const RecordedTailOptions& options, const RecordedRange& range)

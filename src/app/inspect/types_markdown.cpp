@@ -99,7 +99,7 @@ std::string chips_table(std::span<const KnownChip> chips) {
                       : "\n| chip | `model` | `rtdata scan` looks at | knows it by |\n|---|---|---|---|\n" + rows;
 }
 
-/// What the chip gives in tests, and what that means.
+/// The data of the chip in tests, and the values decoded from it.
 std::string sample_text(const ChipSample& sample) {
   std::string given, values;
   for (const ChipBytes& one : sample.bytes) {

@@ -226,7 +226,7 @@ void add_processors(const MachineFiles& files, Facts& facts) {
   if (slack > 50'000) facts["timer slack"] = std::to_string(slack);
 }
 
-/// Of a Raspberry Pi.
+/// Adds the facts of a Raspberry Pi.
 void add_power(const MachineFiles& files, Facts& facts) {
   if (const auto state = files.text("/sys/devices/platform/soc/soc:firmware/get_throttled")) {
     const std::optional<long> bits = number_in(*state, 16);

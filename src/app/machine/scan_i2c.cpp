@@ -1,4 +1,4 @@
-// I2C adapters, and the chips at their addresses: those that a driver states, and others that are often there.
+// Finds I2C adapters and names the chips at their addresses: chips that a driver supports, and other common ones.
 #include <unistd.h>
 
 #include <algorithm>

@@ -1,4 +1,4 @@
-// What a page has read of disks, off its loop.
+// Reads disks for a page, off its loop.
 #pragma once
 
 #include <exception>

@@ -45,7 +45,7 @@ std::string content_of(const std::string& path) {
 
 }  // namespace
 
-/// What depends on the configuration.
+/// The data that depends on the configuration.
 struct LivePage::Setup {
   std::string about;
   std::vector<std::string> changes;  // topics
@@ -53,7 +53,7 @@ struct LivePage::Setup {
   std::vector<std::string> commands;
 };
 
-/// What the main loop and the thread have of each other: the one may be late with its end.
+/// The data shared by the main loop and the thread, either of which may end later.
 struct LivePage::Shared {
   Mailbox<LivePage> main;
   Mailbox<Source> page;
@@ -191,7 +191,7 @@ class LivePage::Source final : public PageSource {
     told(std::move(text));
   }
 
-  /// What is left of the disks, and how well UTC is known.
+  /// The free space of the disks, and the accuracy of UTC.
   void look_at_machine() {
     if (is_looking_ || loop_.now() - looked_at_ < machine_pace) return;
     is_looking_ = true;

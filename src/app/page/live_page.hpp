@@ -18,14 +18,14 @@
 namespace rtdata::app {
 
 /// Serves the page on a thread of its own, with the least priority that shares the processor (nice 19). Of the main
-/// loop it wants, while somebody looks, a status each second; what is published comes through the readers' thread, of
-/// which it is two readers, however many look. Once it is made the main loop never waits for the thread, but for its
+/// loop it needs, while somebody looks, a status each second; events come through the readers' thread, where it counts
+/// as two readers, however many look. Once it is made the main loop never waits for the thread, but for its
 /// end.
 ///
 /// Owner: the program; it is destroyed before what it was made with. Thread: the main loop's.
 class LivePage {
  public:
-  /// Of the main loop.
+  /// The main loop's side.
   struct Asks {
     StatusSource* status;
     Readers* readers;

@@ -45,7 +45,7 @@ Time whole_steps(Time time, Duration step, bool up) {
 }
 
 Request request_of(std::string_view text) {
-  // Of ms: what is computed from these times fits into 64 bits of ns.
+  // In ms: values computed from these times fit into 64 bits of ns.
   constexpr double latest = 9.1e12, longest = 3.2e12, longest_step = 1e11;
   const Json given = Json::parse(text, nullptr, false);
   const auto topics = given.is_object() ? given.find("topics") : given.end();
@@ -131,13 +131,13 @@ class Answer {
       if (request.topics.contains(one.topic)) descriptions_[{one.topic, one.version}] = std::move(one);
   }
 
-  /// What is before all that was read before. False: there are more points than go into an answer.
+  /// Reads the steps of a topic that are before those read earlier. False: there are more points than fit into an answer.
   bool read(const std::string& topic, Time from, Time until) {
     RowFilter filter{.topic = topic, .run = run_.run, .from = from, .until = until};
     auto rows = recording_.steps(filter, request_.step, request_.topics.at(topic)).or_throw();
     while (const RecordedRow* row = rows.next().or_throw()) add(*row);
     for (auto& [key, source] : sources_) {
-      source.topic = nullptr;  // it was of these rows
+      source.topic = nullptr;  // it belonged to these rows
       for (auto& [path, series] : source.series)
         for (Series::Column& column : series.columns) column.later.insert(0, std::exchange(column.text, {}));
     }
@@ -206,7 +206,7 @@ class Answer {
     }
   }
 
-  /// What the recording did not store: sequences without a row.
+  /// Events that the recording did not store: sequences without a row.
   void add_missing() {
     for (auto& [key, source] : sources_) {
       std::sort(source.spans.begin(), source.spans.end(), [](const Span& a, const Span& b) { return a.time < b.time; });

@@ -1,4 +1,4 @@
-// What a recording has of fields over a stretch of time, for a page.
+// The recorded values of fields over a span of time, for a page.
 #pragma once
 
 #include <cstdint>
@@ -21,7 +21,7 @@ struct PageRecording {
 /// "marks": true}. No fields of a topic means all of its numbers. Times are recorded times in ms since 1970.
 ///
 /// The answer has the newest steps first of all: as many as are read in 0.4 s, from `reached` on; what is before that
-/// is asked for next. {"run": {...}, "reached": ms, "series": [{"topic", "origin", "path", "unit", "time": [ms],
+/// is requested next. {"run": {...}, "reached": ms, "series": [{"topic", "origin", "path", "unit", "time": [ms],
 /// "least": [], "mean": [], "most": []}], "gaps": [{"topic", "origin", "kind", "reason", "first", "last", "count"}],
 /// "marks": [events]}, or {"error": why}.
 ///
@@ -32,7 +32,7 @@ std::string page_history(const std::vector<PageRecording>& recordings, std::opti
 /// A run as the answer names it, without its sink. Throws SetupError.
 nlohmann::ordered_json page_run(const Recording& recording, const RunInfo& run);
 
-/// Whether a page gets each event of this payload: of the course of a run, and of outputs.
+/// True if a page gets each event of this payload: those of the course of a run, and of outputs.
 bool is_change(const Description& description);
 
 }  // namespace rtdata::app

@@ -28,7 +28,7 @@ constexpr Duration pace = std::chrono::milliseconds{200};  // of what is sent
 constexpr Duration status_pace = std::chrono::seconds{1};
 constexpr Duration idle_limit = std::chrono::seconds{15};  // for a request to come
 constexpr Duration busy_limit = std::chrono::seconds{60};  // for its answer to be read, or a stream to be read on
-constexpr Duration seam = std::chrono::seconds{5};         // so much of the past a page gets at its beginning
+constexpr Duration seam = std::chrono::seconds{5};         // how much of the past a page gets at its beginning
 constexpr Duration end_patience = std::chrono::milliseconds{300};
 constexpr std::size_t most_kept = std::size_t{4} << 20;
 constexpr std::size_t most_waiting = 64;  // questions
@@ -37,7 +37,7 @@ constexpr std::uint16_t next_ports = 20;
 
 constexpr const char* json_type = "application/json";
 
-// What dygraphs sets as styles it sets by its objects, which this allows; the page names every other style in its file.
+// dygraphs sets its styles by objects, which this allows; all other styles are in the page's file.
 constexpr std::pair<const char*, const char*> headers[] = {
     {"Content-Security-Policy", "default-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"},
     {"X-Content-Type-Options", "nosniff"},
@@ -128,7 +128,7 @@ Result<PageListener> PageListener::open(PageAddress address, TakenPort taken) {
       SocketAddress bound;
       bound.size = sizeof bound.bytes;
       ::getsockname(made.fd_, reinterpret_cast<sockaddr*>(&bound.bytes), &bound.size);
-      // The port stands in the same place of both.
+      // The port is at the same place in both.
       made.address_.port = ntohs(reinterpret_cast<const sockaddr_in*>(&bound.bytes)->sin_port);
       return made;
     }
@@ -317,7 +317,7 @@ void PageServer::set_commands(std::vector<std::string> commands) { config_.comma
 void PageServer::tell_about() {
   if (streams_.empty()) return;
   add_line("{\"about\":" + source_.about() + "}");
-  units_.clear();  // those of what is there now are told again
+  units_.clear();  // the units of the present topics are sent again
 }
 
 void PageServer::run() {

@@ -18,7 +18,7 @@
 
 namespace rtdata::app {
 
-/// What a page shows, of a run or of a recording. Thread: the server's. No function waits; what is asked is told within
+/// The data that a page shows, of a run or of a recording. Thread: the server's. No function waits; answers come within
 /// the call or later, once, as a text of JSON.
 class PageSource {
  public:
@@ -60,8 +60,8 @@ class PageListener {
   PageAddress address_;
 };
 
-/// Serves one page to many browsers. Everybody gets the files; what is shown and commanded wants the token. All share
-/// one stream, whose last 4 MiB are kept: one who reads too slowly is told how many lines it did not get.
+/// Serves one page to many browsers. Everybody gets the files; data and commands need the token. All share
+/// one stream, whose last 4 MiB are kept: a page that reads too slowly gets the number of lines that it missed.
 ///
 /// Bounded: 256 connections, of which 128 may be streams; 16 KiB a connection; 15 s for a request to come, and 60 s for
 /// its answer to be read. When there are many, those that have been silent for longest are closed for new ones.
@@ -86,7 +86,7 @@ class PageServer {
 
   /// From now on the page may give these commands.
   void set_commands(std::vector<std::string> commands);
-  /// What `about` tells has changed.
+  /// The result of `about` has changed.
   void tell_about();
 
  private:

@@ -1,4 +1,4 @@
-// What of a configuration a page needs to know.
+// The parts of a configuration that a page needs.
 #pragma once
 
 #include <string>
@@ -9,8 +9,8 @@
 
 namespace rtdata::app {
 
-/// Without the page, in a program that was built without it or on a machine that lacks its library, a file that wants
-/// it has a mistake.
+/// Without the page, in a program that was built without it or on a machine that lacks its library, a file that
+/// requires it has a mistake.
 void check_page(SystemPlan& plan);
 
 /// The topics of changes, of which a page gets each event: of machines, limits and outputs, and commands.

@@ -166,7 +166,7 @@ class RecordedSource final : public PageSource {
   }
 
  private:
-  /// Whether it is recorded, its end, and what is not known of it.
+  /// True if it is still recorded; its end; and what is not known about it.
   static void tell_state(Json& about, const Recording& recording, const RunReport& report) {
     about["recording"] = report.verdict == Verdict::recording && report.info.boot_id == SystemClock().boot_id();
     about["run"] = page_run(recording, report.info);

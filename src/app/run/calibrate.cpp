@@ -145,7 +145,7 @@ class Edited {
   const std::string& gone() const noexcept { return gone_; }
 
  private:
-  /// Of the sensor so many levels down: itself, `process`, the field, `calibration`. Null: it is not there.
+  /// The item this many levels below the sensor: itself, `process`, the field, `calibration`. Null: it is not there.
   const ConfigItem* at(const ConfigItem& root, std::size_t levels) const {
     const ConfigItem* item = root.find(path_);
     const std::array<std::string, 3> keys{"process", field_, "calibration"};
@@ -166,7 +166,7 @@ class Edited {
   std::string gone_;
 };
 
-/// Whether it can be replaced, as far as that is known before.
+/// Checks that the file can be replaced, as far as this is known before.
 void check_writable(const std::string& file) {
   const std::filesystem::path target = std::filesystem::canonical(file);
   for (const std::filesystem::path& path : {target, target.parent_path()})

@@ -1,4 +1,4 @@
-// The messages of a run: for people on the terminal, and all of them in the log file.
+// The messages of a run: a selection on the terminal, and all of them in the log file.
 #pragma once
 
 #include <atomic>
@@ -40,7 +40,7 @@ class RunConsole {
   /// Reserves standard output for a sink.
   void leave_stdout() noexcept { uses_stdout_ = true; }
   bool leaves_stdout() const noexcept { return uses_stdout_; }
-  /// The table, where standard output is a terminal for people.
+  /// The table, if standard output is a terminal.
   void open_view();
   bool has_view() const noexcept { return has_view_; }
   /// Draws the table over the previous one.

@@ -24,7 +24,7 @@ bool may_go_quiet(const PartPlan& part, const std::vector<ParameterInfo>& parame
   return !span || *span <= Duration{0};
 }
 
-/// Units that no device has by RTU, or few. What is no key of a bus or sensor of another type is not found.
+/// Warns of units that with RTU no device, or few devices, have. Buses and sensors of other types do not have the key.
 void warn_of_units(SystemPlan& plan) {
   for (const PartPlan& part : plan.parts) {
     if (part.kind != "sensor" || part.type != "modbus") continue;

@@ -10,7 +10,7 @@
 
 namespace rtdata::app {
 
-/// What came in some time.
+/// The values that came in some time.
 struct TakenValues {
   std::size_t count = 0;
   double sum = 0, least = 0, most = 0;
@@ -24,7 +24,7 @@ class RawValues {
   virtual ~RawValues() = default;
   /// "the running instance bench, pid 4711"
   virtual std::string where() const = 0;
-  /// Waits so long and takes what comes in it. Errors: no more can come.
+  /// Waits this long and takes the values that come meanwhile. Errors: no more can come.
   virtual Result<TakenValues> take(Duration time) = 0;
 };
 

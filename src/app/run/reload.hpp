@@ -99,7 +99,8 @@ class Reload {
   /// Reports what waits in recordings for removed senders, as counted when they were closed: their files are not read,
   /// because a disk may hang.
   void report_removed_senders(Change& change);
-  /// True if a sink that cannot store its queue may be left: nobody can mend its disk, and no other sink gets its file.
+  /// True if a sink that cannot store its queue may be left: nobody can repair its disk, and no other sink gets its
+  /// file.
   bool may_be_left(const Change& change, const PartPlan& sink) const;
   void begin(const std::shared_ptr<Change>& change);
   /// Checks on the lane that new files can be written, while closing sinks store their queue.

@@ -46,7 +46,7 @@ std::string path_of(const std::string& path, std::string_view topic) {
   return replaced(path, topic_mark, part);
 }
 
-/// One more than the largest number that stands in a file's name where the mark stands in the path, whatever the topic.
+/// One more than the largest number in a file's name at the place of the mark in the path, for any topic.
 std::uint64_t next_run(const std::filesystem::path& path) {
   const std::string name = path.filename().string();
   const std::string before = name.substr(0, name.find(run_mark));
@@ -254,7 +254,7 @@ class FileWriter final : public RecordingWriter {
     return Error{Errc::damaged, "an event was cut off", config_.path, all, "the previous run did not end properly"};
   }
 
-  /// The file is there and is another's: waiting does not help.
+  /// True if the error is permanent (the file exists with other content): waiting does not help.
   static bool is_for_good(const Error& error) {
     return error.code == Errc::description_differs || error.code == Errc::damaged || error.code == Errc::bad_argument;
   }
@@ -304,7 +304,7 @@ class FileWriter final : public RecordingWriter {
   const FileConfig config_;
   std::unique_ptr<Codec> codec_;         // for all files
   std::unique_ptr<Codec> header_codec_;  // loop
-  const bool is_text_;                   // texts that are no UTF-8 are escaped, and reported
+  const bool is_text_;                   // texts that are not UTF-8 are escaped, and reported
   const mode_t permissions_;
   const bool is_pattern_;
   // loop
@@ -319,7 +319,7 @@ class FileWriter final : public RecordingWriter {
   std::vector<OutputFile> files_;
   std::vector<std::size_t> by_topic_;
   std::vector<std::string> repairs_;
-  std::map<std::uint32_t, Error> untaken_;  // topics whose files are there and another's
+  std::map<std::uint32_t, Error> untaken_;  // topics whose files exist with other content
   EscapedTexts escaped_;
   bool is_closed_ = false;
   bool has_reported_total_ = false;

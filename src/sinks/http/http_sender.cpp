@@ -39,7 +39,7 @@ std::uint64_t mixed(std::uint64_t x) noexcept {
 
 std::uint64_t mixed(std::uint64_t x, std::string_view text) noexcept { return mixed(fnv1a(text, x) ^ text.size()); }
 
-/// As CURLOPT_RESOLVE wants it; empty when it is neither IPv4 nor IPv6.
+/// As CURLOPT_RESOLVE needs it; empty when it is neither IPv4 nor IPv6.
 std::string text_of(const HostLookup::Address& address) {
   char text[INET6_ADDRSTRLEN] = "";
   if (address.socket.ss_family == AF_INET) {
@@ -253,7 +253,7 @@ void HttpSender::send(const Parcel& parcel, Answer answer) {
   request.rest = {};
   const auto known = std::find_if(rests_.begin(), rests_.end(),
                                   [&](const auto& rest) { return rest.first == request.key; });
-  if (known != rests_.end()) {  // it goes on where it was
+  if (known != rests_.end()) {  // it continues where it was
     request.rest = std::move(known->second);
     request.has_answers = true;
     rests_.erase(known);
@@ -420,7 +420,7 @@ void HttpSender::transferred(CURL* easy, CURLcode result) {
   take(request, judge(failure, url_.origin, proxy_ ? proxy_->origin : ""));
 }
 
-/// The whole request had been sent, and the server says that it has taken it, in an answer that is not whole.
+/// True if the whole request was sent, and the success answer of the server was cut off.
 bool HttpSender::is_cut_answer(const Request& request, CURLcode result, long status) const {
   curl_off_t sent = 0;
   curl_easy_getinfo(request.easy, CURLINFO_SIZE_UPLOAD_T, &sent);

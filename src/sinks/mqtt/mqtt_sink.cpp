@@ -37,10 +37,10 @@ detail::MqttOptions options_of(const MqttConfig& config) {
 }
 
 // A broker of MQTT 3.1.1 does not say which packet is too large for it: it ends the connection.
-constexpr Duration patience = std::chrono::seconds{1};  // a connection that lasts for so long is a good one
+constexpr Duration patience = std::chrono::seconds{1};  // a connection that lasts for this long is a good one
 constexpr int most_losses = 3;                          // with the same event, each of a good connection
 
-/// MQTT 5 says that the broker will never take the message. A missing permission is no such case: it can be given.
+/// MQTT 5 says that the broker will never take the message. A missing permission is not such a case: it can be given.
 bool is_refusal(int reason) {
   return reason >= 0x80 && reason != MQTT_RC_QUOTA_EXCEEDED && reason != MQTT_RC_RECEIVE_MAXIMUM_EXCEEDED &&
          reason != MQTT_RC_PACKET_ID_IN_USE && reason != MQTT_RC_SERVER_BUSY && reason != MQTT_RC_NOT_AUTHORIZED;
@@ -315,7 +315,7 @@ class Publishing final : public detail::MqttConnection {
   std::vector<Message> slots_;
   std::size_t messages_ = 0;  // in them
   int last_number_ = 0;
-  // Of MQTT 3.1.1: which event it is that the broker ends connections for.
+  // MQTT 3.1.1: the event for which the broker ends connections.
   Timer good_at_;
   bool is_good_ = false;      // the broker has accepted the connection
   bool is_on_trial_ = false;  // whether it lasts, before anything is sent on it
@@ -367,7 +367,7 @@ std::string obstacle_of_waiting(const MqttConfig& config) {
   return config.version == MqttVersion::v311 ? "only version 5 of MQTT reports that there is no subscriber" : "";
 }
 
-/// Of a topic with marks.
+/// The mistake in a topic with marks; empty: none.
 std::string obstacle_of_pattern(const std::string& topic) {
   for (std::size_t begin = topic.find('{'); begin != std::string::npos; begin = topic.find('{', begin + 1)) {
     const std::size_t end = topic.find_first_of("{}/", begin + 1);

@@ -185,7 +185,7 @@ class Datagrams : public std::enable_shared_from_this<Datagrams> {
       if (error_number == EINTR) continue;
       if (error_number == EAGAIN || error_number == ENOBUFS) return wait_for_room();
       if (error_number == ECONNREFUSED) {
-        report_no_receiver();  // of one before, which is told once; this one was not sent
+        report_no_receiver();  // of an earlier datagram, reported once; this one was not sent
       } else if (error_number == EMSGSIZE) {
         answer_.refuse(next_++, {Errc::does_not_fit, "cannot send", peer(), "it is too long for a datagram there",
                                  "send less in one event, or by tcp"});
