@@ -13,7 +13,7 @@ bool covers(std::string_view outer, std::string_view inner) noexcept {
 }
 
 void LiveFeed::bring(const std::string& pattern) {
-  // A wider one is never given up for a narrower one: what it has queued would be lost.
+  // A wider subscription is never replaced by a narrower one: its queued events would be lost.
   const bool is_there = std::any_of(subscriptions_.begin(), subscriptions_.end(),
                                     [&](const auto& one) { return covers(one.first, pattern); });
   if (is_there) return;

@@ -26,7 +26,7 @@ bool covers(std::string_view outer, std::string_view inner) noexcept;
 class LiveFeed {
  public:
   struct Ring : EventRing {
-    std::atomic<bool> has_lost{false};  ///< something had no room, and is not told yet
+    std::atomic<bool> has_lost{false};  ///< an event had no room, and this is not reported yet
     /// The descriptions of all its events: a topic may be gone, and the program may end, before the readers come to its
     /// events. The loop's side only.
     std::unordered_map<const Description*, std::shared_ptr<const Description>> descriptions = {};
@@ -34,12 +34,12 @@ class LiveFeed {
 
   explicit LiveFeed(Loop& loop) : loop_(loop) {}
 
-  /// From now on it brings these topics, too, until `end`.
+  /// From now on it also copies these topics, until `end`.
   void bring(const std::string& pattern);
   void end();
   /// Puts a mark after the events up to now. False: there is no room.
   bool mark(std::uint64_t number);
-  /// Tells what had no room, as far as there is room now.
+  /// Reports events without room, as far as there is room now.
   void tell_lost();
   const std::shared_ptr<Ring>& ring() const noexcept { return ring_; }
 

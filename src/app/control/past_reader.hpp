@@ -18,8 +18,8 @@ class PastReader {
   struct Slice {
     std::vector<std::byte> events;                            ///< PackedEvents, with the number of their run
     std::vector<std::pair<std::uint32_t, std::string>> runs;  ///< new ones: number and uuid; the last is still recorded
-    bool has_more = false;                                    ///< by now
-    std::string failed;                                       ///< why it ends here; empty: it does not
+    bool has_more = false;                                    ///< more is stored by now
+    std::string failed;                                       ///< the reason why reading ends here; empty: it continues
   };
   virtual ~PastReader() = default;
   /// The next 256 KiB at most, in a transaction of about 100 ms. Blocks on the disk.

@@ -8,7 +8,7 @@
 
 namespace rtdata::app {
 
-/// Why a line is not a status request; empty: it is one.
+/// The reason why a line is not a status request; empty: it is one.
 std::string refusal_of(std::string_view line);
 /// The words of a command; empty: the line is not a command.
 std::vector<std::string> command_words(std::string_view line);

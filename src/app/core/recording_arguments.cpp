@@ -27,7 +27,7 @@ CLI::Validator at_least(std::int64_t least) {
   return CLI::Validator(check, "");
 }
 
-/// `which`: what is done with the run, and what without the option.
+/// `which`: the use of the run, and the default.
 CLI::Option* add_run(CLI::App& command, std::optional<std::string>& to, const std::string& which) {
   return command.add_option("--run", to, which + "; -1: the last, -2: the one before")->type_name("NUMBER|NAME");
 }
@@ -39,7 +39,7 @@ bool is_recording(const std::string& word) {
          (word.find('/') != std::string::npos && std::filesystem::is_regular_file(word, ignored));
 }
 
-/// Which part of a run.
+/// The options for a part of a run.
 void add_part(CLI::App& command, PartOptions& part) {
   add_run(command, part.run, "Which run; default: the last");
   command.add_option("--from", part.from, "First time, in UTC as 2026-03-01T12:00:00Z; default: all of the run")

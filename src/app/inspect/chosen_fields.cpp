@@ -21,7 +21,7 @@ std::vector<std::string> numbers_of(const Description& of, const std::string& pa
   for (const Leaf& leaf : of.leaves()) {
     const bool is_it = path.empty() || leaf.path == path || leaf.path.starts_with(path + ".") ||
                        leaf.path.starts_with(path + "[");
-    // "pressure.raw" was added beside the number "pressure", and is none of its parts.
+    // "pressure.raw" was added beside the number "pressure", and is not a part of it.
     if (!is_it || (leaf.path != path && of.find(path) != nullptr)) continue;
     is_there = true;
     if (is_number(leaf.kind)) found.push_back(leaf.path);

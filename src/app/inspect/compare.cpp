@@ -75,7 +75,7 @@ using Key = std::pair<std::string, std::string>;  // topic and origin
   throw SetupError({Errc::not_found, "cannot compare", where, std::move(why), std::move(advice)});
 }
 
-/// The first event of a topic of the run, or, of "MACHINE=STATE", the first that goes to this state.
+/// The first event of a topic in the run; for "MACHINE=STATE", the first that goes to this state.
 Time instant_of(const Recording& recording, const RunInfo& run, const std::string& from) {
   if (from.empty()) return run.started;
   const std::string topic = from.substr(0, from.find('='));

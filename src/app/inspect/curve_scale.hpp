@@ -13,7 +13,7 @@ namespace rtdata::app {
 /// "missed: loop held"
 std::string gap_text(const std::string& kind, const std::string& reason);
 
-/// Adds what a step has to the one before, which becomes longer.
+/// Adds a step to the one before, which becomes longer.
 void join(const CurveStep& step, CurveStep& to);
 
 bool is_finite(const Number& number);
@@ -28,7 +28,7 @@ struct Scale {
   bool has_infinite = false;
   std::uint64_t numbers = 0;
   double mean = 0;
-  int digits = 6;  // as many as tell a hundredth of the range
+  int digits = 6;  // enough to show a hundredth of the range
 
   explicit Scale(const Curve& curve);
   bool is_constant() const { return least && *least == *most && !has_infinite; }

@@ -18,7 +18,7 @@ struct TableFormat {
   bool has_seconds = false;             ///< times are seconds since `start`
   std::optional<Time> start = {};       ///< none: the time of each run's first row
   std::vector<std::string> join = {};   ///< topics whose last event of the run at or before a row is in the row
-  std::optional<Duration> within = {};  ///< how much older than the row that may be; none: any
+  std::optional<Duration> within = {};  ///< largest age of that event; none: any
 };
 
 /// Writes the rows of a topic, each with the last events of the joined topics, as CSV. Values that are absent, and

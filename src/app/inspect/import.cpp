@@ -44,7 +44,7 @@ struct Found {
   Time first{}, last{};  // the earliest, the latest
   std::uint64_t rows = 0;
   std::uint64_t short_rows = 0, first_short_line = 0;  // rows that end early
-  std::uint64_t cut_line = 0;                          // of a last row that is left out; 0: none is
+  std::uint64_t cut_line = 0;                          // of a last row that is skipped; 0: none
   std::uint64_t out_of_order = 0, twice = 0, midnights = 0, headings_again = 0, without_time = 0, others = 0;
   std::vector<Place> places;                             // only if rows are sorted
   std::optional<std::pair<Duration, Duration>> offsets;  // of --zone: the least, the largest
@@ -100,7 +100,7 @@ std::string format_for(const std::string& when, const Found& found) {
   return format;
 }
 
-/// The text of the time in a row, of which date and time, or more parts, may be cells of their own.
+/// The text of the time in a row; date and time, or more parts, may be in separate cells.
 std::string time_text(const std::vector<detail::CsvCell>& cells, const Found& found) {
   if (found.time_columns.empty()) return {};
   std::string text = cells[found.time_columns.front()].text;
@@ -132,7 +132,7 @@ std::string time_text(const std::vector<detail::CsvCell>& cells, const Found& fo
     advice = "its numbers have decimal commas: write --decimal ,";
   } else if (has_date && when.size() == 10 && options.time_format.empty()) {
     advice = "if its rows are days, write --time-format %F";
-  } else if (has_date && error.what == "not a time") {  // as ISO 8601 has it, whose advice is how to write it
+  } else if (has_date && error.what == "not a time") {  // looks like ISO 8601, whose own advice says how to write that
     advice = "for another notation write --time-format, such as \"%F %T %z\"";
   } else if (has_reason && !error.advice.empty()) {
     advice = error.advice;
@@ -179,7 +179,7 @@ std::string sort_advice(const ImportOptions& options, const ImportNotation& nota
          (options.only.empty() ? "; or, if it has rows of several kinds, take one: --only" : "");
 }
 
-/// Refuses a row that has not as many cells as there are columns.
+/// Refuses a row whose number of cells differs from the number of columns.
 [[noreturn]] void refuse_row(const ImportOptions& options, ImportRows& table, const std::vector<detail::CsvCell>& cells,
                              const Found& found) {
   const bool is_short = cells.size() < found.columns.size();
@@ -225,14 +225,14 @@ std::vector<ImportColumn> begin_table(ImportRows& table, const ImportOptions& op
   return columns;
 }
 
-/// True if the row has no time, and such rows are left out.
+/// True if the row has no time, and such rows are skipped.
 bool is_without_time(const std::vector<detail::CsvCell>& cells, const Found& found, const ImportNotation& notation) {
   return notation.takes_partial && notation.step <= 0 &&
          std::all_of(found.time_columns.begin(), found.time_columns.end(),
                      [&](std::size_t column) { return cells[column].text.empty(); });
 }
 
-/// Refuses a table of which no row was chosen.
+/// Refuses a table without a chosen row.
 void check_choices(const ImportOptions& options, const ImportRows& table) {
   for (const ImportChoice& choice : table.choices()) {
     if (choice.has_any) continue;
@@ -299,7 +299,7 @@ void check_order(const ImportOptions& options, const Found& found) {
                     "\"; if the heading is wrong, change it");
 }
 
-/// Refuses numbers of which the scale is not known.
+/// Refuses numbers with an unknown scale.
 void check_scale(const ImportOptions& options, const ImportNotation& notation, const ImportColumn& time,
                  const std::string& first) {
   double number = 0;
@@ -317,7 +317,7 @@ void check_scale(const ImportOptions& options, const ImportNotation& notation, c
                                   : first.size() == 10 ? "%Y%m%d%H"
                                                        : "%Y%m%d%H%M") +
                       "; or --scale 1s if it counts seconds since 1970");
-  // "time_ms", "t in ms": without brackets, only what is nothing else.
+  // "time_ms", "t in ms": without brackets, only texts that cannot be anything else.
   std::string unit = time.unit;
   const std::size_t open = time.heading.find_last_of("([");
   if (unit.empty() && open != std::string::npos && (time.heading.ends_with(')') || time.heading.ends_with(']')))

@@ -147,7 +147,7 @@ void name_columns(std::vector<ImportColumn>& columns) {
   const auto key = [&](const std::string& text) { return detail::lower_case(tail(text)); };
   for (ImportColumn& column : columns) {
     std::string text = column.heading;
-    // As many programs begin the heading, for those that take it as a comment.
+    // Many programs begin the heading so, for readers that take it as a comment.
     if (&column == &columns.front()) text.erase(0, std::min(text.find_first_not_of("# "), text.size()));
     std::size_t index = 0;
     std::size_t open = opening_bracket(text, '[', ']');

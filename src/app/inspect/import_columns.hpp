@@ -35,7 +35,7 @@ struct ImportColumn {
   std::uint64_t values = 0, texts = 0;
   std::string first_text = {};
   std::uint64_t first_text_line = 0;
-  // How many of these texts are numbers with this between thousands.
+  // How many of these texts are numbers with this separator of thousands.
   struct Mark {
     std::string text;
     std::uint64_t count = 0;
@@ -47,7 +47,7 @@ struct ImportColumn {
   // It may be a time, too: its numbers never fall.
   double before = 0;
   bool never_falls = true, rises = false;
-  bool is_as_time = true;  // each cell is as that of the time
+  bool is_as_time = true;  // each cell equals that of the time
 
   /// Integers that are not exact as doubles stay texts.
   void look_at_all() {
@@ -66,7 +66,7 @@ struct ImportColumn {
   bool is_text_for_few() const { return !can_be_number && texts > 0 && texts < values - texts; }
   void look_at(const detail::CsvCell& cell, std::uint64_t line);
   void look_at_text(const std::string& text);
-  /// For people: "integer, may be absent".
+  /// As text: "integer, may be absent".
   std::string type() const;
 };
 

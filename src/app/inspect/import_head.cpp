@@ -66,7 +66,7 @@ std::string skip_advice(const std::string& heading, std::size_t columns, const I
   constexpr int most_lines = 1000;
   ImportRows table(options.file, notation);
   std::vector<detail::CsvCell> cells;
-  std::string wider, has_it;  // lines of as many cells as the one below come before others
+  std::string wider, has_it;  // prefers lines with as many cells as the one below
   std::string maybe_wider, may_have_it;
   std::size_t before = 0;
   std::uint64_t first = 0;
@@ -126,8 +126,8 @@ std::vector<ImportColumn> read_format(ImportRows& table, const ImportOptions& op
   return columns;
 }
 
-/// The heading in a line of comment, as of OpenRocket and numpy: it names the time, which the first row does not, and
-/// has as many cells as that. Empty: there is none.
+/// The heading in a comment line, as OpenRocket and numpy write it: it names the time, which the first row does not,
+/// and has as many cells as that. Empty: there is none.
 std::vector<ImportColumn> head_in_comment(const ImportOptions& options, ImportNotation notation) {
   const std::vector<std::string> comments = std::exchange(notation.comments, {});
   if (comments.empty() || options.time_columns.empty()) return {};
@@ -189,7 +189,7 @@ std::vector<ImportColumn> read_head(ImportRows& table, const ImportOptions& opti
     for (std::size_t i = 0; i < cells.size(); ++i) columns[i].heading = cells[i].text;
     if (options.head > 1) {
       next("it has one row, and --head 2 is given");
-      // A cell that spans several columns is written over the first of them.
+      // The heading of several columns is in the cell of the first.
       for (std::size_t i = 1; i < cells.size(); ++i)
         if (columns[i].heading.empty()) columns[i].heading = columns[i - 1].heading;
       for (std::size_t i = 0; i < cells.size(); ++i) {

@@ -67,7 +67,7 @@ Result<void> ImportRows::strip(std::string& text, std::size_t column) {
     rest.erase(rest.find_last_not_of(" \t") + 1);
     double number = 0;
     if (!is_number(rest, notation_.numbers, number)) continue;
-    if (column >= names_.size()) return {};  // its number of cells is looked at elsewhere
+    if (column >= names_.size()) return {};  // the number of cells is checked elsewhere
     const std::string& name = names_[column];
     if ((end == "S" || end == "W") && says_a_place(name))
       return import_refused(where(),
@@ -112,7 +112,7 @@ bool ImportRows::is_chosen(std::string_view line, const std::vector<detail::CsvC
   first = first.substr(0, first.find_last_not_of(around) + 1);
   for (ImportChoice& choice : choices_) {
     if (choice.column.has_value() == (cells == nullptr)) continue;
-    if (cells != nullptr && *choice.column >= cells->size()) continue;  // its number of cells is looked at elsewhere
+    if (cells != nullptr && *choice.column >= cells->size()) continue;  // the number of cells is checked elsewhere
     const std::string_view text = cells == nullptr ? first : std::string_view((*cells)[*choice.column].text);
     choice.has_any = choice.has_any || text == choice.text;
     if (text == choice.text) continue;

@@ -15,7 +15,7 @@
 
 namespace rtdata::app {
 
-/// Which rows are taken of a table that has several kinds of them.
+/// Chooses rows of a table with several kinds of rows.
 struct ImportChoice {
   std::optional<std::size_t> column = {};  // empty: the first cell of the line has the text, whatever follows it
   std::string text = {};
@@ -35,17 +35,17 @@ class ImportRows {
   std::uint64_t line() const noexcept { return line_; }
   std::string where() const { return path_ + ":" + std::to_string(line_); }
 
-  /// The line of the last row, which is left out because it is cut off; 0: none is.
+  /// The line of the last row, if it is skipped because it is cut off; otherwise 0.
   std::uint64_t cut_line() const noexcept { return cut_line_; }
   /// True if nothing follows the last row.
   bool is_at_end() { return in_.peek() == std::ifstream::traits_type::eof(); }
   /// From now on only these rows come.
   void choose(std::vector<ImportChoice> choices);
   const std::vector<ImportChoice>& choices() const noexcept { return choices_; }
-  /// How many other rows were left out since.
+  /// How many other rows were skipped since.
   std::uint64_t others() const noexcept { return others_; }
   /// From now on cells that mean "no value" are empty, except in these columns, and rows that repeat the heading
-  /// are left out.
+  /// are skipped.
   /// `names`: of the columns, for messages.
   void begin_rows(std::vector<detail::CsvCell> heading, std::vector<std::string> names,
                   std::vector<std::size_t> time_columns);
@@ -74,7 +74,7 @@ class ImportRows {
   static constexpr std::size_t longest_row = std::size_t{1} << 20;
   std::string path_;
   ImportNotation notation_;
-  std::vector<double> no_numbers_;  // those texts for no value that are numbers
+  std::vector<double> no_numbers_;  // the "no value" texts that are numbers
   std::ifstream in_;
   std::vector<char> buffer_;  // of one line
   std::uint64_t line_ = 1, next_line_ = 1, cut_line_ = 0;
@@ -88,10 +88,10 @@ class ImportRows {
   std::vector<ImportChoice> choices_;
   std::uint64_t others_ = 0;
   bool has_line_end_ = true;  // the last line
-  std::string utf16_ = {};    // which it is, for iconv; empty: it is none
+  std::string utf16_ = {};    // the kind of UTF-16, for iconv; empty: it is not UTF-16
 };
 
-/// The separator that the first line says, as Excel writes it: "sep=;". Empty: it says none.
+/// The separator that the first line names, as Excel writes it: "sep=;". Empty: none.
 std::optional<char> separator_line(const std::string& path);
 
 }  // namespace rtdata::app

@@ -10,7 +10,7 @@
 
 namespace rtdata::app {
 
-/// A time as it is written: without a zone it is that of a clock which shows it.
+/// A time as written: without a zone, the time that a clock shows.
 struct WrittenTime {
   Time time{};           // since 1970, or without a date since midnight
   bool has_date = true;  // false: only a time of day
@@ -35,7 +35,7 @@ std::string order_of_date(std::string_view format);
 
 /// False: its times are times of day.
 bool format_has_date(std::string_view format);
-/// False: of a time of day its times have minutes and less.
+/// False: its times of day have only minutes and less.
 bool format_has_hour(std::string_view format);
 
 }  // namespace rtdata::app

@@ -146,7 +146,7 @@ void LiveCurves::prune() {
   for (auto& [key, field] : curves_) {
     std::erase_if(field.curve.gaps, [&](const CurveGap& one) { return one.last < first; });
     auto& steps = field.curve.steps;
-    // Seldom, as it moves the others.
+    // Seldom, because it moves the others.
     if (!steps.empty() && steps.front().begin < first - window_ / 4)
       std::erase_if(steps, [&](const CurveStep& one) { return one.begin < first; });
   }

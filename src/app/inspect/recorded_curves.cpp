@@ -19,7 +19,7 @@ std::string reason_of(const RecordedGap& gap) { return gap_text(gap.kind, gap.re
 
 namespace {
 
-/// The number that an alternative of Value is.
+/// The number in a Value.
 Number number_of(const Value& value) {
   if (const auto* const whole = std::get_if<std::int64_t>(&value)) return *whole;
   if (const auto* const natural = std::get_if<std::uint64_t>(&value)) return *natural;
@@ -28,7 +28,7 @@ Number number_of(const Value& value) {
 
 /// One origin on one topic.
 struct Source {
-  std::vector<std::vector<Curve>> curves;  // of each field that was chosen of that topic; several: its type changed
+  std::vector<std::vector<Curve>> curves;  // of each chosen field of that topic; several: its type changed
   std::vector<CurveGap> gaps;
   bool has_schedule = false;
   std::uint64_t last_sequence = 0;  // of the step before
@@ -36,10 +36,10 @@ struct Source {
 };
 using Sources = std::map<std::pair<std::string, std::string>, Source>;  // by topic and origin
 
-/// How a run is read.
+/// The steps in which a run is read.
 struct Sampling {
-  Duration step{1};    ///< that the recording gives
-  Duration column{1};  ///< of the curves: as long, or several of these joined
+  Duration step{1};    ///< read from the recording
+  Duration column{1};  ///< of the curves: the same, or several of these joined
   RowFilter::Times times = RowFilter::Times::utc;
 };
 
@@ -170,7 +170,7 @@ class Reader {
 
   std::int64_t column_of(Time time) const { return floor_of((time - range_.from).count(), sampling_.column.count()); }
 
-  /// To the column that it lies in.
+  /// Adds it to its column.
   void add(const CurveStep& step, Curve& curve) const {
     if (step.numbers != 0) {
       if (!curve.least || step.least < curve.least->number) curve.least = {step.least, step.begin};
@@ -200,7 +200,7 @@ class Reader {
   Sources sources_;
 };
 
-/// There is nothing of the topic, or of that origin on it, in the run.
+/// Throws the error of a run without data of the topic, or of that origin on it.
 [[noreturn]] void refuse_run(const Recording& recording, std::int64_t run, const std::string& topic,
                              const std::optional<std::string>& origin) {
   std::set<std::string> runs, origins;
@@ -220,7 +220,7 @@ class Reader {
   throw SetupError({Errc::not_found, "cannot plot", topic, std::move(why), std::move(advice)});
 }
 
-// ---- what the account says
+// ---- the account
 
 /// The losses of a topic in the run, and of its unrecorded source topics.
 TopicLoss loss_of(const RunReport& account, const std::string& topic) {
@@ -292,7 +292,7 @@ Plot empty_plot(const Recording& recording, const RecordedRange& range, Duration
   return plot;
 }
 
-/// Gives the curves of one topic the gaps, and what the account says.
+/// Adds the gaps and the verdict of the account to the curves of one topic.
 void finish(Sources& sources, const std::string& topic, const RunReport& account, bool is_whole, Plot& plot) {
   const TopicLoss loss = loss_of(account, topic);
   const std::string verdict = verdict_of(account, loss, sources, is_whole);

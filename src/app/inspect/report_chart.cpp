@@ -77,7 +77,7 @@ class Path {
   int y_ = 0;
 };
 
-/// Why and how much of a curve is missing, by reason.
+/// How much of a curve is missing, by reason.
 struct Missing {
   std::uint64_t gaps = 0, lost = 0;
 };
@@ -95,7 +95,7 @@ std::vector<double> values_of(const std::vector<LimitSettings>& limits) {
   return values;
 }
 
-/// Shades what is beyond the limits.
+/// Shades the areas beyond the limits.
 std::string bands_of(const std::vector<LimitSettings>& limits, const Range& range, std::size_t columns) {
   std::string text;
   const auto add = [&](const std::optional<double>& limit, bool is_high, const char* kind) {
@@ -177,7 +177,7 @@ double ReportCharts::x_of(Time time) const {
   return left + width * static_cast<double>((time - plot_.from).count()) / all;
 }
 
-/// Columns beside each other for the same reason are one shade.
+/// Neighbouring columns with the same reason are one shade.
 std::string ReportCharts::gaps_of(const Curve& curve) {
   if (curve.gaps.empty()) return "";
   const auto [known, is_new] = gaps_.try_emplace({curve.topic, curve.origin}, gaps_.size());

@@ -51,7 +51,7 @@ constexpr Duration fine = std::chrono::milliseconds{1};  // enough for a list
 
 std::string instant(Time utc, Duration step) { return date_text(utc) + " " + clock_text(utc, step); }
 
-/// "30 ms", "39 min"; of none, nothing.
+/// "30 ms", "39 min"; empty for 0.
 std::string time_text(Duration time) {
   if (time == Duration{0}) return "";
   return time < std::chrono::seconds{1} ? to_string(two_digits(time)) : span_text(time);
@@ -124,7 +124,7 @@ class Page {
   void left_out(std::uint64_t all, std::size_t shown, const char* where) {
     if (all > shown) add("<p class=\"small\">", std::to_string(all - shown), " left out", where, "</p>\n");
   }
-  /// A row of each, with `row`, up to most_rows; `where` tells of what is left out.
+  /// A row for each item, with `row`, up to most_rows; `where` says where the omitted ones are.
   template <class Items, class Row>
   void table(const char* headings, const Items& items, const char* where, const Row& row) {
     add("<table>\n<thead><tr>", headings, "</tr></thead>\n");
@@ -359,7 +359,7 @@ class Page {
         ".</p>\n");
   }
 
-  // ---- the rest
+  // ---- other sections
 
   void sensors() {
     heading("Who measured");

@@ -30,8 +30,8 @@ struct ReportContent {
   Time made{};  ///< when the page is made
 };
 
-/// One file of HTML that needs no other, for screens and A4. Texts of the recording are text in it, whatever they hold;
-/// lists are bounded, and say how much they leave out.
+/// One file of HTML that needs no other file, for screens and A4. Texts of the recording are always escaped; lists have
+/// limits, and say how much they omit.
 std::string page_of(const ReportContent& content);
 
 }  // namespace rtdata::app

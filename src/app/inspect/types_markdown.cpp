@@ -75,7 +75,7 @@ void add_rows(const Parameters& parameters, const std::string& prefix, std::stri
   }
 }
 
-/// Where `rtdata scan` looks for the chips of a driver; empty: nowhere.
+/// A table: how `rtdata scan` finds the chips of a driver; empty: it does not.
 std::string chips_table(std::span<const KnownChip> chips) {
   std::string rows;
   for (const KnownChip& chip : chips) {

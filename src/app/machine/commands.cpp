@@ -1,4 +1,4 @@
-// `rtdata scan` and `rtdata doctor`: what they print.
+// The output of `rtdata scan` and `rtdata doctor`.
 #include <unistd.h>
 
 #include <algorithm>
@@ -66,7 +66,7 @@ const char* name_of(Severity severity) {
   return names[static_cast<std::size_t>(severity)];
 }
 
-/// The worst first. `plan`: of the configuration that is to run here; null: none.
+/// The worst first. `plan`: of the configuration for this machine; null: none.
 std::vector<Finding> examine(const MachineFiles& files, const SystemPlan* plan) {
   std::vector<Finding> all;
   const auto append = [&](std::vector<Finding> more) {

@@ -43,12 +43,12 @@ class Scanner {
 /// A chip at an address of an I2C bus, and the sensors of a configuration that read it.
 struct LikelyChip {
   struct Driver {
-    std::string type, model;  ///< no model: the driver has none, or its default
+    std::string type, model;  ///< empty model: the driver has none, or the default one
   };
   std::string what;  ///< "BMP280", "perhaps INA219, INA226"
   std::vector<Driver> drivers = {};
 };
-/// Looks for it among the chips of all drivers, by its identity and address, and among others that are often there.
+/// Searches for it among the chips of all drivers, by its identity and address, and among other common ones.
 LikelyChip likely_chip(I2cDevice& chip, const Registry& registry);
 
 /// As a JSON string.

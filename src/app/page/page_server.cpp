@@ -27,11 +27,11 @@ using Json = nlohmann::ordered_json;
 constexpr Duration pace = std::chrono::milliseconds{200};  // of what is sent
 constexpr Duration status_pace = std::chrono::seconds{1};
 constexpr Duration idle_limit = std::chrono::seconds{15};  // for a request to come
-constexpr Duration busy_limit = std::chrono::seconds{60};  // for its answer to be read, or a stream to be read on
+constexpr Duration busy_limit = std::chrono::seconds{60};  // for reading the answer, or the next part of a stream
 constexpr Duration seam = std::chrono::seconds{5};         // how much of the past a page gets at its beginning
 constexpr Duration end_patience = std::chrono::milliseconds{300};
 constexpr std::size_t most_kept = std::size_t{4} << 20;
-constexpr std::size_t most_waiting = 64;  // questions
+constexpr std::size_t most_waiting = 64;  // requests
 constexpr std::size_t crowded = PageServer::most_connections * 3 / 4;
 constexpr std::uint16_t next_ports = 20;
 
@@ -50,7 +50,7 @@ std::string error_text(std::string_view why) {
   return Json{{"error", why}}.dump(-1, ' ', false, Json::error_handler_t::replace);
 }
 
-/// Takes as long whatever the first difference is.
+/// Takes the same time, wherever the first difference is.
 bool is_equal(std::string_view given, std::string_view wanted) noexcept {
   unsigned char differs = given.size() == wanted.size() ? 0 : 1;
   for (std::size_t i = 0; i < wanted.size(); ++i)
@@ -267,7 +267,7 @@ void PageServer::start_daemon(PageListener listener) {
   const auto as_value = [](auto* function) { return reinterpret_cast<std::intptr_t>(function); };
   add(MHD_OPTION_NOTIFY_CONNECTION, as_value(&Library::notify), this);
   add(MHD_OPTION_NOTIFY_COMPLETED, as_value(&Library::completed), this);
-  // It speaks of browsers that leave.
+  // The library reports browsers that leave.
   add(MHD_OPTION_EXTERNAL_LOGGER, as_value(+[](void*, const char*, va_list) {}), nullptr);
   if (is_encrypted) {
     add(MHD_OPTION_HTTPS_MEM_CERT, 0, Pointer{config_.certificate.data()});
@@ -400,7 +400,7 @@ void PageServer::sweep() {
   }
 }
 
-/// Makes room for it: of those that have sent no request, the one that has been silent for longest goes.
+/// Makes room for a connection: closes the one that has been silent for longest, of those without a request.
 void PageServer::peer_came(Peer& peer) {
   const int keep = 1, idle_s = 15, probes = 3;  // a peer that is gone without a word
   ::setsockopt(peer.fd, SOL_SOCKET, SO_KEEPALIVE, &keep, sizeof keep);
@@ -423,8 +423,8 @@ bool PageServer::is_own_name(std::string_view host) const {
   std::string name(host);
   if (colon != std::string_view::npos && host.find(']', colon) == std::string_view::npos) name.resize(colon);
   std::transform(name.begin(), name.end(), name.begin(), [](unsigned char c) { return std::tolower(c); });
-  // A name of somebody else's that leads here is refused: a page of theirs would speak with this one. Numbers lead
-  // nowhere else.
+  // A foreign name that leads here is refused, because a foreign page could then use this one. A numeric address cannot
+  // be redirected.
   std::array<unsigned char, 16> bytes{};
   if (::inet_pton(AF_INET, name.c_str(), bytes.data()) == 1) return true;
   if (name.size() > 2 && name.front() == '[' && name.back() == ']' &&
@@ -567,7 +567,7 @@ std::ptrdiff_t PageServer::give(Stream& stream, char* to, std::size_t most) {
   const std::uint64_t end = first_chunk_ + chunks_.size();
   if (stream.given == stream.head.size() && stream.next < first_chunk_) {  // it reads too slowly
     stream.head = "{\"left_out\":" + std::to_string(first_chunk_ - stream.next) + "}\n";
-    if (stream.offset > 0) stream.head.insert(0, "\n");  // the line that was begun is none
+    if (stream.offset > 0) stream.head.insert(0, "\n");  // ends the incomplete line
     stream.given = 0;
     stream.next = first_chunk_;
     stream.offset = 0;

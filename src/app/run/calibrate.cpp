@@ -25,7 +25,7 @@ namespace {
 using Points = std::vector<std::array<double, 2>>;
 
 constexpr Duration glance = std::chrono::milliseconds{20};     // between two looks at standard input
-constexpr Duration settling = std::chrono::milliseconds{150};  // what was read before the value was typed
+constexpr Duration settling = std::chrono::milliseconds{150};  // the time before the value was typed
 constexpr Duration of_a_point = std::chrono::seconds{2};
 constexpr Duration patience = std::chrono::seconds{10};
 constexpr int digits_of_raw = 10;
@@ -71,7 +71,7 @@ bool is_number(Kind kind) { return (kind >= Kind::i8 && kind <= Kind::u64) || ki
   throw SetupError({Errc::bad_argument, "cannot calibrate", where, std::move(why), std::move(advice)});
 }
 
-/// The sensor whose name this is, or begins this with a point behind it; the longest one.
+/// The sensor with this name, or with the longest name that is followed by a point here.
 const PartPlan& sensor_in(const SystemPlan& plan, const std::string& word) {
   const PartPlan* found = nullptr;
   std::vector<std::string> names;
@@ -113,7 +113,7 @@ const ConfigChild* child_of(const ConfigItem& item, std::string_view key) {
   return nullptr;
 }
 
-/// The configuration with other points for the field of the sensor: its text, and what went from its calibration.
+/// The configuration with new points for the field of the sensor: its text, and the keys removed from the calibration.
 class Edited {
  public:
   Edited(ConfigDocument document, const ConfigItem& sensor, std::string field, const Points& points)

@@ -30,10 +30,10 @@ class RunConsole {
   void add_secrets(const std::vector<std::string>& secrets);
   std::string without_secrets(const std::string& text) const;
 
-  /// Writes to the log file and shows the message to people: an error of an object only once, until another message
-  /// about it.
+  /// Writes to the log file and shows the message on the terminal: an error of an object only once, until another
+  /// message about it.
   void say(LogLevel level, std::string_view object, std::string_view what, std::string_view error_id = {});
-  /// Shows text to people only.
+  /// Shows text only on the terminal.
   void tell(const std::string& text);
   void report_log_failure();
 

@@ -1,5 +1,5 @@
-// Raw values of a field of a sensor as they come, for `rtdata calibrate`: of a running instance, or of the sensor made
-// for that alone.
+// Live raw values of a sensor field, for `rtdata calibrate`: from a running instance, or from the sensor, made only
+// for this.
 #pragma once
 
 #include <cstddef>
@@ -32,8 +32,8 @@ class RawValues {
 std::unique_ptr<RawValues> values_of_instance(const std::string& file, const std::string& sensor,
                                               const std::string& field);
 
-/// A configuration with this sensor and what it uses, alone: raw, on the main loop, without sinks. SetupError if it
-/// uses outputs or machines, which must not run for that.
+/// A configuration with only this sensor and the parts that it uses: raw, on the main loop, without sinks. SetupError
+/// if it uses outputs or machines, which must not run for this.
 SystemPlan plan_alone(const Registry& registry, const SystemPlan& plan, const PartPlan& sensor);
 
 /// Makes that sensor. Its errors are printed. SetupError. `alone`, `registry`: outlive it.

@@ -284,7 +284,7 @@ class Run {
     return settings;
   }
 
-  /// A reader's connection goes over to those; else why not.
+  /// Passes a reader's connection to the readers; otherwise returns the reason.
   static ControlSocket::Work serve_reader(ControlSocket& control, Readers& readers, std::uint64_t client,
                                           std::string_view line) {
     Result<StreamRequest> request = stream_request(line);
