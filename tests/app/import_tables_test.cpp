@@ -275,7 +275,7 @@ TEST_SUITE("app") {
     CHECK(has(import(folder, {"old.csv", "--time", "y", "d", "--time-format", "%Y %j", "--zone", "Z"}, 1), "write %y"));
     folder.write("blank.csv", "a;b;v\n12;345;1\n");
     CHECK(has(import(folder, {"blank.csv", "--time", "a", "b", "--separator", ";", "--thousands", " "}, 1),
-              "a time of several columns is no number"));
+              "a time of several columns is not a number"));
   }
 
   TEST_CASE("import: parts of a second that are counted are not taken for decimals") {
